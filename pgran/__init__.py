@@ -1,0 +1,10 @@
+"""Sound in a granular material: Leibig's lattice of balls and random springs."""
+
+__version__ = "0.1.0"
+
+
+def load(path):
+    """Return a result file as attributes that hold NumPy arrays. See `pgran.store.load`."""
+    from pgran import store
+
+    return store.load(path)

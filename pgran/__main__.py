@@ -1,0 +1,239 @@
+"""The command line. Starts MPI and PETSc for `run`, and ends all ranks when one fails."""
+
+import argparse
+import importlib
+import logging
+import os
+import shlex
+import sys
+import time
+import traceback
+from pathlib import Path
+
+import pgran
+from pgran import errors
+from pgran.errors import InputError, PgranError, on_root
+
+log = logging.getLogger("pgran")
+
+USAGE = """\
+pgran: sound in a granular material, a lattice of balls and random springs
+
+  pgran run FILE [-key value ...]   compute the experiment in an options file; keys given here win
+  pgran plot RESULT [-o FIGURE]     draw the figures of a result
+  pgran options [SCENE]             list every option: type, unit, default, range, meaning
+  pgran doctor                      say what is installed, and what is wrong with it
+  pgran --help, pgran --version
+
+In parallel: mpirun -n 2 pgran run options/response.opts
+"""
+
+
+def main(words):
+    """Carry out one command and return its exit code."""
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(USAGE, end="")
+        return errors.DONE if words else errors.BAD_INPUT
+    if words[0] == "--version":
+        print(f"pgran {pgran.__version__}")
+        return errors.DONE
+    commands = {"run": run, "plot": plot, "options": list_options, "doctor": doctor}
+    if words[0] not in commands:
+        raise InputError(f"{words[0]}: no such command; pgran --help lists them")
+    return commands[words[0]](words[1:])
+
+
+def run(words):
+    """Run the experiment of an options file. Collective over all ranks."""
+    from pgran.reading import read_environment, read_file, read_words, resolve
+
+    if not words or words[0].startswith("-"):
+        raise InputError("run: an options file is needed, as in pgran run options/response.opts")
+    started = time.perf_counter()
+    path, *rest = words
+    world = start_mpi()
+    given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
+    options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
+    start_petsc(options)
+
+    from pgran import store
+
+    output = options.output_file
+    on_root(world, lambda: store.check_output(output, options.output_overwrite))
+    scene = importlib.import_module(f"pgran.scenes.{options.scene}")
+    records = scene.run(options, world)
+
+    def finish():
+        failures = sum(getattr(record, "failures", 0) for record in records)
+        seconds = time.perf_counter() - started
+        attributes = run_attributes(options, words, world, failures, seconds)
+        store.write(output, attributes, records)
+        warn_of_unused(options)
+        for line in scene.summary(records):
+            log.info(line)
+        log.info("written to %s after %.1f s", output, seconds)
+        if failures:
+            log.warning("%d results miss the accuracy asked for; the file marks them", failures)
+        return failures
+
+    return errors.INACCURATE if on_root(world, finish) else errors.DONE
+
+
+def start_mpi():
+    """Start MPI and the log, and return all ranks.
+
+    Raises
+    ------
+    InputError
+        If a foreign mpirun started independent copies.
+    """
+    from mpi4py import MPI
+
+    world = MPI.COMM_WORLD
+    if world.rank > 0:
+        log.setLevel(logging.WARNING)
+        log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))
+    for variable in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"):
+        launched = os.environ.get(variable, "1")
+        if world.size == 1 and launched.isdigit() and int(launched) > 1:
+            raise InputError(
+                f"mpirun started {launched} ranks that do not know of each other: it belongs to "
+                f"another MPI than mpi4py ({MPI.Get_library_version().split(',')[0]})"
+            )
+    return world
+
+
+def start_petsc(options):
+    """Hand the solver keys to PETSc, which reads no file and no environment of its own."""
+    try:
+        import petsc4py
+    except ImportError:
+        raise PgranError(
+            "petsc4py cannot be imported: bash jobs/setup.sh makes .venv with it; "
+            "pgran doctor says more"
+        ) from None
+    words = [word for key, text in options.solver.items() for word in (f"-{key}", text) if word]
+    petsc4py.init(["pgran", "-skip_petscrc", *words])
+    from petsc4py import PETSc
+
+    if PETSc.ScalarType().dtype.kind != "c":
+        raise PgranError("this PETSc has real scalars; pgran needs a complex one (pgran doctor)")
+
+
+def run_attributes(options, words, world, failures, seconds):
+    """Return what a result file says of its run."""
+    import numpy
+    from petsc4py import PETSc
+
+    attributes = {
+        "pgran_version": pgran.__version__,
+        "scene": options.scene,
+        "status": "unconverged" if failures else "complete",
+        "command": shlex.join(["pgran", "run", *words]),
+        "options": options.text(),
+        "petsc_version": ".".join(map(str, PETSc.Sys.getVersion())),
+        "numpy_version": numpy.__version__,
+        "mpi_size": world.size,
+        "seconds": seconds,
+        "time_convention": "exp(+i omega t)",
+    }
+    slepc = sys.modules.get("slepc4py.SLEPc")
+    version = ".".join(map(str, slepc.Sys.getVersion())) if slepc else "not loaded"
+    return attributes | {"slepc_version": version}
+
+
+def warn_of_unused(options):
+    """Warn of solver keys that no PETSc object asked for."""
+    import ctypes
+
+    from petsc4py import PETSc
+
+    from pgran.options import SOLVER_PREFIXES
+
+    library = ctypes.CDLL(PETSc.__file__)  # petsc4py has no call for this before PETSc 3.19
+    for key in options.solver:
+        used = ctypes.c_int(0)
+        library.PetscOptionsUsed(None, f"-{key}".encode(), ctypes.byref(used))
+        if not used.value and key.startswith(tuple(SOLVER_PREFIXES)):
+            log.warning("-%s was not used: no solver of this run has such an option", key)
+
+
+def plot(words):
+    """Draw the figures of a result."""
+    parser = argparse.ArgumentParser("pgran plot", description=plot.__doc__)
+    parser.add_argument("result", help="HDF5 file that pgran run has written")
+    parser.add_argument("-o", "--output", help="figure file; its ending decides the format")
+    given = parser.parse_args(words)
+    from pgran import figures
+
+    result = pgran.load(given.result)
+    for path in figures.draw(result, given.output or str(Path(given.result).with_suffix(".png"))):
+        print(path)
+    return errors.DONE
+
+
+def list_options(words):
+    """List every option of one scene, or of all."""
+    from pgran.options import SCENES, describe_options, nearest
+
+    if words and words[0] not in SCENES:
+        near = nearest(words[0], SCENES)
+        raise InputError(
+            f"{words[0]}: no scene; choose {', '.join(SCENES)}"
+            + (f"; did you mean {near}?" if near else "")
+        )
+    print(describe_options(words[0] if words else None), end="")
+    return errors.DONE
+
+
+def doctor(words):
+    """Say what is installed, and how to mend what is wrong."""
+    from pgran.doctor import examine
+
+    return examine()
+
+
+def console():
+    """Run the command line; whatever goes wrong on one rank ends all of them at once."""
+    log.propagate = False
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("pgran: %(message)s"))
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        code = main(sys.argv[1:])
+    except BaseException as error:
+        end_all_ranks(error)
+    sys.exit(code)
+
+
+def end_all_ranks(error):
+    """Report an error and end this process, or the whole job where there are other ranks."""
+    code = error.exit_code if isinstance(error, PgranError) else 1
+    if isinstance(error, SystemExit):
+        code = error.code if isinstance(error.code, int) else 1
+    elif isinstance(error, KeyboardInterrupt):
+        code = 130
+    mpi = sys.modules.get("mpi4py.MPI")
+    others = mpi and mpi.Is_initialized() and not mpi.Is_finalized() and mpi.COMM_WORLD.size > 1
+    if others and mpi.COMM_WORLD.rank > 0:
+        # Errors that all ranks meet are rank 0's to report; it ends the others while they wait.
+        time.sleep(1.0)
+    if isinstance(error, PgranError):
+        log.error("%s", error)
+    elif isinstance(error, SystemExit):
+        if others or not isinstance(error.code, int):
+            log.error("ended by sys.exit(%r)", error.code)
+    elif isinstance(error, KeyboardInterrupt):
+        log.error("interrupted")
+    else:
+        log.error("%s", "".join(traceback.format_exception(error)).rstrip())
+    sys.stderr.flush()
+    sys.stdout.flush()
+    if others:
+        mpi.COMM_WORLD.Abort(code)
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    console()

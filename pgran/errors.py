@@ -1,0 +1,63 @@
+"""Exceptions, exit codes, and agreement over ranks.
+
+An error that every rank meets alike (a bad option) is raised on every rank. One that only a single
+rank can meet (a file, memory) is either agreed on with `on_root` before the next collective call,
+or ends the whole job in `pgran.__main__`.
+"""
+
+DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED = 0, 2, 3, 4, 75
+
+
+class PgranError(Exception):
+    """An error whose message is meant for the user, without a traceback."""
+
+    exit_code = 1
+
+
+class InputError(PgranError):
+    """Bad input: nothing was computed."""
+
+    exit_code = BAD_INPUT
+
+
+class FileError(PgranError):
+    """A file that cannot be read or written, or is not what it should be."""
+
+    exit_code = BAD_FILE
+
+
+def on_root(comm, action):
+    """Return `action()`, called on rank 0 alone; raise its error on every rank.
+
+    Collective.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    action : callable
+        Called without arguments. What it returns is broadcast.
+
+    Raises
+    ------
+    PgranError
+        The error that `action` raised on rank 0; an OSError becomes a FileError.
+    """
+    value, failure = None, None
+    if comm.rank == 0:
+        try:
+            value = action()
+        except PgranError as error:
+            failure = (type(error), str(error))
+        except OSError as error:
+            failure = (FileError, describe(error))
+    value, failure = comm.bcast((value, failure))
+    if failure:
+        kind, message = failure
+        raise kind(message)
+    return value
+
+
+def describe(error):
+    """Return an OSError as `path: reason`. Not collective."""
+    reason = error.strerror or str(error)
+    return f"{error.filename}: {reason}" if error.filename else reason

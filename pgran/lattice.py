@@ -1,0 +1,141 @@
+"""The lattice of balls and springs: sites, bonds, walls and detectors, along 1 to 3 axes.
+
+Balls sit at integer sites, zero-based. The walls sit one spacing outside; all are at rest but the
+one behind the last ball of the first axis, which is driven. Bonds join nearest neighbours, and
+every ball at a wall to that wall: `stiffness[axis]` is one longer than the lattice along `axis`,
+and its entry `i` joins the balls `i - 1` and `i`.
+"""
+
+import hashlib
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgran.errors import InputError
+
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Balls of one mass, springs of individual stiffness, one damping constant.
+
+    Parameters
+    ----------
+    stiffness : tuple of numpy.ndarray
+        For each axis the bond constants, one longer than the lattice along that axis:
+        (nx+1, ny) and (nx, ny+1) in two dimensions. Finite, not negative.
+    mass : float
+        m of a ball, positive.
+    damping : float
+        beta of every bond, not negative.
+    kmax : float, optional
+        The stiffness that sets the unit of frequency; the largest one unless given.
+
+    Raises
+    ------
+    InputError
+        If shapes or values are impossible.
+    """
+
+    stiffness: tuple
+    mass: float = 1.0
+    damping: float = 0.003
+    kmax: float | None = None
+
+    def __post_init__(self):
+        """Check shapes and values, and freeze the arrays."""
+        arrays = tuple(np.ascontiguousarray(k, dtype=float) for k in self.stiffness)
+        if not 1 <= len(arrays) <= 3 or any(k.ndim != len(arrays) for k in arrays):
+            raise InputError("stiffness: one array for each of 1 to 3 axes is needed")
+        shape = tuple(n - (axis == 0) for axis, n in enumerate(arrays[0].shape))
+        for axis, k in enumerate(arrays):
+            name = f"stiffness_{AXES[axis]}"
+            if k.shape != bond_shape(shape, axis) or min(shape) < 1:
+                raise InputError(f"{name}: shape {k.shape} does not fit a lattice of {shape}")
+            if not np.all(np.isfinite(k)) or np.any(k < 0):
+                raise InputError(f"{name}: every bond constant must be finite and not negative")
+            if k is self.stiffness[axis]:
+                k = k.view()
+            k.flags.writeable = False
+        object.__setattr__(self, "stiffness", arrays)
+        if self.kmax is None:
+            object.__setattr__(self, "kmax", max(float(k.max()) for k in arrays))
+        if not (math.isfinite(self.mass) and self.mass > 0):
+            raise InputError(f"lattice_mass: must be positive and finite, not {self.mass}")
+        if not (math.isfinite(self.damping) and self.damping >= 0):
+            raise InputError(f"lattice_damping: must be 0 or more and finite, not {self.damping}")
+
+    @property
+    def shape(self):
+        """Balls along each axis."""
+        first = self.stiffness[0].shape
+        return (first[0] - 1, *first[1:])
+
+    @property
+    def balls(self):
+        """How many balls there are."""
+        return math.prod(self.shape)
+
+    @property
+    def omega_mx(self):
+        """The Einstein frequency of a ball on springs kmax, unit of frequency (paper: omxdef)."""
+        return math.sqrt(2 * len(self.shape) * self.kmax / self.mass)
+
+    @cached_property
+    def bonds_sha256(self):
+        """Checksum of all bond constants, as little-endian doubles, axis after axis."""
+        digest = hashlib.sha256()
+        for k in self.stiffness:
+            digest.update(k.astype("<f8", copy=False).tobytes())
+        return digest.hexdigest()
+
+
+def bond_shape(shape, axis):
+    """Return the shape of the array of bonds along `axis`. Not collective."""
+    return tuple(n + (a == axis) for a, n in enumerate(shape))
+
+
+def bond_count(shape):
+    """Return the number of bonds, wall bonds included. Not collective."""
+    return sum(math.prod(bond_shape(shape, axis)) for axis in range(len(shape)))
+
+
+def detector_sites(shape, detectors):
+    """Return detectors as an array of ball indices, checked against the lattice.
+
+    Not collective.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Balls along each axis.
+    detectors : array_like of int
+        Ball indices, flat (`8, 10, 3, 4`) or one row a detector.
+
+    Returns
+    -------
+    numpy.ndarray, shape (nd, dim)
+
+    Raises
+    ------
+    InputError
+        If an index is missing or a ball lies outside the lattice.
+    """
+    axes = len(shape)
+    flat = np.asarray(detectors, dtype=np.int64).ravel()
+    if flat.size == 0 or flat.size % axes:
+        raise InputError(
+            f"detectors: a ball of this lattice has {axes} "
+            f"{'index' if axes == 1 else 'indices'}, so {flat.size} numbers name no balls"
+        )
+    sites = flat.reshape(-1, axes)
+    for site in sites:
+        if np.any(site < 0) or np.any(site >= shape):
+            raise InputError(
+                f"detectors: ball {tuple(site.tolist())} is outside the lattice of "
+                f"{' x '.join(map(str, shape))} balls (indices count from 0)"
+            )
+    return sites

@@ -1,0 +1,69 @@
+"""Progress with the time that is left, on the standard error of rank 0."""
+
+import sys
+import time
+
+
+class Progress:
+    """Counts finished items; close with `with`.
+
+    Not collective: rank 0 makes one.
+
+    Parameters
+    ----------
+    total : int
+    what : str
+        What an item is, in the plural.
+    style : {"auto", "bar", "lines", "none"}
+        A bar through tqdm, or a line every ten seconds; `auto` is a bar on a terminal.
+    """
+
+    seconds_between_lines = 10.0
+
+    def __init__(self, total, what, style="auto"):
+        """Start the clock."""
+        self.total, self.what, self.done = total, what, 0
+        self.started = self.said = time.monotonic()
+        self.bar = None
+        if style == "auto":
+            style = "bar" if sys.stderr.isatty() else "lines"
+        self.lines = style == "lines"
+        if style == "bar":
+            try:
+                from tqdm import tqdm
+            except ImportError:
+                self.lines = True
+            else:
+                self.bar = tqdm(total=total, unit=f" {what}", leave=False)
+
+    def __enter__(self):
+        """Return the counter."""
+        return self
+
+    def __exit__(self, *error):
+        """Remove the bar."""
+        if self.bar is not None:
+            self.bar.close()
+
+    def advance(self, count):
+        """Note that `count` more items are done."""
+        self.done += count
+        if self.bar is not None:
+            self.bar.update(count)
+        now = time.monotonic()
+        if self.lines and now - self.said >= self.seconds_between_lines:
+            self.said = now
+            left = (now - self.started) * (self.total - self.done) / self.done
+            print(
+                f"pgran: {self.done} of {self.total} {self.what}, about {_duration(left)} left",
+                file=sys.stderr,
+                flush=True,
+            )
+
+
+def _duration(seconds):
+    """Return a time in the largest unit that suits it."""
+    for size, unit in ((86400, "days"), (3600, "h"), (60, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"

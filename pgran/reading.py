@@ -1,0 +1,176 @@
+"""Options files and command lines: read, checked, resolved.
+
+Options files have PETSc's syntax (`-key value`, `#` starts a comment) but are read and checked
+here, before PETSc starts: an unknown key, a wrong type or an impossible value is an error that
+names the key, and no file can make PETSc load code before it was looked at.
+"""
+
+import os
+import re
+import shlex
+from dataclasses import dataclass
+
+from pgran.errors import FileError, InputError, describe
+from pgran.options import PETSC_BEGINNINGS, PETSC_KEYS, SCENE, SCENES, SOLVER_PREFIXES, nearest
+
+
+@dataclass(frozen=True)
+class Given:
+    """One key as the user gave it, and where."""
+
+    key: str
+    text: str
+    where: str
+
+
+class Options:
+    """The resolved options of a run: every physics option by name, and the solver keys given.
+
+    `options.lattice_shape` is the value of `-lattice_shape`. `solver` holds what goes to PETSc.
+    """
+
+    def __init__(self, scene, values, solver):
+        """Keep the values."""
+        self.scene, self._values, self.solver = scene, values, solver
+
+    def __getattr__(self, name):
+        """Return the value of an option of this scene."""
+        try:
+            return self.__dict__["_values"][name]
+        except KeyError:
+            raise AttributeError(f"scene {self.scene} has no option -{name}") from None
+
+    def text(self):
+        """Return a complete options file that reproduces the run.
+
+        Leave to replace a result was given for one run only and is not repeated.
+        """
+        lines = [SCENE.write(self.scene)]
+        for option in SCENES[self.scene]:
+            value = self._values[option.name]
+            if value is not None and option.name != "output_overwrite":
+                lines.append(option.write(value))
+        lines += [f"-{key} {text}".rstrip() for key, text in self.solver.items()]
+        return "\n".join(lines) + "\n"
+
+
+def read_file(path):
+    """Return what an options file gives, in order. Not collective.
+
+    Raises
+    ------
+    FileError, InputError
+        If it cannot be read, or a line is not `-key value`.
+    """
+    try:
+        with open(path, encoding="utf-8") as stream:
+            lines = stream.read().splitlines()
+    except OSError as error:
+        raise FileError(describe(error)) from None
+    except UnicodeDecodeError:
+        raise FileError(f"{path}: not a text file") from None
+    given = []
+    for number, line in enumerate(lines, 1):
+        where = f" ({path}, line {number})"
+        try:
+            words = shlex.split(line, comments=True)
+        except ValueError as error:
+            raise InputError(f"{line.strip()}{where}: {error}") from None
+        given += read_words(words, where)
+    return given
+
+
+def read_words(words, where=""):
+    """Return what a command line gives: `-key value`, or `-key` alone. Not collective."""
+    given = []
+    for word in words:
+        if re.match(r"--?[A-Za-z]", word):
+            given.append(Given(word.lstrip("-"), "", where))
+        elif given and not given[-1].text:
+            given[-1] = Given(given[-1].key, word, where)
+        else:
+            raise InputError(f"{word}{where}: a value without a key (keys look like -key)")
+    return given
+
+
+def read_environment():
+    """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked."""
+    return read_words(os.environ.pop("PETSC_OPTIONS", "").split(), " (PETSC_OPTIONS)")
+
+
+def resolve(given, output_file=None):
+    """Return the Options that keys mean, later ones winning.
+
+    Not collective.
+
+    Parameters
+    ----------
+    given : sequence of Given
+    output_file : str, optional
+        Where the result goes unless the options say.
+
+    Raises
+    ------
+    InputError
+        For an unknown key, one that the scene does not use, a wrong type or an impossible value.
+    """
+    last = {item.key.lower(): item for item in given}
+    if "scene" not in last:
+        raise InputError(f"-scene is missing: choose {', '.join(SCENES)}")
+    scene = SCENE.read(last["scene"].text, last["scene"].where)
+    options = {option.name: option for option in SCENES[scene]}
+    values = {option.name: option.default for option in SCENES[scene]}
+    values["output_file"] = output_file
+    solver = {}
+    for key, item in last.items():
+        if key in options:
+            values[key] = options[key].read(item.text, item.where)
+        elif key != "scene":
+            _check_foreign(key, item, scene, options)
+            solver[key] = item.text
+    _check_together(values, last)
+    return Options(scene, values, solver)
+
+
+def _check_foreign(key, item, scene, options):
+    """Raise unless a key that is no option of the scene belongs to PETSc."""
+    if key.startswith(tuple(SOLVER_PREFIXES)) and key not in SOLVER_PREFIXES:
+        return
+    if key in PETSC_KEYS or key.startswith(PETSC_BEGINNINGS):
+        return
+    users = [name for name, its in SCENES.items() if any(o.name == key for o in its)]
+    if users:
+        raise InputError(
+            f"-{key}{item.where}: scene {scene} does not use it, but {', '.join(users)} does"
+        )
+    near = nearest(key, ["scene", *options])
+    prefixed = next((p + key for p in SOLVER_PREFIXES if key.startswith(("ksp_", "pc_"))), near)
+    raise InputError(
+        f"-{key}{item.where}: unknown option"
+        + (f"; did you mean -{prefixed}?" if prefixed else "")
+        + f" (pgran options {scene} lists all)"
+    )
+
+
+def _check_together(values, last):
+    """Raise where options that are possible one by one contradict each other."""
+    if len(values["lattice_shape"]) > 3:
+        raise InputError("-lattice_shape: a lattice has 1 to 3 axes")
+    if (values["bonds_law"] == "file") != (values["bonds_file"] is not None):
+        raise InputError("-bonds_file and -bonds_law file belong together: give both or neither")
+    if values["bonds_law"] == "file":
+        for key in ("lattice_shape", "bonds_kmin", "bonds_kmax"):
+            if key in last:
+                raise InputError(f"-{key}: with -bonds_law file the file decides")
+            values[key] = None
+    omega = values.get("sweep_omega")
+    if omega:
+        if list(omega) != sorted(set(omega)):
+            raise InputError("-sweep_omega: the frequencies must increase")
+        for key in ("sweep_min", "sweep_max", "sweep_points"):
+            if key in last:
+                raise InputError(f"-{key}: -sweep_omega lists the frequencies already")
+            values[key] = None
+    for low, high in (("sweep_min", "sweep_max"), ("phase_fit_min", "phase_fit_max")):
+        if values.get(low) is not None and values[low] >= values[high]:
+            raise InputError(f"-{low}: {values[low]:g} is not below -{high}, {values[high]:g}")

@@ -1,0 +1,52 @@
+"""What several scenes make from their options."""
+
+import numpy as np
+
+from pgran.errors import PgranError, on_root
+from pgran.lattice import Lattice
+from pgran.sharing import Crew, automatic_ranks
+from pgran.stiffness import BondLaw
+
+
+def make_lattice(options, world):
+    """Return the lattice that the options describe, the same on every rank.
+
+    Collective.
+
+    Raises
+    ------
+    InputError, FileError
+        If the options or the bonds file are impossible.
+    PgranError
+        If the ranks disagree on the bonds.
+    """
+    if options.bonds_law == "file":
+        from pgran.store import read_stiffness
+
+        stiffness, kmax = on_root(world, lambda: read_stiffness(options.bonds_file)), None
+    else:
+        law = BondLaw(
+            options.bonds_law,
+            kmin=options.bonds_kmin,
+            kmax=options.bonds_kmax,
+            fraction=options.bonds_fraction,
+            force=options.bonds_force,
+            hertz=options.bonds_hertz,
+        )
+        stiffness, kmax = law.draw(options.lattice_shape, options.bonds_seed), law.kmax
+    lattice = Lattice(stiffness, options.lattice_mass, options.lattice_damping, kmax)
+    if len(set(world.allgather(lattice.bonds_sha256))) > 1:
+        raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
+    return lattice
+
+
+def make_crew(options, lattice, world):
+    """Return the ranks in groups as `-ranks_per_lattice` says. Collective."""
+    return Crew(world, options.ranks_per_lattice or automatic_ranks(lattice.shape, world.size))
+
+
+def driving_frequencies(options):
+    """Return the frequencies of the sweep, increasing. Not collective."""
+    if options.sweep_omega:
+        return np.array(options.sweep_omega)
+    return np.linspace(options.sweep_min, options.sweep_max, options.sweep_points)
