@@ -11,11 +11,16 @@
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
+# A .venv that is active already must not be mistaken for the python3 to build on.
+PATH=${PATH//"$PWD/.venv/bin:"/}
+
 packages=(
   python3-petsc4py python3-petsc4py-complex python3-slepc4py python3-slepc4py-complex
   python3-mpi4py python3-h5py-mpi python3-numpy python3-scipy python3-matplotlib python3-tqdm
-  python3-pytest python3-venv python3-setuptools python3-wheel openmpi-bin libopenblas0-pthread
+  python3-pytest python3-mpmath python3-venv python3-setuptools python3-wheel
+  openmpi-bin libopenblas0-pthread
 )
+extras=(matplotlib scipy tqdm pytest mpmath) # figures, spectra and tests; from PyPI where missing
 ruff="ruff==0.14.4" # pinned: its formatting changes between versions
 
 say() { echo "setup: $*" >&2; }
@@ -30,11 +35,11 @@ debian_folder() { # petsc | slepc
   return 0
 }
 
-works() { # PYTHON: has it all that pgran imports, with complex scalars?
+works() { # PYTHON: has it what pgran cannot do without, with complex scalars?
   "$1" - <<'PYTHON' >/dev/null 2>&1
 import sys
 assert sys.version_info >= (3, 11)
-import h5py, matplotlib, mpi4py.MPI, numpy, pytest, scipy, slepc4py, tqdm
+import h5py, mpi4py.MPI, numpy, slepc4py
 import petsc4py
 petsc4py.init(["setup", "-skip_petscrc"])
 from petsc4py import PETSc
@@ -62,7 +67,7 @@ install_packages() {
   if ! command -v apt-get >/dev/null; then
     say "no python3 with complex petsc4py and slepc4py was found, and this is no Debian or Ubuntu."
     say "With conda:     conda create -n pgran -c conda-forge python=3.12 'petsc=*=complex*' \\"
-    say "                'slepc=*=complex*' petsc4py slepc4py mpi4py h5py scipy matplotlib tqdm pytest"
+    say "                'slepc=*=complex*' petsc4py slepc4py mpi4py h5py ${extras[*]}"
     say "                conda activate pgran"
     say "On a cluster:   load the modules of a complex PETSc with petsc4py and slepc4py"
     say "then start this script again."
@@ -81,7 +86,6 @@ install_packages() {
 
 make_venv() {
   say "making .venv with $python ..."
-  rm -rf .venv
   "$python" -m venv --system-site-packages .venv
   local site
   site=$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
@@ -93,8 +97,12 @@ make_venv() {
   local build=(--no-build-isolation)
   .venv/bin/python -c 'import setuptools, wheel' 2>/dev/null || build=()
   .venv/bin/python -m pip install -q --no-deps "${build[@]}" -e .
-  .venv/bin/python -m pip install -q "$ruff" ||
-    say "ruff could not be installed (no PyPI?): jobs/test.sh will stop at its style check"
+  local missing=() name
+  for name in "${extras[@]}"; do
+    .venv/bin/python -c "import $name" 2>/dev/null || missing+=("$name")
+  done
+  .venv/bin/python -m pip install -q "$ruff" "${missing[@]}" ||
+    say "not installed (no PyPI?): $ruff ${missing[*]}; figures or tests will lack them"
   .venv/bin/python -c 'import pgran'
   touch .venv/complete
 }

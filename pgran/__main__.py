@@ -1,6 +1,7 @@
 """The command line. Starts MPI and PETSc for `run`, and ends all ranks when one fails."""
 
 import argparse
+import ctypes
 import importlib
 import logging
 import os
@@ -20,7 +21,9 @@ USAGE = """\
 pgran: sound in a granular material, a lattice of balls and random springs
 
   pgran run FILE [-key value ...]   compute the experiment in an options file; keys given here win
-  pgran plot RESULT [-o FIGURE]     draw the figures of a result
+  pgran plot RESULT [OTHER] [-o FIGURE]
+                                    draw the figures of a result; of a response and of modes of the
+                                    same lattice: the response, with the modes marked
   pgran options [SCENE]             list every option: type, unit, default, range, meaning
   pgran doctor                      say what is installed, and what is wrong with it
   pgran --help, pgran --version
@@ -45,6 +48,7 @@ def main(words):
 
 def run(words):
     """Run the experiment of an options file. Collective over all ranks."""
+    from pgran.options import WITHOUT_PETSC
     from pgran.reading import read_environment, read_file, read_words, resolve
 
     if not words or words[0].startswith("-"):
@@ -54,7 +58,8 @@ def run(words):
     world = start_mpi()
     given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
-    start_petsc(options)
+    if options.scene not in WITHOUT_PETSC:
+        start_petsc(options)
 
     from pgran import store
 
@@ -123,51 +128,61 @@ def start_petsc(options):
 def run_attributes(options, words, world, failures, seconds):
     """Return what a result file says of its run."""
     import numpy
-    from petsc4py import PETSc
 
-    attributes = {
+    return {
         "pgran_version": pgran.__version__,
         "scene": options.scene,
         "status": "unconverged" if failures else "complete",
         "command": shlex.join(["pgran", "run", *words]),
         "options": options.text(),
-        "petsc_version": ".".join(map(str, PETSc.Sys.getVersion())),
+        "petsc_version": loaded_version("petsc4py.PETSc"),
+        "slepc_version": loaded_version("slepc4py.SLEPc"),
         "numpy_version": numpy.__version__,
         "mpi_size": world.size,
         "seconds": seconds,
         "time_convention": "exp(+i omega t)",
     }
-    slepc = sys.modules.get("slepc4py.SLEPc")
-    version = ".".join(map(str, slepc.Sys.getVersion())) if slepc else "not loaded"
-    return attributes | {"slepc_version": version}
+
+
+def loaded_version(name):
+    """Return the version of PETSc or SLEPc, if this run has loaded it."""
+    module = sys.modules.get(name)
+    return ".".join(map(str, module.Sys.getVersion())) if module else "not loaded"
 
 
 def warn_of_unused(options):
     """Warn of solver keys that no PETSc object asked for."""
-    import ctypes
-
-    from petsc4py import PETSc
-
     from pgran.options import SOLVER_PREFIXES
 
-    library = ctypes.CDLL(PETSc.__file__)  # petsc4py has no call for this before PETSc 3.19
+    petsc = sys.modules.get("petsc4py.PETSc")
     for key in options.solver:
         used = ctypes.c_int(0)
-        library.PetscOptionsUsed(None, f"-{key}".encode(), ctypes.byref(used))
+        if petsc:  # petsc4py itself has no call for this before PETSc 3.19
+            library = ctypes.CDLL(petsc.__file__)
+            library.PetscOptionsUsed(None, key.encode(), ctypes.byref(used))
         if not used.value and key.startswith(tuple(SOLVER_PREFIXES)):
             log.warning("-%s was not used: no solver of this run has such an option", key)
 
 
 def plot(words):
-    """Draw the figures of a result."""
+    """Draw the figures of a result, a response with the modes of another one marked."""
     parser = argparse.ArgumentParser("pgran plot", description=plot.__doc__)
     parser.add_argument("result", help="HDF5 file that pgran run has written")
+    parser.add_argument("other", nargs="?", help="modes of the response's lattice, or vice versa")
     parser.add_argument("-o", "--output", help="figure file; its ending decides the format")
-    given = parser.parse_args(words)
+    given = parser.parse_intermixed_args(words)
     from pgran import figures
 
-    result = pgran.load(given.result)
-    for path in figures.draw(result, given.output or str(Path(given.result).with_suffix(".png"))):
+    shown, modes = pgran.load(given.result), None
+    if given.other:
+        shown, marked, swapped = figures.pair(shown, pgran.load(given.other))
+        modes = marked.modes.omega
+        if not getattr(marked.modes, "count_certified", False):
+            log.warning("modes are missing or inaccurate, so not all are marked")
+        given.result = given.other if swapped else given.result
+    for path in figures.draw(
+        shown, given.output or str(Path(given.result).with_suffix(".png")), modes
+    ):
         print(path)
     return errors.DONE
 

@@ -15,6 +15,8 @@ import math
 
 import numpy as np
 
+from pgran.stiffness import unit_numbers
+
 EPSILON = np.finfo(float).eps
 
 
@@ -31,23 +33,34 @@ class ErrorBounds:
     Parameters
     ----------
     operators : pgran.operators.Operators
-        Of a damped lattice.
+
+    Attributes
+    ----------
+    proven : bool
+        Whether there is a bound: without damping there is none, but what rounding does to the
+        amplitudes can be tried (`random_rounding`).
     """
 
     def __init__(self, operators):
         """Make the work vectors."""
         self.operators = operators
+        self.proven = operators.damping > 0
         self.lambda_min = smallest_damping_eigenvalue(operators.shape)
-        # Unit roundoffs in a residual: a product and a sum for each entry of a row, and the
-        # combination of the entry itself, all complex.
-        self.unit = 2 * (2 * len(operators.shape) + 8) * EPSILON
-        self._diagonal = operators.K.getDiagonal()
-        self._magnitude, self._terms, self._work = (operators.f.duplicate() for _ in range(3))
+        # Roundings in a ball's residual, with d axes: 2d - 1 in the diagonal of K, 3 in S, 2d + 4
+        # in a row of complex products and its difference from f; each at most EPSILON / 2.
+        self.unit = (2 * len(operators.shape) + 4) * EPSILON
+        vectors = [operators.f.duplicate() for _ in range(4)]
+        self._diagonal, self._magnitude, self._terms, self._work = vectors
+        self._signs = None
+        if not self.proven:
+            signs = np.where(unit_numbers(0, 0, operators.balls) < 0.5, -1.0, 1.0)
+            self._signs = operators.vector(signs.reshape(operators.shape))
 
     def destroy(self):
         """Free the work vectors. Collective."""
-        for held in (self._diagonal, self._magnitude, self._terms, self._work):
-            held.destroy()
+        for held in (self._diagonal, self._magnitude, self._terms, self._work, self._signs):
+            if held is not None:
+                held.destroy()
 
     def stability(self, omega):
         """Return the c > 0 with |S x|_2 >= c |x|_2 for every x. Not collective."""
@@ -60,6 +73,7 @@ class ErrorBounds:
         |K| |x| = 2 diag(K) |x| - K |x|, and likewise for C.
         """
         operators, a, terms = self.operators, self._magnitude, self._terms
+        operators.K.getDiagonal(self._diagonal)
         x.copy(a)
         a.abs()
         operators.f.copy(terms)
@@ -69,10 +83,20 @@ class ErrorBounds:
         operators.K.mult(a, self._work)
         terms.axpy(-1.0, self._work)
         damping = omega * operators.damping
-        operators.C.mult(a, self._work)
-        terms.axpy(-damping, self._work)
+        if operators.C is not None:
+            operators.C.mult(a, self._work)
+            terms.axpy(-damping, self._work)
         terms.axpy(4 * len(operators.shape) * damping + operators.mass * omega**2, a)
         return terms
+
+    def random_rounding(self):
+        """Return a residual as rounding leaves it, of random signs; the next call overwrites it.
+
+        Collective; `rounding` must have been called for the primal solution.
+        """
+        self._work.pointwiseMult(self._terms, self._signs)
+        self._work.scale(self.unit)
+        return self._work
 
     def amplitude(self, omega, scale, primal, adjoint, value):
         """Return the bound of one corrected amplitude, relative to the driven wall's.

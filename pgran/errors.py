@@ -26,7 +26,7 @@ class FileError(PgranError):
     exit_code = BAD_FILE
 
 
-def on_root(comm, action):
+def on_root(comm, action, keep=False):
     """Return `action()`, called on rank 0 alone; raise its error on every rank.
 
     Collective.
@@ -35,7 +35,9 @@ def on_root(comm, action):
     ----------
     comm : mpi4py.MPI.Comm
     action : callable
-        Called without arguments. What it returns is broadcast.
+        Called without arguments.
+    keep : bool
+        Keep what it returns on rank 0, None on the others, instead of broadcasting it.
 
     Raises
     ------
@@ -50,11 +52,11 @@ def on_root(comm, action):
             failure = (type(error), str(error))
         except OSError as error:
             failure = (FileError, describe(error))
-    value, failure = comm.bcast((value, failure))
+    failure, shared = comm.bcast((failure, None if keep else value))
     if failure:
         kind, message = failure
         raise kind(message)
-    return value
+    return value if keep else shared
 
 
 def describe(error):

@@ -46,8 +46,8 @@ class Lattice:
     kmax: float | None = None
 
     def __post_init__(self):
-        """Check shapes and values, and freeze the arrays."""
-        arrays = tuple(np.ascontiguousarray(k, dtype=float) for k in self.stiffness)
+        """Check shapes and values; keep copies that nobody can change."""
+        arrays = tuple(np.array(k, dtype=float, order="C") for k in self.stiffness)
         if not 1 <= len(arrays) <= 3 or any(k.ndim != len(arrays) for k in arrays):
             raise InputError("stiffness: one array for each of 1 to 3 axes is needed")
         shape = tuple(n - (axis == 0) for axis, n in enumerate(arrays[0].shape))
@@ -57,8 +57,6 @@ class Lattice:
                 raise InputError(f"{name}: shape {k.shape} does not fit a lattice of {shape}")
             if not np.all(np.isfinite(k)) or np.any(k < 0):
                 raise InputError(f"{name}: every bond constant must be finite and not negative")
-            if k is self.stiffness[axis]:
-                k = k.view()
             k.flags.writeable = False
         object.__setattr__(self, "stiffness", arrays)
         if self.kmax is None:
@@ -101,6 +99,44 @@ def bond_shape(shape, axis):
 def bond_count(shape):
     """Return the number of bonds, wall bonds included. Not collective."""
     return sum(math.prod(bond_shape(shape, axis)) for axis in range(len(shape)))
+
+
+def bond_arrays(shape, bonds):
+    """Return numbers a bond, axis after axis in C order, as one array for each axis.
+
+    Not collective.
+    """
+    sizes = [math.prod(bond_shape(shape, axis)) for axis in range(len(shape))]
+    parts = np.split(bonds, np.cumsum(sizes)[:-1])
+    return tuple(part.reshape(bond_shape(shape, axis)) for axis, part in enumerate(parts))
+
+
+def bond_places(shape, bonds):
+    """Return the axis of each bond and its index into that axis's array.
+
+    Not collective.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Balls along each axis.
+    bonds : numpy.ndarray of int
+        Numbers of bonds, axis after axis in C order.
+
+    Returns
+    -------
+    axis : numpy.ndarray of int, the shape of `bonds`
+    index : numpy.ndarray of int, one axis more, of the length of `shape`
+    """
+    sizes = [math.prod(bond_shape(shape, axis)) for axis in range(len(shape))]
+    first = np.cumsum([0, *sizes[:-1]])
+    axis = np.searchsorted(first, bonds, side="right") - 1
+    index = np.empty((*bonds.shape, len(shape)), dtype=np.int64)
+    for a in range(len(shape)):
+        here = axis == a
+        places = np.unravel_index(bonds[here] - first[a], bond_shape(shape, a))
+        index[here] = np.stack(places, axis=-1)
+    return axis, index
 
 
 def detector_sites(shape, detectors):

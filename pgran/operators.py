@@ -8,10 +8,26 @@ is combined anew for each frequency without assembly, and factored symbolically 
 import numpy as np
 from petsc4py import PETSc
 
+from pgran.errors import InputError
+from pgran.lattice import bond_shape
+
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 
 
-class Operators:
+class Owner:
+    """Owns PETSc objects on the ranks `comm`: `destroy` or the end of a `with` frees them."""
+
+    def __enter__(self):
+        """Return the owner."""
+        return self
+
+    def __exit__(self, *error):
+        """Destroy, but with an error on its way only alone: other ranks may not share it."""
+        if error[0] is None or self.comm.size == 1:
+            self.destroy()
+
+
+class Operators(Owner):
     """The driven lattice as distributed matrices and vectors; destroy with `destroy` or `with`.
 
     Collective.
@@ -37,32 +53,28 @@ class Operators:
         """Assemble K, and C where there is damping."""
         self.shape, self.balls, self.comm = lattice.shape, lattice.balls, comm
         self.mass, self.damping = lattice.mass, lattice.damping
-        self.da = PETSc.DMDA().create(
-            sizes=self.shape, dof=1, stencil_width=1, stencil_type="star", comm=comm
-        )
-        self.K, self.f_stiffness = self._assemble(lattice.stiffness)
+        try:
+            self.da = PETSc.DMDA().create(
+                sizes=self.shape, dof=1, stencil_width=1, stencil_type="star", comm=comm
+            )
+        except PETSc.Error as error:
+            shape = " x ".join(map(str, self.shape))
+            raise InputError(
+                f"-ranks_per_lattice: {shape} balls cannot be cut among {comm.size} ranks"
+            ) from error
+        pattern = self._pattern()
+        self.K, self.f_stiffness = self._assemble(lattice.stiffness, pattern)
         self.C = self.f_damping = None
         if self.damping > 0:
             ones = [np.broadcast_to(1.0, k.shape) for k in lattice.stiffness]
-            self.C, self.f_damping = self._assemble(ones)
+            self.C, self.f_damping = self._assemble(ones, pattern)
         self.S, self.f = self.K.duplicate(), self.f_stiffness.duplicate()
-        # Complex symmetric, not Hermitian: what an LDL^T factorization needs to know.
-        self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
 
     def destroy(self):
         """Free all PETSc objects. Collective."""
         for held in (self.K, self.C, self.S, self.f, self.f_stiffness, self.f_damping, self.da):
             if held is not None:
                 held.destroy()
-
-    def __enter__(self):
-        """Return the operators."""
-        return self
-
-    def __exit__(self, *error):
-        """Destroy them."""
-        self.destroy()
 
     def combine(self, omega):
         """Set S = K + i omega beta C - m omega^2 and the drive f (paper: ampeq).
@@ -75,35 +87,63 @@ class Operators:
             self.S.axpy(1j * omega * self.damping, self.C, structure=SAME)
             self.f.axpy(1j * omega * self.damping, self.f_damping)
         self.S.shift(-self.mass * omega**2)
+        # Complex symmetric, not Hermitian: what an LDL^T factorization needs to know.
+        self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
 
-    def change_bond(self, axis, bond, change):
-        """Add `change` to one bond constant, in K and in the drive; S waits for `combine`.
+    def bond_ends(self):
+        """Return which balls each bond joins, and which bonds end at the driven wall.
+
+        Collective.
+
+        Returns
+        -------
+        ends : numpy.ndarray of int, shape (bonds, 2)
+            PETSc's numbers of the balls below and above along the bond's axis, -1 for a wall.
+        driven : numpy.ndarray of bool, shape (bonds,)
+        """
+        ends, driven = [], []
+        for axis in range(len(self.shape)):
+            sites = np.indices(bond_shape(self.shape, axis)).reshape(len(self.shape), -1)
+            for step in (-1, 0):
+                ball = sites.copy()
+                ball[axis] += step
+                inside = (ball[axis] >= 0) & (ball[axis] < self.shape[axis])
+                number = np.full(ball.shape[1], -1, dtype=PETSc.IntType)
+                number[inside] = self.numbers(ball[:, inside].T)
+                ends.append(number)
+            driven.append((sites[axis] == self.shape[axis]) & (axis == 0))
+        below, above = (np.concatenate(ends[side::2]) for side in (0, 1))
+        return np.stack([below, above], axis=1), np.concatenate(driven)
+
+    def change_bonds(self, ends, driven, changes):
+        """Add `changes` to some bond constants, in K and in the drive; S waits for `combine`.
 
         Collective.
 
         Parameters
         ----------
-        axis : int
-        bond : sequence of int
-            Index into `stiffness[axis]`.
-        change : float
+        ends, driven : numpy.ndarray, shapes (n, 2) and (n,)
+            The bonds, rows of what `bond_ends` returns.
+        changes : numpy.ndarray, shape (n,)
         """
-        ends = np.array([bond, bond])
-        ends[0, axis] -= 1
-        inside = (ends[:, axis] >= 0) & (ends[:, axis] < self.shape[axis])
-        balls = self.numbers(ends[inside])
-        signs = np.array([1.0, -1.0])[inside]
         first, last = self.K.getOwnershipRange()
-        mine = (balls >= first) & (balls < last)
-        self.K.setValues(
-            balls[mine], balls, change * np.outer(signs[mine], signs), addv=PETSc.InsertMode.ADD
-        )
+        mine = np.where((ends >= first) & (ends < last), ends, -1)  # PETSc passes over row -1
+        values = np.outer(changes, [1.0, -1.0, -1.0, 1.0]).astype(PETSc.ScalarType)
+        self.K.setValuesRCV(mine, ends, values, addv=PETSc.InsertMode.ADD)
         self.K.assemble()
-        if axis == 0 and bond[0] == self.shape[0]:
-            self.f_stiffness.setValues(
-                balls[mine], np.full(mine.sum(), change), addv=PETSc.InsertMode.ADD
-            )
+        if np.any(driven):
+            here = driven & (mine[:, 0] >= 0)
+            self.f_stiffness.setValues(ends[here, 0], changes[here], addv=PETSc.InsertMode.ADD)
             self.f_stiffness.assemble()
+
+    def set_stiffness(self, stiffness):
+        """Replace all bond constants, in K and in the drive; S waits for `combine`. Collective."""
+        pattern = self._pattern()
+        values, drive = self._values(stiffness, pattern)
+        self.K.setValuesCSR(*pattern[:2], values)
+        self.K.assemble()
+        self.f_stiffness.setArray(drive)
 
     def numbers(self, sites):
         """Return PETSc's global numbers of balls given by their indices, shape (count, dim).
@@ -112,6 +152,13 @@ class Operators:
         """
         natural = np.ravel_multi_index(np.asarray(sites).T, self.shape, order="F")
         return self.da.getAO().app2petsc(np.array(natural, dtype=PETSc.IntType))
+
+    def vector(self, field):
+        """Return an array over the lattice, the same on every rank, as a vector. Collective."""
+        x = self.da.createGlobalVec()
+        own = tuple(slice(start, stop) for start, stop in self.da.getRanges())
+        x.setArray(field[own].ravel(order="F"))
+        return x
 
     def field(self, x):
         """Return a vector as an array over the lattice on rank 0, None on the others.
@@ -131,52 +178,66 @@ class Operators:
             held.destroy()
         return values
 
-    def _assemble(self, stiffness):
-        """Return the Laplacian weighted by `stiffness`, and its drive: the driven wall's bonds."""
+    def _pattern(self):
+        """Return the row pointers, the columns, and which slots of a row exist.
+
+        The slots of a ball's row are its neighbours below along each axis, itself, and its
+        neighbours above. PETSc numbers a rank's balls with the first axis fastest.
+        """
         axes = len(self.shape)
         own, ghosted = self.da.getRanges(), self.da.getGhostRanges()
-        here = [np.arange(start, stop) for start, stop in own]
-        size = tuple(map(len, here))
         number = self.da.getLGMap().getIndices()
         number = number.reshape([stop - start for start, stop in ghosted], order="F")
-        local = [balls - start for balls, (start, _) in zip(here, ghosted, strict=True)]
-
-        # Slots of a row: the neighbours below, the ball itself, the neighbours above.
-        row = (*size, 2 * axes + 1)
-        columns = np.empty(row, dtype=PETSc.IntType)
-        values = np.zeros(row)
-        exists = np.ones(row, dtype=bool)
+        local = [
+            np.arange(start - ghosts[0], stop - ghosts[0])
+            for (start, stop), ghosts in zip(own, ghosted, strict=True)
+        ]
+        columns = np.empty((*map(len, local), 2 * axes + 1), dtype=PETSc.IntType)
+        exists = np.ones(columns.shape, dtype=bool)
         columns[..., axes] = number[np.ix_(*local)]
-        for axis, k in enumerate(stiffness):
-            for slot, step in ((axes - 1 - axis, 0), (axes + 1 + axis, 1)):
-                bond = _replaced(here, axis, here[axis] + step)
-                constants = k[np.ix_(*bond)]
-                values[..., axes] += constants
-                values[..., slot] = -constants
-                ball = here[axis] + 2 * step - 1
-                inside = (ball >= 0) & (ball < self.shape[axis])
+        for axis in range(axes):
+            for slot, step in ((axes - 1 - axis, -1), (axes + 1 + axis, 1)):
+                ball = local[axis] + step
+                inside = (ball >= 0) & (ball < number.shape[axis])
                 exists[..., slot] = inside.reshape(_replaced([1] * axes, axis, -1))
-                ball = np.where(inside, ball - ghosted[axis][0], 0)
+                ball = np.where(inside, ball, 0)
                 columns[..., slot] = number[np.ix_(*_replaced(local, axis, ball))]
-
-        # PETSc numbers a rank's balls with the first axis fastest.
-        order = (*reversed(range(axes)), axes)
-        columns, values, exists = (
-            a.transpose(order).reshape(-1, 2 * axes + 1) for a in (columns, values, exists)
-        )
+        columns, exists = _rows(columns), _rows(exists)
         pointer = np.zeros(len(exists) + 1, dtype=PETSc.IntType)
         np.cumsum(exists.sum(axis=1), out=pointer[1:])
+        return pointer, columns[exists], exists
+
+    def _values(self, stiffness, pattern):
+        """Return the nonzeros of the Laplacian weighted by `stiffness`, and its drive."""
+        axes = len(self.shape)
+        here = [np.arange(start, stop) for start, stop in self.da.getRanges()]
+        values = np.zeros((*map(len, here), 2 * axes + 1))
+        for axis, k in enumerate(stiffness):
+            for slot, step in ((axes - 1 - axis, 0), (axes + 1 + axis, 1)):
+                constants = k[np.ix_(*_replaced(here, axis, here[axis] + step))]
+                values[..., slot] = -constants
+                values[..., axes] += constants
+        drive = np.zeros(values.shape[:-1])
+        if here[0][-1] == self.shape[0] - 1:
+            drive[-1] = stiffness[0][np.ix_([self.shape[0]], *here[1:])][0]
+        exists = pattern[2]
+        return _rows(values)[exists].astype(PETSc.ScalarType), drive.ravel(order="F")
+
+    def _assemble(self, stiffness, pattern):
+        """Return the Laplacian weighted by `stiffness`, and its drive: the driven wall's bonds."""
+        values, forces = self._values(stiffness, pattern)
         drive = self.da.createGlobalVec()
+        drive.setArray(forces)
         matrix = PETSc.Mat().createAIJ(
-            (drive.getSizes(), drive.getSizes()),
-            csr=(pointer, columns[exists], values[exists].astype(PETSc.ScalarType)),
-            comm=self.comm,
+            (drive.getSizes(), drive.getSizes()), csr=(*pattern[:2], values), comm=self.comm
         )
-        force = np.zeros(size)
-        if own[0][1] == self.shape[0]:
-            force[-1] = stiffness[0][np.ix_([self.shape[0]], *here[1:])][0]
-        drive.setArray(force.ravel(order="F"))
         return matrix, drive
+
+
+def _rows(slots):
+    """Return an array over balls and slots with a row a ball, the first axis fastest."""
+    axes = slots.ndim - 1
+    return slots.transpose(*reversed(range(axes)), axes).reshape(-1, slots.shape[-1])
 
 
 def _replaced(sequence, position, item):

@@ -2,12 +2,16 @@
 
 import difflib
 import math
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from pgran.errors import InputError
 
-SOLVER_PREFIXES = {"steady_": "every driven steady state (KSP, PC)"}
+SOLVER_PREFIXES = {
+    "steady_": "every driven steady state (KSP, PC)",
+    "normal_": "normal modes (EPS, ST; count_pc for the factorizations that count them)",
+}
 # PETSc's own run-time keys, as they are and with these beginnings.
 PETSC_KEYS = {
     "citations", "get_total_flops", "history", "info", "log", "log_all", "nox", "objects_dump",
@@ -33,6 +37,12 @@ def _flag(text):
     return words[text.lower()]
 
 
+def _text(text):
+    if not text:
+        raise ValueError
+    return text
+
+
 def _real(text):
     value = float(text)
     if not math.isfinite(value):
@@ -53,7 +63,7 @@ REAL = Kind("real", _real, repr)
 INTEGERS = Kind("integers", _several(int), _joined)
 REALS = Kind("reals", _several(_real), _joined)
 FLAG = Kind("flag", _flag, lambda value: str(value).lower())
-TEXT = Kind("text", str)
+TEXT = Kind("text", _text, shlex.quote)
 
 
 @dataclass(frozen=True)
@@ -86,7 +96,7 @@ class Option:
             value = self.kind.read(text.strip())
         except (ValueError, KeyError):
             raise InputError(
-                f"-{self.name} {text}{where}: not of the type `{self.kind.name}`"
+                f"-{self.name} {text}{where}: needs a value of the type `{self.kind.name}`"
             ) from None
         numbers = value if isinstance(value, tuple) else (value,)
         if self.choices and value not in self.choices:
@@ -179,11 +189,54 @@ RUN = (
         choices=("auto", "bar", "lines", "none"),
     ),
 )  # fmt: skip
+CONTINUUM = (
+    Option("continuum_point", REALS, (0.47, 0.52), "where the amplitude is taken", "length"),
+    Option("continuum_size", REALS, (1.0, 1.0), "extent of the box along x, y", "length", above=0),
+    Option("continuum_mass", REAL, 1.0, "mass per area", above=0),
+    Option("continuum_stiffness", REAL, 1.0, "K0", above=0),
+    Option("continuum_damping", REAL, 0.003, "beta", low=0),
+)
+RELAXATION = (
+    Option("relax_steps", INTEGER, 20000, "steps, one bond each", low=1),
+    Option("relax_omega", REAL, 0.6, "driving frequency", "angular", above=0),
+    Option("relax_seed", INTEGER, 1, "which sequence of changes", low=0, high=2**63 - 1),
+    Option(
+        "relax_method", TEXT, "window",
+        "window: many known changes on one factorization; krylov: iterate from the last step; "
+        "direct: factor at each step",
+        choices=("window", "krylov", "direct"),
+    ),
+    Option("relax_window", INTEGER, 0, "steps to a window; 0 = by cost", low=0, high=4096),
+    Option(
+        "relax_trajectories", INTEGER, 1, "independent trajectories, all from the same bonds", low=1
+    ),
+    Option("spectrum_fit_min", REAL, 0.01, "window of the exponent's fit", "cycles/step", above=0),
+    Option("spectrum_fit_max", REAL, 0.3, "window of the exponent's fit", "cycles/step", above=0),
+)  # fmt: skip
+MODES = (
+    Option("modes_omega_min", REAL, None, "interval of modes: its lower end", "angular", low=0),
+    Option("modes_omega_max", REAL, None, "interval of modes: its upper end", "angular", above=0),
+    Option("modes_target", REAL, None, "the modes nearest to this frequency", "angular", low=0),
+    Option(
+        "modes_count", INTEGER, None,
+        "how many nearest modes; a projection without target: nearest to each driving frequency",
+        low=1
+    ),
+)  # fmt: skip
+# Modes are computed with a copy of the lattice on every rank, and seen by no detector.
+MODES_LATTICE = tuple(option for option in LATTICE if option.name != "detectors")
+MODES_RUN = tuple(option for option in RUN if option.name != "ranks_per_lattice")
+SHAPES = Option("output_fields", FLAG, False, "store the shapes of the modes")
 FIELDS = Option("output_fields", FLAG, False, "store the whole field at every frequency")
 
 SCENES = {
     "response": (*LATTICE, *SWEEP, *STEADY, *PHASE, *RUN, FIELDS),
+    "continuum": (*CONTINUUM, *SWEEP, *MODES_RUN),
+    "modes": (*MODES_LATTICE, *MODES, *MODES_RUN, SHAPES),
+    "relaxation": (*LATTICE, *RELAXATION, *STEADY, *RUN),
+    "projection": (*MODES_LATTICE, *SWEEP, *STEADY, *MODES, *MODES_RUN),
 }
+WITHOUT_PETSC = ("continuum",)
 SCENE = Option("scene", TEXT, None, "the experiment", choices=tuple(SCENES))
 
 

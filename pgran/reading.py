@@ -50,7 +50,8 @@ class Options:
             value = self._values[option.name]
             if value is not None and option.name != "output_overwrite":
                 lines.append(option.write(value))
-        lines += [f"-{key} {text}".rstrip() for key, text in self.solver.items()]
+        for key, text in self.solver.items():
+            lines.append(f"-{key} {shlex.quote(text)}" if text else f"-{key}")
         return "\n".join(lines) + "\n"
 
 
@@ -129,20 +130,22 @@ def resolve(given, output_file=None):
             _check_foreign(key, item, scene, options)
             solver[key] = item.text
     _check_together(values, last)
+    if scene in ("modes", "projection"):
+        _check_modes(scene, values)
     return Options(scene, values, solver)
 
 
 def _check_foreign(key, item, scene, options):
     """Raise unless a key that is no option of the scene belongs to PETSc."""
-    if key.startswith(tuple(SOLVER_PREFIXES)) and key not in SOLVER_PREFIXES:
-        return
-    if key in PETSC_KEYS or key.startswith(PETSC_BEGINNINGS):
-        return
     users = [name for name, its in SCENES.items() if any(o.name == key for o in its)]
     if users:
         raise InputError(
             f"-{key}{item.where}: scene {scene} does not use it, but {', '.join(users)} does"
         )
+    if key.startswith(tuple(SOLVER_PREFIXES)) and key not in SOLVER_PREFIXES:
+        return
+    if key in PETSC_KEYS or key.startswith(PETSC_BEGINNINGS):
+        return
     near = nearest(key, ["scene", *options])
     prefixed = next((p + key for p in SOLVER_PREFIXES if key.startswith(("ksp_", "pc_"))), near)
     raise InputError(
@@ -154,23 +157,44 @@ def _check_foreign(key, item, scene, options):
 
 def _check_together(values, last):
     """Raise where options that are possible one by one contradict each other."""
-    if len(values["lattice_shape"]) > 3:
+    if len(values.get("lattice_shape", (1,))) > 3:
         raise InputError("-lattice_shape: a lattice has 1 to 3 axes")
-    if (values["bonds_law"] == "file") != (values["bonds_file"] is not None):
+    from_file = values.get("bonds_law") == "file"
+    if from_file != (values.get("bonds_file") is not None):
         raise InputError("-bonds_file and -bonds_law file belong together: give both or neither")
-    if values["bonds_law"] == "file":
-        for key in ("lattice_shape", "bonds_kmin", "bonds_kmax"):
-            if key in last:
-                raise InputError(f"-{key}: with -bonds_law file the file decides")
-            values[key] = None
+    if from_file:
+        _stand_down(("lattice_shape", "bonds_kmin", "bonds_kmax"), "bonds_file", values, last)
     omega = values.get("sweep_omega")
     if omega:
         if list(omega) != sorted(set(omega)):
             raise InputError("-sweep_omega: the frequencies must increase")
-        for key in ("sweep_min", "sweep_max", "sweep_points"):
-            if key in last:
-                raise InputError(f"-{key}: -sweep_omega lists the frequencies already")
-            values[key] = None
-    for low, high in (("sweep_min", "sweep_max"), ("phase_fit_min", "phase_fit_max")):
+        _stand_down(("sweep_min", "sweep_max", "sweep_points"), "sweep_omega", values, last)
+    for name in ("sweep", "phase_fit", "spectrum_fit"):
+        low, high = f"{name}_min", f"{name}_max"
         if values.get(low) is not None and values[low] >= values[high]:
             raise InputError(f"-{low}: {values[low]:g} is not below -{high}, {values[high]:g}")
+
+
+def _stand_down(keys, winner, values, last):
+    """Take the value from options that another one decides; raise if the user gave them."""
+    for key in keys:
+        if key in last:
+            raise InputError(f"-{key}{last[key].where}: contradicts -{winner}, which decides this")
+        values[key] = None
+
+
+def _check_modes(scene, values):
+    """Raise where the options that choose modes contradict each other."""
+    low, high, target, count = (
+        values[f"modes_{name}"] for name in ("omega_min", "omega_max", "target", "count")
+    )
+    if (low is None) != (high is None):
+        raise InputError("-modes_omega_min and -modes_omega_max belong together: give both")
+    if low is not None and low >= high:
+        raise InputError(f"-modes_omega_min: {low:g} is not below -modes_omega_max, {high:g}")
+    if low is not None and (target is not None or count is not None):
+        raise InputError("-modes_omega_min: an interval leaves nothing to -modes_target or _count")
+    if target is not None and count is None:
+        raise InputError("-modes_target: -modes_count must say how many modes")
+    if scene == "modes" and count is not None and target is None:
+        raise InputError("-modes_count: -modes_target must say where")

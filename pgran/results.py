@@ -92,3 +92,153 @@ class Response:
     def failures(self):
         """How many frequencies missed the accuracy asked for."""
         return int(np.count_nonzero(self.converged_reason <= 0))
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Normal modes K f = m omega^2 f (paper: modepic), `nm` of them.
+
+    `count_expected` says how many there are, `count_certified` whether all of these were found,
+    each with a residual of rounding size.
+    """
+
+    group = "modes"
+    count_expected: int
+    count_certified: bool
+    solve_seconds: float
+    omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
+    residual: np.ndarray = array("|K f - m omega^2 f| / |K|", "1", "omega")
+    participation: np.ndarray = array("how many balls take part, 1 / sum f^4", "1", "omega")
+    vector: np.ndarray | None = optional_array(
+        "shape of the mode, orthonormal, its largest entry positive", "1", "omega", "balls"
+    )
+
+    @property
+    def failures(self):
+        """How many modes are missing or inaccurate."""
+        missing = abs(self.count_expected - len(self.omega))
+        return 0 if self.count_certified else max(1, missing)
+
+
+@dataclass(frozen=True)
+class Projection:
+    """The driven lattice in terms of its normal modes (paper: cidef, onefreq, maxci, cifreq).
+
+    `nw` driving frequencies, `nm` modes. A frequency whose `converged_reason` is not positive
+    missed the accuracy asked for.
+    """
+
+    group = "projection"
+    count_expected: int
+    count_certified: bool
+    factorizations: int
+    solve_seconds: float
+    omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
+    mode_omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
+    coefficient: np.ndarray = array(
+        "sum over balls of amplitude times mode shape", "1", "omega", "mode_omega"
+    )
+    dominant: np.ndarray = array("mode of the largest coefficient; -1: none", "1", "omega")
+    error_bound: np.ndarray = array(
+        "bound of the error of each coefficient; NaN: none is known", "1", "omega"
+    )
+    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega")
+
+    @property
+    def failures(self):
+        """How many frequencies missed their accuracy, and how many modes are missing."""
+        failed = int(np.count_nonzero(self.converged_reason <= 0))
+        missing = abs(self.count_expected - len(self.mode_omega))
+        return failed + (0 if self.count_certified else max(1, missing))
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """The amplitude at the detectors while one bond a step is redrawn (paper: timeres).
+
+    R trajectories of T steps, all from the bonds of the lattice. `drift` is the largest relative
+    difference between the amplitude at the end of a window, from algebra, and the same amplitude
+    solved for afresh.
+    """
+
+    group = "relaxation"
+    omega: float
+    factorizations: int
+    solve_seconds: float
+    drift: float
+    bond_axis: np.ndarray = array("axis of the bond that changes", "1", "trajectory", "step")
+    bond_index: np.ndarray = array(
+        "its index into that axis's stiffness", "1", "trajectory", "step", "axis"
+    )
+    stiffness: np.ndarray = array("its new constant", "k", "trajectory", "step")
+    detector: np.ndarray = array("indices of the detecting balls", "1")
+    displacement: np.ndarray = array(
+        "amplitude at the detectors relative to the driven wall, entry 0 before any change",
+        "1", "trajectory", "state", "detector",
+    )  # fmt: skip
+
+    @property
+    def amplitude(self):
+        """Magnitude of the displacement."""
+        return np.abs(self.displacement)
+
+    @property
+    def failures(self):
+        """How many steps miss the accuracy asked for; they hold NaN."""
+        return int(np.count_nonzero(np.isnan(self.displacement).any(axis=2)))
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """The power spectrum of amplitude series, and the power law fitted to it (paper: timeres).
+
+    Attributes
+    ----------
+    exponent, exponent_error : float
+        psi of S(f) = scale / (2 sin(pi f))^psi, and its standard error.
+    exponent_plain : float
+        Minus the slope of log S against log f, aliases and all, as the paper reads it.
+    scale : float
+        The prefactor, in the unit of `power`.
+    fit_min, fit_max : float
+        Window of the fit, cycles per step.
+    segment : int
+        Steps to a segment.
+    """
+
+    group = "spectrum"
+    exponent: float
+    exponent_error: float
+    exponent_plain: float
+    scale: float
+    fit_min: float
+    fit_max: float
+    segment: int
+    frequency: np.ndarray = array("frequency", "cycles per step")
+    power: np.ndarray = array(
+        "one-sided power density of the amplitude, averaged over segments and trajectories",
+        "steps per cycle", "frequency",
+    )  # fmt: skip
+
+    def power_law(self, frequency):
+        """Return the fitted law at some frequencies, in the unit of `power`."""
+        return self.scale / (2 * np.sin(np.pi * np.asarray(frequency))) ** self.exponent
+
+
+@dataclass(frozen=True)
+class ContinuumResponse:
+    """The exact response of the homogeneous box at one point (paper: axysol, exactpl)."""
+
+    group = "continuum"
+    point: tuple
+    size: tuple
+    mass: float
+    stiffness: float
+    damping: float
+    omega: np.ndarray = array("driving frequency, angular", "sqrt(K0/m)/length")
+    displacement: np.ndarray = array(
+        "amplitude relative to the driven wall, convention exp(+i omega t)", "1", "omega"
+    )
+    amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega")
+    phase: np.ndarray = array("phase, unwrapped along omega", "rad", "omega")
+    resonance: np.ndarray = array("driven resonances, angular", "sqrt(K0/m)/length")

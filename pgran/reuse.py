@@ -7,6 +7,7 @@ import math
 
 from petsc4py import PETSc
 
+FACTORIZATIONS = ("lu", "cholesky")
 # What a factorization costs in Krylov iterations, for each entry of the factor and ball; measured.
 FACTOR_PRICE = {"petsc": 0.4, "mumps": 0.075}
 
@@ -32,32 +33,64 @@ class ReusePolicy:
 
     def restart(self):
         """Forget the past: the next frequency gets a fresh factorization."""
-        self._served, self._spent, self._last, self._first = 0, 0, math.inf, 0
+        self._served, self._spent, self._last, self._first = 0, 0, math.inf, None
 
-    def due(self):
-        """Return whether to factor before the next frequency."""
+    def due(self, guess=0.0):
+        """Return whether to factor before the next frequency.
+
+        Parameters
+        ----------
+        guess : float
+            Iterations to expect of a first reuse while there is no experience.
+        """
         if self._served == 0:
             return True
         if self.limit:
             return self._last > self.limit
-        expected = self._first if self._served == 1 else self._last
+        expected = self._last
+        if self._served == 1:
+            expected = guess if self._first is None else self._first
         return expected * self._served >= self.price + self._spent
+
+    def patience(self):
+        """Return after how many iterations of one solve a reused factorization is given up."""
+        return None if self.limit or not self.price else max(4, math.ceil(2 * self.price))
 
     def count(self, fresh, iterations):
         """Note what a frequency took."""
         if fresh:
-            self._served, self._spent, self._last = 1, iterations, iterations
-            return
-        self._served += 1
-        self._spent += iterations
+            self._served, self._spent = 1, iterations
+        else:
+            self._served += 1
+            self._spent += iterations
         self._last = iterations
         if self._served == 2:
             self._first = iterations
 
+    def count_failure(self):
+        """Note that reusing the factorization did not work."""
+        if self._served == 1:
+            self._first = math.inf
+
+
+def expected_iterations(before, omega, lattice_axes, mass, damping):
+    """Return the iterations that a solve takes with the factorization of another frequency.
+
+    A resonance of the lattice is about 2 d omega beta / m wide in omega^2, 2 d the mean eigenvalue
+    of C; by how much less omega^2 has moved is what an application of the old factorization gains.
+    """
+    width = 2 * lattice_axes * omega * damping
+    moved = mass * abs(omega**2 - before**2)
+    if moved == 0:
+        return 1.0
+    if moved >= width:
+        return math.inf
+    return math.log(1e-6) / (2 * math.log(moved / width))
+
 
 def factor_price(pc, balls):
     """Return what a factorization costs in Krylov iterations, from the size of the factor."""
-    if pc.getType() not in ("lu", "cholesky"):
+    if pc.getType() not in FACTORIZATIONS:
         return 0.0
     info = pc.getFactorMatrix().getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)
     return FACTOR_PRICE.get(pc.getFactorSolverType(), 0.2) * info["nz_used"] / balls

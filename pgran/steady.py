@@ -13,13 +13,15 @@ import numpy as np
 from petsc4py import PETSc
 
 from pgran.bounds import ErrorBounds
-from pgran.reuse import ReusePolicy, factor_price
+from pgran.operators import Owner
+from pgran.reuse import FACTORIZATIONS, ReusePolicy, expected_iterations, factor_price
 
 PASSES = 4  # of iterative refinement with one factorization
 SAFETY = 0.3  # aim at this part of what the tolerance allows
 TINY = 1e-300
-# Without damping no bound holds; then the residual must be of the size of rounding.
-BACKWARD_ERROR = 1e-12
+# Without damping no bound is known: then the residual must be of the size of rounding, and so must
+# be what this many times as much rounding does to the amplitudes.
+BACKWARD_ERROR, ROUNDING_TRIED = 1e-12, 10.0
 # Larger lattices go to MUMPS: it factors faster, but each of its solves is dearer.
 PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
 
@@ -42,6 +44,9 @@ class SteadyState:
         Krylov iterations, those of the adjoints included.
     converged_reason : int
         Positive if the accuracy asked for was reached, else 0 or PETSc's negative KSP reason.
+    field_bound : float
+        The error of the whole field, in the 2-norm, is at most this; NaN where no bound is known,
+        or none was asked for.
     """
 
     omega: float
@@ -50,6 +55,7 @@ class SteadyState:
     backward_error: float
     iterations: int
     converged_reason: int
+    field_bound: float
 
 
 class System:
@@ -89,7 +95,7 @@ class System:
         self.norm = self.residual.norm()
 
 
-class SteadySolver:
+class SteadySolver(Owner):
     """Solves for one driving frequency after the other; destroy with `destroy` or `with`.
 
     Collective.
@@ -98,13 +104,15 @@ class SteadySolver:
     ----------
     operators : pgran.operators.Operators
     sites : array_like of int, shape (nd, dim)
-        The detectors.
+        The detectors; none (nd = 0) where only the whole field is wanted.
     error_tolerance : float
         Relative accuracy asked of each amplitude.
     refresh_iterations : int
         Refresh the factorization after a frequency that took more iterations; 0 decides by price.
     whole_field : bool
         Ask the same accuracy of the field, in the 2-norm.
+    adjoints : bool
+        Solve for the adjoints without damping too, where they prove nothing.
 
     Attributes
     ----------
@@ -115,22 +123,29 @@ class SteadySolver:
     """
 
     def __init__(
-        self, operators, sites, error_tolerance=1e-4, refresh_iterations=0, whole_field=False
+        self,
+        operators,
+        sites,
+        error_tolerance=1e-4,
+        refresh_iterations=0,
+        whole_field=False,
+        adjoints=False,
     ):
         """Set up the KSP from its options."""
-        self.operators, self.tolerance = operators, error_tolerance
+        self.operators, self.comm = operators, operators.comm
+        self.tolerance = error_tolerance
         self.whole_field = whole_field
         self.factorizations = 0
-        self._policy = ReusePolicy(refresh_iterations)
         self._correction = operators.f.duplicate()
         self._primal = System(operators.f)
         self._numbers = operators.numbers(sites)
         self._scatter, self._readings = self._make_probe()
-        self._bounds, self._adjoints = None, []
-        if operators.damping > 0:
-            self._bounds = ErrorBounds(operators)
+        self._bounds = ErrorBounds(operators)
+        self._adjoints = []
+        if self._bounds.proven or adjoints:
             self._adjoints = [System(self._unit_vector(number)) for number in self._numbers]
         self._systems = [self._primal, *self._adjoints]
+        self._policy = ReusePolicy(refresh_iterations)
         self._make_ksp()
         self.restart()
 
@@ -139,21 +154,24 @@ class SteadySolver:
         """The amplitudes of all balls."""
         return self._primal.solution
 
+    @property
+    def solutions(self):
+        """The amplitudes of all balls, and the adjoint of each detector."""
+        return [system.solution for system in self._systems]
+
+    @property
+    def factor(self):
+        """The factorization of S, or None if the preconditioner is none."""
+        pc = self._ksp.getPC()
+        return pc.getFactorMatrix() if pc.getType() in FACTORIZATIONS else None
+
     def destroy(self):
         """Free all PETSc objects. Collective."""
         for adjoint in self._adjoints:
             adjoint.rhs.destroy()
-        held = [*self._systems, self._correction, self._scatter, self._readings, self._ksp]
-        for item in held + [self._bounds] * bool(self._bounds):
+        held = [self._correction, self._scatter, self._readings, self._ksp, self._bounds]
+        for item in [*self._systems, *held]:
             item.destroy()
-
-    def __enter__(self):
-        """Return the solver."""
-        return self
-
-    def __exit__(self, *error):
-        """Destroy it."""
-        self.destroy()
 
     def restart(self):
         """Forget earlier frequencies: what follows depends on nothing that came before."""
@@ -178,9 +196,10 @@ class SteadySolver:
         self.operators.combine(omega)
         for system in self._systems:
             system.advance()
-        fresh = self._direct or self._policy.due()
+        fresh = self._direct or self._policy.due(self._expected(omega))
         state = self._attempt(omega, fresh)
         if state.converged_reason <= 0 and not fresh:
+            self._policy.count_failure()
             fresh = True
             state = self._attempt(omega, fresh)
         self._policy.count(fresh, state.iterations)
@@ -195,6 +214,7 @@ class SteadySolver:
             self._factor()
         self._guess(omega, fresh)
         scale = self.operators.S.norm(PETSc.NormType.INFINITY)
+        self._ksp.setTolerances(max_it=self._longest if fresh else self._policy.patience())
         self._iterations, self._reason = 0, 0
         state, size = None, self._size
         for _ in range(PASSES):
@@ -208,9 +228,20 @@ class SteadySolver:
             size = np.abs(state.displacement)
             if state.converged_reason > 0 or not np.all(np.isfinite(size)):
                 break
+            if self._reason < 0 and not fresh:
+                break
             if previous and not np.any(state.error_bound < 0.5 * previous.error_bound):
                 break
         return state
+
+    def _expected(self, omega):
+        """Return how many iterations all systems are expected to take if nothing is factored."""
+        if not self._omegas:
+            return math.inf
+        lattice = self.operators
+        return len(self._systems) * expected_iterations(
+            self._omegas[-1], omega, len(lattice.shape), lattice.mass, lattice.damping
+        )
 
     def _factor(self):
         """Set up the preconditioner for the present S; later solves keep it."""
@@ -224,9 +255,9 @@ class SteadySolver:
             self._policy.price = factor_price(pc, self.operators.balls)
 
     def _guess(self, omega, fresh):
-        """Start from zero with a fresh factorization, else from the last two frequencies."""
+        """Start from zero with a fresh factorization, else from the last states."""
         step = 0.0
-        if len(self._omegas) == 2:
+        if len(self._omegas) == 2 and self._omegas[0] != self._omegas[1]:
             before, last = self._omegas
             step = (omega - last) / (last - before)
         for system in self._systems:
@@ -237,17 +268,15 @@ class SteadySolver:
 
     def _goal(self, omega, size):
         """Return, for each adjoint, the product of the two residual norms to aim at."""
-        if self._bounds is None:
-            return []
-        if size is None:
+        if not self._bounds.proven or size is None:
             return [0.0] * len(self._adjoints)
         return SAFETY * self.tolerance * self._bounds.stability(omega) * size
 
     def _primal_target(self, omega, goal):
         """Return the residual norm to aim at: half the digits of the product, or rounding."""
-        if self._bounds is None:
+        if not self._bounds.proven:
             return 0.0
-        target = math.sqrt(min(goal))
+        target = math.sqrt(min(goal, default=math.inf))
         if self.whole_field:
             field = self._bounds.stability(omega) * self._primal.solution.norm()
             target = min(target, SAFETY * self.tolerance * field)
@@ -277,25 +306,42 @@ class SteadySolver:
         self._scatter.scatter(primal.solution, self._readings)
         displacement = self._readings.getArray().copy()
         bound = np.full(len(displacement), math.nan)
-        size = primal.solution.norm()
+        size, field_bound = primal.solution.norm(), math.nan
         backward_error = primal.norm / (scale * size + primal.rhs.norm())
-        if self._bounds is None:
-            good = backward_error <= BACKWARD_ERROR
+        for d, adjoint in enumerate(self._adjoints):
+            displacement[d] += adjoint.solution.tDot(primal.residual)
+        self._bounds.rounding(omega, primal.solution)
+        if not self._bounds.proven:
+            good = backward_error <= BACKWARD_ERROR and self._withstands_rounding(displacement)
         else:
-            self._bounds.rounding(omega, primal.solution)
             for d, adjoint in enumerate(self._adjoints):
-                displacement[d] += adjoint.solution.tDot(primal.residual)
                 bound[d] = self._bounds.amplitude(omega, scale, primal, adjoint, displacement[d])
             good = np.all(bound * (1 + self.tolerance) <= self.tolerance * np.abs(displacement))
-            if good and self.whole_field:
-                good = self._bounds.field(omega, primal) <= self.tolerance * size
+            if self.whole_field:
+                field_bound = self._bounds.field(omega, primal)
+                good = good and field_bound <= self.tolerance * size
         if good and np.all(np.isfinite(displacement)):
             reason = (
                 self._reason if self._reason > 0 else int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL)
             )
         else:
             reason = min(self._reason, 0)
-        return SteadyState(omega, displacement, bound, backward_error, self._iterations, reason)
+        return SteadyState(
+            omega, displacement, bound, backward_error, self._iterations, reason, field_bound
+        )
+
+    def _withstands_rounding(self, displacement):
+        """Return whether rounding of random signs leaves the amplitudes as they are. Collective."""
+        residual = self._bounds.random_rounding()
+        self._ksp.setTolerances(atol=0.01 * residual.norm())
+        self._ksp.solve(residual, self._correction)
+        self._iterations += self._ksp.getIterationNumber()
+        self._scatter.scatter(self._correction, self._readings)
+        allowed = self.tolerance / ROUNDING_TRIED
+        good = np.all(np.abs(self._readings.getArray()) <= allowed * np.abs(displacement))
+        if self.whole_field:
+            good = good and self._correction.norm() <= allowed * self.field.norm()
+        return bool(good)
 
     def _make_probe(self):
         """Return what copies the amplitudes at the detectors to every rank."""
@@ -329,6 +375,7 @@ class SteadySolver:
         if not (alone and operators.balls <= PETSC_FACTORS[len(operators.shape)]):
             pc.setFactorSolverType("mumps")
         ksp.setFromOptions()
+        self._longest = ksp.getTolerances()[3]
         self._direct = ksp.getType() == "preonly"
         if not self._direct:
             ksp.setInitialGuessKnoll(True)

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.lattice import bond_count, bond_shape
+from pgran.lattice import bond_arrays, bond_count
 
 
 def unit_numbers(seed, first, count, generation=0):
@@ -139,10 +139,4 @@ class BondLaw:
         tuple of numpy.ndarray
             One array for each axis, as `Lattice` takes them.
         """
-        k = self(unit_numbers(seed, 0, bond_count(shape)))
-        arrays, first = [], 0
-        for axis in range(len(shape)):
-            size = math.prod(bond_shape(shape, axis))
-            arrays.append(k[first : first + size].reshape(bond_shape(shape, axis)))
-            first += size
-        return tuple(arrays)
+        return bond_arrays(shape, self(unit_numbers(seed, 0, bond_count(shape))))

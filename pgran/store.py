@@ -69,7 +69,7 @@ def write(path, attributes, records):
     try:
         with h5py.File(temporary, "w") as file:
             file.attrs.update(known | attributes)
-            axes = next(len(r.shape) for r in records if r.group == "lattice")
+            axes = next((len(r.shape) for r in records if r.group == "lattice"), 0)
             for record in records:
                 _write_record(file, record, axes)
         with open(temporary, "rb+") as stream:

@@ -25,19 +25,24 @@ def make_lattice(options, world):
 
         stiffness, kmax = on_root(world, lambda: read_stiffness(options.bonds_file)), None
     else:
-        law = BondLaw(
-            options.bonds_law,
-            kmin=options.bonds_kmin,
-            kmax=options.bonds_kmax,
-            fraction=options.bonds_fraction,
-            force=options.bonds_force,
-            hertz=options.bonds_hertz,
-        )
+        law = make_law(options)
         stiffness, kmax = law.draw(options.lattice_shape, options.bonds_seed), law.kmax
     lattice = Lattice(stiffness, options.lattice_mass, options.lattice_damping, kmax)
     if len(set(world.allgather(lattice.bonds_sha256))) > 1:
         raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
     return lattice
+
+
+def make_law(options):
+    """Return the law that the bond constants are drawn from. Not collective."""
+    return BondLaw(
+        options.bonds_law,
+        kmin=options.bonds_kmin,
+        kmax=options.bonds_kmax,
+        fraction=options.bonds_fraction,
+        force=options.bonds_force,
+        hertz=options.bonds_hertz,
+    )
 
 
 def make_crew(options, lattice, world):

@@ -41,11 +41,15 @@ def summary(records):
         f"{nw} frequencies with {response.factorizations} factorizations in "
         f"{response.solve_seconds:.2f} s"
     )
-    bound = response.error_bound / response.amplitude
-    if np.all(np.isfinite(bound)):
-        yield f"relative error of every amplitude at most {bound.max():.1e}, proven"
+    good = response.converged_reason > 0
+    bound = (response.error_bound[good] / response.amplitude[good]).max(initial=0.0)
+    if np.isnan(bound):
+        yield "no error bounds: without damping none is known"
     else:
-        yield "no error bound: without damping none is known yet"
+        which = (
+            "every amplitude" if np.all(good) else f"{np.count_nonzero(good)} of {nw} amplitudes"
+        )
+        yield f"relative error of {which} at most {bound:.1e}, proven"
     for site, slope, velocity in zip(
         response.detector.tolist(), response.phase_slope, response.phase_velocity, strict=True
     ):
@@ -165,7 +169,7 @@ def point_dtype(detectors, field_shape):
 
 def assemble(lattice, omegas, sites, rows, factorizations, seconds, phase_window):
     """Return the Response that the solved frequencies make up. Not collective."""
-    displacement = rows["displacement"]
+    displacement = rows["displacement"].copy()
     phase = unwrap(displacement)
     low, high = phase_window
     inside = (omegas > low * lattice.omega_mx) & (omegas < high * lattice.omega_mx)

@@ -1,0 +1,46 @@
+"""Scene `continuum`: the exact response of the homogeneous box, without PETSc."""
+
+import numpy as np
+
+from pgran.continuum import Continuum
+from pgran.errors import on_root
+from pgran.results import ContinuumResponse
+from pgran.scenes.common import driving_frequencies
+
+
+def run(options, world):
+    """Return the response of the box on rank 0; None on the others. Collective."""
+    return on_root(world, lambda: [respond(options)], keep=True)
+
+
+def respond(options):
+    """Return the response that the options ask for (paper: axysol, exactpl). Not collective."""
+    omegas = driving_frequencies(options)
+    box = Continuum(
+        options.continuum_size,
+        options.continuum_mass,
+        options.continuum_stiffness,
+        options.continuum_damping,
+    )
+    displacement = box.response(omegas, options.continuum_point)
+    return ContinuumResponse(
+        point=options.continuum_point,
+        size=options.continuum_size,
+        mass=options.continuum_mass,
+        stiffness=options.continuum_stiffness,
+        damping=options.continuum_damping,
+        omega=omegas,
+        displacement=displacement,
+        amplitude=np.abs(displacement),
+        phase=np.unwrap(np.angle(displacement)),
+        resonance=box.resonances(omegas[-1]),
+    )
+
+
+def summary(records):
+    """Return in words what a run found."""
+    (continuum,) = records
+    yield (
+        f"{len(continuum.omega)} frequencies, {len(continuum.resonance)} driven resonances up to "
+        f"{continuum.omega[-1]:g}"
+    )

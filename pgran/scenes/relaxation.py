@@ -1,0 +1,247 @@
+"""Scene `relaxation`: the amplitude at the detectors while one bond a step is redrawn."""
+
+import logging
+import time
+
+import numpy as np
+
+from pgran.lattice import bond_count, bond_places, detector_sites
+from pgran.operators import Operators
+from pgran.progress import Progress
+from pgran.relaxation import Network, Windows, draw_changes, window_length
+from pgran.results import LatticeRecord, Relaxation
+from pgran.scenes.common import make_crew, make_lattice, make_law
+from pgran.spectrum import power_spectrum, segment_length
+from pgran.steady import SteadySolver
+
+log = logging.getLogger(__name__)
+
+WINDOWS_IN_UNIT = 4  # what a group of ranks solves at a stretch
+
+
+def run(options, world):
+    """Return lattice, relaxation and spectrum, on rank 0; None on the others. Collective."""
+    steps, trajectories = options.relax_steps, options.relax_trajectories
+    window = options.spectrum_fit_min, options.spectrum_fit_max
+    segment_length(trajectories, steps + 1, *window)  # refuses a bad window before any work
+    lattice = make_lattice(options, world)
+    with make_crew(options, lattice, world) as crew:
+        relaxation = relax(
+            lattice,
+            make_law(options),
+            options.relax_omega,
+            options.detectors,
+            crew,
+            steps=steps,
+            trajectories=trajectories,
+            seed=options.relax_seed,
+            method=options.relax_method,
+            window=options.relax_window,
+            error_tolerance=options.error_tolerance,
+            refresh_iterations=options.steady_refresh_iterations,
+            progress=options.output_progress,
+        )
+    if relaxation is None:
+        return None
+    records = [LatticeRecord.of(lattice), relaxation]
+    series = relaxation.amplitude[:, :, 0]
+    if relaxation.failures:
+        log.warning("no spectrum: some steps have no amplitude")
+    elif np.ptp(series) == 0:
+        log.warning("no spectrum: the amplitude does not change")
+    else:
+        records.append(power_spectrum(series, *window, memory=bond_count(lattice.shape)))
+    return records
+
+
+def summary(records):
+    """Return in words what a run found."""
+    relaxation = records[1]
+    steps = relaxation.bond_axis.size
+    yield (
+        f"{steps} steps with {relaxation.factorizations} factorizations in "
+        f"{relaxation.solve_seconds:.2f} s"
+    )
+    if relaxation.drift > 0:
+        yield (
+            f"largest relative difference between a window's end and the next one's start: "
+            f"{relaxation.drift:.1e}"
+        )
+    for spectrum in records[2:]:
+        yield (
+            f"power spectrum S(f) ~ f^-psi with psi = {spectrum.exponent:.3f} +- "
+            f"{spectrum.exponent_error:.3f} between {spectrum.fit_min:g} and "
+            f"{spectrum.fit_max:g} cycles per step"
+        )
+
+
+def relax(
+    lattice,
+    law,
+    omega,
+    detectors,
+    crew,
+    *,
+    steps,
+    trajectories=1,
+    seed=1,
+    method="window",
+    window=0,
+    error_tolerance=1e-4,
+    refresh_iterations=0,
+    progress="none",
+):
+    """Redraw one bond a step and solve the steady state each time (paper: section 5, timeres).
+
+    Collective.
+
+    Parameters
+    ----------
+    lattice : pgran.lattice.Lattice
+        Before any change.
+    law : callable
+        Turns numbers uniform on [0, 1) into bond constants.
+    omega : float
+        Driving frequency, angular.
+    detectors : array_like of int
+        Ball indices, flat or one row a detector.
+    crew : pgran.sharing.Crew
+    steps, trajectories, seed : int
+        Trajectories are independent and all start from the lattice's bonds.
+    method : {"window", "krylov", "direct"}
+        Windows of known changes on one factorization; an iteration from the last step, with an
+        earlier factorization as preconditioner; or a factorization a step.
+    window : int
+        Steps to a window; 0 decides by the size of the lattice.
+    error_tolerance, refresh_iterations
+        See `pgran.steady.SteadySolver`.
+    progress : str
+        Style of `pgran.progress.Progress`.
+
+    Returns
+    -------
+    pgran.results.Relaxation or None
+        None on all ranks but rank 0.
+    """
+    sites = detector_sites(lattice.shape, detectors)
+    root = crew.world.rank == 0
+    window = window or window_length(lattice.balls)
+    length = WINDOWS_IN_UNIT * window
+    units = [
+        (trajectory, first, min(length, steps - first))
+        for trajectory in range(trajectories)
+        for first in range(0, steps, length)
+    ]
+    row = np.dtype(
+        [
+            ("trajectory", np.int64),
+            ("first", np.int64),
+            ("count", np.int64),
+            ("drift", float),
+            ("displacement", complex, (length + 1, len(sites))),
+        ]
+    )
+    displacement = np.empty((trajectories, steps + 1, len(sites)), complex) if root else None
+    drift, started = 0.0, time.perf_counter()
+    with (
+        Operators(lattice, crew.group) as operators,
+        SteadySolver(
+            operators, sites, error_tolerance, refresh_iterations, adjoints=method == "window"
+        ) as solver,
+        Progress(trajectories * steps, "steps", progress if root else "none") as counter,
+    ):
+
+        def draw(trajectory, first, count):
+            return draw_changes(law, lattice.shape, seed, trajectory, first, count)
+
+        network = Network(lattice, operators, draw)
+        march = {"window": march_windows, "krylov": march_steps, "direct": march_steps}[method]
+
+        def work(unit):
+            trajectory, first, count = unit
+            network.move_to(trajectory, first)
+            solver.restart()
+            changes = draw(trajectory, first, count)
+            found, drift = march(network, solver, omega, changes, window, method)
+            rows = np.zeros(1, row)
+            rows[0]["trajectory"], rows[0]["first"], rows[0]["count"] = unit
+            rows[0]["drift"] = drift
+            rows[0]["displacement"][: count + 1] = found
+            return rows
+
+        def deliver(rows):
+            nonlocal drift
+            for part in rows:
+                first, last = part["first"], part["first"] + part["count"]
+                found = part["displacement"]
+                if first == 0:
+                    displacement[part["trajectory"], 0] = found[0]
+                displacement[part["trajectory"], first + 1 : last + 1] = found[
+                    1 : part["count"] + 1
+                ]
+                drift = max(drift, part["drift"])
+                counter.advance(int(part["count"]))
+
+        crew.share(units, work, deliver)
+        factorizations = solver.factorizations if crew.group.rank == 0 else 0
+    factorizations = crew.world.reduce(factorizations)
+    if not root:
+        return None
+    changes = [draw_changes(law, lattice.shape, seed, r, 0, steps) for r in range(trajectories)]
+    axis, index = bond_places(lattice.shape, np.stack([c.bond for c in changes]))
+    return Relaxation(
+        omega=omega,
+        factorizations=factorizations,
+        solve_seconds=time.perf_counter() - started,
+        drift=drift,
+        bond_axis=axis,
+        bond_index=index,
+        stiffness=np.stack([c.stiffness for c in changes]),
+        detector=sites,
+        displacement=displacement,
+    )
+
+
+def march_windows(network, solver, omega, changes, window, method):
+    """Return the amplitudes before and after each change, and how far windows drift.
+
+    Collective. Each window starts from a state solved for afresh, which is compared with what the
+    window before made of it.
+    """
+    found = np.empty((len(changes) + 1, len(solver.solutions) - 1), dtype=complex)
+    done, known, drift = 0, 0, 0.0
+    with Windows(network, solver, omega) as windows:
+        while True:
+            start = good(windows.start())
+            if done and known == done:
+                drift = max(drift, np.max(np.abs(found[done] - start) / np.abs(start)))
+            found[done] = start
+            if done == len(changes):
+                return found, drift
+            after = windows.follow(changes[done : done + window])
+            known = done + len(after)
+            found[done + 1 : known + 1] = after
+            steps = max(1, len(after))
+            network.apply(changes[done : done + steps])
+            done += steps
+
+
+def march_steps(network, solver, omega, changes, window, method):
+    """Return the amplitudes before and after each change, solved for one by one.
+
+    Collective.
+    """
+    found = [good(solver.solve(omega))]
+    for step in range(len(changes)):
+        network.apply(changes[step : step + 1])
+        if method == "direct":
+            solver.restart()
+        found.append(good(solver.solve(omega)))
+    return np.stack(found), 0.0
+
+
+def good(state):
+    """Return the amplitudes of a steady state, NaN where they miss their accuracy."""
+    if state.converged_reason > 0:
+        return state.displacement
+    return np.full_like(state.displacement, np.nan)

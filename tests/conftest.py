@@ -1,0 +1,153 @@
+"""What all tests share: PETSc started once, and ranks that agree on every test's outcome.
+
+The same suite runs on one rank and under mpirun (`mpirun -n 2 python -m mpi4py -m pytest -q`).
+A test that fails on some ranks only would leave the others waiting in a collective call: so the
+ranks compare outcomes after each test, and end the whole run where they differ or one is missing.
+"""
+
+# ruff: noqa: E402 (PETSc is started before anything imports it)
+
+import faulthandler
+import os
+import sys
+import time
+from pathlib import Path
+
+os.environ.pop("PETSC_OPTIONS", None)
+
+import petsc4py
+
+petsc4py.init(["pytest", "-skip_petscrc"])
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from petsc4py import PETSc
+
+WORLD = MPI.COMM_WORLD
+SECONDS_PER_TEST = 120  # the slowest takes about ten
+SECONDS_FOR_OTHERS = 15  # that a rank whose test has failed waits for the others to finish theirs
+
+_outcomes = WORLD.Dup() if WORLD.size > 1 else None  # apart from the tests' own messages
+_reports = {}
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure(config):
+    """Keep the true standard error, and leave pytest's report to rank 0."""
+    global _stderr
+    _stderr = os.fdopen(os.dup(2), "w")
+    reporter = config.pluginmanager.getplugin("terminalreporter")
+    if WORLD.rank > 0 and reporter is not None:
+        reporter._tw._file = open(os.devnull, "w")  # noqa: SIM115
+
+
+def pytest_collection_finish(session):
+    """End unless all ranks found the same tests."""
+    if _outcomes is not None:
+        tests = [item.nodeid for item in session.items]
+        if any(found != tests for found in _outcomes.allgather(tests)):
+            _end("the ranks found different tests (an import failed on some?)")
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_protocol(item):
+    """Guard a test by a watchdog, and compare its outcome over the ranks."""
+    faulthandler.dump_traceback_later(SECONDS_PER_TEST, exit=True, file=_stderr)
+    _reports.clear()
+    yield
+    if _outcomes is not None:
+        _compare(item.nodeid)
+    faulthandler.cancel_dump_traceback_later()
+
+
+def pytest_runtest_logreport(report):
+    """Note how a phase of the present test went."""
+    _reports[report.when] = report
+
+
+def _compare(test):
+    """End the run unless the test went alike on all ranks."""
+    order = ("passed", "skipped", "failed")
+    worst = max((order.index(report.outcome) for report in _reports.values()), default=0)
+    everyone = np.empty(WORLD.size, dtype=np.int64)
+    request = _outcomes.Iallgather(np.array([worst], dtype=np.int64), everyone)
+    deadline = time.monotonic() + SECONDS_FOR_OTHERS
+    while not request.Test():
+        if order[worst] == "failed" and time.monotonic() > deadline:
+            _end(f"{test} failed on rank {WORLD.rank} only, and the others wait\n{_failures()}")
+        time.sleep(0.0005)
+    if len(set(everyone)) > 1:
+        if order[worst] == "failed":
+            _say(f"{test} failed on rank {WORLD.rank}, but not on all\n{_failures()}")
+        time.sleep(1.0)  # all ranks have their say
+        _end(f"{test} went differently on the ranks: {[order[i] for i in everyone]}")
+
+
+def _failures():
+    return "\n".join(report.longreprtext for report in _reports.values() if report.failed)
+
+
+def _say(message):
+    print(f"\n{message}", file=_stderr, flush=True)
+
+
+def _end(message):
+    _say(message)
+    sys.stdout.flush()
+    WORLD.Abort(1)
+
+
+@pytest.fixture(scope="session")
+def world():
+    """All ranks."""
+    return WORLD
+
+
+@pytest.fixture(params=["together", "alone"])
+def comm(request):
+    """The ranks that share a lattice: all of them, or each with its own copy."""
+    return WORLD if request.param == "together" else MPI.COMM_SELF
+
+
+@pytest.fixture
+def shared_path(tmp_path):
+    """Rank 0's temporary folder, on all ranks."""
+    WORLD.Barrier()
+    yield Path(WORLD.bcast(str(tmp_path)))
+    WORLD.Barrier()
+
+
+@pytest.fixture
+def solver_options():
+    """Return what sets PETSc options for one test: `solver_options("-steady_ksp_type gmres")`."""
+    database, given = PETSc.Options(), []
+
+    def put(text):
+        words = text.split()
+        for position, word in enumerate(words):
+            if word.startswith("-") and word[1].isalpha():
+                following = words[position + 1 : position + 2]
+                value = following[0] if following and not following[0].startswith("-s") else ""
+                database.setValue(word[1:], value)
+                given.append(word[1:])
+
+    yield put
+    for key in given:
+        database.delValue(key)
+
+
+@pytest.fixture
+def clean_environment():
+    """Return the environment for a `pgran` or `mpirun` that a serial test starts."""
+    if WORLD.size > 1:
+        pytest.skip("starts programs of its own: serial run only")
+    foreign = ("OMPI_COMM", "OMPI_UNIVERSE", "OMPI_APP", "OMPI_FILE", "PMIX_", "PMI_", "PRTE_")
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}
+    environment |= {
+        "OMP_NUM_THREADS": "1",
+        "OMPI_ALLOW_RUN_AS_ROOT": "1",
+        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+        "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    }
+    return environment

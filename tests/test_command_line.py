@@ -1,0 +1,276 @@
+"""The command line as users start it: exit codes, messages, ranks that fail. Serial run only."""
+
+import re
+import subprocess
+import sys
+import time
+
+import h5py
+import numpy as np
+import pytest
+
+from pgran import __version__, load
+from pgran.options import SCENES
+
+SMALL = "-scene response -lattice_shape 6,5 -detectors 2,3 -sweep_points 70 -output_progress none\n"
+SECONDS = 60  # for a command that takes one or two
+
+
+@pytest.fixture
+def start(clean_environment, tmp_path):
+    """Return what runs a command in a folder of its own: `start("run", "a.opts", ranks=2)`."""
+    (tmp_path / "a.opts").write_text(SMALL)
+
+    def start(*words, ranks=0, code=None, **variables):
+        launcher = ["mpirun", "-n", str(ranks)] if ranks else []
+        program = ["-c", code] if code else ["-m", "pgran"]
+        return subprocess.run(
+            [*launcher, sys.executable, *program, *words],
+            cwd=tmp_path,
+            env=clean_environment | variables,
+            capture_output=True,
+            text=True,
+            timeout=SECONDS,
+        )
+
+    return start
+
+
+def messages(done):
+    """The lines that pgran itself wrote to standard error."""
+    return [line for line in done.stderr.splitlines() if line.startswith("pgran")]
+
+
+def assert_one_line(done, code, *parts):
+    """One line that holds all parts, and the exit code."""
+    assert done.returncode == code, done.stderr
+    lines = messages(done)
+    assert len(lines) == 1, done.stderr
+    for part in parts:
+        assert part in lines[0]
+    assert "Traceback" not in done.stderr
+
+
+def test_run(start, tmp_path):
+    done = start("run", "a.opts")
+    assert done.returncode == 0, done.stderr
+    result = load(tmp_path / "results" / "a.h5")
+    assert result.status == "complete"
+    assert result.scene == "response"
+    assert result.mpi_size == 1
+    assert result.pgran_version == __version__
+    assert result.command == "pgran run a.opts"
+    assert result.slepc_version == "not loaded"
+    assert np.all(result.response.converged_reason > 0)
+
+
+def test_result_repeats_from_its_own_options(start, tmp_path):
+    assert start("run", "a.opts", "-bonds_seed", "5").returncode == 0
+    first = load(tmp_path / "results" / "a.h5")
+    (tmp_path / "b.opts").write_text(first.options)
+    assert start("run", "b.opts", "-output_file", "b.h5").returncode == 0
+    second = load(tmp_path / "b.h5")
+    assert np.array_equal(first.response.displacement, second.response.displacement)
+    assert first.bonds_sha256 == second.bonds_sha256
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["-sweep_point", "3"], ["-sweep_point", "did you mean -sweep_points?"]),
+        (["-detectors", "6,0"], ["detectors", "(6, 0)", "outside the lattice of 6 x 5"]),
+        (["-lattice_mass", "0"], ["-lattice_mass 0", "> 0"]),
+        (["-ranks_per_lattice", "7"], ["-ranks_per_lattice 7"]),
+        (["5"], ["5", "a value without a key"]),
+    ],
+)
+def test_bad_input(start, tmp_path, ranks, words, parts):
+    assert_one_line(start("run", "a.opts", *words, ranks=ranks), 2, *parts)
+    assert not (tmp_path / "results" / "a.h5").exists()
+
+
+def test_more_ranks_than_balls(start):
+    """PETSc cannot cut two ranks' shares out of one ball: bad input, not a traceback."""
+    words = ["-lattice_shape", "1,1", "-detectors", "0,0", "-ranks_per_lattice", "2"]
+    assert_one_line(start("run", "a.opts", *words, ranks=2), 2, "-ranks_per_lattice")
+
+
+def test_bad_line_of_a_file(start, tmp_path):
+    (tmp_path / "a.opts").write_text(SMALL + "\n-sweep_max many\n")
+    assert_one_line(start("run", "a.opts"), 2, "-sweep_max many", "a.opts, line 3")
+
+
+@pytest.mark.parametrize("words", [[], ["run"], ["run", "-scene", "response"], ["rum"]])
+def test_bad_commands(start, words):
+    assert start(*words).returncode == 2
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_missing_options_file(start, ranks):
+    assert_one_line(start("run", "none.opts", ranks=ranks), 4, "none.opts: No such file")
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_existing_output_is_left_alone(start, tmp_path, ranks):
+    (tmp_path / "mine.h5").write_text("mine")
+    done = start("run", "a.opts", "-output_file", "mine.h5", ranks=ranks)
+    assert_one_line(done, 4, "mine.h5: exists already", "-output_overwrite")
+    assert (tmp_path / "mine.h5").read_text() == "mine"
+    done = start("run", "a.opts", "-output_file", "mine.h5", "-output_overwrite", ranks=ranks)
+    assert done.returncode == 0
+    assert load(tmp_path / "mine.h5").status == "complete"
+
+
+def test_bonds_file(start, tmp_path):
+    assert start("run", "a.opts").returncode == 0
+    with h5py.File(tmp_path / "results" / "a.h5") as file, h5py.File(tmp_path / "k.h5", "w") as k:
+        for name in ("stiffness_x", "stiffness_y"):
+            k[f"lattice/{name}"] = file[f"lattice/{name}"][()]
+    text = re.sub("-lattice_shape 6,5", "-bonds_law file -bonds_file k.h5", SMALL)
+    (tmp_path / "b.opts").write_text(text)
+    assert start("run", "b.opts").returncode == 0
+    first, second = (load(tmp_path / "results" / f"{name}.h5") for name in "ab")
+    assert np.array_equal(first.response.displacement, second.response.displacement)
+    (tmp_path / "k.h5").write_text("no")
+    done = start("run", "b.opts", "-output_overwrite", ranks=2)
+    assert_one_line(done, 4, "k.h5: not an HDF5 file")
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_a_hopeless_solver_is_reported_and_marked(start, tmp_path, ranks):
+    solver = ["-steady_ksp_type", "gmres", "-steady_pc_type", "none", "-steady_ksp_max_it", "1"]
+    done = start("run", "a.opts", *solver, ranks=ranks)
+    assert done.returncode == 3, done.stderr
+    assert "miss the accuracy" in done.stderr
+    result = load(tmp_path / "results" / "a.h5")
+    assert result.status == "unconverged"
+    assert np.all(result.response.converged_reason <= 0)
+
+
+def test_an_unused_solver_key_is_a_warning(start):
+    done = start("run", "a.opts", "-steady_ksp_typo", "gmres", "-steady_ksp_type", "gmres")
+    assert done.returncode == 0
+    warnings = [line for line in messages(done) if "not used" in line]
+    assert len(warnings) == 1
+    assert "-steady_ksp_typo" in warnings[0]
+
+
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_results_do_not_depend_on_the_number_of_ranks(start, tmp_path, ranks):
+    assert start("run", "a.opts", "-output_fields").returncode == 0
+    done = start("run", "a.opts", "-output_fields", "-output_file", "n.h5", ranks=ranks)
+    assert done.returncode == 0, done.stderr
+    one, several = load(tmp_path / "results" / "a.h5"), load(tmp_path / "n.h5")
+    assert several.mpi_size == ranks
+    assert several.bonds_sha256 == one.bonds_sha256
+    for name in ("displacement", "error_bound", "iterations", "field", "phase", "phase_slope"):
+        found, expected = getattr(several.response, name), getattr(one.response, name)
+        assert np.array_equal(found, expected), name
+
+
+def test_petscrc_is_not_read(start, tmp_path):
+    (tmp_path / ".petscrc").write_text("-steady_ksp_type nonsense\n")
+    assert start("run", "a.opts").returncode == 0
+
+
+def test_petsc_options_are_checked(start):
+    done = start("run", "a.opts", PETSC_OPTIONS="-sweep_point 3")
+    assert_one_line(done, 2, "-sweep_point", "PETSC_OPTIONS")
+
+
+# One rank fails
+
+
+def sabotage(statement, rank=1):
+    """A program that is pgran, but executes a statement at the third frequency on one rank."""
+    return f"""
+import sys
+from mpi4py import MPI
+import pgran.__main__
+start = pgran.__main__.start_petsc
+def start_petsc(options):
+    start(options)
+    from pgran.steady import SteadySolver
+    solve, calls = SteadySolver.solve, []
+    def fail(self, omega):
+        calls.append(omega)
+        if MPI.COMM_WORLD.rank == {rank} and len(calls) == 3:
+            {statement}
+        return solve(self, omega)
+    SteadySolver.solve = fail
+pgran.__main__.start_petsc = start_petsc
+pgran.__main__.console()
+"""
+
+
+@pytest.mark.parametrize("together", [1, 2])
+@pytest.mark.parametrize("rank", [0, 1])
+@pytest.mark.parametrize(
+    ("statement", "code", "message"),
+    [
+        ("raise RuntimeError('sabotage')", 1, "RuntimeError: sabotage"),
+        ("raise MemoryError", 1, "MemoryError"),
+        ("raise KeyboardInterrupt", 130, "interrupted"),
+        ("sys.exit(7)", 7, "sys.exit(7)"),
+        ("sys.exit('words')", 1, "words"),
+        ("from pgran.errors import FileError; raise FileError('lost')", 4, "lost"),
+    ],
+)
+def test_one_failing_rank_ends_all(start, tmp_path, statement, code, message, rank, together):
+    began = time.monotonic()
+    done = start(
+        "run", "a.opts", "-ranks_per_lattice", str(together),
+        ranks=2, code=sabotage(statement, rank),
+    )  # fmt: skip
+    assert done.returncode == code, done.stderr
+    assert time.monotonic() - began < 15
+    assert message in done.stderr
+    assert not (tmp_path / "results" / "a.h5").exists()
+
+
+# Other commands
+
+
+def test_version_and_help(start):
+    assert start("--version").stdout == f"pgran {__version__}\n"
+    for word in ("--help", "-h", "help"):
+        done = start(word)
+        assert done.returncode == 0
+        assert "pgran run FILE" in done.stdout
+
+
+def test_options(start):
+    done = start("options")
+    assert done.returncode == 0
+    for scene in SCENES:
+        assert scene in done.stdout
+        assert start("options", scene).stdout
+    done = start("options", "respons")
+    assert_one_line(done, 2, "did you mean response?")
+
+
+MODULES = """
+import atexit, sys
+def tell():
+    heavy = "petsc4py.PETSc slepc4py matplotlib scipy mpi4py.MPI h5py numpy".split()
+    print("LOADED", *[name for name in heavy if name in sys.modules])
+atexit.register(tell)
+from pgran.__main__ import console
+console()
+"""
+
+
+def loaded(done):
+    assert done.returncode == 0, done.stderr
+    return re.search("LOADED(.*)", done.stdout).group(1).split()
+
+
+def test_a_sweep_loads_only_what_it_needs(start):
+    names = loaded(start("run", "a.opts", code=MODULES))
+    assert names == ["petsc4py.PETSc", "mpi4py.MPI", "h5py", "numpy"]
+
+
+@pytest.mark.parametrize("words", [["options"], ["--help"], ["--version"]])
+def test_questions_load_nothing(start, words):
+    assert loaded(start(*words, code=MODULES)) == []

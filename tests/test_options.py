@@ -1,0 +1,380 @@
+"""Options files and command lines: what is accepted, what is refused, and what it is told."""
+
+import pytest
+
+from pgran.errors import FileError, InputError
+from pgran.options import (
+    FLAG,
+    SCENES,
+    SOLVER_PREFIXES,
+    TEXT,
+    describe_options,
+    nearest,
+)
+from pgran.reading import read_environment, read_file, read_words, resolve
+
+ALL = {option.name: option for options in SCENES.values() for option in options}
+
+
+def options(text, **more):
+    """Resolve a command line."""
+    return resolve(read_words(text.split()), **more)
+
+
+def refusal(text, key):
+    """Return the message that a command line is refused with; it names the key."""
+    with pytest.raises(InputError) as caught:
+        options(text)
+    message = str(caught.value)
+    assert f"-{key}" in message
+    assert "\n" not in message
+    return message
+
+
+def test_defaults_of_the_paper():
+    found = options("-scene response")
+    assert found.scene == "response"
+    assert found.lattice_shape == (20, 20)
+    assert (found.lattice_mass, found.lattice_damping, found.bonds_kmax) == (1.0, 0.003, 0.25)
+    assert (found.sweep_min, found.sweep_max, found.sweep_points) == (0.01, 1.3, 1291)
+    assert found.detectors == (8, 10)
+    assert found.error_tolerance == 1e-4
+    assert found.solver == {}
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_every_default_is_possible(scene):
+    """Writing and reading a default gives it back, and its own bounds allow it."""
+    for option in SCENES[scene]:
+        if option.default is not None:
+            _, _, text = option.write(option.default).partition(" ")
+            assert option.read(text) == option.default
+
+
+def outside(option):
+    """Values just outside each bound that an option declares."""
+    step = 1 if option.kind.name.startswith("integer") else 1e-6
+    if option.low is not None:
+        yield option.low - step
+    if option.above is not None:
+        yield option.above
+        yield option.above - step
+    if option.high is not None:
+        yield option.high + step
+
+
+def inside(option):
+    """The bounds themselves where they belong to the range."""
+    if option.low is not None:
+        yield option.low
+    if option.high is not None:
+        yield option.high
+
+
+BOUNDED = [
+    pytest.param(option, value, id=f"{option.name}={value}")
+    for option in ALL.values()
+    for value in outside(option)
+]
+
+
+@pytest.mark.parametrize(("option", "value"), BOUNDED)
+def test_values_outside_the_range_are_refused(option, value):
+    with pytest.raises(InputError) as caught:
+        option.read(repr(value))
+    assert f"-{option.name}" in str(caught.value)
+    assert option.range() in str(caught.value)
+
+
+@pytest.mark.parametrize("option", ALL.values(), ids=lambda option: option.name)
+def test_bounds_themselves_are_allowed(option):
+    for value in inside(option):
+        read = option.read(repr(value))
+        assert value in (read if isinstance(read, tuple) else (read,))
+
+
+WRONG = {
+    "integer": ["1.5", "x", "", "1,2", "1e3", "nan"],
+    "real": ["x", "", "1,2", "nan", "inf", "-inf", "1e999"],
+    "integers": ["x", "", "1,,2", "1.5,2", "1,"],
+    "reals": ["x", "", "1,,2", "1,nan", "inf", ","],
+    "flag": ["maybe", "2", "tru"],
+    "text": [],
+}
+
+
+@pytest.mark.parametrize("option", ALL.values(), ids=lambda option: option.name)
+def test_wrong_types_are_refused(option):
+    assert option.kind.name in WRONG
+    for text in WRONG[option.kind.name]:
+        with pytest.raises(InputError, match=f"-{option.name}"):
+            option.read(text, " (somewhere)")
+    if option.choices:
+        with pytest.raises(InputError, match="choose"):
+            option.read("nothing_like_it")
+
+
+def test_texts_need_a_value():
+    for option in ALL.values():
+        if option.kind is TEXT:
+            refusal(f"-scene response -{option.name}", option.name)
+
+
+def test_flags():
+    for text in ("", " true", " YES", " 1", " on"):
+        assert options(f"-scene response -output_fields{text}").output_fields is True
+    for text in (" false", " no", " 0", " off"):
+        assert options(f"-scene response -output_fields{text}").output_fields is False
+    assert any(option.kind is FLAG for option in ALL.values())
+
+
+def test_negative_numbers_are_values_and_not_keys():
+    assert "-1" in refusal("-scene response -lattice_damping -1", "lattice_damping")
+    assert "-.5" in refusal("-scene response -sweep_min -.5", "sweep_min")
+
+
+# Keys
+
+
+@pytest.mark.parametrize(
+    ("key", "meant"),
+    [
+        ("latice_shape", "-lattice_shape"),
+        ("bond_seed", "-bonds_seed"),
+        ("sweep_point", "-sweep_points"),
+        ("detector", "-detectors"),
+        ("ksp_type", "-steady_ksp_type"),
+        ("pc_type", "-steady_pc_type"),
+        ("pc_factor_mat_solver_type", "-steady_pc_factor_mat_solver_type"),
+        ("stedy_ksp_type", None),
+    ],
+)
+def test_unknown_keys_suggest_the_nearest(key, meant):
+    message = refusal(f"-scene response -{key} 1", key)
+    assert "unknown" in message
+    if meant:
+        assert f"did you mean {meant}?" in message
+
+
+def test_key_like_nothing_suggests_nothing():
+    assert "did you mean" not in refusal("-scene response -qqqqqqq 1", "qqqqqqq")
+
+
+def test_missing_and_wrong_scene():
+    assert "response" in refusal("-lattice_shape 3,3", "scene")
+    assert "did you mean response?" in refusal("-scene respons", "scene")
+
+
+def test_key_of_another_scene():
+    """A key that only another scene has is refused, and that scene is named."""
+    for scene, its in SCENES.items():
+        mine = {option.name for option in its}
+        for name, other in SCENES.items():
+            for option in other:
+                if option.name not in mine:
+                    text = option.kind.write(option.default) if option.default else "1"
+                    message = refusal(f"-scene {scene} -{option.name} {text}", option.name)
+                    assert "does not use it" in message
+                    assert name in message
+
+
+@pytest.mark.parametrize("prefix", SOLVER_PREFIXES)
+def test_solver_keys_pass(prefix):
+    found = options(f"-scene response -{prefix}ksp_type gmres -log_view -{prefix}pc_type lu")
+    assert found.solver == {f"{prefix}ksp_type": "gmres", "log_view": "", f"{prefix}pc_type": "lu"}
+
+
+def test_prefix_alone_is_no_key():
+    refusal("-scene response -steady_ 3", "steady_")
+
+
+@pytest.mark.parametrize(
+    "key", ["dll_append x.so", "options_file x", "options_file_yaml x", "python x", "f x"]
+)
+def test_keys_that_make_petsc_read_or_load_files_are_refused(key):
+    refusal(f"-scene response -{key}", key.split()[0])
+
+
+def test_unknown_attribute_names_the_option():
+    with pytest.raises(AttributeError, match="-nonsense"):
+        options("-scene response").nonsense  # noqa: B018
+
+
+def test_value_without_a_key():
+    with pytest.raises(InputError, match="value without a key"):
+        read_words(["5"])
+    with pytest.raises(InputError, match="value without a key"):
+        read_words(["-lattice_shape", "5", "6"])
+
+
+# Contradictions
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("-lattice_shape 2,2,2,2", "lattice_shape"),
+        ("-sweep_min 1 -sweep_max 1", "sweep_min"),
+        ("-sweep_min 2", "sweep_min"),
+        ("-phase_fit_min 1", "phase_fit_min"),
+        ("-sweep_omega 1,2 -sweep_points 3", "sweep_points"),
+        ("-sweep_omega 1,2 -sweep_min .1", "sweep_min"),
+        ("-sweep_omega 1,2 -sweep_max 3", "sweep_max"),
+        ("-sweep_omega 2,1", "sweep_omega"),
+        ("-sweep_omega 1,1", "sweep_omega"),
+        ("-bonds_law file", "bonds_file"),
+        ("-bonds_file x.h5", "bonds_file"),
+        ("-bonds_law file -bonds_file x.h5 -lattice_shape 3,3", "lattice_shape"),
+        ("-bonds_law file -bonds_file x.h5 -bonds_kmax 1", "bonds_kmax"),
+        ("-bonds_law file -bonds_file x.h5 -bonds_kmin 0", "bonds_kmin"),
+    ],
+)
+def test_contradictions(text, key):
+    refusal(f"-scene response {text}", key)
+
+
+# Precedence, files, environment
+
+
+def test_later_keys_win():
+    found = options("-scene response -bonds_seed 1 -bonds_seed 2 --BONDS_SEED 3")
+    assert found.bonds_seed == 3
+
+
+def write(path, text):
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_command_line_wins_over_the_file(tmp_path):
+    path = write(tmp_path / "a.opts", "-scene response\n-bonds_seed 5 -sweep_points 7\n")
+    found = resolve(read_file(path) + read_words(["-bonds_seed", "6"]))
+    assert (found.bonds_seed, found.sweep_points) == (6, 7)
+
+
+def test_file_syntax(tmp_path):
+    path = write(
+        tmp_path / "a.opts",
+        "# a comment\n\n  -scene response # another\n-lattice_shape 3,4 -bonds_seed 9\n"
+        "-output_fields\n-output_file 'a folder/b#c.h5'\n-steady_ksp_type \"gmres\"\n",
+    )
+    found = resolve(read_file(path))
+    assert found.lattice_shape == (3, 4)
+    assert found.bonds_seed == 9
+    assert found.output_fields is True
+    assert found.output_file == "a folder/b#c.h5"
+    assert found.solver == {"steady_ksp_type": "gmres"}
+
+
+def test_refusals_name_file_and_line(tmp_path):
+    path = write(tmp_path / "a.opts", "-scene response\n\n-sweep_points many\n")
+    with pytest.raises(InputError, match=r"-sweep_points many .*a\.opts, line 3"):
+        resolve(read_file(path))
+    path = write(tmp_path / "b.opts", "-scene response\nlattice_shape 3,3\n")
+    with pytest.raises(InputError, match=r"b\.opts, line 2"):
+        read_file(path)
+    path = write(tmp_path / "c.opts", "-scene 'response\n")
+    with pytest.raises(InputError, match=r"c\.opts, line 1"):
+        read_file(path)
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    with pytest.raises(FileError, match=r"missing\.opts: No such file"):
+        read_file(tmp_path / "missing.opts")
+    with pytest.raises(FileError, match="directory"):
+        read_file(tmp_path)
+    (tmp_path / "binary.opts").write_bytes(b"\x89HDF\xff\xfe\x00")
+    with pytest.raises(FileError, match="not a text file"):
+        read_file(tmp_path / "binary.opts")
+
+
+def test_empty_file(tmp_path):
+    with pytest.raises(InputError, match="-scene is missing"):
+        resolve(read_file(write(tmp_path / "a.opts", "# nothing\n")))
+
+
+def test_environment_is_read_once_and_checked(monkeypatch):
+    monkeypatch.setenv("PETSC_OPTIONS", "-bonds_seed 3 -steady_ksp_type gmres")
+    given = read_environment()
+    found = resolve([*given, *read_words(["-scene", "response"])])
+    assert found.bonds_seed == 3
+    assert found.solver == {"steady_ksp_type": "gmres"}
+    assert read_environment() == []  # PETSc finds nothing either
+    monkeypatch.setenv("PETSC_OPTIONS", "-dll_append evil.so")
+    with pytest.raises(InputError, match=r"-dll_append .*PETSC_OPTIONS"):
+        resolve([*read_words(["-scene", "response"]), *read_environment()])
+
+
+# The resolved text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "-lattice_shape 3,4,5 -detectors 1,1,1,2,2,2 -bonds_law loguniform -bonds_kmin 1e-3",
+        "-sweep_omega 0.1,0.30000000000000004,7",
+        "-bonds_law file -bonds_file bonds.h5",
+        "-output_fields -steady_ksp_type gmres -steady_ksp_monitor -log_view",
+        "-bonds_seed 9223372036854775807 -lattice_mass 0.1 -lattice_damping 0",
+        "-bonds_law hertz -bonds_force 2.5e-7 -bonds_hertz 1e300",
+    ],
+)
+def test_resolved_text_gives_the_same_options(tmp_path, text):
+    first = options(f"-scene response {text}", output_file="results/a.h5")
+    path = write(tmp_path / "a.opts", first.text())
+    second = resolve(read_file(path))
+    for option in SCENES["response"]:
+        assert getattr(second, option.name) == getattr(first, option.name), option.name
+    assert second.solver == first.solver
+    assert second.text() == first.text()
+
+
+def test_resolved_text_does_not_repeat_leave_to_overwrite():
+    assert "overwrite" not in options("-scene response -output_overwrite").text()
+
+
+@pytest.mark.parametrize("name", ["a folder/b.h5", "it's#1.h5", "a\\b.h5", '"q".h5'])
+def test_resolved_text_keeps_any_file_name(tmp_path, name):
+    first = options("-scene response", output_file=name)
+    second = resolve(read_file(write(tmp_path / "a.opts", first.text())))
+    assert second.output_file == name
+
+
+def test_resolved_text_keeps_solver_values_with_spaces(tmp_path):
+    path = write(tmp_path / "a.opts", "-scene response\n-steady_ksp_view 'ascii:a b.txt'\n")
+    first = resolve(read_file(path))
+    assert first.solver == {"steady_ksp_view": "ascii:a b.txt"}
+    assert resolve(read_file(write(tmp_path / "b.opts", first.text()))).solver == first.solver
+
+
+# The list of options
+
+
+def test_list_names_every_option_with_its_default():
+    text = describe_options()
+    for option in ALL.values():
+        assert f"-{option.name}\n" in text
+        assert option.meaning in text
+        assert option.range() in text
+    assert "default 20,20" in text
+    assert "-steady_*" in text
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_list_of_one_scene(scene):
+    names = {line[1:] for line in describe_options(scene).splitlines() if line.startswith("-")}
+    assert {option.name for option in SCENES[scene]} <= names
+
+
+def test_every_option_is_documented():
+    for option in ALL.values():
+        assert option.meaning
+        assert option.low is None or option.above is None
+        bound = option.low if option.above is None else option.above
+        assert bound is None or option.high is None or bound < option.high
+
+
+def test_nearest():
+    assert nearest("respons", ["response", "modes"]) == "response"
+    assert nearest("zzz", ["response", "modes"]) is None

@@ -1,0 +1,232 @@
+"""One bond a step: every amplitude against a dense solve from the stored bonds and events."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from reference import Reference
+from samples import random_lattice
+
+from pgran.bounds import smallest_damping_eigenvalue
+from pgran.errors import InputError
+from pgran.lattice import bond_arrays, bond_count, bond_places
+from pgran.operators import Operators
+from pgran.relaxation import Changes, Network, Windows, draw_changes, march, window_length
+from pgran.scenes.relaxation import relax
+from pgran.sharing import Crew
+from pgran.steady import SteadySolver
+from pgran.stiffness import BondLaw
+
+UNIFORM = BondLaw("uniform")
+
+
+def events(relaxation, trajectory=0):
+    """Yield axis, index and new constant of each stored step."""
+    yield from zip(
+        relaxation.bond_axis[trajectory],
+        relaxation.bond_index[trajectory],
+        relaxation.stiffness[trajectory],
+        strict=True,
+    )
+
+
+def largest_error(lattice, relaxation, steps, trajectory=0):
+    """Return the largest relative error of the amplitudes after some steps, from the events."""
+    stiffness = [k.copy() for k in lattice.stiffness]
+    done, worst = 0, 0.0
+    stored = list(events(relaxation, trajectory))
+    for step in sorted(steps):
+        for axis, index, value in stored[done:step]:
+            stiffness[axis][tuple(index)] = value
+        done = step
+        exact = Reference(stiffness, lattice.mass, lattice.damping).amplitudes(
+            relaxation.omega, relaxation.detector
+        )
+        found = relaxation.displacement[trajectory, step]
+        worst = max(worst, np.max(np.abs(found - exact) / np.abs(exact)))
+    return float(worst)
+
+
+def solve(lattice, sites, crew_of=MPI.COMM_SELF, law=UNIFORM, omega=0.5, **choices):
+    """Relax a lattice; the result on every rank."""
+    with Crew(crew_of, crew_of.size if choices.pop("together", False) else 1) as crew:
+        found = relax(lattice, law, omega, sites, crew, **choices)
+    return crew_of.bcast(found)
+
+
+@pytest.mark.parametrize("beta", [1e-4, 0.01, 1.0])
+@pytest.mark.parametrize("shape", [(30,), (6, 5), (3, 4, 3)])
+@pytest.mark.parametrize("method", ["window", "direct", "krylov"])
+def test_every_amplitude_is_that_of_the_stored_network(method, shape, beta):
+    lattice = random_lattice(shape, seed=5, damping=beta)
+    sites = [[0] * len(shape), [n // 2 for n in shape]]
+    relaxation = solve(lattice, sites, steps=300, method=method, window=40)
+    assert relaxation.failures == 0
+    steps = np.linspace(0, 300, 16).astype(int)
+    allowed = 1e-4 if method == "krylov" else 1e-10
+    assert largest_error(lattice, relaxation, steps) <= allowed
+
+
+@pytest.mark.parametrize("method", ["window", "krylov"])
+def test_bonds_that_vanish_and_come_back(method):
+    law = BondLaw("bimodal", kmin=0.0, kmax=0.25, fraction=0.6)
+    lattice = random_lattice((5, 6), seed=2, damping=0.01, law="bimodal")
+    relaxation = solve(lattice, [2, 3], law=law, steps=400, method=method)
+    assert np.count_nonzero(relaxation.stiffness == 0) > 100
+    allowed = 1e-4 if method == "krylov" else 1e-10
+    assert largest_error(lattice, relaxation, range(0, 401, 25)) <= allowed
+
+
+def test_a_window_of_every_length_gives_the_same():
+    lattice = random_lattice((4, 5), seed=1, damping=0.01)
+    runs = [solve(lattice, [1, 2], steps=150, window=window) for window in (1, 7, 64, 150)]
+    for run in runs[1:]:
+        difference = np.abs(run.displacement - runs[0].displacement)
+        assert np.max(difference / np.abs(runs[0].displacement)) < 1e-11
+    # One for each window, and one more at the end of every four.
+    assert [run.factorizations for run in runs] == [150 + 38, 22 + 6, 3 + 1, 1 + 1]
+
+
+def test_repeated_bonds_and_the_driven_wall():
+    """Only bonds at the driven wall change, each many times in a window."""
+    lattice = random_lattice((3, 2), seed=3, damping=0.02)
+    last = bond_count((3, 2)) - 3 * 3  # bonds along x come first; the last two are driven
+    bonds = np.array([last - 1, last - 2] * 10)
+    stiffness = np.linspace(0, 0.3, 20)
+    with (
+        Operators(lattice, MPI.COMM_SELF) as operators,
+        SteadySolver(operators, [[0, 1]], adjoints=True) as solver,
+    ):
+        network = Network(lattice, operators, None)
+        assert np.all(network.driven[bonds])
+        with Windows(network, solver, 0.4) as windows:
+            windows.start()
+            after = windows.follow(Changes(bonds, stiffness))
+    assert len(after) == 20
+    k = [array.copy() for array in lattice.stiffness]
+    for step, (bond, value) in enumerate(zip(bonds, stiffness, strict=True)):
+        axis, index = bond_places((3, 2), np.array([bond]))
+        k[axis[0]][tuple(index[0])] = value
+        exact = Reference(k, damping=0.02).amplitudes(0.4, [[0, 1]])
+        assert abs(after[step, 0] - exact[0]) <= 1e-12 * abs(exact[0])
+
+
+def test_rounding_is_estimated_by_what_is_lost():
+    """The second pivot nearly vanishes: 1 + delta (G_11 - c G_01^2), c the first step's."""
+    G = np.array([[0.5, 0.1], [0.1, -2.0]], dtype=complex)
+    w, q = np.ones(2, complex), np.ones((2, 1), complex)
+    exact = -1 / (-2.0 - 0.1 / 1.05 * 0.1**2)
+    for distance in (1e-2, 1e-6):
+        increments, rounding = march(G, w, q, np.array([0.1, exact * (1 - distance)]))
+        lost = rounding[1, 0] / abs(increments[1, 0])
+        assert 0.5 < lost * distance / np.finfo(float).eps < 2
+
+
+def test_on_a_sharp_resonance_windows_end_early_and_stay_exact():
+    lattice = random_lattice((4, 4), seed=8, damping=1e-7)
+    omega = float(np.sqrt(Reference(lattice.stiffness).eigenvalues()[5]))
+    choices = {"omega": omega, "steps": 64, "window": 64, "error_tolerance": 1e-3}
+    relaxation = solve(lattice, [1, 2], **choices)
+    assert relaxation.factorizations > 2
+    assert relaxation.failures == 0
+    # No method does better than the condition of the system, here on the resonance itself.
+    condition = 2.0 / (smallest_damping_eigenvalue((4, 4)) * omega * 1e-7)
+    assert largest_error(lattice, relaxation, range(65)) <= np.finfo(float).eps * condition
+
+
+def test_draws_depend_on_seed_trajectory_and_step_only():
+    whole = draw_changes(UNIFORM, (5, 6), 7, 2, 0, 1000)
+    for first, count in ((0, 1), (1, 999), (333, 40), (997, 3)):
+        part = draw_changes(UNIFORM, (5, 6), 7, 2, first, count)
+        assert np.array_equal(part.bond, whole.bond[first : first + count])
+        assert np.array_equal(part.stiffness, whole.stiffness[first : first + count])
+    for seed, trajectory in ((8, 2), (7, 3)):
+        other = draw_changes(UNIFORM, (5, 6), seed, trajectory, 0, 1000)
+        assert np.mean(other.bond == whole.bond) < 0.1
+
+
+def test_bonds_are_drawn_uniformly():
+    changes = draw_changes(UNIFORM, (5, 6), 1, 0, 0, 71_000)
+    counts = np.bincount(changes.bond, minlength=bond_count((5, 6)))
+    assert len(counts) == 71
+    chi_square = np.sum((counts - 1000.0) ** 2 / 1000.0)
+    assert abs(chi_square - 70) < 5 * np.sqrt(2 * 70)
+
+
+def test_differences_count_repeated_bonds():
+    lattice = random_lattice((3, 3), seed=1)
+    with Operators(lattice, MPI.COMM_SELF) as operators:
+        network = Network(lattice, operators, None)
+        changes = draw_changes(UNIFORM, (3, 3), 1, 0, 0, 200)
+        moved = network.differences(changes)
+        bonds = network.bonds.copy()
+        for bond, value, difference in zip(changes.bond, changes.stiffness, moved, strict=True):
+            assert difference == value - bonds[bond]
+            bonds[bond] = value
+
+
+def test_changed_operators_equal_rebuilt_ones(world):
+    lattice = random_lattice((5, 4), seed=4, damping=0.01)
+
+    def draw(trajectory, first, count):
+        return draw_changes(UNIFORM, (5, 4), 3, trajectory, first, count)
+
+    with Operators(lattice, world) as operators:
+        network = Network(lattice, operators, draw)
+        for trajectory, step in ((0, 60), (1, 10), (1, 40), (1, 5)):
+            network.move_to(trajectory, step)
+            network.apply(draw(trajectory, step, 30))
+            stiffness = bond_arrays((5, 4), network.bonds)
+            fresh = type(lattice)(stiffness, damping=0.01)
+            with Operators(fresh, world) as rebuilt:
+                difference = rebuilt.K.copy()
+                difference.axpy(-1.0, operators.K)
+                assert difference.norm() < 1e-14
+                difference.destroy()
+                operators.f_stiffness.axpy(-1.0, rebuilt.f_stiffness)
+                assert operators.f_stiffness.norm() < 1e-14
+
+
+@pytest.mark.parametrize("method", ["window", "krylov"])
+def test_the_same_bit_for_bit_on_any_number_of_ranks(world, method):
+    lattice = random_lattice((6, 5), seed=6, damping=0.01)
+    choices = {"steps": 130, "trajectories": 3, "method": method, "window": 20}
+    alone = solve(lattice, [2, 2], **choices)
+    shared = solve(lattice, [2, 2], world, **choices)
+    assert np.array_equal(alone.displacement, shared.displacement)
+    assert np.array_equal(alone.stiffness, shared.stiffness)
+
+
+def test_a_lattice_that_all_ranks_share(world):
+    lattice = random_lattice((6, 7), seed=6, damping=0.01)
+    alone = solve(lattice, [2, 2], steps=100)
+    together = solve(lattice, [2, 2], world, steps=100, together=True)
+    assert np.max(np.abs(alone.displacement - together.displacement)) < 1e-12
+
+
+def test_trajectories_start_alike_and_part():
+    lattice = random_lattice((5, 5), seed=6, damping=0.01)
+    relaxation = solve(lattice, [2, 2], steps=60, trajectories=2)
+    assert relaxation.displacement.shape == (2, 61, 1)
+    assert relaxation.displacement[0, 0] == relaxation.displacement[1, 0]
+    assert np.all(relaxation.displacement[0, 30:] != relaxation.displacement[1, 30:])
+    for trajectory in (0, 1):
+        assert largest_error(lattice, relaxation, [60], trajectory) < 1e-10
+
+
+def test_windows_need_a_factorization(solver_options):
+    solver_options("-steady_pc_type jacobi")
+    lattice = random_lattice((4, 4), damping=0.1)
+    with pytest.raises(InputError, match="relax_method window"):
+        solve(lattice, [1, 1], steps=4)
+
+
+def test_steps_that_miss_their_accuracy_hold_no_number(solver_options):
+    solver_options("-steady_ksp_type richardson -steady_ksp_max_it 1 -steady_pc_type none")
+    lattice = random_lattice((4, 4), damping=0.01)
+    relaxation = solve(lattice, [1, 1], steps=5, method="krylov")
+    assert relaxation.failures == 6
+    assert np.all(np.isnan(relaxation.displacement))
+
+
+def test_the_window_depends_on_the_size_alone():
+    assert window_length(400) < window_length(40_000)

@@ -1,0 +1,527 @@
+"""The certified steady state: against the dense reference, closed forms and identities."""
+
+import math
+import os
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from petsc4py import PETSc
+from reference import Reference, uniform_field
+from samples import bond_arrays, random_lattice, skip_unless_ranks_fit, uniform_lattice
+
+from pgran.bounds import smallest_damping_eigenvalue
+from pgran.lattice import Lattice
+from pgran.operators import Operators
+from pgran.reuse import ReusePolicy
+from pgran.steady import SteadySolver
+
+DIRECT = "-steady_ksp_type preonly -steady_pc_type lu"
+
+
+def solve(lattice, omegas, sites, comm, tolerance=1e-4, **more):
+    """The states, and the whole fields on rank 0 of `comm`."""
+    skip_unless_ranks_fit(lattice.shape, comm)
+    with (
+        Operators(lattice, comm) as operators,
+        SteadySolver(operators, np.atleast_2d(sites), tolerance, **more) as solver,
+    ):
+        states, fields = [], []
+        for omega in np.atleast_1d(omegas):
+            states.append(solver.solve(float(omega)))
+            fields.append(operators.field(solver.field))
+    return states, fields
+
+
+def reference_of(lattice):
+    return Reference(lattice.stiffness, lattice.mass, lattice.damping)
+
+
+def assert_certified(states, lattice, sites, tolerance):
+    """Every bound holds, and every point is as accurate as asked.
+
+    The reference's own error is 1e-3 of what rounding adds to any bound: it is the same
+    conditioning times a roundoff of extended precision (test_reference.py).
+    """
+    reference = reference_of(lattice)
+    for state in states:
+        exact = reference.amplitudes(state.omega, sites)
+        error = np.abs(state.displacement - exact)
+        assert state.converged_reason > 0
+        assert np.all(error <= state.error_bound)
+        assert np.all(error <= tolerance * np.abs(exact))
+
+
+def random_cases():
+    rng = np.random.default_rng(20)
+    shapes = [(9,), (1,), (5, 6), (6, 5), (1, 7), (7, 1), (3, 4, 3), (2, 1, 5), (12, 12)]
+    for number, shape in enumerate(shapes * 3):
+        law = ("uniform", "bimodal", "wide")[(number + number // 9) % 3]
+        damping, mass = 10 ** rng.uniform(-6, 0), 10 ** rng.uniform(-1, 1)
+        omegas = np.sort(10 ** rng.uniform(-2, 0.3, 8)) / math.sqrt(mass)
+        count = rng.integers(1, 4)
+        sites = np.stack([rng.integers(0, n, count) for n in shape], axis=1)
+        tolerance = 10 ** rng.uniform(-8, -1)
+        lattice = random_lattice(shape, number, damping, mass, law)
+        yield pytest.param(lattice, omegas, sites, tolerance, id=f"{number}-{law}")
+
+
+@pytest.mark.parametrize(("lattice", "omegas", "sites", "tolerance"), random_cases())
+def test_error_is_within_bound_and_tolerance(comm, lattice, omegas, sites, tolerance):
+    """Amplitudes below 1e-17 may miss the tolerance, but must say so; the bound holds anyway."""
+    states, _ = solve(lattice, omegas, sites, comm, tolerance)
+    reference = reference_of(lattice)
+    reached = [state for state in states if state.converged_reason > 0]
+    assert_certified(reached, lattice, sites, tolerance)
+    for state in states:
+        exact = reference.amplitudes(state.omega, sites)
+        assert np.all(np.abs(state.displacement - exact) <= state.error_bound)
+        assert state.converged_reason > 0 or np.abs(exact).min() < 1e-17
+
+
+def test_evanescent_amplitudes(comm):
+    """Far above omega_mx nothing but certified digits is left: 1e-11 of the wall's amplitude."""
+    lattice = random_lattice((20, 20), 5)
+    omegas = np.linspace(1.25, 1.33, 9)
+    states, _ = solve(lattice, omegas, [(8, 10)], comm)
+    assert max(abs(state.displacement[0]) for state in states) < 1e-8
+    assert min(abs(state.displacement[0]) for state in states) < 1e-11
+    assert_certified(states, lattice, [(8, 10)], 1e-4)
+
+
+@pytest.mark.parametrize("shape", [(30,), (12, 13), (5, 6, 7)])
+def test_direct_solver_is_exact(comm, shape, solver_options):
+    solver_options(DIRECT)
+    lattice = random_lattice(shape, 1)
+    sites = [tuple(n // 2 for n in shape)]
+    states, _ = solve(lattice, np.linspace(0.05, 1.4, 12), sites, comm)
+    assert_certified(states, lattice, sites, 1e-9)
+
+
+@pytest.mark.parametrize("shape", [(40,), (15, 10), (10, 15), (1, 8), (8, 1), (6, 5, 4)])
+def test_uniform_lattice(comm, shape):
+    """Fact 1: the closed form, to 1e-12 of the wall's amplitude or of the largest."""
+    lattice = uniform_lattice(shape)
+    omegas = [0.02, 0.3, 0.71, 1.1, 1.5]
+    states, fields = solve(lattice, omegas, [(0,) * len(shape)], comm, 1e-13, whole_field=True)
+    for state, field in zip(states, fields, strict=True):
+        exact = uniform_field(shape, 0.25, 1.0, 0.003, state.omega)
+        scale = max(1.0, float(np.abs(exact).max()))
+        assert abs(state.displacement[0] - exact[(0,) * len(shape)]) <= 1e-12 * scale
+        if field is not None:
+            assert np.abs(field - exact).max() <= 1e-12 * scale
+
+
+def test_whole_field_bound(comm):
+    """With `whole_field` the field is right in the 2-norm, and without its bound nothing passes."""
+    lattice = random_lattice((11, 10), 2, damping=1e-3)
+    reference = reference_of(lattice)
+    omegas = [0.05, 0.4, 0.8, 1.2]
+    states, fields = solve(lattice, omegas, [(10, 5)], comm, 1e-6, whole_field=True)
+    for state, field in zip(states, fields, strict=True):
+        assert state.converged_reason > 0
+        if field is not None:
+            exact = reference.field(state.omega)
+            assert np.linalg.norm(field - exact) <= 1e-6 * np.linalg.norm(exact)
+
+
+def test_smallest_damping_eigenvalue():
+    for shape in [(7,), (1,), (4, 6), (3, 1, 2)]:
+        C = reference_of(uniform_lattice(shape)).C
+        expected = np.linalg.eigvalsh(C.astype(float))[0]
+        assert smallest_damping_eigenvalue(shape) == pytest.approx(expected, rel=1e-12)
+
+
+# Identities (facts 3 and 7)
+
+
+def test_reciprocity(comm):
+    """A_d = z^T f with S z = e_d: the drive moved to the detector's place."""
+    lattice = random_lattice((9, 8), 4, damping=0.01)
+    site = (2, 5)
+    omegas = [0.1, 0.5, 0.9]
+    states, _ = solve(lattice, omegas, [site], comm, 1e-11)
+    reference = reference_of(lattice)
+    for state in states:
+        unit = np.zeros(lattice.shape)
+        unit[site] = 1.0
+        z = reference.solve(state.omega, unit.ravel())
+        _, f = reference.system(state.omega)
+        assert abs(state.displacement[0] - z @ f) <= 1e-11 * abs(z @ f)
+
+
+def test_power_balance(comm):
+    """Im(A^H f) = omega beta A^H C A: what the wall puts in is what the dashpots take out.
+
+    f includes the dashpots of the driven wall, whose own loss C counts against a wall at rest.
+    """
+    lattice = random_lattice((9, 8), 4, damping=0.01)
+    with (
+        Operators(lattice, comm) as operators,
+        SteadySolver(operators, np.array([[4, 4]]), 1e-12, whole_field=True) as solver,
+    ):
+        for omega in (0.1, 0.5, 0.9, 1.2):
+            solver.solve(omega)
+            A = solver.field
+            lost = operators.f.duplicate()
+            operators.C.mult(A, lost)
+            put_in = operators.f.dot(A)  # PETSc: A^H f
+            taken = omega * lattice.damping * lost.dot(A).real
+            size = operators.f.norm() * A.norm()
+            lost.destroy()
+            assert abs(abs(put_in.imag) - taken) <= 1e-11 * size
+            assert taken > 1e-9 * size  # else the identity says nothing
+
+
+def test_scaling(comm):
+    """K -> s K, beta -> sqrt(s) beta, omega -> sqrt(s) omega leaves A as it is."""
+    s, omegas, sites = 7.3, np.array([0.1, 0.55, 1.1]), [(3, 3)]
+    lattice = random_lattice((8, 7), 6)
+    scaled = Lattice(
+        tuple(s * k for k in lattice.stiffness), lattice.mass, math.sqrt(s) * lattice.damping
+    )
+    first, _ = solve(lattice, omegas, sites, comm, 1e-10)
+    second, _ = solve(scaled, math.sqrt(s) * omegas, sites, comm, 1e-10)
+    for a, b in zip(first, second, strict=True):
+        # each is right to 1e-10; rounding of the scaled parameters moves A by far less
+        assert abs(a.displacement[0] - b.displacement[0]) <= 4e-10 * abs(a.displacement[0])
+
+
+def test_mirror_symmetry_in_y(comm):
+    lattice = random_lattice((8, 7), 6)
+    mirrored = Lattice(tuple(k[:, ::-1] for k in lattice.stiffness), lattice.mass, lattice.damping)
+    there, _ = solve(lattice, [0.2, 0.7], [(2, 1)], comm, 1e-10)
+    here, _ = solve(mirrored, [0.2, 0.7], [(2, 5)], comm, 1e-10)
+    for a, b in zip(there, here, strict=True):
+        assert abs(a.displacement[0] - b.displacement[0]) <= 2e-10 * abs(a.displacement[0])
+
+
+# Solvers chosen by options
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        "-steady_ksp_type gmres",
+        "-steady_ksp_type preonly",
+        "-steady_pc_type lu -steady_pc_factor_mat_solver_type mumps",
+        "-steady_pc_type cholesky -steady_pc_factor_mat_solver_type mumps",
+        "-steady_pc_type lu -steady_pc_factor_mat_solver_type superlu_dist",
+        "-steady_ksp_type preonly -steady_pc_type lu -steady_pc_factor_mat_solver_type mumps",
+        "-steady_ksp_type gmres -steady_pc_type bjacobi -steady_ksp_max_it 3000 "
+        "-steady_ksp_gmres_restart 200",
+    ],
+)
+def test_other_solvers(comm, options, solver_options):
+    """Whatever solves, what it certifies is right."""
+    solver_options(options)
+    lattice = random_lattice((9, 10), 8)
+    states, _ = solve(lattice, np.linspace(0.5, 1.3, 9), [(3, 4), (8, 0)], comm)
+    assert_certified(states, lattice, [(3, 4), (8, 0)], 1e-4)
+
+
+def test_incomplete_factorization_never_passes_wrong_numbers(solver_options):
+    """bcgs with ILU(0) fails at some frequencies and must not hide it."""
+    solver_options("-steady_ksp_type bcgs -steady_pc_type ilu -steady_ksp_max_it 40")
+    lattice = random_lattice((16, 16), 8, damping=1e-3)
+    states, _ = solve(lattice, np.linspace(0.05, 1.35, 40), [(3, 4)], MPI.COMM_SELF)
+    good = [state for state in states if state.converged_reason > 0]
+    assert 0 < len(good) < len(states)
+    assert_certified(good, lattice, [(3, 4)], 1e-4)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        "-steady_ksp_type richardson -steady_pc_type none -steady_ksp_max_it 2",
+        "-steady_ksp_type gmres -steady_pc_type none -steady_ksp_max_it 1",
+        "-steady_ksp_type bcgs -steady_pc_type none -steady_ksp_max_it 1",
+        "-steady_ksp_type preonly -steady_pc_type jacobi",
+        "-steady_ksp_type preonly -steady_pc_type none",
+    ],
+)
+def test_hopeless_solvers_are_marked(comm, options, solver_options):
+    """Every point is tried, marked, and its bound still holds where it is finite."""
+    solver_options(options)
+    lattice = random_lattice((9, 10), 8)
+    states, _ = solve(lattice, np.linspace(0.1, 1.0, 10), [(3, 4)], comm)
+    reference = reference_of(lattice)
+    for state in states:
+        assert state.converged_reason <= 0
+        error = abs(state.displacement[0] - reference.amplitudes(state.omega, [(3, 4)])[0])
+        assert not error > state.error_bound[0]
+
+
+def test_no_point_of_a_sweep_suffers_from_a_failed_neighbour(solver_options):
+    """After a failure the next frequency starts afresh: it gets what it would get alone."""
+    solver_options("-steady_ksp_max_it 60 -steady_pc_type ilu -steady_ksp_type gmres")
+    lattice = random_lattice((12, 12), 8)
+    omegas = np.linspace(0.1, 1.3, 25)
+    states, _ = solve(lattice, omegas, [(3, 4)], MPI.COMM_SELF)
+    failed = [i for i, state in enumerate(states[:-1]) if state.converged_reason <= 0]
+    assert failed
+    for i in failed[:5]:
+        alone, _ = solve(lattice, omegas[i + 1], [(3, 4)], MPI.COMM_SELF)
+        assert alone[0].displacement[0] == states[i + 1].displacement[0]
+        assert alone[0].converged_reason == states[i + 1].converged_reason
+
+
+# Without damping
+
+
+def test_undamped_lattice(comm):
+    """No bound is known, and the answer is still right away from resonances."""
+    lattice = random_lattice((8, 9), 3, damping=0.0)
+    reference = reference_of(lattice)
+    lowest = math.sqrt(reference.eigenvalues()[0])
+    states, _ = solve(lattice, [lowest / 3, lowest / 2, 1.3, 1.6], [(6, 4)], comm)
+    for state in states:
+        assert np.all(np.isnan(state.error_bound))
+        assert state.converged_reason > 0
+        exact = reference.amplitudes(state.omega, [(6, 4)])[0]
+        # S is definite below the lowest and above the highest mode: well conditioned
+        assert abs(state.displacement[0] - exact) <= 1e-10 * abs(exact)
+
+
+RESONANT_SOLVERS = [
+    "",
+    "-steady_ksp_type preonly",
+    DIRECT,
+    "-steady_pc_type lu -steady_pc_factor_mat_solver_type mumps",
+]
+
+
+@pytest.mark.parametrize("options", RESONANT_SOLVERS)
+def test_nothing_passes_next_to_an_undamped_resonance(comm, options, solver_options):
+    """At the double next to an eigenfrequency no digit of the amplitude can be known.
+
+    A rounding of S, 1e-16, is then as large as its smallest eigenvalue, however small the residual.
+    """
+    solver_options(options)
+    lattice = random_lattice((8, 9), 3, damping=0.0)
+    omegas = np.sqrt(reference_of(lattice).eigenvalues()[[0, 5, 40]])
+    states, _ = solve(lattice, omegas, [(6, 4)], comm)
+    assert [state.omega for state in states if state.converged_reason > 0] == []
+
+
+@pytest.mark.parametrize(
+    ("shape", "stiffness"),
+    [((1,), 0.125), ((2,), 0.25), ((2, 2), 0.125), ((5, 5), 0.0625)],
+    ids=str,
+)
+@pytest.mark.parametrize("options", RESONANT_SOLVERS)
+def test_undamped_resonance_never_passes(comm, shape, stiffness, options, solver_options):
+    """omega = 1/2 is an eigenfrequency exactly, in doubles too, and its mode is driven: no answer.
+
+    m omega^2 = K0 (4 - 2 cos(p pi/(n+1)) - 2 cos(q pi/(n+1))) is 2 K0 for p = q = 1, n = 2, and
+    4 K0 for p = q = (n+1)/2, n odd; q is odd where n is not 3, 7, ..., so that the wall drives it.
+    """
+    solver_options(options)
+    lattice = uniform_lattice(shape, stiffness, damping=0.0)
+    assert np.abs(reference_of(lattice).eigenvalues() - 0.25).min() < 1e-14
+    states, _ = solve(lattice, [0.5], [(0,) * len(shape)], comm)
+    assert states[0].converged_reason <= 0
+
+
+def test_singular_stiffness_with_damping(comm):
+    """A ball without springs still hangs on its dashpots."""
+    lattice = Lattice(bond_arrays((4, 5), np.zeros), damping=0.01)
+    sites = [(1, 2)]
+    states, _ = solve(lattice, [0.001, 0.01, 0.3], sites, comm)
+    assert_certified(states, lattice, sites, 1e-4)
+
+
+# Reuse
+
+
+def serve(policy, iterations):
+    """Let the policy decide for frequencies that would take these iterations when reusing."""
+    fresh = []
+    for count in iterations:
+        due = policy.due()
+        policy.count(due, 1 if due else count)
+        fresh.append(due)
+    return fresh
+
+
+def test_policy_factors_at_the_start_and_after_a_restart():
+    policy = ReusePolicy()
+    policy.price = 1000.0
+    assert serve(policy, [2, 2, 2]) == [True, False, False]
+    policy.restart()
+    assert serve(policy, [2, 2]) == [True, False]
+
+
+def test_policy_with_a_limit():
+    """Refresh after the first frequency that took more than the limit."""
+    assert serve(ReusePolicy(limit=4), [9, 4, 4, 5, 9, 3]) == [
+        True,
+        False,
+        False,
+        False,
+        True,
+        False,
+    ]
+
+
+def test_policy_refreshes_where_reuse_is_dearer():
+    """A factorization for the price of one iteration is made again once reuse has shown 10."""
+    policy = ReusePolicy()
+    policy.price = 1.0
+    fresh = serve(policy, [10] * 40)
+    assert all(fresh[3:])
+
+
+def test_policy_reuses_while_that_is_cheaper():
+    policy = ReusePolicy()
+    policy.price = 50.0
+    assert serve(policy, [3] * 200).count(True) == 1
+
+
+def test_policy_comes_near_the_cheapest_constant_cycle():
+    """Iterations that grow with the age of the factorization: at most 1.3 of the best price."""
+    price, growth, points = 60.0, 2, 300
+
+    def cost(ages):
+        return sum(price + 1 if age == 0 else growth * age for age in ages)
+
+    policy = ReusePolicy()
+    policy.price = price
+    ages, age = [], 0
+    for _ in range(points):
+        due = policy.due()
+        age = 0 if due else age + 1
+        policy.count(due, 1 if due else growth * age)
+        ages.append(age)
+    best = min(cost([i % cycle for i in range(points)]) for cycle in range(1, 60))
+    assert cost(ages) <= 1.3 * best
+
+
+def test_policy_is_deterministic():
+    counts = np.random.default_rng(0).integers(1, 30, 200)
+    first, second = ReusePolicy(), ReusePolicy()
+    first.price = second.price = 40.0
+    assert serve(first, counts) == serve(second, counts)
+
+
+def test_factorization_is_reused_and_the_results_agree(comm):
+    lattice = random_lattice((15, 14), 9)
+    omegas = np.linspace(0.6, 0.6003, 31)
+    results = []
+    for refresh in (0, 1000):
+        with (
+            Operators(lattice, comm) as operators,
+            SteadySolver(operators, np.array([[5, 5]]), 1e-6, refresh) as solver,
+        ):
+            states = [solver.solve(omega) for omega in omegas]
+            if comm.size == 1:  # shared factors are so cheap here that reuse need not pay
+                assert solver.factorizations < len(omegas)
+            results.append(states)
+    assert solver.factorizations == 1  # a thousand iterations were allowed
+    assert max(state.iterations for state in states) > 0
+    for states in results:
+        assert_certified(states, lattice, [(5, 5)], 1e-6)
+
+
+def test_preonly_factors_at_each_frequency(comm, solver_options):
+    solver_options(DIRECT)
+    with (
+        Operators(random_lattice((6, 7)), comm) as operators,
+        SteadySolver(operators, np.array([[2, 2]])) as solver,
+    ):
+        for omega in np.linspace(0.6, 0.61, 7):
+            solver.solve(omega)
+        assert solver.factorizations == 7
+
+
+def test_results_after_a_restart_do_not_depend_on_the_past(comm):
+    lattice = random_lattice((10, 10), 2)
+    with (
+        Operators(lattice, comm) as operators,
+        SteadySolver(operators, np.array([[4, 5]])) as solver,
+    ):
+        first = [solver.solve(omega).displacement[0] for omega in (0.5, 0.51, 0.52)]
+        for omega in (1.1, 0.2, 0.9):
+            solver.solve(omega)
+        solver.restart()
+        assert [solver.solve(omega).displacement[0] for omega in (0.5, 0.51, 0.52)] == first
+
+
+def test_frequencies_in_any_order(comm):
+    """The line through the last two frequencies extrapolates backwards and from far away too."""
+    lattice = random_lattice((10, 10), 2)
+    omegas = [0.9, 0.3, 0.301, 1.3, 0.02, 0.3]
+    states, _ = solve(lattice, omegas, [(4, 5)], comm)
+    assert_certified(states, lattice, [(4, 5)], 1e-4)
+
+
+def test_a_frequency_asked_for_again(comm):
+    lattice = random_lattice((10, 10), 2)
+    states, _ = solve(lattice, [0.5, 0.5, 0.5, 0.51], [(4, 5)], comm)
+    assert_certified(states, lattice, [(4, 5)], 1e-4)
+
+
+def test_several_detectors_are_each_certified(comm):
+    """Also the same ball twice, and corners."""
+    lattice = random_lattice((7, 6), 3)
+    sites = [(0, 0), (6, 5), (3, 3), (3, 3), (0, 5), (6, 0)]
+    states, _ = solve(lattice, [0.2, 0.75, 1.4], sites, comm)
+    assert_certified(states, lattice, sites, 1e-4)
+
+
+# Memory
+
+
+def resident():
+    """Memory of this process, bytes."""
+    with open("/proc/self/statm") as stream:
+        return int(stream.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def test_memory_stays_flat_over_many_solves():
+    """A leaked vector a solve would be 16 kB x 10^4 = 160 MB."""
+    with (
+        Operators(random_lattice((5, 200)), MPI.COMM_SELF) as operators,
+        SteadySolver(operators, np.array([[2, 3]]), refresh_iterations=5) as solver,
+    ):
+        omegas = 0.6 + 1e-5 * np.arange(1000)
+        for omega in omegas[:100]:
+            solver.solve(omega)
+        before = resident()
+        for omega in np.tile(omegas, 2):
+            solver.solve(omega)
+        assert resident() - before < 8e6
+
+
+def test_memory_stays_flat_over_many_lattices(comm):
+    """Leaked matrices and factors of 900 balls, some 300 kB, 150 times would be 45 MB."""
+    lattice = random_lattice((30, 30))
+
+    def once():
+        with (
+            Operators(lattice, comm) as operators,
+            SteadySolver(operators, np.array([[2, 3], [4, 5]])) as solver,
+        ):
+            solver.solve(0.6)
+            operators.field(solver.field)
+
+    for _ in range(40):
+        once()
+    before = resident()
+    for _ in range(150):
+        once()
+    grown = comm.allreduce(resident() - before, MPI.MAX)
+    assert grown < 12e6
+
+
+def test_everything_is_destroyed(comm):
+    """No PETSc object outlives its owner: the log counts creations and destructions alike."""
+    PETSc.Log.begin()
+    lattice = random_lattice((6, 5))
+    with (
+        Operators(lattice, comm) as operators,
+        SteadySolver(operators, np.array([[2, 3]])) as solver,
+    ):
+        solver.solve(0.6)
+        held = [operators.K, operators.C, operators.S, operators.f, operators.da, solver.field]
+    assert all(item.handle == 0 for item in held)

@@ -1,0 +1,378 @@
+"""Results on disk: everything comes back, nothing half-written stays, no foreign file does harm."""
+
+import dataclasses
+import math
+import os
+import stat
+
+import h5py
+import numpy as np
+import pytest
+from samples import random_lattice
+
+from pgran import load, store
+from pgran.errors import FileError
+from pgran.results import LatticeRecord, Response
+
+ATTRIBUTES = {
+    "scene": "response",
+    "status": "complete",
+    "options": "-scene response\n# é\n",
+    "mpi_size": 2,
+    "seconds": 1.5,
+    "time_convention": "exp(+i omega t)",
+}
+root_only = pytest.mark.skipif(
+    "OMPI_COMM_WORLD_RANK" in os.environ and os.environ["OMPI_COMM_WORLD_RANK"] != "0",
+    reason="files are rank 0's business",
+)
+
+
+def records(shape=(4, 5), fields=True, nw=3):
+    """Records with numbers that nothing else has."""
+    rng = np.random.default_rng(1)
+    lattice = random_lattice(shape)
+    displacement = rng.normal(size=(nw, 2)) + 1j * rng.normal(size=(nw, 2))
+    response = Response(
+        factorizations=7,
+        solve_seconds=0.25,
+        phase_slope=np.array([-150.0, math.nan]),
+        phase_velocity=np.array([0.06, math.nan]),
+        phase_intercept=np.array([1.0, math.nan]),
+        phase_fit_min=0.3,
+        phase_fit_max=1.0,
+        omega=np.linspace(0.1, 1, nw),
+        detector=rng.integers(0, 4, (2, len(shape))),
+        displacement=displacement,
+        amplitude=np.abs(displacement),
+        phase=np.angle(displacement),
+        backward_error=rng.random(nw),
+        error_bound=np.array([[1e-20, math.nan]] * nw),
+        iterations=np.arange(nw),
+        converged_reason=np.array([2, 0, -3][:nw]),
+        field=rng.normal(size=(nw, *shape)) + 0j if fields else None,
+    )
+    return [LatticeRecord.of(lattice), response]
+
+
+@pytest.fixture
+def path(tmp_path):
+    """A file name; each rank has its own folder."""
+    return tmp_path / "a.h5"
+
+
+@pytest.mark.parametrize("shape", [(7,), (4, 5), (2, 3, 4), (1, 1)])
+@pytest.mark.parametrize("fields", [True, False])
+def test_everything_comes_back(path, shape, fields):
+    written = records(shape, fields)
+    store.write(path, ATTRIBUTES, written)
+    result = load(path)
+    for record in written:
+        group = getattr(result, record.group)
+        for item in dataclasses.fields(record):
+            value = getattr(record, item.name)
+            if value is None:
+                assert not hasattr(group, item.name)
+                continue
+            found = getattr(result if "of_run" in item.metadata else group, item.name)
+            assert np.array_equal(found, value, equal_nan=np.asarray(value).dtype.kind in "fc")
+            assert np.asarray(found).dtype == np.asarray(value).dtype or isinstance(value, str)
+    for name, value in ATTRIBUTES.items():
+        assert getattr(result, name) == value
+    assert result.format == "pgran"
+    assert result.format_version == 1
+    assert result.bonds_sha256 == written[0].bonds_sha256
+    assert result.response.displacement.dtype == complex
+
+
+def test_every_dataset_has_units_name_and_scales(path):
+    store.write(path, ATTRIBUTES, records((4, 5)))
+    seen = []
+
+    def check(name, item):
+        if isinstance(item, h5py.Dataset):
+            seen.append(name)
+            assert isinstance(item.attrs["units"], str)
+            assert item.attrs["units"]
+            assert item.attrs["long_name"]
+            if not h5py.h5ds.is_scale(item.id):
+                for number, dimension in enumerate(item.dims):
+                    assert len(dimension) == 1, f"{name} axis {number}"
+                    assert dimension[0].shape[0] == item.shape[number]
+
+    with h5py.File(path) as file:
+        file.visititems(check)
+        response = file["response"]
+        assert response["displacement"].dims[0][0] == response["omega"]
+        assert response["displacement"].dims[1][0] == response["detector"]
+        assert response["field"].dims[0][0] == response["omega"]
+        assert [d[0].name for d in response["field"].dims][1:] == ["/response/x", "/response/y"]
+        assert file["lattice/stiffness_x"].shape == (5, 5)
+        assert file["lattice/stiffness_y"].shape == (4, 6)
+    declared = [
+        item.name for r in records() for item in dataclasses.fields(r) if "axes" in item.metadata
+    ]
+    assert set(declared) - {"stiffness_z"} <= {name.split("/")[1] for name in seen}
+
+
+def test_stiffness_comes_back_as_a_lattice_needs_it(path):
+    for shape in [(7,), (4, 5), (2, 3, 4)]:
+        store.write(path, ATTRIBUTES, records(shape))
+        found = store.read_stiffness(path)
+        assert all(
+            np.array_equal(a, b)
+            for a, b in zip(found, random_lattice(shape).stiffness, strict=True)
+        )
+
+
+# Whole or not at all
+
+
+def test_a_result_replaces_an_older_one_whole(path):
+    store.write(path, ATTRIBUTES, records((4, 5)))
+    store.write(path, ATTRIBUTES | {"status": "unconverged"}, records((7,), fields=False))
+    result = load(path)
+    assert result.status == "unconverged"
+    assert not hasattr(result.lattice, "stiffness_y")
+    assert os.listdir(path.parent) == ["a.h5"]
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize("where", ["_write_record", "_attach", "os.replace", "os.fsync"])
+def test_a_failing_write_leaves_the_old_file(path, monkeypatch, where, error):
+    store.write(path, ATTRIBUTES, records())
+    before = path.read_bytes()
+
+    def fail(*arguments):
+        raise error
+
+    *module, name = where.split(".")
+    monkeypatch.setattr(os if module else store, name, fail)
+    expected = FileError if isinstance(error, OSError) else KeyboardInterrupt
+    with pytest.raises(expected):
+        store.write(path, ATTRIBUTES, records())
+    monkeypatch.undo()
+    assert path.read_bytes() == before
+    assert os.listdir(path.parent) == ["a.h5"]
+
+
+def test_message_of_a_failing_write(path, monkeypatch):
+    def fail(*arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(FileError, match=r"a\.h5: cannot be written: No space left"):
+        store.write(path, ATTRIBUTES, records())
+
+
+def test_a_result_is_readable_by_others(path):
+    """As any file that open() makes: the umask decides."""
+    store.write(path, ATTRIBUTES, records())
+    other = path.with_name("other")
+    other.touch()
+    assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(other.stat().st_mode)
+
+
+# check_output
+
+
+def test_existing_output_needs_leave(path):
+    path.write_text("mine")
+    with pytest.raises(FileError, match="exists already; -output_overwrite"):
+        store.check_output(path, False)
+    store.check_output(path, True)
+    assert path.read_text() == "mine"
+
+
+def test_output_folder_is_made(tmp_path):
+    store.check_output(tmp_path / "new" / "er" / "a.h5", False)
+    assert os.listdir(tmp_path / "new" / "er") == []
+
+
+def test_output_under_a_file(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(FileError, match="cannot be written"):
+        store.check_output(tmp_path / "file" / "a.h5", False)
+
+
+def test_output_is_a_folder(tmp_path):
+    (tmp_path / "a.h5").mkdir()
+    for overwrite in (False, True):
+        with pytest.raises(FileError):
+            store.check_output(tmp_path / "a.h5", overwrite)
+
+
+def test_unwritable_folder():
+    """/proc takes no files from anybody, root included."""
+    with pytest.raises(FileError, match="cannot be written"):
+        store.check_output("/proc/a.h5", False)
+
+
+# Foreign and damaged files
+
+
+def refused(path, match, read=load):
+    with pytest.raises(FileError, match=match) as caught:
+        read(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_and_other_files(tmp_path):
+    refused(tmp_path / "none.h5", "No such file")
+    refused(tmp_path, "directory")
+    (tmp_path / "text.h5").write_text("hello")
+    refused(tmp_path / "text.h5", "not an HDF5 file")
+    (tmp_path / "empty.h5").touch()
+    refused(tmp_path / "empty.h5", "not an HDF5 file")
+    with h5py.File(tmp_path / "foreign.h5", "w") as file:
+        file["x"] = 1.0
+    refused(tmp_path / "foreign.h5", "not a result of pgran")
+
+
+@pytest.mark.parametrize("version", [0, 2, "1", None])
+def test_other_format_versions(path, version):
+    store.write(path, ATTRIBUTES, records())
+    with h5py.File(path, "a") as file:
+        del file.attrs["format_version"]
+        if version is not None:
+            file.attrs["format_version"] = version
+    refused(path, "format version")
+
+
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 0.999])
+def test_truncated_files(path, part):
+    store.write(path, ATTRIBUTES, records())
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(part * len(whole))])
+    refused(path, "damaged")
+
+
+@pytest.mark.parametrize("start", [0, 8, 40, 96])
+def test_damaged_headers(path, start):
+    """The superblock overwritten. (Damage elsewhere can crash libhdf5 itself, or hang it.)"""
+    store.write(path, ATTRIBUTES, records((3, 3), fields=False))
+    damaged = bytearray(path.read_bytes())
+    damaged[start : start + 8] = b"\xff" * 8
+    path.write_bytes(damaged)
+    with pytest.raises(FileError):
+        load(path)
+
+
+def with_member(path, make):
+    """A result whose /lattice/stiffness_x is made by `make`."""
+    store.write(path, ATTRIBUTES, records())
+    with h5py.File(path, "a") as file:
+        del file["lattice/stiffness_x"]
+        make(file["lattice"])
+
+
+def both_refuse(path, match):
+    refused(path, match)
+    refused(path, match, store.read_stiffness)
+
+
+def test_soft_and_external_links(path):
+    other = path.with_name("other.h5")
+    store.write(other, ATTRIBUTES, records())
+    links = [h5py.SoftLink("/lattice/stiffness_y"), h5py.SoftLink("/lattice")]
+    for link in [*links, h5py.ExternalLink("other.h5", "/lattice/stiffness_x")]:
+        with_member(path, lambda group, link=link: group.__setitem__("stiffness_x", link))
+        both_refuse(path, "link")
+
+
+def test_external_group_link(path):
+    other = path.with_name("other.h5")
+    store.write(other, ATTRIBUTES, records())
+    store.write(path, ATTRIBUTES, records())
+    with h5py.File(path, "a") as file:
+        del file["lattice"]
+        file["lattice"] = h5py.ExternalLink("other.h5", "/lattice")
+    both_refuse(path, "link")
+
+
+def test_external_storage(path):
+    secret = path.with_name("secret")
+    secret.write_bytes(bytes(5 * 5 * 8))
+
+    def make(group):
+        group.create_dataset("stiffness_x", (5, 5), float, external=[(str(secret), 0, 5 * 5 * 8)])
+
+    with_member(path, make)
+    both_refuse(path, "another file")
+
+
+def test_virtual_dataset(path):
+    other = path.with_name("other.h5")
+    store.write(other, ATTRIBUTES, records())
+
+    def make(group):
+        layout = h5py.VirtualLayout((5, 5), float)
+        layout[...] = h5py.VirtualSource(other, "lattice/stiffness_x", (5, 5))
+        group.create_virtual_dataset("stiffness_x", layout)
+
+    with_member(path, make)
+    both_refuse(path, "another file")
+
+
+def test_far_more_declared_than_stored(path):
+    """80 GB in a few kB."""
+
+    def make(group):
+        group.create_dataset("stiffness_x", (100_000, 100_000), float, chunks=(1000, 1000))
+
+    with_member(path, make)
+    assert path.stat().st_size < 100_000
+    both_refuse(path, "declares")
+
+
+def test_text_and_records_instead_of_numbers(path):
+    for value in (b"text", np.zeros(3, [("a", float), ("b", int)])):
+        with_member(path, lambda group, value=value: group.__setitem__("stiffness_x", value))
+        both_refuse(path, "no numbers")
+
+
+def test_group_that_holds_itself(path):
+    """A hard link back to the top: endless, if it were followed."""
+    store.write(path, ATTRIBUTES, records())
+    with h5py.File(path, "a") as file:
+        file["lattice/again"] = file["lattice"]
+    with pytest.raises(FileError):
+        load(path)
+
+
+def test_bonds_that_fit_no_lattice(path):
+    for shape in [(5, 4), (6, 5), (5, 5, 5), (5,), (0, 5), (1, 5), ()]:
+        with_member(path, lambda group, s=shape: group.create_dataset("stiffness_x", s, float))
+        refused(path, "fits no lattice|holds no|no numbers", store.read_stiffness)
+
+
+def test_bonds_missing(path):
+    store.write(path, ATTRIBUTES, records())
+    with h5py.File(path, "a") as file:
+        del file["lattice/stiffness_x"]
+    refused(path, "needs /lattice/stiffness_x", store.read_stiffness)
+    with h5py.File(path, "a") as file:
+        del file["lattice"]
+    refused(path, "/lattice is missing", store.read_stiffness)
+
+
+def test_complex_bonds(path):
+    with_member(
+        path, lambda group: group.create_dataset("stiffness_x", data=np.ones((5, 5), complex))
+    )
+    refused(path, "no real numbers", store.read_stiffness)
+
+
+def test_integer_bonds_become_doubles(path):
+    with_member(path, lambda group: group.create_dataset("stiffness_x", data=np.ones((5, 5), "i2")))
+    assert store.read_stiffness(path)[0].dtype == float
+
+
+def test_bonds_file_needs_no_result(path):
+    """Any HDF5 file with the arrays will do."""
+    with h5py.File(path, "w") as file:
+        file["lattice/stiffness_x"] = np.full((3, 2), 0.1)
+        file["lattice/stiffness_y"] = np.full((2, 3), 0.2)
+    found = store.read_stiffness(path)
+    assert [k.shape for k in found] == [(3, 2), (2, 3)]
