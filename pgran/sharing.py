@@ -48,6 +48,7 @@ class Crew:
         self.groups = world.size // ranks_per_lattice
         self.number = world.rank // ranks_per_lattice
         self.group = world.Split(self.number, world.rank)
+        self._shared = 0
 
     def __enter__(self):
         """Return the crew."""
@@ -73,7 +74,9 @@ class Crew:
         deliver : callable
             Takes such an array; called on rank 0 alone, as results arrive.
         """
-        mine = units[self.number :: self.groups]
+        # A tag of its own keeps a fast rank's next results apart from a slow one's present ones.
+        self._shared += 1
+        mine = [unit for position, unit in enumerate(units) if self._takes(position)]
         awaited = len(units) - len(mine)
         sent, dtype = [], None
         for unit in mine:
@@ -81,23 +84,33 @@ class Crew:
             if self.world.rank == 0:
                 deliver(rows)
                 dtype = rows.dtype
-                while awaited and self.world.Iprobe():
+                while awaited and self.world.Iprobe(tag=self._shared):
                     deliver(self._receive(dtype))
                     awaited -= 1
             elif self.group.rank == 0:
-                sent.append((rows, self.world.Isend([rows.view(np.uint8), MPI.BYTE], dest=0)))
+                message = [rows.view(np.uint8), MPI.BYTE]
+                sent.append((rows, self.world.Isend(message, dest=0, tag=self._shared)))
         if self.world.rank == 0:
             for _ in range(awaited):
                 deliver(self._receive(dtype))
         for _, request in sent:
             request.Wait()
 
+    def _takes(self, position):
+        """Return whether the unit at a position is this group's.
+
+        The groups take turns, each round in the opposite order, which shares out evenly what is
+        sorted by size.
+        """
+        turn, place = divmod(position, self.groups)
+        return self.number == (place if turn % 2 == 0 else self.groups - 1 - place)
+
     def _receive(self, dtype):
         """Return the next unit's rows from any group."""
         status = MPI.Status()
-        self.world.Probe(status=status)
+        self.world.Probe(status=status, tag=self._shared)
         rows = np.empty(status.Get_count(MPI.BYTE) // dtype.itemsize, dtype)
-        self.world.Recv([rows.view(np.uint8), MPI.BYTE], source=status.source)
+        self.world.Recv([rows.view(np.uint8), MPI.BYTE], source=status.source, tag=self._shared)
         return rows
 
 

@@ -32,9 +32,16 @@ def respond(options):
         omega=omegas,
         displacement=displacement,
         amplitude=np.abs(displacement),
-        phase=np.unwrap(np.angle(displacement)),
+        phase=phase(displacement, options.continuum_damping),
         resonance=box.resonances(omegas[-1]),
     )
+
+
+def phase(displacement, damping):
+    """Return the unwrapped phase; without damping 0 or pi, the sign of a real amplitude."""
+    if damping == 0:
+        return np.where(displacement.real < 0, np.pi, 0.0)
+    return np.unwrap(np.angle(displacement))
 
 
 def summary(records):

@@ -1,0 +1,297 @@
+"""Normal modes K f = lambda f, lambda = m omega^2, of one slice of the spectrum, with SLEPc.
+
+The slice comes with the number of its modes (`pgran.counting`), and the solver searches until it
+has them all: an EPS (option prefix `normal_`), by default Krylov-Schur on (K - sigma)^-1, sigma in
+the middle of the slice. A Krylov space sees one vector of each eigenspace, so copies of degenerate
+modes may be missing; the search is repeated in the orthogonal complement of what was found.
+
+The complex build of SLEPc gives complex vectors. One Rayleigh-Ritz step in real arithmetic makes
+them real and orthonormal.
+"""
+
+import logging
+import math
+
+import numpy as np
+import slepc4py
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from pgran.operators import Owner
+
+slepc4py.init([])  # PETSc has its options already
+
+from slepc4py import SLEPc  # noqa: E402
+
+log = logging.getLogger(__name__)
+
+SEARCHES = 40
+RESIDUAL = 1e-12  # of |K|: what a mode must meet
+WELL = 1e-13  # of |K|: what is tried for
+# Where sigma goes, as parts of the slice: elsewhere if modes are missing, or inaccurate because
+# sigma came too close to one. An interval or a contour is widened by the difference instead.
+TARGETS = (0.5, 0.43, 0.57, 0.36, 0.64)
+
+
+class ModeSolver(Owner):
+    """Finds the modes of slices of the spectrum; destroy with `destroy` or `with`.
+
+    Not collective: each rank has a copy of its own.
+
+    Parameters
+    ----------
+    lattice : pgran.lattice.Lattice
+    K : petsc4py.PETSc.Mat
+        Its stiffness, flagged symmetric and Hermitian, of this rank alone.
+    """
+
+    def __init__(self, lattice, K):
+        """Keep what the slices share."""
+        self.lattice, self.K = lattice, K
+        self.comm = MPI.COMM_SELF
+        self.norm = K.norm(PETSc.NormType.INFINITY) or 1.0
+        self._eps = None
+
+    def destroy(self):
+        """Free the EPS. Not collective."""
+        if self._eps is not None:
+            self._eps.destroy()
+            self._eps = None
+
+    @staticmethod
+    def whole():
+        """Return whether the EPS of the options finds all modes at once, slices being no use."""
+        return _eps_type() == "lapack"
+
+    def solve(self, low, high, count):
+        """Return the modes with low < lambda < high, as far as they are found.
+
+        Parameters
+        ----------
+        low, high : float
+        count : int
+            How many there are.
+
+        Returns
+        -------
+        values : numpy.ndarray, shape (found,)
+            lambda, ascending.
+        vectors : numpy.ndarray, shape (found, *lattice.shape)
+            Real, orthonormal, the entry of largest magnitude positive.
+        residuals : numpy.ndarray, shape (found,)
+            |K f - lambda f| / |K|.
+        """
+        best, self._failure = None, "the EPS did not converge"
+        for part in TARGETS:
+            eps = self._eps = self._eps or self._make_eps()
+            found = self._search(eps, low, high, count, part)
+            modes = self._real_modes(found, low, high)
+            if _rank(modes, count) > (0, WELL) and eps.getST().getType() == "sinvert":
+                found = self._refined(eps.getST(), found)
+                modes = self._real_modes(found, low, high)
+            if self._deflated or _rank(modes, count) > (0, WELL):
+                self.destroy()  # an EPS never forgets what it was to deflate
+            if best is None or _rank(modes, count) < _rank(best, count):
+                best = modes
+            if _rank(best, count) <= (0, WELL):
+                break
+        if len(best[0]) != count:
+            log.warning(
+                "%d of %d modes found for omega^2 m from %.6g to %.6g: %s",
+                len(best[0]), count, low, high, self._failure,
+            )  # fmt: skip
+        return best
+
+    def _real_modes(self, found, low, high):
+        """Return values, shapes and residuals of the slice's real modes that vectors span."""
+        stiffness = self.lattice.stiffness
+        values, vectors = rayleigh_ritz(stiffness, self._fields(found))
+        inside = (values > low) & (values < high)
+        values, vectors = values[inside], vectors[inside]
+        missed = residuals(stiffness, values, vectors) / self.norm
+        return values, with_fixed_sign(vectors), missed
+
+    def _make_eps(self):
+        """Create an EPS, first with the defaults, then as its options say."""
+        eps = SLEPc.EPS().create(PETSc.COMM_SELF)
+        eps.setOptionsPrefix("normal_")
+        eps.setOperators(self.K)
+        eps.setProblemType(SLEPc.EPS.ProblemType.HEP)
+        eps.setType(_eps_type())
+        eps.setTolerances(1e-13, 200)
+        if eps.getType() == "lapack":
+            eps.getDS().setMethod(2)  # divide and conquer; the default QR is five times as slow
+        elif eps.getType() == "ciss":
+            eps.setWhichEigenpairs(SLEPc.EPS.Which.ALL)
+        else:
+            eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
+            st = eps.getST()
+            st.setType("sinvert")
+            ksp = st.getKSP()
+            ksp.setType("preonly")
+            ksp.getPC().setType("cholesky")
+        eps.setFromOptions()
+        return eps
+
+    def _search(self, eps, low, high, count, part):
+        """Return eigenvectors of the slice, a row each, searching on while some are missing."""
+        inside, seen = [], []
+        self._deflated = False
+        once = eps.getType() == "lapack" or eps.getWhichEigenpairs() == SLEPc.EPS.Which.ALL
+        try:
+            for _ in range(1 if once else SEARCHES):
+                self._aim(eps, low, high, count - len(inside), len(seen), part)
+                if seen:
+                    eps.setDeflationSpace(seen)
+                    self._deflated = True
+                self._start(eps, len(seen))
+                before = len(seen)
+                eps.solve()
+                self._collect(eps, low, high, inside, seen)
+                if len(inside) >= count or len(seen) == before:
+                    break
+        except PETSc.Error as error:
+            self._failure = str(error).splitlines()[-1]
+        finally:
+            for vector in seen:
+                vector.destroy()
+        return np.array(inside, dtype=complex).reshape(-1, self.lattice.balls)
+
+    def _start(self, eps, seen):
+        """Start from a random vector that depends on nothing but how many modes were seen.
+
+        Another one for each search: what the last search left out of a degenerate eigenspace is
+        orthogonal to its own.
+        """
+        vector = self.K.createVecLeft()
+        numbers = np.random.Generator(np.random.Philox(seen)).standard_normal(self.lattice.balls)
+        vector.setArray(numbers)
+        eps.setInitialSpace(vector)
+        vector.destroy()
+
+    def _collect(self, eps, low, high, inside, seen):
+        """Append the converged vectors to `seen`, and copies of those in the slice to `inside`."""
+        for number in range(eps.getConverged()):
+            vector = self.K.createVecLeft()
+            value = eps.getEigenpair(number, vector).real
+            seen.append(vector)
+            if low < value < high:
+                inside.append(vector.getArray().copy())
+
+    def _refined(self, st, found):
+        """Return x - (K - sigma)^-1 (K x - lambda x) for eigenvectors x, a row each.
+
+        An LDL^T without pivoting is that of a matrix nearby, whose modes the EPS finds. This step
+        takes out what they contain of modes farther from sigma than lambda; Rayleigh-Ritz does the
+        rest.
+        """
+        x, residual = self.K.createVecs()
+        refined = np.empty_like(found)
+        for row, vector in zip(refined, found, strict=True):
+            x.setArray(vector)
+            self.K.mult(x, residual)
+            residual.axpy(-residual.dot(x) / x.dot(x), x)
+            st.apply(residual, x)
+            row[:] = vector - x.getArray()
+        x.destroy()
+        residual.destroy()
+        return refined
+
+    def _aim(self, eps, low, high, missing, seen, part):
+        """Tell the EPS where to search, and for how many modes."""
+        width = high - low
+        margin = abs(part - TARGETS[0]) * width
+        if eps.getType() == "ciss":
+            # A flat ellipse around the slice, with room for half as many vectors again. More
+            # moments would need fewer vectors, but lose digits.
+            rg = eps.getRG()
+            rg.setType("ellipse")
+            rg.setEllipseParameters(0.5 * (low + high), 0.5 * width + margin, 0.1)
+            points, moments = 24, 2
+            block = -(-3 * missing // (2 * moments)) + 2
+            eps.setCISSSizes(points, block, moments, 1, block)
+        elif eps.getWhichEigenpairs() == SLEPc.EPS.Which.ALL:
+            eps.setInterval(low - margin, high + margin)
+        elif eps.getType() != "lapack":
+            eps.setTarget(low + part * width)
+            room = self.lattice.balls - seen
+            eps.setDimensions(missing, min(room, missing + missing // 2 + 12))
+
+    def _fields(self, vectors):
+        """Return vectors in PETSc's numbering, the first axis fastest, as arrays over the balls."""
+        axes = len(self.lattice.shape)
+        fields = vectors.reshape(len(vectors), *self.lattice.shape[::-1])
+        return fields.transpose(0, *range(axes, 0, -1))
+
+
+def _rank(modes, count):
+    """Return what makes modes of a slice better the smaller it is: missing ones, residual."""
+    values, _, missed = modes
+    return abs(count - len(values)), missed.max(initial=0.0)
+
+
+def _eps_type():
+    """Return the type of EPS that the options ask for."""
+    return PETSc.Options("normal_").getString("eps_type", "krylovschur")
+
+
+def restoring_forces(stiffness, fields):
+    """Return K f for fields of shape (count, *shape): B^T diag(k) B, bond by bond."""
+    total = np.zeros_like(fields)
+    for axis, k in enumerate(stiffness, 1):
+        stretch = np.diff(fields, axis=axis, prepend=0.0, append=0.0)
+        total -= np.diff(k * stretch, axis=axis)
+    return total
+
+
+def rayleigh_ritz(stiffness, vectors):
+    """Return the real modes in the span of complex ones.
+
+    With rows X, orthonormal and spanning whole eigenspaces of a real matrix, the projector on their
+    span is real: X^H X = Re(X)^T Re(X) + Im(X)^T Im(X). So the singular values of [Re X; Im X] are
+    1, as often as there are rows, and 0: a real orthonormal basis comes without loss of accuracy,
+    and no cluster of equal eigenvalues needs to be told from its neighbours.
+
+    Parameters
+    ----------
+    stiffness : tuple of numpy.ndarray
+    vectors : numpy.ndarray of complex, shape (count, *shape)
+
+    Returns
+    -------
+    values : numpy.ndarray, shape (count,)
+        Ascending.
+    vectors : numpy.ndarray of float, shape (count, *shape)
+    """
+    count, *shape = vectors.shape
+    if count == 0:
+        return np.zeros(0), np.zeros((0, *shape))
+    parts = np.concatenate([vectors.real, vectors.imag]).reshape(2 * count, -1)
+    weights, rotation = np.linalg.eigh(parts @ parts.T)
+    kept = weights > 0.1  # fewer than `count` if the rows are not what they should be
+    basis = (rotation[:, kept] / np.sqrt(weights[kept])).T @ parts
+    forces = restoring_forces(stiffness, basis.reshape(-1, *shape)).reshape(basis.shape)
+    energy = basis @ forces.T
+    values, rotation = np.linalg.eigh(0.5 * (energy + energy.T))
+    return values, (rotation.T @ basis).reshape(-1, *shape)
+
+
+def residuals(stiffness, values, vectors):
+    """Return |K f - lambda f| of each mode. Not collective."""
+    missed = restoring_forces(stiffness, vectors)
+    missed -= values.reshape(-1, *[1] * len(stiffness)) * vectors
+    return np.sqrt(np.sum(missed**2, axis=tuple(range(1, missed.ndim))))
+
+
+def with_fixed_sign(vectors):
+    """Return modes with their entry of largest magnitude positive. Not collective."""
+    flat = vectors.reshape(len(vectors), math.prod(vectors.shape[1:]))
+    largest = np.argmax(np.abs(flat), axis=1)
+    signs = np.where(flat[np.arange(len(flat)), largest] < 0, -1.0, 1.0)
+    return (signs[:, None] * flat).reshape(vectors.shape)
+
+
+def participation(vectors):
+    """Return 1 / sum f^4 of each mode: how many balls take part. Not collective."""
+    squares = vectors * vectors
+    return 1.0 / np.sum(squares * squares, axis=tuple(range(1, vectors.ndim)))
