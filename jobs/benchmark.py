@@ -14,15 +14,25 @@ petsc4py.init(["benchmark", "-skip_petscrc"])
 import numpy as np  # noqa: E402
 import scipy.sparse as sp  # noqa: E402
 from mpi4py import MPI  # noqa: E402
-from scipy.sparse.linalg import splu  # noqa: E402
+from scipy.sparse.linalg import eigsh, splu  # noqa: E402
 
-from pgran.lattice import Lattice  # noqa: E402
+from pgran.lattice import Lattice, bond_places  # noqa: E402
+from pgran.relaxation import draw_changes  # noqa: E402
+from pgran.scenes.modes import find_modes  # noqa: E402
+from pgran.scenes.relaxation import relax  # noqa: E402
 from pgran.scenes.response import sweep  # noqa: E402
 from pgran.sharing import Crew  # noqa: E402
 from pgran.stiffness import BondLaw  # noqa: E402
 
 WORLD = MPI.COMM_WORLD
 REPEATS = 5
+UNIFORM = BondLaw("uniform")
+# No pivoting: with it SymmetricMode fills in completely on these matrices.
+SPLU = {
+    "permc_spec": "MMD_AT_PLUS_A",
+    "diag_pivot_thresh": 0.0,
+    "options": {"SymmetricMode": True},
+}
 
 
 def laplacian(stiffness):
@@ -51,10 +61,7 @@ def scipy_sweep(lattice, omegas, site):
     for omega in omegas:
         S = K + (1j * omega * lattice.damping) * C - (lattice.mass * omega**2) * identity
         wall[-1] = lattice.stiffness[0][-1] + 1j * omega * lattice.damping
-        # No pivoting: with it SymmetricMode fills in completely on these matrices.
-        factor = splu(
-            S, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
+        factor = splu(S, **SPLU)
         amplitudes.append(factor.solve(wall.ravel())[detector])
     return np.array(amplitudes), time.perf_counter() - started
 
@@ -67,43 +74,200 @@ def pgran_sweep(lattice, omegas, site, comm):
         return response, time.perf_counter() - started
 
 
-def compare(label, side, omegas, repeats):
-    """Measure one sweep in turns: SciPy, one rank, all ranks."""
-    lattice = Lattice(BondLaw("uniform").draw((side, side), 1993), kmax=0.25)
-    site = (side * 2 // 5, side // 2)
-    seconds = {"SciPy": [], "1 rank": [], f"{WORLD.size} ranks": []}
+def scipy_relaxation(lattice, omega, site, changes):
+    """Return the amplitudes after each change, a fresh splu a step, and the seconds it took."""
+    started = time.perf_counter()
+    stiffness = [k.copy() for k in lattice.stiffness]
+    C = laplacian([np.ones_like(k) for k in stiffness])
+    constant = (1j * omega * lattice.damping) * C
+    constant -= (lattice.mass * omega**2) * sp.identity(lattice.balls, format="csc")
+    wall = np.zeros(lattice.shape, dtype=complex)
+    detector = np.ravel_multi_index(site, lattice.shape)
+    axes, places = bond_places(lattice.shape, changes.bond)
+    amplitudes = []
+    for axis, place, value in zip(axes, places, changes.stiffness, strict=True):
+        stiffness[axis][tuple(place)] = value
+        wall[-1] = stiffness[0][-1] + 1j * omega * lattice.damping
+        factor = splu((laplacian(stiffness) + constant).tocsc(), **SPLU)
+        amplitudes.append(factor.solve(wall.ravel())[detector])
+    return np.array(amplitudes), time.perf_counter() - started
+
+
+def pgran_relaxation(lattice, omega, site, comm, **choices):
+    """Return the relaxation and the seconds it took, on rank 0 of `comm`."""
+    with Crew(comm, 1) as crew:
+        started = time.perf_counter()
+        found = relax(lattice, UNIFORM, omega, site, crew, **choices)
+        return found, time.perf_counter() - started
+
+
+def in_turns(work, repeats):
+    """Return the last result and the median seconds of each kind of work, measured in turns.
+
+    `work` maps labels to pairs: on all ranks or on rank 0 alone, and what returns a result and its
+    seconds.
+    """
+    seconds, results = {label: [] for label in work}, {}
     for _ in range(repeats):
-        if WORLD.rank == 0:
-            reference, took = scipy_sweep(lattice, omegas, site)
-            seconds["SciPy"].append(took)
-            response, took = pgran_sweep(lattice, omegas, site, MPI.COMM_SELF)
-            seconds["1 rank"].append(took)
-        WORLD.Barrier()
-        _, took = pgran_sweep(lattice, omegas, site, WORLD)
-        seconds[f"{WORLD.size} ranks"].append(took)
-    if WORLD.rank > 0:
-        return
-    peer, alone, shared = (statistics.median(s) for s in seconds.values())
-    error = np.max(np.abs(response.displacement[:, 0] - reference) / np.abs(reference))
+        for label, (together, measure) in work.items():
+            WORLD.Barrier()
+            if together or WORLD.rank == 0:
+                results[label], took = measure()
+                seconds[label].append(took)
+    WORLD.Barrier()
+    return results, {k: statistics.median(v) for k, v in seconds.items() if v}
+
+
+def say(*words):
+    """Print a line on rank 0."""
+    if WORLD.rank == 0:
+        print(*words, flush=True)
+
+
+def lattice_of(side, damping=0.003):
+    """Return a square lattice at the paper's parameters, and a detector inside."""
+    lattice = Lattice(UNIFORM.draw((side, side), 1993), damping=damping, kmax=0.25)
+    return lattice, (side * 2 // 5, side // 2)
+
+
+def compare_sweeps(label, side, omegas, repeats):
+    """Measure one sweep in turns: SciPy, one rank, all ranks."""
+    lattice, site = lattice_of(side)
+    work = {
+        "scipy": (False, lambda: scipy_sweep(lattice, omegas, site)),
+        "alone": (False, lambda: pgran_sweep(lattice, omegas, site, MPI.COMM_SELF)),
+        "all": (True, lambda: pgran_sweep(lattice, omegas, site, WORLD)),
+    }
+    results, seconds = in_turns(work, repeats)
+    if WORLD.rank == 0:
+        reference, response = results["scipy"], results["alone"]
+        error = np.max(np.abs(response.displacement[:, 0] - reference) / np.abs(reference))
+        row(label, seconds["scipy"], seconds["alone"], seconds["all"], error, response.failures)
+
+
+def compare_all_modes(side, repeats):
+    """Measure all modes against NumPy's real eigh."""
+    lattice, _ = lattice_of(side, damping=0.0)
+    dense = laplacian(lattice.stiffness).toarray()
+    work = {
+        "numpy": (False, lambda: timed(np.linalg.eigh, dense)),
+        "alone": (False, lambda: pgran_modes(lattice, MPI.COMM_SELF, shapes=True)),
+        "all": (True, lambda: pgran_modes(lattice, WORLD, shapes=True)),
+    }
+    results, seconds = in_turns(work, repeats)
+    if WORLD.rank == 0:
+        values, modes = results["numpy"][0], results["alone"]
+        error = np.max(np.abs(modes.omega - np.sqrt(values)))
+        label = f"all modes of {side} x {side} (peer: eigh)"
+        row(label, seconds["numpy"], seconds["alone"], seconds["all"], error, modes.failures)
+
+
+def compare_interval(side, low, high, repeats):
+    """Measure the modes of an interval against SciPy's eigsh with sigma in its middle."""
+    lattice, _ = lattice_of(side, damping=0.0)
+    K = laplacian(lattice.stiffness)
+    count = WORLD.bcast(len(pgran_modes(lattice, MPI.COMM_SELF, interval=(low, high))[0].omega))
+    sigma = 0.5 * (low**2 + high**2)
+    work = {
+        "scipy": (False, lambda: timed(eigsh, K, k=count, sigma=sigma)),
+        "alone": (False, lambda: pgran_modes(lattice, MPI.COMM_SELF, interval=(low, high))),
+        "all": (True, lambda: pgran_modes(lattice, WORLD, interval=(low, high))),
+    }
+    results, seconds = in_turns(work, repeats)
+    if WORLD.rank == 0:
+        values, modes = np.sqrt(results["scipy"][0]), results["alone"]
+        common = [np.min(np.abs(values - omega)) for omega in modes.omega[10:-10]]
+        label = f"{count} modes of {side} x {side} (peer: eigsh)"
+        row(label, seconds["scipy"], seconds["alone"], seconds["all"], max(common), modes.failures)
+
+
+def compare_relaxations(side, steps, peer_steps, methods, repeats):
+    """Measure the price of a step by each method against a splu a step."""
+    lattice, site = lattice_of(side, damping=0.01)
+    if side > 20:
+        site = (side - 10, side // 2)
+    omega = 0.6
+    changes = draw_changes(UNIFORM, lattice.shape, 1, 0, 0, peer_steps)
+    work = {"scipy": (False, lambda: scipy_relaxation(lattice, omega, site, changes))}
+    for method in methods:
+        choices = {"steps": steps[method], "method": method}
+        work[method] = (
+            False,
+            lambda choices=choices: pgran_relaxation(
+                lattice, omega, site, MPI.COMM_SELF, **choices
+            ),
+        )
+    results, seconds = in_turns(work, repeats)
+    if WORLD.rank == 0:
+        peer = seconds["scipy"] / peer_steps
+        for method in methods:
+            price = seconds[method] / steps[method]
+            found = results[method].displacement[0, 1 : peer_steps + 1, 0]
+            reference = results["scipy"][: len(found)]
+            error = np.max(np.abs(found - reference) / np.abs(reference))
+            print(
+                f"{side} x {side}, {method:8} {1e3 * peer:10.3f} {1e3 * price:10.4f}   "
+                f"{peer / price:7.1f}   {error:.1e}",
+                flush=True,
+            )
+
+
+def compare_trajectories(repeats):
+    """Measure four trajectories on one rank and on all."""
+    lattice, site = lattice_of(20, damping=0.01)
+    choices = {"steps": 5000, "trajectories": 4}
+    work = {
+        "alone": (False, lambda: pgran_relaxation(lattice, 0.6, site, MPI.COMM_SELF, **choices)),
+        "all": (True, lambda: pgran_relaxation(lattice, 0.6, site, WORLD, **choices)),
+    }
+    _, seconds = in_turns(work, repeats)
+    if WORLD.rank == 0:
+        ratio = seconds["alone"] / seconds["all"]
+        say(f"4 trajectories of 5000 steps: {WORLD.size} ranks {ratio:.2f} times faster than 1")
+
+
+def pgran_modes(lattice, comm, **choices):
+    """Return the modes and the seconds they took, on rank 0 of `comm`."""
+    with Crew(comm, 1) as crew:
+        return timed(find_modes, lattice, crew, **choices)
+
+
+def timed(function, *arguments, **choices):
+    """Return what a function returns, and the seconds it took."""
+    started = time.perf_counter()
+    found = function(*arguments, **choices)
+    return found, time.perf_counter() - started
+
+
+def row(label, peer, alone, shared, error, failures):
+    """Print a row of the table."""
     print(
-        f"{label:34} {peer:8.3f} {alone:8.3f} {shared:8.3f}   {peer / alone:6.2f} "
-        f"{alone / shared:6.2f}   {error:.1e}  {response.failures}",
+        f"{label:36} {peer:8.3f} {alone:8.3f} {shared:8.3f}   {peer / alone:6.2f} "
+        f"{peer / shared:7.2f} {alone / shared:6.2f}   {error:.1e} {failures}",
         flush=True,
     )
 
 
 def main():
-    """Print the table."""
-    if WORLD.rank == 0:
-        print(
-            f"medians of {REPEATS} interleaved repeats, seconds\n"
-            f"{'sweep':34} {'SciPy':>8} {'1 rank':>8} {f'{WORLD.size} ranks':>8}   "
-            f"{'SciPy/1':>6} {'1/all':>6}   largest difference, failures"
-        )
+    """Print the tables."""
+    ranks = f"{WORLD.size} ranks"
+    say(f"medians of {REPEATS} interleaved repeats, seconds")
+    say(
+        f"{'':36} {'peer':>8} {'1 rank':>8} {ranks:>8}   {'peer/1':>6} {'peer/all':>7} "
+        f"{'1/all':>6}   largest difference, failures"
+    )
     paper = np.linspace(0.01, 1.3, 1291)
-    compare("20 x 20, the paper's 1291 points", 20, paper, REPEATS)
-    compare("60 x 60, 128 points to omega_mx", 60, np.linspace(0.01, 1.0, 128), REPEATS)
-    compare("200 x 200, 16 points to .5 omega_mx", 200, np.linspace(0.05, 0.5, 16), REPEATS)
+    compare_sweeps("sweep 20 x 20, the paper's 1291", 20, paper, REPEATS)
+    compare_sweeps("sweep 60 x 60, 128 frequencies", 60, np.linspace(0.01, 1.0, 128), REPEATS)
+    compare_sweeps("sweep 200 x 200, 16 frequencies", 200, np.linspace(0.05, 0.5, 16), REPEATS)
+    compare_all_modes(40, REPEATS)
+    compare_interval(100, 0.5, 0.518, REPEATS)
+    say("\nrelaxation, ms a step on one rank\n" + f"{'':18} {'splu':>12} {'pgran':>10}   ratio")
+    steps = {"window": 20000, "krylov": 2000, "direct": 2000}
+    compare_relaxations(20, steps, 500, list(steps), REPEATS)
+    steps = {"window": 512, "krylov": 16, "direct": 16}
+    compare_relaxations(200, steps, 8, list(steps), 3)
+    compare_trajectories(REPEATS)
 
 
 if __name__ == "__main__":

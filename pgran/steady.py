@@ -13,17 +13,15 @@ import numpy as np
 from petsc4py import PETSc
 
 from pgran.bounds import ErrorBounds
+from pgran.linear import TINY, System, make_ksp
 from pgran.operators import Owner
 from pgran.reuse import FACTORIZATIONS, ReusePolicy, expected_iterations, factor_price
 
 PASSES = 4  # of iterative refinement with one factorization
 SAFETY = 0.3  # aim at this part of what the tolerance allows
-TINY = 1e-300
 # Without damping no bound is known: then the residual must be of the size of rounding, and so must
 # be what this many times as much rounding does to the amplitudes.
 BACKWARD_ERROR, ROUNDING_TRIED = 1e-12, 10.0
-# Larger lattices go to MUMPS: it factors faster, but each of its solves is dearer.
-PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
 
 
 @dataclass(frozen=True)
@@ -56,43 +54,6 @@ class SteadyState:
     iterations: int
     converged_reason: int
     field_bound: float
-
-
-class System:
-    """One right-hand side of S with its solution and true residual."""
-
-    def __init__(self, rhs):
-        """Share `rhs`; own the rest."""
-        self.rhs = rhs
-        self.solution, self.residual, self.earlier = (rhs.duplicate() for _ in range(3))
-        self.norm = math.inf
-
-    def destroy(self):
-        """Free what is owned. Collective."""
-        for held in (self.solution, self.residual, self.earlier):
-            held.destroy()
-
-    def advance(self):
-        """Make room for the next solution; this one becomes the earlier one."""
-        self.solution, self.earlier = self.earlier, self.solution
-
-    def start_from_zero(self):
-        """Guess nothing."""
-        self.solution.set(0.0)
-        self.rhs.copy(self.residual)
-        self.norm = self.residual.norm()
-
-    def start_from_line(self, step, matrix):
-        """Guess by a straight line through the last two solutions, `step` of their distance on."""
-        self.solution.scale(-step)
-        self.solution.axpy(1.0 + step, self.earlier)
-        self.update_residual(matrix)
-
-    def update_residual(self, matrix):
-        """Compute the true residual and its norm. Collective."""
-        matrix.mult(self.solution, self.residual)
-        self.residual.aypx(-1.0, self.rhs)
-        self.norm = self.residual.norm()
 
 
 class SteadySolver(Owner):
@@ -146,7 +107,9 @@ class SteadySolver(Owner):
             self._adjoints = [System(self._unit_vector(number)) for number in self._numbers]
         self._systems = [self._primal, *self._adjoints]
         self._policy = ReusePolicy(refresh_iterations)
-        self._make_ksp()
+        self._ksp = make_ksp(operators)
+        self._longest = self._ksp.getTolerances()[3]
+        self._direct = self._ksp.getType() == "preonly"
         self.restart()
 
     @property
@@ -360,22 +323,3 @@ class SteadySolver(Owner):
             vector.setValue(number, 1.0)
         vector.assemble()
         return vector
-
-    def _make_ksp(self):
-        """Create the KSP, first with the defaults, then as its options say."""
-        operators = self.operators
-        self._ksp = ksp = PETSc.KSP().create(operators.comm)
-        ksp.setOptionsPrefix("steady_")
-        ksp.setOperators(operators.S)
-        ksp.setType("bcgs")
-        ksp.setTolerances(rtol=1e-13, max_it=1000)
-        pc = ksp.getPC()
-        pc.setType("cholesky")
-        alone = operators.comm.size == 1
-        if not (alone and operators.balls <= PETSC_FACTORS[len(operators.shape)]):
-            pc.setFactorSolverType("mumps")
-        ksp.setFromOptions()
-        self._longest = ksp.getTolerances()[3]
-        self._direct = ksp.getType() == "preonly"
-        if not self._direct:
-            ksp.setInitialGuessKnoll(True)

@@ -1,0 +1,72 @@
+"""Linear systems with the matrix S: the KSP that solves them, and a right-hand side's state."""
+
+import math
+
+from petsc4py import PETSc
+
+TINY = 1e-300
+# Larger lattices go to MUMPS: it factors faster, but each of its solves is dearer.
+PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
+
+
+class System:
+    """One right-hand side of S with its solution and true residual."""
+
+    def __init__(self, rhs):
+        """Share `rhs`; own the rest."""
+        self.rhs = rhs
+        self.solution, self.residual, self.earlier = (rhs.duplicate() for _ in range(3))
+        self.norm = math.inf
+
+    def destroy(self):
+        """Free what is owned. Collective."""
+        for held in (self.solution, self.residual, self.earlier):
+            held.destroy()
+
+    def advance(self):
+        """Make room for the next solution; this one becomes the earlier one."""
+        self.solution, self.earlier = self.earlier, self.solution
+
+    def start_from_zero(self):
+        """Guess nothing."""
+        self.solution.set(0.0)
+        self.rhs.copy(self.residual)
+        self.norm = self.residual.norm()
+
+    def start_from_line(self, step, matrix):
+        """Guess by a straight line through the last two solutions, `step` of their distance on."""
+        self.solution.scale(-step)
+        self.solution.axpy(1.0 + step, self.earlier)
+        self.update_residual(matrix)
+
+    def update_residual(self, matrix):
+        """Compute the true residual and its norm. Collective."""
+        matrix.mult(self.solution, self.residual)
+        self.residual.aypx(-1.0, self.rhs)
+        self.norm = self.residual.norm()
+
+
+def make_ksp(operators):
+    """Return the KSP for S, with the defaults, then as its options say (prefix `steady_`).
+
+    Collective. The caller destroys it.
+
+    Parameters
+    ----------
+    operators : pgran.operators.Operators
+    """
+    ksp = PETSc.KSP().create(operators.comm)
+    ksp.setOptionsPrefix("steady_")
+    ksp.setOperators(operators.S)
+    ksp.setType("bcgs")
+    ksp.setTolerances(rtol=1e-13, max_it=1000)
+    pc = ksp.getPC()
+    pc.setType("cholesky")
+    alone = operators.comm.size == 1
+    if not (alone and operators.balls <= PETSC_FACTORS[len(operators.shape)]):
+        pc.setFactorSolverType("mumps")
+    ksp.setFromOptions()
+    if ksp.getType() != "preonly":
+        # The preconditioner applied once is the solution already if it is a fresh factorization.
+        ksp.setInitialGuessKnoll(True)
+    return ksp
