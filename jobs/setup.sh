@@ -101,10 +101,12 @@ make_venv() {
   for name in "${extras[@]}"; do
     .venv/bin/python -c "import $name" 2>/dev/null || missing+=("$name")
   done
-  .venv/bin/python -m pip install -q "$ruff" "${missing[@]}" ||
-    say "not installed (no PyPI?): $ruff ${missing[*]}; figures or tests will lack them"
+  local complete=yes
+  for name in "$ruff" "${missing[@]}"; do
+    .venv/bin/python -m pip install -q "$name" || { complete=; say "$name: not installed (no PyPI?)"; }
+  done
   .venv/bin/python -c 'import pgran'
-  touch .venv/complete
+  [ -z "$complete" ] || touch .venv/complete # else the next call tries again
 }
 
 if [ ! -e .venv/complete ] || [ pyproject.toml -nt .venv/complete ] || [ jobs/setup.sh -nt .venv/complete ]; then
@@ -119,3 +121,4 @@ source .venv/bin/activate
 export OMP_NUM_THREADS=1
 # Open MPI refuses root (a container) and more ranks than cores unless told so.
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 OMPI_MCA_rmaps_base_oversubscribe=1
+export PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe # the same for Open MPI 5

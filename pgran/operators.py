@@ -5,11 +5,13 @@ of bonds and balls. Both and S = K + i omega beta C - m omega^2 share one nonzer
 is combined anew for each frequency without assembly, and factored symbolically only once.
 """
 
+from functools import cached_property
+
 import numpy as np
 from petsc4py import PETSc
 
 from pgran.errors import InputError
-from pgran.lattice import bond_shape
+from pgran.lattice import bond_count, bond_shape
 
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 
@@ -91,51 +93,70 @@ class Operators(Owner):
         self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
 
+    @cached_property
     def bond_ends(self):
-        """Return which balls each bond joins, and which bonds end at the driven wall.
+        """The balls that each bond joins: PETSc's numbers, -1 for a wall, shape (bonds, 2).
 
-        Collective.
-
-        Returns
-        -------
-        ends : numpy.ndarray of int, shape (bonds, 2)
-            PETSc's numbers of the balls below and above along the bond's axis, -1 for a wall.
-        driven : numpy.ndarray of bool, shape (bonds,)
+        Collective when first asked for. Bonds are numbered axis after axis, each array in C order;
+        the end below comes first.
         """
-        ends, driven = [], []
+        below, above = [], []
         for axis in range(len(self.shape)):
             sites = np.indices(bond_shape(self.shape, axis)).reshape(len(self.shape), -1)
-            for step in (-1, 0):
+            for ends, step in ((below, -1), (above, 0)):
                 ball = sites.copy()
                 ball[axis] += step
                 inside = (ball[axis] >= 0) & (ball[axis] < self.shape[axis])
                 number = np.full(ball.shape[1], -1, dtype=PETSc.IntType)
                 number[inside] = self.numbers(ball[:, inside].T)
                 ends.append(number)
-            driven.append((sites[axis] == self.shape[axis]) & (axis == 0))
-        below, above = (np.concatenate(ends[side::2]) for side in (0, 1))
-        return np.stack([below, above], axis=1), np.concatenate(driven)
+        return np.stack([np.concatenate(below), np.concatenate(above)], axis=1)
 
-    def change_bonds(self, ends, driven, changes):
-        """Add `changes` to some bond constants, in K and in the drive; S waits for `combine`.
+    @cached_property
+    def driven_bonds(self):
+        """Which bonds end at the driven wall, shape (bonds,). Not collective."""
+        along = np.zeros(bond_shape(self.shape, 0), dtype=bool)
+        along[-1] = True
+        return np.pad(along.ravel(), (0, bond_count(self.shape) - along.size))
 
-        Collective.
+    @cached_property
+    def _bonds_of_balls(self):
+        """The bonds of each ball, in PETSc's numbering, shape (balls, 2 dim)."""
+        ends = self.bond_ends.ravel()
+        order = np.argsort(ends, kind="stable")[np.count_nonzero(ends < 0) :]
+        return (order // 2).reshape(self.balls, -1)
+
+    def change_bonds(self, bonds, constants):
+        """Set some bond constants anew, in K and in the drive; S waits for `combine`.
+
+        Collective. What K was before leaves no rounding behind.
 
         Parameters
         ----------
-        ends, driven : numpy.ndarray, shapes (n, 2) and (n,)
-            The bonds, rows of what `bond_ends` returns.
-        changes : numpy.ndarray, shape (n,)
+        bonds : numpy.ndarray of int, shape (n,)
+            Numbers of the bonds that change.
+        constants : numpy.ndarray, shape (bonds,)
+            The constants of all bonds after the change.
         """
         first, last = self.K.getOwnershipRange()
-        mine = np.where((ends >= first) & (ends < last), ends, -1)  # PETSc passes over row -1
-        values = np.outer(changes, [1.0, -1.0, -1.0, 1.0]).astype(PETSc.ScalarType)
-        self.K.setValuesRCV(mine, ends, values, addv=PETSc.InsertMode.ADD)
+        ends = self.bond_ends[bonds]
+        rows, columns = ends.ravel(), ends[:, ::-1].ravel()
+        joined = (rows >= first) & (rows < last) & (columns >= 0)
+        self._insert(rows[joined], columns[joined], -np.repeat(constants[bonds], 2)[joined])
+        balls = np.unique(rows[(rows >= first) & (rows < last)])
+        self._insert(balls, balls, constants[self._bonds_of_balls[balls]].sum(axis=1))
         self.K.assemble()
-        if np.any(driven):
-            here = driven & (mine[:, 0] >= 0)
-            self.f_stiffness.setValues(ends[here, 0], changes[here], addv=PETSc.InsertMode.ADD)
+        driven = bonds[self.driven_bonds[bonds]]
+        if len(driven):
+            balls = self.bond_ends[driven, 0]
+            mine = (balls >= first) & (balls < last)
+            self.f_stiffness.setValues(balls[mine], constants[driven[mine]])
             self.f_stiffness.assemble()
+
+    def _insert(self, rows, columns, values):
+        """Insert single entries of K, all of this rank's rows."""
+        if len(rows):  # petsc4py divides by zero otherwise
+            self.K.setValuesRCV(rows[:, None], columns[:, None], values[:, None].astype(complex))
 
     def set_stiffness(self, stiffness):
         """Replace all bond constants, in K and in the drive; S waits for `combine`. Collective."""

@@ -51,7 +51,7 @@ class Progress:
         if self.bar is not None:
             self.bar.update(count)
         now = time.monotonic()
-        if self.lines and now - self.said >= self.seconds_between_lines:
+        if self.lines and self.done and now - self.said >= self.seconds_between_lines:
             self.said = now
             left = (now - self.started) * (self.total - self.done) / self.done
             print(

@@ -19,7 +19,8 @@ from petsc4py import PETSc
 
 from pgran.errors import InputError
 from pgran.lattice import bond_arrays, bond_count
-from pgran.operators import Owner
+from pgran.operators import SAME, Owner
+from pgran.steady import BACKWARD_ERROR
 from pgran.stiffness import unit_numbers
 
 COLUMNS = 32  # right-hand sides solved for at once
@@ -126,7 +127,6 @@ class Network:
         """Start from the lattice's bonds."""
         self.shape, self.operators, self.draw = lattice.shape, operators, draw
         self.initial = np.concatenate([k.ravel() for k in lattice.stiffness])
-        self.ends, self.driven = operators.bond_ends()
         self.bonds = self.initial.copy()
         self.trajectory, self.step = 0, 0
 
@@ -136,7 +136,7 @@ class Network:
             self.bonds[:] = self.initial
             self.step = 0
         changes = self.draw(trajectory, self.step, step - self.step)
-        self.bonds[changes.bond] = changes.stiffness  # of several of one bond the last holds
+        self.bonds[changes.bond] = changes.stiffness
         self.trajectory, self.step = trajectory, step
         self.operators.set_stiffness(bond_arrays(self.shape, self.bonds))
 
@@ -150,12 +150,8 @@ class Network:
 
     def apply(self, changes):
         """Carry out the changes of the next steps. Collective."""
-        bonds, last = np.unique(changes.bond[::-1], return_index=True)
-        stiffness = changes.stiffness[::-1][last]
-        self.operators.change_bonds(
-            self.ends[bonds], self.driven[bonds], stiffness - self.bonds[bonds]
-        )
-        self.bonds[bonds] = stiffness
+        self.bonds[changes.bond] = changes.stiffness  # of several of one bond the last holds
+        self.operators.change_bonds(np.unique(changes.bond), self.bonds)
         self.step += len(changes)
 
 
@@ -187,15 +183,16 @@ class Windows(Owner):
         self.network, self.solver, self.omega = network, solver, omega
         self.comm = network.operators.comm
         rows = network.operators.f.getSizes()
-        self._rhs, self._found = (
-            PETSc.Mat().createDense((rows, (None, COLUMNS)), comm=self.comm) for _ in range(2)
+        self._rhs, self._found, self._residual = (
+            PETSc.Mat().createDense((rows, (None, COLUMNS)), comm=self.comm) for _ in range(3)
         )
-        for block in (self._rhs, self._found):
+        for block in (self._rhs, self._found, self._residual):
             block.setUp()
+            block.assemble()
 
     def destroy(self):
         """Free the blocks. Collective."""
-        for block in (self._rhs, self._found):
+        for block in (self._rhs, self._found, self._residual):
             block.destroy()
 
     def start(self):
@@ -221,27 +218,36 @@ class Windows(Owner):
         Returns
         -------
         numpy.ndarray, shape (n, nd)
-            n is smaller than the number of changes, even 0, if more would lose too many digits.
+            n is smaller than the number of changes, even 0, where more would miss the accuracy.
         """
-        network = self.network
-        ends = network.ends[changes.bond]
+        operators, before = self.network.operators, self.state.displacement
+        ends = operators.bond_ends[changes.bond]
+        flexibility = self._flexibility(ends)
+        if self.state.converged_reason <= 0 or flexibility is None:
+            return np.empty((0, len(before)), dtype=complex)
         fields = np.stack([v.getArray(readonly=True) for v in self.solver.solutions], axis=1)
         stretch = self._stretch(fields, ends)
-        w = stretch[:, 0] + network.driven[changes.bond]
+        w = stretch[:, 0] + operators.driven_bonds[changes.bond]
         increments, rounding = march(
-            self._flexibility(ends), w, stretch[:, 1:], network.differences(changes)
+            flexibility, w, stretch[:, 1:], self.network.differences(changes)
         )
-        before = self.state.displacement
         after = before + np.cumsum(increments, axis=0)
         loss = EPSILON * np.abs(before) + np.cumsum(rounding, axis=0)
-        kept = np.all(loss <= LARGEST_LOSS * np.abs(after), axis=1)
+        error = loss + np.nan_to_num(self.state.error_bound)
+        kept = loss <= LARGEST_LOSS * np.abs(after)
+        kept &= error <= self.solver.tolerance * np.abs(after)
+        kept = np.all(kept, axis=1)
         return after[: len(after) if np.all(kept) else np.argmin(kept)]
 
     def _flexibility(self, ends):
-        """Return b^T S^-1 b' for all pairs of bonds, from block solves with the factorization."""
-        factor = self.solver.factor
+        """Return b^T S^-1 b' for all pairs of bonds, from block solves with the factorization.
+
+        None if the factorization does not solve: a KSP may make up for an inexact one, this cannot.
+        """
+        S, factor = self.network.operators.S, self.solver.factor
+        scale = S.norm(PETSc.NormType.INFINITY)
         first, last = self._rhs.getOwnershipRange()
-        columns = []
+        columns, exact = [], True
         for start in range(0, len(ends), COLUMNS):
             chunk = ends[start : start + COLUMNS]
             block = self._rhs.getDenseArray()
@@ -253,7 +259,11 @@ class Windows(Owner):
             factor.matSolve(self._rhs, self._found)
             found = self._found.getDenseArray(readonly=True)[:, : len(chunk)]
             columns.append(self._stretch(found, ends))
-        return np.concatenate(columns, axis=1)
+            allowed = scale * self._found.norm() + self._rhs.norm()
+            S.matMult(self._found, self._residual)
+            self._residual.axpy(-1.0, self._rhs, structure=SAME)
+            exact = exact and self._residual.norm() <= BACKWARD_ERROR * allowed
+        return np.concatenate(columns, axis=1) if exact else None
 
     def _stretch(self, fields, ends):
         """Return b^T x for each bond b and each column x of this rank's rows, on every rank."""

@@ -140,7 +140,7 @@ class Projection:
     )
     dominant: np.ndarray = array("mode of the largest coefficient; -1: none", "1", "omega")
     error_bound: np.ndarray = array(
-        "bound of the error of each coefficient; NaN: none is known", "1", "omega"
+        "bound of the field's part in each coefficient's error; NaN: none is known", "1", "omega"
     )
     converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega")
 

@@ -193,7 +193,10 @@ class SteadySolver(Owner):
                 break
             if self._reason < 0 and not fresh:
                 break
-            if previous and not np.any(state.error_bound < 0.5 * previous.error_bound):
+            if previous and not (
+                np.any(state.error_bound < 0.5 * previous.error_bound)
+                or state.field_bound < 0.5 * previous.field_bound
+            ):
                 break
         return state
 
@@ -270,7 +273,7 @@ class SteadySolver(Owner):
         displacement = self._readings.getArray().copy()
         bound = np.full(len(displacement), math.nan)
         size, field_bound = primal.solution.norm(), math.nan
-        backward_error = primal.norm / (scale * size + primal.rhs.norm())
+        backward_error = primal.norm / max(scale * size + primal.rhs.norm(), TINY)
         for d, adjoint in enumerate(self._adjoints):
             displacement[d] += adjoint.solution.tDot(primal.residual)
         self._bounds.rounding(omega, primal.solution)
@@ -299,6 +302,8 @@ class SteadySolver(Owner):
         self._ksp.setTolerances(atol=0.01 * residual.norm())
         self._ksp.solve(residual, self._correction)
         self._iterations += self._ksp.getIterationNumber()
+        if self._ksp.getConvergedReason() <= 0:
+            return False
         self._scatter.scatter(self._correction, self._readings)
         allowed = self.tolerance / ROUNDING_TRIED
         good = np.all(np.abs(self._readings.getArray()) <= allowed * np.abs(displacement))

@@ -82,8 +82,9 @@ def test_pattern_and_symmetry_do_not_change(comm):
         assert patterns[0] == patterns[1] == patterns[2]
         for matrix in (operators.K, operators.C, operators.S):
             assert matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] == entries
-        change(operators, 1, (2, 2), 0.1)
-        change(operators, 0, (6, 0), 0.1)
+        arrays = [k.copy() for k in lattice.stiffness]
+        change(operators, arrays, 1, (2, 2), 0.1)
+        change(operators, arrays, 0, (6, 0), 0.1)
         operators.combine(0.5)
         assert [part.tolist() for part in operators.S.getRowIJ()[:2]] == patterns[0]
         assert operators.S.isSymmetricKnown() == (True, True)
@@ -135,29 +136,28 @@ def some_bonds(shape):
     return [bond for found in sorts.values() for bond in (found[0], found[-1])]
 
 
-def change(operators, axis, index, by):
-    """Change one bond through the public table of bonds: axis after axis, each in C order."""
+def change(operators, arrays, axis, index, by):
+    """Change one bond; bonds are numbered axis after axis, each in C order."""
     table = list(bonds(operators.shape))
-    row = next(n for n, (a, i, *_) in enumerate(table) if (a, i) == (axis, index))
-    ends, driven = operators.bond_ends()
-    assert len(ends) == len(table)
-    operators.change_bonds(ends[row : row + 1], driven[row : row + 1], np.array([by]))
+    assert len(operators.bond_ends) == len(operators.driven_bonds) == len(table)
+    number = next(n for n, (a, i, *_) in enumerate(table) if (a, i) == (axis, index))
+    arrays[axis][index] += by
+    constants = np.concatenate([k.ravel() for k in arrays])
+    operators.change_bonds(np.array([number]), constants)
 
 
 def test_change_of_many_bonds_at_once(comm, shape):
-    """Every bond by its own amount, some twice; and all replaced, by `set_stiffness`."""
+    """Every second bond; and all replaced, by `set_stiffness`."""
     lattice = random_lattice(shape, 11)
     arrays = [k.copy() for k in lattice.stiffness]
-    rows = [*range(len(list(bonds(shape)))), 0, 0]
-    changes = np.random.default_rng(2).uniform(-0.1, 0.5, len(rows))
     table = list(bonds(shape))
-    for row, by in zip(rows, changes, strict=True):
-        axis, index, *_ = table[row]
-        arrays[axis][index] += by
+    changed = np.arange(0, len(table), 2)
+    for number in changed:
+        axis, index, *_ = table[number]
+        arrays[axis][index] = 0.01 * number
     reference = Reference(arrays)
     with Operators(lattice, comm) as operators:
-        ends, driven = operators.bond_ends()
-        operators.change_bonds(ends[rows], driven[rows], changes)
+        operators.change_bonds(changed, np.concatenate([k.ravel() for k in arrays]))
         for _ in range(2):
             operators.combine(0.6)
             S, f = reference.system(0.6)
@@ -175,8 +175,7 @@ def test_change_of_a_bond_equals_new_operators(comm, shape):
     with Operators(lattice, comm) as operators:
         for number, (axis, index) in enumerate([*touched, *touched[:2]]):
             by = 0.01 * (number + 1)
-            arrays[axis][index] += by
-            change(operators, axis, index, by)
+            change(operators, arrays, axis, index, by)
             reference = Reference(arrays)
             operators.combine(0.6)
             S, f = reference.system(0.6)
@@ -194,10 +193,11 @@ def test_change_and_back(comm):
     lattice = Lattice(tuple(np.full(k, 0.25) for k in [(6, 4), (5, 5)]))
     with Operators(lattice, comm) as operators:
         before = dense(operators.K, operators)
+        arrays = [k.copy() for k in lattice.stiffness]
         for axis, index in some_bonds((5, 4)):
-            change(operators, axis, index, 0.5)
+            change(operators, arrays, axis, index, 0.5)
             assert not np.array_equal(dense(operators.K, operators), before)
-            change(operators, axis, index, -0.5)
+            change(operators, arrays, axis, index, -0.5)
             assert np.array_equal(dense(operators.K, operators), before)
 
 

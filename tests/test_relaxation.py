@@ -97,7 +97,7 @@ def test_repeated_bonds_and_the_driven_wall():
         SteadySolver(operators, [[0, 1]], adjoints=True) as solver,
     ):
         network = Network(lattice, operators, None)
-        assert np.all(network.driven[bonds])
+        assert np.all(operators.driven_bonds[bonds])
         with Windows(network, solver, 0.4) as windows:
             windows.start()
             after = windows.follow(Changes(bonds, stiffness))
@@ -201,6 +201,44 @@ def test_a_lattice_that_all_ranks_share(world):
     alone = solve(lattice, [2, 2], steps=100)
     together = solve(lattice, [2, 2], world, steps=100, together=True)
     assert np.max(np.abs(alone.displacement - together.displacement)) < 1e-12
+
+
+def test_an_inexact_factorization_serves_no_window(solver_options):
+    """KLU solves with the conjugate matrix: a KSP makes up for it, block solves cannot."""
+    solver_options("-steady_pc_type lu -steady_pc_factor_mat_solver_type klu")
+    lattice = random_lattice((5, 4), seed=6, damping=0.1)
+    relaxation = solve(lattice, [2, 2], steps=30)
+    good = np.flatnonzero(~np.isnan(relaxation.displacement[0, :, 0]))
+    assert relaxation.factorizations >= 30
+    assert largest_error(lattice, relaxation, good) <= 1e-4
+
+
+def test_what_misses_the_tolerance_is_marked_within_windows_too():
+    lattice = random_lattice((6, 6), seed=4, damping=0.01, law="wide")
+    relaxation = solve(lattice, [2, 2], steps=100, error_tolerance=1e-17)
+    assert relaxation.failures == 101
+
+
+def test_bounds_hold_after_many_changes_of_very_different_bonds():
+    """What large constants leave behind in K would be more than small ones are."""
+    law = BondLaw("loguniform", kmin=1e-9, kmax=1e6)
+    lattice = random_lattice((2,), damping=0.01)
+
+    def draw(trajectory, first, count):
+        return draw_changes(law, (2,), 3, trajectory, first, count)
+
+    with (
+        Operators(lattice, MPI.COMM_SELF) as operators,
+        SteadySolver(operators, [[0], [1]]) as solver,
+    ):
+        network = Network(lattice, operators, draw)
+        for step in range(200):
+            network.apply(draw(0, step, 1))
+            solver.restart()
+            state = solver.solve(0.6)
+            exact = Reference(bond_arrays((2,), network.bonds), damping=0.01)
+            error = np.abs(state.displacement - exact.amplitudes(0.6, [[0], [1]]))
+            assert np.all(error <= state.error_bound)
 
 
 def test_trajectories_start_alike_and_part():

@@ -107,12 +107,13 @@ def find_modes(
         expected = sum(size for *_, size in slices)
         with (
             ModeSolver(lattice, K) as solver,
-            Progress(expected, "modes", progress if root else "none") as counter,
+            Progress(expected, "modes", progress if root else "none") as done,
         ):
 
-            def work(piece):
-                values, vectors, missed = solver.solve(*piece)
+            def work(number):
+                values, vectors, missed = solver.solve(*slices[number])
                 rows = np.zeros(len(values), row)
+                rows["slice"] = number
                 rows["value"] = values
                 rows["residual"] = missed
                 rows["participation"] = participation(vectors)
@@ -122,13 +123,13 @@ def find_modes(
 
             def deliver(rows):
                 found.append(rows)
-                counter.advance(len(rows))
+                done.advance(len(rows))
 
-            crew.share(slices, work, deliver)
+            crew.share(range(len(slices)), work, deliver)
     if not root:
         return None
     modes = np.concatenate([np.zeros(0, row), *found])
-    return _assemble(lattice, modes, expected, targets, count, started)
+    return _assemble(lattice, modes, slices, targets, count, started)
 
 
 def _intervals(lattice, counter, world, interval, targets, count):
@@ -163,13 +164,16 @@ def _slices(counter, world, intervals):
 
 def _mode_dtype(shape):
     """Return the dtype that a mode travels in."""
-    fields = [("value", float), ("residual", float), ("participation", float)]
+    fields = [("slice", int), ("value", float), ("residual", float), ("participation", float)]
     return np.dtype(fields + ([("vector", float, shape)] if shape else []))
 
 
-def _assemble(lattice, modes, expected, targets, count, started):
-    """Return the Modes that the rows of all slices make up."""
-    certified = len(modes) == expected and bool(np.all(modes["residual"] <= RESIDUAL))
+def _assemble(lattice, modes, slices, targets, count, started):
+    """Return the Modes that the rows of all slices make up, certified slice by slice."""
+    sizes = [size for *_, size in slices]
+    expected = sum(sizes)
+    found = np.bincount(modes["slice"], minlength=len(slices))
+    certified = np.array_equal(found, sizes) and bool(np.all(modes["residual"] <= RESIDUAL))
     modes = modes[np.argsort(modes["value"], kind="stable")]
     # zero modes come out as rounding, of either sign
     omega = np.sqrt(np.maximum(modes["value"], 0.0) / lattice.mass)

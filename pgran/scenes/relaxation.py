@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 
+from pgran.errors import InputError
 from pgran.lattice import bond_count, bond_places, detector_sites
 from pgran.operators import Operators
 from pgran.progress import Progress
@@ -44,13 +45,14 @@ def run(options, world):
     if relaxation is None:
         return None
     records = [LatticeRecord.of(lattice), relaxation]
-    series = relaxation.amplitude[:, :, 0]
     if relaxation.failures:
         log.warning("no spectrum: some steps have no amplitude")
-    elif np.ptp(series) == 0:
-        log.warning("no spectrum: the amplitude does not change")
-    else:
-        records.append(power_spectrum(series, *window, memory=bond_count(lattice.shape)))
+        return records
+    try:
+        series, memory = relaxation.amplitude[:, :, 0], bond_count(lattice.shape)
+        records.append(power_spectrum(series, *window, memory=memory))
+    except InputError as error:
+        log.warning("no spectrum: %s", error)
     return records
 
 
@@ -209,13 +211,16 @@ def march_windows(network, solver, omega, changes, window, method):
     window before made of it.
     """
     found = np.empty((len(changes) + 1, len(solver.solutions) - 1), dtype=complex)
-    done, known, drift = 0, 0, 0.0
+    done, begun, known, drift = 0, 0, 0, 0.0
     with Windows(network, solver, omega) as windows:
         while True:
             start = good(windows.start())
             if done and known == done:
-                drift = max(drift, np.max(np.abs(found[done] - start) / np.abs(start)))
-            found[done] = start
+                gap = np.max(np.abs(found[done] - start) / np.abs(start))
+                drift = max(drift, gap)
+                if gap > solver.tolerance:
+                    found[begun + 1 : done] = np.nan
+            found[done], begun = start, done
             if done == len(changes):
                 return found, drift
             after = windows.follow(changes[done : done + window])
