@@ -223,20 +223,20 @@ MODES = (
         low=1
     ),
 )  # fmt: skip
-# Modes are computed with a copy of the lattice on every rank, and seen by no detector.
+# Modes are seen by no detector.
 MODES_LATTICE = tuple(option for option in LATTICE if option.name != "detectors")
-MODES_RUN = tuple(option for option in RUN if option.name != "ranks_per_lattice")
 SHAPES = Option("output_fields", FLAG, False, "store the shapes of the modes")
 FIELDS = Option("output_fields", FLAG, False, "store the whole field at every frequency")
 
 SCENES = {
     "response": (*LATTICE, *SWEEP, *STEADY, *PHASE, *RUN, FIELDS),
-    "continuum": (*CONTINUUM, *SWEEP, *MODES_RUN),
-    "modes": (*MODES_LATTICE, *MODES, *MODES_RUN, SHAPES),
+    "continuum": (*CONTINUUM, *SWEEP, *RUN),
+    "modes": (*MODES_LATTICE, *MODES, *RUN, SHAPES),
     "relaxation": (*LATTICE, *RELAXATION, *STEADY, *RUN),
-    "projection": (*MODES_LATTICE, *SWEEP, *STEADY, *MODES, *MODES_RUN),
+    "projection": (*MODES_LATTICE, *SWEEP, *STEADY, *MODES, *RUN),
 }
 WITHOUT_PETSC = ("continuum",)
+LATTICES_SHARED = ("response", "relaxation")  # where several ranks may share a lattice
 SCENE = Option("scene", TEXT, None, "the experiment", choices=tuple(SCENES))
 
 

@@ -11,7 +11,15 @@ import shlex
 from dataclasses import dataclass
 
 from pgran.errors import FileError, InputError, describe
-from pgran.options import PETSC_BEGINNINGS, PETSC_KEYS, SCENE, SCENES, SOLVER_PREFIXES, nearest
+from pgran.options import (
+    LATTICES_SHARED,
+    PETSC_BEGINNINGS,
+    PETSC_KEYS,
+    SCENE,
+    SCENES,
+    SOLVER_PREFIXES,
+    nearest,
+)
 
 
 @dataclass(frozen=True)
@@ -21,6 +29,11 @@ class Given:
     key: str
     text: str
     where: str
+
+    @property
+    def rank(self):
+        """What wins: the command line over the file over the environment."""
+        return 2 if not self.where else 0 if "PETSC_OPTIONS" in self.where else 1
 
 
 class Options:
@@ -129,9 +142,9 @@ def resolve(given, output_file=None):
         elif key != "scene":
             _check_foreign(key, item, scene, options)
             solver[key] = item.text
-    _check_together(values, last)
+    _check_together(scene, values, last)
     if scene in ("modes", "projection"):
-        _check_modes(scene, values)
+        _check_modes(scene, values, last)
     return Options(scene, values, solver)
 
 
@@ -155,36 +168,53 @@ def _check_foreign(key, item, scene, options):
     )
 
 
-def _check_together(values, last):
+def _check_together(scene, values, last):
     """Raise where options that are possible one by one contradict each other."""
     if len(values.get("lattice_shape", (1,))) > 3:
         raise InputError("-lattice_shape: a lattice has 1 to 3 axes")
+    if scene not in LATTICES_SHARED and values["ranks_per_lattice"] > 1:
+        raise InputError(f"-ranks_per_lattice: scene {scene} has one rank for each lattice only")
     from_file = values.get("bonds_law") == "file"
     if from_file != (values.get("bonds_file") is not None):
         raise InputError("-bonds_file and -bonds_law file belong together: give both or neither")
+    if from_file and scene == "relaxation":
+        raise InputError(
+            "-bonds_law file: a relaxation draws new constants and needs a law for them"
+        )
     if from_file:
-        _stand_down(("lattice_shape", "bonds_kmin", "bonds_kmax"), "bonds_file", values, last)
+        _alternatives(("bonds_file",), ("lattice_shape", "bonds_kmin", "bonds_kmax"), values, last)
+    _alternatives(("sweep_omega",), ("sweep_min", "sweep_max", "sweep_points"), values, last)
     omega = values.get("sweep_omega")
-    if omega:
-        if list(omega) != sorted(set(omega)):
-            raise InputError("-sweep_omega: the frequencies must increase")
-        _stand_down(("sweep_min", "sweep_max", "sweep_points"), "sweep_omega", values, last)
+    if omega and list(omega) != sorted(set(omega)):
+        raise InputError("-sweep_omega: the frequencies must increase")
     for name in ("sweep", "phase_fit", "spectrum_fit"):
         low, high = f"{name}_min", f"{name}_max"
         if values.get(low) is not None and values[low] >= values[high]:
             raise InputError(f"-{low}: {values[low]:g} is not below -{high}, {values[high]:g}")
 
 
-def _stand_down(keys, winner, values, last):
-    """Take the value from options that another one decides; raise if the user gave them."""
-    for key in keys:
-        if key in last:
-            raise InputError(f"-{key}{last[key].where}: contradicts -{winner}, which decides this")
-        values[key] = None
+def _alternatives(some, others, values, last):
+    """Let one of two ways to say the same stand: what was given, and of both the winning source.
+
+    `some` stand only where given; without any, `others` have their defaults.
+    """
+    given = [max((last[k].rank for k in keys if k in last), default=-1) for keys in (some, others)]
+    if given[0] >= 0 and given[0] == given[1]:
+        one, other = (next(last[k] for k in keys if k in last) for keys in (some, others))
+        raise InputError(
+            f"-{other.key}{other.where}: contradicts -{one.key}{one.where}; give one of them"
+        )
+    if max(given) >= 0 or values.get(some[0]) is not None:
+        for key in others if given[0] > given[1] else some:
+            if key in values:
+                values[key] = None
 
 
-def _check_modes(scene, values):
+def _check_modes(scene, values, last):
     """Raise where the options that choose modes contradict each other."""
+    _alternatives(
+        ("modes_omega_min", "modes_omega_max"), ("modes_target", "modes_count"), values, last
+    )
     low, high, target, count = (
         values[f"modes_{name}"] for name in ("omega_min", "omega_max", "target", "count")
     )
@@ -192,8 +222,6 @@ def _check_modes(scene, values):
         raise InputError("-modes_omega_min and -modes_omega_max belong together: give both")
     if low is not None and low >= high:
         raise InputError(f"-modes_omega_min: {low:g} is not below -modes_omega_max, {high:g}")
-    if low is not None and (target is not None or count is not None):
-        raise InputError("-modes_omega_min: an interval leaves nothing to -modes_target or _count")
     if target is not None and count is None:
         raise InputError("-modes_target: -modes_count must say how many modes")
     if scene == "modes" and count is not None and target is None:

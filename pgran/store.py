@@ -155,7 +155,9 @@ def read_stiffness(path):
 
     Returns
     -------
-    tuple of numpy.ndarray
+    stiffness : tuple of numpy.ndarray
+    kmax : float or None
+        What the file's unit of frequency belongs to, if it says.
 
     Raises
     ------
@@ -168,6 +170,7 @@ def read_stiffness(path):
         if names != list(BOND_AXES)[: len(names)] or not names:
             raise FileError(f"{path}: needs /lattice/stiffness_x, and _y, _z without a gap")
         arrays = [_array(_member(lattice, name, path), path) for name in names]
+        attributes = {name: float(lattice.attrs[name]) for name in _real_attributes(lattice)}
     shape = tuple(n - (a == 0) for a, n in enumerate(arrays[0].shape))
     for axis, k in enumerate(arrays):
         if k.ndim != len(arrays) or min(shape) < 1 or k.shape != bond_shape(shape, axis):
@@ -177,7 +180,18 @@ def read_stiffness(path):
             )
         if k.dtype.kind not in "fiu":
             raise FileError(f"{path}: /lattice/{names[axis]} holds no real numbers")
-    return tuple(k.astype(float) for k in arrays)
+    unit, mass = (attributes.get(name, np.nan) for name in ("omega_mx", "mass"))
+    kmax = float(mass * unit**2 / (2 * len(shape)))
+    return tuple(k.astype(float) for k in arrays), kmax if 0 < kmax < np.inf else None
+
+
+def _real_attributes(group):
+    """Return the names of a group's attributes that are single real numbers."""
+    return [
+        name
+        for name, value in group.attrs.items()
+        if np.isrealobj(value) and np.size(value) == 1 and np.asarray(value).dtype.kind in "fiu"
+    ]
 
 
 @contextlib.contextmanager

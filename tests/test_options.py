@@ -378,3 +378,33 @@ def test_every_option_is_documented():
 def test_nearest():
     assert nearest("respons", ["response", "modes"]) == "response"
     assert nearest("zzz", ["response", "modes"]) is None
+
+
+@pytest.mark.parametrize(
+    ("file", "words", "kept", "gone"),
+    [
+        ("-sweep_min .1", "-sweep_omega .5", "sweep_omega", "sweep_min"),
+        ("-sweep_omega .5", "-sweep_min .1", "sweep_min", "sweep_omega"),
+        ("-lattice_shape 4,4", "-bonds_law file -bonds_file a.h5", "bonds_file", "lattice_shape"),
+    ],
+)
+def test_of_two_ways_to_say_the_same_the_command_line_wins(tmp_path, file, words, kept, gone):
+    (tmp_path / "a.opts").write_text(f"-scene response\n{file}\n")
+    given = read_file(tmp_path / "a.opts")
+    options = resolve(given + read_words(words.split()))
+    assert getattr(options, kept) is not None
+    assert getattr(options, gone) is None
+    with pytest.raises(InputError, match="contradicts"):
+        resolve(read_words(f"-scene response {file} {words}".split()))
+
+
+def test_relaxation_needs_a_law_to_draw_from():
+    with pytest.raises(InputError, match="needs a law"):
+        resolve(read_words(["-scene", "relaxation", "-bonds_law", "file", "-bonds_file", "a.h5"]))
+
+
+@pytest.mark.parametrize("scene", ["modes", "projection", "continuum"])
+def test_only_driven_lattices_are_shared(scene):
+    resolve(read_words(f"-scene {scene} -ranks_per_lattice 1".split()))
+    with pytest.raises(InputError, match="ranks_per_lattice"):
+        resolve(read_words(f"-scene {scene} -ranks_per_lattice 2".split()))

@@ -23,7 +23,7 @@ def make_lattice(options, world):
     if options.bonds_law == "file":
         from pgran.store import read_stiffness
 
-        stiffness, kmax = on_root(world, lambda: read_stiffness(options.bonds_file)), None
+        stiffness, kmax = on_root(world, lambda: read_stiffness(options.bonds_file))
     else:
         law = make_law(options)
         stiffness, kmax = law.draw(options.lattice_shape, options.bonds_seed), law.kmax
