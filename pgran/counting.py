@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from pgran.errors import PgranError
 from pgran.operators import SAME, Owner
 
-SLICE = 50  # modes that are computed together; measured for 40 x 40 and 100 x 100
+SLICE = 60  # modes that are computed together; measured for 40 x 40 and 100 x 100
 HAIR = 1e-11  # of |K|: how far the ends of an interval are moved outward
 LEVELS = 40
 
@@ -78,7 +78,7 @@ class ModeCounter(Owner):
         from one slice, or counted in two, fails the comparison with the slices' counts.
         """
         count = self._inertia(shift, 0.1 * self.clearance)
-        return count if self._x.norm() * self.clearance < 1.0 else None
+        return count if self._x.norm() * self.clearance < 0.5 else None
 
     def _inertia(self, shift, allowed):
         """Count the negative pivots of K - shift; None if the factors miss it by more than allowed.
