@@ -70,16 +70,6 @@ class ModeCounter(Owner):
         counts = {self._inertia(shift + side * clearance, 0.1 * clearance) for side in (-1, 1)}
         return counts.pop() if len(counts) == 1 else None
 
-    def below_cut(self, shift):
-        """Return how many eigenvalues lie below a cut, or None if one seems too close to it.
-
-        A random b has about 1 of each mode, so that |(K - shift)^-1 b| tells the distance of the
-        nearest. That is a judgement and no proof: none is needed, because a mode that is missing
-        from one slice, or counted in two, fails the comparison with the slices' counts.
-        """
-        count = self._inertia(shift, 0.1 * self.clearance)
-        return count if self._x.norm() * self.clearance < 0.5 else None
-
     def _inertia(self, shift, allowed):
         """Count the negative pivots of K - shift; None if the factors miss it by more than allowed.
 
@@ -187,7 +177,9 @@ def cut(counter, ends, comm):
             break
         below |= {
             shift: count
-            for shift, count in shared(comm, shifts, counter.below_cut)
+            for shift, count in shared(
+                comm, shifts, lambda shift: counter.below(shift, counter.clearance)
+            )
             if count is not None
         }
     return _merged(below)

@@ -295,6 +295,6 @@ def test_slices_share_no_mode_and_leave_none(counter, world, narrow):
         assert np.count_nonzero((values > low) & (values < high)) == count
         assert count <= 9 + 6
     inside = [low for low, *_ in slices[1:]]
-    for shift in inside:  # a tenth: the distance is judged by one random vector
-        assert np.abs(values - shift).min() >= 0.1 * counter.clearance
+    for shift in inside:
+        assert np.abs(values - shift).min() >= 0.9 * counter.clearance
     assert sum(count for *_, count in slices) == np.count_nonzero((values > 0.2) & (values < 0.9))
