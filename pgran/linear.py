@@ -33,6 +33,13 @@ class System:
         self.rhs.copy(self.residual)
         self.norm = self.residual.norm()
 
+    def start_from_preconditioner(self, pc, matrix):
+        """Guess the preconditioned right-hand side: the solution, if `pc` is a factorization."""
+        pc.apply(self.rhs, self.solution)
+        self.update_residual(matrix)
+        if not self.norm <= self.rhs.norm():  # NaN too
+            self.start_from_zero()
+
     def start_from_line(self, step, matrix):
         """Guess by a straight line through the last two solutions, `step` of their distance on."""
         self.solution.scale(-step)

@@ -147,9 +147,7 @@ def relax(
     drift, started = 0.0, time.perf_counter()
     with (
         Operators(lattice, crew.group) as operators,
-        SteadySolver(
-            operators, sites, error_tolerance, refresh_iterations, adjoints=method == "window"
-        ) as solver,
+        SteadySolver(operators, sites, error_tolerance, refresh_iterations) as solver,
         Progress(trajectories * steps, "steps", progress if root else "none") as counter,
     ):
 
@@ -210,7 +208,7 @@ def march_windows(network, solver, omega, changes, window, method):
     Collective. Each window starts from a state solved for afresh, which is compared with what the
     window before made of it.
     """
-    found = np.empty((len(changes) + 1, len(solver.solutions) - 1), dtype=complex)
+    found = np.empty((len(changes) + 1, len(solver.adjoints)), dtype=complex)
     done, begun, known, drift = 0, 0, 0, 0.0
     with Windows(network, solver, omega) as windows:
         while True:

@@ -44,7 +44,10 @@ def summary(records):
     good = response.converged_reason > 0
     bound = (response.error_bound[good] / response.amplitude[good]).max(initial=0.0)
     if np.isnan(bound):
-        yield "no error bounds: without damping none is known"
+        yield (
+            "no error bounds: none is known of an undamped lattice that ranks share "
+            "(-ranks_per_lattice 1 gives them)"
+        )
     else:
         which = (
             "every amplitude" if np.all(good) else f"{np.count_nonzero(good)} of {nw} amplitudes"
