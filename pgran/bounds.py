@@ -74,6 +74,13 @@ class ErrorBounds:
             if held is not None:
                 held.destroy()
 
+    def stability(self, omega):
+        """Return the c with |S x|_2 >= c |x|_2 for every x that damping gives, whatever the bonds.
+
+        Not collective.
+        """
+        return self.lambda_min * omega * self.operators.damping
+
     def prepare(self, omega, tolerance):
         """Bound the sizes of S and of its inverse at a frequency.
 
@@ -96,7 +103,7 @@ class ErrorBounds:
         if not self._alone:
             largest = operators.comm.allreduce(largest, MPI.MAX)
         self.scale = 1.01 * (largest + inertia)
-        stability = self.lambda_min * damping if self.proven else math.nan
+        stability = self.stability(omega) if self.proven else math.nan
         if self._alone:
             stability = max(stability, self._distance(inertia, spread, tolerance) - spread)
         self.inverse_norm = 1.0 / stability if stability else math.inf
