@@ -66,14 +66,30 @@ def make_ksp(operators):
     ksp.setOptionsPrefix("steady_")
     ksp.setOperators(operators.S)
     ksp.setType("bcgs")
-    ksp.setTolerances(rtol=1e-13, max_it=1000)
+    ksp.setTolerances(rtol=1e-13, atol=TINY, max_it=1000)
     pc = ksp.getPC()
     pc.setType("cholesky")
     alone = operators.comm.size == 1
     if not (alone and operators.balls <= PETSC_FACTORS[len(operators.shape)]):
         pc.setFactorSolverType("mumps")
     ksp.setFromOptions()
+    accept_small_pivots(pc)
     if ksp.getType() != "preonly":
         # The preconditioner applied once is the solution already if it is a fresh factorization.
         ksp.setInitialGuessKnoll(True)
     return ksp
+
+
+def accept_small_pivots(pc):
+    """Call no pivot zero that is not, unless options say otherwise. Not collective.
+
+    PETSc's threshold is absolute, 2e-14, and the unit of stiffness is the user's. A pivot that is
+    zero but for rounding shows in the residuals.
+
+    Parameters
+    ----------
+    pc : petsc4py.PETSc.PC
+        Of its final type.
+    """
+    pc.setFactorPivot(zeropivot=0.0)
+    pc.setFromOptions()

@@ -105,7 +105,7 @@ def march(G, delta):
     T, c = np.eye(len(delta), dtype=complex), np.empty(len(delta), dtype=complex)
     with np.errstate(all="ignore"):  # what is not finite has no bound
         for t in range(len(delta)):
-            T[:t, t] = -T[:t, :t] @ (c[:t] * (G[:t, t] @ T[:t, :t]))
+            T[:t, t] = T[:t, :t] @ (-c[:t] * (G[t, :t] @ T[:t, :t]))
             c[t] = delta[t] / (1.0 + delta[t] * (G[t, : t + 1] @ T[: t + 1, t]))
     return T, c
 

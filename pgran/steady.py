@@ -110,7 +110,7 @@ class SteadySolver(Owner):
         self._systems = [self.primal, *self.adjoints]
         self._policy = ReusePolicy(refresh_iterations)
         self._ksp = make_ksp(operators)
-        self._longest = self._ksp.getTolerances()[3]
+        self._rtol, _, _, self._longest = self._ksp.getTolerances()
         self._direct = self._ksp.getType() == "preonly"
         self.restart()
 
@@ -249,7 +249,8 @@ class SteadySolver(Owner):
         if system.norm <= target:
             return
         ksp, before = self._ksp, system.norm
-        ksp.setTolerances(atol=max(target, TINY))
+        # Relative, because a KSP may measure preconditioned residuals, which have another unit.
+        ksp.setTolerances(rtol=max(self._rtol, target / before))
         ksp.solve(system.residual, self._correction)
         self._iterations += ksp.getIterationNumber()
         self._reason = ksp.getConvergedReason()
@@ -296,7 +297,7 @@ class SteadySolver(Owner):
     def _withstands_rounding(self, displacement, terms):
         """Return whether rounding of random signs leaves the amplitudes as they are. Collective."""
         residual = self.bounds.random_rounding(terms)
-        self._ksp.setTolerances(atol=0.01 * residual.norm())
+        self._ksp.setTolerances(rtol=0.01)
         self._ksp.solve(residual, self._correction)
         self._iterations += self._ksp.getIterationNumber()
         if self._ksp.getConvergedReason() <= 0:
