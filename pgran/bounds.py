@@ -7,10 +7,10 @@ A~_d + z~^T r is wrong by at most |r|_{C^-1} |s|_{C^-1} / (omega beta): a produc
 each of which needs half the digits only. C is the Laplacian of the uniform lattice, whose smallest
 eigenvalue is known, and |r|_{C^-1} <= |r|_2 / sqrt(lambda_min(C)).
 
-Without damping |x|_2 <= |S x|_2 / delta, delta the distance of m omega^2 to the nearest eigenvalue of
-K, and |r|_2 |s|_2 / delta bounds the error; with very little damping delta - omega beta |C| still
-does better than damping alone. That no eigenvalue is nearer than delta is certified by counting
-those below m omega^2 - delta and below m omega^2 + delta (`pgran.counting`).
+Without damping |x|_2 <= |S x|_2 / delta, delta the distance of m omega^2 to the nearest eigenvalue
+of K, and |r|_2 |s|_2 / delta bounds the error; with very little damping delta - omega beta |C|
+still does better than damping alone. That no eigenvalue is nearer than delta is certified by
+counting those below m omega^2 - delta and below m omega^2 + delta (`pgran.counting`).
 
 Residuals are known up to rounding only; what rounding can change is bounded in terms of
 |f| + |S| |A~|, ball by ball, because amplitudes fall by many orders across a lattice.
@@ -147,7 +147,7 @@ class ErrorBounds:
         return self._work
 
     def primal_residual(self, primal, terms):
-        """Return a bound of |f - S A~|_2, rounding included, from the `rounding` of A~. Collective."""
+        """Return a bound of |f - S A~|_2 for A~ with its `rounding`, included. Collective."""
         return primal.norm + self.unit * math.sqrt(self._total(terms @ terms))
 
     def adjoint_residual(self, adjoint):
@@ -176,7 +176,7 @@ class ErrorBounds:
         return 1.01 * (known + product) + 4 * EPSILON * abs(value)
 
     def amplitude(self, residual, terms, adjoint, value):
-        """Return the bound of one corrected amplitude; parameters as for `evaluation`. Collective."""
+        """Return the bound of a corrected amplitude; parameters as of `evaluation`. Collective."""
         # The last digits cover the rounding of this very formula.
         theory = 1.01 * residual * self.adjoint_residual(adjoint) * self.inverse_norm
         return theory + self.evaluation(residual, terms, adjoint, value)

@@ -10,17 +10,18 @@ wall; with w = b^T A, the driven wall counted as displacement 1, the amplitudes 
 So the amplitudes of a window of steps follow exactly from one factorization at its start, one solve
 for each of its bonds, and algebra among those bonds alone.
 
-That algebra proves its own results. Let S0, x0, z0 be the matrix, the amplitudes and the adjoint at
-the start, with residuals r0 and s0; B the bonds b_1 .. b_s of a window, Y the solutions of S0 Y = B
-with residuals R, G = B^T Y, Delta the changes so far, and w, q the displacements B^T x0 (driven wall
-included) and B^T z0. After some steps x = x0 + Y gamma and z = z0 + Y eta have the residuals
+That algebra proves its own results. Let S0, x0, z0 be the matrix, the amplitudes and the adjoint
+at the start, with residuals r0 and s0; B the bonds b_1 .. b_s of a window, Y the solutions of
+S0 Y = B with residuals R, G = B^T Y, Delta the changes so far, and w, q the displacements B^T x0
+(the driven wall counted) and B^T z0. After some steps x = x0 + Y gamma and z = z0 + Y eta have the
+residuals
 
     r = r0 + R gamma - B h,    h = gamma + Delta (w + G gamma),
     s = s0 + R eta - B g,      g = eta + Delta (q + G eta),
 
 h and g being what the algebra misses. As in `pgran.bounds`, x_d + z^T r is wrong by at most
-|r|_2 |s|_2 |S^-1|_2, and damping bounds S^-1 for all steps alike. Up to products of residuals with Y
-that sum is the amplitude at the start plus q^T gamma - (q + G eta)^T h: which is what is reported.
+|r|_2 |s|_2 |S^-1|_2, and damping bounds S^-1 for all steps alike. Up to products of residuals with
+Y that sum is the amplitude at the start plus q^T gamma - (q + G eta)^T h, which is reported.
 """
 
 from dataclasses import dataclass

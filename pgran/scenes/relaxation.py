@@ -11,7 +11,7 @@ from pgran.operators import Operators
 from pgran.progress import Progress
 from pgran.relaxation import Network, Windows, draw_changes, window_length
 from pgran.results import LatticeRecord, Relaxation
-from pgran.scenes.common import make_crew, make_lattice, make_law
+from pgran.scenes.common import make_crew, make_lattice, make_law, proven_accuracy
 from pgran.spectrum import power_spectrum, segment_length
 from pgran.steady import SteadySolver
 
@@ -64,6 +64,8 @@ def summary(records):
         f"{steps} steps with {relaxation.factorizations} factorizations in "
         f"{relaxation.solve_seconds:.2f} s"
     )
+    good = ~np.isnan(relaxation.displacement).any(axis=2)
+    yield proven_accuracy(relaxation.error_bound, relaxation.amplitude, good)
     if relaxation.drift > 0:
         yield (
             f"largest relative difference between a window's end and the next one's start: "
