@@ -2,6 +2,7 @@
 
 import argparse
 import ctypes
+import hashlib
 import importlib
 import logging
 import os
@@ -62,26 +63,47 @@ def run(words):
         start_petsc(options)
 
     from pgran import store
+    from pgran.journal import Journal
 
     output = options.output_file
     on_root(world, lambda: store.check_output(output, options.output_overwrite))
-    scene = importlib.import_module(f"pgran.scenes.{options.scene}")
-    records = scene.run(options, world)
+    identity = on_root(world, lambda: run_identity(options))
+    try:
+        with Journal(world, output, identity, options.output_overwrite) as journal:
+            # again: another run may have written it just before the journal was locked
+            on_root(world, lambda: store.check_output(output, options.output_overwrite))
+            scene = importlib.import_module(f"pgran.scenes.{options.scene}")
+            records = scene.run(options, world, journal)
 
-    def finish():
-        failures = sum(getattr(record, "failures", 0) for record in records)
-        seconds = time.perf_counter() - started
-        attributes = run_attributes(options, words, world, failures, seconds)
-        store.write(output, attributes, records)
-        warn_of_unused(options)
-        for line in scene.summary(records):
-            log.info(line)
-        log.info("written to %s after %.1f s", output, seconds)
-        if failures:
-            log.warning("%d results miss the accuracy asked for; the file marks them", failures)
-        return failures
+            def finish():
+                failures = sum(getattr(record, "failures", 0) for record in records)
+                seconds = time.perf_counter() - started
+                attributes = run_attributes(options, words, world, failures, seconds)
+                store.write(output, attributes, records)
+                warn_of_unused(options)
+                for line in scene.summary(records):
+                    log.info(line)
+                log.info("written to %s after %.1f s", output, seconds)
+                if failures:
+                    log.warning(
+                        "%d results miss the accuracy asked for; the file marks them", failures
+                    )
+                return failures
 
-    return errors.INACCURATE if on_root(world, finish) else errors.DONE
+            return errors.INACCURATE if on_root(world, finish) else errors.DONE
+    except errors.StoppedError as stopped:  # on all ranks alike: they end in order
+        if world.rank == 0:
+            log.info("%s", stopped)
+        return errors.STOPPED
+
+
+def run_identity(options):
+    """Return what decides a run's numbers, {option: text}. Not collective."""
+    identity = {"pgran": pgran.__version__} | options.identity()
+    if identity.get("bonds_file"):
+        contents = hashlib.sha256(Path(options.bonds_file).read_bytes()).hexdigest()
+        identity["bonds_file"] += f" of contents {contents[:16]}"
+    return identity
 
 
 def start_mpi():

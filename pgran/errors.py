@@ -26,6 +26,12 @@ class FileError(PgranError):
     exit_code = BAD_FILE
 
 
+class StoppedError(PgranError):
+    """A signal has stopped the run; what is finished is kept."""
+
+    exit_code = STOPPED
+
+
 def on_root(comm, action, keep=False):
     """Return `action()`, called on rank 0 alone; raise its error on every rank.
 

@@ -15,6 +15,7 @@ from pgran.options import (
     LATTICES_SHARED,
     PETSC_BEGINNINGS,
     PETSC_KEYS,
+    RUN,
     SCENE,
     SCENES,
     SOLVER_PREFIXES,
@@ -66,6 +67,16 @@ class Options:
         for key, text in self.solver.items():
             lines.append(f"-{key} {shlex.quote(text)}" if text else f"-{key}")
         return "\n".join(lines) + "\n"
+
+    def identity(self):
+        """Return what decides the run's numbers, {option: text}; how it is carried out does not."""
+        found = {"scene": self.scene}
+        for option in SCENES[self.scene]:
+            value = self._values[option.name]
+            if value is not None and option not in RUN:
+                found[option.name] = option.kind.write(value)
+        prefixes = tuple(SOLVER_PREFIXES)
+        return found | {k: text for k, text in self.solver.items() if k.startswith(prefixes)}
 
 
 def read_file(path):

@@ -8,7 +8,7 @@ from pgran.results import ContinuumResponse
 from pgran.scenes.common import driving_frequencies
 
 
-def run(options, world):
+def run(options, world, journal=None):
     """Return the response of the box on rank 0; None on the others. Collective."""
     return on_root(world, lambda: [respond(options)], keep=True)
 
