@@ -147,7 +147,7 @@ class ErrorBounds:
         return self._work
 
     def primal_residual(self, primal, terms):
-        """Return a bound of |f - S A~|_2 for A~ with its `rounding`, included. Collective."""
+        """Return a bound of |f - S A~|_2; `terms` is the `rounding` of A~. Collective."""
         return primal.norm + self.unit * math.sqrt(self._total(terms @ terms))
 
     def adjoint_residual(self, adjoint):

@@ -141,17 +141,17 @@ class Deformation:
     stretch_rounding: np.ndarray
 
     @classmethod
-    def of(cls, T, c, G, delta, w):
-        """Return what changes delta make of the displacements w of the bonds."""
-        steps = len(delta)
+    def of(cls, T, c, G, delta, stretch, wall=0.0):
+        """Return what changes delta make of the stretch of bonds, where a wall may move as well."""
+        w, steps = stretch + wall, len(delta)
         part = np.cumsum(T * (-c * (w @ T)), axis=1)
         stretch = w[:, None] + G @ part
         missed = np.triu(part + delta[:, None] * stretch)  # bonds change one after the other
         size = np.abs(part)
         # Displacements of bonds are differences, rounded once; then come s products and sums.
-        rows, columns = (np.sqrt(np.sum(np.abs(G) ** 2, axis=1)), np.sqrt(np.sum(size**2, axis=0)))
+        rows, columns = np.sqrt(squares(G.T)), np.sqrt(np.sum(size**2, axis=0))
         stretch_rounding = np.multiply.outer((steps + 8) * EPSILON * rows, columns)
-        stretch_rounding += (EPSILON * (4 * np.abs(w) + 1.0))[:, None]
+        stretch_rounding += (EPSILON * (4 * np.abs(w) + wall))[:, None]
         rounding = np.triu(np.abs(delta)[:, None] * stretch_rounding) + 2 * EPSILON * size
         return cls(part, size, stretch, missed, rounding, stretch_rounding)
 
@@ -302,7 +302,7 @@ class Windows(Owner):
         with np.errstate(all="ignore"):
             T, c = march(G, delta)
             driven = network.operators.driven_bonds[changes.bond]
-            primal = Deformation.of(T, c, G, delta, w + driven)
+            primal = Deformation.of(T, c, G, delta, w, driven)
             moved, r = sizes @ primal.size, primal.residual(r0, residuals)
             for d, (system, q) in enumerate(zip(solver.adjoints, adjoint_w, strict=True)):
                 adjoint = Deformation.of(T, c, G, delta, q)
