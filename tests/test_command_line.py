@@ -113,13 +113,19 @@ def test_missing_options_file(start, ranks):
 
 @pytest.mark.parametrize("ranks", [0, 2])
 def test_existing_output_is_left_alone(start, tmp_path, ranks):
+    words = ["run", "a.opts", "-output_file", "mine.h5"]
     (tmp_path / "mine.h5").write_text("mine")
-    done = start("run", "a.opts", "-output_file", "mine.h5", ranks=ranks)
-    assert_one_line(done, 4, "mine.h5: exists already", "-output_overwrite")
+    done = start(*words, "-output_overwrite", ranks=ranks)
+    assert_one_line(done, 4, "mine.h5: exists and is no result of pgran: move it away yourself")
     assert (tmp_path / "mine.h5").read_text() == "mine"
-    done = start("run", "a.opts", "-output_file", "mine.h5", "-output_overwrite", ranks=ranks)
-    assert done.returncode == 0
-    assert load(tmp_path / "mine.h5").status == "complete"
+    (tmp_path / "mine.h5").unlink()
+    assert start(*words, ranks=ranks).returncode == 0
+    first = load(tmp_path / "mine.h5").created
+    done = start(*words, ranks=ranks)
+    assert_one_line(done, 4, "mine.h5: exists already", "-output_overwrite")
+    assert load(tmp_path / "mine.h5").created == first
+    assert start(*words, "-output_overwrite", "-sweep_points", "3", ranks=ranks).returncode == 0
+    assert len(load(tmp_path / "mine.h5").response.omega) == 3
 
 
 def test_bonds_file(start, tmp_path):
