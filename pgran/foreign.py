@@ -23,6 +23,7 @@ from pgran.errors import BAD_FILE, DONE, FileError, describe, open_regular
 from pgran.lattice import AXES, bond_shape
 from pgran.reading import machine_memory
 
+FORMAT = "pgran"  # what results say they are
 MODEST = 64 * 2**20  # bytes that the data of a smaller file may be when they are decompressed
 # What a process that reads a file may use, apart from what grows with the file.
 MEMORY, SECONDS = 512 * 2**20, 60
@@ -221,6 +222,8 @@ def main(path):
             resource.setrlimit(limit, (most, most))
     try:
         with opened(path) as file:
+            if file.attributes("/").get("format") == FORMAT:
+                raise FileError(f"{path}: a result of pgran that was damaged or changed (no seal)")
             stiffness, kmax = bonds(file)
     except FileError as error:
         print(error, file=sys.stderr)

@@ -27,6 +27,7 @@ from pgran.options import (
 )
 
 LONGEST_FILE = 2**20  # bytes of an options file
+NO_TEXT = re.compile(r"[^\t\n\r -~\u00a0-\ud7ff\ue000-\U0010ffff]")  # control characters, no UTF-8
 # What a value in a file may be: names and numbers, one or several. No path, no `viewer:file`.
 PLAIN = re.compile(r"[\w.+-]+(,[\w.+-]+)*", re.ASCII)
 # MUMPS: units of Fortran that it prints to (files fort.N), and factors on disk.
@@ -91,14 +92,12 @@ def read_file(path):
         content = stream.read(LONGEST_FILE + 1)
     if len(content) > LONGEST_FILE:
         raise FileError(f"{path}: an options file has at most {LONGEST_FILE} bytes")
-    try:
-        lines = content.decode("utf-8").splitlines()
-    except UnicodeDecodeError:
-        raise FileError(f"{path}: not a text file") from None
-    if b"\0" in content:
-        raise FileError(f"{path}: not a text file")
+    text = content.decode("utf-8", errors="surrogateescape")
+    if strange := NO_TEXT.search(text):
+        line = 1 + text.count("\n", 0, strange.start())
+        raise FileError(f"{path}: not a text file (line {line})")
     given = []
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(text.splitlines(), 1):
         where = f" ({path}, line {number})"
         try:
             words = shlex.split(line, comments=True)
@@ -177,8 +176,7 @@ def _check_foreign(key, item, scene, options):
         if item.where and not harmless:
             raise InputError(
                 f"-{key} {item.text}".rstrip() + f"{item.where}: could load code, start a program "
-                "or write a file, which no options file may; give it on the command line if you "
-                "mean it"
+                "or write a file; give it on the command line if you mean it"
             )
         return
     near = nearest(key, ["scene", *options])

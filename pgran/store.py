@@ -19,7 +19,7 @@ from pgran import foreign
 from pgran.errors import FileError, describe, open_regular
 from pgran.lattice import AXES
 
-FORMAT, FORMAT_VERSION = "pgran", 1
+FORMAT_VERSION = 1
 SEAL_SIZE, SEAL = 512, b"pgran result "
 BOND_AXES = {f"stiffness_{name}": axis for axis, name in enumerate(AXES)}
 
@@ -76,7 +76,7 @@ def write(path, attributes, records):
     """
     path = Path(path)
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    known = {"format": FORMAT, "format_version": FORMAT_VERSION, "created": now}
+    known = {"format": foreign.FORMAT, "format_version": FORMAT_VERSION, "created": now}
     temporary = _temporary(path)
     try:
         with h5py.File(temporary, "w", userblock_size=SEAL_SIZE) as file:

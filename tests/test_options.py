@@ -287,9 +287,9 @@ def test_files_that_cannot_be_read(tmp_path):
         read_file(tmp_path / "missing.opts")
     with pytest.raises(FileError, match="directory"):
         read_file(tmp_path)
-    for content in (b"\x89HDF\xff\xfe\x00", b"-scene response\n-output_file a\0b\n"):
-        (tmp_path / "binary.opts").write_bytes(content)
-        with pytest.raises(FileError, match="not a text file"):
+    for odd in (b"\0", b"\x1b[2J", b"\xff", b"\xc3", b"\xed\xa0\x80", b"\x7f", b"\xc2\x85"):
+        (tmp_path / "binary.opts").write_bytes(b"-scene response\n-output_file a" + odd + b"b\n")
+        with pytest.raises(FileError, match=r"binary\.opts: not a text file \(line 2\)"):
             read_file(tmp_path / "binary.opts")
 
 
