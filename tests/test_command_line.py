@@ -154,6 +154,26 @@ def test_a_hopeless_solver_is_reported_and_marked(start, tmp_path, ranks):
     assert np.all(result.response.converged_reason <= 0)
 
 
+@pytest.mark.parametrize("ranks", [0, 2])
+@pytest.mark.parametrize(
+    ("words", "code", "parts"),
+    [
+        (["-steady_ksp_type", "nonsense"], 2, ["PETSc: ", "nonsense (KSPSetFromOptions())"]),
+        (["-steady_ksp_max_it", "many"], 2, ["PETSc: ", "many", "(KSPSetFromOptions())"]),
+        (["-steady_pc_factor_mat_solver_type", "nonsense"], 1, ["PETSc: ", "(KSPSetUp())"]),
+    ],
+)
+def test_a_solver_that_petsc_does_not_know(start, tmp_path, ranks, words, code, parts):
+    assert_one_line(start("run", "a.opts", *words, ranks=ranks), code, *parts)
+    assert not (tmp_path / "results" / "a.h5").exists()
+
+
+def test_slepc_does_not_crash_after_an_error(start, tmp_path):
+    """Shut down after a wrong type of its ST, SLEPc 3.18 does."""
+    (tmp_path / "modes.opts").write_text("-scene modes -lattice_shape 4,4 -normal_st_type nonsense")
+    assert_one_line(start("run", "modes.opts"), 2, "nonsense (EPSSetFromOptions())")
+
+
 def test_an_unused_solver_key_is_a_warning(start):
     done = start("run", "a.opts", "-steady_ksp_typo", "gmres", "-steady_ksp_type", "gmres")
     assert done.returncode == 0
