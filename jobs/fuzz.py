@@ -238,7 +238,7 @@ def cut(content, rng):
 
 def noise(content, rng):
     """Replace all by random bytes, or by a long file."""
-    return rng.bytes(rng.integers(1, 2000)) if rng.random() < 0.7 else content * 2000
+    return rng.bytes(rng.integers(1, 2000)) if rng.random() < 0.7 else (content * 2000)[: 2**21]
 
 
 OPTIONS_CHANGES = (flip, words, words, value, value, value, insert, insert, insert, cut, noise)

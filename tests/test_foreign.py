@@ -9,10 +9,13 @@ import zlib
 import h5py
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 from pgran import foreign
 from pgran.errors import FileError
 from pgran.store import read_stiffness
+
+serial = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts programs: serial run only")
 
 
 @pytest.fixture
@@ -204,6 +207,7 @@ def test_links(path):
         assert "/lattice is a link" in refusal(path)
 
 
+@serial
 def test_an_external_link_is_not_even_opened(path):
     """A pipe would hang whoever opens it."""
     os.mkfifo(path.with_name("pipe"))
@@ -257,6 +261,7 @@ def zeros_deflated(megabytes):
     return b"\x78\x9c" + megabytes * block + press.flush() + adler.to_bytes(4, "big")
 
 
+@serial
 def test_a_chunk_that_becomes_too_large(path):
     """8 MB of bonds in a single gzip chunk of 1 GB, which has to be decompressed whole."""
     with h5py.File(path, "w") as file:
@@ -279,6 +284,7 @@ def test_links_to_one_dataset_do_not_add_up(path):
     assert "far more" in refusal(path, "stiffness_y")
 
 
+@serial
 @pytest.mark.parametrize("signum", [signal.SIGSEGV, signal.SIGKILL, signal.SIGABRT])
 def test_a_crash_of_the_reader(path, monkeypatch, signum):
     """A program in the reader's place that dies as libhdf5 does on a bad file."""
@@ -289,6 +295,7 @@ def test_a_crash_of_the_reader(path, monkeypatch, signum):
     assert f"crashed ({signum.name})" in refusal(write(path, **good()), read=read_stiffness)
 
 
+@serial
 @pytest.mark.parametrize(
     ("program", "said"),
     [("sleep 60", "took more than"), ("echo words >&2; exit 1", "crashed (words)")],
@@ -307,6 +314,7 @@ def test_no_reader_at_all(path, monkeypatch):
     assert "cannot be read apart" in refusal(write(path, **good()), read=read_stiffness)
 
 
+@serial
 def test_the_reader_is_limited_and_knows_nothing_of_mpi(path, monkeypatch):
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "7")
     monkeypatch.setenv("PMIX_RANK", "3")

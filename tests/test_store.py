@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from samples import random_lattice
 
-from pgran import load, store
+from pgran import foreign, load, store
 from pgran.errors import FileError
 from pgran.results import LatticeRecord, Response
 
@@ -23,10 +23,6 @@ ATTRIBUTES = {
     "seconds": 1.5,
     "time_convention": "exp(+i omega t)",
 }
-root_only = pytest.mark.skipif(
-    "OMPI_COMM_WORLD_RANK" in os.environ and os.environ["OMPI_COMM_WORLD_RANK"] != "0",
-    reason="files are rank 0's business",
-)
 
 
 def records(shape=(4, 5), fields=True, nw=3):
@@ -350,9 +346,10 @@ def apart(path):
 
 
 def all_refuse(path, match):
-    """As a result, as bonds, and as bonds that a process of its own reads."""
+    """As a result, as bonds, and as bonds of any other file."""
     both_refuse(path, match)
-    refused(apart(path), match, store.read_stiffness)
+    with pytest.raises(FileError, match=match), foreign.opened(apart(path)) as file:
+        foreign.bonds(file)
 
 
 def test_soft_and_external_links(path):
