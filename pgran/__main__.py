@@ -251,6 +251,8 @@ def end_all_ranks(error):
         code = error.code if isinstance(error.code, int) else 1
     elif isinstance(error, KeyboardInterrupt):
         code = 130
+    elif is_petsc(error) and "SetFromOptions()" in str(error):
+        code = errors.BAD_INPUT
     mpi = sys.modules.get("mpi4py.MPI")
     others = mpi and mpi.Is_initialized() and not mpi.Is_finalized() and mpi.COMM_WORLD.size > 1
     if others and mpi.COMM_WORLD.rank > 0:
@@ -263,13 +265,23 @@ def end_all_ranks(error):
             log.error("ended by sys.exit(%r)", error.code)
     elif isinstance(error, KeyboardInterrupt):
         log.error("interrupted")
+    elif is_petsc(error):
+        lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
+        log.error("PETSc: %s", PgranError(f"{lines[-1]} ({lines[:2][-1].split(' at ')[0]})"))
     else:
         log.error("%s", "".join(traceback.format_exception(error)).rstrip())
     sys.stderr.flush()
     sys.stdout.flush()
     if others:
         mpi.COMM_WORLD.Abort(code)
+    if is_petsc(error):
+        os._exit(code)  # after an error of its own PETSc can crash while it is shut down
     sys.exit(code)
+
+
+def is_petsc(error):
+    """Return whether PETSc or SLEPc raised an error: a wrong solver option, a failing package."""
+    return type(error).__module__.startswith("petsc4py")
 
 
 if __name__ == "__main__":
