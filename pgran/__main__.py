@@ -64,6 +64,13 @@ def run(words):
     from pgran import store
 
     output = options.output_file
+    if options.dry_run:
+        from pgran.forecast import forecast
+
+        on_root(world, lambda: store.check_output(output, options.output_overwrite, make=False))
+        for line in forecast(options, world, started):
+            print(line)
+        return errors.DONE
     on_root(world, lambda: store.check_output(output, options.output_overwrite))
     scene = importlib.import_module(f"pgran.scenes.{options.scene}")
     records = scene.run(options, world)

@@ -23,8 +23,10 @@ LARGEST = 8 * 2**30  # bytes that a dataset may take in memory unless it is stor
 BOND_AXES = {f"stiffness_{name}": axis for axis, name in enumerate(AXES)}
 
 
-def check_output(path, overwrite):
-    """Raise unless a result can be written to `path`; make its folder. Not collective.
+def check_output(path, overwrite, make=True):
+    """Raise unless a result can be written to `path`; make its folder unless told not to.
+
+    Not collective.
 
     Raises
     ------
@@ -37,8 +39,9 @@ def check_output(path, overwrite):
             f"{path}: exists already; -output_overwrite replaces it, -output_file takes another"
         )
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):
+        if make:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=next(p for p in path.parents if p.exists())):
             pass
     except OSError as error:
         raise FileError(f"{path}: cannot be written: {error.strerror}") from None
