@@ -4,7 +4,6 @@ import argparse
 import ctypes
 import importlib
 import logging
-import os
 import shlex
 import sys
 import time
@@ -12,7 +11,7 @@ import traceback
 from pathlib import Path
 
 import pgran
-from pgran import errors
+from pgran import errors, launch
 from pgran.errors import InputError, PgranError, on_root
 
 log = logging.getLogger("pgran")
@@ -43,6 +42,8 @@ def main(words):
     commands = {"run": run, "plot": plot, "options": list_options, "doctor": doctor}
     if words[0] not in commands:
         raise InputError(f"{words[0]}: no such command; pgran --help lists them")
+    if sys.version_info < (3, 11) and words[0] != "doctor":
+        raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
     return commands[words[0]](words[1:])
 
 
@@ -58,6 +59,8 @@ def run(words):
     world = start_mpi()
     given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
+    if options.output_log:
+        start_log(options, words, world)
     if options.scene not in WITHOUT_PETSC:
         start_petsc(options)
 
@@ -105,14 +108,32 @@ def start_mpi():
     if world.rank > 0:
         log.setLevel(logging.WARNING)
         log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))
-    for variable in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"):
-        launched = os.environ.get(variable, "1")
-        if world.size == 1 and launched.isdigit() and int(launched) > 1:
-            raise InputError(
-                f"mpirun started {launched} ranks that do not know of each other: it belongs to "
-                f"another MPI than mpi4py ({MPI.Get_library_version().split(',')[0]})"
-            )
+    if world.size == 1 and launch.size() > 1:
+        raise InputError(
+            f"mpirun started {launch.size()} ranks that do not know of each other: it belongs to "
+            f"another MPI than mpi4py ({MPI.Get_library_version().split(',')[0]})"
+        )
     return world
+
+
+def start_log(options, words, world):
+    """Let messages go to the log file of the options, too. Collective."""
+    from pgran import logfile
+
+    path = options.output_log
+    if Path(path).absolute() == Path(options.output_file).absolute():
+        raise InputError(f"-output_log {path}: is the -output_file")
+    on_root(world, lambda: logfile.check(path, make=not options.dry_run))
+    if not options.dry_run:
+        handler = logfile.LogFile(path, world.rank)
+        log.addHandler(handler)
+        if world.rank == 0:
+            command = shlex.join(["pgran", "run", *words])
+            handler.handle(
+                log.makeRecord(
+                    log.name, logging.INFO, "", 0, "%s on %d ranks", (command, world.size), None
+                )
+            )
 
 
 def start_petsc(options):
@@ -241,8 +262,12 @@ def end_all_ranks(error):
     if others and mpi.COMM_WORLD.rank > 0:
         # Errors that all ranks meet are rank 0's to report; it ends the others while they wait.
         time.sleep(1.0)
-    if isinstance(error, PgranError):
+    if isinstance(error, InputError) and not others and launch.rank() > 0:
+        pass  # all copies met it alike, before MPI joined them; the first one says it
+    elif isinstance(error, PgranError):
         log.error("%s", error)
+    elif isinstance(error, ModuleNotFoundError):
+        log.error("%s: pgran doctor says how to mend it", error)
     elif isinstance(error, SystemExit):
         if others or not isinstance(error.code, int):
             log.error("ended by sys.exit(%r)", error.code)
