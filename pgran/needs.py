@@ -15,6 +15,7 @@ from pgran.sharing import Crew, automatic_ranks
 
 PART = 64  # frequencies of the exact series that are tried
 SERIES_BYTES = 5e6  # what the terms of a part of them take
+DENSE_BYTES = 80  # for each entry of a dense matrix, where LAPACK finds all modes
 IN_SLICE, COUNTS_IN_SEARCH = 75, 6  # modes to a slice; counts to find the modes near a target
 BLOCK = 96  # columns of the blocks that a window of a relaxation solves with
 # Solves to a step of a relaxation, the iterations of the paper's lattice among them.
@@ -60,15 +61,14 @@ def response(options, world, scene):
 
     shape, small = trial_lattice(options, world)
     sites, omegas = detector_sites(shape, options.detectors), driving_frequencies(options)
-    units = scene.units(len(omegas))
+    units, ranks = scene.units(len(omegas)), _ranks_per_lattice(options, shape, world)
     trial, seconds, costs, systems = _sweep(
-        options, world, shape, small, sites, omegas, spread(units), options.output_fields
+        options, world, ranks, shape, small, sites, omegas, spread(units), options.output_fields
     )
     lengths = {"omega": len(omegas), "detector": len(sites), "balls": costs.balls}
     disk = _lattice_bytes(shape) + stored_bytes(
         results.Response, lengths, () if options.output_fields else ("field",)
     )
-    ranks = _ranks_per_lattice(options, shape, world)
     kept = len(units[0]) if options.output_fields else 0
     return Needs(
         shape,
@@ -93,7 +93,7 @@ def projection(options, world, scene):
     units = scene.units(len(omegas))
     nowhere = np.empty((0, len(shape)), dtype=np.int64)
     trial, swept, costs, systems = _sweep(
-        options, world, shape, small, nowhere, omegas, spread(units), True
+        options, world, 1, shape, small, nowhere, omegas, spread(units), True
     )
     share = math.ceil(len(units) / world.size) / len(units)
     products = product_seconds(world, found, small.balls) * balls / small.balls
@@ -129,7 +129,7 @@ def modes(options, world, scene):
         costs.factor_bytes,
         f"{'about ' if which else ''}{found} modes in about {slices} slices",
         disk,
-        costs.bytes(0) + SLICE_BYTES * balls,
+        costs.bytes(0) + (DENSE_BYTES * balls**2 if trial.whole else SLICE_BYTES * balls),
         seconds,
         sent=disk / world.size,
     )
@@ -235,11 +235,10 @@ def _ranks_per_lattice(options, shape, world):
     return options.ranks_per_lattice or automatic_ranks(shape, world.size)
 
 
-def _sweep(options, world, shape, small, sites, omegas, units, whole_field):
+def _sweep(options, world, ranks, shape, small, sites, omegas, units, whole_field):
     """Return the Trial of a sweep, its seconds and costs, and how many systems a solve has."""
     from pgran.trials import steady_solver, trial_sites, try_steady
 
-    ranks = _ranks_per_lattice(options, shape, world)
     with (
         Crew(world, ranks) as crew,
         steady_solver(
@@ -289,16 +288,18 @@ def _mode_work(trial, which, shape, world):
         counts, wanted = COUNTS_IN_SEARCH * len(targets), which["count"]
         found = min(balls, inside + wanted, wanted * len(targets))
         computed = min(balls, found + found // 5 + 4)
-    slices = max(1, round(computed / IN_SLICE))
     there, here = replace(trial.costs, shape=shape), trial.costs
+    if trial.whole:
+        return found, 1, trial.slicing * (balls / here.balls) ** 3
+    slices = max(1, round(computed / IN_SLICE))
     rounds, counted = (math.ceil(n / world.size) for n in (slices, counts + 2 * slices))
     seconds = rounds * trial.slicing * there.slicing / here.slicing
     return found, slices, seconds + counted * trial.counting * there.factoring / here.factoring
 
 
 def _lattice_bytes(shape):
-    """Return the size of the bonds in a result."""
-    return 8 * bond_count(shape)
+    """Return the size of the bonds in a result, and of the indices along their axes."""
+    return 8 * (bond_count(shape) + 2 * sum(shape))
 
 
 def _factorizations(trial, points):

@@ -162,12 +162,25 @@ def try_steady(world, shape, solver, omega, units, work):
 
 @dataclass(frozen=True)
 class ModeTrial:
-    """What a slice of modes and a count took; `part` of all modes are in the interval asked for."""
+    """What a slice of modes and a count took.
+
+    Attributes
+    ----------
+    costs : pgran.costs.Costs
+        Of the lattice that was tried.
+    slicing, counting : float
+        Seconds.
+    part : float
+        Of all modes that the interval asked for holds.
+    whole : bool
+        Whether all modes are found at once instead of slices.
+    """
 
     costs: Costs
     slicing: float
     counting: float
     part: float
+    whole: bool
 
 
 def try_modes(world, lattice, interval):
@@ -192,7 +205,8 @@ def try_modes(world, lattice, interval):
             solver.solve(*ends, abs(np.diff(list(ends.values()))[0]))
             slicing = time.perf_counter() - began
     slicing, counting = (mean(world, t) for t in (slicing, counting))
-    return ModeTrial(costs, slicing, counting, (below[1] - below[0]) / lattice.balls)
+    part = (below[1] - below[0]) / lattice.balls
+    return ModeTrial(costs, slicing, counting, part, ModeSolver.whole())
 
 
 def product_seconds(world, modes, balls):
