@@ -73,6 +73,8 @@ def run(words):
         on_root(world, lambda: store.check_output(output, options.output_overwrite, make=False))
         for line in forecast(options, world, started):
             print(line)
+        if world.rank == 0:
+            warn_of_unused(options)
         return errors.DONE
     on_root(world, lambda: store.check_output(output, options.output_overwrite))
     scene = importlib.import_module(f"pgran.scenes.{options.scene}")
@@ -129,11 +131,8 @@ def start_log(options, words, world):
         log.addHandler(handler)
         if world.rank == 0:
             command = shlex.join(["pgran", "run", *words])
-            handler.handle(
-                log.makeRecord(
-                    log.name, logging.INFO, "", 0, "%s on %d ranks", (command, world.size), None
-                )
-            )
+            text = f"{command} on {world.size} rank{'s' if world.size > 1 else ''}"
+            handler.handle(logging.makeLogRecord({"msg": text}))
 
 
 def start_petsc(options):
@@ -258,12 +257,14 @@ def end_all_ranks(error):
     elif isinstance(error, KeyboardInterrupt):
         code = 130
     mpi = sys.modules.get("mpi4py.MPI")
-    others = mpi and mpi.Is_initialized() and not mpi.Is_finalized() and mpi.COMM_WORLD.size > 1
+    started = mpi and mpi.Is_initialized() and not mpi.Is_finalized()
+    others = started and mpi.COMM_WORLD.size > 1
+    copies = launch.size() > 1 or not started  # of this program, of which this is the first or not
     if others and mpi.COMM_WORLD.rank > 0:
         # Errors that all ranks meet are rank 0's to report; it ends the others while they wait.
         time.sleep(1.0)
-    if isinstance(error, InputError) and not others and launch.rank() > 0:
-        pass  # all copies met it alike, before MPI joined them; the first one says it
+    if isinstance(error, InputError) and not others and copies and launch.rank() > 0:
+        pass  # before MPI joined them all copies met it alike; the first one says it
     elif isinstance(error, PgranError):
         log.error("%s", error)
     elif isinstance(error, ModuleNotFoundError):

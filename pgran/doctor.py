@@ -24,17 +24,25 @@ SINGLE = {"MPI": r"lib(?:mpi|mpich|mpi_cray\w*|mpi_abi)\.so", "PETSc": r"libpets
 
 
 def examine():
-    """Print one line for each finding, on rank 0, and return 0, or 1 if pgran cannot run as it is.
+    """Print one line for each finding, and return 0, or 1 if pgran cannot run as it is.
 
-    Not collective, but ranks that are started together all take part.
+    Collective where MPI works: rank 0 prints its own findings, and what is wrong with other ranks.
     """
     found = [finding for check in CHECKS for finding in guarded(check)]
+    MPI = sys.modules.get("mpi4py.MPI")
+    everyone = MPI.COMM_WORLD.allgather(found) if MPI else [found]
+    wrong = [
+        (False, f"on rank {rank}: {text}", cure)
+        for rank, theirs in enumerate(everyone)
+        for good, text, cure in theirs
+        if good is False and (good, text, cure) not in found
+    ]
     if launch.rank() == 0:
-        for good, text, cure in found:
+        for good, text, cure in found + wrong:
             print(f"{'ok   ' if good else 'WRONG' if good is False else 'note '} {text}")
             if not good and cure:
                 print(f"      -> {cure}")
-    return int(any(good is False for good, _, _ in found))
+    return int(any(good is False for good, _, _ in found + wrong))
 
 
 def guarded(check):

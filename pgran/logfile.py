@@ -12,7 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from pgran.errors import FileError, describe
+from pgran.errors import FileError
 
 STAMP = "%Y-%m-%dT%H:%M:%S%z"
 OURS = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4} pgran[ :]")
@@ -43,7 +43,7 @@ def check(path, make=True):
         with tempfile.TemporaryFile(dir=next(p for p in path.parents if p.exists())):
             pass
     except OSError as error:
-        raise FileError(f"{path}: cannot be written: {describe(error)}") from None
+        raise FileError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 class LogFile(logging.Handler):

@@ -254,6 +254,18 @@ def test_only_the_first_rank_speaks(monkeypatch, capsys, variable):
     assert "Python" in capsys.readouterr().out
 
 
+def test_what_is_wrong_with_another_rank(monkeypatch, capsys, world):
+    def uneven():
+        yield (world.rank < 1, "a disk", "mend it")
+
+    monkeypatch.setattr(doctor, "CHECKS", (uneven,))
+    monkeypatch.setenv("PMI_RANK", str(world.rank))
+    assert doctor.examine() == (world.size > 1)
+    lines = [f"WRONG on rank {rank}: a disk" for rank in range(1, world.size)]
+    lines = ["ok    a disk", *(words for line in lines for words in (line, "      -> mend it"))]
+    assert capsys.readouterr().out.splitlines() == (lines if world.rank == 0 else [])
+
+
 def test_without_any_package(clean_environment):
     """A bare interpreter: every package is named, none is a traceback."""
     done = subprocess.run(

@@ -42,7 +42,9 @@ def test_a_log_says_what_the_terminal_says(start, tmp_path, ranks):
     done = start("-output_log", "logs/a.log", ranks=ranks)
     assert done.returncode == 0, done.stderr
     first, *logged = lines_of(tmp_path / "logs" / "a.log")
-    assert first == f"pgran: pgran run a.opts -output_log logs/a.log on {ranks} ranks"
+    assert first == f"pgran: pgran run a.opts -output_log logs/a.log on {ranks} rank" + "s" * (
+        ranks > 1
+    )
     assert logged == done.stderr.splitlines()
     assert len(logged) > 1
 
