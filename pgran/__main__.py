@@ -132,7 +132,7 @@ def start_log(options, words, world):
         if world.rank == 0:
             command = shlex.join(["pgran", "run", *words])
             text = f"{command} on {world.size} rank{'s' if world.size > 1 else ''}"
-            handler.handle(logging.makeLogRecord({"msg": text}))
+            handler.handle(logging.makeLogRecord({"msg": text, "levelno": logging.INFO}))
 
 
 def start_petsc(options):

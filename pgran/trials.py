@@ -20,7 +20,8 @@ from pgran.operators import Operators
 from pgran.scenes.common import make_lattice, make_law
 from pgran.steady import SteadySolver
 
-SECONDS = 0.15  # of a trial, until the unit of work that it is at is finished
+# A trial takes so long, and at least so many units of work: low and high frequencies differ.
+SECONDS, FEWEST = 0.15, 3
 LARGEST = {1: 4000, 2: 1600, 3: 1000}  # balls
 
 
@@ -140,10 +141,10 @@ def try_steady(world, shape, solver, omega, units, work):
     solver.solve(omega)
     first = time.perf_counter() - began
     before, points, solves, began = solver.factorizations, 0, 0, time.perf_counter()
-    for unit in spread(units):
+    for count, unit in enumerate(units, 1):
         more = work(unit)
         points, solves = points + more[0], solves + more[1]
-        if solver.comm.bcast(time.perf_counter() - began) > SECONDS:
+        if count >= FEWEST and solver.comm.bcast(time.perf_counter() - began) > SECONDS:
             break
     seconds = (time.perf_counter() - began) / points
     factorizations = (solver.factorizations - before) / points
