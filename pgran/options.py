@@ -208,6 +208,8 @@ RUN = (
         "output_progress", TEXT, "auto", "auto = a bar on a terminal, lines elsewhere",
         choices=("auto", "bar", "lines", "none"),
     ),
+    Option("output_log", TEXT, None, "log file; a log that is there already goes on"),
+    Option("dry_run", FLAG, False, "say what the run will need, and stop"),
 )  # fmt: skip
 CONTINUUM = (
     Option("continuum_point", REALS, (0.47, 0.52), "where the amplitude is taken", "length"),

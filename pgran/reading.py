@@ -69,12 +69,12 @@ class Options:
     def text(self):
         """Return a complete options file that reproduces the run.
 
-        Leave to replace a result was given for one run only and is not repeated.
+        Leave to replace a result, and the wish for a forecast, were for one run only.
         """
         lines = [SCENE.write(self.scene)]
         for option in SCENES[self.scene]:
             value = self._values[option.name]
-            if value is not None and option.name != "output_overwrite":
+            if value is not None and option.name not in ("output_overwrite", "dry_run"):
                 lines.append(option.write(value))
         for key, text in self.solver.items():
             lines.append(f"-{key} {shlex.quote(text)}" if text else f"-{key}")

@@ -24,8 +24,10 @@ SEAL_SIZE, SEAL = 512, b"pgran result "
 BOND_AXES = {f"stiffness_{name}": axis for axis, name in enumerate(AXES)}
 
 
-def check_output(path, overwrite):
-    """Raise unless a result can be written to `path`; make its folder. Not collective.
+def check_output(path, overwrite, make=True):
+    """Raise unless a result can be written to `path`; make its folder unless told not to.
+
+    Not collective.
 
     Raises
     ------
@@ -45,9 +47,11 @@ def check_output(path, overwrite):
                     f"{path}: exists already; -output_overwrite replaces it, "
                     "-output_file takes another"
                 )
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _temporary(path).touch()
-        _temporary(path).unlink()
+        if make:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        trial = next(p for p in path.parents if p.exists()) / _temporary(path).name
+        trial.touch()
+        trial.unlink()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileError(f"{path}: cannot be written: {reason}") from None
