@@ -1,6 +1,7 @@
 """What `pgran doctor` finds: each finding is made to fire, by fakes of what it looks at."""
 
 import os
+import re
 import subprocess
 import sys
 import types
@@ -285,7 +286,7 @@ def test_a_run_without_packages_says_so(clean_environment, tmp_path):
         env=clean_environment | {"PYTHONPATH": str(PROJECT)}, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 1
-    assert "No module named 'mpi4py': pgran doctor" in done.stderr
+    assert re.search(r"No module named '\w+': pgran doctor", done.stderr)
     assert "Traceback" not in done.stderr
 
 
