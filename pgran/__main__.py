@@ -2,11 +2,13 @@
 
 import argparse
 import ctypes
+import faulthandler
 import hashlib
 import importlib
 import logging
 import os
 import shlex
+import signal
 import sys
 import time
 import traceback
@@ -49,6 +51,7 @@ def main(words):
 
 def run(words):
     """Run the experiment of an options file. Collective over all ranks."""
+    from pgran.journal import SIGNALS, Journal
     from pgran.options import WITHOUT_PETSC
     from pgran.reading import read_environment, read_file, read_words, resolve
 
@@ -56,6 +59,9 @@ def run(words):
         raise InputError("run: an options file is needed, as in pgran run options/response.opts")
     started = time.perf_counter()
     path, *rest = words
+    faulthandler.enable()  # a crash in a library names the line that called it
+    # Signals to stop wait until the journal listens, and do no harm once the result is written.
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     world = start_mpi()
     given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
@@ -63,7 +69,6 @@ def run(words):
         start_petsc(options)
 
     from pgran import store
-    from pgran.journal import Journal
 
     output = options.output_file
     on_root(world, lambda: store.check_output(output, options.output_overwrite))
@@ -119,7 +124,7 @@ def start_mpi():
     world = MPI.COMM_WORLD
     if world.rank > 0:
         log.setLevel(logging.WARNING)
-        log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))
+        name_rank(world)
     for variable in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"):
         launched = os.environ.get(variable, "1")
         if world.size == 1 and launched.isdigit() and int(launched) > 1:
@@ -140,7 +145,7 @@ def start_petsc(options):
             "pgran doctor says more"
         ) from None
     words = [word for key, text in options.solver.items() for word in (f"-{key}", text) if word]
-    petsc4py.init(["pgran", "-skip_petscrc", *words])
+    petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler", *words])
     from petsc4py import PETSc
 
     if PETSc.ScalarType().dtype.kind != "c":
@@ -245,31 +250,40 @@ def console():
 
 
 def end_all_ranks(error):
-    """Report an error and end this process, or the whole job where there are other ranks."""
-    code = error.exit_code if isinstance(error, PgranError) else 1
-    if isinstance(error, SystemExit):
-        code = error.code if isinstance(error.code, int) else 1
-    elif isinstance(error, KeyboardInterrupt):
-        code = 130
-    mpi = sys.modules.get("mpi4py.MPI")
-    others = mpi and mpi.Is_initialized() and not mpi.Is_finalized() and mpi.COMM_WORLD.size > 1
-    if others and mpi.COMM_WORLD.rank > 0:
-        # Errors that all ranks meet are rank 0's to report; it ends the others while they wait.
-        time.sleep(1.0)
+    """Report an error once, and end this process, or the whole job where there are other ranks."""
+    code, text = 1, str(error)
     if isinstance(error, PgranError):
-        log.error("%s", error)
+        code = error.exit_code
     elif isinstance(error, SystemExit):
-        if others or not isinstance(error.code, int):
-            log.error("ended by sys.exit(%r)", error.code)
+        code = error.code if isinstance(error.code, int) else 1
+        text = f"ended by sys.exit({error.code!r})"
     elif isinstance(error, KeyboardInterrupt):
-        log.error("interrupted")
+        code, text = 130, "interrupted"
     else:
-        log.error("%s", "".join(traceback.format_exception(error)).rstrip())
+        text = "".join(traceback.format_exception(error)).rstrip()
+    mpi = sys.modules.get("mpi4py.MPI")
+    running = mpi and mpi.Is_initialized() and not mpi.Is_finalized()
+    world = mpi.COMM_WORLD if running and mpi.COMM_WORLD.size > 1 else None
+    if world:
+        kind = (type(error).__name__, str(error).partition("\n")[0])
+        first, alike = errors.who_reports(world, kind)
+        if world.rank != first:  # that one ends all
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+            time.sleep(5 * errors.SECONDS_FOR_OTHERS)
+        if not alike:
+            name_rank(world)
+    if world or not isinstance(error, SystemExit) or not isinstance(error.code, int):
+        log.error("%s", text)
     sys.stderr.flush()
     sys.stdout.flush()
-    if others:
-        mpi.COMM_WORLD.Abort(code)
+    if world:
+        world.Abort(code)
     sys.exit(code)
+
+
+def name_rank(world):
+    """Begin all further messages of this process with its rank."""
+    log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))
 
 
 if __name__ == "__main__":

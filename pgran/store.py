@@ -7,6 +7,7 @@ more data than it holds.
 import contextlib
 import dataclasses
 import datetime
+import io
 import os
 import tempfile
 from pathlib import Path
@@ -65,14 +66,17 @@ def write(path, attributes, records):
     path = Path(path)
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     known = {"format": FORMAT, "format_version": FORMAT_VERSION, "created": now}
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    temporary = path.with_name(f".{path.name}.part")  # of the one run that holds the journal
     try:
-        with h5py.File(temporary, "w") as file:
-            file.attrs.update(known | attributes)
-            axes = next((len(r.shape) for r in records if r.group == "lattice"), 0)
-            for record in records:
-                _write_record(file, record, axes)
-        with open(temporary, "rb+") as stream:
+        path.parent.mkdir(parents=True, exist_ok=True)  # it may have been removed meanwhile
+        with _Stream(temporary, "w+") as stream:
+            with h5py.File(stream, "w") as file:
+                file.attrs.update(known | attributes)
+                axes = next((len(r.shape) for r in records if r.group == "lattice"), 0)
+                for record in records:
+                    _write_record(file, record, axes)
+            if stream.failure:
+                raise stream.failure
             os.fsync(stream.fileno())
         os.replace(temporary, path)
     except OSError as error:
@@ -80,6 +84,33 @@ def write(path, attributes, records):
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+class _Stream(io.FileIO):
+    """A file that HDF5 writes to; it keeps the first failure of the disk to itself, as `failure`.
+
+    HDF5 cannot close a file that it cannot write: each of its objects would fail anew.
+    """
+
+    failure = None
+
+    def write(self, data):
+        """Write all bytes, or remember why not."""
+        left = memoryview(data).cast("B")
+        try:
+            while left and not self.failure:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self.failure = error
+        return len(data)
+
+    def truncate(self, size=None):
+        """Set the size, or remember why not."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.failure = error
+            return size
 
 
 def _write_record(file, record, axes):
