@@ -10,7 +10,6 @@ import datetime
 import hashlib
 import io
 import os
-import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -51,8 +50,10 @@ def check_output(path, overwrite, make=True):
                 )
         if make:
             path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=next(p for p in path.parents if p.exists())):
-            pass
+        folder = next(p for p in path.parents if p.exists())
+        trial = folder / f".{path.name}.{os.getpid()}.trial"  # a name no shorter than any needed
+        trial.touch()
+        trial.unlink()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileError(f"{path}: cannot be written: {reason}") from None
