@@ -117,7 +117,7 @@ class ErrorBounds:
         """
         least = max(EPSILON / tolerance, 10 * self.unit) * self.scale + 10 * spread
         delta = 0.1 * self.scale / self.operators.balls
-        while delta >= least:
+        while least <= delta < math.inf:
             if self._counter is None:
                 self._counter = ModeCounter(self.operators.K)
             if self._counter.below(shift, delta) is not None:
