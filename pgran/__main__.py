@@ -244,8 +244,7 @@ def end_all_ranks(error):
     elif isinstance(error, KeyboardInterrupt):
         log.error("interrupted")
     elif is_petsc(error):
-        lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
-        log.error("PETSc: %s", PgranError(f"{lines[-1]} ({lines[:2][-1].split(' at ')[0]})"))
+        log.error("%s", petsc_message(error))
     else:
         log.error("%s", "".join(traceback.format_exception(error)).rstrip())
     sys.stderr.flush()
@@ -255,6 +254,15 @@ def end_all_ranks(error):
     if is_petsc(error):
         os._exit(code)  # after an error of its own PETSc can crash while it is shut down
     sys.exit(code)
+
+
+def petsc_message(error):
+    """Return in one line what went wrong in PETSc, and in which call of pgran's."""
+    # Its text: a number, the calls, a kind of error, and what it was in particular.
+    lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
+    calls = [line.split(" at ")[0] for line in lines if "() at " in line]
+    said = [line for line in lines[1:] if "() at " not in line]
+    return PgranError(f"PETSc: {(said[1:] or said or lines)[0]} ({', '.join(calls[:1])})")
 
 
 def is_petsc(error):
