@@ -319,10 +319,17 @@ def explain(error):
         return 1, f"{error}: pgran doctor says how to mend it"
     if is_petsc(error):
         wrong_option = "SetFromOptions()" in str(error)
-        lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
-        text = PgranError(f"PETSc: {lines[-1]} ({lines[:2][-1].split(' at ')[0]})")
-        return errors.BAD_INPUT if wrong_option else 1, str(text)
+        return errors.BAD_INPUT if wrong_option else 1, petsc_message(error)
     return 1, "".join(traceback.format_exception(error)).rstrip()
+
+
+def petsc_message(error):
+    """Return in one line what went wrong in PETSc, and in which call of pgran's."""
+    # Its text: a number, the calls, a kind of error, and what it was in particular.
+    lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
+    calls = [line.split(" at ")[0] for line in lines if "() at " in line]
+    said = [line for line in lines[1:] if "() at " not in line]
+    return str(PgranError(f"PETSc: {(said[1:] or said or lines)[0]} ({', '.join(calls[:1])})"))
 
 
 def is_petsc(error):
