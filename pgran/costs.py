@@ -1,8 +1,7 @@
 """What a factorization, a solve and a slice of modes cost: entries, operations, bytes, time.
 
-Formulas in the size of a lattice. Their constants were measured on one core of 2.5 GHz with PETSc
-3.18 and MUMPS 5.5; times matter only relative to each other, because `pgran.trials` measures the
-machine at hand.
+Formulas in the shape of a lattice. Their constants were measured with PETSc 3.18 and MUMPS 5.5;
+times matter only relative to each other, because `pgran.trials` measures the machine at hand.
 """
 
 import dataclasses
@@ -11,8 +10,8 @@ from dataclasses import dataclass
 
 from pgran.lattice import bond_count
 
-# Of the entries that nested dissection predicts, a factor has this part: 1.2 of them in one
-# dimension, .9 to .66 for 20 x 20 to 500 x 500, .73 to .61 for 6^3 to 15^3, .8 for 20^3.
+# Of the entries that nested dissection predicts, a factor has this part: 1.2 of them for a chain,
+# .9 to .66 for 20 x 20 to 500 x 500, .73 to .61 for 6^3 to 15^3, .8 for 20^3.
 FILLED = 0.75
 # Bytes for each entry of the factor: a complex number and its column; MUMPS keeps room to work in.
 ENTRY_BYTES = {"petsc": 20, "mumps": 28}
@@ -51,7 +50,8 @@ def dissection(shape):
     Not collective. A box is cut in two across its longest axis by a layer of m balls, which is
     eliminated after both halves: it then couples to itself and to the b balls of the layers around
     the box, m (m/2 + b) entries. All boxes of one level are alike, so one box a level is counted.
-    3 n for a chain, 31/4 n log2 n for a square (George 1973), n^(4/3) for a cube.
+    Like n for a chain, n^(4/3) for a cube of n balls; for a square of N x N the leading terms are
+    George's (1973), 31/4 N^2 log2 N entries and 829/84 N^3 multiplications with their additions.
 
     Parameters
     ----------

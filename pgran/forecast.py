@@ -61,6 +61,8 @@ def report(needs, options, ranks, root, others, together, startup):
     duration = "not known: without a factorization, iterations cannot be foreseen"
     if needs.seconds is not None:
         duration = f"about {span(needs.seconds + startup + LAUNCH)} {where}"
+    else:
+        memory += " beside the preconditioner"
     lines = [
         f"unknowns  {unknowns(needs)}",
         f"work      {needs.work}",

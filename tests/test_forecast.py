@@ -14,7 +14,7 @@ from petsc4py import PETSc
 from samples import random_lattice
 
 from pgran import forecast, needs, trials
-from pgran.costs import Costs, dissection
+from pgran.costs import FILLED, Costs, dissection
 from pgran.errors import InputError
 from pgran.operators import Operators
 from pgran.options import SCENES
@@ -62,12 +62,13 @@ def test_growth_of_dissection(shape, entries, operations):
     assert large[1] / small[1] == pytest.approx(operations, rel=0.05)
 
 
-def test_growth_of_dissection_in_the_plane():
-    """Entries like n log n: the same number more for a ball with each doubling. Work: n^(3/2)."""
-    shapes = [(2**k, 2**k) for k in (9, 10, 11, 12)]
-    balls = [dissection(shape)[0] / np.prod(shape) for shape in shapes]
-    assert np.diff(balls) == pytest.approx(np.diff(balls)[0], rel=0.05)
-    assert dissection(shapes[3])[1] / dissection(shapes[2])[1] == pytest.approx(8, rel=0.05)
+def test_dissection_of_a_square():
+    """The leading terms of A. George, SIAM J. Numer. Anal. 10 (1973)."""
+    sides = 2**12 - 1, 2**13 - 1
+    small, large = (np.array(dissection((n, n))) for n in sides)
+    entries = (large[0] / sides[1] ** 2 - small[0] / sides[0] ** 2) / FILLED
+    assert entries == pytest.approx(31 / 4, rel=0.01)
+    assert large[1] / sides[1] ** 3 == pytest.approx(2 * 829 / 84, rel=0.05)
 
 
 def test_dissection_sees_the_lattice_not_its_axes():
@@ -137,6 +138,7 @@ def test_without_a_factorization_time_is_not_foreseen(world):
         for key in ("pc_type", "ksp_max_it"):
             database.delValue(key)
     assert "not known" in lines["time"]
+    assert "beside the preconditioner" in lines["memory"]
     assert "factor" not in lines["unknowns"]
 
 
