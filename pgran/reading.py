@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from pgran.errors import FileError, InputError, describe
 from pgran.options import (
+    ACCURACY,
     LATTICES_SHARED,
     PETSC_BEGINNINGS,
     PETSC_KEYS,
@@ -118,6 +119,44 @@ def read_words(words, where=""):
     return given
 
 
+def read_solver(path, own):
+    """Return what the options file of a solver sets.
+
+    Not collective.
+
+    Parameters
+    ----------
+    path : str
+    own : dict of Option
+        By name: what it may set besides keys of PETSc's solvers.
+
+    Returns
+    -------
+    values : dict
+        Of options in `own`.
+    keys : dict of str
+        For PETSc's option database.
+
+    Raises
+    ------
+    FileError, InputError
+        If it cannot be read, or holds anything else.
+    """
+    values, keys = {}, {}
+    for item in read_file(path):
+        key = item.key.lower()
+        if key in own:
+            values[key] = own[key].read(item.text, item.where)
+        elif key.startswith(tuple(SOLVER_PREFIXES)) and key not in SOLVER_PREFIXES:
+            keys[key] = item.text
+        else:
+            allowed = [f"-{name}" for name in (*own, *(f"{p}*" for p in SOLVER_PREFIXES))]
+            raise InputError(
+                f"-{key}{item.where}: the file of a solver holds {', '.join(allowed)} only"
+            )
+    return values, keys
+
+
 def read_environment():
     """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked."""
     return read_words(os.environ.pop("PETSC_OPTIONS", "").split(), " (PETSC_OPTIONS)")
@@ -153,9 +192,13 @@ def resolve(given, output_file=None):
         elif key != "scene":
             _check_foreign(key, item, scene, options)
             solver[key] = item.text
-    _check_together(scene, values, last)
-    if scene in ("modes", "projection"):
-        _check_modes(scene, values, last)
+    experiment = scene
+    if scene == "accuracy":
+        experiment = values["accuracy_of"]
+        _check_accuracy(experiment, values, last)
+    _check_together(experiment, values, last)
+    if experiment in ("modes", "projection"):
+        _check_modes(experiment, values, last)
     return Options(scene, values, solver)
 
 
@@ -177,6 +220,23 @@ def _check_foreign(key, item, scene, options):
         + (f"; did you mean -{prefixed}?" if prefixed else "")
         + f" (pgran options {scene} lists all)"
     )
+
+
+def _check_accuracy(experiment, values, last):
+    """Raise unless the options of a study are those of its experiment; unset all others."""
+    if values["accuracy_solvers"] is None:
+        raise InputError("-accuracy_solvers is missing: options files of the solvers to compare")
+    used = {option.name for option in (*SCENES[experiment], *ACCURACY)}
+    for name in [name for name in values if name not in used]:
+        if name in last:
+            where = last[name].where
+            raise InputError(f"-{name}{where}: -accuracy_of {experiment} does not use it")
+        values[name] = None
+    if experiment != "modes" and values["lattice_damping"] == 0:
+        raise InputError(
+            "-lattice_damping 0: without damping no bound of the error is known, and so there is "
+            "no reference to compare with"
+        )
 
 
 def _check_together(scene, values, last):

@@ -92,13 +92,21 @@ def _write_record(file, record, axes):
         if "axes" not in item.metadata:
             (file if item.metadata else group).attrs[item.name] = value
             continue
-        data = group.create_dataset(item.name, data=value)
+        data = group.create_dataset(item.name, data=_stored(value))
         data.attrs["units"] = item.metadata["units"]
         data.attrs["long_name"] = item.metadata["long_name"]
     for item in dataclasses.fields(record):
         if item.name in group:
             for number, scale in enumerate(_axis_names(item, axes)):
                 _attach(group, group[item.name], number, scale)
+
+
+def _stored(value):
+    """Return an array as HDF5 takes it: text as UTF-8 of fixed length."""
+    if np.asarray(value).dtype.kind != "U":
+        return value
+    encoded = np.char.encode(value, "utf-8")
+    return encoded.astype(h5py.string_dtype("utf-8", encoded.itemsize))
 
 
 def _axis_names(item, axes):
@@ -226,12 +234,13 @@ def _array(data, path):
         raise FileError(f"{path}: {data.name} is no dataset")
     if data.external or data.is_virtual:
         raise FileError(f"{path}: {data.name} lies in another file; such data are not read")
-    if data.dtype.kind not in "fiucb":
+    text = data.dtype.kind == "S" and data.ndim == 1  # names of rows
+    if data.dtype.kind not in "fiucb" and not text:
         raise FileError(f"{path}: {data.name} holds no numbers")
     size = data.size * data.dtype.itemsize
     if data.size is None or size > max(data.id.get_storage_size(), LARGEST):
         raise FileError(f"{path}: {data.name} declares {size} bytes, far more than the file holds")
-    return data[()]
+    return np.char.decode(data[()], "utf-8") if text else data[()]
 
 
 def _namespace(group, path):
