@@ -100,6 +100,7 @@ WRONG = {
     "reals": ["x", "", "1,,2", "1,nan", "inf", ","],
     "flag": ["maybe", "2", "tru"],
     "text": [],
+    "texts": ["", ",", "a,,b", "a,"],
 }
 
 

@@ -1,5 +1,7 @@
 """The figure of an accuracy study: error against run time, a colour and a mark a solver."""
 
+import textwrap
+
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -11,7 +13,7 @@ NEEDS = (
     *("label", "solver", "tolerance", "seconds", "seconds_min", "seconds_max"),
     *("error_max", "error_bound_max", "failures", "on_front", "reference_bound", "repeats"),
 )
-MARKS = "os^Dv<>ph*"
+MARKS = "os^Dv<>"  # 7, so that with 6 colours no two solvers of 42 look alike
 
 
 def figures(result, modes=None):
@@ -38,8 +40,8 @@ def draw_front(accuracy):
     """Return the figure of the largest errors against run time, and of the front.
 
     Thin lines join the tolerances of a solver; bars are the range of the repeats, dashes the bounds
-    that the solver itself gives. Configurations with failures are hollow, and those that computed
-    nothing are named. No error below the reference's own can be seen.
+    that the solver itself gives. Configurations with failures are hollow, and solvers of
+    which one computed nothing are named. No error below the reference's own can be seen.
     """
     figure = style.new_figure(style.PAGE, 3.2)
     ax = figure.subplots()
@@ -47,11 +49,9 @@ def draw_front(accuracy):
     drawn = np.isfinite(accuracy.error_max)
     solvers = list(dict.fromkeys(accuracy.solver[drawn]))
     handles = {}
-    for number, (solver, colour) in enumerate(
-        zip(solvers, style.colours(len(solvers)), strict=True)
-    ):
+    for number, solver in enumerate(solvers):
         rows = np.flatnonzero(drawn & (accuracy.solver == solver))
-        mark = MARKS[number % len(MARKS)]
+        colour, mark = (kinds[number % len(kinds)] for kinds in (style.COLOURS, MARKS))
         draw_solver(ax, accuracy, rows, colour, mark)
         handles[solver] = Line2D([], [], color=colour, marker=mark, linewidth=0.5)
     if np.any(accuracy.failures[drawn]):
@@ -61,6 +61,8 @@ def draw_front(accuracy):
     handles["bound of the reference"] = ax.axhline(
         accuracy.reference_bound, color="#777777", linewidth=0.6, linestyle=":"
     )
+    low, high = ax.get_ylim()
+    ax.set_ylim(low / 2, max(high, 1000 * low))
     draw_staircase(ax, accuracy, handles)
     ax.legend(handles.values(), handles.keys(), loc="upper left", bbox_to_anchor=(1.01, 1))
     times = ax.get_xlim()
@@ -71,7 +73,8 @@ def draw_front(accuracy):
     ax.set_xlabel(f"run time (s), median of {accuracy.repeats}")
     ax.set_ylabel("largest relative error")
     if not np.all(drawn):
-        style.note(figure, f"without any result: {', '.join(accuracy.label[~drawn])}")
+        nothing = ", ".join(dict.fromkeys(accuracy.solver[~drawn]))
+        style.note(figure, textwrap.fill(f"without a result, at some tolerance: {nothing}", 100))
     return figure
 
 
