@@ -17,11 +17,14 @@ from mpi4py import MPI  # noqa: E402
 from scipy.sparse.linalg import eigsh, splu  # noqa: E402
 
 from pgran.lattice import Lattice, bond_places  # noqa: E402
+from pgran.linear import make_ksp  # noqa: E402
+from pgran.operators import Operators  # noqa: E402
 from pgran.relaxation import draw_changes  # noqa: E402
 from pgran.scenes.modes import find_modes  # noqa: E402
 from pgran.scenes.relaxation import relax  # noqa: E402
 from pgran.scenes.response import sweep  # noqa: E402
 from pgran.sharing import Crew  # noqa: E402
+from pgran.steady import SteadySolver  # noqa: E402
 from pgran.stiffness import BondLaw  # noqa: E402
 
 WORLD = MPI.COMM_WORLD
@@ -145,6 +148,53 @@ def compare_sweeps(label, side, omegas, repeats):
         row(label, seconds["scipy"], seconds["alone"], seconds["all"], error, response.failures)
 
 
+def solve_only(lattice, omegas, site):
+    """Return the amplitudes by one factorization and one solve each, and the seconds it took."""
+    with Operators(lattice, MPI.COMM_SELF) as operators:
+        ksp, field, amplitudes = make_ksp(operators), operators.f.duplicate(), []
+        ksp.setType("preonly")
+        ksp.setInitialGuessKnoll(False)
+        number = operators.numbers([site])[0]
+        started = time.perf_counter()
+        for omega in omegas:
+            operators.combine(omega)
+            ksp.setOperators(operators.S)
+            ksp.solve(operators.f, field)
+            amplitudes.append(field.getArray(readonly=True)[number])
+        seconds = time.perf_counter() - started
+        ksp.destroy()
+        field.destroy()
+    return np.array(amplitudes), seconds
+
+
+def solve_with_bounds(lattice, omegas, site):
+    """Return the same amplitudes with their bounds, and the seconds it took."""
+    with (
+        Operators(lattice, MPI.COMM_SELF) as operators,
+        SteadySolver(operators, [site]) as solver,
+    ):
+        started = time.perf_counter()
+        states = [solver.solve(omega) for omega in omegas]
+        return states, time.perf_counter() - started
+
+
+def compare_bounds(side, omegas, repeats):
+    """Measure what adjoint, residuals and bound add to factoring and solving."""
+    lattice, site = lattice_of(side)
+    work = {
+        "solve": (False, lambda: solve_only(lattice, omegas, site)),
+        "bound": (False, lambda: solve_with_bounds(lattice, omegas, site)),
+    }
+    results, seconds = in_turns(work, repeats)
+    if WORLD.rank == 0:
+        plain, bound = (1e3 * seconds[label] / len(omegas) for label in work)
+        proven = max(s.error_bound[0] / abs(s.displacement[0]) for s in results["bound"])
+        say(
+            f"{side} x {side}: {plain:.3f} ms a frequency alone, {bound:.3f} with a bound, "
+            f"{100 * (bound / plain - 1):.0f} % more; relative bounds up to {proven:.1e}"
+        )
+
+
 def compare_all_modes(side, repeats):
     """Measure all modes against NumPy's real eigh."""
     lattice, _ = lattice_of(side, damping=0.0)
@@ -260,6 +310,10 @@ def main():
     compare_sweeps("sweep 20 x 20, the paper's 1291", 20, paper, REPEATS)
     compare_sweeps("sweep 60 x 60, 128 frequencies", 60, np.linspace(0.01, 1.0, 128), REPEATS)
     compare_sweeps("sweep 200 x 200, 16 frequencies", 200, np.linspace(0.05, 0.5, 16), REPEATS)
+    say("\nwhat error bounds cost, one rank")
+    compare_bounds(20, paper[::4], 2 * REPEATS)
+    compare_bounds(200, np.linspace(0.05, 0.5, 4), REPEATS)
+    say("")
     compare_all_modes(40, REPEATS)
     compare_interval(100, 0.5, 0.518, REPEATS)
     say("\nrelaxation, ms a step on one rank\n" + f"{'':18} {'splu':>12} {'pgran':>10}   ratio")

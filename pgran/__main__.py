@@ -12,7 +12,7 @@ import traceback
 from pathlib import Path
 
 import pgran
-from pgran import errors
+from pgran import errors, launch
 from pgran.errors import InputError, PgranError, on_root
 
 log = logging.getLogger("pgran")
@@ -43,6 +43,8 @@ def main(words):
     commands = {"run": run, "plot": plot, "options": list_options, "doctor": doctor}
     if words[0] not in commands:
         raise InputError(f"{words[0]}: no such command; pgran --help lists them")
+    if sys.version_info < (3, 11) and words[0] != "doctor":
+        raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
     return commands[words[0]](words[1:])
 
 
@@ -58,6 +60,8 @@ def run(words):
     world = start_mpi()
     given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
+    if options.output_log:
+        start_log(options, words, world)
     if options.scene not in WITHOUT_PETSC:
         start_petsc(options)
 
@@ -67,6 +71,15 @@ def run(words):
     from pgran.journal import Journal
 
     output = options.output_file
+    if options.dry_run:
+        from pgran.forecast import forecast
+
+        on_root(world, lambda: store.check_output(output, options.output_overwrite, make=False))
+        for line in forecast(options, world, started):
+            print(line)
+        if world.rank == 0:
+            warn_of_unused(options)
+        return errors.DONE
     on_root(world, lambda: store.check_output(output, options.output_overwrite))
     identity = on_root(world, lambda: run_identity(options))
     try:
@@ -122,14 +135,29 @@ def start_mpi():
     if world.rank > 0:
         log.setLevel(logging.WARNING)
         log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))
-    for variable in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"):
-        launched = os.environ.get(variable, "1")
-        if world.size == 1 and launched.isdigit() and int(launched) > 1:
-            raise InputError(
-                f"mpirun started {launched} ranks that do not know of each other: it belongs to "
-                f"another MPI than mpi4py ({MPI.Get_library_version().split(',')[0]})"
-            )
+    if world.size == 1 and launch.size() > 1:
+        raise InputError(
+            f"mpirun started {launch.size()} ranks that do not know of each other: it belongs to "
+            f"another MPI than mpi4py ({MPI.Get_library_version().split(',')[0]})"
+        )
     return world
+
+
+def start_log(options, words, world):
+    """Let messages go to the log file of the options, too. Collective."""
+    from pgran import logfile
+
+    path = options.output_log
+    if Path(path).absolute() == Path(options.output_file).absolute():
+        raise InputError(f"-output_log {path}: is the -output_file")
+    on_root(world, lambda: logfile.check(path, make=not options.dry_run))
+    if not options.dry_run:
+        handler = logfile.LogFile(path, world.rank)
+        log.addHandler(handler)
+        if world.rank == 0:
+            command = shlex.join(["pgran", "run", *words])
+            text = f"{command} on {world.size} rank{'s' if world.size > 1 else ''}"
+            handler.handle(logging.makeLogRecord({"msg": text, "levelno": logging.INFO}))
 
 
 def start_petsc(options):
@@ -252,25 +280,43 @@ def end_all_ranks(error):
         code = error.code if isinstance(error.code, int) else 1
     elif isinstance(error, KeyboardInterrupt):
         code = 130
+    elif is_petsc(error) and "SetFromOptions()" in str(error):
+        code = errors.BAD_INPUT
     mpi = sys.modules.get("mpi4py.MPI")
-    others = mpi and mpi.Is_initialized() and not mpi.Is_finalized() and mpi.COMM_WORLD.size > 1
+    started = mpi and mpi.Is_initialized() and not mpi.Is_finalized()
+    others = started and mpi.COMM_WORLD.size > 1
+    copies = launch.size() > 1 or not started  # of this program, of which this is the first or not
     if others and mpi.COMM_WORLD.rank > 0:
         # Errors that all ranks meet are rank 0's to report; it ends the others while they wait.
         time.sleep(1.0)
-    if isinstance(error, PgranError):
+    if isinstance(error, InputError) and not others and copies and launch.rank() > 0:
+        pass  # before MPI joined them all copies met it alike; the first one says it
+    elif isinstance(error, PgranError):
         log.error("%s", error)
+    elif isinstance(error, ModuleNotFoundError):
+        log.error("%s: pgran doctor says how to mend it", error)
     elif isinstance(error, SystemExit):
         if others or not isinstance(error.code, int):
             log.error("ended by sys.exit(%r)", error.code)
     elif isinstance(error, KeyboardInterrupt):
         log.error("interrupted")
+    elif is_petsc(error):
+        lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
+        log.error("PETSc: %s", PgranError(f"{lines[-1]} ({lines[:2][-1].split(' at ')[0]})"))
     else:
         log.error("%s", "".join(traceback.format_exception(error)).rstrip())
     sys.stderr.flush()
     sys.stdout.flush()
     if others:
         mpi.COMM_WORLD.Abort(code)
+    if is_petsc(error):
+        os._exit(code)  # after an error of its own PETSc can crash while it is shut down
     sys.exit(code)
+
+
+def is_petsc(error):
+    """Return whether PETSc or SLEPc raised an error: a wrong solver option, a failing package."""
+    return type(error).__module__.startswith("petsc4py")
 
 
 if __name__ == "__main__":

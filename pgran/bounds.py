@@ -7,6 +7,11 @@ A~_d + z~^T r is wrong by at most |r|_{C^-1} |s|_{C^-1} / (omega beta): a produc
 each of which needs half the digits only. C is the Laplacian of the uniform lattice, whose smallest
 eigenvalue is known, and |r|_{C^-1} <= |r|_2 / sqrt(lambda_min(C)).
 
+Without damping |x|_2 <= |S x|_2 / delta, delta the distance of m omega^2 to the nearest eigenvalue
+of K, and |r|_2 |s|_2 / delta bounds the error; with very little damping delta - omega beta |C|
+still does better than damping alone. That no eigenvalue is nearer than delta is certified by
+counting those below m omega^2 - delta and below m omega^2 + delta (`pgran.counting`).
+
 Residuals are known up to rounding only; what rounding can change is bounded in terms of
 |f| + |S| |A~|, ball by ball, because amplitudes fall by many orders across a lattice.
 """
@@ -14,10 +19,12 @@ Residuals are known up to rounding only; what rounding can change is bounded in 
 import math
 
 import numpy as np
+from mpi4py import MPI
 
+from pgran.counting import ModeCounter
 from pgran.stiffness import unit_numbers
 
-EPSILON = np.finfo(float).eps
+EPSILON = float(np.finfo(float).eps)
 
 
 def smallest_damping_eigenvalue(shape):
@@ -37,96 +44,148 @@ class ErrorBounds:
     Attributes
     ----------
     proven : bool
-        Whether there is a bound: without damping there is none, but what rounding does to the
-        amplitudes can be tried (`random_rounding`).
+        Whether there is a bound: without damping there is none where ranks share the lattice,
+        because eigenvalues are counted serially. But what rounding does to the amplitudes can be
+        tried (`random_rounding`).
+    inverse_norm : float
+        No less than |S^-1|_2 at the frequency of the last `prepare`; NaN where unknown.
+    scale : float
+        No less than |S|_inf there.
     """
 
     def __init__(self, operators):
         """Make the work vectors."""
         self.operators = operators
-        self.proven = operators.damping > 0
+        self._alone = operators.comm.size == 1
+        self.proven = self._alone or operators.damping > 0
         self.lambda_min = smallest_damping_eigenvalue(operators.shape)
         # Roundings in a ball's residual, with d axes: 2d - 1 in the diagonal of K, 3 in S, 2d + 4
         # in a row of complex products and its difference from f; each at most EPSILON / 2.
         self.unit = (2 * len(operators.shape) + 4) * EPSILON
-        vectors = [operators.f.duplicate() for _ in range(4)]
-        self._diagonal, self._magnitude, self._terms, self._work = vectors
-        self._signs = None
+        self._product, self._work = operators.f.duplicate(), operators.f.duplicate()
+        self._counter = self._signs = None
         if not self.proven:
             signs = np.where(unit_numbers(0, 0, operators.balls) < 0.5, -1.0, 1.0)
             self._signs = operators.vector(signs.reshape(operators.shape))
 
     def destroy(self):
         """Free the work vectors. Collective."""
-        for held in (self._diagonal, self._magnitude, self._terms, self._work, self._signs):
+        for held in (self._product, self._work, self._counter, self._signs):
             if held is not None:
                 held.destroy()
 
     def stability(self, omega):
-        """Return the c > 0 with |S x|_2 >= c |x|_2 for every x. Not collective."""
+        """Return the c with |S x|_2 >= c |x|_2 for every x that damping gives, whatever the bonds.
+
+        Not collective.
+        """
         return self.lambda_min * omega * self.operators.damping
 
-    def rounding(self, omega, x):
-        """Return |f| + |S| |x|, ball by ball, in a vector that the next call overwrites.
+    def prepare(self, omega, tolerance):
+        """Bound the sizes of S and of its inverse at a frequency.
 
-        Collective. The diagonal of a Laplacian holds the sum of its row's magnitudes, so that
-        |K| |x| = 2 diag(K) |x| - K |x|, and likewise for C.
-        """
-        operators, a, terms = self.operators, self._magnitude, self._terms
-        operators.K.getDiagonal(self._diagonal)
-        x.copy(a)
-        a.abs()
-        operators.f.copy(terms)
-        terms.abs()
-        self._work.pointwiseMult(self._diagonal, a)
-        terms.axpy(2.0, self._work)
-        operators.K.mult(a, self._work)
-        terms.axpy(-1.0, self._work)
-        damping = omega * operators.damping
-        if operators.C is not None:
-            operators.C.mult(a, self._work)
-            terms.axpy(-damping, self._work)
-        terms.axpy(4 * len(operators.shape) * damping + operators.mass * omega**2, a)
-        return terms
-
-    def random_rounding(self):
-        """Return a residual as rounding leaves it, of random signs; the next call overwrites it.
-
-        Collective; `rounding` must have been called for the primal solution.
-        """
-        self._work.pointwiseMult(self._terms, self._signs)
-        self._work.scale(self.unit)
-        return self._work
-
-    def amplitude(self, omega, scale, primal, adjoint, value):
-        """Return the bound of one corrected amplitude, relative to the driven wall's.
-
-        Collective; `rounding` must have been called for the primal solution.
+        Collective; S and f must be combined.
 
         Parameters
         ----------
         omega : float
-        scale : float
-            |S|_inf.
-        primal, adjoint : pgran.steady.System
-            A~ with r, and z~ with s.
+        tolerance : float
+            Relative accuracy that will be asked of amplitudes.
+        """
+        operators = self.operators
+        damping, inertia = omega * operators.damping, operators.mass * omega**2
+        spread = 4 * len(operators.shape) * damping  # |omega beta C| is at most this
+        operators.K.getDiagonal(self._work)
+        # A Laplacian's diagonal holds the sum of its row's other magnitudes.
+        self._weights = 2 * self._work.getArray(readonly=True).real + spread
+        self._force = np.abs(operators.f.getArray(readonly=True))
+        largest = float(self._weights.max(initial=0.0))
+        if not self._alone:
+            largest = operators.comm.allreduce(largest, MPI.MAX)
+        self.scale = 1.01 * (largest + inertia)
+        stability = self.stability(omega) if self.proven else math.nan
+        if self._alone:
+            stability = max(stability, self._distance(inertia, spread, tolerance) - spread)
+        self.inverse_norm = 1.0 / stability if stability else math.inf
+
+    def _distance(self, shift, spread, tolerance):
+        """Return how far all eigenvalues of K are from a shift, at least; 0 if it is no use.
+
+        The first guess is a tenth of their mean distance from each other. It is no use where
+        damping spreads eigenvalues as far, or where rounding S moves amplitudes by more than the
+        tolerance.
+        """
+        least = max(EPSILON / tolerance, 10 * self.unit) * self.scale + 10 * spread
+        delta = 0.1 * self.scale / self.operators.balls
+        while delta >= least:
+            if self._counter is None:
+                self._counter = ModeCounter(self.operators.K)
+            if self._counter.below(shift, delta) is not None:
+                # Each count is of a matrix nearer to K - shift than delta / 10; K is rounded, too.
+                return 0.8 * delta
+            delta *= 0.1
+        return 0.0
+
+    def rounding(self, x):
+        """Return |f| + |S| |x| for each of this rank's balls.
+
+        Collective. With a = |x|, |K| a = 2 diag(K) a - K a, and likewise for C, whose part of S is
+        imaginary.
+        """
+        a = np.abs(x.getArray(readonly=True))
+        self._work.setArray(a)
+        self.operators.S.mult(self._work, self._product)
+        product = self._product.getArray(readonly=True)
+        return self._force + self._weights * a - product.real - product.imag
+
+    def random_rounding(self, terms):
+        """Return a residual as rounding leaves it, of random signs; the next call overwrites it.
+
+        Not collective; `terms` is the `rounding` of the primal solution.
+        """
+        self._work.setArray(self.unit * terms * self._signs.getArray(readonly=True))
+        return self._work
+
+    def primal_residual(self, primal, terms):
+        """Return a bound of |f - S A~|_2; `terms` is the `rounding` of A~. Collective."""
+        return primal.norm + self.unit * math.sqrt(self._total(terms @ terms))
+
+    def adjoint_residual(self, adjoint):
+        """Return a bound of |e_d - S z~|_2, rounding included. Collective."""
+        return adjoint.norm + self.unit * (1.0 + self.scale * adjoint.solution.norm())
+
+    def evaluation(self, residual, terms, adjoint, value):
+        """Return a bound of what rounding does to A~_d + z~^T r in evaluating it.
+
+        Collective.
+
+        Parameters
+        ----------
+        residual : float
+            The `primal_residual` of A~.
+        terms : numpy.ndarray
+            The `rounding` of A~.
+        adjoint : pgran.linear.System
+            z~.
         value : complex
-            The corrected amplitude A~_d + z~^T r.
+            The amplitude as evaluated.
         """
-        terms, z = self._terms, self._magnitude
-        adjoint.solution.copy(z)
-        size = z.norm()
-        z.abs()
-        r = primal.norm + self.unit * terms.norm()
-        s = adjoint.norm + self.unit * (1.0 + scale * size)
-        evaluation = self.unit * abs(z.dot(terms)) + self.operators.balls * EPSILON * size * r
+        z = np.abs(adjoint.solution.getArray(readonly=True))
+        known = self.unit * self._total(z @ terms)
+        product = (self.operators.balls + 2) * EPSILON * residual * adjoint.solution.norm()
+        return 1.01 * (known + product) + 4 * EPSILON * abs(value)
+
+    def amplitude(self, residual, terms, adjoint, value):
+        """Return the bound of a corrected amplitude; parameters as of `evaluation`. Collective."""
         # The last digits cover the rounding of this very formula.
-        return 1.01 * (r * s / self.stability(omega) + evaluation) + 4 * EPSILON * abs(value)
+        theory = 1.01 * residual * self.adjoint_residual(adjoint) * self.inverse_norm
+        return theory + self.evaluation(residual, terms, adjoint, value)
 
-    def field(self, omega, primal):
-        """Return a bound of the error of the whole field, in the 2-norm.
+    def field(self, residual):
+        """Return a bound of the error of the whole field, in the 2-norm. Not collective."""
+        return 1.01 * residual * self.inverse_norm
 
-        Collective; `rounding` must have been called for the primal solution.
-        """
-        residual = primal.norm + self.unit * self._terms.norm()
-        return 1.01 * residual / self.stability(omega)
+    def _total(self, number):
+        """Return the sum of a number over the ranks of the lattice. Collective."""
+        comm = self.operators.comm
+        return number if comm.size == 1 else comm.allreduce(number)

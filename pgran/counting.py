@@ -11,6 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from pgran.errors import PgranError, agree
+from pgran.linear import accept_small_pivots
 from pgran.operators import SAME, Owner
 
 SLICE = 60  # modes that are computed together; measured for 40 x 40 and 100 x 100
@@ -50,6 +51,7 @@ class ModeCounter(Owner):
         self._pc.setType("cholesky")
         self._pc.setOperators(self._shifted)
         self._pc.setFromOptions()
+        accept_small_pivots(self._pc)
 
     def destroy(self):
         """Free all PETSc objects."""

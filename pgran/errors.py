@@ -5,13 +5,25 @@ rank can meet (a file, memory) is either agreed on with `on_root` before the nex
 or ends the whole job in `pgran.__main__`.
 """
 
+import os
+import stat
+
 DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED = 0, 2, 3, 4, 75
+LONGEST = 1010  # characters of a message
 
 
 class PgranError(Exception):
-    """An error whose message is meant for the user, without a traceback."""
+    """An error whose message is meant for the user, without a traceback.
+
+    One line of bounded length without control characters, whatever a file put into it.
+    """
 
     exit_code = 1
+
+    def __init__(self, message):
+        """Keep the message, made fit for a terminal."""
+        text = "".join(c if c.isprintable() else "?" for c in str(message))
+        super().__init__(text if len(text) <= LONGEST else f"{text[:500]} ... {text[-500:]}")
 
 
 class InputError(PgranError):
@@ -91,3 +103,25 @@ def describe(error):
     """Return an OSError as `path: reason`. Not collective."""
     reason = error.strerror or str(error)
     return f"{error.filename}: {reason}" if error.filename else reason
+
+
+def open_regular(path):
+    """Return a file opened for reading bytes, refusing what could block or never end.
+
+    Not collective.
+
+    Raises
+    ------
+    FileError
+        If it cannot be opened, or is a folder, a pipe or a device.
+    """
+    try:
+        mode = os.stat(path).st_mode
+        if not stat.S_ISREG(mode):
+            kind = "directory" if stat.S_ISDIR(mode) else "pipe or a device, not a file"
+            raise FileError(f"{path}: is a {kind}")
+        return open(path, "rb")
+    except OSError as error:
+        raise FileError(describe(error)) from None
+    except ValueError as error:
+        raise FileError(f"{path!r}: no name of a file: {error}") from None

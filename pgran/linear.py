@@ -33,6 +33,13 @@ class System:
         self.rhs.copy(self.residual)
         self.norm = self.residual.norm()
 
+    def start_from_preconditioner(self, pc, matrix):
+        """Guess the preconditioned right-hand side: the solution, if `pc` is a factorization."""
+        pc.apply(self.rhs, self.solution)
+        self.update_residual(matrix)
+        if not self.norm <= self.rhs.norm():  # NaN too
+            self.start_from_zero()
+
     def start_from_line(self, step, matrix):
         """Guess by a straight line through the last two solutions, `step` of their distance on."""
         self.solution.scale(-step)
@@ -44,6 +51,12 @@ class System:
         matrix.mult(self.solution, self.residual)
         self.residual.aypx(-1.0, self.rhs)
         self.norm = self.residual.norm()
+
+
+def factor_package(shape, ranks):
+    """Return what factors the matrix of a lattice that so many ranks share. Not collective."""
+    small = math.prod(shape) <= PETSC_FACTORS[len(shape)]
+    return "petsc" if ranks == 1 and small else "mumps"
 
 
 def make_ksp(operators):
@@ -59,14 +72,29 @@ def make_ksp(operators):
     ksp.setOptionsPrefix("steady_")
     ksp.setOperators(operators.S)
     ksp.setType("bcgs")
-    ksp.setTolerances(rtol=1e-13, max_it=1000)
+    ksp.setTolerances(rtol=1e-13, atol=TINY, max_it=1000)
     pc = ksp.getPC()
     pc.setType("cholesky")
-    alone = operators.comm.size == 1
-    if not (alone and operators.balls <= PETSC_FACTORS[len(operators.shape)]):
+    if factor_package(operators.shape, operators.comm.size) != "petsc":
         pc.setFactorSolverType("mumps")
     ksp.setFromOptions()
+    accept_small_pivots(pc)
     if ksp.getType() != "preonly":
         # The preconditioner applied once is the solution already if it is a fresh factorization.
         ksp.setInitialGuessKnoll(True)
     return ksp
+
+
+def accept_small_pivots(pc):
+    """Call no pivot zero that is not, unless options say otherwise. Not collective.
+
+    PETSc's threshold is absolute, 2e-14, and the unit of stiffness is the user's. A pivot that is
+    zero but for rounding shows in the residuals.
+
+    Parameters
+    ----------
+    pc : petsc4py.PETSc.PC
+        Of its final type.
+    """
+    pc.setFactorPivot(zeropivot=0.0)
+    pc.setFromOptions()

@@ -9,6 +9,19 @@ wall; with w = b^T A, the driven wall counted as displacement 1, the amplitudes 
 
 So the amplitudes of a window of steps follow exactly from one factorization at its start, one solve
 for each of its bonds, and algebra among those bonds alone.
+
+That algebra proves its own results. Let S0, x0, z0 be the matrix, the amplitudes and the adjoint
+at the start, with residuals r0 and s0; B the bonds b_1 .. b_s of a window, Y the solutions of
+S0 Y = B with residuals R, G = B^T Y, Delta the changes so far, and w, q the displacements B^T x0
+(the driven wall counted) and B^T z0. After some steps x = x0 + Y gamma and z = z0 + Y eta have the
+residuals
+
+    r = r0 + R gamma - B h,    h = gamma + Delta (w + G gamma),
+    s = s0 + R eta - B g,      g = eta + Delta (q + G eta),
+
+h and g being what the algebra misses. As in `pgran.bounds`, x_d + z^T r is wrong by at most
+|r|_2 |s|_2 |S^-1|_2, and damping bounds S^-1 for all steps alike. Up to products of residuals with
+Y that sum is the amplitude at the start plus q^T gamma - (q + G eta)^T h, which is reported.
 """
 
 from dataclasses import dataclass
@@ -17,16 +30,17 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from pgran.bounds import EPSILON
 from pgran.errors import InputError
 from pgran.lattice import bond_arrays, bond_count
 from pgran.operators import SAME, Owner
-from pgran.steady import BACKWARD_ERROR
 from pgran.stiffness import unit_numbers
 
 COLUMNS = 32  # right-hand sides solved for at once
-# A window ends where rounding is estimated to reach this part of an amplitude.
-LARGEST_LOSS = 1e-12
-EPSILON = np.finfo(float).eps
+# A window ends where its relative bound exceeds this, even if less is asked for: a fresh start is
+# cheap, and errors are a thousandth of their bounds, which keeps them at 1e-10.
+LONGEST_REACH = 1e-7
+BOND = 2**0.5  # |b|_2 of a bond between balls
 
 
 @dataclass(frozen=True)
@@ -72,41 +86,90 @@ def draw_changes(law, shape, seed, trajectory, first, count):
     return Changes(np.minimum((u[::2] * bonds).astype(np.int64), bonds - 1), law(u[1::2]))
 
 
-def march(G, w, q, delta):
-    """Change one bond after the other; return what each adds to the amplitudes.
+def march(G, delta):
+    """Change one bond after the other; return how each then deforms the lattice.
 
-    Not collective. This is the LDL^T factorization of diag(1/delta) + G without pivoting, whose
-    leading blocks are the networks after each step.
+    Not collective. This is the inverse, column by column, of the factor L^T in the L D L^T
+    factorization of diag(1/delta) + G, whose leading blocks are the networks after each step.
 
     Parameters
     ----------
     G : numpy.ndarray, shape (s, s)
-        b^T S^-1 b' of the changing bonds before any change.
-    w : numpy.ndarray, shape (s,)
-        Their relative displacements.
-    q : numpy.ndarray, shape (s, nd)
-        Those in the adjoints of the detectors.
+        b^T S0^-1 b' of the changing bonds before any change.
     delta : numpy.ndarray, shape (s,)
         By how much each changes.
 
     Returns
     -------
-    increments : numpy.ndarray, shape (s, nd)
-    rounding : numpy.ndarray, shape (s, nd)
-        What rounding may have done to each, estimated: a pivot inherits the rounding of the
-        flexibility before all changes, relative to its own size.
+    T : numpy.ndarray, shape (s, s)
+        S^-1 b_t = S0^-1 B T[:, t] once the bonds before t have changed.
+    c : numpy.ndarray, shape (s,)
+        delta / (1 + delta b^T S^-1 b).
     """
-    steps = len(delta)
-    A = np.concatenate([G, w[:, None], q], axis=1)
-    c, pivot = np.empty(steps, dtype=complex), np.empty(steps, dtype=complex)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        for t in range(steps):
-            pivot[t] = 1.0 + delta[t] * A[t, t]
-            c[t] = delta[t] / pivot[t]
-            A[t + 1 :, t + 1 :] -= np.multiply.outer(c[t] * A[t + 1 :, t], A[t, t + 1 :])
-        increments = -(c * A[:, steps])[:, None] * A[:, steps + 1 :]
-        gain = 1.0 + np.abs(delta * np.diagonal(G) / pivot)
-        return increments, EPSILON * gain[:, None] * np.abs(increments)
+    T, c = np.eye(len(delta), dtype=complex), np.empty(len(delta), dtype=complex)
+    with np.errstate(all="ignore"):  # what is not finite has no bound
+        for t in range(len(delta)):
+            T[:t, t] = T[:t, :t] @ (-c[:t] * (G[t, :t] @ T[:t, :t]))
+            c[t] = delta[t] / (1.0 + delta[t] * (G[t, : t + 1] @ T[: t + 1, t]))
+    return T, c
+
+
+@dataclass(frozen=True)
+class Deformation:
+    """The amplitudes, or an adjoint, after each of a window's steps, by its part along Y.
+
+    A column of an array (s, s) is a step.
+
+    Attributes
+    ----------
+    part : numpy.ndarray, shape (s, s)
+        gamma, or eta.
+    size : numpy.ndarray, shape (s, s)
+        Its magnitude.
+    stretch : numpy.ndarray, shape (s, s)
+        w + G gamma, or q + G eta: the displacements of the bonds.
+    missed : numpy.ndarray, shape (s, s)
+        h, or g.
+    rounding : numpy.ndarray, shape (s, s)
+        What rounding may have done to `missed`, at most.
+    stretch_rounding : numpy.ndarray, shape (s, s)
+        The same for `stretch`.
+    """
+
+    part: np.ndarray
+    size: np.ndarray
+    stretch: np.ndarray
+    missed: np.ndarray
+    rounding: np.ndarray
+    stretch_rounding: np.ndarray
+
+    @classmethod
+    def of(cls, T, c, G, delta, stretch, wall=0.0):
+        """Return what changes delta make of the stretch of bonds, where a wall may move as well."""
+        w, steps = stretch + wall, len(delta)
+        part = np.cumsum(T * (-c * (w @ T)), axis=1)
+        stretch = w[:, None] + G @ part
+        missed = np.triu(part + delta[:, None] * stretch)  # bonds change one after the other
+        size = np.abs(part)
+        # Displacements of bonds are differences, rounded once; then come s products and sums.
+        rows, columns = np.sqrt(squares(G.T)), np.sqrt(np.sum(size**2, axis=0))
+        stretch_rounding = np.multiply.outer((steps + 8) * EPSILON * rows, columns)
+        stretch_rounding += (EPSILON * (4 * np.abs(w) + wall))[:, None]
+        rounding = np.triu(np.abs(delta)[:, None] * stretch_rounding) + 2 * EPSILON * size
+        return cls(part, size, stretch, missed, rounding, stretch_rounding)
+
+    def residual(self, start, columns):
+        """Return bounds of |r|_2 after each step.
+
+        Parameters
+        ----------
+        start : float
+            A bound of |r0|_2.
+        columns : numpy.ndarray, shape (s,)
+            Bounds of the residuals of the columns of Y.
+        """
+        missed = np.sum(np.abs(self.missed) + self.rounding, axis=0)
+        return start + columns @ self.size + BOND * missed
 
 
 class Network:
@@ -170,7 +233,7 @@ class Windows(Owner):
     Raises
     ------
     InputError
-        If the solver's preconditioner is no factorization.
+        If the solver's preconditioner is no factorization, or there is no damping.
     """
 
     def __init__(self, network, solver, omega):
@@ -179,6 +242,11 @@ class Windows(Owner):
             raise InputError(
                 "-relax_method window: needs a factorization (-steady_pc_type cholesky or lu); "
                 "-relax_method krylov does without"
+            )
+        if network.operators.damping == 0:
+            raise InputError(
+                "-relax_method window: needs damping (-lattice_damping), which bounds the error of "
+                "every step; -relax_method krylov or direct does without"
             )
         self.network, self.solver, self.omega = network, solver, omega
         self.comm = network.operators.comm
@@ -217,37 +285,57 @@ class Windows(Owner):
 
         Returns
         -------
-        numpy.ndarray, shape (n, nd)
-            n is smaller than the number of changes, even 0, where more would miss the accuracy.
+        after, error_bound : numpy.ndarray, shape (n, nd)
+            n is smaller than the number of changes, even 0, where more would lose accuracy.
         """
-        operators, before = self.network.operators, self.state.displacement
-        ends = operators.bond_ends[changes.bond]
-        flexibility = self._flexibility(ends)
-        if self.state.converged_reason <= 0 or flexibility is None:
-            return np.empty((0, len(before)), dtype=complex)
-        fields = np.stack([v.getArray(readonly=True) for v in self.solver.solutions], axis=1)
-        stretch = self._stretch(fields, ends)
-        w = stretch[:, 0] + operators.driven_bonds[changes.bond]
-        increments, rounding = march(
-            flexibility, w, stretch[:, 1:], self.network.differences(changes)
-        )
-        after = before + np.cumsum(increments, axis=0)
-        loss = EPSILON * np.abs(before) + np.cumsum(rounding, axis=0)
-        error = loss + np.nan_to_num(self.state.error_bound)
-        kept = loss <= LARGEST_LOSS * np.abs(after)
-        kept &= error <= self.solver.tolerance * np.abs(after)
+        solver, network = self.solver, self.network
+        before, ends = self.state.displacement, network.operators.bond_ends[changes.bond]
+        after = np.empty((len(changes), len(before)), dtype=complex)
+        error_bound = np.empty(after.shape)
+        if self.state.converged_reason <= 0:
+            return after[:0], error_bound[:0]
+        G, sizes, residuals = self._flexibility(ends)
+        systems = [solver.primal, *solver.adjoints]
+        fields = np.stack([system.solution.getArray(readonly=True) for system in systems], axis=1)
+        w, *adjoint_w = self._stretch(fields, ends).T
+        delta, steps = network.differences(changes), len(changes)
+        bounds = solver.bounds
+        terms = bounds.rounding(solver.primal.solution)
+        r0 = bounds.primal_residual(solver.primal, terms)
+        with np.errstate(all="ignore"):
+            T, c = march(G, delta)
+            driven = network.operators.driven_bonds[changes.bond]
+            primal = Deformation.of(T, c, G, delta, w, driven)
+            moved, r = sizes @ primal.size, primal.residual(r0, residuals)
+            for d, (system, q) in enumerate(zip(solver.adjoints, adjoint_w, strict=True)):
+                adjoint = Deformation.of(T, c, G, delta, q)
+                s0 = bounds.adjoint_residual(system)
+                product = adjoint.stretch * primal.missed
+                after[:, d] = before[d] + q @ primal.part - np.sum(product, axis=0)
+                rounding = EPSILON * (steps + 6) * (np.abs(q) @ primal.size)
+                rounding += np.sum(np.abs(adjoint.stretch) * primal.rounding, axis=0)
+                rounding += np.sum(adjoint.stretch_rounding * np.abs(primal.missed), axis=0)
+                rounding += EPSILON * (steps + 6) * np.sum(np.abs(product), axis=0)
+                left = s0 * moved + (sizes @ adjoint.size) * (r0 + residuals @ primal.size)
+                theory = r * adjoint.residual(s0, residuals) / bounds.stability(self.omega)
+                error_bound[:, d] = 1.01 * (theory + left + rounding)
+                error_bound[:, d] += bounds.evaluation(r0, terms, system, before[d])
+                error_bound[:, d] += 4 * EPSILON * np.abs(after[:, d])
+            tolerance = min(solver.tolerance, LONGEST_REACH)
+            kept = error_bound * (1 + tolerance) <= tolerance * np.abs(after)
         kept = np.all(kept, axis=1)
-        return after[: len(after) if np.all(kept) else np.argmin(kept)]
+        count = steps if np.all(kept) else np.argmin(kept)
+        return after[:count], error_bound[:count]
 
     def _flexibility(self, ends):
-        """Return b^T S^-1 b' for all pairs of bonds, from block solves with the factorization.
+        """Return G = B^T Y from block solves with the factorization, and bounds of two norms.
 
-        None if the factorization does not solve: a KSP may make up for an inexact one, this cannot.
+        Those of Y and of its residual, column by column. A KSP may make up for an inexact
+        factorization; here its residual shows.
         """
-        S, factor = self.network.operators.S, self.solver.factor
-        scale = S.norm(PETSc.NormType.INFINITY)
+        S, factor, bounds = self.network.operators.S, self.solver.factor, self.solver.bounds
         first, last = self._rhs.getOwnershipRange()
-        columns, exact = [], True
+        columns, norms = [], []
         for start in range(0, len(ends), COLUMNS):
             chunk = ends[start : start + COLUMNS]
             block = self._rhs.getDenseArray()
@@ -257,13 +345,20 @@ class Windows(Owner):
                 block[chunk[mine, side] - first, mine] = sign
             self._rhs.assemble()
             factor.matSolve(self._rhs, self._found)
-            found = self._found.getDenseArray(readonly=True)[:, : len(chunk)]
-            columns.append(self._stretch(found, ends))
-            allowed = scale * self._found.norm() + self._rhs.norm()
             S.matMult(self._found, self._residual)
             self._residual.axpy(-1.0, self._rhs, structure=SAME)
-            exact = exact and self._residual.norm() <= BACKWARD_ERROR * allowed
-        return np.concatenate(columns, axis=1) if exact else None
+            found, missed = (
+                block.getDenseArray(readonly=True)[:, : len(chunk)]
+                for block in (self._found, self._residual)
+            )
+            columns.append(self._stretch(found, ends))
+            norms.append([squares(found), squares(missed)])
+        total = np.concatenate(norms, axis=1)
+        if self.comm.size > 1:
+            self.comm.Allreduce(MPI.IN_PLACE, total)
+        sizes, residuals = 1.01 * np.sqrt(total)
+        residuals += bounds.unit * (BOND + bounds.scale * sizes)
+        return np.concatenate(columns, axis=1), sizes, residuals
 
     def _stretch(self, fields, ends):
         """Return b^T x for each bond b and each column x of this rank's rows, on every rank."""
@@ -275,6 +370,12 @@ class Windows(Owner):
         if self.comm.size > 1:
             self.comm.Allreduce(MPI.IN_PLACE, stretch)
         return stretch
+
+
+def squares(columns):
+    """Return the sum of squares of each column of this rank's part of a block."""
+    rows = np.ascontiguousarray(columns.T).view(float)
+    return np.einsum("ij,ij->i", rows, rows)
 
 
 def window_length(balls):

@@ -176,6 +176,10 @@ class Relaxation:
         "amplitude at the detectors relative to the driven wall, entry 0 before any change",
         "1", "trajectory", "state", "detector",
     )  # fmt: skip
+    error_bound: np.ndarray = array(
+        "bound of the error of the displacement; NaN: none is known",
+        "1", "trajectory", "state", "detector",
+    )  # fmt: skip
 
     @property
     def amplitude(self):

@@ -17,10 +17,10 @@ from pgran.linear import TINY, System, make_ksp
 from pgran.operators import Owner
 from pgran.reuse import FACTORIZATIONS, ReusePolicy, expected_iterations, factor_price
 
-PASSES = 4  # of iterative refinement with one factorization
+PASSES = 20  # of iterative refinement with one factorization, if each halves a bound
 SAFETY = 0.3  # aim at this part of what the tolerance allows
-# Without damping no bound is known: then the residual must be of the size of rounding, and so must
-# be what this many times as much rounding does to the amplitudes.
+# Where no bound is known the residual must be of the size of rounding, and so must be what this
+# many times as much rounding does to the amplitudes.
 BACKWARD_ERROR, ROUNDING_TRIED = 1e-12, 10.0
 
 
@@ -35,7 +35,8 @@ class SteadyState:
     displacement : numpy.ndarray, shape (nd,)
         Complex amplitudes at the detectors, relative to the driven wall's.
     error_bound : numpy.ndarray, shape (nd,)
-        The error of each is at most this; NaN where no bound is known (no damping).
+        The error of each is at most this; NaN where no bound is known (an undamped lattice that
+        ranks share).
     backward_error : float
         |f - S A| / (|S| |A| + |f|).
     iterations : int
@@ -72,13 +73,15 @@ class SteadySolver(Owner):
         Refresh the factorization after a frequency that took more iterations; 0 decides by price.
     whole_field : bool
         Ask the same accuracy of the field, in the 2-norm.
-    adjoints : bool
-        Solve for the adjoints without damping too, where they prove nothing.
 
     Attributes
     ----------
     factorizations : int
         How many there were so far.
+    primal, adjoints : pgran.linear.System, list of pgran.linear.System
+        The amplitudes of all balls at the last frequency, and the adjoint of each detector; no
+        adjoints where they prove nothing.
+    bounds : pgran.bounds.ErrorBounds
     field : petsc4py.PETSc.Vec
         All amplitudes at the frequency of the last `solve`.
     """
@@ -90,7 +93,6 @@ class SteadySolver(Owner):
         error_tolerance=1e-4,
         refresh_iterations=0,
         whole_field=False,
-        adjoints=False,
     ):
         """Set up the KSP from its options."""
         self.operators, self.comm = operators, operators.comm
@@ -98,29 +100,24 @@ class SteadySolver(Owner):
         self.whole_field = whole_field
         self.factorizations = 0
         self._correction = operators.f.duplicate()
-        self._primal = System(operators.f)
+        self.primal = System(operators.f)
         self._numbers = operators.numbers(sites)
         self._scatter, self._readings = self._make_probe()
-        self._bounds = ErrorBounds(operators)
-        self._adjoints = []
-        if self._bounds.proven or adjoints:
-            self._adjoints = [System(self._unit_vector(number)) for number in self._numbers]
-        self._systems = [self._primal, *self._adjoints]
+        self.bounds = ErrorBounds(operators)
+        self.adjoints = []
+        if self.bounds.proven:
+            self.adjoints = [System(self._unit_vector(number)) for number in self._numbers]
+        self._systems = [self.primal, *self.adjoints]
         self._policy = ReusePolicy(refresh_iterations)
         self._ksp = make_ksp(operators)
-        self._longest = self._ksp.getTolerances()[3]
+        self._rtol, _, _, self._longest = self._ksp.getTolerances()
         self._direct = self._ksp.getType() == "preonly"
         self.restart()
 
     @property
     def field(self):
         """The amplitudes of all balls."""
-        return self._primal.solution
-
-    @property
-    def solutions(self):
-        """The amplitudes of all balls, and the adjoint of each detector."""
-        return [system.solution for system in self._systems]
+        return self.primal.solution
 
     @property
     def factor(self):
@@ -130,9 +127,9 @@ class SteadySolver(Owner):
 
     def destroy(self):
         """Free all PETSc objects. Collective."""
-        for adjoint in self._adjoints:
+        for adjoint in self.adjoints:
             adjoint.rhs.destroy()
-        held = [self._correction, self._scatter, self._readings, self._ksp, self._bounds]
+        held = [self._correction, self._scatter, self._readings, self._ksp, self.bounds]
         for item in [*self._systems, *held]:
             item.destroy()
 
@@ -157,6 +154,7 @@ class SteadySolver(Owner):
         SteadyState
         """
         self.operators.combine(omega)
+        self.bounds.prepare(omega, self.tolerance)
         for system in self._systems:
             system.advance()
         fresh = self._direct or self._policy.due(self._expected(omega))
@@ -176,18 +174,14 @@ class SteadySolver(Owner):
         if fresh:
             self._factor()
         self._guess(omega, fresh)
-        scale = self.operators.S.norm(PETSc.NormType.INFINITY)
         self._ksp.setTolerances(max_it=self._longest if fresh else self._policy.patience())
         self._iterations, self._reason = 0, 0
         state, size = None, self._size
-        for _ in range(PASSES):
+        for attempt in range(PASSES):
             previous = state
-            goal = self._goal(omega, size)
-            self._improve(self._primal, self._primal_target(omega, goal))
-            for adjoint, product in zip(self._adjoints, goal, strict=True):
-                half = math.sqrt(product)
-                self._improve(adjoint, half * min(1.0, half / max(self._primal.norm, TINY)))
-            state = self._assess(omega, scale)
+            if attempt or not fresh:
+                self._improve_all(size)
+            state = self._assess(omega)
             size = np.abs(state.displacement)
             if state.converged_reason > 0 or not np.all(np.isfinite(size)):
                 break
@@ -221,39 +215,42 @@ class SteadySolver(Owner):
             self._policy.price = factor_price(pc, self.operators.balls)
 
     def _guess(self, omega, fresh):
-        """Start from zero with a fresh factorization, else from the last states."""
+        """Start from one application of a fresh preconditioner, else from the last states."""
         step = 0.0
         if len(self._omegas) == 2 and self._omegas[0] != self._omegas[1]:
             before, last = self._omegas
             step = (omega - last) / (last - before)
         for system in self._systems:
             if fresh:
-                system.start_from_zero()
+                system.start_from_preconditioner(self._ksp.getPC(), self.operators.S)
             else:
                 system.start_from_line(step, self.operators.S)
 
-    def _goal(self, omega, size):
-        """Return, for each adjoint, the product of the two residual norms to aim at."""
-        if not self._bounds.proven or size is None:
-            return [0.0] * len(self._adjoints)
-        return SAFETY * self.tolerance * self._bounds.stability(omega) * size
+    def _improve_all(self, size):
+        """Reduce all residuals until their products are small enough for amplitudes of that size.
 
-    def _primal_target(self, omega, goal):
-        """Return the residual norm to aim at: half the digits of the product, or rounding."""
-        if not self._bounds.proven:
-            return 0.0
-        target = math.sqrt(min(goal, default=math.inf))
-        if self.whole_field:
-            field = self._bounds.stability(omega) * self._primal.solution.norm()
-            target = min(target, SAFETY * self.tolerance * field)
-        return target
+        Without a bound, as far as the KSP gets. Of the digits a product needs each residual
+        contributes half, relative to its right-hand side.
+        """
+        goal, field = np.zeros(len(self.adjoints)), 0.0
+        if self.bounds.proven:
+            share = SAFETY * self.tolerance / self.bounds.inverse_norm
+            goal = share * size
+            field = share * self.primal.solution.norm() if self.whole_field else math.inf
+        force = self.primal.rhs.norm()
+        target = math.sqrt(goal.min(initial=math.inf) * force) if force else 0.0
+        self._improve(self.primal, min(target, field))
+        for adjoint, product in zip(self.adjoints, goal, strict=True):
+            half = math.sqrt(product / force) if force else 0.0
+            self._improve(adjoint, min(half, product / max(self.primal.norm, TINY)))
 
     def _improve(self, system, target):
         """Reduce a residual to the target, or as far as the KSP gets. Collective."""
         if system.norm <= target:
             return
         ksp, before = self._ksp, system.norm
-        ksp.setTolerances(atol=max(target, TINY))
+        # Relative, because a KSP may measure preconditioned residuals, which have another unit.
+        ksp.setTolerances(rtol=max(self._rtol, target / before))
         ksp.solve(system.residual, self._correction)
         self._iterations += ksp.getIterationNumber()
         self._reason = ksp.getConvergedReason()
@@ -266,25 +263,26 @@ class SteadySolver(Owner):
             system.solution.axpy(-1.0, self._correction)
             system.update_residual(self.operators.S)
 
-    def _assess(self, omega, scale):
+    def _assess(self, omega):
         """Return the state reached, its bounds, and whether they meet the tolerance."""
-        primal = self._primal
+        primal, bounds = self.primal, self.bounds
         self._scatter.scatter(primal.solution, self._readings)
         displacement = self._readings.getArray().copy()
         bound = np.full(len(displacement), math.nan)
         size, field_bound = primal.solution.norm(), math.nan
-        backward_error = primal.norm / max(scale * size + primal.rhs.norm(), TINY)
-        for d, adjoint in enumerate(self._adjoints):
-            displacement[d] += adjoint.solution.tDot(primal.residual)
-        self._bounds.rounding(omega, primal.solution)
-        if not self._bounds.proven:
-            good = backward_error <= BACKWARD_ERROR and self._withstands_rounding(displacement)
+        backward_error = primal.norm / max(bounds.scale * size + primal.rhs.norm(), TINY)
+        terms = bounds.rounding(primal.solution)
+        if not bounds.proven:
+            good = backward_error <= BACKWARD_ERROR
+            good = good and self._withstands_rounding(displacement, terms)
         else:
-            for d, adjoint in enumerate(self._adjoints):
-                bound[d] = self._bounds.amplitude(omega, scale, primal, adjoint, displacement[d])
+            residual = bounds.primal_residual(primal, terms)
+            for d, adjoint in enumerate(self.adjoints):
+                displacement[d] += adjoint.solution.tDot(primal.residual)
+                bound[d] = bounds.amplitude(residual, terms, adjoint, displacement[d])
             good = np.all(bound * (1 + self.tolerance) <= self.tolerance * np.abs(displacement))
             if self.whole_field:
-                field_bound = self._bounds.field(omega, primal)
+                field_bound = bounds.field(residual)
                 good = good and field_bound <= self.tolerance * size
         if good and np.all(np.isfinite(displacement)):
             reason = (
@@ -296,10 +294,10 @@ class SteadySolver(Owner):
             omega, displacement, bound, backward_error, self._iterations, reason, field_bound
         )
 
-    def _withstands_rounding(self, displacement):
+    def _withstands_rounding(self, displacement, terms):
         """Return whether rounding of random signs leaves the amplitudes as they are. Collective."""
-        residual = self._bounds.random_rounding()
-        self._ksp.setTolerances(atol=0.01 * residual.norm())
+        residual = self.bounds.random_rounding(terms)
+        self._ksp.setTolerances(rtol=0.01)
         self._ksp.solve(residual, self._correction)
         self._iterations += self._ksp.getIterationNumber()
         if self._ksp.getConvergedReason() <= 0:

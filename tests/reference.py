@@ -2,12 +2,15 @@
 
 Nothing here comes from pgran but the arrays of bond constants. Systems are formed and residuals
 computed in extended precision (where the machine has it), corrections by a dense LU in double: so
-solutions are right to rounding, component by component, also where amplitudes are 1e-11.
+solutions are right to rounding, component by component, also where amplitudes are 1e-11. Where
+matrices are nearly singular, or amplitudes smaller than any double, there is elimination in mpmath.
 """
 
 import math
 
+import mpmath
 import numpy as np
+from mpmath import mp, mpf
 from scipy.linalg import lu_factor, lu_solve
 
 DRIVEN, REST = "driven", "at rest"
@@ -88,6 +91,48 @@ class Reference:
         return np.array([field[tuple(site)] for site in np.atleast_2d(sites)])
 
 
+def exact_amplitudes(stiffness, mass, damping, omega, sites):
+    """A at some balls for the given doubles, to the digits that mpmath works with.
+
+    Sparse elimination with pivoting, the longest axis outermost, so that rows stay short. Infinite
+    where S is singular.
+    """
+    shape = tuple(n - (a == 0) for a, n in enumerate(stiffness[0].shape))
+    axes = np.argsort(shape, kind="stable")[::-1]
+    order = sorted(balls(shape), key=lambda ball: [ball[a] for a in axes])
+    number = {ball: n for n, ball in enumerate(order)}
+    size, reach = len(order), len(order) // max(shape)
+    omega = mpf(float(omega))
+    loss = mpmath.mpc(0, omega * mpf(float(damping))) if damping else mpf(0)
+    rows = [{n: -mpf(float(mass)) * omega**2} for n in range(size)]  # column `size` is f
+    for axis, index, *ends in bonds(shape):
+        k = mpf(float(stiffness[axis][index])) + loss
+        for end, other in (ends, ends[::-1]):
+            if end in number:
+                row = rows[number[end]]
+                row[number[end]] += k
+                if other is not REST:
+                    column = size if other is DRIVEN else number[other]
+                    row[column] = row.get(column, 0) + (k if other is DRIVEN else -k)
+    for n in range(size):
+        below = range(n, min(n + reach + 1, size))
+        pivot = max(below, key=lambda p: abs(rows[p].get(n, 0)))
+        rows[n], rows[pivot] = rows[pivot], rows[n]
+        if not rows[n].get(n):
+            return [mp.inf] * len(np.atleast_2d(sites))
+        for p in below[1:]:
+            factor = rows[p].pop(n, 0) / rows[n][n]
+            if factor:
+                for column, value in rows[n].items():
+                    if column != n:
+                        rows[p][column] = rows[p].get(column, 0) - factor * value
+    x = [mpf(0)] * size
+    for n in reversed(range(size)):
+        known = sum(v * x[column] for column, v in rows[n].items() if n < column < size)
+        x[n] = (rows[n].get(size, mpf(0)) - known) / rows[n][n]
+    return [x[number[tuple(map(int, site))]] for site in np.atleast_2d(sites)]
+
+
 def uniform_field(shape, stiffness, mass, damping, omega):
     """A of a lattice whose bonds are all alike (fact 1 of physics.md), for 1 to 3 axes.
 
@@ -123,3 +168,51 @@ def uniform_frequencies(shape, stiffness, mass):
         axis = 2 - 2 * np.cos(np.arange(1, n + 1) * math.pi / (n + 1))
         squares = np.add.outer(squares, axis).ravel()
     return np.sqrt(stiffness / mass * np.sort(squares))
+
+
+def wavenumber_squared(box, omega):
+    omega = mpf(float(omega))
+    drag = omega * mpf(box.damping)
+    return mpf(box.mass) * omega**2 / mpmath.mpc(box.stiffness, drag)
+
+
+def series_along_y(box, omega, x, y):
+    """Sum the paper's series term by term: quick where x is away from the driven wall."""
+    lx, ly = map(mpf, box.size)
+    z, total, nu, bound = wavenumber_squared(box, omega), mpf(0), 1, mpf(1)
+    while bound > 1e-25 or nu * mp.pi / ly < 2 * abs(z) ** 0.5:
+        gamma = mpmath.sqrt((nu * mp.pi / ly) ** 2 - z)
+        term = (
+            mpmath.sin(nu * mp.pi * y / ly) / nu * mpmath.sinh(gamma * x) / mpmath.sinh(gamma * lx)
+        )
+        total += term
+        bound = abs(mpmath.exp(-gamma * (lx - x))) * y * (ly - y) * x / abs(total)
+        nu += 2
+    return 4 / mp.pi * total
+
+
+def series_along_x(box, omega, x, y):
+    """Sum an expansion the code does not know: in sin(j pi x/Lx), quick away from y = 0 and Ly.
+
+    sin(k x)/sin(k Lx) satisfies the equation and the walls x = 0, Lx; sines along x times cosh
+    along y take away what it leaves on the walls y = 0, Ly.
+    """
+    lx, ly = map(mpf, box.size)
+    z = wavenumber_squared(box, omega)
+    k, j, bound = mpmath.sqrt(z), 1, mpf(1)
+    total = mpmath.sin(k * x) / mpmath.sin(k * lx) if omega else x / lx
+    while bound > 1e-25 or j * mp.pi / lx < 2 * abs(z) ** 0.5:
+        p = j * mp.pi / lx
+        eta = mpmath.sqrt(p**2 - z)
+        bow = mpmath.cosh(eta * (y - ly / 2)) / mpmath.cosh(eta * ly / 2)
+        total += (-1) ** j * 2 / lx * p / (p**2 - z) * mpmath.sin(p * x) * bow
+        bound = abs(mpmath.exp(-eta * min(y, ly - y))) * x * (lx - x) / abs(total)
+        j += 1
+    return total
+
+
+def continuum_amplitude(box, omega, point):
+    """The amplitude of the homogeneous box, to the digits that mpmath works with."""
+    x, y = (mpf(float(value)) for value in point)
+    along_y = box.size[0] - x > min(y, box.size[1] - y)
+    return (series_along_y if along_y else series_along_x)(box, omega, x, y)

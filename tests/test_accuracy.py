@@ -249,7 +249,7 @@ def test_no_reference_no_study(world, solver, solver_options):
     """What the experiment's own keys say holds for the reference as well."""
     solver_options("-steady_pc_type jacobi -steady_ksp_max_it 2")
     with pytest.raises(PgranError, match="no reference to compare with"):
-        study(world, RESPONSE, [solver("direct")])
+        study(world, f"{RESPONSE} -sweep_omega .6", [solver("direct")])
 
 
 # Solver files and the option database
@@ -264,6 +264,7 @@ def test_no_reference_no_study(world, solver, solver_options):
         ("\n-relax_method krylv", "relaxation", "did you mean krylov"),
         ("\n-steady_refresh_iterations -1", "response", "is not >= 0"),
         ("\n-steady_", "response", "-steady_"),
+        ("\n-steady_pc_type python", "response", "could load code"),
     ],
 )
 def test_a_wrong_solver_file_is_refused_before_any_work(

@@ -72,7 +72,7 @@ NEEDS = {
     },
     f"-scene response -lattice_damping 0 {SMALL}": {
         **BASE,
-        "Laplacians": 1, "S": 1, "factorizations": 3,
+        "Laplacians": 1, "S": 1, "factorizations": 3, "adjoints": 1, "counts of modes": True,
         "stores": {"lattice", "response"},
     },
     f"-scene modes {MODES}": {

@@ -90,35 +90,101 @@ def test_repeated_bonds_and_the_driven_wall():
     """Only bonds at the driven wall change, each many times in a window."""
     lattice = random_lattice((3, 2), seed=3, damping=0.02)
     last = bond_count((3, 2)) - 3 * 3  # bonds along x come first; the last two are driven
-    bonds = np.array([last - 1, last - 2] * 10)
-    stiffness = np.linspace(0, 0.3, 20)
+    changes = Changes(np.array([last - 1, last - 2] * 10), np.linspace(0, 0.3, 20))
+    after, bound, exact = follow(lattice, 0.4, [[0, 1]], changes)
+    assert len(after) == 20
+    assert np.all(np.abs(after - exact) <= bound)
+    assert np.all(np.abs(after - exact) <= 1e-12 * np.abs(exact))
+
+
+def test_marching_is_elimination():
+    """Columns of T make S^-1 b once the bonds before have changed, a vanishing pivot included."""
+    rng = np.random.default_rng(4)
+    S = rng.standard_normal((9, 9)) + 1j * rng.standard_normal((9, 9))
+    S += S.T
+    B, delta = rng.standard_normal((9, 5)), rng.standard_normal(5)
+    delta[2] = 0.0
+    Y = np.linalg.solve(S, B)
+    T, c = march(B.T @ Y, delta)
+    for t in range(5):
+        v = np.linalg.solve(S, B[:, t])
+        assert np.abs(Y @ T[:, t] - v).max() <= 1e-12 * np.abs(v).max()
+        assert c[t] == pytest.approx(delta[t] / (1 + delta[t] * B[:, t] @ v), rel=1e-12)
+        S = S + delta[t] * np.multiply.outer(B[:, t], B[:, t])
+    T, c = march(np.array([[0.5, 0.1], [0.1, 0.7]], dtype=complex), np.array([-2.0, 1.0]))
+    assert not np.isfinite(c[0])
+
+
+def follow(lattice, omega, sites, changes, tolerance=1e-4):
+    """Return the amplitudes of one window, their bounds, and what they are."""
     with (
         Operators(lattice, MPI.COMM_SELF) as operators,
-        SteadySolver(operators, [[0, 1]], adjoints=True) as solver,
+        SteadySolver(operators, sites, tolerance) as solver,
+        Windows(Network(lattice, operators, None), solver, omega) as windows,
     ):
-        network = Network(lattice, operators, None)
-        assert np.all(operators.driven_bonds[bonds])
-        with Windows(network, solver, 0.4) as windows:
-            windows.start()
-            after = windows.follow(Changes(bonds, stiffness))
-    assert len(after) == 20
-    k = [array.copy() for array in lattice.stiffness]
-    for step, (bond, value) in enumerate(zip(bonds, stiffness, strict=True)):
-        axis, index = bond_places((3, 2), np.array([bond]))
-        k[axis[0]][tuple(index[0])] = value
-        exact = Reference(k, damping=0.02).amplitudes(0.4, [[0, 1]])
-        assert abs(after[step, 0] - exact[0]) <= 1e-12 * abs(exact[0])
+        windows.start()
+        after, bound = windows.follow(changes)
+    k, exact = [array.copy() for array in lattice.stiffness], np.empty_like(after)
+    axes, places = bond_places(lattice.shape, changes.bond)
+    for step in range(len(after)):
+        k[axes[step]][tuple(places[step])] = changes.stiffness[step]
+        exact[step] = Reference(k, lattice.mass, lattice.damping).amplitudes(omega, sites)
+    return after, bound, exact
 
 
-def test_rounding_is_estimated_by_what_is_lost():
-    """The second pivot nearly vanishes: 1 + delta (G_11 - c G_01^2), c the first step's."""
-    G = np.array([[0.5, 0.1], [0.1, -2.0]], dtype=complex)
-    w, q = np.ones(2, complex), np.ones((2, 1), complex)
-    exact = -1 / (-2.0 - 0.1 / 1.05 * 0.1**2)
-    for distance in (1e-2, 1e-6):
-        increments, rounding = march(G, w, q, np.array([0.1, exact * (1 - distance)]))
-        lost = rounding[1, 0] / abs(increments[1, 0])
-        assert 0.5 < lost * distance / np.finfo(float).eps < 2
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-8])
+@pytest.mark.parametrize("law", ["uniform", "bimodal", "wide"])
+@pytest.mark.parametrize(("shape", "beta"), [((24,), 0.1), ((5, 6), 1e-2), ((5, 6), 1e-6)])
+def test_every_step_is_within_its_bound(shape, beta, law, tolerance):
+    lattice = random_lattice(shape, seed=5, damping=beta, law=law)
+    draw = {
+        "uniform": UNIFORM,
+        "bimodal": BondLaw("bimodal", fraction=0.6),
+        "wide": BondLaw("loguniform", kmin=1e-6),
+    }[law]
+    sites = [[0] * len(shape), [n // 2 for n in shape]]
+    reached = 0
+    for seed in range(3):
+        changes = draw_changes(draw, shape, seed, 0, 0, 48)
+        for omega in (0.1, 0.6):
+            after, bound, exact = follow(lattice, omega, sites, changes, tolerance)
+            assert np.all(np.abs(after - exact) <= bound)
+            assert np.all(bound <= tolerance * np.abs(exact))
+            reached += len(after)
+    assert reached > 20
+
+
+@pytest.mark.parametrize("s", [1e20, 1e-20])
+def test_units_change_nothing(s):
+    lattice = random_lattice((5, 6), seed=5, damping=1e-2)
+    stiffness = tuple(s * k for k in lattice.stiffness)
+    changes = draw_changes(UNIFORM, (5, 6), 1, 0, 0, 40)
+    scaled = Changes(changes.bond, s * changes.stiffness)
+    expected, bound, _ = follow(lattice, 0.6, [[2, 2]], changes)
+    for mass, speed in ((1.0, np.sqrt(s)), (s, 1.0)):
+        other = type(lattice)(stiffness, mass, s / speed * 1e-2)
+        found, other_bound, _ = follow(other, 0.6 * speed, [[2, 2]], scaled)
+        assert np.abs(found / expected - 1).max() <= 1e-12
+        assert np.all((other_bound / bound > 0.1) & (other_bound / bound < 10))
+
+
+def test_the_bound_covers_a_march_that_went_wrong(monkeypatch):
+    """With errors of 1e-7 in the algebra amplitudes are corrected, and the bound still holds."""
+    lattice = random_lattice((5, 6), seed=5, damping=1e-2)
+    changes = draw_changes(UNIFORM, (5, 6), 1, 0, 0, 40)
+    right = follow(lattice, 0.6, [[2, 2]], changes)
+    rng = np.random.default_rng(1)
+
+    def spoilt(G, delta):
+        T, c = march(G, delta)
+        return T * (1 + 1e-7 * rng.standard_normal(T.shape)), c
+
+    monkeypatch.setattr("pgran.relaxation.march", spoilt)
+    after, bound, exact = follow(lattice, 0.6, [[2, 2]], changes)
+    assert len(after) == 40
+    assert np.all(np.abs(after - exact) <= bound)
+    assert np.all(bound > right[1])
+    assert np.abs(after / exact - 1).max() < 1e-10
 
 
 def test_on_a_sharp_resonance_windows_end_early_and_stay_exact():
@@ -256,6 +322,17 @@ def test_windows_need_a_factorization(solver_options):
     lattice = random_lattice((4, 4), damping=0.1)
     with pytest.raises(InputError, match="relax_method window"):
         solve(lattice, [1, 1], steps=4)
+
+
+def test_windows_need_damping():
+    """And without, the other methods have bounds."""
+    lattice = random_lattice((4, 4), damping=0.0)
+    with pytest.raises(InputError, match="needs damping"):
+        solve(lattice, [1, 1], steps=4)
+    relaxation = solve(lattice, [1, 1], omega=1.3, steps=20, method="krylov")
+    assert relaxation.failures == 0
+    assert np.all(relaxation.error_bound <= 1e-4 * relaxation.amplitude)
+    assert largest_error(lattice, relaxation, range(21)) <= 1e-4
 
 
 def test_steps_that_miss_their_accuracy_hold_no_number(solver_options):

@@ -269,15 +269,18 @@ def test_no_point_of_a_sweep_suffers_from_a_failed_neighbour(solver_options):
 
 
 def test_undamped_lattice(comm):
-    """No bound is known, and the answer is still right away from resonances."""
+    """Right to rounding away from resonances, and proven unless ranks share the lattice."""
     lattice = random_lattice((8, 9), 3, damping=0.0)
     reference = reference_of(lattice)
     lowest = math.sqrt(reference.eigenvalues()[0])
     states, _ = solve(lattice, [lowest / 3, lowest / 2, 1.3, 1.6], [(6, 4)], comm)
     for state in states:
-        assert np.all(np.isnan(state.error_bound))
         assert state.converged_reason > 0
         exact = reference.amplitudes(state.omega, [(6, 4)])[0]
+        if comm.size == 1:
+            assert abs(state.displacement[0] - exact) <= state.error_bound[0]
+        else:
+            assert np.isnan(state.error_bound[0])
         # S is definite below the lowest and above the highest mode: well conditioned
         assert abs(state.displacement[0] - exact) <= 1e-10 * abs(exact)
 
@@ -335,7 +338,7 @@ def test_singular_stiffness_with_damping(comm):
 
 def test_factorization_is_reused_and_the_results_agree(comm):
     lattice = random_lattice((15, 14), 9)
-    omegas = np.linspace(0.6, 0.6003, 31)
+    omegas = np.linspace(0.6, 0.603, 31)
     results = []
     for refresh in (0, 1000):
         with (
@@ -373,7 +376,11 @@ def test_results_after_a_restart_do_not_depend_on_the_past(comm):
         for omega in (1.1, 0.2, 0.9):
             solver.solve(omega)
         solver.restart()
-        assert [solver.solve(omega).displacement[0] for omega in (0.5, 0.51, 0.52)] == first
+        again = [solver.solve(omega).displacement[0] for omega in (0.5, 0.51, 0.52)]
+    if comm.size == 1:
+        assert again == first
+    else:  # MUMPS adds up what other ranks send as it arrives
+        assert again == pytest.approx(first, rel=1e-12)
 
 
 def test_frequencies_in_any_order(comm):

@@ -56,3 +56,25 @@ def driving_frequencies(options):
     if options.sweep_omega:
         return np.array(options.sweep_omega)
     return np.linspace(options.sweep_min, options.sweep_max, options.sweep_points)
+
+
+def proven_accuracy(error_bound, amplitude, good):
+    """Return in words how accurate amplitudes are proven to be. Not collective.
+
+    Parameters
+    ----------
+    error_bound, amplitude : numpy.ndarray, shape (..., nd)
+    good : numpy.ndarray of bool, shape (...)
+        Which have the accuracy asked for.
+    """
+    bound, amplitude = error_bound[good], amplitude[good]
+    if np.isnan(bound).any():
+        return (
+            "no error bounds: none is known of an undamped lattice that ranks share "
+            "(-ranks_per_lattice 1 gives them)"
+        )
+    if not np.any(good):
+        return "no amplitude has the accuracy asked for"
+    relative = np.divide(bound, amplitude, out=np.zeros_like(bound), where=bound > 0)
+    which = "every amplitude" if np.all(good) else f"{np.sum(good)} of {good.size} amplitudes"
+    return f"relative error of {which} at most {relative.max(initial=0.0):.1e}, proven"

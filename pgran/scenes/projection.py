@@ -22,9 +22,7 @@ def run(options, world, journal=None):
     """Return the lattice and its projection, on rank 0; None on the others. Collective."""
     lattice = make_lattice(options, world)
     omegas = driving_frequencies(options)
-    which = chosen(options)
-    if not which and (options.modes_count or lattice.balls > ALL_MODES):
-        which = {"targets": omegas, "count": options.modes_count or NEAR}
+    which = which_modes(options, lattice.balls, omegas)
     with Crew(world, 1, journal) as crew:
         projection = project(
             lattice,
@@ -36,6 +34,14 @@ def run(options, world, journal=None):
             progress=options.output_progress,
         )
     return projection and [LatticeRecord.of(lattice), projection]
+
+
+def which_modes(options, balls, omegas):
+    """Return which modes to project on, as `find_modes` takes it. Not collective."""
+    which = chosen(options)
+    if not which and (options.modes_count or balls > ALL_MODES):
+        which = {"targets": omegas, "count": options.modes_count or NEAR}
+    return which
 
 
 def summary(records):

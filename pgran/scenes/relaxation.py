@@ -11,7 +11,7 @@ from pgran.operators import Operators
 from pgran.progress import Progress
 from pgran.relaxation import Network, Windows, draw_changes, window_length
 from pgran.results import LatticeRecord, Relaxation
-from pgran.scenes.common import make_crew, make_lattice, make_law
+from pgran.scenes.common import make_crew, make_lattice, make_law, proven_accuracy
 from pgran.spectrum import power_spectrum, segment_length
 from pgran.steady import SteadySolver
 
@@ -64,6 +64,8 @@ def summary(records):
         f"{steps} steps with {relaxation.factorizations} factorizations in "
         f"{relaxation.solve_seconds:.2f} s"
     )
+    good = ~np.isnan(relaxation.displacement).any(axis=2)
+    yield proven_accuracy(relaxation.error_bound, relaxation.amplitude, good)
     if relaxation.drift > 0:
         yield (
             f"largest relative difference between a window's end and the next one's start: "
@@ -142,15 +144,15 @@ def relax(
             ("drift", float),
             ("factorizations", np.int64),
             ("displacement", complex, (length + 1, len(sites))),
+            ("error_bound", float, (length + 1, len(sites))),
         ]
     )
     displacement = np.empty((trajectories, steps + 1, len(sites)), complex) if root else None
+    error_bound = np.empty(displacement.shape) if root else None
     drift, factorizations, started = 0.0, 0, time.perf_counter()
     with (
         Operators(lattice, crew.group) as operators,
-        SteadySolver(
-            operators, sites, error_tolerance, refresh_iterations, adjoints=method == "window"
-        ) as solver,
+        SteadySolver(operators, sites, error_tolerance, refresh_iterations) as solver,
         Progress(trajectories * steps, "steps", progress if root else "none") as counter,
     ):
 
@@ -166,24 +168,22 @@ def relax(
             network.move_to(trajectory, first)
             solver.restart()
             changes = draw(trajectory, first, count)
-            found, drift = march(network, solver, omega, changes, window, method)
+            found, bound, drift = march(network, solver, omega, changes, window, method)
             rows = np.zeros(1, row)
             rows[0]["trajectory"], rows[0]["first"], rows[0]["count"] = unit
             rows[0]["drift"] = drift
             rows[0]["factorizations"] = solver.factorizations - before
             rows[0]["displacement"][: count + 1] = found
+            rows[0]["error_bound"][: count + 1] = bound
             return rows
 
         def deliver(rows):
             nonlocal drift, factorizations
             for part in rows:
-                first, last = part["first"], part["first"] + part["count"]
-                found = part["displacement"]
-                if first == 0:
-                    displacement[part["trajectory"], 0] = found[0]
-                displacement[part["trajectory"], first + 1 : last + 1] = found[
-                    1 : part["count"] + 1
-                ]
+                trajectory, first, count = part["trajectory"], part["first"], part["count"]
+                new = slice(int(first > 0), count + 1)  # a state between units is the earlier one's
+                for whole, name in ((displacement, "displacement"), (error_bound, "error_bound")):
+                    whole[trajectory, first + new.start : first + count + 1] = part[name][new]
                 drift = max(drift, part["drift"])
                 factorizations += part["factorizations"]
                 counter.advance(int(part["count"]))
@@ -203,52 +203,54 @@ def relax(
         stiffness=np.stack([c.stiffness for c in changes]),
         detector=sites,
         displacement=displacement,
+        error_bound=error_bound,
     )
 
 
 def march_windows(network, solver, omega, changes, window, method):
-    """Return the amplitudes before and after each change, and how far windows drift.
+    """Return the amplitudes before and after each change, their bounds, and how windows drift.
 
     Collective. Each window starts from a state solved for afresh, which is compared with what the
     window before made of it.
     """
-    found = np.empty((len(changes) + 1, len(solver.solutions) - 1), dtype=complex)
-    done, begun, known, drift = 0, 0, 0, 0.0
+    found = np.empty((len(changes) + 1, len(solver.adjoints)), dtype=complex)
+    bound = np.empty(found.shape)
+    done, known, drift, reach = 0, 0, 0.0, window
     with Windows(network, solver, omega) as windows:
         while True:
-            start = good(windows.start())
+            start, start_bound = good(windows.start())
             if done and known == done:
-                gap = np.max(np.abs(found[done] - start) / np.abs(start))
-                drift = max(drift, gap)
-                if gap > solver.tolerance:
-                    found[begun + 1 : done] = np.nan
-            found[done], begun = start, done
+                drift = max(drift, np.max(np.abs(found[done] - start) / np.abs(start)))
+            found[done], bound[done] = start, start_bound
             if done == len(changes):
-                return found, drift
-            after = windows.follow(changes[done : done + window])
+                return found, bound, drift
+            after, after_bound = windows.follow(changes[done : done + reach])
             known = done + len(after)
-            found[done + 1 : known + 1] = after
+            found[done + 1 : known + 1], bound[done + 1 : known + 1] = after, after_bound
             steps = max(1, len(after))
             network.apply(changes[done : done + steps])
             done += steps
+            reach = min(window, 2 * steps)  # after an early end not much more may be reached
 
 
 def march_steps(network, solver, omega, changes, window, method):
-    """Return the amplitudes before and after each change, solved for one by one.
+    """Return the amplitudes before and after each change, solved for one by one; their bounds.
 
     Collective.
     """
-    found = [good(solver.solve(omega))]
+    states = [good(solver.solve(omega))]
     for step in range(len(changes)):
         network.apply(changes[step : step + 1])
         if method == "direct":
             solver.restart()
-        found.append(good(solver.solve(omega)))
-    return np.stack(found), 0.0
+        states.append(good(solver.solve(omega)))
+    found, bound = zip(*states, strict=True)
+    return np.stack(found), np.stack(bound), 0.0
 
 
 def good(state):
-    """Return the amplitudes of a steady state, NaN where they miss their accuracy."""
+    """Return a state's amplitudes and their bounds, NaN where they miss their accuracy."""
     if state.converged_reason > 0:
-        return state.displacement
-    return np.full_like(state.displacement, np.nan)
+        return state.displacement, state.error_bound
+    missing = np.full(state.displacement.shape, np.nan)
+    return missing, missing

@@ -8,7 +8,7 @@ from pgran.lattice import detector_sites
 from pgran.operators import Operators
 from pgran.progress import Progress
 from pgran.results import LatticeRecord, Response
-from pgran.scenes.common import driving_frequencies, make_crew, make_lattice
+from pgran.scenes.common import driving_frequencies, make_crew, make_lattice, proven_accuracy
 from pgran.steady import SteadySolver
 
 LONGEST_UNIT = 16  # frequencies that share factorizations
@@ -42,14 +42,7 @@ def summary(records):
         f"{response.solve_seconds:.2f} s"
     )
     good = response.converged_reason > 0
-    bound = (response.error_bound[good] / response.amplitude[good]).max(initial=0.0)
-    if np.isnan(bound):
-        yield "no error bounds: without damping none is known"
-    else:
-        which = (
-            "every amplitude" if np.all(good) else f"{np.count_nonzero(good)} of {nw} amplitudes"
-        )
-        yield f"relative error of {which} at most {bound:.1e}, proven"
+    yield proven_accuracy(response.error_bound, response.amplitude, good)
     for site, slope, velocity in zip(
         response.detector.tolist(), response.phase_slope, response.phase_velocity, strict=True
     ):

@@ -1,0 +1,280 @@
+"""Bounds of driven amplitudes, against elimination in extended precision, over random cases.
+
+`python tests/test_bounds.py 10000` runs as many cases and prints what was found.
+"""
+
+import math
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from petsc4py import PETSc
+from reference import Reference
+from samples import bond_arrays, random_lattice
+
+from pgran.lattice import Lattice
+from pgran.operators import Operators
+from pgran.steady import SteadySolver
+
+SHAPES = [(1,), (2,), (17,), (60,), (1, 6), (6, 1), (4, 5), (7, 8), (2, 3, 2), (4, 3, 5)]
+LAWS = ("uniform", "loguniform", "bimodal", "constant")
+SOLVERS = {
+    "default": "",
+    "bcgs, ilu": "-steady_ksp_type bcgs -steady_pc_type ilu",
+    "bcgs, ilu, 1e-2": "-steady_ksp_type bcgs -steady_pc_type ilu -steady_ksp_rtol 1e-2",
+    "gmres, ilu, 1e-6": "-steady_ksp_type gmres -steady_pc_type ilu -steady_ksp_rtol 1e-6",
+    "gmres, jacobi": "-steady_ksp_type gmres -steady_pc_type jacobi -steady_ksp_rtol 1e-3",
+    "preonly, lu": "-steady_ksp_type preonly -steady_pc_type lu",
+    "preonly, ilu": "-steady_ksp_type preonly -steady_pc_type ilu",
+    "klu": "-steady_pc_type lu -steady_pc_factor_mat_solver_type klu",
+    "preonly, klu": "-steady_ksp_type preonly -steady_pc_type lu "
+    "-steady_pc_factor_mat_solver_type klu",
+    "stale": "",
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A lattice, its solver, and what is asked of it."""
+
+    lattice: Lattice
+    omegas: np.ndarray
+    sites: np.ndarray
+    solver: str
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class Point:
+    """One amplitude: what it is, how wrong, what is said of it."""
+
+    case: Case
+    omega: float
+    size: float
+    error: float
+    bound: float
+    good: bool
+
+    def __str__(self):
+        """Say what it takes to see the point again."""
+        lattice, case = self.case.lattice, self.case
+        return (
+            f"{lattice.shape} beta {lattice.damping:.1e} omega {self.omega:.17g} {case.solver} "
+            f"tolerance {case.tolerance:.0e}: |A| {self.size:.1e}, error {self.error:.1e}, "
+            f"bound {self.bound:.1e}{', good' if self.good else ''}"
+        )
+
+
+def random_case(seed):
+    """One of many kinds of lattices and solvers."""
+    rng = np.random.default_rng([7, seed])
+    shape = SHAPES[rng.integers(len(SHAPES))]
+    contrast = 10 ** rng.uniform(0, 12)
+    draw = {
+        "uniform": lambda size: rng.uniform(0, 0.25, size),
+        "loguniform": lambda size: 0.25 * contrast ** -rng.uniform(0, 1, size),
+        "bimodal": lambda size: rng.choice([0.0, 0.25], size, p=[0.3, 0.7]),
+        "constant": lambda size: np.full(size, 0.25),
+    }[LAWS[rng.integers(len(LAWS))]]
+    mass = 10 ** rng.uniform(-1, 1)
+    damping = 0.0 if rng.random() < 0.2 else math.sqrt(mass) * 10 ** rng.uniform(-8, 0)
+    lattice = Lattice(bond_arrays(shape, draw), mass, damping, kmax=0.25)
+    solver = list(SOLVERS)[rng.integers(len(SOLVERS))]
+    first = lattice.omega_mx * (
+        10 ** rng.uniform(-3, 0) if rng.random() < 0.5 else rng.uniform(0.1, 3)
+    )
+    step = 10 ** rng.uniform(-6, -1)
+    omegas = first * (1 + step * np.arange(5 if solver == "stale" else 2))
+    sites = np.array([[rng.integers(n) for n in shape]])
+    return Case(lattice, omegas, sites, solver, 10 ** rng.uniform(-12, -1))
+
+
+def eliminate(S, f):
+    """Solve S x = f by Gauss in extended precision, with pivoting and one refinement."""
+    n = len(f)
+    factors, order = S.copy(), np.arange(n)
+    for k in range(n):
+        p = k + np.argmax(np.abs(factors[k:, k]))
+        factors[[k, p]], order[[k, p]] = factors[[p, k]], order[[p, k]]
+        factors[k + 1 :, k] /= factors[k, k]
+        factors[k + 1 :, k + 1 :] -= np.multiply.outer(factors[k + 1 :, k], factors[k, k + 1 :])
+    x = np.zeros_like(f)
+    for _ in range(2):
+        y = (f - S @ x)[order]
+        for k in range(n):
+            y[k + 1 :] -= factors[k + 1 :, k] * y[k]
+        for k in reversed(range(n)):
+            y[k] /= factors[k, k]
+            y[:k] -= factors[:k, k] * y[k]
+        x = x + y
+    return x
+
+
+def solve(lattice, omegas, sites, solver="", tolerance=1e-4, refresh=0):
+    """Return the states at some frequencies, the solver's options set for the while."""
+    database, words = PETSc.Options(), ["-steady_ksp_max_it", "200", *solver.split()]
+    keys = [word[1:] for word in words[::2]]
+    for key, value in zip(keys, words[1::2], strict=True):
+        database.setValue(key, value)
+    with (
+        Operators(lattice, MPI.COMM_SELF) as operators,
+        SteadySolver(operators, sites, tolerance, refresh) as steady,
+    ):
+        states = [steady.solve(float(omega)) for omega in omegas]
+    for key in keys:
+        database.delValue(key)
+    return states
+
+
+def points(case):
+    """Solve a case, and compare."""
+    lattice, refresh = case.lattice, 1000 if case.solver == "stale" else 0
+    solver = SOLVERS[case.solver]
+    states = solve(lattice, case.omegas, case.sites, solver, case.tolerance, refresh)
+    reference = Reference(lattice.stiffness, lattice.mass, lattice.damping)
+    number = np.ravel_multi_index(tuple(case.sites[0]), lattice.shape)
+    for state in states:
+        exact = eliminate(*reference.system(state.omega))[number]
+        yield Point(
+            case,
+            state.omega,
+            float(abs(exact)),
+            float(abs(state.displacement[0] - exact)),
+            float(state.error_bound[0]),
+            state.converged_reason > 0,
+        )
+
+
+def campaign(first, count, stride=1):
+    """Return the points of many cases."""
+    return [p for seed in range(first, count, stride) for p in points(random_case(seed))]
+
+
+def faults(found):
+    """Return the points whose bound does not hold, and those wrong but not marked."""
+    false = [p for p in found if p.error > p.bound or (p.good and math.isnan(p.bound))]
+    wrong = [p for p in found if p.good and p.error > p.case.tolerance * p.size]
+    return false, wrong
+
+
+def overestimate(found):
+    """Return bound / error of all good points whose error is more than rounding."""
+    return [p.bound / p.error for p in found if p.good and p.error > 1e-13 * p.size]
+
+
+def report(found):
+    """Print the figures, solver by solver and damping by damping."""
+    false, wrong = faults(found)
+    print(f"{len(found)} points; bound does not hold: {len(false)}; wrong, unmarked: {len(wrong)}")
+    for point in [*false, *wrong][:20]:
+        print("   ", point)
+    kinds = {"all": found}
+    kinds |= {solver: [p for p in found if p.case.solver == solver] for solver in SOLVERS}
+    kinds["undamped"] = [p for p in found if p.case.lattice.damping == 0]
+    print(f"{'':20} points   good  beyond rounding   bound/error: median  9 of 10")
+    for label, some in kinds.items():
+        ratios = overestimate(some)
+        median, most = np.quantile(ratios, [0.5, 0.9]) if ratios else (math.nan, math.nan)
+        good = sum(p.good for p in some)
+        print(f"{label:20} {len(some):6} {good:6} {len(ratios):16} {median:20.1e} {most:8.1e}")
+
+
+def test_bounds_hold_over_random_cases(world):
+    """No bound is exceeded, nothing wrong passes, and most bounds are of use."""
+    found = world.allgather(campaign(world.rank, 300, world.size))
+    found = [point for part in found for point in part]
+    false, wrong = faults(found)
+    assert not false, "\n".join(map(str, false))
+    assert not wrong, "\n".join(map(str, wrong))
+    assert np.mean([point.good for point in found]) > 0.8
+    assert np.median(overestimate(found)) < 1000
+    for solver in ("bcgs, ilu", "gmres, jacobi", "preonly, klu"):
+        assert any(not point.good for point in found if point.case.solver == solver)
+
+
+def test_elimination_in_extended_precision():
+    """It serves nearly singular systems too, as far as extended precision goes."""
+    i = np.arange(1, 9, dtype=np.longdouble)
+    hilbert = 1 / (i[:, None] + i - 1)
+    x = eliminate(hilbert.astype(np.clongdouble), hilbert.sum(axis=1).astype(np.clongdouble))
+    assert np.abs(x - 1).max() < 1e10 * np.finfo(np.longdouble).eps
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-10, 1e-7, 1e-4, 0.1])
+@pytest.mark.parametrize("distance", [1e-9, 1e-6, 1e-3])
+def test_norm_of_the_inverse(damping, distance):
+    """|S^-1| is no larger than said, and not much smaller where next to nothing is damped."""
+    lattice = random_lattice((5, 6), 3, damping)
+    reference = Reference(lattice.stiffness, 1.0, damping)
+    with (
+        Operators(lattice, MPI.COMM_SELF) as operators,
+        SteadySolver(operators, [[2, 2]]) as steady,
+    ):
+        for eigenvalue in reference.eigenvalues()[[0, 9, 29]]:
+            omega = math.sqrt(eigenvalue * (1 + distance))
+            steady.solve(omega)
+            S = reference.system(omega)[0].astype(complex)
+            exact = 1 / np.linalg.svd(S, compute_uv=False)[-1]
+            assert exact <= steady.bounds.inverse_norm
+            if damping == 0:
+                assert steady.bounds.inverse_norm <= 30 * max(exact, operators.balls)
+
+
+@pytest.mark.parametrize("solver", ["klu", "preonly, klu", "preonly, ilu", "bcgs, ilu, 1e-2"])
+def test_a_wrong_solver_is_caught(solver):
+    """KLU solves with the conjugate matrix: alone it is wrong everywhere, under a KSP nowhere."""
+    lattice = random_lattice((6, 7), 8, damping=0.1)
+    omegas = np.linspace(0.2, 1.2, 20)
+    states = solve(lattice, omegas, [[3, 4]], SOLVERS[solver], 1e-6)
+    reference = Reference(lattice.stiffness, 1.0, 0.1)
+    for state in states:
+        exact = reference.amplitudes(state.omega, [[3, 4]])[0]
+        error = abs(state.displacement[0] - exact)
+        assert error <= state.error_bound[0]
+        assert error <= 1e-6 * abs(exact) or state.converged_reason <= 0
+    if "klu" in solver:
+        failed = [state.converged_reason <= 0 for state in states]
+        assert failed == [solver == "preonly, klu"] * len(states)
+
+
+def test_what_is_missed_is_refined_or_factored_anew_or_marked(solver_options):
+    """Three iterations with a stale factorization solve nothing here."""
+    solver_options("-steady_ksp_max_it 3")
+    lattice = random_lattice((7, 6), 3)
+    with (
+        Operators(lattice, MPI.COMM_SELF) as operators,
+        SteadySolver(operators, [[3, 3]], 1e-6, refresh_iterations=1000) as steady,
+    ):
+        states = [steady.solve(omega) for omega in (0.5, 1.1, 0.2)]
+        assert steady.factorizations == 3
+    assert all(state.converged_reason > 0 for state in states)
+    coarse = "-steady_pc_type ilu -steady_ksp_rtol 1e-2"
+    (state,) = solve(lattice, [1.1], [[3, 3]], coarse, 1e-11)
+    assert state.converged_reason > 0
+    assert state.error_bound[0] <= 1e-11 * abs(state.displacement[0])
+    (state,) = solve(lattice, [1.1], [[3, 3]], tolerance=1e-17)
+    assert state.converged_reason <= 0
+
+
+@pytest.mark.parametrize("solver", ["default", "preonly, lu", "bcgs, ilu", "gmres, jacobi"])
+@pytest.mark.parametrize("damping", [0.003, 0.0])
+@pytest.mark.parametrize("s", [1e20, 1e-20])
+def test_units_change_nothing(s, damping, solver):
+    """Stiffness in other units, and frequency or mass with it: the same amplitudes and bounds."""
+    lattice, omegas, sites = random_lattice((7, 6), 3, damping), [0.1, 0.11, 0.5, 1.3], [[3, 3]]
+    stiffness = tuple(s * k for k in lattice.stiffness)
+    faster = Lattice(stiffness, 1.0, math.sqrt(s) * damping)
+    heavier = Lattice(stiffness, s, s * damping)
+    expected = solve(lattice, omegas, sites, SOLVERS[solver], 1e-10)
+    for scaled, factor in ((faster, math.sqrt(s)), (heavier, 1.0)):
+        found = solve(scaled, factor * np.array(omegas), sites, SOLVERS[solver], 1e-10)
+        for a, b in zip(expected, found, strict=True):
+            assert abs(a.displacement[0] - b.displacement[0]) <= 1e-12 * abs(a.displacement[0])
+            assert a.converged_reason == b.converged_reason
+            assert 0.1 < a.error_bound[0] / b.error_bound[0] < 10
+
+
+if __name__ == "__main__":
+    report(campaign(0, int(sys.argv[1])))
