@@ -1,11 +1,13 @@
 """The command line. Starts MPI and PETSc for `run`, and ends all ranks when one fails."""
 
 import argparse
+import faulthandler
 import hashlib
 import importlib
 import logging
 import os
 import shlex
+import signal
 import sys
 import time
 import traceback
@@ -50,6 +52,7 @@ def main(words):
 
 def run(words):
     """Run the experiment of an options file. Collective over all ranks."""
+    from pgran.journal import SIGNALS, Journal
     from pgran.options import WITHOUT_PETSC
     from pgran.reading import read_environment, read_file, read_words, resolve
 
@@ -57,6 +60,9 @@ def run(words):
         raise InputError("run: an options file is needed, as in pgran run options/response.opts")
     started = time.perf_counter()
     path, *rest = words
+    faulthandler.enable()  # a crash in a library names the line that called it
+    # Signals to stop wait until the journal listens, and do no harm once the result is written.
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     world = start_mpi()
     given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
@@ -68,7 +74,6 @@ def run(words):
     import numpy
 
     from pgran import store
-    from pgran.journal import Journal
 
     output = options.output_file
     if options.dry_run:
@@ -90,8 +95,7 @@ def run(words):
             records = scene.run(options, world, journal)
 
             def finish():
-                counts = [numpy.sum(getattr(record, "failures", 0)) for record in records]
-                failures = int(sum(counts))
+                failures = sum(int(numpy.sum(getattr(r, "failures", 0))) for r in records)
                 seconds = time.perf_counter() - started
                 attributes = run_attributes(options, words, world, failures, seconds)
                 store.write(output, attributes, records)
@@ -134,7 +138,7 @@ def start_mpi():
     world = MPI.COMM_WORLD
     if world.rank > 0:
         log.setLevel(logging.WARNING)
-        log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))
+        name_rank(world)
     if world.size == 1 and launch.size() > 1:
         raise InputError(
             f"mpirun started {launch.size()} ranks that do not know of each other: it belongs to "
@@ -170,7 +174,7 @@ def start_petsc(options):
             "pgran doctor says more"
         ) from None
     words = [word for key, text in options.solver.items() for word in (f"-{key}", text) if word]
-    petsc4py.init(["pgran", "-skip_petscrc", *words])
+    petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler", *words])
     from petsc4py import PETSc
 
     if PETSc.ScalarType().dtype.kind != "c":
@@ -274,49 +278,61 @@ def console():
 
 
 def end_all_ranks(error):
-    """Report an error and end this process, or the whole job where there are other ranks."""
-    code = error.exit_code if isinstance(error, PgranError) else 1
-    if isinstance(error, SystemExit):
-        code = error.code if isinstance(error.code, int) else 1
-    elif isinstance(error, KeyboardInterrupt):
-        code = 130
-    elif is_petsc(error) and "SetFromOptions()" in str(error):
-        code = errors.BAD_INPUT
+    """Report an error once, and end this process, or the whole job where there are other ranks."""
+    code, text = explain(error)
     mpi = sys.modules.get("mpi4py.MPI")
-    started = mpi and mpi.Is_initialized() and not mpi.Is_finalized()
-    others = started and mpi.COMM_WORLD.size > 1
-    copies = launch.size() > 1 or not started  # of this program, of which this is the first or not
-    if others and mpi.COMM_WORLD.rank > 0:
-        # Errors that all ranks meet are rank 0's to report; it ends the others while they wait.
-        time.sleep(1.0)
-    if isinstance(error, InputError) and not others and copies and launch.rank() > 0:
-        pass  # before MPI joined them all copies met it alike; the first one says it
-    elif isinstance(error, PgranError):
-        log.error("%s", error)
-    elif isinstance(error, ModuleNotFoundError):
-        log.error("%s: pgran doctor says how to mend it", error)
-    elif isinstance(error, SystemExit):
-        if others or not isinstance(error.code, int):
-            log.error("ended by sys.exit(%r)", error.code)
-    elif isinstance(error, KeyboardInterrupt):
-        log.error("interrupted")
-    elif is_petsc(error):
-        lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
-        log.error("PETSc: %s", PgranError(f"{lines[-1]} ({lines[:2][-1].split(' at ')[0]})"))
-    else:
-        log.error("%s", "".join(traceback.format_exception(error)).rstrip())
+    running = mpi and mpi.Is_initialized() and not mpi.Is_finalized()
+    world = mpi.COMM_WORLD if running and mpi.COMM_WORLD.size > 1 else None
+    if world:
+        kind = (type(error).__name__, str(error).partition("\n")[0])
+        first, alike = errors.who_reports(world, kind)
+        if world.rank != first:  # that one ends all
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+            time.sleep(5 * errors.SECONDS_FOR_OTHERS)
+        if not alike:
+            name_rank(world)
+    elif isinstance(error, InputError) and launch.rank() > 0:
+        text = None  # before MPI joined them all copies met it alike; the first one says it
+    elif isinstance(error, SystemExit) and isinstance(error.code, int):
+        text = None  # whoever called sys.exit has said why
+    if text:
+        log.error("%s", text)
     sys.stderr.flush()
     sys.stdout.flush()
-    if others:
-        mpi.COMM_WORLD.Abort(code)
+    if world:
+        world.Abort(code)
     if is_petsc(error):
         os._exit(code)  # after an error of its own PETSc can crash while it is shut down
     sys.exit(code)
 
 
+def explain(error):
+    """Return the exit code of an error, and what to say of it."""
+    if isinstance(error, PgranError):
+        return error.exit_code, str(error)
+    if isinstance(error, SystemExit):
+        code = error.code if isinstance(error.code, int) else 1
+        return code, f"ended by sys.exit({error.code!r})"
+    if isinstance(error, KeyboardInterrupt):
+        return 130, "interrupted"
+    if isinstance(error, ModuleNotFoundError):
+        return 1, f"{error}: pgran doctor says how to mend it"
+    if is_petsc(error):
+        wrong_option = "SetFromOptions()" in str(error)
+        lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
+        text = PgranError(f"PETSc: {lines[-1]} ({lines[:2][-1].split(' at ')[0]})")
+        return errors.BAD_INPUT if wrong_option else 1, str(text)
+    return 1, "".join(traceback.format_exception(error)).rstrip()
+
+
 def is_petsc(error):
     """Return whether PETSc or SLEPc raised an error: a wrong solver option, a failing package."""
     return type(error).__module__.startswith("petsc4py")
+
+
+def name_rank(world):
+    """Begin all further messages of this process with its rank."""
+    log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))
 
 
 if __name__ == "__main__":

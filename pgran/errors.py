@@ -7,9 +7,12 @@ or ends the whole job in `pgran.__main__`.
 
 import os
 import stat
+import time
 
 DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED = 0, 2, 3, 4, 75
 LONGEST = 1010  # characters of a message
+SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail alike
+FAILED = 0  # tag of the message in which it tells them
 
 
 class PgranError(Exception):
@@ -125,3 +128,32 @@ def open_regular(path):
         raise FileError(describe(error)) from None
     except ValueError as error:
         raise FileError(f"{path!r}: no name of a file: {error}") from None
+
+
+def who_reports(comm, failure):
+    """Return which rank is to report a failure, and whether all ranks have met it alike.
+
+    Not collective: the other ranks may be at work, or wait for this one for ever. The first rank
+    to fail reports; of those that failed before they heard of another, the lowest.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    failure : object
+        Says what has happened on this rank.
+    """
+    others = [rank for rank in range(comm.size) if rank != comm.rank]
+    late = any(comm.Iprobe(rank, FAILED) for rank in others)
+    failures = {comm.rank: (failure, late)}
+    # never waited for: who does not fail does not receive
+    requests = [comm.isend((failure, late), rank, tag=FAILED) for rank in others]
+    deadline = time.monotonic() + SECONDS_FOR_OTHERS
+    while len(failures) < comm.size and time.monotonic() < deadline:
+        for rank in others:
+            if comm.Iprobe(rank, FAILED):
+                failures[rank] = comm.recv(source=rank, tag=FAILED)
+        time.sleep(0.01)
+    del requests
+    first = min(rank for rank, (_, late) in failures.items() if not late)
+    alike = len(failures) == comm.size and len({failure for failure, _ in failures.values()}) == 1
+    return first, alike

@@ -55,10 +55,11 @@ class Journal:
     def __init__(self, comm, path, identity, overwrite=False):
         """Open the journal, find what it holds, and listen to signals."""
         self.comm, self.path = comm, Path(f"{path}.unfinished")
-        self._file, self._kept, self._synced = None, {}, 0.0
+        self._file, self._kept, self._synced = None, {}, time.monotonic()
         self._signal = None
         on_root(comm, lambda: self._open(identity, overwrite))
         self._handlers = [(number, signal.signal(number, self._note)) for number in SIGNALS]
+        self._mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
     def __enter__(self):
         """Return the journal."""
@@ -66,6 +67,7 @@ class Journal:
 
     def __exit__(self, kind, error, trace):
         """Close the journal; remove it if the run is complete, or nothing was finished yet."""
+        signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
         for number, handler in self._handlers:
             signal.signal(number, handler)
         if self._file is not None:
@@ -107,8 +109,17 @@ class Journal:
             self.sync()
 
     def sync(self):
-        """Make sure that what was written is on the disk. Not collective: rank 0."""
-        os.fsync(self._file.fileno())
+        """Make sure that what was written is on the disk. Not collective: rank 0.
+
+        Raises
+        ------
+        FileError
+            If it is not.
+        """
+        try:
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise FileError(f"{self.path}: cannot be written: {describe(error)}") from None
         self._synced = time.monotonic()
 
     def stop(self, name):
@@ -127,13 +138,12 @@ class Journal:
         if found is None:
             if os.fstat(self._file.fileno()).st_size > len(MAGIC) + RECORD.size:
                 log.warning("%s: damaged; the run begins anew", self.path)
-        elif found != identity:
+        elif found != identity and self._kept:
             if not overwrite:
                 self._file.close()
                 raise InputError(self._difference(found, identity))
             log.info("%s: another run; discarded as -output_overwrite asks", self.path)
-            found = None
-        if found is None:
+        if found != identity:
             self._kept.clear()
             self._file.truncate(0)
             self._file.write(MAGIC)

@@ -8,7 +8,9 @@ import contextlib
 import dataclasses
 import datetime
 import hashlib
+import io
 import os
+import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -49,17 +51,11 @@ def check_output(path, overwrite, make=True):
                 )
         if make:
             path.parent.mkdir(parents=True, exist_ok=True)
-        trial = next(p for p in path.parents if p.exists()) / _temporary(path).name
-        trial.touch()
-        trial.unlink()
+        with tempfile.TemporaryFile(dir=next(p for p in path.parents if p.exists())):
+            pass
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileError(f"{path}: cannot be written: {reason}") from None
-
-
-def _temporary(path):
-    """Return where a result is written before it gets its name."""
-    return path.with_name(f".{path.name}.{os.getpid()}.part")
 
 
 def write(path, attributes, records):
@@ -81,18 +77,20 @@ def write(path, attributes, records):
     path = Path(path)
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     known = {"format": foreign.FORMAT, "format_version": FORMAT_VERSION, "created": now}
-    temporary = _temporary(path)
+    temporary = path.with_name(f".{path.name}.part")  # of the one run that holds the journal
     try:
-        with h5py.File(temporary, "w", userblock_size=SEAL_SIZE) as file:
-            file.attrs.update(known | attributes)
-            axes = next((len(r.shape) for r in records if r.group == "lattice"), 0)
-            for record in records:
-                _write_record(file, record, axes)
-        with open(temporary, "rb+") as stream:
+        path.parent.mkdir(parents=True, exist_ok=True)  # it may have been removed meanwhile
+        with _Stream(temporary, "w+") as stream:
+            with h5py.File(stream, "w", userblock_size=SEAL_SIZE) as file:
+                file.attrs.update(known | attributes)
+                axes = next((len(r.shape) for r in records if r.group == "lattice"), 0)
+                for record in records:
+                    _write_record(file, record, axes)
             seal = _seal(stream)
             stream.seek(0)
             stream.write(seal)
-            stream.flush()
+            if stream.failure:
+                raise stream.failure
             os.fsync(stream.fileno())
         os.replace(temporary, path)
     except OSError as error:
@@ -100,6 +98,33 @@ def write(path, attributes, records):
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+class _Stream(io.FileIO):
+    """A file that HDF5 writes to; it keeps the first failure of the disk to itself, as `failure`.
+
+    HDF5 cannot close a file that it cannot write: each of its objects would fail anew.
+    """
+
+    failure = None
+
+    def write(self, data):
+        """Write all bytes, or remember why not."""
+        left = memoryview(data).cast("B")
+        try:
+            while left and not self.failure:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self.failure = error
+        return len(data)
+
+    def truncate(self, size=None):
+        """Set the size, or remember why not."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.failure = error
+            return size
 
 
 def _write_record(file, record, axes):
