@@ -1,7 +1,6 @@
 """The command line. Starts MPI and PETSc for `run`, and ends all ranks when one fails."""
 
 import argparse
-import ctypes
 import faulthandler
 import hashlib
 import importlib
@@ -72,6 +71,8 @@ def run(words):
     if options.scene not in WITHOUT_PETSC:
         start_petsc(options)
 
+    import numpy
+
     from pgran import store
 
     output = options.output_file
@@ -94,7 +95,7 @@ def run(words):
             records = scene.run(options, world, journal)
 
             def finish():
-                failures = sum(getattr(record, "failures", 0) for record in records)
+                failures = sum(int(numpy.sum(getattr(r, "failures", 0))) for r in records)
                 seconds = time.perf_counter() - started
                 attributes = run_attributes(options, words, world, failures, seconds)
                 store.write(output, attributes, records)
@@ -209,14 +210,13 @@ def warn_of_unused(options):
     """Warn of solver keys that no PETSc object asked for."""
     from pgran.options import SOLVER_PREFIXES
 
-    petsc = sys.modules.get("petsc4py.PETSc")
-    for key in options.solver:
-        used = ctypes.c_int(0)
-        if petsc:  # petsc4py itself has no call for this before PETSc 3.19
-            library = ctypes.CDLL(petsc.__file__)
-            library.PetscOptionsUsed(None, key.encode(), ctypes.byref(used))
-        if not used.value and key.startswith(tuple(SOLVER_PREFIXES)):
-            log.warning("-%s was not used: no solver of this run has such an option", key)
+    keys = [key for key in options.solver if key.startswith(tuple(SOLVER_PREFIXES))]
+    if "petsc4py.PETSc" in sys.modules:
+        from pgran.database import unused
+
+        keys = unused(keys)
+    for key in keys:
+        log.warning("-%s was not used: no solver of this run has such an option", key)
 
 
 def plot(words):

@@ -80,6 +80,28 @@ def on_root(comm, action, keep=False):
     return value if keep else shared
 
 
+def agree(comm, failure):
+    """Raise, on every rank, the error that the first of the ranks has met, if any has.
+
+    Collective.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    failure : Exception or None
+        What this rank has met.
+
+    Raises
+    ------
+    PgranError
+        With the last line of that error's message.
+    """
+    met = comm.allgather(failure and (str(failure).splitlines() or [repr(failure)])[-1])
+    message = next(filter(None, met), None)
+    if message:
+        raise PgranError(message)
+
+
 def describe(error):
     """Return an OSError as `path: reason`. Not collective."""
     reason = error.strerror or str(error)

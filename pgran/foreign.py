@@ -100,12 +100,13 @@ class CarefulFile:
         return found
 
     def dataset(self, name):
-        """Return a dataset of numbers that lies in the file itself, not yet read."""
+        """Return a dataset of the file itself, of numbers or a list of texts, not yet read."""
         data = self._member(name, h5py.Dataset)
         # Asking for the shape of data that lie elsewhere would open the other file.
         if data.external or data.is_virtual:
             self.refuse(name, "lies in another file; such data are not read")
-        if data.dtype.kind not in "fiucb":
+        texts = data.dtype.kind == "S" and data.ndim == 1
+        if data.dtype.kind not in "fiucb" and not texts:
             self.refuse(name, f"holds no numbers but {data.dtype}")
         if data.shape is None:
             self.refuse(name, "is empty")
@@ -118,7 +119,7 @@ class CarefulFile:
         self._left -= declared
         if self._left < 0:
             self.refuse(name, f"declares {declared} bytes, far more than the file holds")
-        return data[()]
+        return np.char.decode(data[()], "utf-8") if data.dtype.kind == "S" else data[()]
 
 
 def bonds(file):

@@ -83,6 +83,7 @@ INTEGERS = Kind("integers", _several(_integer), _joined)
 REALS = Kind("reals", _several(_real), _joined)
 FLAG = Kind("flag", _flag, lambda value: str(value).lower())
 TEXT = Kind("text", _text, shlex.quote)
+TEXTS = Kind("texts", _several(_text), lambda values: shlex.quote(",".join(values)))
 
 
 @dataclass(frozen=True)
@@ -232,9 +233,11 @@ RELAXATION = (
     Option(
         "relax_trajectories", INTEGER, 1, "independent trajectories, all from the same bonds", low=1
     ),
+)  # fmt: skip
+SPECTRUM = (
     Option("spectrum_fit_min", REAL, 0.01, "window of the exponent's fit", "cycles/step", above=0),
     Option("spectrum_fit_max", REAL, 0.3, "window of the exponent's fit", "cycles/step", above=0),
-)  # fmt: skip
+)
 MODES = (
     Option("modes_omega_min", REAL, None, "interval of modes: its lower end", "angular", low=0),
     Option("modes_omega_max", REAL, None, "interval of modes: its upper end", "angular", above=0),
@@ -245,17 +248,35 @@ MODES = (
         low=1
     ),
 )  # fmt: skip
+ACCURACY = (
+    Option(
+        "accuracy_of", TEXT, "response", "the experiment that is repeated",
+        choices=("response", "modes", "relaxation"),
+    ),
+    Option(
+        "accuracy_solvers", TEXTS, None,
+        "options files of the solvers to compare: a.opts,b.opts; each holds solver keys alone"
+    ),
+    Option(
+        "accuracy_tolerances", REALS, (1e-2, 1e-4, 1e-6, 1e-8),
+        "accuracies to ask each solver for; of modes, its -normal_eps_tol", above=0, high=0.5
+    ),
+    Option("accuracy_repeats", INTEGER, 5, "repeats of each timing", low=1),
+)  # fmt: skip
 # Modes are seen by no detector.
 MODES_LATTICE = tuple(option for option in LATTICE if option.name != "detectors")
 SHAPES = Option("output_fields", FLAG, False, "store the shapes of the modes")
 FIELDS = Option("output_fields", FLAG, False, "store the whole field at every frequency")
+REUSE = tuple(option for option in STEADY if option.name != "error_tolerance")
 
 SCENES = {
     "response": (*LATTICE, *SWEEP, *STEADY, *PHASE, *RUN, FIELDS),
     "continuum": (*CONTINUUM, *SWEEP, *RUN),
     "modes": (*MODES_LATTICE, *MODES, *RUN, SHAPES),
-    "relaxation": (*LATTICE, *RELAXATION, *STEADY, *RUN),
+    "relaxation": (*LATTICE, *RELAXATION, *SPECTRUM, *STEADY, *RUN),
     "projection": (*MODES_LATTICE, *SWEEP, *STEADY, *MODES, *RUN),
+    # Of these, only what the scene that it repeats has.
+    "accuracy": (*ACCURACY, *LATTICE, *SWEEP, *REUSE, *RELAXATION, *MODES, *RUN),
 }
 WITHOUT_PETSC = ("continuum",)
 LATTICES_SHARED = ("response", "relaxation")  # where several ranks may share a lattice

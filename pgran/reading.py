@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pgran.errors import FileError, InputError, open_regular
 from pgran.lattice import bond_count
 from pgran.options import (
+    ACCURACY,
     HARMFUL,
     LATTICES_SHARED,
     PETSC_BEGINNINGS,
@@ -131,6 +132,45 @@ def read_words(words, where=""):
     return given
 
 
+def read_solver(path, own):
+    """Return what the options file of a solver sets.
+
+    Not collective.
+
+    Parameters
+    ----------
+    path : str
+    own : dict of Option
+        By name: what it may set besides keys of PETSc's solvers.
+
+    Returns
+    -------
+    values : dict
+        Of options in `own`.
+    keys : dict of str
+        For PETSc's option database.
+
+    Raises
+    ------
+    FileError, InputError
+        If it cannot be read, or holds anything else.
+    """
+    values, keys = {}, {}
+    for item in read_file(path):
+        key = item.key.lower()
+        if key in own:
+            values[key] = own[key].read(item.text, item.where)
+        elif _is_solver_key(key):
+            _check_harmless(key, item)
+            keys[key] = item.text
+        else:
+            allowed = [f"-{name}" for name in (*own, *(f"{p}*" for p in SOLVER_PREFIXES))]
+            raise InputError(
+                f"-{key}{item.where}: the file of a solver holds {', '.join(allowed)} only"
+            )
+    return values, keys
+
+
 def read_environment():
     """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked."""
     if os.environ.pop("PETSC_OPTIONS_YAML", ""):
@@ -168,9 +208,13 @@ def resolve(given, output_file=None):
         elif key != "scene":
             _check_foreign(key, item, scene, options)
             solver[key] = item.text
-    _check_together(scene, values, last)
-    if scene in ("modes", "projection"):
-        _check_modes(scene, values, last)
+    experiment = scene
+    if scene == "accuracy":
+        experiment = values["accuracy_of"]
+        _check_accuracy(experiment, values, last)
+    _check_together(experiment, values, last)
+    if experiment in ("modes", "projection"):
+        _check_modes(experiment, values, last)
     return Options(scene, values, solver)
 
 
@@ -181,14 +225,8 @@ def _check_foreign(key, item, scene, options):
         raise InputError(
             f"-{key}{item.where}: scene {scene} does not use it, but {', '.join(users)} does"
         )
-    solver = key.startswith(tuple(SOLVER_PREFIXES)) and key not in SOLVER_PREFIXES
-    if solver or key in PETSC_KEYS or key.startswith(PETSC_BEGINNINGS):
-        harmless = _harmless(key, item.text) if solver else key in PETSC_PRINTS and not item.text
-        if item.where and not harmless:
-            raise InputError(
-                f"-{key} {item.text}".rstrip() + f"{item.where}: could load code, start a program "
-                "or write a file; give it on the command line if you mean it"
-            )
+    if _is_solver_key(key) or key in PETSC_KEYS or key.startswith(PETSC_BEGINNINGS):
+        _check_harmless(key, item)
         return
     near = nearest(key, ["scene", *options])
     prefixed = next((p + key for p in SOLVER_PREFIXES if key.startswith(("ksp_", "pc_"))), near)
@@ -197,6 +235,38 @@ def _check_foreign(key, item, scene, options):
         + (f"; did you mean -{prefixed}?" if prefixed else "")
         + f" (pgran options {scene} lists all)"
     )
+
+
+def _check_accuracy(experiment, values, last):
+    """Raise unless the options of a study are those of its experiment; unset all others."""
+    if values["accuracy_solvers"] is None:
+        raise InputError("-accuracy_solvers is missing: options files of the solvers to compare")
+    used = {option.name for option in (*SCENES[experiment], *ACCURACY)}
+    for name in [name for name in values if name not in used]:
+        if name in last:
+            where = last[name].where
+            raise InputError(f"-{name}{where}: -accuracy_of {experiment} does not use it")
+        values[name] = None
+    if experiment != "modes" and values["lattice_damping"] == 0:
+        raise InputError(
+            "-lattice_damping 0: without damping no bound of the error is known, and so there is "
+            "no reference to compare with"
+        )
+
+
+def _is_solver_key(key):
+    """Return whether a key goes to a solver."""
+    return key.startswith(tuple(SOLVER_PREFIXES)) and key not in SOLVER_PREFIXES
+
+
+def _check_harmless(key, item):
+    """Raise where a key of PETSc's could do more than it should, unless the command line has it."""
+    quiet = key in PETSC_PRINTS and not item.text
+    if item.where and not (_harmless(key, item.text) if _is_solver_key(key) else quiet):
+        raise InputError(
+            f"-{key} {item.text}".rstrip() + f"{item.where}: could load code, start a program "
+            "or write a file; give it on the command line if you mean it"
+        )
 
 
 def _harmless(key, text):
@@ -216,6 +286,7 @@ def machine_memory():
 
 def _check_size(scene, values):
     """Raise where the arrays that rank 0 must hold, and one copy, exceed this machine's memory."""
+    values = {name: value for name, value in values.items() if value is not None}
     shape = values.get("lattice_shape") or (1,)  # None: a file says
     balls, axes = math.prod(shape), len(shape)
     detectors = len(values.get("detectors") or ()) // axes

@@ -138,13 +138,21 @@ def _write_record(file, record, axes):
         if "axes" not in item.metadata:
             (file if item.metadata else group).attrs[item.name] = value
             continue
-        data = group.create_dataset(item.name, data=value)
+        data = group.create_dataset(item.name, data=_stored(value))
         data.attrs["units"] = item.metadata["units"]
         data.attrs["long_name"] = item.metadata["long_name"]
     for item in dataclasses.fields(record):
         if item.name in group:
             for number, scale in enumerate(_axis_names(item, axes)):
                 _attach(group, group[item.name], number, scale)
+
+
+def _stored(value):
+    """Return an array as HDF5 takes it: text as UTF-8 of fixed length."""
+    if np.asarray(value).dtype.kind != "U":
+        return value
+    encoded = np.char.encode(value, "utf-8")
+    return encoded.astype(h5py.string_dtype("utf-8", encoded.itemsize))
 
 
 def _axis_names(item, axes):

@@ -55,6 +55,8 @@ SMALL = "-lattice_shape 6,5 -detectors 3,2 -sweep_min .1 -sweep_max 1 -sweep_poi
 MODES = "-lattice_shape 6,5"
 RELAX = "-lattice_shape 6,5 -detectors 3,2 -relax_steps 400 -spectrum_fit_min .1"
 BASE = {"imports": {"PETSc", "h5py"}}
+# The options file of these tests is empty: as a solver's, the defaults.
+ONE_SOLVER = "-accuracy_solvers a.opts -accuracy_repeats 1 -accuracy_tolerances 1e-4"
 # What each scene needs; a number, or True for any but none. What is not named is none.
 NEEDS = {
     "-scene continuum -sweep_points 3": {"imports": {"h5py"}, "stores": {"continuum"}},
@@ -97,6 +99,16 @@ NEEDS = {
         "imports": {"PETSc", "SciPy", "h5py"},
         "Laplacians": 2, "S": 1, "factorizations": 402, "adjoints": 1,
         "spectra": 1, "stores": {"lattice", "relaxation", "spectrum"},
+    },
+    f"-scene accuracy {ONE_SOLVER} {SMALL}": {  # a reference, and one run
+        **BASE,
+        "Laplacians": 4, "S": 2, "factorizations": 6, "adjoints": 2,
+        "stores": {"lattice", "accuracy"},
+    },
+    f"-scene accuracy {ONE_SOLVER} -accuracy_of modes {MODES}": {
+        "imports": {"PETSc", "SLEPc", "h5py"},
+        "Laplacians": 2, "searches for modes": 2,
+        "stores": {"lattice", "accuracy"},
     },
 }  # fmt: skip
 

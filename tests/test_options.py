@@ -104,6 +104,7 @@ WRONG = {
     "reals": ["x", "", "1,,2", "1,nan", "inf", ","],
     "flag": ["maybe", "2", "tru"],
     "text": [],
+    "texts": ["", ",", "a,,b", "a,"],
 }
 
 
@@ -389,8 +390,8 @@ def test_files_can_choose_solvers_and_set_numbers(tmp_path, text):
 def test_the_files_that_come_with_pgran_are_accepted(path):
     given = read_file(path)
     if path.parent.name == "solvers":
-        scene = "modes" if path.name.startswith("modes") else "response"
-        given += read_words(["-scene", scene])
+        scene = path.stem.split("_")[0]
+        given += read_words(["-scene", scene if scene in SCENES else "response"])
     resolve(given)
 
 
