@@ -28,7 +28,7 @@ import numpy as np
 FOLDER = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(FOLDER), str(FOLDER / "tests")]
 
-from reference import Reference, bonds, continuum_amplitude, exact_amplitudes  # noqa: E402
+from reference import Reference, continuum_amplitude, exact_amplitudes  # noqa: E402
 
 import pgran  # noqa: E402
 from pgran.lattice import AXES  # noqa: E402
@@ -38,7 +38,7 @@ FILES = sorted((FOLDER / "options" / "extreme").glob("*.opts"))
 LU = "-steady_pc_type lu -steady_pc_factor_mat_solver_type"
 SOLVERS = {"": [], **{name: [*LU.split(), name] for name in ("petsc", "mumps", "superlu_dist")}}
 SHARED = ("mumps", "superlu_dist")  # with two ranks on one lattice
-SECONDS = 60  # for a run that takes about one
+SECONDS, TIMED_OUT = 60, 124  # for a run that takes about one; exit code of timeout
 STATES = 16  # of a relaxation, compared with the reference
 CONTINUUM = 1e-12  # what the series promises
 MODES = 1e-12  # of |K|: what eigenvalues and residuals promise
@@ -62,8 +62,8 @@ class Judgement:
 
     points: int = 0
     marked: int = 0
-    error: float = 0.0
-    bound: float = 0.0
+    error: float = math.nan
+    bound: float = math.nan
     refused: bool = False
     faults: list = field(default_factory=list)
 
@@ -80,9 +80,9 @@ class Judgement:
         error = abs(mpmath.mpmathify(complex(found)) - exact) if np.isfinite(found) else mpmath.inf
         if good:
             size = max(abs(exact), mpmath.mpf("1e-9999"))
-            self.error = max(self.error, float(error / size))
-            self.bound = max(self.bound, 0.0 if math.isnan(bound) else float(bound / size))
-            if not error <= tolerance * abs(exact):
+            self.error = np.fmax(self.error, float(error / size))
+            self.bound = np.fmax(self.bound, float(mpmath.mpf(float(bound)) / size))
+            if not error <= tolerance * abs(exact) or mpmath.isinf(exact):
                 self.faults.append(f"{where}: wrong by {float(error / size):.1e}, not marked")
         if np.isfinite(found) and error > bound:
             told = "" if good else " (marked)"
@@ -117,31 +117,26 @@ def start(path, label, ranks, words, folder, environment=None):
     output.unlink(missing_ok=True)
     command = ["mpirun", "-n", str(ranks), sys.executable, "-m", "pgran", "run", str(path), *words]
     command += ["-output_file", str(output), "-output_overwrite", "-output_progress", "none"]
+    command = ["timeout", "-k", "5", str(SECONDS), *command]  # on its signal mpirun ends the ranks
     started = time.perf_counter()
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=SECONDS, env=environment, cwd=folder
-        )
-        code, said = done.returncode, done.stderr
-    except subprocess.TimeoutExpired:
-        code, said = None, ""
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=folder)
     seconds = time.perf_counter() - started
     result = pgran.load(output) if output.exists() else None
-    return Run(f"{label}: {' '.join(command)}", code, said, seconds, result)
+    return Run(f"{label}: {' '.join(command)}", done.returncode, done.stderr, seconds, result)
 
 
 def judge(path, run):
     """Return what came out of a run, and every fault."""
-    judgement = Judgement()
+    judgement, (wanted, _) = Judgement(), musts(path)
     faults = judgement.faults
-    if run.code is None:
+    if run.code == TIMED_OUT:
         faults.append(f"not done after {SECONDS} s")
         return judgement
     if run.result is None:
         judgement.refused = run.code == 2
         lines = [line for line in run.said.splitlines() if line.startswith("pgran")]
-        if not judgement.refused or len(lines) != 1:
-            faults.append(f"exit code {run.code}, no result: {run.said.strip()[-300:]}")
+        if not judgement.refused or len(lines) != 1 or "refused" not in wanted:
+            faults.append(f"exit code {run.code}, no result: {' '.join(run.said.split())[:300]}")
     else:
         options = options_of(path)
         SCENES[options.scene](path, options, run.result, judgement)
@@ -153,7 +148,6 @@ def judge(path, run):
         if judgement.marked and "miss the accuracy" not in run.said:
             faults.append("nothing said of marked points")
     faults += [f"{word} in the log" for word in ("Traceback", "RuntimeWarning") if word in run.said]
-    wanted, _ = musts(path)
     if not judgement.outcomes <= wanted:
         came = " and ".join(sorted(judgement.outcomes))
         faults.append(f"came out {came}, must be {' or '.join(sorted(wanted))}")
@@ -310,7 +304,9 @@ def examine(path, folder):
             faults += [f"    and {more} more"] * (more > 0)
     must = " or ".join(sorted(wanted)) + (f", as {other.removesuffix('.opts')}" if other else "")
     came = "FAILED" if faults else " or ".join(sorted(set.union(*(j.outcomes for j in found))))
-    error, bound = (f"{max(getattr(j, name) for j in found):.1e}" for name in ("error", "bound"))
+    error, bound = (
+        f"{np.fmax.reduce([getattr(j, name) for j in found]):.1e}" for name in ("error", "bound")
+    )
     marked = f"{max(j.marked for j in found)}/{max(j.points for j in found)}"
     row(path.stem, must, came, error, bound, marked, f"{seconds:.1f}")
     for line in faults:
@@ -320,7 +316,11 @@ def examine(path, folder):
 
 def row(name, must, came, *figures):
     """Print a line of the table."""
-    print(f"{name:27} {must:27} {came:19}", *(f"{f:>8}" for f in figures), flush=True)
+    print(
+        f"{name:27} {must:27} {came:19}",
+        *(f"{f.replace('nan', '-'):>8}" for f in figures),
+        flush=True,
+    )
 
 
 def main(names):

@@ -7,7 +7,7 @@ import sys
 import mpmath
 import numpy as np
 import pytest
-from mpmath import mpf
+from mpmath import mp, mpf
 from reference import continuum_amplitude
 
 from pgran.continuum import HALF_WAVES, PI, PI_SQUARED, Continuum
