@@ -51,7 +51,11 @@ def main(words):
 
 def run(words):
     """Run the experiment of an options file. Collective over all ranks."""
-    from pgran.journal import SIGNALS, Journal
+    # Signals to stop wait until the journal listens, and do no harm once the result is written;
+    # blocked before anything starts threads, which else would get them.
+    signal.pthread_sigmask(signal.SIG_BLOCK, errors.SIGNALS)
+    faulthandler.enable()  # a crash in a library names the line that called it
+
     from pgran.options import WITHOUT_PETSC
     from pgran.reading import read_environment, read_file, read_words, resolve
 
@@ -59,9 +63,6 @@ def run(words):
         raise InputError("run: an options file is needed, as in pgran run options/response.opts")
     started = time.perf_counter()
     path, *rest = words
-    faulthandler.enable()  # a crash in a library names the line that called it
-    # Signals to stop wait until the journal listens, and do no harm once the result is written.
-    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     world = start_mpi()
     given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
@@ -69,6 +70,7 @@ def run(words):
         start_petsc(options)
 
     from pgran import store
+    from pgran.journal import Journal
 
     output = options.output_file
     on_root(world, lambda: store.check_output(output, options.output_overwrite))

@@ -5,9 +5,11 @@ rank can meet (a file, memory) is either agreed on with `on_root` before the nex
 or ends the whole job in `pgran.__main__`.
 """
 
+import signal
 import time
 
 DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED = 0, 2, 3, 4, 75
+SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # that ask a run to stop
 SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail alike
 FAILED = 0  # tag of the message in which it tells them
 
