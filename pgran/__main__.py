@@ -266,20 +266,22 @@ def end_all_ranks(error):
     mpi = sys.modules.get("mpi4py.MPI")
     running = mpi and mpi.Is_initialized() and not mpi.Is_finalized()
     world = mpi.COMM_WORLD if running and mpi.COMM_WORLD.size > 1 else None
-    if world:
-        kind = (type(error).__name__, str(error).partition("\n")[0])
-        first, alike = errors.who_reports(world, kind)
-        if world.rank != first:  # that one ends all
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
-            time.sleep(5 * errors.SECONDS_FOR_OTHERS)
-        if not alike:
-            name_rank(world)
-    if world or not isinstance(error, SystemExit) or not isinstance(error.code, int):
-        log.error("%s", text)
-    sys.stderr.flush()
-    sys.stdout.flush()
-    if world:
-        world.Abort(code)
+    try:
+        if world:
+            kind = (type(error).__name__, str(error).partition("\n")[0])
+            first, alike = errors.who_reports(world, kind)
+            if world.rank != first:  # that one ends all
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+                time.sleep(5 * errors.SECONDS_FOR_OTHERS)
+            if not alike:
+                name_rank(world)
+        if world or not isinstance(error, SystemExit) or not isinstance(error.code, int):
+            log.error("%s", text)
+        sys.stderr.flush()
+        sys.stdout.flush()
+    finally:  # whatever else goes wrong: no rank must be left waiting
+        if world:
+            world.Abort(code)
     sys.exit(code)
 
 

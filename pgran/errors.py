@@ -101,6 +101,6 @@ def who_reports(comm, failure):
                 failures[rank] = comm.recv(source=rank, tag=FAILED)
         time.sleep(0.01)
     del requests
-    first = min(rank for rank, (_, late) in failures.items() if not late)
+    first = min((rank for rank, (_, late) in failures.items() if not late), default=0)
     alike = len(failures) == comm.size and len({failure for failure, _ in failures.values()}) == 1
     return first, alike
