@@ -9,31 +9,32 @@ figures, and what went wrong before it. Exit code 1 if anything did.
 import argparse
 import contextlib
 import os
-import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-import zlib
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import h5py
 import numpy as np
-
-from pgran.journal import MAGIC, RECORD
+from campaign import (
+    JOURNAL,
+    PART,
+    RESULT,
+    Campaign,
+    Job,
+    describe,
+    differences,
+    held,
+    with_no_error,
+)
 
 HERE = Path(__file__).resolve().parent
 INJECT = [str(HERE / "inject.py")]
-PGRAN = ["-m", "pgran"]
 SEED = 1993
 SECONDS_TO_END = 10.0  # after a fault, the launcher's own seconds included
 SECONDS_TO_STOP = 5.0  # after a signal: one unit of work, and the launcher's own second or two
-SECONDS_OF_RUN = 60.0  # none of these takes longer
-# What differs from run to run.
-VOLATILE = {"solve_seconds", "seconds", "created", "command", "mpi_size"}
 
 BONDS = "-lattice_shape 20,20 -bonds_seed 7\n"
 RELAX = f"-scene relaxation\n{BONDS}-lattice_damping .01\n"
@@ -54,189 +55,6 @@ SMALL = {
     "window": "-scene relaxation\n-relax_steps 2000\n-relax_window 16\n",
     "krylov": "-scene relaxation\n-relax_steps 2000\n-relax_window 16\n-relax_method krylov\n",
 }
-
-
-class Job:
-    """pgran in a session of its own, so that all its processes are known."""
-
-    def __init__(self, folder, ranks, *words, program=PGRAN):
-        """Start `pgran run a.opts` and further words in a folder; without mpirun on one rank."""
-        self.folder, self.log = folder, folder / f"{time.monotonic_ns()}.log"
-        launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
-        with open(self.log, "w") as log:
-            self.process = subprocess.Popen(
-                [*launcher, sys.executable, *program, "run", "a.opts", *words],
-                cwd=folder, stdout=log, stderr=log, start_new_session=True,
-            )  # fmt: skip
-
-    def members(self):
-        """Return the process ids of launcher and ranks."""
-        found = []
-        for path in Path("/proc").glob("[0-9]*/stat"):
-            try:
-                state, _, _, session = path.read_text().rpartition(")")[2].split()[:4]
-            except OSError:
-                continue
-            if int(session) == self.process.pid and state != "Z":
-                found.append(int(path.parent.name))
-        return found
-
-    def ranks(self):
-        """Return the process ids of the ranks that are up."""
-        return [pid for pid in self.members() if "python" in os.readlink(f"/proc/{pid}/exe")]
-
-    def running(self):
-        """Return whether the job has not ended yet."""
-        return self.process.poll() is None
-
-    def wait_for(self, there, seconds=SECONDS_OF_RUN):
-        """Wait until `there()` or the end of the job; return whether it is so."""
-        deadline = time.monotonic() + seconds
-        while self.running() and time.monotonic() < deadline:
-            if there():
-                return True
-            time.sleep(0.001)
-        return False
-
-    def end(self, seconds=SECONDS_OF_RUN):
-        """Wait for the end and return the exit code; None if it hangs, or leaves processes."""
-        try:
-            code = self.process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            code = None
-        deadline = time.monotonic() + 2.0
-        while self.members() and time.monotonic() < deadline:
-            time.sleep(0.05)
-        if self.members():
-            code = None
-            self.kill()
-        return code
-
-    def kill(self):
-        """Kill all processes at once."""
-        while alive := self.members():
-            for pid in alive:
-                with_no_error(os.kill, pid, signal.SIGKILL)
-        self.process.wait()
-
-    def said(self):
-        """Return all that was printed."""
-        return self.log.read_text(errors="replace")
-
-
-def with_no_error(function, *arguments):
-    """Call a function on what may be gone already."""
-    with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-        function(*arguments)
-
-
-def differences(path, other):
-    """Return the names of datasets and attributes that are not the same bit for bit."""
-
-    def contents(path):
-        found = {}
-        with h5py.File(path) as file:
-
-            def note(name, item):
-                found.update(
-                    {f"{name}@{k}": np.asarray(v).tobytes() for k, v in item.attrs.items()
-                     if k not in VOLATILE and k not in ("REFERENCE_LIST", "DIMENSION_LIST")}
-                )  # fmt: skip
-                if isinstance(item, h5py.Dataset):
-                    found[name] = (item.dtype.str, item.shape, item[()].tobytes())
-
-            note("", file)
-            file.visititems(note)
-        return found
-
-    one, two = contents(path), contents(other)
-    return [name for name in one | two if one.get(name) != two.get(name)]
-
-
-def held(journal):
-    """Return how many whole units a journal holds, read independently of pgran; -1: unreadable."""
-    try:
-        data = journal.read_bytes()
-    except (FileNotFoundError, NotADirectoryError):
-        return 0
-    if data[: len(MAGIC)] != MAGIC[: len(data)]:
-        return -1
-    count, start = -1, len(MAGIC)  # the first record is no unit
-    while start + RECORD.size <= len(data):
-        *_, size, checksum = RECORD.unpack_from(data, start)
-        end = start + RECORD.size + size
-        head, payload = data[start : start + RECORD.size - 4], data[start + RECORD.size : end]
-        if end > len(data) or zlib.crc32(payload, zlib.crc32(head)) != checksum:
-            break
-        count, start = count + 1, end
-    return max(0, count)
-
-
-class Campaign:
-    """Counts trials and failures; each trial has a folder and random numbers of its own."""
-
-    def __init__(self, root, short):
-        """Keep everything below `root`."""
-        self.root, self.short, self.failures, self.references = root, short, 0, {}
-
-    def repeats(self, full, short):
-        """Return how many trials there are to be."""
-        return range(short if self.short else full)
-
-    def folder(self, text):
-        """Return a new folder with an options file in it."""
-        folder = Path(tempfile.mkdtemp(dir=self.root))
-        (folder / "a.opts").write_text(text)
-        return folder
-
-    def check(self, job, *findings):
-        """Note what went wrong in a trial, a text each; return whether it is nothing."""
-        findings = [text for text in findings if text]
-        if findings:
-            self.failures += 1
-            print(f"FAILED in {job.folder}: {'; '.join(findings)}\n{job.said()}", flush=True)
-        return not findings
-
-    def map(self, trial, numbers):
-        """Return `trial(self, number)` for all numbers, two at a time."""
-        for scene in SCENES if trial is not one_kind else ():
-            self.references.setdefault(scene, None) or self.make_reference(scene)
-        with ThreadPoolExecutor(2) as pool:
-            return list(pool.map(lambda number: trial(self, number), numbers))
-
-    def make_reference(self, scene):
-        """Keep the result of a run never stopped, and the seconds from journal to result."""
-        folder = self.folder(SCENES[scene])
-        job = Job(folder, 1)
-        job.wait_for((folder / JOURNAL).exists)
-        begun = time.monotonic()
-        self.check(job, job.end() != 0 and "a run that nothing disturbs fails")
-        self.references[scene] = folder / RESULT, time.monotonic() - begun
-
-    def finish(self, folder, scene, ranks):
-        """Go on with a run to its end; check that nothing was lost and all is as never stopped."""
-        result, journal = folder / RESULT, folder / JOURNAL
-        there, units = result.exists(), held(journal)
-        job = Job(folder, ranks)
-        code = job.end()
-        found = re.search(r"going on from there, (\d+) units", job.said())
-        found = int(found[1]) if found else 0
-        left = {path.name for path in (folder / "results").iterdir()} - {result.name}
-        self.check(
-            job,
-            code != (4 if there else 0) and f"exit code {code} when going on",
-            not there and found < units and f"of {units} units {found} were found",
-            not there and left and f"left behind: {left}",
-            result.exists() and describe(differences(result, self.references[scene][0])),
-        )
-
-
-RESULT, JOURNAL, PART = "results/a.h5", "results/a.h5.unfinished", "results/.a.h5.part"
-
-
-def describe(names):
-    """Return in words which parts of a result are not as they should be."""
-    return names and f"not as never stopped: {', '.join(names)}"
 
 
 def kinds(campaign):
@@ -315,7 +133,9 @@ UNEXPECTED = {"exception", "callback", "petsc", "memory", "recursion", "import",
 
 def kills(campaign):
     """Kill all processes of a run at a random moment, and go on, also with other ranks."""
-    killed, again, writing, units = np.sum(campaign.map(one_kill, campaign.repeats(100, 7)), axis=0)
+    killed, again, writing, units = np.sum(
+        campaign.map(one_kill, campaign.repeats(100, 7), SCENES), axis=0
+    )
     return (
         f"{killed} kills, {again} of them of a run that went on already, {writing} while the "
         f"result was written; {units} finished units were all found again"
@@ -356,7 +176,7 @@ def one_kill(campaign, trial):
 
 def signals(campaign):
     """Send SIGUSR1 to the launcher, or SIGTERM to one rank, and go on."""
-    codes, seconds = zip(*campaign.map(one_signal, campaign.repeats(50, 6)), strict=True)
+    codes, seconds = zip(*campaign.map(one_signal, campaign.repeats(50, 6), SCENES), strict=True)
     return (
         f"{codes.count(75)} runs stopped by a signal, {codes.count(0)} done, "
         f"{len(codes) - codes.count(75) - codes.count(0)} that had not begun; ended "
@@ -401,7 +221,7 @@ def one_signal(campaign, trial):
 
 def disks(campaign):
     """Let the disk run full, be read-only, or the folder vanish: the earlier result stays."""
-    outcomes = campaign.map(one_disk, campaign.repeats(24, 8))
+    outcomes = campaign.map(one_disk, campaign.repeats(24, 8), SCENES)
     figures = ", ".join(f"{outcomes.count(text)} {text}" for text in sorted(set(outcomes)))
     return f"{figures}; all went on to the same result"
 
@@ -550,20 +370,18 @@ def main():
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], metavar="PART")
     parser.add_argument("--short", action="store_true", help="fewer trials")
     given = parser.parse_args()
-    failures = 0
     root = Path(tempfile.mkdtemp(prefix="pgran-faults-"))
+    campaign = Campaign(root, given.short)
     for name in given.parts or PARTS:
-        campaign = Campaign(root, given.short)
         began = time.monotonic()
         figures = PARTS[name](campaign)
-        seconds = time.monotonic() - began
-        print(f"{name}: {figures}; {campaign.failures} failures ({seconds:.0f} s)", flush=True)
-        failures += campaign.failures
-    if failures:
-        print(f"{failures} failures; their folders are in {root}")
-    else:
-        shutil.rmtree(root)
-    return 1 if failures else 0
+        print(f"{name}: {figures} ({time.monotonic() - began:.0f} s)", flush=True)
+    if campaign.failures:
+        print(f"{campaign.failures} failures; their folders are in {root}")
+        return 1
+    shutil.rmtree(root)
+    print("no failures")
+    return 0
 
 
 if __name__ == "__main__":

@@ -52,7 +52,11 @@ def main(words):
 
 def run(words):
     """Run the experiment of an options file. Collective over all ranks."""
-    from pgran.journal import SIGNALS, Journal
+    # Signals to stop wait until the journal listens, and do no harm once the result is written;
+    # blocked before anything starts threads, which else would get them.
+    signal.pthread_sigmask(signal.SIG_BLOCK, errors.SIGNALS)
+    faulthandler.enable()  # a crash in a library names the line that called it
+
     from pgran.options import WITHOUT_PETSC
     from pgran.reading import read_environment, read_file, read_words, resolve
 
@@ -60,9 +64,6 @@ def run(words):
         raise InputError("run: an options file is needed, as in pgran run options/response.opts")
     started = time.perf_counter()
     path, *rest = words
-    faulthandler.enable()  # a crash in a library names the line that called it
-    # Signals to stop wait until the journal listens, and do no harm once the result is written.
-    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     world = start_mpi()
     given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
@@ -74,6 +75,7 @@ def run(words):
     import numpy
 
     from pgran import store
+    from pgran.journal import Journal
 
     output = options.output_file
     if options.dry_run:
@@ -283,24 +285,26 @@ def end_all_ranks(error):
     mpi = sys.modules.get("mpi4py.MPI")
     running = mpi and mpi.Is_initialized() and not mpi.Is_finalized()
     world = mpi.COMM_WORLD if running and mpi.COMM_WORLD.size > 1 else None
-    if world:
-        kind = (type(error).__name__, str(error).partition("\n")[0])
-        first, alike = errors.who_reports(world, kind)
-        if world.rank != first:  # that one ends all
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
-            time.sleep(5 * errors.SECONDS_FOR_OTHERS)
-        if not alike:
-            name_rank(world)
-    elif isinstance(error, InputError) and launch.rank() > 0:
-        text = None  # before MPI joined them all copies met it alike; the first one says it
-    elif isinstance(error, SystemExit) and isinstance(error.code, int):
-        text = None  # whoever called sys.exit has said why
-    if text:
-        log.error("%s", text)
-    sys.stderr.flush()
-    sys.stdout.flush()
-    if world:
-        world.Abort(code)
+    try:
+        if world:
+            kind = (type(error).__name__, str(error).partition("\n")[0])
+            first, alike = errors.who_reports(world, kind)
+            if world.rank != first:  # that one ends all
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+                time.sleep(5 * errors.SECONDS_FOR_OTHERS)
+            if not alike:
+                name_rank(world)
+        elif isinstance(error, InputError) and launch.rank() > 0:
+            text = None  # before MPI joined them all copies met it alike; the first one says it
+        elif isinstance(error, SystemExit) and isinstance(error.code, int):
+            text = None  # whoever called sys.exit has said why
+        if text:
+            log.error("%s", text)
+        sys.stderr.flush()
+        sys.stdout.flush()
+    finally:  # whatever else goes wrong: no rank must be left waiting
+        if world:
+            world.Abort(code)
     if is_petsc(error):
         os._exit(code)  # after an error of its own PETSc can crash while it is shut down
     sys.exit(code)

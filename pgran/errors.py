@@ -6,11 +6,13 @@ or ends the whole job in `pgran.__main__`.
 """
 
 import os
+import signal
 import stat
 import time
 
 DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED = 0, 2, 3, 4, 75
 LONGEST = 1010  # characters of a message
+SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # that ask a run to stop
 SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail alike
 FAILED = 0  # tag of the message in which it tells them
 
@@ -154,6 +156,6 @@ def who_reports(comm, failure):
                 failures[rank] = comm.recv(source=rank, tag=FAILED)
         time.sleep(0.01)
     del requests
-    first = min(rank for rank, (_, late) in failures.items() if not late)
+    first = min((rank for rank, (_, late) in failures.items() if not late), default=0)
     alike = len(failures) == comm.size and len({failure for failure, _ in failures.values()}) == 1
     return first, alike

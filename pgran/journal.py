@@ -6,6 +6,7 @@ one that was cut off by a kill is noticed and dropped. The journal is the run's 
 by the kernel for as long as the process lives: a lock that nobody holds cannot be left behind.
 """
 
+import contextlib
 import fcntl
 import json
 import logging
@@ -18,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pgran.errors import FileError, InputError, StoppedError, describe, on_root
+from pgran.errors import SIGNALS, FileError, InputError, StoppedError, describe, on_root
 
 log = logging.getLogger(__name__)
 
@@ -26,7 +27,6 @@ MAGIC = b"pgran journal 1\n"
 RECORD = struct.Struct("<IIQI")  # stage, position, bytes, checksum
 IDENTITY = (0, 0)  # stage and position of the record that says what the run is
 SECONDS_BETWEEN_SYNCS = 1.0  # a kill loses nothing in between, only a power failure does
-SIGNALS = (signal.SIGUSR1, signal.SIGTERM)
 
 
 class Journal:
@@ -116,10 +116,8 @@ class Journal:
         FileError
             If it is not.
         """
-        try:
+        with self._writing():
             os.fsync(self._file.fileno())
-        except OSError as error:
-            raise FileError(f"{self.path}: cannot be written: {describe(error)}") from None
         self._synced = time.monotonic()
 
     def stop(self, name):
@@ -145,8 +143,9 @@ class Journal:
             log.info("%s: another run; discarded as -output_overwrite asks", self.path)
         if found != identity:
             self._kept.clear()
-            self._file.truncate(0)
-            self._file.write(MAGIC)
+            with self._writing():
+                self._file.truncate(0)
+                self._file.write(MAGIC)
             self._append(IDENTITY, json.dumps(identity).encode())
             del self._kept[IDENTITY]
         else:
@@ -210,13 +209,22 @@ class Journal:
         head = RECORD.pack(*place, len(payload), 0)[:-4]
         checksum = zlib.crc32(payload, zlib.crc32(head))
         record = head + struct.pack("<I", checksum) + payload
-        try:
-            if file.write(record) < len(record):
-                raise OSError("no room for a whole record")
-        except OSError as error:
-            file.truncate(start)
-            raise FileError(f"{self.path}: cannot be written: {describe(error)}") from None
+        with self._writing():
+            try:
+                if file.write(record) < len(record):
+                    raise OSError("no room for a whole record")
+            except OSError:
+                file.truncate(start)
+                raise
         self._kept[place] = start + RECORD.size, len(payload)
+
+    @contextlib.contextmanager
+    def _writing(self):
+        """Turn an OSError into a FileError that names the journal."""
+        try:
+            yield
+        except OSError as error:
+            raise FileError(f"{self.path}: cannot be written: {describe(error)}") from None
 
     def _difference(self, found, identity):
         """Say which option differs from the unfinished run."""

@@ -3,12 +3,13 @@
 import os
 import resource
 import signal
+import threading
 
 import numpy as np
 import pytest
 from samples import random_lattice
 
-from pgran.errors import FileError, InputError, StoppedError
+from pgran.errors import SIGNALS, FileError, InputError, StoppedError
 from pgran.journal import MAGIC, RECORD, Journal
 from pgran.scenes.modes import find_modes
 from pgran.scenes.projection import project
@@ -142,6 +143,37 @@ def test_another_run_is_refused_by_name(world, result, unfinished):
         assert journal.kept(journal.stage(0, UNITS, ROW)) == []
 
 
+def test_a_run_that_finished_nothing_is_no_obstacle(world, result, unfinished):
+    """Killed before its first unit, it leaves a journal of no worth."""
+    with Journal(world, result, RUN):
+        world.Barrier()
+        empty = unfinished.read_bytes()
+        world.Barrier()
+    world.Barrier()
+    if world.rank == 0:
+        unfinished.write_bytes(empty)
+    world.Barrier()
+    with Journal(world, result, RUN | {"bonds_seed": "8"}) as journal:
+        fill(journal, [2])
+        if world.rank == 0:
+            assert b'"bonds_seed": "8"' in unfinished.read_bytes()
+            assert b'"bonds_seed": "7"' not in unfinished.read_bytes()
+        world.Barrier()
+
+
+def test_signals_wait_until_the_journal_listens(world, result):
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        signal.pthread_kill(threading.get_ident(), signal.SIGUSR1)
+        with Journal(world, result, RUN) as journal:
+            assert journal.stop_asked == "SIGUSR1"
+        signal.pthread_kill(threading.get_ident(), signal.SIGTERM)  # too late to do anything
+        assert signal.sigpending() == {signal.SIGTERM}
+        assert signal.sigtimedwait(SIGNALS, 0).si_signo == signal.SIGTERM
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def test_a_second_run_on_the_same_result_is_refused(world, result):
     with Journal(world, result, RUN):
         with pytest.raises(FileError, match="another run is writing this result"):
@@ -177,6 +209,28 @@ def test_no_room(world, result):
             assert np.array_equal(journal.read(stage, 1, ROW), rows_of(1))
             journal.write(stage, 2, rows_of(2))
             assert journal.kept(stage) == [0, 1, 2]
+        world.Barrier()
+
+
+def test_no_room_at_all(world, result):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, limits[1]))
+    try:
+        with pytest.raises(FileError, match=r"a\.h5\.unfinished: cannot be written"):
+            Journal(world, result, RUN)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+def test_a_disk_that_fails_at_a_sync(world, result, monkeypatch):
+    def fail(number):
+        raise OSError(5, "Input/output error")
+
+    with Journal(world, result, RUN) as journal:
+        monkeypatch.setattr(os, "fsync", fail)
+        if world.rank == 0:
+            with pytest.raises(FileError, match=r"a\.h5\.unfinished: .*Input/output error"):
+                journal.sync()
         world.Barrier()
 
 

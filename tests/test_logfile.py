@@ -81,7 +81,11 @@ pgran.__main__.console()
 @pytest.mark.parametrize(
     ("rank", "statement", "message"),
     [
-        (0, "self.operators.K.getValue(10**6, 0)", "PETSc: Row too large: row 1000000 max 29 (MatGetValues())"),
+        (
+            0,
+            "self.operators.K.getValue(10**6, 0)",
+            "PETSc: Row too large: row 1000000 max 29 (MatGetValues())",
+        ),
         (2, "raise RuntimeError('sabotage')", "RuntimeError: sabotage"),
     ],
 )

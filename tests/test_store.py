@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import math
 import os
+import resource
 import stat
 
 import h5py
@@ -167,6 +168,37 @@ def test_message_of_a_failing_write(path, monkeypatch):
     monkeypatch.setattr(os, "fsync", fail)
     with pytest.raises(FileError, match=r"a\.h5: cannot be written: No space left"):
         store.write(path, ATTRIBUTES, records())
+
+
+@pytest.mark.parametrize("room", [0, 100, 3000, 20000])
+def test_no_room(path, room, capfd):
+    """A disk that is full at the beginning, in the middle, at the end: one error, no more words."""
+    store.write(path, ATTRIBUTES, records())
+    before = path.read_bytes()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    large = [LatticeRecord.of(random_lattice((60, 50)))]
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+    try:
+        with pytest.raises(FileError, match=r"a\.h5: cannot be written: File too large"):
+            store.write(path, ATTRIBUTES, large)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert path.read_bytes() == before
+    assert os.listdir(path.parent) == ["a.h5"]
+    assert capfd.readouterr().err == ""
+
+
+def test_a_folder_that_was_removed_is_made_anew(path):
+    path = path.parent / "results" / "a.h5"
+    store.write(path, ATTRIBUTES, records())
+    assert load(path).status == ATTRIBUTES["status"]
+
+
+def test_what_a_killed_run_left_is_replaced(path):
+    path.with_name(".a.h5.part").write_bytes(b"half a result" * 1000)
+    store.write(path, ATTRIBUTES, records())
+    assert load(path).status == ATTRIBUTES["status"]
+    assert os.listdir(path.parent) == ["a.h5"]
 
 
 def test_a_result_is_readable_by_others(path):
