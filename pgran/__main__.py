@@ -1,18 +1,20 @@
 """The command line. Starts MPI and PETSc for `run`, and ends all ranks when one fails."""
 
 import argparse
-import ctypes
+import faulthandler
+import hashlib
 import importlib
 import logging
 import os
 import shlex
+import signal
 import sys
 import time
 import traceback
 from pathlib import Path
 
 import pgran
-from pgran import errors
+from pgran import errors, launch
 from pgran.errors import InputError, PgranError, on_root
 
 log = logging.getLogger("pgran")
@@ -43,11 +45,18 @@ def main(words):
     commands = {"run": run, "plot": plot, "options": list_options, "doctor": doctor}
     if words[0] not in commands:
         raise InputError(f"{words[0]}: no such command; pgran --help lists them")
+    if sys.version_info < (3, 11) and words[0] != "doctor":
+        raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
     return commands[words[0]](words[1:])
 
 
 def run(words):
     """Run the experiment of an options file. Collective over all ranks."""
+    # Signals to stop wait until the journal listens, and do no harm once the result is written;
+    # blocked before anything starts threads, which else would get them.
+    signal.pthread_sigmask(signal.SIG_BLOCK, errors.SIGNALS)
+    faulthandler.enable()  # a crash in a library names the line that called it
+
     from pgran.options import WITHOUT_PETSC
     from pgran.reading import read_environment, read_file, read_words, resolve
 
@@ -58,30 +67,64 @@ def run(words):
     world = start_mpi()
     given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
+    if options.output_log:
+        start_log(options, words, world)
     if options.scene not in WITHOUT_PETSC:
         start_petsc(options)
 
+    import numpy
+
     from pgran import store
+    from pgran.journal import Journal
 
     output = options.output_file
+    if options.dry_run:
+        from pgran.forecast import forecast
+
+        on_root(world, lambda: store.check_output(output, options.output_overwrite, make=False))
+        for line in forecast(options, world, started):
+            print(line)
+        if world.rank == 0:
+            warn_of_unused(options)
+        return errors.DONE
     on_root(world, lambda: store.check_output(output, options.output_overwrite))
-    scene = importlib.import_module(f"pgran.scenes.{options.scene}")
-    records = scene.run(options, world)
+    identity = on_root(world, lambda: run_identity(options))
+    try:
+        with Journal(world, output, identity, options.output_overwrite) as journal:
+            # again: another run may have written it just before the journal was locked
+            on_root(world, lambda: store.check_output(output, options.output_overwrite))
+            scene = importlib.import_module(f"pgran.scenes.{options.scene}")
+            records = scene.run(options, world, journal)
 
-    def finish():
-        failures = sum(getattr(record, "failures", 0) for record in records)
-        seconds = time.perf_counter() - started
-        attributes = run_attributes(options, words, world, failures, seconds)
-        store.write(output, attributes, records)
-        warn_of_unused(options)
-        for line in scene.summary(records):
-            log.info(line)
-        log.info("written to %s after %.1f s", output, seconds)
-        if failures:
-            log.warning("%d results miss the accuracy asked for; the file marks them", failures)
-        return failures
+            def finish():
+                failures = sum(int(numpy.sum(getattr(r, "failures", 0))) for r in records)
+                seconds = time.perf_counter() - started
+                attributes = run_attributes(options, words, world, failures, seconds)
+                store.write(output, attributes, records)
+                warn_of_unused(options)
+                for line in scene.summary(records):
+                    log.info(line)
+                log.info("written to %s after %.1f s", output, seconds)
+                if failures:
+                    log.warning(
+                        "%d results miss the accuracy asked for; the file marks them", failures
+                    )
+                return failures
 
-    return errors.INACCURATE if on_root(world, finish) else errors.DONE
+            return errors.INACCURATE if on_root(world, finish) else errors.DONE
+    except errors.StoppedError as stopped:  # on all ranks alike: they end in order
+        if world.rank == 0:
+            log.info("%s", stopped)
+        return errors.STOPPED
+
+
+def run_identity(options):
+    """Return what decides a run's numbers, {option: text}. Not collective."""
+    identity = {"pgran": pgran.__version__} | options.identity()
+    if identity.get("bonds_file"):
+        contents = hashlib.sha256(Path(options.bonds_file).read_bytes()).hexdigest()
+        identity["bonds_file"] += f" of contents {contents[:16]}"
+    return identity
 
 
 def start_mpi():
@@ -97,15 +140,30 @@ def start_mpi():
     world = MPI.COMM_WORLD
     if world.rank > 0:
         log.setLevel(logging.WARNING)
-        log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))
-    for variable in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"):
-        launched = os.environ.get(variable, "1")
-        if world.size == 1 and launched.isdigit() and int(launched) > 1:
-            raise InputError(
-                f"mpirun started {launched} ranks that do not know of each other: it belongs to "
-                f"another MPI than mpi4py ({MPI.Get_library_version().split(',')[0]})"
-            )
+        name_rank(world)
+    if world.size == 1 and launch.size() > 1:
+        raise InputError(
+            f"mpirun started {launch.size()} ranks that do not know of each other: it belongs to "
+            f"another MPI than mpi4py ({MPI.Get_library_version().split(',')[0]})"
+        )
     return world
+
+
+def start_log(options, words, world):
+    """Let messages go to the log file of the options, too. Collective."""
+    from pgran import logfile
+
+    path = options.output_log
+    if Path(path).absolute() == Path(options.output_file).absolute():
+        raise InputError(f"-output_log {path}: is the -output_file")
+    on_root(world, lambda: logfile.check(path, make=not options.dry_run))
+    if not options.dry_run:
+        handler = logfile.LogFile(path, world.rank)
+        log.addHandler(handler)
+        if world.rank == 0:
+            command = shlex.join(["pgran", "run", *words])
+            text = f"{command} on {world.size} rank{'s' if world.size > 1 else ''}"
+            handler.handle(logging.makeLogRecord({"msg": text, "levelno": logging.INFO}))
 
 
 def start_petsc(options):
@@ -118,7 +176,7 @@ def start_petsc(options):
             "pgran doctor says more"
         ) from None
     words = [word for key, text in options.solver.items() for word in (f"-{key}", text) if word]
-    petsc4py.init(["pgran", "-skip_petscrc", *words])
+    petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler", *words])
     from petsc4py import PETSc
 
     if PETSc.ScalarType().dtype.kind != "c":
@@ -154,14 +212,13 @@ def warn_of_unused(options):
     """Warn of solver keys that no PETSc object asked for."""
     from pgran.options import SOLVER_PREFIXES
 
-    petsc = sys.modules.get("petsc4py.PETSc")
-    for key in options.solver:
-        used = ctypes.c_int(0)
-        if petsc:  # petsc4py itself has no call for this before PETSc 3.19
-            library = ctypes.CDLL(petsc.__file__)
-            library.PetscOptionsUsed(None, key.encode(), ctypes.byref(used))
-        if not used.value and key.startswith(tuple(SOLVER_PREFIXES)):
-            log.warning("-%s was not used: no solver of this run has such an option", key)
+    keys = [key for key in options.solver if key.startswith(tuple(SOLVER_PREFIXES))]
+    if "petsc4py.PETSc" in sys.modules:
+        from pgran.database import unused
+
+        keys = unused(keys)
+    for key in keys:
+        log.warning("-%s was not used: no solver of this run has such an option", key)
 
 
 def plot(words):
@@ -223,31 +280,70 @@ def console():
 
 
 def end_all_ranks(error):
-    """Report an error and end this process, or the whole job where there are other ranks."""
-    code = error.exit_code if isinstance(error, PgranError) else 1
+    """Report an error once, and end this process, or the whole job where there are other ranks."""
+    code, text = explain(error)
+    mpi = sys.modules.get("mpi4py.MPI")
+    running = mpi and mpi.Is_initialized() and not mpi.Is_finalized()
+    world = mpi.COMM_WORLD if running and mpi.COMM_WORLD.size > 1 else None
+    try:
+        if world:
+            kind = (type(error).__name__, str(error).partition("\n")[0])
+            first, alike = errors.who_reports(world, kind)
+            if world.rank != first:  # that one ends all
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+                time.sleep(5 * errors.SECONDS_FOR_OTHERS)
+            if not alike:
+                name_rank(world)
+        elif isinstance(error, InputError) and launch.rank() > 0:
+            text = None  # before MPI joined them all copies met it alike; the first one says it
+        elif isinstance(error, SystemExit) and isinstance(error.code, int):
+            text = None  # whoever called sys.exit has said why
+        if text:
+            log.error("%s", text)
+        sys.stderr.flush()
+        sys.stdout.flush()
+    finally:  # whatever else goes wrong: no rank must be left waiting
+        if world:
+            world.Abort(code)
+    if is_petsc(error):
+        os._exit(code)  # after an error of its own PETSc can crash while it is shut down
+    sys.exit(code)
+
+
+def explain(error):
+    """Return the exit code of an error, and what to say of it."""
+    if isinstance(error, PgranError):
+        return error.exit_code, str(error)
     if isinstance(error, SystemExit):
         code = error.code if isinstance(error.code, int) else 1
-    elif isinstance(error, KeyboardInterrupt):
-        code = 130
-    mpi = sys.modules.get("mpi4py.MPI")
-    others = mpi and mpi.Is_initialized() and not mpi.Is_finalized() and mpi.COMM_WORLD.size > 1
-    if others and mpi.COMM_WORLD.rank > 0:
-        # Errors that all ranks meet are rank 0's to report; it ends the others while they wait.
-        time.sleep(1.0)
-    if isinstance(error, PgranError):
-        log.error("%s", error)
-    elif isinstance(error, SystemExit):
-        if others or not isinstance(error.code, int):
-            log.error("ended by sys.exit(%r)", error.code)
-    elif isinstance(error, KeyboardInterrupt):
-        log.error("interrupted")
-    else:
-        log.error("%s", "".join(traceback.format_exception(error)).rstrip())
-    sys.stderr.flush()
-    sys.stdout.flush()
-    if others:
-        mpi.COMM_WORLD.Abort(code)
-    sys.exit(code)
+        return code, f"ended by sys.exit({error.code!r})"
+    if isinstance(error, KeyboardInterrupt):
+        return 130, "interrupted"
+    if isinstance(error, ModuleNotFoundError):
+        return 1, f"{error}: pgran doctor says how to mend it"
+    if is_petsc(error):
+        wrong_option = "SetFromOptions()" in str(error)
+        return errors.BAD_INPUT if wrong_option else 1, petsc_message(error)
+    return 1, "".join(traceback.format_exception(error)).rstrip()
+
+
+def petsc_message(error):
+    """Return in one line what went wrong in PETSc, and in which call of pgran's."""
+    # Its text: a number, the calls, a kind of error, and what it was in particular.
+    lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
+    calls = [line.split(" at ")[0] for line in lines if "() at " in line]
+    said = [line for line in lines[1:] if "() at " not in line]
+    return str(PgranError(f"PETSc: {(said[1:] or said or lines)[0]} ({', '.join(calls[:1])})"))
+
+
+def is_petsc(error):
+    """Return whether PETSc or SLEPc raised an error: a wrong solver option, a failing package."""
+    return type(error).__module__.startswith("petsc4py")
+
+
+def name_rank(world):
+    """Begin all further messages of this process with its rank."""
+    log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))
 
 
 if __name__ == "__main__":

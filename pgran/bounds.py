@@ -117,7 +117,7 @@ class ErrorBounds:
         """
         least = max(EPSILON / tolerance, 10 * self.unit) * self.scale + 10 * spread
         delta = 0.1 * self.scale / self.operators.balls
-        while delta >= least:
+        while least <= delta < math.inf:
             if self._counter is None:
                 self._counter = ModeCounter(self.operators.K)
             if self._counter.below(shift, delta) is not None:
@@ -147,7 +147,7 @@ class ErrorBounds:
         return self._work
 
     def primal_residual(self, primal, terms):
-        """Return a bound of |f - S A~|_2 for A~ with its `rounding`, included. Collective."""
+        """Return a bound of |f - S A~|_2; `terms` is the `rounding` of A~. Collective."""
         return primal.norm + self.unit * math.sqrt(self._total(terms @ terms))
 
     def adjoint_residual(self, adjoint):

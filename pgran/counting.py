@@ -10,7 +10,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from pgran.errors import PgranError
+from pgran.errors import PgranError, agree
 from pgran.linear import accept_small_pivots
 from pgran.operators import SAME, Owner
 
@@ -188,8 +188,16 @@ def cut(counter, ends, comm):
 
 
 def shared(comm, items, work):
-    """Return pairs (item, work(item)), the items shared out over the ranks. Collective."""
-    mine = [(item, work(item)) for item in items[comm.rank :: comm.size]]
+    """Return pairs (item, work(item)), the items shared out over the ranks.
+
+    Collective. A PgranError that one rank meets is raised on all.
+    """
+    mine, failure = [], None
+    try:
+        mine += [(item, work(item)) for item in items[comm.rank :: comm.size]]
+    except PgranError as error:
+        failure = error
+    agree(comm, failure)
     pairs = comm.allgather(mine)
     return [pairs[number % comm.size][number // comm.size] for number in range(len(items))]
 

@@ -5,13 +5,30 @@ rank can meet (a file, memory) is either agreed on with `on_root` before the nex
 or ends the whole job in `pgran.__main__`.
 """
 
+import os
+import signal
+import stat
+import time
+
 DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED = 0, 2, 3, 4, 75
+LONGEST = 1010  # characters of a message
+SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # that ask a run to stop
+SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail alike
+FAILED = 0  # tag of the message in which it tells them
 
 
 class PgranError(Exception):
-    """An error whose message is meant for the user, without a traceback."""
+    """An error whose message is meant for the user, without a traceback.
+
+    One line of bounded length without control characters, whatever a file put into it.
+    """
 
     exit_code = 1
+
+    def __init__(self, message):
+        """Keep the message, made fit for a terminal."""
+        text = "".join(c if c.isprintable() else "?" for c in str(message))
+        super().__init__(text if len(text) <= LONGEST else f"{text[:500]} ... {text[-500:]}")
 
 
 class InputError(PgranError):
@@ -24,6 +41,12 @@ class FileError(PgranError):
     """A file that cannot be read or written, or is not what it should be."""
 
     exit_code = BAD_FILE
+
+
+class StoppedError(PgranError):
+    """A signal has stopped the run; what is finished is kept."""
+
+    exit_code = STOPPED
 
 
 def on_root(comm, action, keep=False):
@@ -59,7 +82,80 @@ def on_root(comm, action, keep=False):
     return value if keep else shared
 
 
+def agree(comm, failure):
+    """Raise, on every rank, the error that the first of the ranks has met, if any has.
+
+    Collective.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    failure : Exception or None
+        What this rank has met.
+
+    Raises
+    ------
+    PgranError
+        With the last line of that error's message.
+    """
+    met = comm.allgather(failure and (str(failure).splitlines() or [repr(failure)])[-1])
+    message = next(filter(None, met), None)
+    if message:
+        raise PgranError(message)
+
+
 def describe(error):
     """Return an OSError as `path: reason`. Not collective."""
     reason = error.strerror or str(error)
     return f"{error.filename}: {reason}" if error.filename else reason
+
+
+def open_regular(path):
+    """Return a file opened for reading bytes, refusing what could block or never end.
+
+    Not collective.
+
+    Raises
+    ------
+    FileError
+        If it cannot be opened, or is a folder, a pipe or a device.
+    """
+    try:
+        mode = os.stat(path).st_mode
+        if not stat.S_ISREG(mode):
+            kind = "directory" if stat.S_ISDIR(mode) else "pipe or a device, not a file"
+            raise FileError(f"{path}: is a {kind}")
+        return open(path, "rb")
+    except OSError as error:
+        raise FileError(describe(error)) from None
+    except ValueError as error:
+        raise FileError(f"{path!r}: no name of a file: {error}") from None
+
+
+def who_reports(comm, failure):
+    """Return which rank is to report a failure, and whether all ranks have met it alike.
+
+    Not collective: the other ranks may be at work, or wait for this one for ever. The first rank
+    to fail reports; of those that failed before they heard of another, the lowest.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    failure : object
+        Says what has happened on this rank.
+    """
+    others = [rank for rank in range(comm.size) if rank != comm.rank]
+    late = any(comm.Iprobe(rank, FAILED) for rank in others)
+    failures = {comm.rank: (failure, late)}
+    # never waited for: who does not fail does not receive
+    requests = [comm.isend((failure, late), rank, tag=FAILED) for rank in others]
+    deadline = time.monotonic() + SECONDS_FOR_OTHERS
+    while len(failures) < comm.size and time.monotonic() < deadline:
+        for rank in others:
+            if comm.Iprobe(rank, FAILED):
+                failures[rank] = comm.recv(source=rank, tag=FAILED)
+        time.sleep(0.01)
+    del requests
+    first = min((rank for rank, (_, late) in failures.items() if not late), default=0)
+    alike = len(failures) == comm.size and len({failure for failure, _ in failures.values()}) == 1
+    return first, alike

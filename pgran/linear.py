@@ -53,6 +53,12 @@ class System:
         self.norm = self.residual.norm()
 
 
+def factor_package(shape, ranks):
+    """Return what factors the matrix of a lattice that so many ranks share. Not collective."""
+    small = math.prod(shape) <= PETSC_FACTORS[len(shape)]
+    return "petsc" if ranks == 1 and small else "mumps"
+
+
 def make_ksp(operators):
     """Return the KSP for S, with the defaults, then as its options say (prefix `steady_`).
 
@@ -69,8 +75,7 @@ def make_ksp(operators):
     ksp.setTolerances(rtol=1e-13, atol=TINY, max_it=1000)
     pc = ksp.getPC()
     pc.setType("cholesky")
-    alone = operators.comm.size == 1
-    if not (alone and operators.balls <= PETSC_FACTORS[len(operators.shape)]):
+    if factor_package(operators.shape, operators.comm.size) != "petsc":
         pc.setFactorSolverType("mumps")
     ksp.setFromOptions()
     accept_small_pivots(pc)

@@ -70,12 +70,21 @@ class Operators(Owner):
         if self.damping > 0:
             ones = [np.broadcast_to(1.0, k.shape) for k in lattice.stiffness]
             self.C, self.f_damping = self._assemble(ones, pattern)
-        self.S, self.f = self.K.duplicate(), self.f_stiffness.duplicate()
+
+    @cached_property
+    def S(self):  # noqa: N802
+        """The matrix of the driven system. Collective when first asked for."""
+        return self.K.duplicate()
+
+    @cached_property
+    def f(self):
+        """The drive. Collective when first asked for."""
+        return self.f_stiffness.duplicate()
 
     def destroy(self):
         """Free all PETSc objects. Collective."""
-        for held in (self.K, self.C, self.S, self.f, self.f_stiffness, self.f_damping, self.da):
-            if held is not None:
+        for held in vars(self).values():
+            if isinstance(held, PETSc.Object):
                 held.destroy()
 
     def combine(self, omega):

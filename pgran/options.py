@@ -19,6 +19,18 @@ PETSC_KEYS = {
     "start_in_debugger", "stop_for_debugger", "fp_trap",
 }  # fmt: skip
 PETSC_BEGINNINGS = ("log_", "malloc", "memory_", "options_left", "options_view", "info_", "viewer_")
+# Those that only print, as long as they stand alone: a value names a file.
+PETSC_PRINTS = {
+    "citations", "get_total_flops", "info", "log_view", "log_view_memory", "malloc_view",
+    "memory_view", "options_left", "options_view",
+}  # fmt: skip
+# Words that make PETSc run code, call a program, or write a file or a socket: as a part of a solver
+# key, or as the end of its value (PETSc looks at the ends of viewers' names).
+HARMFUL = (
+    "python", "shell", "exec", "binary", "draw", "socket", "matlab", "saws", "vtk", "hdf5", "glvis",
+    "exodusii", "pyvista", "file", "filename", "dir", "tmpdir", "load", "save", "dump", "write",
+    "print",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -43,6 +55,13 @@ def _text(text):
     return text
 
 
+def _integer(text):
+    value = int(text)
+    if abs(value) >= 2**64:
+        raise ValueError
+    return value
+
+
 def _real(text):
     value = float(text)
     if not math.isfinite(value):
@@ -58,12 +77,13 @@ def _joined(values):
     return ",".join(map(repr, values))
 
 
-INTEGER = Kind("integer", int)
+INTEGER = Kind("integer", _integer)
 REAL = Kind("real", _real, repr)
-INTEGERS = Kind("integers", _several(int), _joined)
+INTEGERS = Kind("integers", _several(_integer), _joined)
 REALS = Kind("reals", _several(_real), _joined)
 FLAG = Kind("flag", _flag, lambda value: str(value).lower())
 TEXT = Kind("text", _text, shlex.quote)
+TEXTS = Kind("texts", _several(_text), lambda values: shlex.quote(",".join(values)))
 
 
 @dataclass(frozen=True)
@@ -150,7 +170,8 @@ LATTICE = (
     Option("bonds_seed", INTEGER, 1993, "which sample", low=0, high=2**63 - 1),
     Option("bonds_file", TEXT, None, "law file: HDF5 file with /lattice/stiffness_x ..."),
     Option(
-        "detectors", INTEGERS, (8, 10), "ball indices from 0, flat: 8,10 or 8,10,3,4", low=0
+        "detectors", INTEGERS, (8, 10), "ball indices from 0, flat: 8,10 or 8,10,3,4",
+        low=0, high=2**63 - 1
     ),
 )  # fmt: skip
 SWEEP = (
@@ -188,6 +209,8 @@ RUN = (
         "output_progress", TEXT, "auto", "auto = a bar on a terminal, lines elsewhere",
         choices=("auto", "bar", "lines", "none"),
     ),
+    Option("output_log", TEXT, None, "log file; a log that is there already goes on"),
+    Option("dry_run", FLAG, False, "say what the run will need, and stop"),
 )  # fmt: skip
 CONTINUUM = (
     Option("continuum_point", REALS, (0.47, 0.52), "where the amplitude is taken", "length"),
@@ -210,9 +233,11 @@ RELAXATION = (
     Option(
         "relax_trajectories", INTEGER, 1, "independent trajectories, all from the same bonds", low=1
     ),
+)  # fmt: skip
+SPECTRUM = (
     Option("spectrum_fit_min", REAL, 0.01, "window of the exponent's fit", "cycles/step", above=0),
     Option("spectrum_fit_max", REAL, 0.3, "window of the exponent's fit", "cycles/step", above=0),
-)  # fmt: skip
+)
 MODES = (
     Option("modes_omega_min", REAL, None, "interval of modes: its lower end", "angular", low=0),
     Option("modes_omega_max", REAL, None, "interval of modes: its upper end", "angular", above=0),
@@ -223,17 +248,35 @@ MODES = (
         low=1
     ),
 )  # fmt: skip
+ACCURACY = (
+    Option(
+        "accuracy_of", TEXT, "response", "the experiment that is repeated",
+        choices=("response", "modes", "relaxation"),
+    ),
+    Option(
+        "accuracy_solvers", TEXTS, None,
+        "options files of the solvers to compare: a.opts,b.opts; each holds solver keys alone"
+    ),
+    Option(
+        "accuracy_tolerances", REALS, (1e-2, 1e-4, 1e-6, 1e-8),
+        "accuracies to ask each solver for; of modes, its -normal_eps_tol", above=0, high=0.5
+    ),
+    Option("accuracy_repeats", INTEGER, 5, "repeats of each timing", low=1),
+)  # fmt: skip
 # Modes are seen by no detector.
 MODES_LATTICE = tuple(option for option in LATTICE if option.name != "detectors")
 SHAPES = Option("output_fields", FLAG, False, "store the shapes of the modes")
 FIELDS = Option("output_fields", FLAG, False, "store the whole field at every frequency")
+REUSE = tuple(option for option in STEADY if option.name != "error_tolerance")
 
 SCENES = {
     "response": (*LATTICE, *SWEEP, *STEADY, *PHASE, *RUN, FIELDS),
     "continuum": (*CONTINUUM, *SWEEP, *RUN),
     "modes": (*MODES_LATTICE, *MODES, *RUN, SHAPES),
-    "relaxation": (*LATTICE, *RELAXATION, *STEADY, *RUN),
+    "relaxation": (*LATTICE, *RELAXATION, *SPECTRUM, *STEADY, *RUN),
     "projection": (*MODES_LATTICE, *SWEEP, *STEADY, *MODES, *RUN),
+    # Of these, only what the scene that it repeats has.
+    "accuracy": (*ACCURACY, *LATTICE, *SWEEP, *REUSE, *RELAXATION, *MODES, *RUN),
 }
 WITHOUT_PETSC = ("continuum",)
 LATTICES_SHARED = ("response", "relaxation")  # where several ranks may share a lattice

@@ -23,7 +23,7 @@ class Progress:
     def __init__(self, total, what, style="auto"):
         """Start the clock."""
         self.total, self.what, self.done = total, what, 0
-        self.started = self.said = time.monotonic()
+        self.said, self.said_done = time.monotonic(), 0
         self.bar = None
         if style == "auto":
             style = "bar" if sys.stderr.isatty() else "lines"
@@ -51,9 +51,10 @@ class Progress:
         if self.bar is not None:
             self.bar.update(count)
         now = time.monotonic()
-        if self.lines and self.done and now - self.said >= self.seconds_between_lines:
-            self.said = now
-            left = (now - self.started) * (self.total - self.done) / self.done
+        if self.lines and count and now - self.said >= self.seconds_between_lines:
+            # by the pace since the last line: what an earlier run had finished came at once
+            left = (now - self.said) * (self.total - self.done) / (self.done - self.said_done)
+            self.said, self.said_done = now, self.done
             print(
                 f"pgran: {self.done} of {self.total} {self.what}, about {_duration(left)} left",
                 file=sys.stderr,

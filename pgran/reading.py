@@ -2,24 +2,38 @@
 
 Options files have PETSc's syntax (`-key value`, `#` starts a comment) but are read and checked
 here, before PETSc starts: an unknown key, a wrong type or an impossible value is an error that
-names the key, and no file can make PETSc load code before it was looked at.
+names the key. A file can choose solvers and set numbers; it cannot make PETSc load code, start
+programs or write files. Who gives such keys on the command line means them.
 """
 
+import math
 import os
 import re
 import shlex
 from dataclasses import dataclass
 
-from pgran.errors import FileError, InputError, describe
+from pgran.errors import FileError, InputError, open_regular
+from pgran.lattice import bond_count
 from pgran.options import (
+    ACCURACY,
+    HARMFUL,
     LATTICES_SHARED,
     PETSC_BEGINNINGS,
     PETSC_KEYS,
+    PETSC_PRINTS,
+    RUN,
     SCENE,
     SCENES,
     SOLVER_PREFIXES,
     nearest,
 )
+
+LONGEST_FILE = 2**20  # bytes of an options file
+NO_TEXT = re.compile(r"[^\t\n\r -~\u00a0-\ud7ff\ue000-\U0010ffff]")  # control characters, no UTF-8
+# What a value in a file may be: names and numbers, one or several. No path, no `viewer:file`.
+PLAIN = re.compile(r"[\w.+-]+(,[\w.+-]+)*", re.ASCII)
+# MUMPS: units of Fortran that it prints to (files fort.N), and factors on disk.
+MUMPS_FILES = re.compile(r".*_mumps_icntl_(1|2|3|22)")
 
 
 @dataclass(frozen=True)
@@ -56,16 +70,26 @@ class Options:
     def text(self):
         """Return a complete options file that reproduces the run.
 
-        Leave to replace a result was given for one run only and is not repeated.
+        Leave to replace a result, and the wish for a forecast, were for one run only.
         """
         lines = [SCENE.write(self.scene)]
         for option in SCENES[self.scene]:
             value = self._values[option.name]
-            if value is not None and option.name != "output_overwrite":
+            if value is not None and option.name not in ("output_overwrite", "dry_run"):
                 lines.append(option.write(value))
         for key, text in self.solver.items():
             lines.append(f"-{key} {shlex.quote(text)}" if text else f"-{key}")
         return "\n".join(lines) + "\n"
+
+    def identity(self):
+        """Return what decides the run's numbers, {option: text}; how it is carried out does not."""
+        found = {"scene": self.scene}
+        for option in SCENES[self.scene]:
+            value = self._values[option.name]
+            if value is not None and option not in RUN:
+                found[option.name] = option.kind.write(value)
+        prefixes = tuple(SOLVER_PREFIXES)
+        return found | {k: text for k, text in self.solver.items() if k.startswith(prefixes)}
 
 
 def read_file(path):
@@ -74,17 +98,18 @@ def read_file(path):
     Raises
     ------
     FileError, InputError
-        If it cannot be read, or a line is not `-key value`.
+        If it cannot be read, is no text of a sensible size, or a line is not `-key value`.
     """
-    try:
-        with open(path, encoding="utf-8") as stream:
-            lines = stream.read().splitlines()
-    except OSError as error:
-        raise FileError(describe(error)) from None
-    except UnicodeDecodeError:
-        raise FileError(f"{path}: not a text file") from None
+    with open_regular(path) as stream:
+        content = stream.read(LONGEST_FILE + 1)
+    if len(content) > LONGEST_FILE:
+        raise FileError(f"{path}: an options file has at most {LONGEST_FILE} bytes")
+    text = content.decode("utf-8", errors="surrogateescape")
+    if strange := NO_TEXT.search(text):
+        line = 1 + text.count("\n", 0, strange.start())
+        raise FileError(f"{path}: not a text file (line {line})")
     given = []
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(text.splitlines(), 1):
         where = f" ({path}, line {number})"
         try:
             words = shlex.split(line, comments=True)
@@ -107,8 +132,49 @@ def read_words(words, where=""):
     return given
 
 
+def read_solver(path, own):
+    """Return what the options file of a solver sets.
+
+    Not collective.
+
+    Parameters
+    ----------
+    path : str
+    own : dict of Option
+        By name: what it may set besides keys of PETSc's solvers.
+
+    Returns
+    -------
+    values : dict
+        Of options in `own`.
+    keys : dict of str
+        For PETSc's option database.
+
+    Raises
+    ------
+    FileError, InputError
+        If it cannot be read, or holds anything else.
+    """
+    values, keys = {}, {}
+    for item in read_file(path):
+        key = item.key.lower()
+        if key in own:
+            values[key] = own[key].read(item.text, item.where)
+        elif _is_solver_key(key):
+            _check_harmless(key, item)
+            keys[key] = item.text
+        else:
+            allowed = [f"-{name}" for name in (*own, *(f"{p}*" for p in SOLVER_PREFIXES))]
+            raise InputError(
+                f"-{key}{item.where}: the file of a solver holds {', '.join(allowed)} only"
+            )
+    return values, keys
+
+
 def read_environment():
     """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked."""
+    if os.environ.pop("PETSC_OPTIONS_YAML", ""):
+        raise InputError("PETSC_OPTIONS_YAML: not read; an options file or PETSC_OPTIONS is")
     return read_words(os.environ.pop("PETSC_OPTIONS", "").split(), " (PETSC_OPTIONS)")
 
 
@@ -142,9 +208,13 @@ def resolve(given, output_file=None):
         elif key != "scene":
             _check_foreign(key, item, scene, options)
             solver[key] = item.text
-    _check_together(scene, values, last)
-    if scene in ("modes", "projection"):
-        _check_modes(scene, values, last)
+    experiment = scene
+    if scene == "accuracy":
+        experiment = values["accuracy_of"]
+        _check_accuracy(experiment, values, last)
+    _check_together(experiment, values, last)
+    if experiment in ("modes", "projection"):
+        _check_modes(experiment, values, last)
     return Options(scene, values, solver)
 
 
@@ -155,9 +225,8 @@ def _check_foreign(key, item, scene, options):
         raise InputError(
             f"-{key}{item.where}: scene {scene} does not use it, but {', '.join(users)} does"
         )
-    if key.startswith(tuple(SOLVER_PREFIXES)) and key not in SOLVER_PREFIXES:
-        return
-    if key in PETSC_KEYS or key.startswith(PETSC_BEGINNINGS):
+    if _is_solver_key(key) or key in PETSC_KEYS or key.startswith(PETSC_BEGINNINGS):
+        _check_harmless(key, item)
         return
     near = nearest(key, ["scene", *options])
     prefixed = next((p + key for p in SOLVER_PREFIXES if key.startswith(("ksp_", "pc_"))), near)
@@ -168,8 +237,84 @@ def _check_foreign(key, item, scene, options):
     )
 
 
+def _check_accuracy(experiment, values, last):
+    """Raise unless the options of a study are those of its experiment; unset all others."""
+    if values["accuracy_solvers"] is None:
+        raise InputError("-accuracy_solvers is missing: options files of the solvers to compare")
+    used = {option.name for option in (*SCENES[experiment], *ACCURACY)}
+    for name in [name for name in values if name not in used]:
+        if name in last:
+            where = last[name].where
+            raise InputError(f"-{name}{where}: -accuracy_of {experiment} does not use it")
+        values[name] = None
+    if experiment != "modes" and values["lattice_damping"] == 0:
+        raise InputError(
+            "-lattice_damping 0: without damping no bound of the error is known, and so there is "
+            "no reference to compare with"
+        )
+
+
+def _is_solver_key(key):
+    """Return whether a key goes to a solver."""
+    return key.startswith(tuple(SOLVER_PREFIXES)) and key not in SOLVER_PREFIXES
+
+
+def _check_harmless(key, item):
+    """Raise where a key of PETSc's could do more than it should, unless the command line has it."""
+    quiet = key in PETSC_PRINTS and not item.text
+    if item.where and not (_harmless(key, item.text) if _is_solver_key(key) else quiet):
+        raise InputError(
+            f"-{key} {item.text}".rstrip() + f"{item.where}: could load code, start a program "
+            "or write a file; give it on the command line if you mean it"
+        )
+
+
+def _harmless(key, text):
+    """Return whether a solver key cannot make PETSc load code, start programs or write files."""
+    return (
+        not set(key.split("_")) & set(HARMFUL)
+        and not any(word.endswith(HARMFUL) for word in text.lower().split(","))
+        and (not text or PLAIN.fullmatch(text) is not None)
+        and (text in ("0", "6") or not MUMPS_FILES.fullmatch(key))
+    )
+
+
+def machine_memory():
+    """Return the bytes of memory that this machine has. Not collective."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def _check_size(scene, values):
+    """Raise where the arrays that rank 0 must hold, and one copy, exceed this machine's memory."""
+    values = {name: value for name, value in values.items() if value is not None}
+    shape = values.get("lattice_shape") or (1,)  # None: a file says
+    balls, axes = math.prod(shape), len(shape)
+    detectors = len(values.get("detectors") or ()) // axes
+    points = values.get("sweep_points") or len(values.get("sweep_omega") or ())
+    modes = values.get("modes_count") or (balls if values.get("modes_omega_min") is None else 0)
+    field = 8 * balls * values.get("output_fields", False)
+    results = {
+        "response": ("sweep_points", points * (32 + 40 * detectors + 2 * field)),
+        "continuum": ("sweep_points", points * 40),
+        "modes": ("output_fields", min(modes, balls) * (24 + field)),
+        "projection": ("sweep_points", points * (40 + 16 * min(modes, balls))),
+        "relaxation": (
+            "relax_steps",
+            values.get("relax_trajectories", 0)
+            * (100 + values.get("relax_steps", 0) * (16 + 8 * axes + 16 * detectors)),
+        ),
+    }
+    there = machine_memory()
+    for key, size in [("lattice_shape", 8 * bond_count(shape)), results.get(scene, ("", 0))]:
+        if 2 * size > there:
+            raise InputError(
+                f"-{key}: too much: the arrays of this run alone take {2 * size / 1e9:.3g} GB, and "
+                f"this machine has {there / 1e9:.3g} GB"
+            )
+
+
 def _check_together(scene, values, last):
-    """Raise where options that are possible one by one contradict each other."""
+    """Raise where options that are possible one by one contradict each other, or ask too much."""
     if len(values.get("lattice_shape", (1,))) > 3:
         raise InputError("-lattice_shape: a lattice has 1 to 3 axes")
     if scene not in LATTICES_SHARED and values["ranks_per_lattice"] > 1:
@@ -191,6 +336,7 @@ def _check_together(scene, values, last):
         low, high = f"{name}_min", f"{name}_max"
         if values.get(low) is not None and values[low] >= values[high]:
             raise InputError(f"-{low}: {values[low]:g} is not below -{high}, {values[high]:g}")
+    _check_size(scene, values)
 
 
 def _alternatives(some, others, values, last):

@@ -37,6 +37,9 @@ from pgran.operators import SAME, Owner
 from pgran.stiffness import unit_numbers
 
 COLUMNS = 32  # right-hand sides solved for at once
+# A window ends where its relative bound exceeds this, even if less is asked for: a fresh start is
+# cheap, and errors are a thousandth of their bounds, which keeps them at 1e-10.
+LONGEST_REACH = 1e-7
 BOND = 2**0.5  # |b|_2 of a bond between balls
 
 
@@ -141,17 +144,17 @@ class Deformation:
     stretch_rounding: np.ndarray
 
     @classmethod
-    def of(cls, T, c, G, delta, w):
-        """Return what changes delta make of the displacements w of the bonds."""
-        steps = len(delta)
+    def of(cls, T, c, G, delta, stretch, wall=0.0):
+        """Return what changes delta make of the stretch of bonds, where a wall may move as well."""
+        w, steps = stretch + wall, len(delta)
         part = np.cumsum(T * (-c * (w @ T)), axis=1)
         stretch = w[:, None] + G @ part
         missed = np.triu(part + delta[:, None] * stretch)  # bonds change one after the other
         size = np.abs(part)
         # Displacements of bonds are differences, rounded once; then come s products and sums.
-        rows, columns = (np.sqrt(np.sum(np.abs(G) ** 2, axis=1)), np.sqrt(np.sum(size**2, axis=0)))
+        rows, columns = np.sqrt(squares(G.T)), np.sqrt(np.sum(size**2, axis=0))
         stretch_rounding = np.multiply.outer((steps + 8) * EPSILON * rows, columns)
-        stretch_rounding += (EPSILON * (4 * np.abs(w) + 1.0))[:, None]
+        stretch_rounding += (EPSILON * (4 * np.abs(w) + wall))[:, None]
         rounding = np.triu(np.abs(delta)[:, None] * stretch_rounding) + 2 * EPSILON * size
         return cls(part, size, stretch, missed, rounding, stretch_rounding)
 
@@ -283,7 +286,7 @@ class Windows(Owner):
         Returns
         -------
         after, error_bound : numpy.ndarray, shape (n, nd)
-            n is smaller than the number of changes, even 0, where more would miss the accuracy.
+            n is smaller than the number of changes, even 0, where more would lose accuracy.
         """
         solver, network = self.solver, self.network
         before, ends = self.state.displacement, network.operators.bond_ends[changes.bond]
@@ -302,7 +305,7 @@ class Windows(Owner):
         with np.errstate(all="ignore"):
             T, c = march(G, delta)
             driven = network.operators.driven_bonds[changes.bond]
-            primal = Deformation.of(T, c, G, delta, w + driven)
+            primal = Deformation.of(T, c, G, delta, w, driven)
             moved, r = sizes @ primal.size, primal.residual(r0, residuals)
             for d, (system, q) in enumerate(zip(solver.adjoints, adjoint_w, strict=True)):
                 adjoint = Deformation.of(T, c, G, delta, q)
@@ -318,7 +321,8 @@ class Windows(Owner):
                 error_bound[:, d] = 1.01 * (theory + left + rounding)
                 error_bound[:, d] += bounds.evaluation(r0, terms, system, before[d])
                 error_bound[:, d] += 4 * EPSILON * np.abs(after[:, d])
-            kept = error_bound * (1 + solver.tolerance) <= solver.tolerance * np.abs(after)
+            tolerance = min(solver.tolerance, LONGEST_REACH)
+            kept = error_bound * (1 + tolerance) <= tolerance * np.abs(after)
         kept = np.all(kept, axis=1)
         count = steps if np.all(kept) else np.argmin(kept)
         return after[:count], error_bound[:count]

@@ -246,3 +246,50 @@ class ContinuumResponse:
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega")
     phase: np.ndarray = array("phase, unwrapped along omega", "rad", "omega")
     resonance: np.ndarray = array("driven resonances, angular", "sqrt(K0/m)/length")
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Error against run time: one experiment by several solvers, each at several tolerances.
+
+    A row a configuration. Errors are relative and true, against a reference with a bound of its
+    own error; what is smaller than that is given as that bound.
+
+    Attributes
+    ----------
+    experiment : str
+        `response`, `modes` or `relaxation`.
+    repeats : int
+        Repeats of each timing.
+    values, compared : int
+        Amplitudes or modes of the experiment, and how many the reference is good enough for.
+    reference_bound : float
+        The relative error of the reference is at most this.
+    """
+
+    group = "accuracy"
+    experiment: str
+    repeats: int
+    values: int
+    compared: int
+    reference_bound: float
+    label: np.ndarray = array("configuration: solver and tolerance", "1")
+    solver: np.ndarray = array("solver, after its options file", "1", "label")
+    tolerance: np.ndarray = array("accuracy asked for", "1", "label")
+    seconds: np.ndarray = array("run time, median of the repeats", "s", "label")
+    seconds_min: np.ndarray = array("shortest run time", "s", "label")
+    seconds_max: np.ndarray = array("longest run time", "s", "label")
+    error_max: np.ndarray = array("largest relative error; NaN: nothing computed", "1", "label")
+    error_median: np.ndarray = array("median of the relative errors", "1", "label")
+    error_bound_max: np.ndarray = array(
+        "largest bound of the relative error that the solver gives itself; NaN: none",
+        "1", "label",
+    )  # fmt: skip
+    iterations: np.ndarray = array("Krylov iterations; -1: not counted", "1", "label")
+    failures: np.ndarray = array(
+        "amplitudes that miss the accuracy asked for, or modes that are missing or inaccurate",
+        "1", "label",
+    )  # fmt: skip
+    on_front: np.ndarray = array(
+        "no other configuration without failures is faster and as accurate", "1", "label"
+    )

@@ -1,49 +1,62 @@
 """Results on disk: one HDF5 file a run, written whole by rank 0, and read back.
 
-Foreign files are looked at before they are read: HDF5 can point outside itself, and can declare far
-more data than it holds.
+The first 512 bytes, which HDF5 skips, are a seal: what the file is, and the SHA-256 of all that
+follows. No result with a broken seal reaches the HDF5 library, which can crash on damaged files.
 """
 
 import contextlib
 import dataclasses
 import datetime
+import hashlib
+import io
 import os
-import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
 import h5py
 import numpy as np
 
-from pgran.errors import FileError, describe
-from pgran.lattice import AXES, bond_shape
+from pgran import foreign
+from pgran.errors import FileError, describe, open_regular
+from pgran.lattice import AXES
 
-FORMAT, FORMAT_VERSION = "pgran", 1
-LARGEST = 8 * 2**30  # bytes that a dataset may take in memory unless it is stored in full
+FORMAT_VERSION = 1
+SEAL_SIZE, SEAL = 512, b"pgran result "
 BOND_AXES = {f"stiffness_{name}": axis for axis, name in enumerate(AXES)}
 
 
-def check_output(path, overwrite):
-    """Raise unless a result can be written to `path`; make its folder. Not collective.
+def check_output(path, overwrite, make=True):
+    """Raise unless a result can be written to `path`; make its folder unless told not to.
+
+    Not collective.
 
     Raises
     ------
     FileError
-        If there is a file already, or the folder cannot be written to.
+        If something is there already that may not be replaced, or the folder cannot be written to.
     """
     path = Path(path)
-    if path.exists() and not overwrite:
-        raise FileError(
-            f"{path}: exists already; -output_overwrite replaces it, -output_file takes another"
-        )
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error.strerror}") from None
-    if path.is_dir():
-        raise FileError(f"{path}: is a folder")
+        if path.exists():
+            if not is_result(path):
+                raise FileError(
+                    f"{path}: exists and is no result of pgran: move it away yourself, or "
+                    "-output_file takes another"
+                )
+            if not overwrite:
+                raise FileError(
+                    f"{path}: exists already; -output_overwrite replaces it, "
+                    "-output_file takes another"
+                )
+        if make:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        folder = next(p for p in path.parents if p.exists())
+        trial = folder / f".{path.name}.{os.getpid()}.trial"  # a name no shorter than any needed
+        trial.touch()
+        trial.unlink()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileError(f"{path}: cannot be written: {reason}") from None
 
 
 def write(path, attributes, records):
@@ -64,15 +77,21 @@ def write(path, attributes, records):
     """
     path = Path(path)
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    known = {"format": FORMAT, "format_version": FORMAT_VERSION, "created": now}
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    known = {"format": foreign.FORMAT, "format_version": FORMAT_VERSION, "created": now}
+    temporary = path.with_name(f".{path.name}.part")  # of the one run that holds the journal
     try:
-        with h5py.File(temporary, "w") as file:
-            file.attrs.update(known | attributes)
-            axes = next((len(r.shape) for r in records if r.group == "lattice"), 0)
-            for record in records:
-                _write_record(file, record, axes)
-        with open(temporary, "rb+") as stream:
+        path.parent.mkdir(parents=True, exist_ok=True)  # it may have been removed meanwhile
+        with _Stream(temporary, "w+") as stream:
+            with h5py.File(stream, "w", userblock_size=SEAL_SIZE) as file:
+                file.attrs.update(known | attributes)
+                axes = next((len(r.shape) for r in records if r.group == "lattice"), 0)
+                for record in records:
+                    _write_record(file, record, axes)
+            seal = _seal(stream)
+            stream.seek(0)
+            stream.write(seal)
+            if stream.failure:
+                raise stream.failure
             os.fsync(stream.fileno())
         os.replace(temporary, path)
     except OSError as error:
@@ -80,6 +99,33 @@ def write(path, attributes, records):
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+class _Stream(io.FileIO):
+    """A file that HDF5 writes to; it keeps the first failure of the disk to itself, as `failure`.
+
+    HDF5 cannot close a file that it cannot write: each of its objects would fail anew.
+    """
+
+    failure = None
+
+    def write(self, data):
+        """Write all bytes, or remember why not."""
+        left = memoryview(data).cast("B")
+        try:
+            while left and not self.failure:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self.failure = error
+        return len(data)
+
+    def truncate(self, size=None):
+        """Set the size, or remember why not."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.failure = error
+            return size
 
 
 def _write_record(file, record, axes):
@@ -92,13 +138,21 @@ def _write_record(file, record, axes):
         if "axes" not in item.metadata:
             (file if item.metadata else group).attrs[item.name] = value
             continue
-        data = group.create_dataset(item.name, data=value)
+        data = group.create_dataset(item.name, data=_stored(value))
         data.attrs["units"] = item.metadata["units"]
         data.attrs["long_name"] = item.metadata["long_name"]
     for item in dataclasses.fields(record):
         if item.name in group:
             for number, scale in enumerate(_axis_names(item, axes)):
                 _attach(group, group[item.name], number, scale)
+
+
+def _stored(value):
+    """Return an array as HDF5 takes it: text as UTF-8 of fixed length."""
+    if np.asarray(value).dtype.kind != "U":
+        return value
+    encoded = np.char.encode(value, "utf-8")
+    return encoded.astype(h5py.string_dtype("utf-8", encoded.itemsize))
 
 
 def _axis_names(item, axes):
@@ -122,6 +176,35 @@ def _attach(group, data, number, scale):
     data.dims[number].attach_scale(group[scale])
 
 
+def _seal(stream):
+    """Return the seal that belongs to a file; reads it through, piece by piece."""
+    stream.seek(SEAL_SIZE)
+    digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    return (SEAL + f"{FORMAT_VERSION}\nsha256 {digest}\n".encode()).ljust(SEAL_SIZE, b"\0")
+
+
+def is_result(path):
+    """Return whether a file has the seal of a result, broken or not. Not collective."""
+    if not Path(path).is_file():
+        return False
+    with open_regular(path) as stream:
+        return stream.read(len(SEAL)) == SEAL
+
+
+def check_seal(path):
+    """Raise unless a file is a result of pgran, unchanged since it was written. Not collective."""
+    with open_regular(path) as stream:
+        seal = stream.read(SEAL_SIZE)
+        if not seal.startswith(SEAL):
+            raise FileError(f"{path}: not a result of pgran")
+        version = seal[len(SEAL) :].split(b"\n")[0]
+        if version != b"%d" % FORMAT_VERSION:
+            version = version[:20].decode(errors="replace")
+            raise FileError(f"{path}: format version {version}; this pgran reads {FORMAT_VERSION}")
+        if seal != _seal(stream):
+            raise FileError(f"{path}: damaged or changed since it was written (checksum differs)")
+
+
 def load(path):
     """Return a result as attributes that hold NumPy arrays: `load(path).response.omega`.
 
@@ -139,19 +222,21 @@ def load(path):
     Raises
     ------
     FileError
-        If the file is not pgran's, or is damaged.
+        If the file is not pgran's, or is damaged or changed.
     """
-    with _opened(path) as file:
-        if _text(file.attrs.get("format")) != FORMAT:
-            raise FileError(f"{path}: not a result of pgran")
-        version = file.attrs.get("format_version")
-        if version != FORMAT_VERSION:
-            raise FileError(f"{path}: format version {version}; this pgran reads {FORMAT_VERSION}")
-        return _namespace(file, path)
+    check_seal(path)
+    with foreign.opened(path) as file:
+        result = SimpleNamespace(**file.attributes("/"))
+        for name in file.names("/"):
+            arrays = {item: file.array(f"{name}/{item}") for item in file.names(name)}
+            setattr(result, name, SimpleNamespace(**file.attributes(name), **arrays))
+        return result
 
 
 def read_stiffness(path):
     """Return the bond constants in `/lattice/stiffness_x` and so on. Not collective.
+
+    A result is read as it is; any other HDF5 file by a process of its own.
 
     Returns
     -------
@@ -162,91 +247,10 @@ def read_stiffness(path):
     Raises
     ------
     FileError
-        If they are missing or of shapes that fit no lattice; values are checked by `Lattice`.
+        If they are missing, impossible, or of shapes that fit no lattice.
     """
-    with _opened(path) as file:
-        lattice = _member(file, "lattice", path)
-        names = [name for name in BOND_AXES if isinstance(lattice, h5py.Group) and name in lattice]
-        if names != list(BOND_AXES)[: len(names)] or not names:
-            raise FileError(f"{path}: needs /lattice/stiffness_x, and _y, _z without a gap")
-        arrays = [_array(_member(lattice, name, path), path) for name in names]
-        attributes = {name: float(lattice.attrs[name]) for name in _real_attributes(lattice)}
-    shape = tuple(n - (a == 0) for a, n in enumerate(arrays[0].shape))
-    for axis, k in enumerate(arrays):
-        if k.ndim != len(arrays) or min(shape) < 1 or k.shape != bond_shape(shape, axis):
-            raise FileError(
-                f"{path}: /lattice/{names[axis]} has shape {k.shape}, "
-                f"which fits no lattice of {len(arrays)} axes with the others"
-            )
-        if k.dtype.kind not in "fiu":
-            raise FileError(f"{path}: /lattice/{names[axis]} holds no real numbers")
-    unit, mass = (attributes.get(name, np.nan) for name in ("omega_mx", "mass"))
-    kmax = float(mass * unit**2 / (2 * len(shape)))
-    return tuple(k.astype(float) for k in arrays), kmax if 0 < kmax < np.inf else None
-
-
-def _real_attributes(group):
-    """Return the names of a group's attributes that are single real numbers."""
-    return [
-        name
-        for name, value in group.attrs.items()
-        if np.isrealobj(value) and np.size(value) == 1 and np.asarray(value).dtype.kind in "fiu"
-    ]
-
-
-@contextlib.contextmanager
-def _opened(path):
-    """Open an HDF5 file for reading, every trouble a FileError."""
-    try:
-        with open(path, "rb"):
-            pass
-        if not h5py.is_hdf5(path):
-            raise FileError(f"{path}: not an HDF5 file")
-        with h5py.File(path, "r") as file:
-            yield file
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        if isinstance(error, OSError) and error.filename:
-            raise FileError(describe(error)) from None
-        raise FileError(f"{path}: damaged: {error}") from None
-
-
-def _member(group, name, path):
-    """Return a member that lies in the file itself."""
-    link = group.get(name, getlink=True)
-    if link is None:
-        raise FileError(f"{path}: {group.name.rstrip('/')}/{name} is missing")
-    if not isinstance(link, h5py.HardLink):
-        raise FileError(f"{path}: {group.name.rstrip('/')}/{name} is a link; links are not read")
-    return group[name]
-
-
-def _array(data, path):
-    """Return a dataset's values, stored in the file itself."""
-    if not isinstance(data, h5py.Dataset):
-        raise FileError(f"{path}: {data.name} is no dataset")
-    if data.external or data.is_virtual:
-        raise FileError(f"{path}: {data.name} lies in another file; such data are not read")
-    if data.dtype.kind not in "fiucb":
-        raise FileError(f"{path}: {data.name} holds no numbers")
-    size = data.size * data.dtype.itemsize
-    if data.size is None or size > max(data.id.get_storage_size(), LARGEST):
-        raise FileError(f"{path}: {data.name} declares {size} bytes, far more than the file holds")
-    return data[()]
-
-
-def _namespace(group, path):
-    """Return a group's attributes and members."""
-    found = {}
-    for name, value in group.attrs.items():
-        if not isinstance(value, h5py.Empty) and name.isidentifier():
-            found[name] = _text(value)
-    for name in group:
-        member = _member(group, name, path)
-        nested = isinstance(member, h5py.Group)
-        found[name] = _namespace(member, path) if nested else _array(member, path)
-    return SimpleNamespace(**found)
-
-
-def _text(value):
-    """Return an attribute, text as str."""
-    return value.decode() if isinstance(value, bytes) else value
+    if not is_result(path):
+        return foreign.read_apart(path)
+    check_seal(path)
+    with foreign.opened(path) as file:
+        return foreign.bonds(file)

@@ -113,13 +113,19 @@ def test_missing_options_file(start, ranks):
 
 @pytest.mark.parametrize("ranks", [0, 2])
 def test_existing_output_is_left_alone(start, tmp_path, ranks):
+    words = ["run", "a.opts", "-output_file", "mine.h5"]
     (tmp_path / "mine.h5").write_text("mine")
-    done = start("run", "a.opts", "-output_file", "mine.h5", ranks=ranks)
-    assert_one_line(done, 4, "mine.h5: exists already", "-output_overwrite")
+    done = start(*words, "-output_overwrite", ranks=ranks)
+    assert_one_line(done, 4, "mine.h5: exists and is no result of pgran: move it away yourself")
     assert (tmp_path / "mine.h5").read_text() == "mine"
-    done = start("run", "a.opts", "-output_file", "mine.h5", "-output_overwrite", ranks=ranks)
-    assert done.returncode == 0
-    assert load(tmp_path / "mine.h5").status == "complete"
+    (tmp_path / "mine.h5").unlink()
+    assert start(*words, ranks=ranks).returncode == 0
+    first = load(tmp_path / "mine.h5").created
+    done = start(*words, ranks=ranks)
+    assert_one_line(done, 4, "mine.h5: exists already", "-output_overwrite")
+    assert load(tmp_path / "mine.h5").created == first
+    assert start(*words, "-output_overwrite", "-sweep_points", "3", ranks=ranks).returncode == 0
+    assert len(load(tmp_path / "mine.h5").response.omega) == 3
 
 
 def test_bonds_file(start, tmp_path):
@@ -146,6 +152,26 @@ def test_a_hopeless_solver_is_reported_and_marked(start, tmp_path, ranks):
     result = load(tmp_path / "results" / "a.h5")
     assert result.status == "unconverged"
     assert np.all(result.response.converged_reason <= 0)
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+@pytest.mark.parametrize(
+    ("words", "code", "parts"),
+    [
+        (["-steady_ksp_type", "nonsense"], 2, ["PETSc: ", "nonsense (KSPSetFromOptions())"]),
+        (["-steady_ksp_max_it", "many"], 2, ["PETSc: ", "many", "(KSPSetFromOptions())"]),
+        (["-steady_pc_factor_mat_solver_type", "nonsense"], 1, ["PETSc: ", "(KSPSetUp())"]),
+    ],
+)
+def test_a_solver_that_petsc_does_not_know(start, tmp_path, ranks, words, code, parts):
+    assert_one_line(start("run", "a.opts", *words, ranks=ranks), code, *parts)
+    assert not (tmp_path / "results" / "a.h5").exists()
+
+
+def test_slepc_does_not_crash_after_an_error(start, tmp_path):
+    """Shut down after a wrong type of its ST, SLEPc 3.18 does."""
+    (tmp_path / "modes.opts").write_text("-scene modes -lattice_shape 4,4 -normal_st_type nonsense")
+    assert_one_line(start("run", "modes.opts"), 2, "nonsense (EPSSetFromOptions())")
 
 
 def test_an_unused_solver_key_is_a_warning(start):

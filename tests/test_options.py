@@ -1,7 +1,11 @@
 """Options files and command lines: what is accepted, what is refused, and what it is told."""
 
+import os
+from pathlib import Path
+
 import pytest
 
+from pgran import reading
 from pgran.errors import FileError, InputError
 from pgran.options import (
     FLAG,
@@ -100,6 +104,7 @@ WRONG = {
     "reals": ["x", "", "1,,2", "1,nan", "inf", ","],
     "flag": ["maybe", "2", "tru"],
     "text": [],
+    "texts": ["", ",", "a,,b", "a,"],
 }
 
 
@@ -283,9 +288,27 @@ def test_files_that_cannot_be_read(tmp_path):
         read_file(tmp_path / "missing.opts")
     with pytest.raises(FileError, match="directory"):
         read_file(tmp_path)
-    (tmp_path / "binary.opts").write_bytes(b"\x89HDF\xff\xfe\x00")
-    with pytest.raises(FileError, match="not a text file"):
-        read_file(tmp_path / "binary.opts")
+    for odd in (b"\0", b"\x1b[2J", b"\xff", b"\xc3", b"\xed\xa0\x80", b"\x7f", b"\xc2\x85"):
+        (tmp_path / "binary.opts").write_bytes(b"-scene response\n-output_file a" + odd + b"b\n")
+        with pytest.raises(FileError, match=r"binary\.opts: not a text file \(line 2\)"):
+            read_file(tmp_path / "binary.opts")
+
+
+def test_files_without_end(tmp_path):
+    """Pipes and devices are not even opened; of large files no more is read than may be."""
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", "/dev/zero"):
+        with pytest.raises(FileError, match="is a pipe or a device"):
+            read_file(path)
+    with pytest.raises(FileError, match="no name of a file"):
+        read_file("a\0b")
+    with open(tmp_path / "large.opts", "wb") as stream:
+        stream.truncate(10 * 2**30)
+    with pytest.raises(FileError, match="at most 1048576 bytes"):
+        read_file(tmp_path / "large.opts")
+    (tmp_path / "large.opts").unlink()
+    filler = 2**20 - len("-scene response\n")
+    assert resolve(read_file(write(tmp_path / "a.opts", "-scene response\n" + filler * "\n")))
 
 
 def test_empty_file(tmp_path):
@@ -303,6 +326,131 @@ def test_environment_is_read_once_and_checked(monkeypatch):
     monkeypatch.setenv("PETSC_OPTIONS", "-dll_append evil.so")
     with pytest.raises(InputError, match=r"-dll_append .*PETSC_OPTIONS"):
         resolve([*read_words(["-scene", "response"]), *read_environment()])
+
+
+# What no file may say
+
+
+HARMFUL = [
+    "steady_pc_type python", "steady_PC_Type PYTHON", "steady_ksp_type shell",
+    "steady_pc_python_type m.f", "steady_ksp_monitor_python m.f", "steady_sub_pc_type mypython",
+    "steady_ksp_view ascii:a.txt", "steady_ksp_view :a.txt", "steady_ksp_view binary",
+    "steady_ksp_view_mat hdf5:a.h5", "steady_ksp_monitor draw", "steady_ksp_view saws",
+    "steady_ksp_view socket:5000", "steady_mat_view matlab", "normal_eps_view_vectors vtk:a.vts",
+    "normal_eps_error_relative ::ascii_info_detail", "normal_eps_view_values xbinary",
+    "steady_mat_mumps_ooc_tmpdir here", "steady_mat_mumps_icntl_22 1", "steady_mat_mumps_icntl_3 7",
+    "steady_sub_mat_mumps_icntl_1 8", "steady_pc_mg_dump_binary", "steady_pc_bddc_save 5",
+    "steady_pc_asm_print_subdomains out", "steady_mat_factor_dump_on_error 1",
+    "steady_pc_type ../lib", "steady_pc_type ~/lib", "steady_x $HOME", "steady_x é", "steady_x a;b",
+    "log_view :a.txt", "log_view a.txt", "log_trace", "log_all", "log a", "log_mpe a", "info a",
+    "history", "history a.txt", "citations a.bib", "malloc_dump", "malloc_view a.txt",
+    "objects_dump a", "start_in_debugger", "on_error_attach_debugger gdb", "stop_for_debugger",
+    "viewer_binary_filename a", "viewer_socket_machine a", "options_left a", "options_view a",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", HARMFUL)
+def test_files_cannot_load_code_start_programs_or_write_files(tmp_path, monkeypatch, text):
+    """Nor can the environment; who gives the same on the command line means it."""
+    path = write(tmp_path / "a.opts", f"-scene response\n-{text}\n")
+    monkeypatch.setenv("PETSC_OPTIONS", f"-scene response -{text}")
+    key, _, value = text.partition(" ")
+    for given, where in (
+        (read_file(path), "a.opts, line 2"),
+        (read_environment(), "PETSC_OPTIONS"),
+    ):
+        with pytest.raises(InputError) as caught:
+            resolve(given)
+        message = str(caught.value)
+        assert message.startswith(f"-{key.lower()} {value}".rstrip())
+        assert where in message
+        assert "give it on the command line if you mean it" in message
+        overridden = resolve([*given, *read_words([f"-{key}", *value.split()])])
+        assert overridden.solver == {key.lower(): value}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "steady_ksp_type gmres", "steady_pc_factor_mat_solver_type mumps", "log_view",
+        "steady_mat_mumps_icntl_14 60", "steady_mat_mumps_icntl_4 2", "steady_mat_mumps_icntl_3 6",
+        "steady_mat_mumps_cntl_1 1e-3", "steady_ksp_view", "steady_ksp_monitor", "options_left",
+        "steady_ksp_chebyshev_eigenvalues 0.1,-1.5e+2", "normal_eps_all true", "normal_ds_method 2",
+        "steady_pc_composite_pcs ilu,jacobi", "memory_view", "steady_ksp_rtol .5",
+        "steady_ksp_pc_side right",
+    ],
+)  # fmt: skip
+def test_files_can_choose_solvers_and_set_numbers(tmp_path, text):
+    path = write(tmp_path / "a.opts", f"-scene response\n-{text}\n")
+    key, _, value = text.partition(" ")
+    assert resolve(read_file(path)).solver == {key: value}
+
+
+@pytest.mark.parametrize("path", sorted(Path("options").rglob("*.opts")), ids=str)
+def test_the_files_that_come_with_pgran_are_accepted(path):
+    given = read_file(path)
+    if path.parent.name == "solvers":
+        scene = path.stem.split("_")[0]
+        given += read_words(["-scene", scene if scene in SCENES else "response"])
+    resolve(given)
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["options_file a", "options_file_yaml a", "prefix_push steady_", "dll_append a", "python"],
+)
+def test_keys_that_are_read_recursively_are_unknown(tmp_path, key):
+    with pytest.raises(InputError, match="unknown option"):
+        resolve(read_file(write(tmp_path / "a.opts", f"-scene response\n-{key}\n")))
+
+
+def test_yaml_of_the_environment_is_refused(monkeypatch):
+    monkeypatch.setenv("PETSC_OPTIONS_YAML", "steady_pc_type: python")
+    with pytest.raises(InputError, match="PETSC_OPTIONS_YAML: not read"):
+        read_environment()
+    assert "PETSC_OPTIONS_YAML" not in os.environ
+
+
+# What no machine can do
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("response -lattice_shape 1000000000,1000000000", "lattice_shape"),
+        ("modes -lattice_shape 10000000,10000,10000", "lattice_shape"),
+        ("response -sweep_points 1000000000000000", "sweep_points"),
+        ("response -lattice_shape 2000,2000 -sweep_points 1000000 -output_fields", "sweep_points"),
+        ("continuum -sweep_points 100000000000000", "sweep_points"),
+        ("projection -lattice_shape 3000,3000 -sweep_points 1000000", "sweep_points"),
+        ("modes -lattice_shape 5000,5000 -output_fields", "output_fields"),
+        ("relaxation -relax_steps 1000000000000000", "relax_steps"),
+        ("relaxation -relax_trajectories 1000000000000", "relax_steps"),
+        ("relaxation -relax_trajectories 10000000 -relax_steps 10000000", "relax_steps"),
+    ],
+)
+def test_more_than_fits_into_memory(text, key):
+    message = refusal(f"-scene {text}", key)
+    assert "this machine has" in message
+    assert "GB" in message
+
+
+def test_memory_that_is_needed(monkeypatch):
+    """1000 frequencies of one ball: 72 bytes each, and a copy."""
+    monkeypatch.setattr(reading, "machine_memory", lambda: 2 * 72 * 1000)
+    options("-scene response -sweep_points 1000")
+    with pytest.raises(InputError, match="-sweep_points: too much"):
+        options("-scene response -sweep_points 1001")
+    options("-scene modes -lattice_shape 3000 -modes_omega_min 0 -modes_omega_max 1 -output_fields")
+
+
+@pytest.mark.parametrize("digits", [30, 400, 5000])
+@pytest.mark.parametrize("name", ["bonds_seed", "lattice_shape", "sweep_points", "lattice_mass"])
+def test_numbers_beyond_the_machine(name, digits):
+    with pytest.raises(InputError) as caught:
+        options(f"-scene response -{name} {'9' * digits}{'' if name != 'lattice_mass' else 'e999'}")
+    assert str(caught.value).startswith(f"-{name} 999")
+    assert len(str(caught.value)) < 1100
 
 
 # The resolved text
@@ -342,10 +490,14 @@ def test_resolved_text_keeps_any_file_name(tmp_path, name):
 
 
 def test_resolved_text_keeps_solver_values_with_spaces(tmp_path):
-    path = write(tmp_path / "a.opts", "-scene response\n-steady_ksp_view 'ascii:a b.txt'\n")
-    first = resolve(read_file(path))
+    """What only the command line may say is in the text, and is refused from there."""
+    words = ["-scene", "response", "-steady_ksp_view", "ascii:a b.txt"]
+    first = resolve(read_words(words))
     assert first.solver == {"steady_ksp_view": "ascii:a b.txt"}
-    assert resolve(read_file(write(tmp_path / "b.opts", first.text()))).solver == first.solver
+    given = read_file(write(tmp_path / "b.opts", first.text()))
+    assert [item.text for item in given if item.key == "steady_ksp_view"] == ["ascii:a b.txt"]
+    with pytest.raises(InputError, match="command line if you mean it"):
+        resolve(given)
 
 
 # The list of options

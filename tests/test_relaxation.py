@@ -154,6 +154,20 @@ def test_every_step_is_within_its_bound(shape, beta, law, tolerance):
     assert reached > 20
 
 
+@pytest.mark.parametrize("s", [1e20, 1e-20])
+def test_units_change_nothing(s):
+    lattice = random_lattice((5, 6), seed=5, damping=1e-2)
+    stiffness = tuple(s * k for k in lattice.stiffness)
+    changes = draw_changes(UNIFORM, (5, 6), 1, 0, 0, 40)
+    scaled = Changes(changes.bond, s * changes.stiffness)
+    expected, bound, _ = follow(lattice, 0.6, [[2, 2]], changes)
+    for mass, speed in ((1.0, np.sqrt(s)), (s, 1.0)):
+        other = type(lattice)(stiffness, mass, s / speed * 1e-2)
+        found, other_bound, _ = follow(other, 0.6 * speed, [[2, 2]], scaled)
+        assert np.abs(found / expected - 1).max() <= 1e-12
+        assert np.all((other_bound / bound > 0.1) & (other_bound / bound < 10))
+
+
 def test_the_bound_covers_a_march_that_went_wrong(monkeypatch):
     """With errors of 1e-7 in the algebra amplitudes are corrected, and the bound still holds."""
     lattice = random_lattice((5, 6), seed=5, damping=1e-2)

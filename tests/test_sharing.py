@@ -77,7 +77,7 @@ def test_share_delivers_every_unit_once(world, count):
         return rows
 
     with Crew(world, 1) as crew:
-        crew.share(units, work, lambda rows: delivered.append(rows.copy()))
+        crew.share(units, work, lambda rows: delivered.append(rows.copy()), ROW)
         if world.rank > 0:
             assert delivered == []
             return
@@ -108,7 +108,7 @@ def test_share_of_large_units(world):
         return rows
 
     with Crew(world, 1) as crew:
-        crew.share(list(range(6)), work, deliver)
+        crew.share(list(range(6)), work, deliver, ROW)
     assert total == (750_000 if world.rank == 0 else 0)
 
 

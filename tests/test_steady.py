@@ -376,7 +376,11 @@ def test_results_after_a_restart_do_not_depend_on_the_past(comm):
         for omega in (1.1, 0.2, 0.9):
             solver.solve(omega)
         solver.restart()
-        assert [solver.solve(omega).displacement[0] for omega in (0.5, 0.51, 0.52)] == first
+        again = [solver.solve(omega).displacement[0] for omega in (0.5, 0.51, 0.52)]
+    if comm.size == 1:
+        assert again == first
+    else:  # MUMPS adds up what other ranks send as it arrives
+        assert again == pytest.approx(first, rel=1e-12)
 
 
 def test_frequencies_in_any_order(comm):

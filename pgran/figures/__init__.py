@@ -9,7 +9,7 @@ from pgran.errors import FileError, PgranError, describe
 # figures, and whose NEEDS lists what it reads of that group, besides the lattice.
 DRAWN = {
     group: f"pgran.figures.{group}"
-    for group in ("response", "continuum", "modes", "projection", "relaxation")
+    for group in ("response", "continuum", "modes", "projection", "relaxation", "accuracy")
 }
 WITHOUT_LATTICE = {"continuum"}
 

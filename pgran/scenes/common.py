@@ -45,9 +45,10 @@ def make_law(options):
     )
 
 
-def make_crew(options, lattice, world):
+def make_crew(options, lattice, world, journal=None):
     """Return the ranks in groups as `-ranks_per_lattice` says. Collective."""
-    return Crew(world, options.ranks_per_lattice or automatic_ranks(lattice.shape, world.size))
+    ranks = options.ranks_per_lattice or automatic_ranks(lattice.shape, world.size)
+    return Crew(world, ranks, journal)
 
 
 def driving_frequencies(options):

@@ -8,20 +8,14 @@ from pgran.results import ContinuumResponse
 from pgran.scenes.common import driving_frequencies
 
 
-def run(options, world):
+def run(options, world, journal=None):
     """Return the response of the box on rank 0; None on the others. Collective."""
     return on_root(world, lambda: [respond(options)], keep=True)
 
 
 def respond(options):
     """Return the response that the options ask for (paper: axysol, exactpl). Not collective."""
-    omegas = driving_frequencies(options)
-    box = Continuum(
-        options.continuum_size,
-        options.continuum_mass,
-        options.continuum_stiffness,
-        options.continuum_damping,
-    )
+    box, omegas = make_box(options), driving_frequencies(options)
     displacement = box.response(omegas, options.continuum_point)
     return ContinuumResponse(
         point=options.continuum_point,
@@ -34,6 +28,16 @@ def respond(options):
         amplitude=np.abs(displacement),
         phase=phase(displacement, options.continuum_damping),
         resonance=box.resonances(omegas[-1]),
+    )
+
+
+def make_box(options):
+    """Return the box that the options describe. Not collective."""
+    return Continuum(
+        options.continuum_size,
+        options.continuum_mass,
+        options.continuum_stiffness,
+        options.continuum_damping,
     )
 
 

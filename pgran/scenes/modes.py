@@ -17,10 +17,10 @@ from pgran.scenes.common import make_lattice
 from pgran.sharing import Crew
 
 
-def run(options, world):
+def run(options, world, journal=None):
     """Return the lattice and its modes, on rank 0; None on the others. Collective."""
     lattice = make_lattice(options, world)
-    with Crew(world, 1) as crew:
+    with Crew(world, 1, journal) as crew:
         modes = find_modes(
             lattice,
             crew,
@@ -112,8 +112,9 @@ def find_modes(
             Progress(expected, "modes", progress if root else "none") as done,
         ):
 
-            def work(number):
-                values, vectors, missed = solver.solve(*slices[number])
+            def work(unit):
+                number, piece = unit
+                values, vectors, missed = solver.solve(*piece)
                 rows = np.zeros(len(values), row)
                 rows["slice"] = number
                 rows["value"] = values
@@ -127,7 +128,7 @@ def find_modes(
                 found.append(rows)
                 done.advance(len(rows))
 
-            crew.share(range(len(slices)), work, deliver)
+            crew.share(list(enumerate(slices)), work, deliver, row)
     if not root:
         return None
     modes = np.concatenate([np.zeros(0, row), *found])

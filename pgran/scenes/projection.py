@@ -18,14 +18,12 @@ ALL_MODES = 3600  # balls; of a larger lattice only the modes near each driving 
 NEAR = 60  # so many
 
 
-def run(options, world):
+def run(options, world, journal=None):
     """Return the lattice and its projection, on rank 0; None on the others. Collective."""
     lattice = make_lattice(options, world)
     omegas = driving_frequencies(options)
-    which = chosen(options)
-    if not which and (options.modes_count or lattice.balls > ALL_MODES):
-        which = {"targets": omegas, "count": options.modes_count or NEAR}
-    with Crew(world, 1) as crew:
+    which = which_modes(options, lattice.balls, omegas)
+    with Crew(world, 1, journal) as crew:
         projection = project(
             lattice,
             omegas,
@@ -36,6 +34,14 @@ def run(options, world):
             progress=options.output_progress,
         )
     return projection and [LatticeRecord.of(lattice), projection]
+
+
+def which_modes(options, balls, omegas):
+    """Return which modes to project on, as `find_modes` takes it. Not collective."""
+    which = chosen(options)
+    if not which and (options.modes_count or balls > ALL_MODES):
+        which = {"targets": omegas, "count": options.modes_count or NEAR}
+    return which
 
 
 def summary(records):
@@ -103,6 +109,7 @@ def project(
             ("coefficient", complex, (len(vectors),)),
             ("field_bound", float),
             ("converged_reason", np.int64),
+            ("factorizations", np.int64),
         ]
     )
     rows = np.zeros(len(omegas) if root else 0, row)
@@ -119,27 +126,28 @@ def project(
             solver.restart()
             points = np.zeros(len(unit), row)
             for point, index in zip(points, unit, strict=True):
+                before = solver.factorizations
                 state = solver.solve(omegas[index])
                 field = operators.field(solver.field).ravel()
                 point["index"] = index
                 point["coefficient"] = vectors @ field.real + 1j * (vectors @ field.imag)
                 point["field_bound"] = state.field_bound
                 point["converged_reason"] = state.converged_reason
+                point["factorizations"] = solver.factorizations - before
             return points
 
         def deliver(points):
             rows[points["index"]] = points
             counter.advance(len(points))
 
-        crew.share(units(len(omegas)), work, deliver)
-        factorizations = crew.world.reduce(solver.factorizations)
+        crew.share(units(len(omegas)), work, deliver, row)
     if not root:
         return None
     coefficient = rows["coefficient"]
     return Projection(
         count_expected=modes.count_expected,
         count_certified=modes.count_certified,
-        factorizations=factorizations,
+        factorizations=int(rows["factorizations"].sum()),
         solve_seconds=time.perf_counter() - started,
         omega=omegas,
         mode_omega=modes.omega,

@@ -20,13 +20,13 @@ log = logging.getLogger(__name__)
 WINDOWS_IN_UNIT = 4  # what a group of ranks solves at a stretch
 
 
-def run(options, world):
+def run(options, world, journal=None):
     """Return lattice, relaxation and spectrum, on rank 0; None on the others. Collective."""
     steps, trajectories = options.relax_steps, options.relax_trajectories
     window = options.spectrum_fit_min, options.spectrum_fit_max
     segment_length(trajectories, steps + 1, *window)  # refuses a bad window before any work
     lattice = make_lattice(options, world)
-    with make_crew(options, lattice, world) as crew:
+    with make_crew(options, lattice, world, journal) as crew:
         relaxation = relax(
             lattice,
             make_law(options),
@@ -142,13 +142,14 @@ def relax(
             ("first", np.int64),
             ("count", np.int64),
             ("drift", float),
+            ("factorizations", np.int64),
             ("displacement", complex, (length + 1, len(sites))),
             ("error_bound", float, (length + 1, len(sites))),
         ]
     )
     displacement = np.empty((trajectories, steps + 1, len(sites)), complex) if root else None
     error_bound = np.empty(displacement.shape) if root else None
-    drift, started = 0.0, time.perf_counter()
+    drift, factorizations, started = 0.0, 0, time.perf_counter()
     with (
         Operators(lattice, crew.group) as operators,
         SteadySolver(operators, sites, error_tolerance, refresh_iterations) as solver,
@@ -163,6 +164,7 @@ def relax(
 
         def work(unit):
             trajectory, first, count = unit
+            before = solver.factorizations
             network.move_to(trajectory, first)
             solver.restart()
             changes = draw(trajectory, first, count)
@@ -170,23 +172,23 @@ def relax(
             rows = np.zeros(1, row)
             rows[0]["trajectory"], rows[0]["first"], rows[0]["count"] = unit
             rows[0]["drift"] = drift
+            rows[0]["factorizations"] = solver.factorizations - before
             rows[0]["displacement"][: count + 1] = found
             rows[0]["error_bound"][: count + 1] = bound
             return rows
 
         def deliver(rows):
-            nonlocal drift
+            nonlocal drift, factorizations
             for part in rows:
                 trajectory, first, count = part["trajectory"], part["first"], part["count"]
                 new = slice(int(first > 0), count + 1)  # a state between units is the earlier one's
                 for whole, name in ((displacement, "displacement"), (error_bound, "error_bound")):
                     whole[trajectory, first + new.start : first + count + 1] = part[name][new]
                 drift = max(drift, part["drift"])
+                factorizations += part["factorizations"]
                 counter.advance(int(part["count"]))
 
-        crew.share(units, work, deliver)
-        factorizations = solver.factorizations if crew.group.rank == 0 else 0
-    factorizations = crew.world.reduce(factorizations)
+        crew.share(units, work, deliver, row)
     if not root:
         return None
     changes = [draw_changes(law, lattice.shape, seed, r, 0, steps) for r in range(trajectories)]

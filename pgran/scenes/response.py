@@ -14,11 +14,11 @@ from pgran.steady import SteadySolver
 LONGEST_UNIT = 16  # frequencies that share factorizations
 
 
-def run(options, world):
+def run(options, world, journal=None):
     """Return the lattice and its response, on rank 0; None on the others. Collective."""
     lattice = make_lattice(options, world)
     omegas = driving_frequencies(options)
-    with make_crew(options, lattice, world) as crew:
+    with make_crew(options, lattice, world, journal) as crew:
         response = sweep(
             lattice,
             omegas,
@@ -108,7 +108,7 @@ def sweep(
     row = point_dtype(len(sites), lattice.shape if fields else None)
     root = crew.world.rank == 0
     rows = np.zeros(len(omegas) if root else 0, row)
-    factorizations, started = 0, time.perf_counter()
+    started = time.perf_counter()
     with (
         Operators(lattice, crew.group) as operators,
         SteadySolver(operators, sites, error_tolerance, refresh_iterations, fields) as solver,
@@ -119,8 +119,10 @@ def sweep(
             solver.restart()
             points = np.zeros(len(unit), row)
             for point, index in zip(points, unit, strict=True):
+                before = solver.factorizations
                 state = solver.solve(omegas[index])
                 point["index"] = index
+                point["factorizations"] = solver.factorizations - before
                 for name in row.names[1:6]:
                     point[name] = getattr(state, name)
                 if fields:
@@ -132,13 +134,11 @@ def sweep(
             rows[points["index"]] = points
             counter.advance(len(points))
 
-        crew.share(units(len(omegas)), work, deliver)
-        factorizations = solver.factorizations if crew.group.rank == 0 else 0
-    seconds = time.perf_counter() - started
-    factorizations = crew.world.reduce(factorizations)
+        crew.share(units(len(omegas)), work, deliver, row)
     if not root:
         return None
-    return assemble(lattice, omegas, sites, rows, factorizations, seconds, phase_window)
+    seconds = time.perf_counter() - started
+    return assemble(lattice, omegas, sites, rows, seconds, phase_window)
 
 
 def units(count):
@@ -156,11 +156,12 @@ def point_dtype(detectors, field_shape):
         ("backward_error", float),
         ("iterations", np.int64),
         ("converged_reason", np.int64),
+        ("factorizations", np.int64),
     ]
     return np.dtype(fields + ([("field", complex, field_shape)] if field_shape else []))
 
 
-def assemble(lattice, omegas, sites, rows, factorizations, seconds, phase_window):
+def assemble(lattice, omegas, sites, rows, seconds, phase_window):
     """Return the Response that the solved frequencies make up. Not collective."""
     displacement = rows["displacement"].copy()
     phase = unwrap(displacement)
@@ -172,7 +173,7 @@ def assemble(lattice, omegas, sites, rows, factorizations, seconds, phase_window
     with np.errstate(divide="ignore"):
         velocity = distance / np.abs(slope)
     return Response(
-        factorizations=factorizations,
+        factorizations=int(rows["factorizations"].sum()),
         solve_seconds=seconds,
         phase_slope=slope,
         phase_velocity=velocity,

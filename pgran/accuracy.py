@@ -1,0 +1,178 @@
+"""True errors against a reference that knows how wrong it may be itself. NumPy only."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+EPSILON = np.finfo(float).eps
+# The numbers of an experiment: each with a bound of its error, absolute, and whether it is as
+# accurate as the experiment's own options ask.
+ENTRY = np.dtype([("value", complex), ("bound", float), ("good", bool)])
+
+
+@dataclass(frozen=True)
+class Study:
+    """The experiment that is repeated.
+
+    Attributes
+    ----------
+    name : str
+    solve : callable
+        Takes a crew and keywords; returns the result of the experiment on rank 0. Collective.
+    read : callable
+        Takes that result and the keywords; returns its numbers as an array of ENTRY.
+    exact : dict
+        Keywords for the reference.
+    certified : float
+        The relative error bound that a number of the reference must have to be compared with.
+    """
+
+    name: str
+    solve: Callable
+    read: Callable
+    exact: dict
+    certified: float
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A solver and what is asked of it.
+
+    Attributes
+    ----------
+    solver : str
+    tolerance : float
+    choices : dict
+        Keywords of `Study.solve`.
+    keys : dict of str
+        For PETSc's option database.
+    """
+
+    solver: str
+    tolerance: float
+    choices: dict
+    keys: dict
+
+    @property
+    def label(self):
+        """What to call it."""
+        return f"{self.solver} {self.tolerance:g}"
+
+
+def entries(values, bounds, good):
+    """Return numbers in one flat array of ENTRY. Not collective."""
+    found = np.zeros(np.size(values), ENTRY)
+    for name, column in zip(ENTRY.names, (values, bounds, good), strict=True):
+        found[name] = np.ravel(column)
+    return found
+
+
+def read_response(response, choices):
+    """Return the amplitudes of a sweep. Not collective."""
+    good = np.broadcast_to(response.converged_reason[:, None] > 0, response.displacement.shape)
+    return entries(response.displacement, response.error_bound, good)
+
+
+def read_relaxation(relaxation, choices):
+    """Return the amplitudes of a relaxation, NaN where they miss the tolerance. Not collective."""
+    found = relaxation.displacement
+    return entries(found, choices["error_tolerance"] * np.abs(found), np.isfinite(found))
+
+
+def read_modes(lattice, modes, choices, largest):
+    """Return the frequencies of modes, and zeros that are not good for those that are missing.
+
+    Not collective. Modes with residuals above `largest` are as good as missing.
+    """
+    good = modes.residual <= largest
+    omega = modes.omega[good]
+    found = entries(omega, mode_bounds(lattice, omega, modes.residual[good]), True)
+    missing = np.zeros(max(modes.count_expected - len(omega), 0), ENTRY)
+    return np.concatenate([found, missing])
+
+
+def relative_bounds(found):
+    """Return the bound of each number's error relative to its value, inf where there is none.
+
+    Not collective.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = found["bound"] / np.abs(found["value"])
+    return np.where(np.isfinite(ratio), ratio, np.inf)
+
+
+def relative_errors(found, reference):
+    """Return the relative error of each number, at least the bound of the reference's own error.
+
+    Not collective. A smaller difference from the reference says nothing; so an error returned is
+    too large rather than too small.
+
+    Parameters
+    ----------
+    found, reference : numpy.ndarray of ENTRY, shape (n,)
+    """
+    difference = np.abs(found["value"] - reference["value"])
+    return np.maximum(difference, reference["bound"]) / np.abs(reference["value"])
+
+
+def mode_bounds(lattice, omega, residual):
+    """Return how wrong frequencies of modes may be, by their residuals.
+
+    Not collective. K is symmetric, so a residual |K f - lambda f| of a unit vector is no smaller
+    than the distance of lambda = m omega^2 from an eigenvalue. The roundings of the residual itself
+    are counted in.
+
+    Parameters
+    ----------
+    lattice : pgran.lattice.Lattice
+    omega, residual : numpy.ndarray, shape (nm,)
+        As in `pgran.results.Modes`.
+    """
+    diagonal = 0.0
+    for axis, k in enumerate(lattice.stiffness):
+        k = np.moveaxis(k, axis, 0)
+        diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
+    norm = 2 * np.max(diagonal)  # no smaller than |K|_inf
+    missed = (residual + (2 * len(lattice.shape) + 4) * EPSILON) * norm / lattice.mass
+    # |omega - omega'| (omega + omega') = |omega^2 - omega'^2| <= missed
+    with np.errstate(divide="ignore"):
+        return np.minimum(missed / omega, np.sqrt(missed))
+
+
+def matched(found, reference):
+    """Return found modes in the places of the reference's; where one is missing, it is not good.
+
+    Not collective. Both ascend; two can be the same mode if they are no further apart than their
+    bounds allow.
+    """
+    placed, place = np.zeros(len(reference), ENTRY), 0
+    for entry in found[found["good"]]:
+        allowed = entry["bound"] + reference["bound"]
+        distance = (reference["value"] - entry["value"]).real
+        while place < len(reference) and distance[place] < -allowed[place]:
+            place += 1
+        if place < len(reference) and distance[place] <= allowed[place]:
+            placed[place] = entry
+            place += 1
+    return placed
+
+
+def front(seconds, error, failures):
+    """Return which configurations no other one beats, of those without failures.
+
+    Not collective. One beats another if it is as fast and as accurate, and better in one of both.
+
+    Parameters
+    ----------
+    seconds, error, failures : numpy.ndarray, shape (n,)
+
+    Returns
+    -------
+    numpy.ndarray of bool, shape (n,)
+    """
+    eligible = (failures == 0) & np.isfinite(error)
+    faster, better = seconds[:, None] < seconds, error[:, None] < error
+    as_fast, as_good = seconds[:, None] <= seconds, error[:, None] <= error
+    beats = as_fast & as_good & (faster | better)
+    return eligible & ~np.any(beats[eligible], axis=0)

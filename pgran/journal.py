@@ -1,0 +1,237 @@
+"""The finished units of a run on disk while it goes on, so that a run that was stopped continues.
+
+A journal stands beside the result it leads to, as `<result>.unfinished`: what the run is, and then
+a record for each finished unit, appended as it arrives. Each record carries its checksum, so that
+one that was cut off by a kill is noticed and dropped. The journal is the run's lock as well, held
+by the kernel for as long as the process lives: a lock that nobody holds cannot be left behind.
+"""
+
+import contextlib
+import fcntl
+import json
+import logging
+import os
+import signal
+import struct
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from pgran.errors import SIGNALS, FileError, InputError, StoppedError, describe, on_root
+
+log = logging.getLogger(__name__)
+
+MAGIC = b"pgran journal 1\n"
+RECORD = struct.Struct("<IIQI")  # stage, position, bytes, checksum
+IDENTITY = (0, 0)  # stage and position of the record that says what the run is
+SECONDS_BETWEEN_SYNCS = 1.0  # a kill loses nothing in between, only a power failure does
+
+
+class Journal:
+    """Keeps finished units, and says when a signal asks the run to stop; use with `with`.
+
+    Collective. Rank 0 holds the file; every rank takes note of signals.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    path : str or os.PathLike
+        The result's path; the journal stands beside it.
+    identity : dict of str
+        What the run is, as options; an earlier journal goes on only if it says the same.
+    overwrite : bool
+        Whether an unfinished run that was another one may be discarded.
+
+    Raises
+    ------
+    InputError
+        If there is an unfinished run with other options.
+    FileError
+        If another run is writing the same result, or the file cannot be written.
+    """
+
+    def __init__(self, comm, path, identity, overwrite=False):
+        """Open the journal, find what it holds, and listen to signals."""
+        self.comm, self.path = comm, Path(f"{path}.unfinished")
+        self._file, self._kept, self._synced = None, {}, time.monotonic()
+        self._signal = None
+        on_root(comm, lambda: self._open(identity, overwrite))
+        self._handlers = [(number, signal.signal(number, self._note)) for number in SIGNALS]
+        self._mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+
+    def __enter__(self):
+        """Return the journal."""
+        return self
+
+    def __exit__(self, kind, error, trace):
+        """Close the journal; remove it if the run is complete, or nothing was finished yet."""
+        signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
+        for number, handler in self._handlers:
+            signal.signal(number, handler)
+        if self._file is not None:
+            if kind is None or not self._kept:
+                self.path.unlink(missing_ok=True)
+            self._file.close()
+
+    @property
+    def stop_asked(self):
+        """The name of the signal that has asked this rank to stop, or None."""
+        return self._signal and signal.Signals(self._signal).name
+
+    def stage(self, number, units, row):
+        """Return what tells the units of a stage of the run from those of another one.
+
+        Not collective.
+        """
+        return zlib.crc32(f"{number} {units!r} {row!r}".encode()) or 1
+
+    def kept(self, stage):
+        """Return the positions of the units of a stage that are finished. Not collective."""
+        return sorted(position for name, position in self._kept if name == stage)
+
+    def read(self, stage, position, row):
+        """Return the rows of a finished unit. Not collective: rank 0."""
+        start, size = self._kept[stage, position]
+        return np.frombuffer(os.pread(self._file.fileno(), size, start), row)
+
+    def write(self, stage, position, rows):
+        """Append the rows of a finished unit. Not collective: rank 0.
+
+        Raises
+        ------
+        FileError
+            If there is no room; what was kept before stays.
+        """
+        self._append((stage, position), rows.tobytes())
+        if time.monotonic() - self._synced > SECONDS_BETWEEN_SYNCS:
+            self.sync()
+
+    def sync(self):
+        """Make sure that what was written is on the disk. Not collective: rank 0.
+
+        Raises
+        ------
+        FileError
+            If it is not.
+        """
+        with self._writing():
+            os.fsync(self._file.fileno())
+        self._synced = time.monotonic()
+
+    def stop(self, name):
+        """Raise StoppedError, all work so far being kept. Collective."""
+        on_root(self.comm, self.sync)
+        if self.comm.bcast(bool(self._kept)):
+            raise StoppedError(f"stopped by {name}; the same command goes on from {self.path}")
+        raise StoppedError(f"stopped by {name} before any work was finished")
+
+    def _note(self, number, frame):
+        self._signal = number
+
+    def _open(self, identity, overwrite):
+        self._file = self._locked()
+        found = self._scan()
+        if found is None:
+            if os.fstat(self._file.fileno()).st_size > len(MAGIC) + RECORD.size:
+                log.warning("%s: damaged; the run begins anew", self.path)
+        elif found != identity and self._kept:
+            if not overwrite:
+                self._file.close()
+                raise InputError(self._difference(found, identity))
+            log.info("%s: another run; discarded as -output_overwrite asks", self.path)
+        if found != identity:
+            self._kept.clear()
+            with self._writing():
+                self._file.truncate(0)
+                self._file.write(MAGIC)
+            self._append(IDENTITY, json.dumps(identity).encode())
+            del self._kept[IDENTITY]
+        else:
+            log.info("%s: going on from there, %d units are finished", self.path, len(self._kept))
+
+    def _locked(self):
+        """Return the journal's file, opened and locked."""
+        while True:
+            file = os.fdopen(os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666), "rb+", buffering=0)
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                file.close()
+                raise FileError(
+                    f"{self.path}: another run is writing this result; wait for it, stop it, or "
+                    "take another -output_file"
+                ) from None
+            except OSError as error:
+                log.warning("%s: this file system has no locks (%s)", self.path, error.strerror)
+                return file
+            try:
+                if os.path.samestat(os.fstat(file.fileno()), os.stat(self.path)):
+                    return file
+            except FileNotFoundError:
+                pass  # the other run was done, and has removed it
+            file.close()
+
+    def _scan(self):
+        """Find the records; return the identity, or None where there is none. Drop what is torn."""
+        file, found = self._file, None
+        size = os.fstat(file.fileno()).st_size
+        start = file.read(len(MAGIC))
+        if start != MAGIC[: len(start)]:
+            raise FileError(f"{self.path}: in the way, and no journal of pgran; move it away")
+        position = len(MAGIC)
+        while position + RECORD.size <= size:
+            file.seek(position)
+            head = file.read(RECORD.size)
+            *place, length, checksum = RECORD.unpack(head)
+            content = position + RECORD.size
+            # a length that was damaged must not make us read, or allocate, more than there is
+            if length > size - content:
+                break
+            payload = file.read(length)
+            if zlib.crc32(payload, zlib.crc32(head[:-4])) != checksum:
+                break
+            if found is None:
+                found = json.loads(payload)
+            else:
+                self._kept[tuple(place)] = content, length
+            position = content + length
+        if found is not None and position < size:
+            log.info("%s: its end was cut off; that work is done again", self.path)
+            file.truncate(position)
+        return found
+
+    def _append(self, place, payload):
+        """Append a record whole, or leave the file as it was."""
+        file = self._file
+        start = file.seek(0, os.SEEK_END)
+        head = RECORD.pack(*place, len(payload), 0)[:-4]
+        checksum = zlib.crc32(payload, zlib.crc32(head))
+        record = head + struct.pack("<I", checksum) + payload
+        with self._writing():
+            try:
+                if file.write(record) < len(record):
+                    raise OSError("no room for a whole record")
+            except OSError:
+                file.truncate(start)
+                raise
+        self._kept[place] = start + RECORD.size, len(payload)
+
+    @contextlib.contextmanager
+    def _writing(self):
+        """Turn an OSError into a FileError that names the journal."""
+        try:
+            yield
+        except OSError as error:
+            raise FileError(f"{self.path}: cannot be written: {describe(error)}") from None
+
+    def _difference(self, found, identity):
+        """Say which option differs from the unfinished run."""
+        key = next(k for k in [*identity, *found] if found.get(k) != identity.get(k))
+        was, now = (run.get(key, "not given") for run in (found, identity))
+        return (
+            f"-{key}: {self.path} holds an unfinished run with {was}, and now it is {now}; give "
+            "what was given then to go on, take another -output_file, or begin anew with "
+            "-output_overwrite"
+        )

@@ -1,0 +1,21 @@
+"""What mpirun or srun says of this process in its environment, before MPI has started."""
+
+import os
+
+RANKS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
+SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
+
+
+def rank():
+    """Return the rank that this process was started as, 0 if it was started alone."""
+    return _first(RANKS, 0)
+
+
+def size():
+    """Return with how many ranks it was started, 1 if alone or unknown."""
+    return _first(SIZES, 1)
+
+
+def _first(names, otherwise):
+    numbers = (os.environ[name] for name in names if name in os.environ)
+    return next((int(number) for number in numbers if number.isdigit()), otherwise)

@@ -1,0 +1,324 @@
+"""Runs that stop and go on: what is finished is kept, whatever cuts the run off."""
+
+import os
+import resource
+import signal
+import threading
+
+import numpy as np
+import pytest
+from samples import random_lattice
+
+from pgran.errors import SIGNALS, FileError, InputError, StoppedError
+from pgran.journal import MAGIC, RECORD, Journal
+from pgran.scenes.modes import find_modes
+from pgran.scenes.projection import project
+from pgran.scenes.relaxation import relax
+from pgran.scenes.response import sweep
+from pgran.sharing import Crew
+from pgran.stiffness import BondLaw
+
+ROW = np.dtype([("unit", np.int64), ("value", float, (3,))])
+UNITS = list(range(11))
+RUN = {"scene": "response", "bonds_seed": "7"}
+
+
+def rows_of(unit):
+    rows = np.zeros(1 + unit % 3, ROW)
+    rows["unit"] = unit
+    rows["value"] = np.random.default_rng(unit).random((len(rows), 3))
+    return rows
+
+
+def fill(journal, positions):
+    """Write some units on rank 0; return the stage."""
+    stage = journal.stage(0, UNITS, ROW)
+    if journal.comm.rank == 0:
+        for position in positions:
+            journal.write(stage, position, rows_of(position))
+    journal.comm.Barrier()
+    return stage
+
+
+def leave(world, path, positions, identity=RUN):
+    """Leave the journal of a run that was stopped; return its bytes."""
+
+    def run():
+        with Journal(world, path, identity) as journal:
+            fill(journal, positions)
+            journal.stop("SIGTERM")
+
+    with pytest.raises(StoppedError):
+        run()
+    return path.with_name(path.name + ".unfinished").read_bytes()
+
+
+@pytest.fixture
+def result(shared_path):
+    return shared_path / "a.h5"
+
+
+@pytest.fixture
+def unfinished(shared_path):
+    return shared_path / "a.h5.unfinished"
+
+
+def test_units_are_kept_until_the_run_is_complete(world, result, unfinished):
+    leave(world, result, [4, 1, 9])
+    world.Barrier()
+    with Journal(world, result, RUN) as journal:
+        stage = journal.stage(0, UNITS, ROW)
+        if world.rank == 0:
+            assert journal.kept(stage) == [1, 4, 9]
+            for position in (1, 4, 9):
+                assert np.array_equal(journal.read(stage, position, ROW), rows_of(position))
+            others = [(1, UNITS, ROW), (0, UNITS[1:], ROW), (0, UNITS, np.dtype(float))]
+            assert not any(journal.kept(journal.stage(*other)) for other in others)
+        world.Barrier()
+    world.Barrier()
+    assert not unfinished.exists()
+
+
+def test_nothing_is_left_behind_by_a_run_that_finished_no_unit(world, result, unfinished):
+    with pytest.raises(StoppedError, match="before any work"), Journal(world, result, RUN) as it:
+        it.stop("SIGTERM")
+    world.Barrier()
+    assert not unfinished.exists()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_journal_cut_off_anywhere_keeps_all_whole_records(world, result, unfinished, seed):
+    """What a kill or a power failure leaves: any part of the file."""
+    whole = leave(world, result, UNITS)
+    ends = [len(MAGIC)]
+    while ends[-1] < len(whole):
+        size = RECORD.unpack_from(whole, ends[-1])[2]
+        ends.append(ends[-1] + RECORD.size + size)
+    rng = np.random.default_rng(seed)
+    for cut in {0, 1, ends[1] - 1, ends[1], *rng.integers(0, len(whole), 25).tolist()}:
+        world.Barrier()
+        if world.rank == 0:
+            unfinished.write_bytes(whole[:cut])
+        world.Barrier()
+        with Journal(world, result, RUN) as journal:
+            kept = journal.kept(journal.stage(0, UNITS, ROW))
+            if world.rank == 0:
+                assert len(kept) == max(0, sum(end <= cut for end in ends[2:]))
+            fill(journal, [3])
+            world.Barrier()
+
+
+def test_damage_never_passes_as_results(world, result, unfinished):
+    whole = bytearray(leave(world, result, UNITS))
+    rng = np.random.default_rng(5)
+    for place in rng.integers(len(MAGIC), len(whole), 40).tolist():
+        world.Barrier()
+        if world.rank == 0:
+            damaged = whole.copy()
+            damaged[place] ^= 1 << int(rng.integers(8))
+            unfinished.write_bytes(damaged)
+        world.Barrier()
+        with Journal(world, result, RUN) as journal:
+            stage = journal.stage(0, UNITS, ROW)
+            if world.rank == 0:
+                kept = journal.kept(stage)
+                assert len(kept) < len(UNITS)
+                for position in kept:
+                    assert np.array_equal(journal.read(stage, position, ROW), rows_of(position))
+            world.Barrier()
+
+
+def test_another_run_is_refused_by_name(world, result, unfinished):
+    before = leave(world, result, [1])
+    with pytest.raises(InputError, match=r"-bonds_seed: .* with 7, and now it is 8.*overwrite"):
+        Journal(world, result, RUN | {"bonds_seed": "8"})
+    with pytest.raises(InputError, match=r"-relax_seed: .*not given"):
+        Journal(world, result, RUN | {"relax_seed": "8"})
+    with pytest.raises(InputError, match=r"-bonds_seed: .*now it is not given"):
+        Journal(world, result, {"scene": "response"})
+    world.Barrier()
+    assert unfinished.read_bytes() == before
+    world.Barrier()
+    with Journal(world, result, RUN | {"bonds_seed": "8"}, overwrite=True) as journal:
+        assert journal.kept(journal.stage(0, UNITS, ROW)) == []
+
+
+def test_a_run_that_finished_nothing_is_no_obstacle(world, result, unfinished):
+    """Killed before its first unit, it leaves a journal of no worth."""
+    with Journal(world, result, RUN):
+        world.Barrier()
+        empty = unfinished.read_bytes()
+        world.Barrier()
+    world.Barrier()
+    if world.rank == 0:
+        unfinished.write_bytes(empty)
+    world.Barrier()
+    with Journal(world, result, RUN | {"bonds_seed": "8"}) as journal:
+        fill(journal, [2])
+        if world.rank == 0:
+            assert b'"bonds_seed": "8"' in unfinished.read_bytes()
+            assert b'"bonds_seed": "7"' not in unfinished.read_bytes()
+        world.Barrier()
+
+
+def test_signals_wait_until_the_journal_listens(world, result):
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        signal.pthread_kill(threading.get_ident(), signal.SIGUSR1)
+        with Journal(world, result, RUN) as journal:
+            assert journal.stop_asked == "SIGUSR1"
+        signal.pthread_kill(threading.get_ident(), signal.SIGTERM)  # too late to do anything
+        assert signal.sigpending() == {signal.SIGTERM}
+        assert signal.sigtimedwait(SIGNALS, 0).si_signo == signal.SIGTERM
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def test_a_second_run_on_the_same_result_is_refused(world, result):
+    with Journal(world, result, RUN):
+        with pytest.raises(FileError, match="another run is writing this result"):
+            Journal(world, result, RUN)
+        world.Barrier()
+    with Journal(world, result, RUN):  # nothing is left of the lock
+        world.Barrier()
+
+
+def test_a_foreign_file_stays(world, result, unfinished):
+    if world.rank == 0:
+        unfinished.write_bytes(b"my thesis")
+    world.Barrier()
+    with pytest.raises(FileError, match="no journal of pgran"):
+        Journal(world, result, RUN, overwrite=True)
+    assert unfinished.read_bytes() == b"my thesis"
+
+
+def test_no_room(world, result):
+    """What was kept before stays, and the error says which file."""
+    with Journal(world, result, RUN) as journal:
+        stage = fill(journal, [0, 1])
+        if world.rank == 0:
+            limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+            room = os.stat(journal.path).st_size + 40
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+            try:
+                with pytest.raises(FileError, match=r"a\.h5\.unfinished: cannot be written"):
+                    journal.write(stage, 2, rows_of(2))
+            finally:
+                resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+            assert journal.kept(stage) == [0, 1]
+            assert np.array_equal(journal.read(stage, 1, ROW), rows_of(1))
+            journal.write(stage, 2, rows_of(2))
+            assert journal.kept(stage) == [0, 1, 2]
+        world.Barrier()
+
+
+def test_no_room_at_all(world, result):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, limits[1]))
+    try:
+        with pytest.raises(FileError, match=r"a\.h5\.unfinished: cannot be written"):
+            Journal(world, result, RUN)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+def test_a_disk_that_fails_at_a_sync(world, result, monkeypatch):
+    def fail(number):
+        raise OSError(5, "Input/output error")
+
+    with Journal(world, result, RUN) as journal:
+        monkeypatch.setattr(os, "fsync", fail)
+        if world.rank == 0:
+            with pytest.raises(FileError, match=r"a\.h5\.unfinished: .*Input/output error"):
+                journal.sync()
+        world.Barrier()
+
+
+def stop_at(journal, writes, rank):
+    """Let a rank get a signal when rank 0 has written so many more units."""
+    write = journal.write
+
+    def counted(*arguments):
+        nonlocal writes
+        write(*arguments)
+        writes -= 1
+        if writes == 0:
+            os.kill(os.getpid(), signal.SIGUSR1)
+
+    if journal.comm.rank == 0 == rank:
+        journal.write = counted
+    elif journal.comm.rank == rank:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+@pytest.mark.parametrize("whom", [0, -1])
+@pytest.mark.parametrize("together", [False, True])
+def test_share_stops_within_a_unit_and_goes_on(world, result, whom, together):
+    """A signal to any one rank stops all; other groups go on, and no unit is done twice."""
+    rank = whom % world.size
+    done, delivered = [], []
+
+    def work(unit):
+        done.append(unit)
+        return rows_of(unit)
+
+    def deliver(rows):
+        delivered.append((int(rows["unit"][0]), rows.tobytes()))
+
+    def run():
+        with (
+            Journal(world, result, RUN) as journal,
+            Crew(world, world.size if together else 1, journal) as crew,
+        ):
+            stop_at(journal, 3, rank)
+            world.Barrier()
+            crew.share(UNITS, work, deliver, ROW)
+
+    with pytest.raises(StoppedError, match=r"SIG(USR1|TERM)"):
+        run()
+    first = world.allreduce(len(done)) // (world.size if together else 1)
+    world.Barrier()
+    assert first < len(UNITS)
+    delivered.clear()
+    done.clear()
+    with Journal(world, result, RUN) as journal, Crew(world, 1, journal) as crew:
+        crew.share(UNITS, work, deliver, ROW)
+    assert first + world.allreduce(len(done)) == len(UNITS)
+    if world.rank == 0:
+        assert dict(delivered) == {unit: rows_of(unit).tobytes() for unit in UNITS}
+        assert len(delivered) == len(UNITS)
+
+
+LATTICE = random_lattice((7, 6), 3)
+OMEGAS = np.linspace(0.05, 1.2, 70)
+SCENES = {
+    "response": lambda crew: sweep(LATTICE, OMEGAS, (3, 3, 6, 0), crew, fields=True),
+    "modes": lambda crew: find_modes(random_lattice((24, 20), 4), crew, shapes=True),
+    "projection": lambda crew: project(LATTICE, OMEGAS, crew),
+    "relaxation": lambda crew: relax(
+        LATTICE, BondLaw("uniform"), 0.6, (3, 3), crew, steps=700, trajectories=2, window=16
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("writes", [1, 2])
+def test_a_run_that_went_on_equals_one_never_stopped(world, result, unfinished, name, writes):
+    """Bit for bit, whole scenes."""
+    with Crew(world, 1) as crew:
+        expected = SCENES[name](crew)
+
+    def run(writes):
+        with Journal(world, result, RUN) as journal, Crew(world, 1, journal) as crew:
+            stop_at(journal, writes, 0)
+            return SCENES[name](crew)
+
+    with pytest.raises(StoppedError):
+        run(writes)
+    world.Barrier()
+    assert unfinished.stat().st_size > 0
+    found = run(0)
+    if world.rank == 0:
+        for key, value in vars(expected).items():
+            if key != "solve_seconds":
+                assert np.array_equal(value, getattr(found, key)), key
