@@ -146,7 +146,7 @@ def judge(path, run):
             faults.append(f"exit code {run.code}, no result: {' '.join(run.said.split())[:300]}")
     else:
         options = options_of(path)
-        SCENES[options.scene](path, options, run.result, judgement)
+        SCENES[options.scene](options, run.result, judgement)
         expected = 3 if judgement.marked else 0
         if run.code != expected:
             faults.append(f"exit code {run.code}, not {expected}")
@@ -161,7 +161,7 @@ def judge(path, run):
     return judgement
 
 
-def judge_response(path, options, result, judgement):
+def judge_response(options, result, judgement):
     """Judge every frequency and detector."""
     response, lattice = result.response, result.lattice
     judgement.points = len(response.omega)
@@ -177,7 +177,7 @@ def judge_response(path, options, result, judgement):
             )  # fmt: skip
 
 
-def judge_relaxation(path, options, result, judgement):
+def judge_relaxation(options, result, judgement):
     """Judge the first, the last, and some states between, drawn at random."""
     relaxation, lattice = result.relaxation, result.lattice
     good = ~np.isnan(relaxation.displacement).any(axis=2)
@@ -185,7 +185,6 @@ def judge_relaxation(path, options, result, judgement):
     sites = tuple(map(tuple, relaxation.detector.tolist()))
     steps = relaxation.stiffness.shape[1]
     drawn = np.random.default_rng(1).integers(0, steps + 1, STATES)
-    bounds = getattr(relaxation, "error_bound", np.full(relaxation.displacement.shape, np.nan))
     for trajectory in range(len(good)):
         axes, indices, constants = (
             getattr(relaxation, name)[trajectory]
@@ -201,11 +200,12 @@ def judge_relaxation(path, options, result, judgement):
                 judgement.add(
                     f"state {state}, ball {sites[d]}",
                     relaxation.displacement[trajectory, state, d], value,
-                    bounds[trajectory, state, d], options.error_tolerance, good[trajectory, state],
+                    relaxation.error_bound[trajectory, state, d], options.error_tolerance,
+                    good[trajectory, state],
                 )  # fmt: skip
 
 
-def judge_continuum(path, options, result, judgement):
+def judge_continuum(options, result, judgement):
     """Judge every frequency."""
     continuum = result.continuum
     judgement.points = len(continuum.omega)
@@ -214,7 +214,7 @@ def judge_continuum(path, options, result, judgement):
         judgement.add(f"omega {omega!r}", found, exact, math.nan, CONTINUUM, good=True)
 
 
-def judge_modes(path, options, result, judgement):
+def judge_modes(options, result, judgement):
     """Judge count, eigenvalues, residuals and orthogonality in units of |K|."""
     modes, lattice = result.modes, result.lattice
     K = Reference(Bonds.of(lattice).stiffness).K
@@ -281,12 +281,12 @@ def amplitudes(network, mass, damping, omega, sites):
     return exact_amplitudes(network.stiffness, mass, damping, omega, sites)
 
 
-def compare(path, run, judgement, folder, environment=None):
+def compare(path, run, judgement, folder):
     """Find where the amplitudes are not those of the file that must have the same."""
     _, other = musts(path)
     if other is None or run.result is None:
         return
-    twin = start(path.with_name(other), other, 1, [], folder, environment).result.response
+    twin = start(path.with_name(other), other, 1, [], folder).result.response
     own, tolerance = run.result.response, options_of(path).error_tolerance
     apart = np.abs(own.displacement / twin.displacement - 1).max()
     if not apart <= tolerance:
@@ -296,7 +296,7 @@ def compare(path, run, judgement, folder, environment=None):
 
 
 def examine(path, folder):
-    """Run a file in every way, print its line and its faults, and return how many there are."""
+    """Run a file in every way, print its line and its faults, and return whether there are any."""
     wanted, other = musts(path)
     found, seconds, faults = [], 0.0, []
     for way in ways(options_of(path)):
