@@ -121,9 +121,11 @@ def run(words):
 def run_identity(options):
     """Return what decides a run's numbers, {option: text}. Not collective."""
     identity = {"pgran": pgran.__version__} | options.identity()
-    if identity.get("bonds_file"):
-        contents = hashlib.sha256(Path(options.bonds_file).read_bytes()).hexdigest()
-        identity["bonds_file"] += f" of contents {contents[:16]}"
+    for name in ("bonds_file", "accuracy_solvers"):
+        paths = getattr(options, name, None) or ()
+        for path in [paths] if isinstance(paths, str) else paths:
+            contents = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+            identity[name] += f" ({path} holds {contents[:16]})"
     return identity
 
 

@@ -137,10 +137,11 @@ def modes(options, world, scene):
 
 def relaxation(options, world, scene):
     """Return the Needs of a relaxation. Collective."""
-    from pgran.relaxation import Network, draw_changes, window_length
+    from pgran.relaxation import Network, draw_changes
     from pgran.scenes.common import make_law
     from pgran.spectrum import segment_length
     from pgran.trials import steady_solver, trial_lattice, trial_sites, try_steady
+    from pgran.windows import window_length
 
     steps, trajectories, method = (
         options.relax_steps, options.relax_trajectories, options.relax_method

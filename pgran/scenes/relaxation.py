@@ -9,11 +9,12 @@ from pgran.errors import InputError
 from pgran.lattice import bond_count, bond_places, detector_sites
 from pgran.operators import Operators
 from pgran.progress import Progress
-from pgran.relaxation import Network, Windows, draw_changes, window_length
+from pgran.relaxation import Network, draw_changes
 from pgran.results import LatticeRecord, Relaxation
 from pgran.scenes.common import make_crew, make_lattice, make_law, proven_accuracy
 from pgran.spectrum import power_spectrum, segment_length
 from pgran.steady import SteadySolver
+from pgran.windows import Windows, window_length
 
 log = logging.getLogger(__name__)
 
