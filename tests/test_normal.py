@@ -224,6 +224,23 @@ def test_solver_files(name, crew, solver_options):
     check(lattice, part, 0.3**2, 0.6**2)
 
 
+@pytest.mark.parametrize("name", ["slicing", "shift_invert", "ciss"])
+@pytest.mark.parametrize("speed", [2.0**33, 2.0**-33])
+def test_units_change_nothing(name, speed, crew, solver_options):
+    """Stiffness 4^33 = 7e19 times as large or small: other frequencies, the same digits."""
+    lines = (SOLVERS / f"modes_{name}.opts").read_text().splitlines()
+    solver_options(" ".join(line for line in lines if not line.startswith("#")))
+    lattice = random_lattice((6, 5), seed=8)
+    scaled = Lattice(tuple(speed**2 * k for k in lattice.stiffness), 1.0)
+    modes, others = (
+        from_root(find_modes(some, crew, interval=(0.3 * unit, 0.6 * unit)), crew.world)
+        for some, unit in ((lattice, 1.0), (scaled, speed))
+    )
+    assert modes.count_certified
+    assert others.count_certified
+    np.testing.assert_array_equal(speed * modes.omega, others.omega)
+
+
 def test_missing_modes_are_never_certified(crew, monkeypatch):
     found = normal.ModeSolver._search
     monkeypatch.setattr(normal.ModeSolver, "_search", lambda *arguments: found(*arguments)[:-1])

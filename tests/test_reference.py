@@ -3,9 +3,10 @@
 from fractions import Fraction
 from itertools import pairwise
 
+import mpmath
 import numpy as np
 import pytest
-from reference import Reference, bonds, uniform_field
+from reference import Reference, bonds, exact_amplitudes, uniform_field
 from samples import random_lattice, uniform_lattice
 
 
@@ -68,3 +69,26 @@ def test_bonds_of_the_paper():
     assert len(ends) == 840
     assert sum(other == "driven" for _, other in ends) == 20
     assert sum("at rest" in pair for pair in ends) == 60
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.003])
+def test_elimination_with_many_digits(damping):
+    """A chain agrees with rational arithmetic; a box with sums over its own waves."""
+    with mpmath.workdps(60):
+        lattice = random_lattice((40,), 3, damping)
+        sites = [[i] for i in range(40)]
+        found = exact_amplitudes(lattice.stiffness, 1.0, damping, 2.0, sites)
+        exact = exact_chain(lattice.stiffness[0], 1.0, damping, 2.0)
+        for one, parts in zip(found, exact, strict=True):
+            real, imaginary = (mpmath.mpf(p.numerator) / p.denominator for p in parts)
+            assert abs(one - mpmath.mpc(real, imaginary)) <= 1e-55 * abs(one)
+        lattice = uniform_lattice((3, 5, 2), damping=damping)
+        sites = list(np.ndindex(3, 5, 2))
+        found = exact_amplitudes(lattice.stiffness, 1.0, damping, 0.9, sites)
+    waves = uniform_field((3, 5, 2), 0.25, 1.0, damping, 0.9).ravel()
+    assert np.abs(np.array([complex(one) for one in found]) / waves - 1).max() < 1e-13
+
+
+def test_elimination_on_a_resonance():
+    (found,) = exact_amplitudes((np.array([0.5, 0.5]),), 1.0, 0.0, 1.0, [[0]])
+    assert mpmath.isinf(found)
