@@ -37,8 +37,8 @@ COLUMNS = 32  # right-hand sides solved for at once
 # A window ends where its relative bound exceeds this, even if less is asked for: a fresh start is
 # cheap, and errors are a thousandth of their bounds, which keeps them at 1e-10.
 LONGEST_REACH = 1e-7
-# NumPy rounds products of fewer than 4 complex numbers in one way or another, depending on where they
-# happen to lie in memory. Nothing so short is multiplied, so that a run repeats bit for bit.
+# NumPy rounds products of fewer than 4 complex numbers in one way or another, depending on where
+# they happen to lie in memory. Nothing so short is multiplied, so that a run repeats bit for bit.
 SHORTEST = 4
 BOND = 2**0.5  # |b|_2 of a bond between balls
 
