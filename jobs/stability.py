@@ -8,6 +8,8 @@ Started by jobs/stability.sh. A file of options/extreme/ says in its comments wh
     # must: be refused              one line says why, nothing is computed, exit code 2
     # must: equal OTHER             the amplitudes are those of another file
 
+and, if it is less, what must come out where ranks share a lattice, `# must, shared: be ...`.
+
 Whatever comes out, no unmarked point may be wrong, no error exceed its bound, nothing end in a
 traceback or hang.
 """
@@ -53,6 +55,7 @@ class Run:
     code: int
     said: str
     seconds: float
+    shared: bool
     result: object = None
 
 
@@ -89,11 +92,13 @@ class Judgement:
             self.faults.append(f"{where}: error {float(error):.1e} above bound {bound:.1e}{told}")
 
 
-def musts(path):
+def musts(path, shared=False):
     """Return what must come out: a set of outcomes, and which file has the same amplitudes."""
-    said = re.findall(r"^# must: (be|equal) (.+)$", path.read_text(), re.MULTILINE)
-    outcomes = {word for verb, text in said if verb == "be" for word in text.split(" or ")}
-    return outcomes, next((text for verb, text in said if verb == "equal"), None)
+    pattern = r"^# must(, shared)?: (be|equal) (.+)$"
+    said = re.findall(pattern, path.read_text(), re.MULTILINE)
+    outcomes = {bool(less): set(text.split(" or ")) for less, verb, text in said if verb == "be"}
+    other = next((text for _, verb, text in said if verb == "equal"), None)
+    return outcomes.get(shared, outcomes[False]), other
 
 
 def options_of(path):
@@ -122,12 +127,14 @@ def start(path, label, ranks, words, folder, environment=None):
     done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=folder)
     seconds = time.perf_counter() - started
     result = pgran.load(output) if output.exists() else None
-    return Run(f"{label}: {' '.join(command)}", done.returncode, done.stderr, seconds, result)
+    shared = "-ranks_per_lattice 2" in " ".join(words)
+    label = f"{label}: {' '.join(command)}"
+    return Run(label, done.returncode, done.stderr, seconds, shared, result)
 
 
 def judge(path, run):
     """Return what came out of a run, and every fault."""
-    judgement, (wanted, _) = Judgement(), musts(path)
+    judgement, (wanted, _) = Judgement(), musts(path, run.shared)
     faults = judgement.faults
     if run.code == TIMED_OUT:
         faults.append(f"not done after {SECONDS} s")

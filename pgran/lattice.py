@@ -175,3 +175,29 @@ def detector_sites(shape, detectors):
                 f"{' x '.join(map(str, shape))} balls (indices count from 0)"
             )
     return sites
+
+
+def check_frequency(lattice, omega):
+    """Raise unless the driven lattice's numbers and their squares fit into doubles.
+
+    Not collective.
+
+    Parameters
+    ----------
+    lattice : Lattice
+    omega : float
+        The highest driving frequency, angular.
+
+    Raises
+    ------
+    InputError
+        If 4 d (k + omega beta) + m omega^2, which no entry of S exceeds, is too large.
+    """
+    omega, stiffness = float(omega), max(float(k.max()) for k in lattice.stiffness)
+    springs = 4 * len(lattice.shape) * (stiffness + omega * lattice.damping)
+    largest = springs + lattice.mass * (omega * omega)
+    if not math.isfinite(largest * largest):
+        raise InputError(
+            f"lattice_mass, lattice_damping, bonds: at the frequency {omega:g} the equations hold "
+            "numbers too large to compute with; choose other units"
+        )

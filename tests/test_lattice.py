@@ -9,7 +9,7 @@ from reference import bonds
 from samples import bond_arrays, random_lattice, uniform_lattice
 
 from pgran.errors import InputError
-from pgran.lattice import Lattice, bond_count, bond_shape, detector_sites
+from pgran.lattice import Lattice, bond_count, bond_shape, check_frequency, detector_sites
 
 
 @pytest.mark.parametrize("shape", [(1,), (9,), (20, 20), (1, 4), (3, 1, 2), (4, 5, 6)])
@@ -154,3 +154,21 @@ def test_impossible_detectors(shape, detectors):
 def test_detector_message_names_the_ball():
     with pytest.raises(InputError, match=r"ball \(3, 9\) is outside the lattice of 4 x 6"):
         detector_sites((4, 6), (1, 1, 3, 9))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"omega": 1e80},
+        {"omega": 1e10, "mass": 1e300},
+        {"omega": 1e100, "damping": 1e100},
+        {"stiffness": 1e308},
+    ],
+)
+def test_numbers_too_large_are_refused(values):
+    ordinary = {"omega": 1.0, "mass": 1.0, "damping": 0.003, "stiffness": 0.25}
+    omega, mass, damping, stiffness = (ordinary | values).values()
+    lattice = uniform_lattice((3, 2), stiffness, damping, mass)
+    with pytest.raises(InputError, match="too large"):
+        check_frequency(lattice, omega)
+    check_frequency(uniform_lattice((3, 2)), 1e30)

@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 
+from pgran.lattice import check_frequency
 from pgran.operators import Operators
 from pgran.progress import Progress
 from pgran.results import LatticeRecord, Projection
@@ -100,6 +101,7 @@ def project(
     pgran.results.Projection or None
         None on all ranks but rank 0.
     """
+    check_frequency(lattice, omegas[-1])
     started, root = time.perf_counter(), crew.world.rank == 0
     modes = find_modes(lattice, crew, **(which or {}), shapes=True, progress=progress)
     vectors = _on_all_ranks(modes.vector if root else None, crew.world)

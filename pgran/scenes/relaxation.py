@@ -6,7 +6,7 @@ import time
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.lattice import bond_count, bond_places, detector_sites
+from pgran.lattice import bond_count, bond_places, check_frequency, detector_sites
 from pgran.operators import Operators
 from pgran.progress import Progress
 from pgran.relaxation import Network, draw_changes
@@ -129,6 +129,7 @@ def relax(
         None on all ranks but rank 0.
     """
     sites = detector_sites(lattice.shape, detectors)
+    check_frequency(lattice, omega)
     root = crew.world.rank == 0
     window = window or window_length(lattice.balls)
     length = WINDOWS_IN_UNIT * window

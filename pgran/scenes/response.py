@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from pgran.lattice import detector_sites
+from pgran.lattice import check_frequency, detector_sites
 from pgran.operators import Operators
 from pgran.progress import Progress
 from pgran.results import LatticeRecord, Response
@@ -105,6 +105,7 @@ def sweep(
         If a detector lies outside the lattice.
     """
     sites = detector_sites(lattice.shape, detectors)
+    check_frequency(lattice, omegas[-1])
     row = point_dtype(len(sites), lattice.shape if fields else None)
     root = crew.world.rank == 0
     rows = np.zeros(len(omegas) if root else 0, row)
