@@ -247,11 +247,6 @@ def _check_accuracy(experiment, values, last):
             where = last[name].where
             raise InputError(f"-{name}{where}: -accuracy_of {experiment} does not use it")
         values[name] = None
-    if experiment != "modes" and values["lattice_damping"] == 0:
-        raise InputError(
-            "-lattice_damping 0: without damping no bound of the error is known, and so there is "
-            "no reference to compare with"
-        )
 
 
 def _is_solver_key(key):

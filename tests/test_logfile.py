@@ -63,7 +63,7 @@ def test_a_log_goes_on(start, tmp_path):
 FAILING = """
 from mpi4py import MPI
 import pgran.__main__
-start = pgran.__main__.start_petsc
+start = pgran.running.start_petsc
 def start_petsc(options):
     start(options)
     from petsc4py import PETSc
@@ -73,7 +73,7 @@ def start_petsc(options):
             {statement}
         MPI.COMM_WORLD.Barrier()
     SteadySolver.solve = fail
-pgran.__main__.start_petsc = start_petsc
+pgran.running.start_petsc = start_petsc
 pgran.__main__.console()
 """
 
