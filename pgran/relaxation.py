@@ -36,7 +36,10 @@ class Changes:
         return len(self.bond)
 
     def extended(self, count):
-        """Return at least `count` changes, the last one repeated, which changes nothing more."""
+        """Return at least `count` changes, the last one repeated, which changes nothing more.
+
+        Not collective.
+        """
         more = (0, max(0, count - len(self)))
         return Changes(
             *(np.pad(values, more, mode="edge") for values in (self.bond, self.stiffness))
@@ -94,7 +97,10 @@ class Network:
         self.operators.set_stiffness(bond_arrays(self.shape, self.bonds))
 
     def differences(self, changes):
-        """Return by how much each change moves its bond, repeated bonds included."""
+        """Return by how much each change moves its bond, repeated bonds included.
+
+        Not collective.
+        """
         before = self.bonds[changes.bond]
         order = np.argsort(changes.bond, kind="stable")
         again = changes.bond[order][1:] == changes.bond[order][:-1]

@@ -113,6 +113,8 @@ def run_identity(options):
 def start_mpi():
     """Start MPI and the log, and return all ranks.
 
+    Collective.
+
     Raises
     ------
     InputError
@@ -150,7 +152,10 @@ def start_log(options, words, world):
 
 
 def start_petsc(options):
-    """Hand the solver keys to PETSc, which reads no file and no environment of its own."""
+    """Hand the solver keys to PETSc, which reads no file and no environment of its own.
+
+    Collective.
+    """
     try:
         import petsc4py
     except ImportError:
@@ -167,7 +172,7 @@ def start_petsc(options):
 
 
 def run_attributes(options, words, world, failures, seconds):
-    """Return what a result file says of its run."""
+    """Return what a result file says of its run. Not collective."""
     import numpy
 
     return {
@@ -186,13 +191,13 @@ def run_attributes(options, words, world, failures, seconds):
 
 
 def loaded_version(name):
-    """Return the version of PETSc or SLEPc, if this run has loaded it."""
+    """Return the version of PETSc or SLEPc, if this run has loaded it. Not collective."""
     module = sys.modules.get(name)
     return ".".join(map(str, module.Sys.getVersion())) if module else "not loaded"
 
 
 def warn_of_unused(options):
-    """Warn of solver keys that no PETSc object asked for."""
+    """Warn of solver keys that no PETSc object asked for. Not collective."""
     from pgran.options import SOLVER_PREFIXES
 
     keys = [key for key in options.solver if key.startswith(tuple(SOLVER_PREFIXES))]
@@ -205,5 +210,5 @@ def warn_of_unused(options):
 
 
 def name_rank(world):
-    """Begin all further messages of this process with its rank."""
+    """Begin all further messages of this process with its rank. Not collective."""
     log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))

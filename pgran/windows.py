@@ -104,7 +104,10 @@ class Deformation:
 
     @classmethod
     def of(cls, T, c, G, delta, stretch, wall=0.0):
-        """Return what changes delta make of the stretch of bonds, where a wall may move as well."""
+        """Return what changes delta make of the stretch of bonds, where a wall may move as well.
+
+        Not collective.
+        """
         w, steps = stretch + wall, len(delta)
         part = np.cumsum(T * (-c * (w @ T)), axis=1)
         stretch = w[:, None] + G @ part
@@ -119,6 +122,8 @@ class Deformation:
 
     def residual(self, start, columns):
         """Return bounds of |r|_2 after each step.
+
+        Not collective.
 
         Parameters
         ----------
@@ -287,7 +292,7 @@ class Windows(Owner):
 
 
 def squares(columns):
-    """Return the sum of squares of each column of this rank's part of a block."""
+    """Return the sum of squares of each column of this rank's part of a block. Not collective."""
     rows = np.ascontiguousarray(columns.T).view(float)
     return np.einsum("ij,ij->i", rows, rows)
 
@@ -295,6 +300,7 @@ def squares(columns):
 def window_length(balls):
     """Return how many steps a factorization should serve.
 
-    Measured: the factorization's price a step falls like 1/s, that of the algebra grows like s^2.
+    Not collective. Measured: the factorization's price a step falls like 1/s, that of the algebra
+    grows like s^2.
     """
     return 64 if balls < 5000 else 128

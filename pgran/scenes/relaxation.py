@@ -58,7 +58,7 @@ def run(options, world, journal=None):
 
 
 def summary(records):
-    """Return in words what a run found."""
+    """Return in words what a run found. Not collective."""
     relaxation = records[1]
     steps = relaxation.bond_axis.size
     yield (
@@ -251,7 +251,10 @@ def march_steps(network, solver, omega, changes, window, method):
 
 
 def good(state):
-    """Return a state's amplitudes and their bounds, NaN where they miss their accuracy."""
+    """Return a state's amplitudes and their bounds, NaN where they miss their accuracy.
+
+    Not collective.
+    """
     if state.converged_reason > 0:
         return state.displacement, state.error_bound
     missing = np.full(state.displacement.shape, np.nan)
