@@ -314,11 +314,14 @@ def main():
     compare_bounds(20, paper[::4], 2 * REPEATS)
     compare_bounds(200, np.linspace(0.05, 0.5, 4), REPEATS)
     say("")
+    compare_all_modes(20, REPEATS)
     compare_all_modes(40, REPEATS)
     compare_interval(100, 0.5, 0.518, REPEATS)
     say("\nrelaxation, ms a step on one rank\n" + f"{'':18} {'splu':>12} {'pgran':>10}   ratio")
     steps = {"window": 20000, "krylov": 2000, "direct": 2000}
     compare_relaxations(20, steps, 500, list(steps), REPEATS)
+    steps = {"window": 4096, "krylov": 200, "direct": 200}
+    compare_relaxations(60, steps, 60, list(steps), 3)
     steps = {"window": 512, "krylov": 16, "direct": 16}
     compare_relaxations(200, steps, 8, list(steps), 3)
     compare_trajectories(REPEATS)

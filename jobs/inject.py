@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 
 from pgran import __main__ as program
+from pgran import running
 
 
 def planted():
@@ -93,7 +94,7 @@ def in_unit(maybe):
 
 def in_callback(maybe):
     """Call `maybe` in the monitor of every driven steady state's KSP."""
-    start = program.start_petsc
+    start = running.start_petsc
 
     def replaced(options):
         start(options)
@@ -108,7 +109,7 @@ def in_callback(maybe):
 
         steady.make_ksp = monitored
 
-    program.start_petsc = replaced
+    running.start_petsc = replaced
 
 
 def in_import(maybe):
@@ -154,7 +155,7 @@ KINDS = {
 
 def plant(kind, rank, turn):
     """Plant the fault once MPI has started: then this process knows its rank."""
-    start = program.start_mpi
+    start = running.start_mpi
 
     def replaced():
         world = start()
@@ -163,7 +164,7 @@ def plant(kind, rank, turn):
             place(after(turn, action))
         return world
 
-    program.start_mpi = replaced
+    running.start_mpi = replaced
 
 
 if __name__ == "__main__":

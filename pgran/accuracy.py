@@ -77,7 +77,7 @@ def read_response(response, choices):
 def read_relaxation(relaxation, choices):
     """Return the amplitudes of a relaxation, NaN where they miss the tolerance. Not collective."""
     found = relaxation.displacement
-    return entries(found, choices["error_tolerance"] * np.abs(found), np.isfinite(found))
+    return entries(found, relaxation.error_bound, np.isfinite(found))
 
 
 def read_modes(lattice, modes, choices, largest):

@@ -54,20 +54,23 @@ class ModeCounter(Owner):
         accept_small_pivots(self._pc)
 
     def destroy(self):
-        """Free all PETSc objects."""
+        """Free all PETSc objects. Not collective."""
         for held in (self._pc, self._shifted, self._x, self._rhs, self._residual):
             held.destroy()
 
     @property
     def clearance(self):
-        """How far a cut stays from all eigenvalues, so that slices are orthogonal to rounding."""
+        """How far a cut stays from all eigenvalues, so that slices are orthogonal to rounding.
+
+        Not collective.
+        """
         return self.norm * min(max(0.1 / self.size, 2e-6), 0.5 / self.size)
 
     def below(self, shift, clearance):
         """Return how many eigenvalues lie below a shift, or None where that is uncertain.
 
-        It is certain if none lies within `clearance`: the counts on both sides agree, and each is
-        of a matrix much closer to K - shift than that.
+        Not collective. It is certain if none lies within `clearance`: the counts on both sides
+        agree, and each is of a matrix much closer to K - shift than that.
         """
         counts = {self._inertia(shift + side * clearance, 0.1 * clearance) for side in (-1, 1)}
         return counts.pop() if len(counts) == 1 else None
@@ -95,8 +98,8 @@ class ModeCounter(Owner):
     def end(self, shift, side):
         """Return an end of an interval, moved outward by a hair, and how many lie below it.
 
-        So a mode at the end belongs to the interval. Where another one happens to lie a hair off,
-        the end moves on.
+        Not collective. So a mode at the end belongs to the interval. Where another one happens to
+        lie a hair off, the end moves on.
 
         Raises
         ------
@@ -129,7 +132,7 @@ class ModeCounter(Owner):
     def around(self, omega, mass, wanted):
         """Return an interval around `omega` with at least `wanted` modes and few more.
 
-        Symmetric in omega: those nearest are among them.
+        Not collective. Symmetric in omega: those nearest are among them.
         """
         wanted = min(wanted, self.size)
         few = wanted + max(4, wanted // 4)

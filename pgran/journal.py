@@ -77,7 +77,7 @@ class Journal:
 
     @property
     def stop_asked(self):
-        """The name of the signal that has asked this rank to stop, or None."""
+        """The name of the signal that has asked this rank to stop, or None. Not collective."""
         return self._signal and signal.Signals(self._signal).name
 
     def stage(self, number, units, row):

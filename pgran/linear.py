@@ -24,24 +24,30 @@ class System:
             held.destroy()
 
     def advance(self):
-        """Make room for the next solution; this one becomes the earlier one."""
+        """Make room for the next solution; this one becomes the earlier one. Not collective."""
         self.solution, self.earlier = self.earlier, self.solution
 
     def start_from_zero(self):
-        """Guess nothing."""
+        """Guess nothing. Collective."""
         self.solution.set(0.0)
         self.rhs.copy(self.residual)
         self.norm = self.residual.norm()
 
     def start_from_preconditioner(self, pc, matrix):
-        """Guess the preconditioned right-hand side: the solution, if `pc` is a factorization."""
+        """Guess the preconditioned right-hand side: the solution, if `pc` is a factorization.
+
+        Collective.
+        """
         pc.apply(self.rhs, self.solution)
         self.update_residual(matrix)
         if not self.norm <= self.rhs.norm():  # NaN too
             self.start_from_zero()
 
     def start_from_line(self, step, matrix):
-        """Guess by a straight line through the last two solutions, `step` of their distance on."""
+        """Guess by a straight line through the last two solutions, `step` of their distance on.
+
+        Collective.
+        """
         self.solution.scale(-step)
         self.solution.axpy(1.0 + step, self.earlier)
         self.update_residual(matrix)

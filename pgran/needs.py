@@ -137,10 +137,11 @@ def modes(options, world, scene):
 
 def relaxation(options, world, scene):
     """Return the Needs of a relaxation. Collective."""
-    from pgran.relaxation import Network, draw_changes, window_length
+    from pgran.relaxation import Network, draw_changes
     from pgran.scenes.common import make_law
     from pgran.spectrum import segment_length
     from pgran.trials import steady_solver, trial_lattice, trial_sites, try_steady
+    from pgran.windows import window_length
 
     steps, trajectories, method = (
         options.relax_steps, options.relax_trajectories, options.relax_method
@@ -164,7 +165,6 @@ def relaxation(options, world, scene):
         steady_solver(
             small, shape, crew.group, trial_sites(sites, shape, small.shape),
             options.error_tolerance, options.steady_refresh_iterations,
-            adjoints=method == "window",
         ) as (operators, solver),
     ):  # fmt: skip
         network = Network(small, operators, draw)
@@ -177,7 +177,7 @@ def relaxation(options, world, scene):
             return len(changes), SOLVES[method] * len(changes)
 
         trial = try_steady(world, small.shape, solver, omega, range(0, steps, length), work)
-        systems, groups = len(solver.solutions), crew.groups
+        systems, groups = 1 + len(solver.adjoints), crew.groups
     units = trajectories * math.ceil(steps / length)
     costs, seconds = _scaled(trial, shape, trajectories * steps, units, groups, ranks)
     lengths = {
@@ -246,7 +246,7 @@ def _sweep(options, world, ranks, shape, small, sites, omegas, units, whole_fiel
             options.error_tolerance, options.steady_refresh_iterations, whole_field,
         ) as (_, solver),
     ):  # fmt: skip
-        systems = len(solver.solutions)
+        systems = 1 + len(solver.adjoints)
 
         def work(unit):
             solver.restart()

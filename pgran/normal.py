@@ -64,11 +64,16 @@ class ModeSolver(Owner):
 
     @staticmethod
     def whole():
-        """Return whether the EPS of the options finds all modes at once, slices being no use."""
+        """Return whether the EPS of the options finds all modes at once, slices being no use.
+
+        Not collective.
+        """
         return _eps_type() == "lapack"
 
     def solve(self, low, high, count):
         """Return the modes with low < lambda < high, as far as they are found.
+
+        Not collective.
 
         Parameters
         ----------
@@ -243,7 +248,10 @@ def _eps_type():
 
 
 def restoring_forces(stiffness, fields):
-    """Return K f for fields of shape (count, *shape): B^T diag(k) B, bond by bond."""
+    """Return K f for fields of shape (count, *shape): B^T diag(k) B, bond by bond.
+
+    Not collective.
+    """
     total = np.zeros_like(fields)
     for axis, k in enumerate(stiffness, 1):
         stretch = np.diff(fields, axis=axis, prepend=0.0, append=0.0)
@@ -254,10 +262,10 @@ def restoring_forces(stiffness, fields):
 def rayleigh_ritz(stiffness, vectors):
     """Return the real modes in the span of complex ones.
 
-    With rows X, orthonormal and spanning whole eigenspaces of a real matrix, the projector on their
-    span is real: X^H X = Re(X)^T Re(X) + Im(X)^T Im(X). So the singular values of [Re X; Im X] are
-    1, as often as there are rows, and 0: a real orthonormal basis comes without loss of accuracy,
-    and no cluster of equal eigenvalues needs to be told from its neighbours.
+    Not collective. With rows X, orthonormal and spanning whole eigenspaces of a real matrix, the
+    projector on their span is real: X^H X = Re(X)^T Re(X) + Im(X)^T Im(X). So the singular values
+    of [Re X; Im X] are 1, as often as there are rows, and 0: a real orthonormal basis comes without
+    loss of accuracy, and no cluster of equal eigenvalues needs to be told from its neighbours.
 
     Parameters
     ----------

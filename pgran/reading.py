@@ -46,7 +46,7 @@ class Given:
 
     @property
     def rank(self):
-        """What wins: the command line over the file over the environment."""
+        """What wins: the command line over the file over the environment. Not collective."""
         return 2 if not self.where else 0 if "PETSC_OPTIONS" in self.where else 1
 
 
@@ -70,7 +70,8 @@ class Options:
     def text(self):
         """Return a complete options file that reproduces the run.
 
-        Leave to replace a result, and the wish for a forecast, were for one run only.
+        Not collective. Leave to replace a result, and the wish for a forecast, were for one run
+        only.
         """
         lines = [SCENE.write(self.scene)]
         for option in SCENES[self.scene]:
@@ -172,7 +173,7 @@ def read_solver(path, own):
 
 
 def read_environment():
-    """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked."""
+    """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked. Not collective."""
     if os.environ.pop("PETSC_OPTIONS_YAML", ""):
         raise InputError("PETSC_OPTIONS_YAML: not read; an options file or PETSC_OPTIONS is")
     return read_words(os.environ.pop("PETSC_OPTIONS", "").split(), " (PETSC_OPTIONS)")
@@ -247,11 +248,6 @@ def _check_accuracy(experiment, values, last):
             where = last[name].where
             raise InputError(f"-{name}{where}: -accuracy_of {experiment} does not use it")
         values[name] = None
-    if experiment != "modes" and values["lattice_damping"] == 0:
-        raise InputError(
-            "-lattice_damping 0: without damping no bound of the error is known, and so there is "
-            "no reference to compare with"
-        )
 
 
 def _is_solver_key(key):

@@ -1,46 +1,15 @@
-"""One bond a step: the amplitude at the detectors while the network of bonds is redrawn.
+"""One bond a step: which bond changes, and to what, and the network while it does.
 
 At each step one bond, drawn uniformly, gets a new constant from the bond law. Both draws are a pure
-function of (seed, trajectory, step), so the changes of the next steps are known ahead. A change
-delta of bond b turns S into S + delta b b^T and moves the drive along when b ends at the driven
-wall; with w = b^T A, the driven wall counted as displacement 1, the amplitudes become
-
-    A' = A - S^-1 b c w,    c = delta / (1 + delta b^T S^-1 b).
-
-So the amplitudes of a window of steps follow exactly from one factorization at its start, one solve
-for each of its bonds, and algebra among those bonds alone.
-
-That algebra proves its own results. Let S0, x0, z0 be the matrix, the amplitudes and the adjoint
-at the start, with residuals r0 and s0; B the bonds b_1 .. b_s of a window, Y the solutions of
-S0 Y = B with residuals R, G = B^T Y, Delta the changes so far, and w, q the displacements B^T x0
-(the driven wall counted) and B^T z0. After some steps x = x0 + Y gamma and z = z0 + Y eta have the
-residuals
-
-    r = r0 + R gamma - B h,    h = gamma + Delta (w + G gamma),
-    s = s0 + R eta - B g,      g = eta + Delta (q + G eta),
-
-h and g being what the algebra misses. As in `pgran.bounds`, x_d + z^T r is wrong by at most
-|r|_2 |s|_2 |S^-1|_2, and damping bounds S^-1 for all steps alike. Up to products of residuals with
-Y that sum is the amplitude at the start plus q^T gamma - (q + G eta)^T h, which is reported.
+function of (seed, trajectory, step), so the changes of the next steps are known ahead.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
-from petsc4py import PETSc
 
-from pgran.bounds import EPSILON
-from pgran.errors import InputError
 from pgran.lattice import bond_arrays, bond_count
-from pgran.operators import SAME, Owner
 from pgran.stiffness import unit_numbers
-
-COLUMNS = 32  # right-hand sides solved for at once
-# A window ends where its relative bound exceeds this, even if less is asked for: a fresh start is
-# cheap, and errors are a thousandth of their bounds, which keeps them at 1e-10.
-LONGEST_REACH = 1e-7
-BOND = 2**0.5  # |b|_2 of a bond between balls
 
 
 @dataclass(frozen=True)
@@ -66,6 +35,16 @@ class Changes:
         """Return how many there are."""
         return len(self.bond)
 
+    def extended(self, count):
+        """Return at least `count` changes, the last one repeated, which changes nothing more.
+
+        Not collective.
+        """
+        more = (0, max(0, count - len(self)))
+        return Changes(
+            *(np.pad(values, more, mode="edge") for values in (self.bond, self.stiffness))
+        )
+
 
 def draw_changes(law, shape, seed, trajectory, first, count):
     """Return the changes of `count` steps from step `first` on, counted from 0.
@@ -84,92 +63,6 @@ def draw_changes(law, shape, seed, trajectory, first, count):
     u = unit_numbers(seed, 2 * first, 2 * count, generation=1 + trajectory)
     bonds = bond_count(shape)
     return Changes(np.minimum((u[::2] * bonds).astype(np.int64), bonds - 1), law(u[1::2]))
-
-
-def march(G, delta):
-    """Change one bond after the other; return how each then deforms the lattice.
-
-    Not collective. This is the inverse, column by column, of the factor L^T in the L D L^T
-    factorization of diag(1/delta) + G, whose leading blocks are the networks after each step.
-
-    Parameters
-    ----------
-    G : numpy.ndarray, shape (s, s)
-        b^T S0^-1 b' of the changing bonds before any change.
-    delta : numpy.ndarray, shape (s,)
-        By how much each changes.
-
-    Returns
-    -------
-    T : numpy.ndarray, shape (s, s)
-        S^-1 b_t = S0^-1 B T[:, t] once the bonds before t have changed.
-    c : numpy.ndarray, shape (s,)
-        delta / (1 + delta b^T S^-1 b).
-    """
-    T, c = np.eye(len(delta), dtype=complex), np.empty(len(delta), dtype=complex)
-    with np.errstate(all="ignore"):  # what is not finite has no bound
-        for t in range(len(delta)):
-            T[:t, t] = T[:t, :t] @ (-c[:t] * (G[t, :t] @ T[:t, :t]))
-            c[t] = delta[t] / (1.0 + delta[t] * (G[t, : t + 1] @ T[: t + 1, t]))
-    return T, c
-
-
-@dataclass(frozen=True)
-class Deformation:
-    """The amplitudes, or an adjoint, after each of a window's steps, by its part along Y.
-
-    A column of an array (s, s) is a step.
-
-    Attributes
-    ----------
-    part : numpy.ndarray, shape (s, s)
-        gamma, or eta.
-    size : numpy.ndarray, shape (s, s)
-        Its magnitude.
-    stretch : numpy.ndarray, shape (s, s)
-        w + G gamma, or q + G eta: the displacements of the bonds.
-    missed : numpy.ndarray, shape (s, s)
-        h, or g.
-    rounding : numpy.ndarray, shape (s, s)
-        What rounding may have done to `missed`, at most.
-    stretch_rounding : numpy.ndarray, shape (s, s)
-        The same for `stretch`.
-    """
-
-    part: np.ndarray
-    size: np.ndarray
-    stretch: np.ndarray
-    missed: np.ndarray
-    rounding: np.ndarray
-    stretch_rounding: np.ndarray
-
-    @classmethod
-    def of(cls, T, c, G, delta, stretch, wall=0.0):
-        """Return what changes delta make of the stretch of bonds, where a wall may move as well."""
-        w, steps = stretch + wall, len(delta)
-        part = np.cumsum(T * (-c * (w @ T)), axis=1)
-        stretch = w[:, None] + G @ part
-        missed = np.triu(part + delta[:, None] * stretch)  # bonds change one after the other
-        size = np.abs(part)
-        # Displacements of bonds are differences, rounded once; then come s products and sums.
-        rows, columns = np.sqrt(squares(G.T)), np.sqrt(np.sum(size**2, axis=0))
-        stretch_rounding = np.multiply.outer((steps + 8) * EPSILON * rows, columns)
-        stretch_rounding += (EPSILON * (4 * np.abs(w) + wall))[:, None]
-        rounding = np.triu(np.abs(delta)[:, None] * stretch_rounding) + 2 * EPSILON * size
-        return cls(part, size, stretch, missed, rounding, stretch_rounding)
-
-    def residual(self, start, columns):
-        """Return bounds of |r|_2 after each step.
-
-        Parameters
-        ----------
-        start : float
-            A bound of |r0|_2.
-        columns : numpy.ndarray, shape (s,)
-            Bounds of the residuals of the columns of Y.
-        """
-        missed = np.sum(np.abs(self.missed) + self.rounding, axis=0)
-        return start + columns @ self.size + BOND * missed
 
 
 class Network:
@@ -204,7 +97,10 @@ class Network:
         self.operators.set_stiffness(bond_arrays(self.shape, self.bonds))
 
     def differences(self, changes):
-        """Return by how much each change moves its bond, repeated bonds included."""
+        """Return by how much each change moves its bond, repeated bonds included.
+
+        Not collective.
+        """
         before = self.bonds[changes.bond]
         order = np.argsort(changes.bond, kind="stable")
         again = changes.bond[order][1:] == changes.bond[order][:-1]
@@ -216,171 +112,3 @@ class Network:
         self.bonds[changes.bond] = changes.stiffness  # of several of one bond the last holds
         self.operators.change_bonds(np.unique(changes.bond), self.bonds)
         self.step += len(changes)
-
-
-class Windows(Owner):
-    """Solves windows of steps; destroy with `destroy` or `with`.
-
-    Collective.
-
-    Parameters
-    ----------
-    network : Network
-    solver : pgran.steady.SteadySolver
-        Of the network's operators, with adjoints.
-    omega : float
-
-    Raises
-    ------
-    InputError
-        If the solver's preconditioner is no factorization, or there is no damping.
-    """
-
-    def __init__(self, network, solver, omega):
-        """Make the blocks of right-hand sides and solutions."""
-        if solver.factor is None:
-            raise InputError(
-                "-relax_method window: needs a factorization (-steady_pc_type cholesky or lu); "
-                "-relax_method krylov does without"
-            )
-        if network.operators.damping == 0:
-            raise InputError(
-                "-relax_method window: needs damping (-lattice_damping), which bounds the error of "
-                "every step; -relax_method krylov or direct does without"
-            )
-        self.network, self.solver, self.omega = network, solver, omega
-        self.comm = network.operators.comm
-        rows = network.operators.f.getSizes()
-        self._rhs, self._found, self._residual = (
-            PETSc.Mat().createDense((rows, (None, COLUMNS)), comm=self.comm) for _ in range(3)
-        )
-        for block in (self._rhs, self._found, self._residual):
-            block.setUp()
-            block.assemble()
-
-    def destroy(self):
-        """Free the blocks. Collective."""
-        for block in (self._rhs, self._found, self._residual):
-            block.destroy()
-
-    def start(self):
-        """Return the steady state of the network as it is, from a fresh factorization. Collective.
-
-        Returns
-        -------
-        pgran.steady.SteadyState
-        """
-        self.solver.restart()
-        self.state = self.solver.solve(self.omega)
-        return self.state
-
-    def follow(self, changes):
-        """Return the amplitudes after each of some changes, `start` being the state before them.
-
-        Collective. The network stays as it is.
-
-        Parameters
-        ----------
-        changes : Changes
-
-        Returns
-        -------
-        after, error_bound : numpy.ndarray, shape (n, nd)
-            n is smaller than the number of changes, even 0, where more would lose accuracy.
-        """
-        solver, network = self.solver, self.network
-        before, ends = self.state.displacement, network.operators.bond_ends[changes.bond]
-        after = np.empty((len(changes), len(before)), dtype=complex)
-        error_bound = np.empty(after.shape)
-        if self.state.converged_reason <= 0:
-            return after[:0], error_bound[:0]
-        G, sizes, residuals = self._flexibility(ends)
-        systems = [solver.primal, *solver.adjoints]
-        fields = np.stack([system.solution.getArray(readonly=True) for system in systems], axis=1)
-        w, *adjoint_w = self._stretch(fields, ends).T
-        delta, steps = network.differences(changes), len(changes)
-        bounds = solver.bounds
-        terms = bounds.rounding(solver.primal.solution)
-        r0 = bounds.primal_residual(solver.primal, terms)
-        with np.errstate(all="ignore"):
-            T, c = march(G, delta)
-            driven = network.operators.driven_bonds[changes.bond]
-            primal = Deformation.of(T, c, G, delta, w, driven)
-            moved, r = sizes @ primal.size, primal.residual(r0, residuals)
-            for d, (system, q) in enumerate(zip(solver.adjoints, adjoint_w, strict=True)):
-                adjoint = Deformation.of(T, c, G, delta, q)
-                s0 = bounds.adjoint_residual(system)
-                product = adjoint.stretch * primal.missed
-                after[:, d] = before[d] + q @ primal.part - np.sum(product, axis=0)
-                rounding = EPSILON * (steps + 6) * (np.abs(q) @ primal.size)
-                rounding += np.sum(np.abs(adjoint.stretch) * primal.rounding, axis=0)
-                rounding += np.sum(adjoint.stretch_rounding * np.abs(primal.missed), axis=0)
-                rounding += EPSILON * (steps + 6) * np.sum(np.abs(product), axis=0)
-                left = s0 * moved + (sizes @ adjoint.size) * (r0 + residuals @ primal.size)
-                theory = r * adjoint.residual(s0, residuals) / bounds.stability(self.omega)
-                error_bound[:, d] = 1.01 * (theory + left + rounding)
-                error_bound[:, d] += bounds.evaluation(r0, terms, system, before[d])
-                error_bound[:, d] += 4 * EPSILON * np.abs(after[:, d])
-            tolerance = min(solver.tolerance, LONGEST_REACH)
-            kept = error_bound * (1 + tolerance) <= tolerance * np.abs(after)
-        kept = np.all(kept, axis=1)
-        count = steps if np.all(kept) else np.argmin(kept)
-        return after[:count], error_bound[:count]
-
-    def _flexibility(self, ends):
-        """Return G = B^T Y from block solves with the factorization, and bounds of two norms.
-
-        Those of Y and of its residual, column by column. A KSP may make up for an inexact
-        factorization; here its residual shows.
-        """
-        S, factor, bounds = self.network.operators.S, self.solver.factor, self.solver.bounds
-        first, last = self._rhs.getOwnershipRange()
-        columns, norms = [], []
-        for start in range(0, len(ends), COLUMNS):
-            chunk = ends[start : start + COLUMNS]
-            block = self._rhs.getDenseArray()
-            block[:] = 0.0
-            for side, sign in ((0, -1.0), (1, 1.0)):
-                mine = np.flatnonzero((chunk[:, side] >= first) & (chunk[:, side] < last))
-                block[chunk[mine, side] - first, mine] = sign
-            self._rhs.assemble()
-            factor.matSolve(self._rhs, self._found)
-            S.matMult(self._found, self._residual)
-            self._residual.axpy(-1.0, self._rhs, structure=SAME)
-            found, missed = (
-                block.getDenseArray(readonly=True)[:, : len(chunk)]
-                for block in (self._found, self._residual)
-            )
-            columns.append(self._stretch(found, ends))
-            norms.append([squares(found), squares(missed)])
-        total = np.concatenate(norms, axis=1)
-        if self.comm.size > 1:
-            self.comm.Allreduce(MPI.IN_PLACE, total)
-        sizes, residuals = 1.01 * np.sqrt(total)
-        residuals += bounds.unit * (BOND + bounds.scale * sizes)
-        return np.concatenate(columns, axis=1), sizes, residuals
-
-    def _stretch(self, fields, ends):
-        """Return b^T x for each bond b and each column x of this rank's rows, on every rank."""
-        first, last = self._rhs.getOwnershipRange()
-        stretch = np.zeros((len(ends), fields.shape[1]), dtype=complex)
-        for side, sign in ((0, -1.0), (1, 1.0)):
-            mine = (ends[:, side] >= first) & (ends[:, side] < last)
-            stretch[mine] += sign * fields[ends[mine, side] - first]
-        if self.comm.size > 1:
-            self.comm.Allreduce(MPI.IN_PLACE, stretch)
-        return stretch
-
-
-def squares(columns):
-    """Return the sum of squares of each column of this rank's part of a block."""
-    rows = np.ascontiguousarray(columns.T).view(float)
-    return np.einsum("ij,ij->i", rows, rows)
-
-
-def window_length(balls):
-    """Return how many steps a factorization should serve.
-
-    Measured: the factorization's price a step falls like 1/s, that of the algebra grows like s^2.
-    """
-    return 64 if balls < 5000 else 128

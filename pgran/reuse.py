@@ -32,11 +32,13 @@ class ReusePolicy:
         self.restart()
 
     def restart(self):
-        """Forget the past: the next frequency gets a fresh factorization."""
+        """Forget the past: the next frequency gets a fresh factorization. Not collective."""
         self._served, self._spent, self._last, self._first = 0, 0, math.inf, None
 
     def due(self, guess=0.0):
         """Return whether to factor before the next frequency.
+
+        Not collective.
 
         Parameters
         ----------
@@ -53,11 +55,14 @@ class ReusePolicy:
         return expected * self._served >= self.price + self._spent
 
     def patience(self):
-        """Return after how many iterations of one solve a reused factorization is given up."""
+        """Return after how many iterations of one solve a reused factorization is given up.
+
+        Not collective.
+        """
         return None if self.limit or not self.price else max(4, math.ceil(2 * self.price))
 
     def count(self, fresh, iterations):
-        """Note what a frequency took."""
+        """Note what a frequency took. Not collective."""
         if fresh:
             self._served, self._spent = 1, iterations
         else:
@@ -68,7 +73,7 @@ class ReusePolicy:
             self._first = iterations
 
     def count_failure(self):
-        """Note that reusing the factorization did not work."""
+        """Note that reusing the factorization did not work. Not collective."""
         if self._served == 1:
             self._first = math.inf
 
@@ -76,8 +81,9 @@ class ReusePolicy:
 def expected_iterations(before, omega, lattice_axes, mass, damping):
     """Return the iterations that a solve takes with the factorization of another frequency.
 
-    A resonance of the lattice is about 2 d omega beta / m wide in omega^2, 2 d the mean eigenvalue
-    of C; by how much less omega^2 has moved is what an application of the old factorization gains.
+    Not collective. A resonance of the lattice is about 2 d omega beta / m wide in omega^2, 2 d the
+    mean eigenvalue of C; by how much less omega^2 has moved is what an application of the old
+    factorization gains.
     """
     width = 2 * lattice_axes * omega * damping
     moved = mass * abs(omega**2 - before**2)
@@ -89,7 +95,10 @@ def expected_iterations(before, omega, lattice_axes, mass, damping):
 
 
 def factor_price(pc, balls):
-    """Return what a factorization costs in Krylov iterations, from the size of the factor."""
+    """Return what a factorization costs in Krylov iterations, from the size of the factor.
+
+    Collective.
+    """
     if pc.getType() not in FACTORIZATIONS:
         return 0.0
     info = pc.getFactorMatrix().getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)

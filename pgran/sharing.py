@@ -217,5 +217,8 @@ def _first(names):
 
 
 def automatic_ranks(shape, ranks):
-    """Return how many of the ranks should share a lattice: one, unless it is large."""
+    """Return how many of the ranks should share a lattice: one, unless it is large.
+
+    Not collective.
+    """
     return ranks if np.prod(shape, dtype=float) > LARGE[len(shape)] else 1

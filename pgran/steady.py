@@ -116,12 +116,12 @@ class SteadySolver(Owner):
 
     @property
     def field(self):
-        """The amplitudes of all balls."""
+        """The amplitudes of all balls. Not collective."""
         return self.primal.solution
 
     @property
     def factor(self):
-        """The factorization of S, or None if the preconditioner is none."""
+        """The factorization of S, or None if the preconditioner is none. Not collective."""
         pc = self._ksp.getPC()
         return pc.getFactorMatrix() if pc.getType() in FACTORIZATIONS else None
 
@@ -134,7 +134,10 @@ class SteadySolver(Owner):
             item.destroy()
 
     def restart(self):
-        """Forget earlier frequencies: what follows depends on nothing that came before."""
+        """Forget earlier frequencies: what follows depends on nothing that came before.
+
+        Not collective.
+        """
         self._policy.restart()
         self._omegas, self._size = [], None
 

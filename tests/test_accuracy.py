@@ -291,7 +291,6 @@ def test_a_missing_solver_file_is_refused(world, solver):
         ("-accuracy_solvers a -relax_steps 3", "relax_steps"),
         ("-accuracy_solvers a -accuracy_of modes -modes_count 3", "modes_target"),
         ("-accuracy_solvers a -accuracy_of modes -ranks_per_lattice 2", "ranks_per_lattice"),
-        ("-accuracy_solvers a -lattice_damping 0", "lattice_damping 0"),
         ("-accuracy_solvers a -error_tolerance 1e-3", "error_tolerance"),
         ("-accuracy_solvers a -accuracy_of relaxation -bonds_law file -bonds_file b", "a law"),
     ],

@@ -214,7 +214,7 @@ def sabotage(statement, rank=1):
 import sys
 from mpi4py import MPI
 import pgran.__main__
-start = pgran.__main__.start_petsc
+start = pgran.running.start_petsc
 def start_petsc(options):
     start(options)
     from pgran.steady import SteadySolver
@@ -225,7 +225,7 @@ def start_petsc(options):
             {statement}
         return solve(self, omega)
     SteadySolver.solve = fail
-pgran.__main__.start_petsc = start_petsc
+pgran.running.start_petsc = start_petsc
 pgran.__main__.console()
 """
 

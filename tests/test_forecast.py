@@ -247,7 +247,7 @@ def test_memory_and_disk_are_as_foreseen(clean_environment, tmp_path, name, rank
     ("words", "code", "message"),
     [
         ("-bonds_law file -bonds_file none.h5", 4, "none.h5"),
-        ("-output_file mine.h5", 4, "exists already"),
+        ("-output_file mine.h5", 4, "exists and is no result"),
         ("-output_file mine.h5/a.h5", 4, "cannot be written"),
     ],
 )

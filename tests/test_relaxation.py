@@ -10,11 +10,12 @@ from pgran.bounds import smallest_damping_eigenvalue
 from pgran.errors import InputError
 from pgran.lattice import bond_arrays, bond_count, bond_places
 from pgran.operators import Operators
-from pgran.relaxation import Changes, Network, Windows, draw_changes, march, window_length
+from pgran.relaxation import Changes, Network, draw_changes
 from pgran.scenes.relaxation import relax
 from pgran.sharing import Crew
 from pgran.steady import SteadySolver
 from pgran.stiffness import BondLaw
+from pgran.windows import Windows, march, window_length
 
 UNIFORM = BondLaw("uniform")
 
@@ -179,7 +180,7 @@ def test_the_bound_covers_a_march_that_went_wrong(monkeypatch):
         T, c = march(G, delta)
         return T * (1 + 1e-7 * rng.standard_normal(T.shape)), c
 
-    monkeypatch.setattr("pgran.relaxation.march", spoilt)
+    monkeypatch.setattr("pgran.windows.march", spoilt)
     after, bound, exact = follow(lattice, 0.6, [[2, 2]], changes)
     assert len(after) == 40
     assert np.all(np.abs(after - exact) <= bound)
@@ -258,8 +259,22 @@ def test_the_same_bit_for_bit_on_any_number_of_ranks(world, method):
     choices = {"steps": 130, "trajectories": 3, "method": method, "window": 20}
     alone = solve(lattice, [2, 2], **choices)
     shared = solve(lattice, [2, 2], world, **choices)
-    assert np.array_equal(alone.displacement, shared.displacement)
+    assert not np.isnan(alone.displacement).any()
+    assert not np.isnan(shared.displacement).any()
+    assert np.max(np.abs(alone.displacement - shared.displacement)) == 0
     assert np.array_equal(alone.stiffness, shared.stiffness)
+
+
+def test_few_changes_are_extended_by_ones_that_change_nothing(world):
+    lattice = random_lattice((5, 4), seed=6, damping=0.01)
+    changes = draw_changes(UNIFORM, (5, 4), 1, 0, 0, 3)
+    more = changes.extended(7)
+    assert len(more) == 7
+    assert len(changes.extended(2)) == 3
+    with Operators(lattice, world) as operators:
+        network = Network(lattice, operators, None)
+        assert np.array_equal(network.differences(more)[:3], network.differences(changes))
+        assert not network.differences(more)[3:].any()
 
 
 def test_a_lattice_that_all_ranks_share(world):

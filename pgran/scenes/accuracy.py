@@ -74,7 +74,7 @@ def run(options, world, journal=None):
 
 
 def summary(records):
-    """Return in words what a run found: a table, a row a configuration."""
+    """Return in words what a run found: a table, a row a configuration. Not collective."""
     accuracy = records[1]
     yield (
         f"{accuracy.compared} of {accuracy.values} numbers compared with a reference that is wrong "

@@ -42,14 +42,17 @@ def make_box(options):
 
 
 def phase(displacement, damping):
-    """Return the unwrapped phase; without damping 0 or pi, the sign of a real amplitude."""
+    """Return the unwrapped phase; without damping 0 or pi, the sign of a real amplitude.
+
+    Not collective.
+    """
     if damping == 0:
         return np.where(displacement.real < 0, np.pi, 0.0)
     return np.unwrap(np.angle(displacement))
 
 
 def summary(records):
-    """Return in words what a run found."""
+    """Return in words what a run found. Not collective."""
     (continuum,) = records
     yield (
         f"{len(continuum.omega)} frequencies, {len(continuum.resonance)} driven resonances up to "

@@ -41,7 +41,7 @@ def chosen(options):
 
 
 def summary(records):
-    """Return in words what a run found."""
+    """Return in words what a run found. Not collective."""
     _, modes = records
     yield f"{len(modes.omega)} modes in {modes.solve_seconds:.2f} s"
     yield certificate(modes, len(modes.omega))

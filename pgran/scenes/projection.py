@@ -46,7 +46,7 @@ def which_modes(options, balls, omegas):
 
 
 def summary(records):
-    """Return in words what a run found."""
+    """Return in words what a run found. Not collective."""
     lattice, projection = records
     nm = len(projection.mode_omega)
     yield (

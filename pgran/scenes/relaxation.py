@@ -9,11 +9,12 @@ from pgran.errors import InputError
 from pgran.lattice import bond_count, bond_places, check_frequency, detector_sites
 from pgran.operators import Operators
 from pgran.progress import Progress
-from pgran.relaxation import Network, Windows, draw_changes, window_length
+from pgran.relaxation import Network, draw_changes
 from pgran.results import LatticeRecord, Relaxation
 from pgran.scenes.common import make_crew, make_lattice, make_law, proven_accuracy
 from pgran.spectrum import power_spectrum, segment_length
 from pgran.steady import SteadySolver
+from pgran.windows import Windows, window_length
 
 log = logging.getLogger(__name__)
 
@@ -57,7 +58,7 @@ def run(options, world, journal=None):
 
 
 def summary(records):
-    """Return in words what a run found."""
+    """Return in words what a run found. Not collective."""
     relaxation = records[1]
     steps = relaxation.bond_axis.size
     yield (
@@ -250,7 +251,10 @@ def march_steps(network, solver, omega, changes, window, method):
 
 
 def good(state):
-    """Return a state's amplitudes and their bounds, NaN where they miss their accuracy."""
+    """Return a state's amplitudes and their bounds, NaN where they miss their accuracy.
+
+    Not collective.
+    """
     if state.converged_reason > 0:
         return state.displacement, state.error_bound
     missing = np.full(state.displacement.shape, np.nan)

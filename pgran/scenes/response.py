@@ -34,7 +34,7 @@ def run(options, world, journal=None):
 
 
 def summary(records):
-    """Return in words what a run found."""
+    """Return in words what a run found. Not collective."""
     _, response = records
     nw = len(response.omega)
     yield (
@@ -143,13 +143,16 @@ def sweep(
 
 
 def units(count):
-    """Cut a sweep into ranges of frequencies; how many ranks there are does not matter."""
+    """Cut a sweep into ranges of frequencies; how many ranks there are does not matter.
+
+    Not collective.
+    """
     length = min(LONGEST_UNIT, max(1, count // 64))
     return [range(start, min(start + length, count)) for start in range(0, count, length)]
 
 
 def point_dtype(detectors, field_shape):
-    """Return the dtype that a frequency's results travel in."""
+    """Return the dtype that a frequency's results travel in. Not collective."""
     fields = [
         ("index", np.int64),
         ("displacement", complex, (detectors,)),
@@ -197,7 +200,7 @@ def assemble(lattice, omegas, sites, rows, seconds, phase_window):
 def unwrap(displacement):
     """Return the phase along the first axis without its jumps, from the lowest frequency on.
 
-    Frequencies that have no amplitude keep NaN and are passed over.
+    Not collective. Frequencies that have no amplitude keep NaN and are passed over.
     """
     phase = np.angle(displacement)
     for column in phase.T:
@@ -208,6 +211,8 @@ def unwrap(displacement):
 
 def fit_phase(x, phase):
     """Fit a straight line to the phase of each detector; NaN where there are too few points.
+
+    Not collective.
 
     Parameters
     ----------

@@ -1,0 +1,214 @@
+"""`pgran run`: MPI and PETSc started, a scene computed under its journal, its result written."""
+
+import faulthandler
+import hashlib
+import importlib
+import logging
+import shlex
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pgran
+from pgran import errors, launch
+from pgran.errors import InputError, PgranError, on_root
+
+log = logging.getLogger("pgran")
+
+
+def run(words):
+    """Run the experiment of an options file, and return the exit code.
+
+    Collective over all ranks.
+    """
+    # Signals to stop wait until the journal listens, and do no harm once the result is written;
+    # blocked before anything starts threads, which else would get them.
+    signal.pthread_sigmask(signal.SIG_BLOCK, errors.SIGNALS)
+    faulthandler.enable()  # a crash in a library names the line that called it
+
+    from pgran.options import WITHOUT_PETSC
+    from pgran.reading import read_environment, read_file, read_words, resolve
+
+    if not words or words[0].startswith("-"):
+        raise InputError("run: an options file is needed, as in pgran run options/response.opts")
+    started = time.perf_counter()
+    path, *rest = words
+    world = start_mpi()
+    given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
+    options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
+    if options.output_log:
+        start_log(options, words, world)
+    if options.scene not in WITHOUT_PETSC:
+        start_petsc(options)
+    if options.dry_run:
+        return foresee(options, world, started)
+    try:
+        return compute(options, words, world, started)
+    except errors.StoppedError as stopped:  # on all ranks alike: they end in order
+        if world.rank == 0:
+            log.info("%s", stopped)
+        return errors.STOPPED
+
+
+def foresee(options, world, started):
+    """Say what a run will need. Collective."""
+    from pgran import store
+    from pgran.forecast import forecast
+
+    on_root(
+        world,
+        lambda: store.check_output(options.output_file, options.output_overwrite, make=False),
+    )
+    for line in forecast(options, world, started):
+        print(line)
+    if world.rank == 0:
+        warn_of_unused(options)
+    return errors.DONE
+
+
+def compute(options, words, world, started):
+    """Compute a scene, or go on with it, and write its result. Collective."""
+    import numpy
+
+    from pgran import store
+    from pgran.journal import Journal
+
+    output, overwrite = options.output_file, options.output_overwrite
+    on_root(world, lambda: store.check_output(output, overwrite))
+    identity = on_root(world, lambda: run_identity(options))
+    with Journal(world, output, identity, overwrite) as journal:
+        # again: another run may have written it just before the journal was locked
+        on_root(world, lambda: store.check_output(output, overwrite))
+        scene = importlib.import_module(f"pgran.scenes.{options.scene}")
+        records = scene.run(options, world, journal)
+
+        def finish():
+            failures = sum(int(numpy.sum(getattr(r, "failures", 0))) for r in records)
+            seconds = time.perf_counter() - started
+            attributes = run_attributes(options, words, world, failures, seconds)
+            store.write(output, attributes, records)
+            warn_of_unused(options)
+            for line in scene.summary(records):
+                log.info(line)
+            log.info("written to %s after %.1f s", output, seconds)
+            if failures:
+                log.warning("%d results miss the accuracy asked for; the file marks them", failures)
+            return failures
+
+        return errors.INACCURATE if on_root(world, finish) else errors.DONE
+
+
+def run_identity(options):
+    """Return what decides a run's numbers, {option: text}. Not collective."""
+    identity = {"pgran": pgran.__version__} | options.identity()
+    for name in ("bonds_file", "accuracy_solvers"):
+        paths = getattr(options, name, None) or ()
+        for path in [paths] if isinstance(paths, str) else paths:
+            contents = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+            identity[name] += f" ({path} holds {contents[:16]})"
+    return identity
+
+
+def start_mpi():
+    """Start MPI and the log, and return all ranks.
+
+    Collective.
+
+    Raises
+    ------
+    InputError
+        If a foreign mpirun started independent copies.
+    """
+    from mpi4py import MPI
+
+    world = MPI.COMM_WORLD
+    if world.rank > 0:
+        log.setLevel(logging.WARNING)
+        name_rank(world)
+    if world.size == 1 and launch.size() > 1:
+        raise InputError(
+            f"mpirun started {launch.size()} ranks that do not know of each other: it belongs to "
+            f"another MPI than mpi4py ({MPI.Get_library_version().split(',')[0]})"
+        )
+    return world
+
+
+def start_log(options, words, world):
+    """Let messages go to the log file of the options, too. Collective."""
+    from pgran import logfile
+
+    path = options.output_log
+    if Path(path).absolute() == Path(options.output_file).absolute():
+        raise InputError(f"-output_log {path}: is the -output_file")
+    on_root(world, lambda: logfile.check(path, make=not options.dry_run))
+    if not options.dry_run:
+        handler = logfile.LogFile(path, world.rank)
+        log.addHandler(handler)
+        if world.rank == 0:
+            command = shlex.join(["pgran", "run", *words])
+            text = f"{command} on {world.size} rank{'s' if world.size > 1 else ''}"
+            handler.handle(logging.makeLogRecord({"msg": text, "levelno": logging.INFO}))
+
+
+def start_petsc(options):
+    """Hand the solver keys to PETSc, which reads no file and no environment of its own.
+
+    Collective.
+    """
+    try:
+        import petsc4py
+    except ImportError:
+        raise PgranError(
+            "petsc4py cannot be imported: bash jobs/setup.sh makes .venv with it; "
+            "pgran doctor says more"
+        ) from None
+    words = [word for key, text in options.solver.items() for word in (f"-{key}", text) if word]
+    petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler", *words])
+    from petsc4py import PETSc
+
+    if PETSc.ScalarType().dtype.kind != "c":
+        raise PgranError("this PETSc has real scalars; pgran needs a complex one (pgran doctor)")
+
+
+def run_attributes(options, words, world, failures, seconds):
+    """Return what a result file says of its run. Not collective."""
+    import numpy
+
+    return {
+        "pgran_version": pgran.__version__,
+        "scene": options.scene,
+        "status": "unconverged" if failures else "complete",
+        "command": shlex.join(["pgran", "run", *words]),
+        "options": options.text(),
+        "petsc_version": loaded_version("petsc4py.PETSc"),
+        "slepc_version": loaded_version("slepc4py.SLEPc"),
+        "numpy_version": numpy.__version__,
+        "mpi_size": world.size,
+        "seconds": seconds,
+        "time_convention": "exp(+i omega t)",
+    }
+
+
+def loaded_version(name):
+    """Return the version of PETSc or SLEPc, if this run has loaded it. Not collective."""
+    module = sys.modules.get(name)
+    return ".".join(map(str, module.Sys.getVersion())) if module else "not loaded"
+
+
+def warn_of_unused(options):
+    """Warn of solver keys that no PETSc object asked for. Not collective."""
+    from pgran.options import SOLVER_PREFIXES
+
+    keys = [key for key in options.solver if key.startswith(tuple(SOLVER_PREFIXES))]
+    if "petsc4py.PETSc" in sys.modules:
+        from pgran.database import unused
+
+        keys = unused(keys)
+    for key in keys:
+        log.warning("-%s was not used: no solver of this run has such an option", key)
+
+
+def name_rank(world):
+    """Begin all further messages of this process with its rank. Not collective."""
+    log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))
