@@ -230,8 +230,7 @@ pgran.__main__.console()
 """
 
 
-@pytest.mark.parametrize("together", [1, 2])
-@pytest.mark.parametrize("rank", [0, 1])
+@pytest.mark.parametrize(("rank", "together"), [(0, 2), (1, 1)])
 @pytest.mark.parametrize(
     ("statement", "code", "message"),
     [
