@@ -195,7 +195,7 @@ def one_signal(campaign, trial):
         time.sleep(rng.uniform(0, 1.5))
     else:
         job.wait_for((folder / JOURNAL).exists)
-        time.sleep(rng.uniform(0, campaign.references[scene][1]))
+        time.sleep(rng.uniform(0, campaign.references[scene][1] / min(ranks, 2)))
     begun = (folder / JOURNAL).exists() or (folder / RESULT).exists()
     # SIGTERM at mpirun makes it kill the ranks a second later: so one rank gets it
     pids = [job.process.pid] if trial % 2 == 0 else job.ranks()
@@ -237,10 +237,8 @@ def one_disk(campaign, trial):
 def earlier_result(campaign, folder, scene):
     """Leave an earlier result, of other bonds; return its bytes."""
     words = ["-bonds_seed", "5"]
-    if scene in ("response", "fields", "projection"):
+    if scene != "krylov":
         words += ["-sweep_points", "20"]
-    else:
-        words += ["-relax_steps", "400"]
     job = Job(folder, 1, *words)
     campaign.check(job, job.end() != 0 and "the earlier result failed")
     return (folder / RESULT).read_bytes()
