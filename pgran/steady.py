@@ -8,6 +8,7 @@ together give the amplitude at the detector with a rigorous bound (`pgran.bounds
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from petsc4py import PETSc
@@ -94,7 +95,7 @@ class SteadySolver(Owner):
         refresh_iterations=0,
         whole_field=False,
     ):
-        """Set up the KSP from its options."""
+        """Make the systems and their bounds."""
         self.operators, self.comm = operators, operators.comm
         self.tolerance = error_tolerance
         self.whole_field = whole_field
@@ -109,10 +110,14 @@ class SteadySolver(Owner):
             self.adjoints = [System(self._unit_vector(number)) for number in self._numbers]
         self._systems = [self.primal, *self.adjoints]
         self._policy = ReusePolicy(refresh_iterations)
-        self._ksp = make_ksp(operators)
-        self._rtol, _, _, self._longest = self._ksp.getTolerances()
-        self._direct = self._ksp.getType() == "preonly"
         self.restart()
+
+    @cached_property
+    def _ksp(self):
+        """The KSP, made by the first solve: SuperLU_DIST cannot free what it never factored."""
+        ksp = make_ksp(self.operators)
+        self._rtol, _, _, self._longest = ksp.getTolerances()
+        return ksp
 
     @property
     def field(self):
@@ -129,7 +134,9 @@ class SteadySolver(Owner):
         """Free all PETSc objects. Collective."""
         for adjoint in self.adjoints:
             adjoint.rhs.destroy()
-        held = [self._correction, self._scatter, self._readings, self._ksp, self.bounds]
+        held = [self._correction, self._scatter, self._readings, self.bounds]
+        if "_ksp" in vars(self):
+            held.append(self._ksp)
         for item in [*self._systems, *held]:
             item.destroy()
 
@@ -160,7 +167,7 @@ class SteadySolver(Owner):
         self.bounds.prepare(omega, self.tolerance)
         for system in self._systems:
             system.advance()
-        fresh = self._direct or self._policy.due(self._expected(omega))
+        fresh = self._ksp.getType() == "preonly" or self._policy.due(self._expected(omega))
         state = self._attempt(omega, fresh)
         if state.converged_reason <= 0 and not fresh:
             self._policy.count_failure()

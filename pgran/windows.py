@@ -156,15 +156,15 @@ class Windows(Owner):
 
     def __init__(self, network, solver, omega):
         """Make the blocks of right-hand sides and solutions."""
-        if solver.factor is None:
-            raise InputError(
-                "-relax_method window: needs a factorization (-steady_pc_type cholesky or lu); "
-                "-relax_method krylov does without"
-            )
         if network.operators.damping == 0:
             raise InputError(
                 "-relax_method window: needs damping (-lattice_damping), which bounds the error of "
                 "every step; -relax_method krylov or direct does without"
+            )
+        if solver.factor is None:
+            raise InputError(
+                "-relax_method window: needs a factorization (-steady_pc_type cholesky or lu); "
+                "-relax_method krylov does without"
             )
         self.network, self.solver, self.omega = network, solver, omega
         self.comm = network.operators.comm
