@@ -67,9 +67,11 @@ def march(G, delta):
     T, (c, row) = np.eye(steps, dtype=complex), np.zeros((2, steps), dtype=complex)
     with np.errstate(all="ignore"):  # what is not finite has no bound
         for t in range(steps):
-            row[:t] = G[t, :t] @ T[:t, :t]
-            T[:t, t] = T[:t, :t] @ (-c * row)[:t]
-            c[t] = delta[t] / (1.0 + delta[t] * (G[t, : t + 1] @ T[: t + 1, t]))
+            before = T[:t, :t]
+            row[:t] = G[t, :t] @ before
+            along = -c * row
+            T[:t, t] = before @ along[:t]
+            c[t] = delta[t] / (1.0 + delta[t] * (G[t, t] + row @ along))
     return T, c
 
 
@@ -89,36 +91,55 @@ class Deformation:
         w + G gamma, or q + G eta: the displacements of the bonds.
     missed : numpy.ndarray, shape (s, s)
         h, or g.
-    rounding : numpy.ndarray, shape (s, s)
-        What rounding may have done to `missed`, at most.
-    stretch_rounding : numpy.ndarray, shape (s, s)
-        The same for `stretch`.
+    sizes : numpy.ndarray, shape (s, s)
+        The magnitudes of `missed`.
+    rows, ends : numpy.ndarray, shape (s,)
+        A stretch is wrong by rounding by at most rows times the 2-norm of its column of `part`,
+        plus ends.
+    delta : numpy.ndarray, shape (s,)
+        The magnitudes of the changes.
+    norm : numpy.ndarray, shape (s,)
+        The 2-norms of the columns of `part`.
     """
 
     part: np.ndarray
     size: np.ndarray
     stretch: np.ndarray
     missed: np.ndarray
-    rounding: np.ndarray
-    stretch_rounding: np.ndarray
+    sizes: np.ndarray
+    rows: np.ndarray
+    ends: np.ndarray
+    delta: np.ndarray
+    norm: np.ndarray
 
     @classmethod
-    def of(cls, T, c, G, delta, stretch, wall=0.0):
+    def of(cls, T, c, G, rows, delta, stretch, wall=0.0):
         """Return what changes delta make of the stretch of bonds, where a wall may move as well.
 
-        Not collective.
+        Not collective; `rows` are the 2-norms of the rows of G.
         """
         w, steps = stretch + wall, len(delta)
         part = np.cumsum(T * (-c * (w @ T)), axis=1)
         stretch = w[:, None] + G @ part
         missed = np.triu(part + delta[:, None] * stretch)  # bonds change one after the other
-        size = np.abs(part)
         # Displacements of bonds are differences, rounded once; then come s products and sums.
-        rows, columns = np.sqrt(squares(G.T)), np.sqrt(np.sum(size**2, axis=0))
-        stretch_rounding = np.multiply.outer((steps + 8) * EPSILON * rows, columns)
-        stretch_rounding += (EPSILON * (4 * np.abs(w) + wall))[:, None]
-        rounding = np.triu(np.abs(delta)[:, None] * stretch_rounding) + 2 * EPSILON * size
-        return cls(part, size, stretch, missed, rounding, stretch_rounding)
+        rows, ends = (steps + 8) * EPSILON * rows, EPSILON * (4 * np.abs(w) + wall)
+        return cls(
+            part, np.abs(part), stretch, missed, np.abs(missed),
+            rows, ends, np.abs(delta), np.sqrt(squares(part)),
+        )  # fmt: skip
+
+    def stretch_rounding(self, weights):
+        """Return bounds, step by step, of what rounding does to a sum of weights times stretches.
+
+        Not collective; `weights` of shape (s, s) are not negative.
+        """
+        return (self.rows @ weights) * self.norm + self.ends @ weights
+
+    def missed_rounding(self, weights):
+        """Return the same for weights times `missed`. Not collective."""
+        changed = self.stretch_rounding(self.delta[:, None] * np.triu(weights))
+        return changed + 2 * EPSILON * np.einsum("it,it->t", weights, self.size)
 
     def residual(self, start, columns):
         """Return bounds of |r|_2 after each step.
@@ -132,7 +153,7 @@ class Deformation:
         columns : numpy.ndarray, shape (s,)
             Bounds of the residuals of the columns of Y.
         """
-        missed = np.sum(np.abs(self.missed) + self.rounding, axis=0)
+        missed = np.sum(self.sizes, axis=0) + self.missed_rounding(np.ones_like(self.size))
         return start + columns @ self.size + BOND * missed
 
 
@@ -222,19 +243,19 @@ class Windows(Owner):
         terms = bounds.rounding(solver.primal.solution)
         r0 = bounds.primal_residual(solver.primal, terms)
         with np.errstate(all="ignore"):
-            T, c = march(G, delta)
+            (T, c), rows = march(G, delta), np.sqrt(squares(G.T))
             driven = network.operators.driven_bonds[changes.bond]
-            primal = Deformation.of(T, c, G, delta, w, driven)
+            primal = Deformation.of(T, c, G, rows, delta, w, driven)
             moved, r = sizes @ primal.size, primal.residual(r0, residuals)
             for d, (system, q) in enumerate(zip(solver.adjoints, adjoint_w, strict=True)):
-                adjoint = Deformation.of(T, c, G, delta, q)
+                adjoint = Deformation.of(T, c, G, rows, delta, q)
                 s0 = bounds.adjoint_residual(system)
-                product = adjoint.stretch * primal.missed
-                after[:, d] = before[d] + q @ primal.part - np.sum(product, axis=0)
-                rounding = EPSILON * (steps + 6) * (np.abs(q) @ primal.size)
-                rounding += np.sum(np.abs(adjoint.stretch) * primal.rounding, axis=0)
-                rounding += np.sum(adjoint.stretch_rounding * np.abs(primal.missed), axis=0)
-                rounding += EPSILON * (steps + 6) * np.sum(np.abs(product), axis=0)
+                left_out = np.sum(adjoint.stretch * primal.missed, axis=0)
+                after[:, d] = before[d] + q @ primal.part - left_out
+                reach = np.abs(adjoint.stretch)
+                products = np.abs(q) @ primal.size + np.einsum("it,it->t", reach, primal.sizes)
+                rounding = EPSILON * (steps + 6) * products
+                rounding += primal.missed_rounding(reach) + adjoint.stretch_rounding(primal.sizes)
                 left = s0 * moved + (sizes @ adjoint.size) * (r0 + residuals @ primal.size)
                 theory = r * adjoint.residual(s0, residuals) / bounds.stability(self.omega)
                 error_bound[:, d] = 1.01 * (theory + left + rounding)
