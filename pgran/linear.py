@@ -7,6 +7,8 @@ from petsc4py import PETSc
 TINY = 1e-300
 # Larger lattices go to MUMPS: it factors faster, but each of its solves is dearer.
 PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
+# Up to so many balls the ordering by minimum degree leaves less work than nested dissection.
+MINIMUM_DEGREE = {1: 10**7, 2: 2500, 3: 0}
 
 
 class System:
@@ -83,6 +85,8 @@ def make_ksp(operators):
     pc.setType("cholesky")
     if factor_package(operators.shape, operators.comm.size) != "petsc":
         pc.setFactorSolverType("mumps")
+    elif operators.balls <= MINIMUM_DEGREE[len(operators.shape)]:
+        pc.setFactorOrdering("qmd")
     ksp.setFromOptions()
     accept_small_pivots(pc)
     if ksp.getType() != "preonly":

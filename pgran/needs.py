@@ -152,7 +152,7 @@ def relaxation(options, world, scene):
     sites = detector_sites(shape, options.detectors)
     law, omega = make_law(options), options.relax_omega
     serves = options.relax_window or window_length(math.prod(shape))
-    length = scene.WINDOWS_IN_UNIT * serves
+    length = scene.unit_length(serves)
     tried = length if method == "window" else min(length, STEPS)
     march = scene.march_windows if method == "window" else scene.march_steps
 

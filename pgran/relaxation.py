@@ -40,7 +40,9 @@ class Changes:
 
         Not collective.
         """
-        more = (0, max(0, count - len(self)))
+        if len(self) >= count:
+            return self
+        more = (0, count - len(self))
         return Changes(
             *(np.pad(values, more, mode="edge") for values in (self.bond, self.stiffness))
         )

@@ -96,8 +96,8 @@ class Deformation:
     rows, ends : numpy.ndarray, shape (s,)
         A stretch is wrong by rounding by at most rows times the 2-norm of its column of `part`,
         plus ends.
-    delta : numpy.ndarray, shape (s,)
-        The magnitudes of the changes.
+    delta : numpy.ndarray, shape (s, s)
+        The magnitudes of the changes so far.
     norm : numpy.ndarray, shape (s,)
         The 2-norms of the columns of `part`.
     """
@@ -121,12 +121,13 @@ class Deformation:
         w, steps = stretch + wall, len(delta)
         part = np.cumsum(T * (-c * (w @ T)), axis=1)
         stretch = w[:, None] + G @ part
-        missed = np.triu(part + delta[:, None] * stretch)  # bonds change one after the other
+        upper = np.tri(steps).T  # bonds change one after the other
+        missed = upper * (part + delta[:, None] * stretch)
         # Displacements of bonds are differences, rounded once; then come s products and sums.
         rows, ends = (steps + 8) * EPSILON * rows, EPSILON * (4 * np.abs(w) + wall)
         return cls(
             part, np.abs(part), stretch, missed, np.abs(missed),
-            rows, ends, np.abs(delta), np.sqrt(squares(part)),
+            rows, ends, np.abs(delta)[:, None] * upper, np.sqrt(squares(part)),
         )  # fmt: skip
 
     def stretch_rounding(self, weights):
@@ -138,7 +139,7 @@ class Deformation:
 
     def missed_rounding(self, weights):
         """Return the same for weights times `missed`. Not collective."""
-        changed = self.stretch_rounding(self.delta[:, None] * np.triu(weights))
+        changed = self.stretch_rounding(self.delta * weights)
         return changed + 2 * EPSILON * np.einsum("it,it->t", weights, self.size)
 
     def residual(self, start, columns):
@@ -153,7 +154,7 @@ class Deformation:
         columns : numpy.ndarray, shape (s,)
             Bounds of the residuals of the columns of Y.
         """
-        missed = np.sum(self.sizes, axis=0) + self.missed_rounding(np.ones_like(self.size))
+        missed = np.sum(self.sizes, axis=0) + self.missed_rounding(np.ones(self.size.shape))
         return start + columns @ self.size + BOND * missed
 
 

@@ -97,7 +97,7 @@ NEEDS = {
     },
     f"-scene relaxation -relax_method direct {RELAX}": {
         "imports": {"PETSc", "SciPy", "h5py"},
-        "Laplacians": 2, "S": 1, "factorizations": 402, "adjoints": 1,
+        "Laplacians": 2, "S": 1, "factorizations": 401, "adjoints": 1,
         "spectra": 1, "stores": {"lattice", "relaxation", "spectrum"},
     },
     f"-scene accuracy {ONE_SOLVER} {SMALL}": {  # a reference, and one run

@@ -18,7 +18,7 @@ from pgran.windows import Windows, window_length
 
 log = logging.getLogger(__name__)
 
-WINDOWS_IN_UNIT = 4  # what a group of ranks solves at a stretch
+STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windows
 
 
 def run(options, world, journal=None):
@@ -132,7 +132,7 @@ def relax(
     check_frequency(lattice, omega)
     root = crew.world.rank == 0
     window = window or window_length(lattice.balls)
-    length = WINDOWS_IN_UNIT * window
+    length = unit_length(window)
     units = [
         (trajectory, first, min(length, steps - first))
         for trajectory in range(trajectories)
@@ -207,6 +207,11 @@ def relax(
         displacement=displacement,
         error_bound=error_bound,
     )
+
+
+def unit_length(window):
+    """Return how many steps a unit of work has. Not collective."""
+    return max(1, STEPS_IN_UNIT // window) * window
 
 
 def march_windows(network, solver, omega, changes, window, method):
