@@ -35,8 +35,8 @@ from pgran.operators import SAME, Owner
 
 COLUMNS = 32  # right-hand sides solved for at once
 # A window ends where its relative bound exceeds this, even if less is asked for: a fresh start is
-# cheap, and errors are a thousandth of their bounds, which keeps them at 1e-10.
-LONGEST_REACH = 1e-7
+# cheap, and errors are a hundredth of their bounds or less, which keeps them below 1e-10.
+LONGEST_REACH = 1e-8
 # NumPy rounds products of fewer than 4 complex numbers in one way or another, depending on where
 # they happen to lie in memory. Nothing so short is multiplied, so that a run repeats bit for bit.
 SHORTEST = 4

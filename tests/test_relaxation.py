@@ -83,8 +83,8 @@ def test_a_window_of_every_length_gives_the_same():
     for run in runs[1:]:
         difference = np.abs(run.displacement - runs[0].displacement)
         assert np.max(difference / np.abs(runs[0].displacement)) < 1e-11
-    # One for each window, and one more at the end of every four.
-    assert [run.factorizations for run in runs] == [150 + 38, 22 + 6, 3 + 1, 1 + 1]
+    # One for each window, and one more at the end of the unit.
+    assert [run.factorizations for run in runs] == [150 + 1, 22 + 1, 3 + 1, 1 + 1]
 
 
 def test_repeated_bonds_and_the_driven_wall():
