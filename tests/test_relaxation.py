@@ -1,4 +1,9 @@
-"""One bond a step: every amplitude against a dense solve from the stored bonds and events."""
+"""One bond a step: every amplitude against a dense solve from the stored bonds and events.
+
+python tests/test_relaxation.py 100000     long runs, checked at random steps
+"""
+
+import sys
 
 import numpy as np
 import pytest
@@ -8,7 +13,7 @@ from samples import random_lattice
 
 from pgran.bounds import smallest_damping_eigenvalue
 from pgran.errors import InputError
-from pgran.lattice import bond_arrays, bond_count, bond_places
+from pgran.lattice import Lattice, bond_arrays, bond_count, bond_places
 from pgran.operators import Operators
 from pgran.relaxation import Changes, Network, draw_changes
 from pgran.scenes.relaxation import relax
@@ -360,3 +365,26 @@ def test_steps_that_miss_their_accuracy_hold_no_number(solver_options):
 
 def test_the_window_depends_on_the_size_alone():
     assert window_length(400) < window_length(40_000)
+
+
+def campaign(steps):
+    """Print the largest errors at 200 random steps of long runs."""
+    zeros = BondLaw("bimodal", kmin=0.0, fraction=0.7)
+    print("largest relative error at 200 random steps, drift, steps that miss their accuracy")
+    for shape, sites in (((30,), [[14]]), ((7, 6), [[3, 2]]), ((4, 3, 4), [[1, 1, 2]])):
+        for beta in (1e-4, 1e-2, 1.0):
+            for name, law in (("uniform", UNIFORM), ("bonds of 0", zeros)):
+                lattice = Lattice(law.draw(shape, 5), damping=beta, kmax=0.25)
+                run = solve(lattice, sites, law=law, omega=0.6, steps=steps)
+                good = np.flatnonzero(np.isfinite(run.displacement[0, :, 0]))
+                chosen = np.random.default_rng(1).choice(good, 200, replace=False)
+                error = largest_error(lattice, run, chosen)
+                print(
+                    f"{' x '.join(map(str, shape)):10} beta {beta:<6g} {name:10} {error:.1e} "
+                    f"{run.drift:.1e} {run.failures:6}",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    campaign(int(sys.argv[1]))
