@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pgran
 from pgran import errors, launch
-from pgran.errors import InputError, PgranError
+from pgran.errors import InputError, PgranError, is_bad_input, is_petsc
 from pgran.running import name_rank, run
 
 log = logging.getLogger("pgran")
@@ -148,8 +148,7 @@ def explain(error):
     if isinstance(error, ModuleNotFoundError):
         return 1, f"{error}: pgran doctor says how to mend it"
     if is_petsc(error):
-        wrong_option = "SetFromOptions()" in str(error)
-        return errors.BAD_INPUT if wrong_option else 1, petsc_message(error)
+        return errors.BAD_INPUT if is_bad_input(error) else 1, petsc_message(error)
     return 1, "".join(traceback.format_exception(error)).rstrip()
 
 
@@ -160,11 +159,6 @@ def petsc_message(error):
     calls = [line.split(" at ")[0] for line in lines if "() at " in line]
     said = [line for line in lines[1:] if "() at " not in line]
     return str(PgranError(f"PETSc: {(said[1:] or said or lines)[0]} ({', '.join(calls[:1])})"))
-
-
-def is_petsc(error):
-    """Return whether PETSc or SLEPc raised an error: a wrong solver option, a failing package."""
-    return type(error).__module__.startswith("petsc4py")
 
 
 if __name__ == "__main__":

@@ -12,6 +12,8 @@ import time
 
 DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED = 0, 2, 3, 4, 75
 LONGEST = 1010  # characters of a message
+# What PETSc's errors hold where an option of the user's is to blame.
+WRONG_OPTION = ("SetFromOptions()", "Could not locate solver type", "Unknown type")
 SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # that ask a run to stop
 SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail alike
 FAILED = 0  # tag of the message in which it tells them
@@ -35,6 +37,17 @@ class InputError(PgranError):
     """Bad input: nothing was computed."""
 
     exit_code = BAD_INPUT
+
+
+def is_petsc(error):
+    """Return whether PETSc or SLEPc raised an error. Not collective."""
+    return type(error).__module__.startswith("petsc4py")
+
+
+def is_bad_input(error):
+    """Return whether an error is to blame on the user's options. Not collective."""
+    blamed = is_petsc(error) and any(sign in str(error) for sign in WRONG_OPTION)
+    return blamed or isinstance(error, InputError)
 
 
 class FileError(PgranError):

@@ -19,7 +19,15 @@ from pathlib import Path
 
 import numpy as np
 
-from pgran.errors import SIGNALS, FileError, InputError, StoppedError, describe, on_root
+from pgran.errors import (
+    SIGNALS,
+    FileError,
+    InputError,
+    StoppedError,
+    describe,
+    is_bad_input,
+    on_root,
+)
 
 log = logging.getLogger(__name__)
 
@@ -66,12 +74,15 @@ class Journal:
         return self
 
     def __exit__(self, kind, error, trace):
-        """Close the journal; remove it if the run is complete, or nothing was finished yet."""
+        """Close the journal; remove it if the run is complete, or nothing was finished yet.
+
+        So it is if bad input turns up late: the corrected command is another run.
+        """
         signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
         for number, handler in self._handlers:
             signal.signal(number, handler)
         if self._file is not None:
-            if kind is None or not self._kept:
+            if kind is None or not self._kept or (self._new and is_bad_input(error)):
                 self.path.unlink(missing_ok=True)
             self._file.close()
 
@@ -141,7 +152,8 @@ class Journal:
                 self._file.close()
                 raise InputError(self._difference(found, identity))
             log.info("%s: another run; discarded as -output_overwrite asks", self.path)
-        if found != identity:
+        self._new = found != identity
+        if self._new:
             self._kept.clear()
             with self._writing():
                 self._file.truncate(0)

@@ -183,6 +183,24 @@ def test_a_second_run_on_the_same_result_is_refused(world, result):
         world.Barrier()
 
 
+def test_bad_input_that_turns_up_late(world, result, unfinished):
+    """Leaves nothing of a new run, and all of one that went on."""
+
+    def fail():
+        with Journal(world, result, RUN) as journal:
+            fill(journal, [2])
+            raise InputError("late")
+
+    for before in (False, True):
+        if before:
+            leave(world, result, [1])
+        with pytest.raises(InputError, match="late"):
+            fail()
+        world.Barrier()
+        assert unfinished.exists() == before
+        world.Barrier()
+
+
 def test_a_foreign_file_stays(world, result, unfinished):
     if world.rank == 0:
         unfinished.write_bytes(b"my thesis")
@@ -296,7 +314,7 @@ SCENES = {
     "modes": lambda crew: find_modes(random_lattice((24, 20), 4), crew, shapes=True),
     "projection": lambda crew: project(LATTICE, OMEGAS, crew),
     "relaxation": lambda crew: relax(
-        LATTICE, BondLaw("uniform"), 0.6, (3, 3), crew, steps=700, trajectories=2, window=16
+        LATTICE, BondLaw("uniform"), 0.6, (3, 3), crew, steps=2600, trajectories=2, window=16
     ),
 }
 
