@@ -160,7 +160,7 @@ def test_a_hopeless_solver_is_reported_and_marked(start, tmp_path, ranks):
     [
         (["-steady_ksp_type", "nonsense"], 2, ["PETSc: ", "nonsense (KSPSetFromOptions())"]),
         (["-steady_ksp_max_it", "many"], 2, ["PETSc: ", "many", "(KSPSetFromOptions())"]),
-        (["-steady_pc_factor_mat_solver_type", "nonsense"], 1, ["PETSc: ", "(KSPSetUp())"]),
+        (["-steady_pc_factor_mat_solver_type", "nonsense"], 2, ["PETSc: ", "(KSPSetUp())"]),
     ],
 )
 def test_a_solver_that_petsc_does_not_know(start, tmp_path, ranks, words, code, parts):
