@@ -52,8 +52,9 @@ SMALL = {
     "response": "-scene response\n-lattice_shape 9,8\n-detectors 3,3\n-sweep_points 64\n",
     "modes": "-scene modes\n-lattice_shape 30,30\n",
     "projection": "-scene projection\n-lattice_shape 9,8\n-sweep_points 64\n",
-    "window": "-scene relaxation\n-relax_steps 2000\n-relax_window 16\n",
-    "krylov": "-scene relaxation\n-relax_steps 2000\n-relax_window 16\n-relax_method krylov\n",
+    "window": "-scene relaxation\n-lattice_shape 9,8\n-detectors 3,3\n-relax_steps 9000\n",
+    "krylov": "-scene relaxation\n-lattice_shape 9,8\n-detectors 3,3\n-relax_steps 9000\n"
+    "-relax_method krylov\n",
 }
 
 
@@ -77,10 +78,14 @@ def one_kind(campaign, trial):
     kind, ranks, repeat = trial
     rng = np.random.default_rng([SEED, list(FAULTS).index(kind), ranks, repeat])
     code, cause, anywhere = FAULTS[kind]
-    scene = rng.choice([name for name in SMALL if name != "modes" or kind != "callback"])
+    # A KSP calls back while it iterates, which a fresh factorization spares it.
+    calling = ("response", "projection")
+    scene = rng.choice(calling if kind == "callback" else list(SMALL))
     rank = int(rng.integers(ranks)) if anywhere else 0
     turn = 1 if kind in ONCE else int(rng.integers(1, 3))
     words = ["-ranks_per_lattice", str(ranks)] if scene == "response" and rng.random() < 0.5 else []
+    if kind == "callback":
+        words += ["-steady_pc_type", "ilu"]
     folder = campaign.folder(SMALL[scene])
     job = Job(folder, ranks, *words, program=[*INJECT, kind, str(rank), str(turn)])
     fault = folder / "fault"
@@ -120,7 +125,7 @@ FAULTS = {
     "kill": (137, "exited on signal 9", True),
     "abort": (134, "exited on signal 6", True),
     "vanish": (1, "exiting improperly", True),
-    "import": (1, "ModuleNotFoundError", True),
+    "import": (1, "pgran doctor", True),
     "journal": (4, "results/a.h5.unfinished: cannot be written: File too large", False),
     "result": (4, "results/a.h5: cannot be written: File too large", False),
     "folder": (4, "results/a.h5: cannot be written", False),
@@ -128,7 +133,7 @@ FAULTS = {
 }
 ONCE = {"import", "result", "folder", "writing"}  # happen once in a run
 ALIKE = {"result", "folder"}  # all ranks agree on these
-UNEXPECTED = {"exception", "callback", "petsc", "memory", "recursion", "import", "writing"}
+UNEXPECTED = {"exception", "callback", "memory", "recursion", "writing"}
 
 
 def kills(campaign):
@@ -238,7 +243,7 @@ def earlier_result(campaign, folder, scene):
     """Leave an earlier result, of other bonds; return its bytes."""
     words = ["-bonds_seed", "5"]
     if scene != "krylov":
-        words += ["-sweep_points", "20"]
+        words += ["-sweep_points", "20", "-sweep_max", "1"]
     job = Job(folder, 1, *words)
     campaign.check(job, job.end() != 0 and "the earlier result failed")
     return (folder / RESULT).read_bytes()

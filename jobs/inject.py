@@ -116,7 +116,7 @@ def in_import(maybe):
     """Let the scenes be missing."""
     for name in ("response", "modes", "projection", "relaxation"):
         sys.modules[f"pgran.scenes.{name}"] = None
-    before(program, "start_petsc", maybe)
+    before(running, "start_petsc", maybe)
 
 
 def in_journal(maybe):

@@ -13,7 +13,7 @@ import time
 DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED = 0, 2, 3, 4, 75
 LONGEST = 1010  # characters of a message
 # What PETSc's errors hold where an option of the user's is to blame.
-WRONG_OPTION = ("SetFromOptions()", "Could not locate solver type", "Unknown type")
+WRONG_OPTION = ("SetFromOptions()", "Could not locate solver type")
 SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # that ask a run to stop
 SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail alike
 FAILED = 0  # tag of the message in which it tells them
