@@ -151,7 +151,7 @@ def compare_sweeps(label, side, omegas, repeats):
 def solve_only(lattice, omegas, site):
     """Return the amplitudes by one factorization and one solve each, and the seconds it took."""
     with Operators(lattice, MPI.COMM_SELF) as operators:
-        ksp, field, amplitudes = make_ksp(operators), operators.f.duplicate(), []
+        ksp, field, amplitudes = make_ksp(operators, operators.S), operators.f.duplicate(), []
         ksp.setType("preonly")
         ksp.setInitialGuessKnoll(False)
         number = operators.numbers([site])[0]

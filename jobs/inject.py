@@ -102,8 +102,8 @@ def in_callback(maybe):
 
         make_ksp = steady.make_ksp
 
-        def monitored(operators):
-            ksp = make_ksp(operators)
+        def monitored(operators, matrix):
+            ksp = make_ksp(operators, matrix)
             ksp.setMonitor(maybe)
             return ksp
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pgran
 from pgran import errors, launch
-from pgran.errors import InputError, PgranError, is_bad_input, is_petsc
+from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
 from pgran.running import name_rank, run
 
 log = logging.getLogger("pgran")
@@ -150,15 +150,6 @@ def explain(error):
     if is_petsc(error):
         return errors.BAD_INPUT if is_bad_input(error) else 1, petsc_message(error)
     return 1, "".join(traceback.format_exception(error)).rstrip()
-
-
-def petsc_message(error):
-    """Return in one line what went wrong in PETSc, and in which call of pgran's."""
-    # Its text: a number, the calls, a kind of error, and what it was in particular.
-    lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
-    calls = [line.split(" at ")[0] for line in lines if "() at " in line]
-    said = [line for line in lines[1:] if "() at " not in line]
-    return str(PgranError(f"PETSc: {(said[1:] or said or lines)[0]} ({', '.join(calls[:1])})"))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,10 @@ still does better than damping alone. That no eigenvalue is nearer than delta is
 counting those below m omega^2 - delta and below m omega^2 + delta (`pgran.counting`).
 
 Residuals are known up to rounding only; what rounding can change is bounded in terms of
-|f| + |S| |A~|, ball by ball, because amplitudes fall by many orders across a lattice.
+|f| + |S| |A~|, ball by ball, because amplitudes fall by many orders across a lattice. What is lost
+below the smallest normal double, of a square above all, is counted too.
+
+Where the product of norms says too little, `pgran.comparison` bounds the errors ball by ball.
 """
 
 import math
@@ -25,6 +28,15 @@ from pgran.counting import ModeCounter
 from pgran.stiffness import unit_numbers
 
 EPSILON = float(np.finfo(float).eps)
+TINIEST = float(np.finfo(float).tiny)  # a result below it may be lost
+
+
+def is_accurate(bound, amplitude, tolerance):
+    """Return whether errors of at most `bound` are small against the true amplitudes.
+
+    Not collective; arrays of one shape, and False where there is no bound.
+    """
+    return bound * (1 + tolerance) <= tolerance * np.abs(amplitude)
 
 
 def smallest_damping_eigenvalue(shape):
@@ -62,6 +74,8 @@ class ErrorBounds:
         # Roundings in a ball's residual, with d axes: 2d - 1 in the diagonal of K, 3 in S, 2d + 4
         # in a row of complex products and its difference from f; each at most EPSILON / 2.
         self.unit = (2 * len(operators.shape) + 4) * EPSILON
+        # What a 2-norm may miss because the squares of small numbers are lost.
+        self.lost = 2 * math.sqrt(2 * operators.balls * TINIEST)
         self._product, self._work = operators.f.duplicate(), operators.f.duplicate()
         self._counter = self._signs = None
         if not self.proven:
@@ -93,7 +107,7 @@ class ErrorBounds:
             Relative accuracy that will be asked of amplitudes.
         """
         operators = self.operators
-        damping, inertia = omega * operators.damping, operators.mass * omega**2
+        damping, inertia = omega * operators.damping, operators.mass * omega * omega
         spread = 4 * len(operators.shape) * damping  # |omega beta C| is at most this
         operators.K.getDiagonal(self._work)
         # A Laplacian's diagonal holds the sum of its row's other magnitudes.
@@ -148,11 +162,20 @@ class ErrorBounds:
 
     def primal_residual(self, primal, terms):
         """Return a bound of |f - S A~|_2; `terms` is the `rounding` of A~. Collective."""
-        return primal.norm + self.unit * math.sqrt(self._total(terms @ terms))
+        return primal.norm + self.unit * math.sqrt(self._total(terms @ terms)) + self.lost
+
+    def residuals(self, primal):
+        """Return a bound of |f - S A~| at each of this rank's balls, rounding included. Collective.
+
+        It is positive.
+        """
+        size = np.abs(primal.residual.getArray(readonly=True))
+        return size + self.unit * self.rounding(primal.solution) + 64 * TINIEST
 
     def adjoint_residual(self, adjoint):
         """Return a bound of |e_d - S z~|_2, rounding included. Collective."""
-        return adjoint.norm + self.unit * (1.0 + self.scale * adjoint.solution.norm())
+        size = adjoint.solution.norm() + self.lost
+        return adjoint.norm + self.unit * (1.0 + self.scale * size) + self.lost
 
     def evaluation(self, residual, terms, adjoint, value):
         """Return a bound of what rounding does to A~_d + z~^T r in evaluating it.
@@ -173,7 +196,8 @@ class ErrorBounds:
         z = np.abs(adjoint.solution.getArray(readonly=True))
         known = self.unit * self._total(z @ terms)
         product = (self.operators.balls + 2) * EPSILON * residual * adjoint.solution.norm()
-        return 1.01 * (known + product) + 4 * EPSILON * abs(value)
+        lost = 16 * self.operators.balls * TINIEST
+        return 1.01 * (known + product) + 4 * EPSILON * abs(value) + lost
 
     def amplitude(self, residual, terms, adjoint, value):
         """Return the bound of a corrected amplitude; parameters as of `evaluation`. Collective."""

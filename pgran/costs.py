@@ -23,9 +23,10 @@ SLICE_BYTES = 9000
 # Shared by r ranks, each holds 1.3/r of a lattice; r ranks are r^.6 times as fast as one: measured
 # for 500 x 500 balls on 2 ranks.
 UNEVEN, SPEED_UP = 1.3, 0.6
-# HDF5 itself: names, attributes, tables of datasets; and which of the datasets are complex.
+# HDF5 itself: names, attributes, tables of datasets; which datasets are complex, or a byte each.
 FILE_BYTES = 20_000
 COMPLEX = ("displacement", "coefficient", "field")
+FLAGS = ("at_floor",)
 
 
 @dataclass(frozen=True)
@@ -149,6 +150,6 @@ def stored_bytes(record, lengths, without=()):
     total = 0
     for item in items:
         size = math.prod(lengths[axis] for axis in item.metadata["axes"] or (item.name,))
-        total += size * (SCALAR_BYTES if item.name in COMPLEX else 8)
+        total += size * (SCALAR_BYTES if item.name in COMPLEX else 1 if item.name in FLAGS else 8)
     indices = {a for item in items for a in item.metadata["axes"]} - {item.name for item in items}
     return total + 8 * sum(lengths[axis] for axis in indices)

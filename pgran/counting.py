@@ -89,11 +89,15 @@ class ModeCounter(Owner):
             negative, zero, _ = self._pc.getFactorMatrix().getInertia()
             self._pc.apply(self._rhs, self._x)
         except PETSc.Error:
+            self._pc.reset()  # else its failure would stay
             return None
         self._shifted.mult(self._x, self._residual)
         self._residual.axpy(-1.0, self._rhs)
         spoilt = not self._residual.norm() <= allowed * self._x.norm()  # NaN too
-        return None if zero or spoilt else negative
+        if zero or spoilt:
+            self._pc.reset()
+            return None
+        return negative
 
     def end(self, shift, side):
         """Return an end of an interval, moved outward by a hair, and how many lie below it.

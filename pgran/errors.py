@@ -50,6 +50,15 @@ def is_bad_input(error):
     return blamed or isinstance(error, InputError)
 
 
+def petsc_message(error):
+    """Return in one line what went wrong in PETSc, and in which call. Not collective."""
+    # Its text: a number, the calls, a kind of error, and what it was in particular.
+    lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
+    calls = [line.split(" at ")[0] for line in lines if "() at " in line]
+    said = [line for line in lines[1:] if "() at " not in line]
+    return str(PgranError(f"PETSc: {(said[1:] or said or lines)[0]} ({', '.join(calls[:1])})"))
+
+
 class FileError(PgranError):
     """A file that cannot be read or written, or is not what it should be."""
 
@@ -115,6 +124,19 @@ def agree(comm, failure):
     message = next(filter(None, met), None)
     if message:
         raise PgranError(message)
+
+
+def met_by_all(comm):
+    """Return whether every rank comes here, too, before long. Collective if so.
+
+    For an error that may have been raised on some ranks only, while the others go on or wait.
+    """
+    request, deadline = comm.Ibarrier(), time.monotonic() + SECONDS_FOR_OTHERS
+    while not request.Test():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.001)
+    return True
 
 
 def describe(error):

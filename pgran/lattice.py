@@ -82,6 +82,33 @@ class Lattice:
         """The Einstein frequency of a ball on springs kmax, unit of frequency (paper: omxdef)."""
         return math.sqrt(2 * len(self.shape) * self.kmax / self.mass)
 
+    def in_own_unit(self):
+        """Return the same lattice with its largest bond constant between 1 and 2, and the unit.
+
+        Not collective. Stiffness, mass and damping lose the same factor, so amplitudes and
+        frequencies stay as they are; it is a power of two, which rounds nothing. PETSc and SLEPc
+        take small pivots for zero by absolute thresholds, and squares of small numbers vanish.
+
+        Returns
+        -------
+        lattice : Lattice
+        unit : float
+
+        Raises
+        ------
+        InputError
+            If mass or damping do not fit into doubles in that unit.
+        """
+        unit = 2.0 ** (math.frexp(max(float(k.max()) for k in self.stiffness))[1] - 1)
+        mass, damping = self.mass / unit, self.damping / unit
+        for name, value, scaled in (("mass", self.mass, mass), ("damping", self.damping, damping)):
+            if scaled * unit != value:
+                raise InputError(
+                    f"lattice_{name}: {value:g} and bond constants of about {unit:g} are numbers "
+                    "too far apart to compute with"
+                )
+        return Lattice(tuple(k / unit for k in self.stiffness), mass, damping), unit
+
     @cached_property
     def bonds_sha256(self):
         """Checksum of all bond constants, as little-endian doubles, axis after axis."""
@@ -195,7 +222,7 @@ def check_frequency(lattice, omega):
     """
     omega, stiffness = float(omega), max(float(k.max()) for k in lattice.stiffness)
     springs = 4 * len(lattice.shape) * (stiffness + omega * lattice.damping)
-    largest = springs + lattice.mass * (omega * omega)
+    largest = springs + lattice.mass * omega * omega
     if not math.isfinite(largest * largest):
         raise InputError(
             f"lattice_mass, lattice_damping, bonds: at the frequency {omega:g} the equations hold "

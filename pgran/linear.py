@@ -2,9 +2,11 @@
 
 import math
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 TINY = 1e-300
+NO_PRECONDITIONER = int(PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
 # Larger lattices go to MUMPS: it factors faster, but each of its solves is dearer.
 PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
 # Up to so many balls the ordering by minimum degree leaves less work than nested dissection.
@@ -67,19 +69,25 @@ def factor_package(shape, ranks):
     return "petsc" if ranks == 1 and small else "mumps"
 
 
-def make_ksp(operators):
-    """Return the KSP for S, with the defaults, then as its options say (prefix `steady_`).
+def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
+    """Return a KSP on an LDL^T factorization by default, then as its options say.
 
     Collective. The caller destroys it.
 
     Parameters
     ----------
     operators : pgran.operators.Operators
+    matrix : petsc4py.PETSc.Mat
+        S, or another one of its pattern.
+    prefix : str
+        Of the options.
+    kind : str
+        The type of KSP by default.
     """
     ksp = PETSc.KSP().create(operators.comm)
-    ksp.setOptionsPrefix("steady_")
-    ksp.setOperators(operators.S)
-    ksp.setType("bcgs")
+    ksp.setOptionsPrefix(prefix)
+    ksp.setOperators(matrix)
+    ksp.setType(kind)
     ksp.setTolerances(rtol=1e-13, atol=TINY, max_it=1000)
     pc = ksp.getPC()
     pc.setType("cholesky")
@@ -95,16 +103,40 @@ def make_ksp(operators):
     return ksp
 
 
+def set_up(ksp, matrix, comm):
+    """Set up a KSP's preconditioner for the values of a matrix; return whether that worked.
+
+    Collective. A KSP that failed is of no more use: PETSc keeps some failures for all later values.
+
+    Parameters
+    ----------
+    ksp : petsc4py.PETSc.KSP
+    matrix : petsc4py.PETSc.Mat
+    comm : mpi4py.MPI.Comm
+        Its ranks.
+    """
+    ksp.setOperators(matrix)  # without it a KSP overlooks new values
+    ksp.setUp()
+    failed = ksp.getConvergedReason() < 0  # says it of this rank alone
+    if comm.size > 1:
+        failed = comm.allreduce(failed, MPI.LOR)
+    return not failed
+
+
 def accept_small_pivots(pc):
     """Call no pivot zero that is not, unless options say otherwise. Not collective.
 
-    PETSc's threshold is absolute, 2e-14, and the unit of stiffness is the user's. A pivot that is
-    zero but for rounding shows in the residuals.
+    PETSc's threshold is absolute, 2e-14, and constants of one lattice may differ by more. A pivot
+    that is zero but for rounding shows in the residuals. But the threshold is the least that a
+    shift to positive definite pivots adds to them, and without one PETSc never ends on a zero S.
 
     Parameters
     ----------
     pc : petsc4py.PETSc.PC
         Of its final type.
     """
-    pc.setFactorPivot(zeropivot=0.0)
-    pc.setFromOptions()
+    usual = "positive_definite" if pc.getType() == "icc" else "none"
+    options = PETSc.Options(pc.getOptionsPrefix())
+    if options.getString("pc_factor_shift_type", usual).lower() != "positive_definite":
+        pc.setFactorPivot(zeropivot=0.0)
+        pc.setFromOptions()

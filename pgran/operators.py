@@ -83,9 +83,19 @@ class Operators(Owner):
 
     def destroy(self):
         """Free all PETSc objects. Collective."""
-        for held in vars(self).values():
-            if isinstance(held, PETSc.Object):
-                held.destroy()
+        made = vars(self)  # S and f only where they were asked for
+        for name in ("K", "C", "S", "f", "f_stiffness", "f_damping", "da"):
+            if made.get(name) is not None:
+                made[name].destroy()
+
+    def forget(self):
+        """Free S, which keeps a failed solve's mark for good; `combine` makes it anew. Collective.
+
+        Nothing may hold on to it.
+        """
+        if "S" in vars(self):
+            self.S.destroy()
+            del self.S
 
     def combine(self, omega):
         """Set S = K + i omega beta C - m omega^2 and the drive f (paper: ampeq).
@@ -97,7 +107,7 @@ class Operators(Owner):
         if self.C is not None:
             self.S.axpy(1j * omega * self.damping, self.C, structure=SAME)
             self.f.axpy(1j * omega * self.damping, self.f_damping)
-        self.S.shift(-self.mass * omega**2)
+        self.S.shift(-self.mass * omega * omega)  # omega^2 alone could underflow
         # Complex symmetric, not Hermitian: what an LDL^T factorization needs to know.
         self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)

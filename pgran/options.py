@@ -192,6 +192,14 @@ STEADY = (
         "factor anew after a frequency that took more Krylov iterations; 0 = when it pays", low=0
     ),
 )  # fmt: skip
+FLOOR = (
+    Option(
+        "error_floor", REAL, 1e-20,
+        "an amplitude whose error bound is below this part of the wall's amplitude is good without "
+        "relative accuracy",
+        low=0
+    ),
+)  # fmt: skip
 PHASE = (
     Option("phase_fit_min", REAL, 0.3, "window of the phase fit", "omega_mx", low=0),
     Option("phase_fit_max", REAL, 1.0, "window of the phase fit", "omega_mx", above=0),
@@ -270,10 +278,10 @@ FIELDS = Option("output_fields", FLAG, False, "store the whole field at every fr
 REUSE = tuple(option for option in STEADY if option.name != "error_tolerance")
 
 SCENES = {
-    "response": (*LATTICE, *SWEEP, *STEADY, *PHASE, *RUN, FIELDS),
+    "response": (*LATTICE, *SWEEP, *STEADY, *FLOOR, *PHASE, *RUN, FIELDS),
     "continuum": (*CONTINUUM, *SWEEP, *RUN),
     "modes": (*MODES_LATTICE, *MODES, *RUN, SHAPES),
-    "relaxation": (*LATTICE, *RELAXATION, *SPECTRUM, *STEADY, *RUN),
+    "relaxation": (*LATTICE, *RELAXATION, *SPECTRUM, *STEADY, *FLOOR, *RUN),
     "projection": (*MODES_LATTICE, *SWEEP, *STEADY, *MODES, *RUN),
     # Of these, only what the scene that it repeats has.
     "accuracy": (*ACCURACY, *LATTICE, *SWEEP, *REUSE, *RELAXATION, *MODES, *RUN),

@@ -82,6 +82,10 @@ class Response:
     error_bound: np.ndarray = array(
         "bound of the error of the displacement; NaN: none is known", "1", "omega", "detector"
     )
+    at_floor: np.ndarray = array(
+        "1: the bound is below error_floor, but not small against the amplitude",
+        "1", "omega", "detector",
+    )  # fmt: skip
     iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega")
     converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega")
     field: np.ndarray | None = optional_array(
@@ -178,6 +182,10 @@ class Relaxation:
     )  # fmt: skip
     error_bound: np.ndarray = array(
         "bound of the error of the displacement; NaN: none is known",
+        "1", "trajectory", "state", "detector",
+    )  # fmt: skip
+    at_floor: np.ndarray = array(
+        "1: the bound is below error_floor, but not small against the amplitude",
         "1", "trajectory", "state", "detector",
     )  # fmt: skip
 

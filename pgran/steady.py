@@ -6,23 +6,29 @@ the amplitudes A an adjoint z of each detector is solved with the same factoriza
 together give the amplitude at the detector with a rigorous bound (`pgran.bounds`).
 """
 
+import logging
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 from petsc4py import PETSc
 
-from pgran.bounds import ErrorBounds
-from pgran.linear import TINY, System, make_ksp
+from pgran.bounds import ErrorBounds, is_accurate
+from pgran.comparison import Comparison
+from pgran.errors import is_bad_input, met_by_all, petsc_message
+from pgran.linear import NO_PRECONDITIONER, TINY, System, make_ksp, set_up
 from pgran.operators import Owner
 from pgran.reuse import FACTORIZATIONS, ReusePolicy, expected_iterations, factor_price
+
+log = logging.getLogger(__name__)
 
 PASSES = 20  # of iterative refinement with one factorization, if each halves a bound
 SAFETY = 0.3  # aim at this part of what the tolerance allows
 # Where no bound is known the residual must be of the size of rounding, and so must be what this
 # many times as much rounding does to the amplitudes.
 BACKWARD_ERROR, ROUNDING_TRIED = 1e-12, 10.0
+REACHED = int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL)
+NO_NUMBER = int(PETSc.KSP.ConvergedReason.DIVERGED_NANORINF)
 
 
 @dataclass(frozen=True)
@@ -34,16 +40,17 @@ class SteadyState:
     omega : float
         Driving frequency, angular.
     displacement : numpy.ndarray, shape (nd,)
-        Complex amplitudes at the detectors, relative to the driven wall's.
+        Complex amplitudes at the detectors, relative to the driven wall's; NaN where PETSc fails.
     error_bound : numpy.ndarray, shape (nd,)
         The error of each is at most this; NaN where no bound is known (an undamped lattice that
-        ranks share).
+        ranks share, below its highest mode).
     backward_error : float
         |f - S A| / (|S| |A| + |f|).
     iterations : int
         Krylov iterations, those of the adjoints included.
     converged_reason : int
-        Positive if the accuracy asked for was reached, else 0 or PETSc's negative KSP reason.
+        Positive if every amplitude is as accurate as asked, or is below the floor with its bound;
+        else 0 or PETSc's negative KSP reason.
     field_bound : float
         The error of the whole field, in the 2-norm, is at most this; NaN where no bound is known,
         or none was asked for.
@@ -74,6 +81,8 @@ class SteadySolver(Owner):
         Refresh the factorization after a frequency that took more iterations; 0 decides by price.
     whole_field : bool
         Ask the same accuracy of the field, in the 2-norm.
+    error_floor : float
+        An amplitude whose bound is below this part of the wall's is good without it.
 
     Attributes
     ----------
@@ -94,12 +103,15 @@ class SteadySolver(Owner):
         error_tolerance=1e-4,
         refresh_iterations=0,
         whole_field=False,
+        error_floor=0.0,
     ):
         """Make the systems and their bounds."""
         self.operators, self.comm = operators, operators.comm
-        self.tolerance = error_tolerance
+        self.tolerance, self.floor = error_tolerance, error_floor
         self.whole_field = whole_field
         self.factorizations = 0
+        self._ksp = self._rtol = self._longest = self._comparison = None
+        self._spoilt, self._said = False, set()
         self._correction = operators.f.duplicate()
         self.primal = System(operators.f)
         self._numbers = operators.numbers(sites)
@@ -112,13 +124,6 @@ class SteadySolver(Owner):
         self._policy = ReusePolicy(refresh_iterations)
         self.restart()
 
-    @cached_property
-    def _ksp(self):
-        """The KSP, made by the first solve: SuperLU_DIST cannot free what it never factored."""
-        ksp = make_ksp(self.operators)
-        self._rtol, _, _, self._longest = ksp.getTolerances()
-        return ksp
-
     @property
     def field(self):
         """The amplitudes of all balls. Not collective."""
@@ -127,6 +132,7 @@ class SteadySolver(Owner):
     @property
     def factor(self):
         """The factorization of S, or None if the preconditioner is none. Not collective."""
+        self._need_ksp()
         pc = self._ksp.getPC()
         return pc.getFactorMatrix() if pc.getType() in FACTORIZATIONS else None
 
@@ -134,11 +140,32 @@ class SteadySolver(Owner):
         """Free all PETSc objects. Collective."""
         for adjoint in self.adjoints:
             adjoint.rhs.destroy()
-        held = [self._correction, self._scatter, self._readings, self.bounds]
-        if "_ksp" in vars(self):
-            held.append(self._ksp)
+        self._forget()
+        if self._comparison is not None:
+            self._comparison.destroy()
+        held = (self._correction, self._scatter, self._readings, self.bounds)
         for item in [*self._systems, *held]:
             item.destroy()
+
+    def _forget(self):
+        """Free what PETSc may have marked as failed for good: the KSP and S. Collective."""
+        if self._ksp is not None:
+            self._ksp.destroy()
+            self._ksp = None
+        self.operators.forget()
+
+    def _prepare(self, omega):
+        """Combine S and f, and make the KSP where there is none, or none to rely on."""
+        if self._spoilt:
+            self._forget()
+        self.operators.combine(omega)
+        self._need_ksp()
+
+    def _need_ksp(self):
+        """Make the KSP where there is none: SuperLU_DIST cannot free what it never factored."""
+        if self._ksp is None:
+            self._ksp = make_ksp(self.operators, self.operators.S)
+            self._rtol, _, _, self._longest = self._ksp.getTolerances()
 
     def restart(self):
         """Forget earlier frequencies: what follows depends on nothing that came before.
@@ -163,7 +190,18 @@ class SteadySolver(Owner):
         -------
         SteadyState
         """
-        self.operators.combine(omega)
+        try:
+            state = self._solve(omega)
+        except PETSc.Error as error:
+            state = self._failed(omega, error)
+        self._spoilt = state.converged_reason <= 0
+        if self._spoilt:
+            self.restart()
+        return state
+
+    def _solve(self, omega):
+        """Solve for one frequency by what may help, the cheapest first."""
+        self._prepare(omega)
         self.bounds.prepare(omega, self.tolerance)
         for system in self._systems:
             system.advance()
@@ -171,18 +209,47 @@ class SteadySolver(Owner):
         state = self._attempt(omega, fresh)
         if state.converged_reason <= 0 and not fresh:
             self._policy.count_failure()
+            self._spoilt = state.converged_reason == NO_PRECONDITIONER
+            self._prepare(omega)
             fresh = True
             state = self._attempt(omega, fresh)
+        if state.converged_reason <= 0:
+            state = self._compared(state)
         self._policy.count(fresh, state.iterations)
         self._omegas, self._size = [*self._omegas[-1:], omega], np.abs(state.displacement)
-        if state.converged_reason <= 0:
-            self.restart()
         return state
+
+    def _failed(self, omega, error):
+        """Return the state of a frequency at which PETSc fails, and say why, each reason once.
+
+        Raises
+        ------
+        PETSc.Error
+            Where an option is to blame, or not all ranks of the lattice have met the error.
+        """
+        if is_bad_input(error) or not met_by_all(self.comm):
+            raise error
+        message = petsc_message(error)
+        if message not in self._said:
+            self._said.add(message)
+            log.warning("omega = %g is marked: %s", omega, message)
+        # Where an error ends it PETSc may keep vectors of ours as its own, and free them as well.
+        for system in self._systems:
+            for vector in (system.rhs, system.solution, system.residual):
+                vector.incRef()
+        self._correction.incRef()
+        return self._nothing(omega)
+
+    def _nothing(self, omega):
+        """Return the state of a frequency without a solution."""
+        missing = np.full(len(self._numbers), math.nan)
+        bound = missing + math.inf if self.bounds.proven else missing
+        return SteadyState(omega, missing + 0j, bound, math.nan, 0, NO_PRECONDITIONER, math.nan)
 
     def _attempt(self, omega, fresh):
         """Solve at `omega` with a fresh or the present factorization."""
-        if fresh:
-            self._factor()
+        if fresh and not self._factor():
+            return self._nothing(omega)
         self._guess(omega, fresh)
         self._ksp.setTolerances(max_it=self._longest if fresh else self._policy.patience())
         self._iterations, self._reason = 0, 0
@@ -214,15 +281,16 @@ class SteadySolver(Owner):
         )
 
     def _factor(self):
-        """Set up the preconditioner for the present S; later solves keep it."""
+        """Set up the preconditioner for the present S; later solves keep it. Return if it works."""
         pc = self._ksp.getPC()
         pc.setReusePreconditioner(False)
-        self._ksp.setOperators(self.operators.S)  # without it a KSP overlooks new values
-        self._ksp.setUp()
-        pc.setReusePreconditioner(True)
         self.factorizations += 1
-        if self.factorizations == 1:
+        if not set_up(self._ksp, self.operators.S, self.comm):
+            return False
+        pc.setReusePreconditioner(True)
+        if not self._policy.price:
             self._policy.price = factor_price(pc, self.operators.balls)
+        return True
 
     def _guess(self, omega, fresh):
         """Start from one application of a fresh preconditioner, else from the last states."""
@@ -267,7 +335,7 @@ class SteadySolver(Owner):
         system.solution.axpy(1.0, self._correction)
         system.update_residual(self.operators.S)
         if not math.isfinite(system.norm):
-            self._reason = min(self._reason, int(PETSc.KSP.ConvergedReason.DIVERGED_NANORINF))
+            self._reason = min(self._reason, NO_NUMBER)
             system.start_from_zero()
         elif system.norm > before:
             system.solution.axpy(-1.0, self._correction)
@@ -276,8 +344,7 @@ class SteadySolver(Owner):
     def _assess(self, omega):
         """Return the state reached, its bounds, and whether they meet the tolerance."""
         primal, bounds = self.primal, self.bounds
-        self._scatter.scatter(primal.solution, self._readings)
-        displacement = self._readings.getArray().copy()
+        displacement = self._read(primal.solution)
         bound = np.full(len(displacement), math.nan)
         size, field_bound = primal.solution.norm(), math.nan
         backward_error = primal.norm / max(bounds.scale * size + primal.rhs.norm(), TINY)
@@ -290,19 +357,46 @@ class SteadySolver(Owner):
             for d, adjoint in enumerate(self.adjoints):
                 displacement[d] += adjoint.solution.tDot(primal.residual)
                 bound[d] = bounds.amplitude(residual, terms, adjoint, displacement[d])
-            good = np.all(bound * (1 + self.tolerance) <= self.tolerance * np.abs(displacement))
+            good = np.all(is_accurate(bound, displacement, self.tolerance))
             if self.whole_field:
                 field_bound = bounds.field(residual)
                 good = good and field_bound <= self.tolerance * size
-        if good and np.all(np.isfinite(displacement)):
-            reason = (
-                self._reason if self._reason > 0 else int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL)
-            )
-        else:
-            reason = min(self._reason, 0)
+        reason = self._judged(good and np.all(np.isfinite(displacement)))
         return SteadyState(
             omega, displacement, bound, backward_error, self._iterations, reason, field_bound
         )
+
+    def _judged(self, good):
+        """Return the reason to give for a state that is good, or is not."""
+        if good:
+            return self._reason if self._reason > 0 else REACHED
+        return min(self._reason, 0)
+
+    def _compared(self, state):
+        """Return a state that misses its accuracy with bounds ball by ball; judge by the floor."""
+        if not np.all(np.isfinite(state.displacement)):
+            return state
+        if self._comparison is None:
+            self._comparison = Comparison(self.operators)
+        primal, bounds = self.primal, self.bounds
+        bound, field_bound = state.error_bound, state.field_bound
+        errors = self._comparison.errors(bounds.residuals(primal), bounds)
+        if errors is not None:
+            corrected = np.abs(state.displacement - self._read(primal.solution))
+            bound = np.fmin(bound, 1.01 * (np.abs(self._read(errors)) + corrected))
+            if self.whole_field:
+                field_bound = min(field_bound, 1.01 * errors.norm() + bounds.lost)
+        good = is_accurate(bound, state.displacement, self.tolerance) | (bound <= self.floor)
+        good = np.all(good)
+        if self.whole_field:
+            good = good and field_bound <= self.tolerance * primal.solution.norm()
+        reason = self._judged(good)
+        return replace(state, error_bound=bound, field_bound=field_bound, converged_reason=reason)
+
+    def _read(self, x):
+        """Return the entries of a vector at the detectors, on every rank. Collective."""
+        self._scatter.scatter(x, self._readings)
+        return self._readings.getArray().copy()
 
     def _withstands_rounding(self, displacement, terms):
         """Return whether rounding of random signs leaves the amplitudes as they are. Collective."""
@@ -312,9 +406,8 @@ class SteadySolver(Owner):
         self._iterations += self._ksp.getIterationNumber()
         if self._ksp.getConvergedReason() <= 0:
             return False
-        self._scatter.scatter(self._correction, self._readings)
         allowed = self.tolerance / ROUNDING_TRIED
-        good = np.all(np.abs(self._readings.getArray()) <= allowed * np.abs(displacement))
+        good = np.all(np.abs(self._read(self._correction)) <= allowed * np.abs(displacement))
         if self.whole_field:
             good = good and self._correction.norm() <= allowed * self.field.norm()
         return bool(good)

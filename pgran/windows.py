@@ -29,7 +29,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from pgran.bounds import EPSILON
+from pgran.bounds import EPSILON, TINIEST, is_accurate
 from pgran.errors import InputError
 from pgran.operators import SAME, Owner
 
@@ -238,7 +238,8 @@ class Windows(Owner):
         G, sizes, residuals = self._flexibility(ends)
         systems = [solver.primal, *solver.adjoints]
         fields = np.stack([system.solution.getArray(readonly=True) for system in systems], axis=1)
-        w, *adjoint_w = self._stretch(fields, ends).T
+        # contiguous: NumPy rounds magnitudes of strided complex numbers as their addresses fall
+        w, *adjoint_w = np.ascontiguousarray(self._stretch(fields, ends).T)
         delta, steps = network.differences(changes), len(changes)
         bounds = solver.bounds
         terms = bounds.rounding(solver.primal.solution)
@@ -262,8 +263,9 @@ class Windows(Owner):
                 error_bound[:, d] = 1.01 * (theory + left + rounding)
                 error_bound[:, d] += bounds.evaluation(r0, terms, system, before[d])
                 error_bound[:, d] += 4 * EPSILON * np.abs(after[:, d])
-            tolerance = min(solver.tolerance, LONGEST_REACH)
-            kept = error_bound * (1 + tolerance) <= tolerance * np.abs(after)
+            error_bound += 64 * steps**2 * TINIEST
+            kept = is_accurate(error_bound, after, min(solver.tolerance, LONGEST_REACH))
+            kept |= error_bound <= solver.floor
         kept = np.all(kept, axis=1)
         count = wanted if np.all(kept[:wanted]) else np.argmin(kept)
         return after[:count], error_bound[:count]
@@ -298,7 +300,8 @@ class Windows(Owner):
         if self.comm.size > 1:
             self.comm.Allreduce(MPI.IN_PLACE, total)
         sizes, residuals = 1.01 * np.sqrt(total)
-        residuals += bounds.unit * (BOND + bounds.scale * sizes)
+        sizes += bounds.lost
+        residuals += bounds.unit * (BOND + bounds.scale * sizes) + bounds.lost
         return np.concatenate(columns, axis=1), sizes, residuals
 
     def _stretch(self, fields, ends):

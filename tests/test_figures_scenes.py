@@ -449,7 +449,7 @@ def write_pair(folder, seed=1, mass=1.0, certified=True):
     sweep = results.Response(
         *(1, 0.0, np.array([-2.0]), np.array([1.0]), np.array([0.0]), 0.3, 1.0),
         *(x, np.array([[1, 1]]), one[:, None] + 0j, one[:, None], -2 * x[:, None]),
-        *(one, one[:, None], one.astype(int), one.astype(int)),
+        *(one, one[:, None], np.zeros((40, 1), np.int8), one.astype(int), one.astype(int)),
     )
     found = results.Modes(3, certified, 0.0, np.array([0.4, 0.9, 2.0]), np.zeros(3), np.ones(3))
     paths = folder / "response.h5", folder / "modes.h5"

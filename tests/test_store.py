@@ -46,6 +46,7 @@ def records(shape=(4, 5), fields=True, nw=3):
         phase=np.angle(displacement),
         backward_error=rng.random(nw),
         error_bound=np.array([[1e-20, math.nan]] * nw),
+        at_floor=np.zeros((nw, 2), np.int8),
         iterations=np.arange(nw),
         converged_reason=np.array([2, 0, -3][:nw]),
         field=rng.normal(size=(nw, *shape)) + 0j if fields else None,

@@ -142,7 +142,8 @@ def make_study(options, lattice):
     if options.accuracy_of == "response":
         from pgran.scenes.response import sweep
 
-        solve = partial(sweep, lattice, driving_frequencies(options), options.detectors)
+        omegas = driving_frequencies(options)
+        solve = partial(sweep, lattice, omegas, options.detectors, error_floor=0.0)
         return Study("response", solve, read_response, exact, certified)
     from pgran.scenes.relaxation import relax
 
@@ -155,6 +156,7 @@ def make_study(options, lattice):
         steps=options.relax_steps,
         trajectories=options.relax_trajectories,
         seed=options.relax_seed,
+        error_floor=0.0,
     )
     return Study("relaxation", solve, read_relaxation, exact | {"method": "direct"}, certified)
 

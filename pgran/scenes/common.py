@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from pgran.bounds import is_accurate
 from pgran.errors import PgranError, on_root
 from pgran.lattice import Lattice
 from pgran.sharing import Crew, automatic_ranks
@@ -58,23 +59,37 @@ def driving_frequencies(options):
     return np.linspace(options.sweep_min, options.sweep_max, options.sweep_points)
 
 
-def proven_accuracy(error_bound, amplitude, good):
-    """Return in words how accurate amplitudes are proven to be. Not collective.
+def reached_accuracy(record, good):
+    """Yield in words how accurate amplitudes are. Not collective.
 
     Parameters
     ----------
-    error_bound, amplitude : numpy.ndarray, shape (..., nd)
+    record : pgran.results.Response or pgran.results.Relaxation
     good : numpy.ndarray of bool, shape (...)
-        Which have the accuracy asked for.
+        Which of its states have the accuracy asked for.
     """
-    bound, amplitude = error_bound[good], amplitude[good]
+    floored = record.at_floor[good] > 0
+    bound, amplitude = record.error_bound[good][~floored], record.amplitude[good][~floored]
     if np.isnan(bound).any():
-        return (
+        yield (
             "no error bounds: none is known of an undamped lattice that ranks share "
             "(-ranks_per_lattice 1 gives them)"
         )
-    if not np.any(good):
-        return "no amplitude has the accuracy asked for"
-    relative = np.divide(bound, amplitude, out=np.zeros_like(bound), where=bound > 0)
-    which = "every amplitude" if np.all(good) else f"{np.sum(good)} of {good.size} amplitudes"
-    return f"relative error of {which} at most {relative.max(initial=0.0):.1e}, proven"
+    elif bound.size:
+        relative = np.divide(bound, amplitude, out=np.zeros_like(bound), where=bound > 0).max()
+        total = record.at_floor.size
+        which = "every amplitude" if bound.size == total else f"{bound.size} of {total} amplitudes"
+        yield f"relative error of {which} at most {relative:.1e} (error_bound)"
+    else:
+        yield "no amplitude has the relative accuracy asked for"
+    if floored.any():
+        yield (
+            f"{np.count_nonzero(floored)} of {record.at_floor.size} amplitudes are known to "
+            "-error_floor of the wall's only, not relative to themselves (at_floor)"
+        )
+
+
+def below_relative_accuracy(error_bound, amplitude, tolerance):
+    """Return which amplitudes have a bound, but miss the relative accuracy. Not collective."""
+    missed = np.isfinite(error_bound) & ~is_accurate(error_bound, amplitude, tolerance)
+    return missed.astype(np.int8)

@@ -1,7 +1,6 @@
 """Scene `modes`: normal modes, all of them, those of an interval, or those nearest to a target."""
 
 import dataclasses
-import math
 import time
 
 import numpy as np
@@ -97,7 +96,7 @@ def find_modes(
         If the modes cannot be counted.
     """
     started, root = time.perf_counter(), crew.world.rank == 0
-    lattice = _in_own_unit(lattice)
+    lattice, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
     with Operators(lattice, MPI.COMM_SELF) as operators:
         K = operators.K
         for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
@@ -133,18 +132,6 @@ def find_modes(
         return None
     modes = np.concatenate([np.zeros(0, row), *found])
     return _assemble(lattice, modes, slices, targets, count, started)
-
-
-def _in_own_unit(lattice):
-    """Return the lattice without damping, its largest bond constant between 1 and 2.
-
-    Not collective. PETSc and SLEPc take small pivots for zero by absolute thresholds. A power of
-    two rounds nothing, and the mass in the same unit leaves the frequencies as they are.
-    """
-    unit = 2.0 ** (math.frexp(max(k.max() for k in lattice.stiffness))[1] - 1)
-    stiffness = tuple(k / unit for k in lattice.stiffness)
-    mass, kmax = lattice.mass / unit, lattice.kmax / unit
-    return dataclasses.replace(lattice, stiffness=stiffness, mass=mass, kmax=kmax, damping=0.0)
 
 
 def _intervals(lattice, counter, world, interval, targets, count):

@@ -101,7 +101,8 @@ def project(
     pgran.results.Projection or None
         None on all ranks but rank 0.
     """
-    check_frequency(lattice, omegas[-1])
+    scaled, _ = lattice.in_own_unit()
+    check_frequency(scaled, omegas[-1])
     started, root = time.perf_counter(), crew.world.rank == 0
     modes = find_modes(lattice, crew, **(which or {}), shapes=True, progress=progress)
     vectors = _on_all_ranks(modes.vector if root else None, crew.world)
@@ -117,7 +118,7 @@ def project(
     rows = np.zeros(len(omegas) if root else 0, row)
     nowhere = np.empty((0, len(lattice.shape)), dtype=np.int64)
     with (
-        Operators(lattice, crew.group) as operators,
+        Operators(scaled, crew.group) as operators,
         SteadySolver(
             operators, nowhere, error_tolerance, refresh_iterations, whole_field=True
         ) as solver,

@@ -5,13 +5,20 @@ import time
 
 import numpy as np
 
+from pgran.bounds import is_accurate
 from pgran.errors import InputError
 from pgran.lattice import bond_count, bond_places, check_frequency, detector_sites
 from pgran.operators import Operators
 from pgran.progress import Progress
-from pgran.relaxation import Network, draw_changes
+from pgran.relaxation import Changes, Network, draw_changes
 from pgran.results import LatticeRecord, Relaxation
-from pgran.scenes.common import make_crew, make_lattice, make_law, proven_accuracy
+from pgran.scenes.common import (
+    below_relative_accuracy,
+    make_crew,
+    make_lattice,
+    make_law,
+    reached_accuracy,
+)
 from pgran.spectrum import power_spectrum, segment_length
 from pgran.steady import SteadySolver
 from pgran.windows import Windows, window_length
@@ -40,14 +47,15 @@ def run(options, world, journal=None):
             method=options.relax_method,
             window=options.relax_window,
             error_tolerance=options.error_tolerance,
+            error_floor=options.error_floor,
             refresh_iterations=options.steady_refresh_iterations,
             progress=options.output_progress,
         )
     if relaxation is None:
         return None
     records = [LatticeRecord.of(lattice), relaxation]
-    if relaxation.failures:
-        log.warning("no spectrum: some steps have no amplitude")
+    if relaxation.failures or relaxation.at_floor[:, :, 0].any():
+        log.warning("no spectrum: some amplitudes are not known with the relative accuracy asked")
         return records
     try:
         series, memory = relaxation.amplitude[:, :, 0], bond_count(lattice.shape)
@@ -65,8 +73,7 @@ def summary(records):
         f"{steps} steps with {relaxation.factorizations} factorizations in "
         f"{relaxation.solve_seconds:.2f} s"
     )
-    good = ~np.isnan(relaxation.displacement).any(axis=2)
-    yield proven_accuracy(relaxation.error_bound, relaxation.amplitude, good)
+    yield from reached_accuracy(relaxation, ~np.isnan(relaxation.displacement).any(axis=2))
     if relaxation.drift > 0:
         yield (
             f"largest relative difference between a window's end and the next one's start: "
@@ -93,6 +100,7 @@ def relax(
     method="window",
     window=0,
     error_tolerance=1e-4,
+    error_floor=1e-20,
     refresh_iterations=0,
     progress="none",
 ):
@@ -118,7 +126,7 @@ def relax(
         earlier factorization as preconditioner; or a factorization a step.
     window : int
         Steps to a window; 0 decides by the size of the lattice.
-    error_tolerance, refresh_iterations
+    error_tolerance, refresh_iterations, error_floor
         See `pgran.steady.SteadySolver`.
     progress : str
         Style of `pgran.progress.Progress`.
@@ -129,7 +137,8 @@ def relax(
         None on all ranks but rank 0.
     """
     sites = detector_sites(lattice.shape, detectors)
-    check_frequency(lattice, omega)
+    scaled, unit = lattice.in_own_unit()
+    check_frequency(scaled, omega)
     root = crew.world.rank == 0
     window = window or window_length(lattice.balls)
     length = unit_length(window)
@@ -153,15 +162,18 @@ def relax(
     error_bound = np.empty(displacement.shape) if root else None
     drift, factorizations, started = 0.0, 0, time.perf_counter()
     with (
-        Operators(lattice, crew.group) as operators,
-        SteadySolver(operators, sites, error_tolerance, refresh_iterations) as solver,
+        Operators(scaled, crew.group) as operators,
+        SteadySolver(
+            operators, sites, error_tolerance, refresh_iterations, error_floor=error_floor
+        ) as solver,
         Progress(trajectories * steps, "steps", progress if root else "none") as counter,
     ):
 
         def draw(trajectory, first, count):
-            return draw_changes(law, lattice.shape, seed, trajectory, first, count)
+            changes = draw_changes(law, lattice.shape, seed, trajectory, first, count)
+            return Changes(changes.bond, changes.stiffness / unit)
 
-        network = Network(lattice, operators, draw)
+        network = Network(scaled, operators, draw)
         march = {"window": march_windows, "krylov": march_steps, "direct": march_steps}[method]
 
         def work(unit):
@@ -206,6 +218,7 @@ def relax(
         detector=sites,
         displacement=displacement,
         error_bound=error_bound,
+        at_floor=below_relative_accuracy(error_bound, displacement, error_tolerance),
     )
 
 
@@ -227,7 +240,9 @@ def march_windows(network, solver, omega, changes, window, method):
         while True:
             start, start_bound = good(windows.start())
             if done and known == done:
-                drift = max(drift, np.max(np.abs(found[done] - start) / np.abs(start)))
+                compared = is_accurate(start_bound, start, solver.tolerance)
+                moved = np.abs(found[done] - start)[compared] / np.abs(start[compared])
+                drift = max(drift, moved.max(initial=0.0))
             found[done], bound[done] = start, start_bound
             if done == len(changes):
                 return found, bound, drift

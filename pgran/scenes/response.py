@@ -8,7 +8,13 @@ from pgran.lattice import check_frequency, detector_sites
 from pgran.operators import Operators
 from pgran.progress import Progress
 from pgran.results import LatticeRecord, Response
-from pgran.scenes.common import driving_frequencies, make_crew, make_lattice, proven_accuracy
+from pgran.scenes.common import (
+    below_relative_accuracy,
+    driving_frequencies,
+    make_crew,
+    make_lattice,
+    reached_accuracy,
+)
 from pgran.steady import SteadySolver
 
 LONGEST_UNIT = 16  # frequencies that share factorizations
@@ -25,6 +31,7 @@ def run(options, world, journal=None):
             options.detectors,
             crew,
             error_tolerance=options.error_tolerance,
+            error_floor=options.error_floor,
             refresh_iterations=options.steady_refresh_iterations,
             fields=options.output_fields,
             phase_window=(options.phase_fit_min, options.phase_fit_max),
@@ -41,8 +48,7 @@ def summary(records):
         f"{nw} frequencies with {response.factorizations} factorizations in "
         f"{response.solve_seconds:.2f} s"
     )
-    good = response.converged_reason > 0
-    yield proven_accuracy(response.error_bound, response.amplitude, good)
+    yield from reached_accuracy(response, response.converged_reason > 0)
     for site, slope, velocity in zip(
         response.detector.tolist(), response.phase_slope, response.phase_velocity, strict=True
     ):
@@ -66,6 +72,7 @@ def sweep(
     crew,
     *,
     error_tolerance=1e-4,
+    error_floor=1e-20,
     refresh_iterations=0,
     fields=False,
     phase_window=(0.3, 1.0),
@@ -85,6 +92,8 @@ def sweep(
     crew : pgran.sharing.Crew
     error_tolerance : float
         Relative accuracy asked of each amplitude, and of each field if they are kept.
+    error_floor : float
+        See `pgran.steady.SteadySolver`.
     refresh_iterations : int
         See `pgran.steady.SteadySolver`.
     fields : bool
@@ -105,14 +114,17 @@ def sweep(
         If a detector lies outside the lattice.
     """
     sites = detector_sites(lattice.shape, detectors)
-    check_frequency(lattice, omegas[-1])
+    scaled, _ = lattice.in_own_unit()
+    check_frequency(scaled, omegas[-1])
     row = point_dtype(len(sites), lattice.shape if fields else None)
     root = crew.world.rank == 0
     rows = np.zeros(len(omegas) if root else 0, row)
     started = time.perf_counter()
     with (
-        Operators(lattice, crew.group) as operators,
-        SteadySolver(operators, sites, error_tolerance, refresh_iterations, fields) as solver,
+        Operators(scaled, crew.group) as operators,
+        SteadySolver(
+            operators, sites, error_tolerance, refresh_iterations, fields, error_floor
+        ) as solver,
         Progress(len(omegas), "frequencies", progress if root else "none") as counter,
     ):
 
@@ -139,7 +151,7 @@ def sweep(
     if not root:
         return None
     seconds = time.perf_counter() - started
-    return assemble(lattice, omegas, sites, rows, seconds, phase_window)
+    return assemble(lattice, omegas, sites, rows, seconds, phase_window, error_tolerance)
 
 
 def units(count):
@@ -165,10 +177,12 @@ def point_dtype(detectors, field_shape):
     return np.dtype(fields + ([("field", complex, field_shape)] if field_shape else []))
 
 
-def assemble(lattice, omegas, sites, rows, seconds, phase_window):
+def assemble(lattice, omegas, sites, rows, seconds, phase_window, tolerance):
     """Return the Response that the solved frequencies make up. Not collective."""
     displacement = rows["displacement"].copy()
-    phase = unwrap(displacement)
+    at_floor = below_relative_accuracy(rows["error_bound"], displacement, tolerance)
+    at_floor[rows["converged_reason"] <= 0] = 0
+    phase = unwrap(np.where(at_floor, np.nan, displacement))
     low, high = phase_window
     inside = (omegas > low * lattice.omega_mx) & (omegas < high * lattice.omega_mx)
     inside &= rows["converged_reason"] > 0
@@ -191,6 +205,7 @@ def assemble(lattice, omegas, sites, rows, seconds, phase_window):
         phase=phase,
         backward_error=rows["backward_error"],
         error_bound=rows["error_bound"],
+        at_floor=at_floor,
         iterations=rows["iterations"],
         converged_reason=rows["converged_reason"],
         field=rows["field"] if "field" in rows.dtype.names else None,

@@ -1,0 +1,116 @@
+"""What fails at one frequency is marked there, and reaches no other one."""
+
+import math
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from petsc4py import PETSc
+from samples import random_lattice, uniform_lattice
+
+from pgran.counting import ModeCounter
+from pgran.errors import met_by_all
+from pgran.operators import Operators
+from pgran.steady import SteadySolver
+
+# m omega^2 = 2 k is an eigenvalue of these lattices exactly, in doubles too.
+SINGULAR = [((1,), 0.5, 1.0), ((2,), 1.0, 1.0), ((2, 2), 0.5, 1.0), ((5, 5, 5), 1.5, 3.0)]
+SOLVERS = [
+    "",
+    "-steady_pc_factor_mat_solver_type mumps",
+    "-steady_pc_type lu -steady_pc_factor_mat_solver_type superlu_dist",
+    "-steady_ksp_type preonly -steady_pc_type lu",
+    "-steady_pc_type gamg",
+    "-steady_pc_type icc",
+    "-steady_pc_type sor",
+    "-steady_pc_factor_shift_type positive_definite",
+]
+
+
+@pytest.mark.parametrize("options", SOLVERS)
+@pytest.mark.parametrize("case", SINGULAR, ids=str)
+def test_a_singular_frequency_spoils_no_other_one(case, options, solver_options):
+    """Each later frequency has what it has alone, bit for bit; by a direct solver it is good."""
+    solver_options(options)
+    shape, stiffness, omega = case
+    lattice = uniform_lattice(shape, stiffness, damping=0.0)
+    omegas = omega * np.array([0.8, 1.0, 1.02, 1.0, 1.03])
+
+    def solved(frequencies):
+        with (
+            Operators(lattice, MPI.COMM_SELF) as operators,
+            SteadySolver(operators, [[0] * len(shape)]) as solver,
+        ):
+            states = []
+            for frequency in frequencies:
+                solver.restart()
+                states.append(solver.solve(float(frequency)))
+            return states
+
+    together = solved(omegas)
+    for state in together:
+        (alone,) = solved([state.omega])
+        good = state.converged_reason > 0
+        assert (alone.converged_reason > 0) == good
+        if good:
+            assert alone.displacement == state.displacement
+            assert alone.error_bound == state.error_bound
+        if state.omega == omega:
+            assert not good
+        elif "pc_type" not in options or "lu" in options:
+            assert good
+
+
+def test_a_count_at_an_eigenvalue_spoils_no_other_one():
+    """A pivot is zero there; the next count is what it is alone."""
+    lattice = uniform_lattice((3, 3), 0.5, damping=0.0)
+    with Operators(lattice, MPI.COMM_SELF) as operators:
+        with ModeCounter(operators.K) as counter:
+            alone = counter.below(2.3, 1e-3)
+        with ModeCounter(operators.K) as counter:
+            assert counter._inertia(2.0, 1e-3) is None
+            assert counter.below(2.3, 1e-3) == alone is not None
+
+
+@pytest.mark.parametrize("options", ["", "-steady_ksp_type preonly"])
+def test_an_error_of_petsc_is_the_mark_of_its_point(comm, options, solver_options, caplog):
+    """It ends no sweep, is told once, and the next point is solved."""
+    solver_options(options)
+    lattice = random_lattice((8, 9), 3)
+    omegas = np.linspace(0.3, 0.9, 7)
+    with Operators(lattice, comm) as operators, SteadySolver(operators, [[3, 3]]) as solver:
+        expected = [solver.solve(omega) for omega in omegas]
+    with Operators(lattice, comm) as operators, SteadySolver(operators, [[3, 3]]) as solver:
+        factor = solver._factor
+
+        def failing():
+            if operators.omega in omegas[[2, 3, 5]]:
+                raise PETSc.Error(76)  # an error in an outside package
+            return factor()
+
+        solver._factor = failing
+        solver._prepare, prepare = None, solver._prepare
+
+        def noted(omega):
+            operators.omega = omega
+            prepare(omega)
+
+        solver._prepare = noted
+        found = [solver.solve(omega) for omega in omegas]
+    for number, (state, right) in enumerate(zip(found, expected, strict=True)):
+        if number in (2, 3, 5):
+            assert state.converged_reason < 0
+            assert np.isnan(state.displacement[0])
+            assert not state.error_bound[0] < math.inf
+        else:
+            assert state.converged_reason > 0
+            assert abs(state.displacement[0] - right.displacement[0]) <= 1e-10
+    assert len([r for r in caplog.records if "is marked: PETSc" in r.getMessage()]) == 1
+
+
+def test_an_error_that_one_rank_alone_meets(world):
+    """It is known from one that all ranks meet, and then ends the run."""
+    assert met_by_all(world)
+    apart = world.Dup()  # what one rank has begun here the others never end
+    if world.size > 1 and world.rank == 0:
+        assert not met_by_all(apart)
