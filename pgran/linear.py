@@ -97,6 +97,7 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
         pc.setFactorOrdering("qmd")
     ksp.setFromOptions()
     accept_small_pivots(pc)
+    ignore_values_in_analysis(pc)
     if ksp.getType() != "preonly":
         # The preconditioner applied once is the solution already if it is a fresh factorization.
         ksp.setInitialGuessKnoll(True)
@@ -121,6 +122,22 @@ def set_up(ksp, matrix, comm):
     if comm.size > 1:
         failed = comm.allreduce(failed, MPI.LOR)
     return not failed
+
+
+def ignore_values_in_analysis(pc):
+    """Let the symbolic factorization see the pattern alone, unless options say otherwise.
+
+    Not collective. Else MUMPS permutes by the values of the first matrix, and the last digits of
+    all later solutions depend on which frequency a rank happened to factor first.
+
+    Parameters
+    ----------
+    pc : petsc4py.PETSc.PC
+        Of its final type, with its matrix.
+    """
+    if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
+        pc.setFactorSetUpSolverType()
+        pc.getFactorMatrix().setMumpsIcntl(6, 0)
 
 
 def accept_small_pivots(pc):

@@ -37,8 +37,9 @@ COLUMNS = 32  # right-hand sides solved for at once
 # A window ends where its relative bound exceeds this, even if less is asked for: a fresh start is
 # cheap, and errors are a hundredth of their bounds or less, which keeps them below 1e-10.
 LONGEST_REACH = 1e-8
-# NumPy rounds products of fewer than 4 complex numbers in one way or another, depending on where
-# they happen to lie in memory. Nothing so short is multiplied, so that a run repeats bit for bit.
+# NumPy rounds products of fewer than 4 complex numbers, and magnitudes of complex numbers that do
+# not follow each other, in one way or another, depending on where they happen to lie in memory.
+# Neither is used, so that a run repeats bit for bit.
 SHORTEST = 4
 BOND = 2**0.5  # |b|_2 of a bond between balls
 
@@ -238,7 +239,7 @@ class Windows(Owner):
         G, sizes, residuals = self._flexibility(ends)
         systems = [solver.primal, *solver.adjoints]
         fields = np.stack([system.solution.getArray(readonly=True) for system in systems], axis=1)
-        # contiguous: NumPy rounds magnitudes of strided complex numbers as their addresses fall
+        # rows of their own: see SHORTEST
         w, *adjoint_w = np.ascontiguousarray(self._stretch(fields, ends).T)
         delta, steps = network.differences(changes), len(changes)
         bounds = solver.bounds
@@ -253,7 +254,8 @@ class Windows(Owner):
                 adjoint = Deformation.of(T, c, G, rows, delta, q)
                 s0 = bounds.adjoint_residual(system)
                 left_out = np.sum(adjoint.stretch * primal.missed, axis=0)
-                after[:, d] = before[d] + q @ primal.part - left_out
+                amplitude = before[d] + q @ primal.part - left_out
+                after[:, d] = amplitude
                 reach = np.abs(adjoint.stretch)
                 products = np.abs(q) @ primal.size + np.einsum("it,it->t", reach, primal.sizes)
                 rounding = EPSILON * (steps + 6) * products
@@ -262,7 +264,7 @@ class Windows(Owner):
                 theory = r * adjoint.residual(s0, residuals) / bounds.stability(self.omega)
                 error_bound[:, d] = 1.01 * (theory + left + rounding)
                 error_bound[:, d] += bounds.evaluation(r0, terms, system, before[d])
-                error_bound[:, d] += 4 * EPSILON * np.abs(after[:, d])
+                error_bound[:, d] += 4 * EPSILON * np.abs(amplitude)
             error_bound += 64 * steps**2 * TINIEST
             kept = is_accurate(error_bound, after, min(solver.tolerance, LONGEST_REACH))
             kept |= error_bound <= solver.floor

@@ -61,6 +61,25 @@ def test_a_singular_frequency_spoils_no_other_one(case, options, solver_options)
             assert good
 
 
+@pytest.mark.parametrize("options", SOLVERS[:4])
+def test_earlier_frequencies_leave_nothing_behind(options, solver_options):
+    """Not in the last digit either: what was factored first decides no permutation."""
+    solver_options(options)
+    for seed in range(12):
+        lattice = random_lattice((6, 1 + seed % 3), seed, damping=0.01 * (seed % 2), law="wide")
+        results = []
+        for omegas in ((0.3,), (0.001, 0.3), (20.0, 0.3)):
+            with (
+                Operators(lattice, MPI.COMM_SELF) as operators,
+                SteadySolver(operators, [[1, 0]]) as solver,
+            ):
+                for omega in omegas:
+                    solver.restart()
+                    state = solver.solve(omega)
+            results.append((state.displacement[0], state.error_bound[0]))
+        assert len(set(results)) == 1
+
+
 def test_a_count_at_an_eigenvalue_spoils_no_other_one():
     """A pivot is zero there; the next count is what it is alone."""
     lattice = uniform_lattice((3, 3), 0.5, damping=0.0)

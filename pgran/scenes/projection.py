@@ -146,7 +146,7 @@ def project(
         crew.share(units(len(omegas)), work, deliver, row)
     if not root:
         return None
-    coefficient = rows["coefficient"]
+    coefficient = rows["coefficient"].copy()  # in one piece: see pgran.windows.SHORTEST
     return Projection(
         count_expected=modes.count_expected,
         count_certified=modes.count_certified,
