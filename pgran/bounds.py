@@ -56,9 +56,9 @@ class ErrorBounds:
     Attributes
     ----------
     proven : bool
-        Whether there is a bound: without damping there is none where ranks share the lattice,
-        because eigenvalues are counted serially. But what rounding does to the amplitudes can be
-        tried (`random_rounding`).
+        Whether there is a bound, proven by damping or certified by counts: without damping there
+        is none where ranks share the lattice, because eigenvalues are counted serially. But what
+        rounding does to the amplitudes can be tried (`random_rounding`).
     inverse_norm : float
         No less than |S^-1|_2 at the frequency of the last `prepare`; NaN where unknown.
     scale : float

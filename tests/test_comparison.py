@@ -1,13 +1,14 @@
 """Bounds ball by ball, the floor of amplitudes, and numbers whose squares vanish."""
 
 import math
+import sys
 from functools import partial
 
 import numpy as np
 import pytest
 from mpi4py import MPI
 from mpmath import mp
-from reference import Reference, exact_amplitudes
+from reference import Reference, exact_amplitudes, refined_field
 from samples import bond_arrays, random_lattice, skip_unless_ranks_fit
 
 from pgran.comparison import Comparison
@@ -205,3 +206,35 @@ def test_own_unit(scale):
     for scaled, k in zip(own.stiffness, lattice.stiffness, strict=True):
         assert np.array_equal(scaled * unit, k)
     assert own.omega_mx == pytest.approx(lattice.omega_mx, rel=1e-14)
+
+
+def report(shape, site, stride):
+    """Print how the default sweep compares with 60 digits at every `stride`-th frequency."""
+    lattice = Lattice(BondLaw("uniform").draw(shape, 1993), kmax=0.25)
+    found = swept(lattice, np.linspace(0.01, 1.3, 1291), site)
+    some = slice(None, None, stride)
+    omegas, displacement, bound = (
+        values[some] for values in (found.omega, found.displacement[:, 0], found.error_bound[:, 0])
+    )
+    wrong, size = np.empty((2, len(omegas)))
+    with mp.workdps(60):
+        for place, (omega, amplitude) in enumerate(zip(omegas, displacement, strict=True)):
+            field = refined_field(lattice.stiffness, lattice.mass, lattice.damping, omega)
+            wrong[place] = abs(mp.mpmathify(complex(amplitude)) - field[site])
+            size[place] = abs(field[site])
+    relative = ~(found.at_floor[some, 0] > 0)
+    print(
+        f"{shape}, ball {site}: {found.failures} of {len(found.omega)} marked, "
+        f"{np.count_nonzero(found.at_floor)} at the floor; of {len(omegas)} compared "
+        f"{np.count_nonzero(wrong > bound)} bounds are broken; smallest |A| {size.min():.1e}, "
+        f"largest relative error {np.max((wrong / size)[relative]):.1e}; "
+        f"bound / error: median {np.median(bound / wrong):.3g}",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    report((31,), (8,), 1)
+    report((100,), (8,), 1)
+    report((40, 40), (8, 10), int(sys.argv[1]))
+    report((60, 60), (8, 10), int(sys.argv[1]))

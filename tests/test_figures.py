@@ -78,6 +78,24 @@ def bond_lines(figure):
 # Amplitude
 
 
+def test_upper_limits_of_amplitudes_at_the_floor():
+    """In the place of an amplitude that is not known stands what it cannot exceed."""
+    result = make_result(detectors=((1, 1), (2, 2)))
+    sweep = result.response
+    sweep.error_bound = np.full(sweep.amplitude.shape, 1e-3)
+    sweep.at_floor = np.zeros(sweep.amplitude.shape, np.int8)
+    sweep.at_floor[[30, 31], 1] = 1
+    ax = response.draw_amplitude(result).axes[0]
+    first, second = curves(ax)
+    assert not np.ma.getmaskarray(first.get_ydata(orig=True)).any()
+    assert list(np.flatnonzero(np.ma.getmaskarray(second.get_ydata(orig=True)))) == [30, 31]
+    (limits,) = [line for line in ax.get_lines() if line.get_marker() == "v"]
+    there = np.isfinite(limits.get_ydata())
+    assert np.array_equal(np.flatnonzero(there), [30, 31])
+    assert np.array_equal(limits.get_ydata()[there], sweep.amplitude[[30, 31], 1] + 1e-3)
+    assert legend(ax)[-1] == "upper limit, at the floor"
+
+
 def test_panels_are_the_three_regimes_on_log_axes():
     panels = response.draw_amplitude(make_result()).axes
     assert [ax.get_yscale() for ax in panels] == ["log"] * 3

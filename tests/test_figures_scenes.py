@@ -406,6 +406,22 @@ def test_failed_steps_and_no_spectrum():
     relaxation.draw_relaxation(result).draw_without_rendering()
 
 
+def test_upper_limits_of_amplitudes_at_the_floor():
+    """In the place of an amplitude that is not known stands what it cannot exceed."""
+    result = make_relaxation(300, spectrum=False)
+    relaxed = result.relaxation
+    relaxed.error_bound = np.full(relaxed.displacement.shape, 0.5)
+    relaxed.at_floor = np.zeros(relaxed.displacement.shape, np.int8)
+    relaxed.at_floor[0, [5, 7, 200], 0] = 1
+    (ax,) = relaxation.draw_relaxation(result).axes
+    assert list(masked(curves(ax)[0])) == [5, 7, 200]
+    ((x, y),) = ((x, y) for x, y in data(ax, marker="v") if np.isfinite(y).any())
+    limits = np.abs(relaxed.displacement[0, :, 0]) + 0.5
+    assert np.array_equal(x[np.isfinite(y)], [5, 7, 200])
+    assert np.array_equal(y[np.isfinite(y)], limits[[5, 7, 200]])
+    assert "upper limit, at the floor" in legend(ax)
+
+
 # Files
 
 

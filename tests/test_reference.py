@@ -6,7 +6,7 @@ from itertools import pairwise
 import mpmath
 import numpy as np
 import pytest
-from reference import Reference, bonds, exact_amplitudes, uniform_field
+from reference import Reference, bonds, exact_amplitudes, refined_field, uniform_field
 from samples import random_lattice, uniform_lattice
 
 
@@ -92,3 +92,14 @@ def test_elimination_with_many_digits(damping):
 def test_elimination_on_a_resonance():
     (found,) = exact_amplitudes((np.array([0.5, 0.5]),), 1.0, 0.0, 1.0, [[0]])
     assert mpmath.isinf(found)
+
+
+@pytest.mark.parametrize("shape", [(40,), (12, 5), (4, 3, 3)])
+@pytest.mark.parametrize("omega", [0.4, 1.4])
+def test_refinement_agrees_with_elimination(shape, omega):
+    """All digits, also of amplitudes of 1e-50."""
+    lattice, site = random_lattice(shape, 2), (1,) * len(shape)
+    with mpmath.workdps(50):
+        field = refined_field(lattice.stiffness, 1.0, lattice.damping, omega)
+        (exact,) = exact_amplitudes(lattice.stiffness, 1.0, lattice.damping, omega, [site])
+        assert abs(field[site] - exact) <= 1e-45 * abs(exact)

@@ -38,7 +38,7 @@ def draw_relaxation(result):
     """Return the figure of the series and of its power spectrum, if there is one (paper: timeres).
 
     The series is the beginning of the first trajectory. Steps that missed the accuracy asked for
-    are gaps, and crosses on the upper edge.
+    are gaps, and crosses on the upper edge; of amplitudes at the floor the upper limit is drawn.
     """
     spectrum = getattr(result, "spectrum", None)
     panels = 2 if spectrum else 1
@@ -59,25 +59,31 @@ def draw_relaxation(result):
 
 def draw_series(ax, result):
     """Draw the amplitudes of the first trajectory against time."""
-    series = np.abs(result.relaxation.displacement[0, : STRETCH + 1])
+    beginning = np.s_[0, : STRETCH + 1]
+    series = np.abs(result.relaxation.displacement[beginning])
+    highest = style.upper_limits(result.relaxation, np.abs(result.relaxation.displacement))
     time = np.arange(len(series))
     ax.set_xlim(0, max(len(time) - 1, 1))
     ax.locator_params("x", nbins=5)
-    handles, detectors = {}, result.relaxation.detector
+    handles, marks, detectors = {}, {}, result.relaxation.detector
     shades = style.colours(len(detectors))
-    for site, amplitude, colour in zip(detectors, series.T, shades, strict=True):
-        good = np.isfinite(amplitude)
+    columns = zip(detectors, series.T, highest[beginning].T, shades, strict=True)
+    for site, amplitude, limit, colour in columns:
+        good = np.isfinite(amplitude) & np.isnan(limit)
         handles[style.ball_name(site)] = style.draw_good(
             ax, time, amplitude, good, len(time) <= FEW, color=colour
         )
+        limits = style.draw_limits(ax, time, limit, colour)
+        if limits:
+            marks[limits.get_label()] = limits
     if np.isfinite(series).any():
         ax.set_ylim(bottom=0)
     else:
         ax.yaxis.set_visible(False)
     failed = style.mark_failed(ax, time[np.isnan(series).any(axis=1)])
     if failed:
-        handles[failed.get_label()] = failed
-    style.legend_above(ax, handles, columns=1 if failed else 2)
+        marks[failed.get_label()] = failed
+    style.legend_above(ax, handles | marks, columns=1 if marks else 2)
     ax.set_xlabel("time (steps of one bond)")
     ax.set_ylabel(AMPLITUDE)
 

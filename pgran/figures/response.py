@@ -45,32 +45,38 @@ def draw_amplitude(result, modes=None):
     """Return the figure of the amplitudes against frequency, a panel a regime (paper: freqres).
 
     Regimes that the sweep does not reach are left out. Points that missed the accuracy asked for
-    are gaps in the curves and crosses on the upper edge.
+    are gaps in the curves and crosses on the upper edge; of amplitudes at the floor the upper limit
+    is drawn.
     """
     response = result.response
     x, pluses = in_units(result, modes)
     home = regimes(x)
     present = np.unique(home)
-    curves = list(zip(response.detector, response.amplitude.T, strict=True))
-    rows = math.ceil(len(curves) / 4)
+    highest = style.upper_limits(response, response.amplitude)
+    curves = list(zip(response.detector, response.amplitude.T, highest.T, strict=True))
+    rows = math.ceil((len(curves) + np.isfinite(highest).any()) / 4)
     figure = style.new_figure(style.PAGE, 0.4 + 1.75 * len(present) + 0.13 * rows)
     panels = figure.subplots(len(present), 1, squeeze=False)[:, 0]
-    handles = {}
+    handles, marks = {}, {}
     for letter, regime, ax in zip("abc", present, panels, strict=False):
         low, high = (0.0, *EDGES)[regime], (*EDGES, math.inf)[regime]
         inside = (low <= x) & (x <= high) | (home == regime)
         ax.set_yscale("log")
         ax.set_xlim(limits(x[home == regime], low, high))
-        for (site, amplitude), colour in zip(curves, style.colours(len(curves)), strict=True):
-            good = (good_points(response, amplitude) & (amplitude > 0))[inside]
+        shades = style.colours(len(curves))
+        for (site, amplitude, limit), colour in zip(curves, shades, strict=True):
+            good = (good_points(response, amplitude) & (amplitude > 0) & np.isnan(limit))[inside]
             curve = style.draw_good(
                 ax, x[inside], amplitude[inside], good, len(x) <= FEW, color=colour
             )
             if len(curves) > 1:
                 handles[style.ball_name(site)] = curve
-        mark(ax, response, x, pluses, handles)
+            upper = style.draw_limits(ax, x[inside], limit[inside], colour)
+            if upper:
+                marks[upper.get_label()] = upper
+        mark(ax, response, x, pluses, marks)
         ax.set_title(f"({letter}) {REGIMES[regime]}" if len(present) > 1 else REGIMES[regime])
-    style.legend_above(panels[0], handles, columns=4)
+    style.legend_above(panels[0], handles | marks, columns=4)
     panels[-1].set_xlabel(FREQUENCY)
     figure.supylabel(AMPLITUDE, fontsize="medium")
     return figure

@@ -109,6 +109,25 @@ def draw_good(ax, x, y, good, dots, **line):
     return curve
 
 
+def upper_limits(record, amplitude):
+    """Return the upper limits of amplitudes that are at the floor, NaN for all others.
+
+    Files of version 0.1 hold none.
+    """
+    if not np.any(getattr(record, "at_floor", 0)):
+        return np.full(np.shape(amplitude), np.nan)
+    return np.where(record.at_floor > 0, amplitude + record.error_bound, np.nan)
+
+
+def draw_limits(ax, x, limit, colour):
+    """Mark upper limits by triangles that point down; None where all are NaN."""
+    if np.isnan(limit).all():
+        return None
+    style = {"linestyle": "none", "marker": "v", "markersize": 2.5, "markeredgewidth": 0}
+    (marks,) = ax.plot(x, limit, color=colour, label="upper limit, at the floor", **style)
+    return marks
+
+
 def mark_failed(ax, x):
     """Mark frequencies without a good result by crosses on the upper edge; None where all are."""
     return _mark(ax, x, 1.0, marker="x", color=FAILED, label="missed the accuracy asked for")
