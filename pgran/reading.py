@@ -29,6 +29,7 @@ from pgran.options import (
 )
 
 LONGEST_FILE = 2**20  # bytes of an options file
+SMALLEST_SHIFT = 1e-14  # of pivots, against bond constants of about 1
 NO_TEXT = re.compile(r"[^\t\n\r -~\u00a0-\ud7ff\ue000-\U0010ffff]")  # control characters, no UTF-8
 # What a value in a file may be: names and numbers, one or several. No path, no `viewer:file`.
 PLAIN = re.compile(r"[\w.+-]+(,[\w.+-]+)*", re.ASCII)
@@ -169,6 +170,7 @@ def read_solver(path, own):
             raise InputError(
                 f"-{key}{item.where}: the file of a solver holds {', '.join(allowed)} only"
             )
+    _check_ends(keys)
     return values, keys
 
 
@@ -209,6 +211,7 @@ def resolve(given, output_file=None):
         elif key != "scene":
             _check_foreign(key, item, scene, options)
             solver[key] = item.text
+    _check_ends(solver)
     experiment = scene
     if scene == "accuracy":
         experiment = values["accuracy_of"]
@@ -263,6 +266,25 @@ def _check_harmless(key, item):
             f"-{key} {item.text}".rstrip() + f"{item.where}: could load code, start a program "
             "or write a file; give it on the command line if you mean it"
         )
+
+
+def _check_ends(keys):
+    """Raise where PETSc would shift the pivots of a singular matrix by nothing, and never end."""
+    for key, text in keys.items():
+        if not key.endswith("pc_factor_zeropivot"):
+            continue
+        pc = key.removesuffix("factor_zeropivot")
+        shift = "positive_definite" if keys.get(f"{pc}type") == "icc" else "none"
+        shift = keys.get(f"{pc}factor_shift_type", shift).lower()
+        try:
+            small = float(text) < SMALLEST_SHIFT
+        except ValueError:
+            continue  # PETSc says so itself
+        if small and shift == "positive_definite":
+            raise InputError(
+                f"-{key} {text}: with a shift to positive definite pivots PETSc does not end on "
+                f"singular matrices; leave it out, or give {SMALLEST_SHIFT:g} or more"
+            )
 
 
 def _harmless(key, text):

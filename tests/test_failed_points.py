@@ -9,8 +9,9 @@ from petsc4py import PETSc
 from samples import random_lattice, uniform_lattice
 
 from pgran.counting import ModeCounter
-from pgran.errors import met_by_all
+from pgran.errors import InputError, met_by_all
 from pgran.operators import Operators
+from pgran.reading import read_words, resolve
 from pgran.steady import SteadySolver
 
 # m omega^2 = 2 k is an eigenvalue of these lattices exactly, in doubles too.
@@ -133,3 +134,22 @@ def test_an_error_that_one_rank_alone_meets(world):
     apart = world.Dup()  # what one rank has begun here the others never end
     if world.size > 1 and world.rank == 0:
         assert not met_by_all(apart)
+
+
+def test_what_petsc_would_never_end_is_refused():
+    """A shift of pivots by nothing; other thresholds, and other shifts, pass."""
+
+    def keys(words):
+        return resolve(read_words(["-scene", "response", *words.split()])).solver
+
+    for words in (
+        "-steady_pc_type icc -steady_pc_factor_zeropivot 0",
+        "-steady_pc_factor_shift_type POSITIVE_DEFINITE -steady_pc_factor_zeropivot 1e-20",
+        "-steady_sub_pc_type icc -steady_sub_pc_factor_zeropivot 0",
+    ):
+        with pytest.raises(InputError, match="PETSc does not end"):
+            keys(words)
+        assert keys(words.replace(" 0", " 1e-13").replace("1e-20", "1e-13"))
+    assert keys(
+        "-steady_pc_type icc -steady_pc_factor_shift_type none -steady_pc_factor_zeropivot 0"
+    )
