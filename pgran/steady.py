@@ -225,9 +225,9 @@ class SteadySolver(Owner):
         Raises
         ------
         PETSc.Error
-            Where an option is to blame, or not all ranks of the lattice have met the error.
+            Where an option or a callback is to blame, or not all ranks of the lattice have met it.
         """
-        if is_bad_input(error) or not met_by_all(self.comm):
+        if error.__cause__ or is_bad_input(error) or not met_by_all(self.comm):
             raise error
         message = petsc_message(error)
         if message not in self._said:
@@ -242,9 +242,11 @@ class SteadySolver(Owner):
 
     def _nothing(self, omega):
         """Return the state of a frequency without a solution."""
+        self.primal.solution.set(math.nan)
         missing = np.full(len(self._numbers), math.nan)
-        bound = missing + math.inf if self.bounds.proven else missing
-        return SteadyState(omega, missing + 0j, bound, math.nan, 0, NO_PRECONDITIONER, math.nan)
+        unknown = math.inf if self.bounds.proven else math.nan
+        bound = np.full(missing.shape, unknown)
+        return SteadyState(omega, missing + 0j, bound, math.nan, 0, NO_PRECONDITIONER, unknown)
 
     def _attempt(self, omega, fresh):
         """Solve at `omega` with a fresh or the present factorization."""
