@@ -65,7 +65,8 @@ def response(options, world, scene):
     trial, seconds, costs, systems = _sweep(
         options, world, ranks, shape, small, sites, omegas, spread(units), options.output_fields
     )
-    lengths = {"omega": len(omegas), "detector": len(sites), "balls": costs.balls}
+    lengths = {"omega": len(omegas), "balls": costs.balls}
+    lengths |= {"detector_number": len(sites), "axis": len(shape)}
     disk = _lattice_bytes(shape) + stored_bytes(
         results.Response, lengths, () if options.output_fields else ("field",)
     )
@@ -181,8 +182,8 @@ def relaxation(options, world, scene):
     units = trajectories * math.ceil(steps / length)
     costs, seconds = _scaled(trial, shape, trajectories * steps, units, groups, ranks)
     lengths = {
-        "trajectory": trajectories, "step": steps, "state": steps + 1, "detector": len(sites),
-        "axis": len(shape), "frequency": segment // 2,
+        "trajectory": trajectories, "step": steps, "state": steps + 1, "axis": len(shape),
+        "detector_number": len(sites), "frequency": segment // 2,
     }  # fmt: skip
     disk = _lattice_bytes(shape) + sum(
         stored_bytes(record, lengths) for record in (results.Relaxation, results.Spectrum)
