@@ -8,6 +8,7 @@ and its entry `i` joins the balls `i - 1` and `i`.
 
 import hashlib
 import math
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,6 +17,7 @@ import numpy as np
 from pgran.errors import InputError
 
 AXES = "xyz"
+EPSILON = sys.float_info.epsilon
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,12 @@ class Lattice:
             raise InputError(f"lattice_mass: must be positive and finite, not {self.mass}")
         if not (math.isfinite(self.damping) and self.damping >= 0):
             raise InputError(f"lattice_damping: must be 0 or more and finite, not {self.damping}")
+        largest = max(self.kmax, *(float(k.max()) for k in arrays))
+        if not math.isfinite(4 * len(arrays) * largest / self.mass):
+            raise InputError(
+                "lattice_mass, bonds: the frequencies, up to sqrt(4 d kmax / m), are too large to "
+                "compute with; choose other units"
+            )
 
     @property
     def shape(self):
@@ -191,7 +199,8 @@ def check_frequency(lattice, omega):
     Raises
     ------
     InputError
-        If 4 d (k + omega beta) + m omega^2, which no entry of S exceeds, is too large.
+        If 4 d (k + omega beta) + m omega^2, which no entry of S exceeds, is too large; or so small
+        that the square of its rounding vanishes.
     """
     omega, stiffness = float(omega), max(float(k.max()) for k in lattice.stiffness)
     springs = 4 * len(lattice.shape) * (stiffness + omega * lattice.damping)
@@ -200,4 +209,9 @@ def check_frequency(lattice, omega):
         raise InputError(
             f"lattice_mass, lattice_damping, bonds: at the frequency {omega:g} the equations hold "
             "numbers too large to compute with; choose other units"
+        )
+    if largest and (largest * EPSILON**2) ** 2 < sys.float_info.min:
+        raise InputError(
+            f"lattice_mass, lattice_damping, bonds: at the frequency {omega:g} the equations hold "
+            "numbers too small to compute with; choose other units"
         )

@@ -78,7 +78,9 @@ class Response:
         "1", "omega", "detector_number",
     )  # fmt: skip
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega", "detector_number")
-    phase: np.ndarray = array("phase, unwrapped along omega", "rad", "omega", "detector_number")
+    phase: np.ndarray = array(
+        "phase, unwrapped along omega; without damping 0 or pi", "rad", "omega", "detector_number"
+    )
     backward_error: np.ndarray = array("normwise backward error of the field", "1", "omega")
     error_bound: np.ndarray = array(
         "bound of the error of the displacement; NaN: none is known",
@@ -246,7 +248,9 @@ class ContinuumResponse:
         "amplitude relative to the driven wall, convention exp(+i omega t)", "1", "omega"
     )
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega")
-    phase: np.ndarray = array("phase, unwrapped along omega", "rad", "omega")
+    phase: np.ndarray = array(
+        "phase, unwrapped along omega; without damping 0 or pi", "rad", "omega"
+    )
     resonance: np.ndarray = array("driven resonances, angular", "sqrt(K0/m)/length")
 
 

@@ -1,5 +1,6 @@
 """Sites, bonds, walls and detectors."""
 
+import contextlib
 import dataclasses
 import math
 
@@ -163,12 +164,20 @@ def test_detector_message_names_the_ball():
         {"omega": 1e10, "mass": 1e300},
         {"omega": 1e100, "damping": 1e100},
         {"stiffness": 1e308},
+        {"mass": 1e-310},
     ],
 )
 def test_numbers_too_large_are_refused(values):
     ordinary = {"omega": 1.0, "mass": 1.0, "damping": 0.003, "stiffness": 0.25}
     omega, mass, damping, stiffness = (ordinary | values).values()
-    lattice = uniform_lattice((3, 2), stiffness, damping, mass)
     with pytest.raises(InputError, match="too large"):
-        check_frequency(lattice, omega)
+        check_frequency(uniform_lattice((3, 2), stiffness, damping, mass), omega)
     check_frequency(uniform_lattice((3, 2)), 1e30)
+
+
+def test_numbers_too_small_are_refused():
+    """Squares of residuals would vanish, and with them the bounds."""
+    for unit, match in ((1e-200, "too small"), (1e-90, None)):
+        lattice = uniform_lattice((3, 2), 0.25 * unit, 0.003 * unit, unit)
+        with pytest.raises(InputError, match=match) if match else contextlib.nullcontext():
+            check_frequency(lattice, 1.0)

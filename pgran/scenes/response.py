@@ -8,7 +8,14 @@ from pgran.lattice import check_frequency, detector_sites
 from pgran.operators import Operators
 from pgran.progress import Progress
 from pgran.results import LatticeRecord, Response
-from pgran.scenes.common import driving_frequencies, make_crew, make_lattice, proven_accuracy
+from pgran.scenes.common import (
+    driving_frequencies,
+    fit_line,
+    make_crew,
+    make_lattice,
+    phase_of_sign,
+    proven_accuracy,
+)
 from pgran.steady import SteadySolver
 
 LONGEST_UNIT = 16  # frequencies that share factorizations
@@ -35,7 +42,7 @@ def run(options, world, journal=None):
 
 def summary(records):
     """Return in words what a run found. Not collective."""
-    _, response = records
+    lattice, response = records
     nw = len(response.omega)
     yield (
         f"{nw} frequencies with {response.factorizations} factorizations in "
@@ -43,6 +50,9 @@ def summary(records):
     )
     good = response.converged_reason > 0
     yield proven_accuracy(response.error_bound, response.amplitude, good)
+    if lattice.damping == 0:
+        yield "no phase velocity: without damping amplitudes are real, and their phase is 0 or pi"
+        return
     for site, slope, velocity in zip(
         response.detector.tolist(), response.phase_slope, response.phase_velocity, strict=True
     ):
@@ -51,7 +61,7 @@ def summary(records):
                 f"ball {tuple(site)}: phase slope {slope:.4g} rad per omega_mx, "
                 f"phase velocity {velocity:.4g} spacings x omega_mx"
             )
-    turn = np.abs(np.diff(response.phase, axis=0)).max(initial=0.0)
+    turn = np.fmax.reduce(np.abs(np.diff(response.phase, axis=0)), axis=None, initial=0.0)
     if turn > 3.0:
         yield (
             f"the phase turns by up to {turn:.2f} rad from one frequency to the next: the grid is "
@@ -168,10 +178,10 @@ def point_dtype(detectors, field_shape):
 def assemble(lattice, omegas, sites, rows, seconds, phase_window):
     """Return the Response that the solved frequencies make up. Not collective."""
     displacement = rows["displacement"].copy()
-    phase = unwrap(displacement)
+    phase = unwrap(displacement) if lattice.damping else phase_of_sign(displacement)
     low, high = phase_window
     inside = (omegas > low * lattice.omega_mx) & (omegas < high * lattice.omega_mx)
-    inside &= rows["converged_reason"] > 0
+    inside &= (rows["converged_reason"] > 0) & (lattice.damping > 0)
     slope, intercept = fit_phase(omegas[inside] / lattice.omega_mx, phase[inside])
     distance = lattice.shape[0] - sites[:, 0]
     with np.errstate(divide="ignore"):
@@ -225,9 +235,4 @@ def fit_phase(x, phase):
     slope, intercept : numpy.ndarray, shape (nd,)
         In rad per omega_mx, and rad.
     """
-    lines = np.full((2, phase.shape[1]), np.nan)
-    for d, column in enumerate(phase.T):
-        known = np.isfinite(column)
-        if np.count_nonzero(known) >= 3:
-            lines[:, d] = np.polyfit(x[known], column[known], 1)
-    return lines
+    return np.transpose([fit_line(x, column) for column in phase.T])
