@@ -305,10 +305,10 @@ def hdf5_case(folder, number, rng):
         whole = path.read_bytes()
         while path.read_bytes() == whole:
             damage(path, rng)
-    if kind == "resealed":
-        content = path.read_bytes()[512:]
+    if kind == "resealed":  # closed by h5py it has lost its seal
+        content = path.read_bytes()
         digest = hashlib.sha256(content).hexdigest()
-        path.write_bytes(f"pgran result 1\nsha256 {digest}\n".encode().ljust(512, b"\0") + content)
+        path.write_bytes(content + f"pgran result 2\nsha256 {digest}\n".encode().ljust(512, b"\0"))
     return path, kind, shape
 
 

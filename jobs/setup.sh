@@ -17,7 +17,7 @@ PATH=${PATH//"$PWD/.venv/bin:"/}
 packages=(
   python3-petsc4py python3-petsc4py-complex python3-slepc4py python3-slepc4py-complex
   python3-mpi4py python3-h5py-mpi python3-numpy python3-scipy python3-matplotlib python3-tqdm
-  python3-pytest python3-mpmath python3-venv python3-setuptools python3-wheel
+  python3-pytest python3-mpmath python3-xarray python3-h5netcdf python3-venv python3-setuptools python3-wheel
   openmpi-bin libopenblas0-pthread
 )
 extras=(matplotlib scipy tqdm pytest mpmath) # figures, spectra and tests; from PyPI where missing

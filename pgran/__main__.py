@@ -1,16 +1,18 @@
 """The command line; whatever goes wrong on one rank ends all of them."""
 
 import argparse
+import contextlib
 import logging
 import os
 import signal
 import sys
 import time
 import traceback
+import warnings
 from pathlib import Path
 
 import pgran
-from pgran import errors, launch
+from pgran import errors, launch, streams
 from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
 from pgran.running import name_rank, run
 
@@ -42,9 +44,24 @@ def main(words):
     commands = {"run": run, "plot": plot, "options": list_options, "doctor": doctor}
     if words[0] not in commands:
         raise InputError(f"{words[0]}: no such command; pgran --help lists them")
+    if words[0] != "plot" and {"-h", "--help", "-help"} & set(words):
+        if launch.rank() == 0:
+            print(USAGE + more_help(words[1]), end="")
+        return errors.DONE
     if sys.version_info < (3, 11) and words[0] != "doctor":
         raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
     return commands[words[0]](words[1:])
+
+
+def more_help(path):
+    """Say how to list the options of the experiment in a file, if it is one."""
+    from pgran.reading import read_file
+
+    with contextlib.suppress(PgranError):
+        for item in read_file(path):
+            if item.key.lower() == "scene":
+                return f"\npgran options {item.text} lists the options of {path}\n"
+    return ""
 
 
 def plot(words):
@@ -63,9 +80,8 @@ def plot(words):
         if not getattr(marked.modes, "count_certified", False):
             log.warning("modes are missing or inaccurate, so not all are marked")
         given.result = given.other if swapped else given.result
-    for path in figures.draw(
-        shown, given.output or str(Path(given.result).with_suffix(".png")), modes
-    ):
+    output = given.output or str(Path(given.result).with_suffix(".png"))
+    for path in figures.draw(shown, output, modes):
         print(path)
     return errors.DONE
 
@@ -93,16 +109,26 @@ def doctor(words):
 
 def console():
     """Run the command line; whatever goes wrong on one rank ends all of them at once."""
+    streams.guard()
     log.propagate = False
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("pgran: %(message)s"))
     log.addHandler(handler)
     log.setLevel(logging.INFO)
+    warnings.showwarning = tell_warning
     try:
-        code = main(sys.argv[1:])
+        try:
+            code = main(sys.argv[1:])
+        finally:
+            sys.stdout.flush()
     except BaseException as error:
         end_all_ranks(error)
     sys.exit(code)
+
+
+def tell_warning(message, category, *where):
+    """Log a warning of a library in one line, without the place in its source."""
+    log.warning("%s: %s", category.__name__, " ".join(str(message).split()))
 
 
 def end_all_ranks(error):
@@ -145,8 +171,8 @@ def explain(error):
         return code, f"ended by sys.exit({error.code!r})"
     if isinstance(error, KeyboardInterrupt):
         return 130, "interrupted"
-    if isinstance(error, ModuleNotFoundError):
-        return 1, f"{error}: pgran doctor says how to mend it"
+    if isinstance(error, ImportError):
+        return 1, str(PgranError(f"{error}: pgran doctor says how to mend it"))
     if is_petsc(error):
         return errors.BAD_INPUT if is_bad_input(error) else 1, petsc_message(error)
     return 1, "".join(traceback.format_exception(error)).rstrip()

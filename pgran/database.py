@@ -33,10 +33,24 @@ def holding(keys):
 
 def unused(keys):
     """Return those of some keys in the database that no object has asked for. Not collective."""
-    library, found = ctypes.CDLL(PETSc.__file__), []
-    for key in keys:  # petsc4py itself has no call for this before PETSc 3.19
-        used = ctypes.c_int(0)
-        library.PetscOptionsUsed(None, key.encode(), ctypes.byref(used))
-        if not used.value:
-            found.append(key)
-    return found
+    used = _whether_used()
+    return [key for key in keys if not used(key)]
+
+
+def _whether_used():
+    """Return what says whether any object has asked for a key; true where nothing can tell."""
+    database = PETSc.Options()
+    if hasattr(database, "used"):  # from petsc4py 3.19 on
+        return database.used
+    try:
+        ask = ctypes.CDLL(PETSc.__file__).PetscOptionsUsed
+    except (OSError, AttributeError):
+        return lambda key: True
+    ask.argtypes = ctypes.c_void_p, ctypes.c_char_p, ctypes.POINTER(ctypes.c_int)
+    ask.restype = ctypes.c_int
+
+    def used(key):
+        answer = ctypes.c_int(0)
+        return ask(None, key.encode(), answer) != 0 or answer.value != 0
+
+    return used

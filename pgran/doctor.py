@@ -97,7 +97,7 @@ def petsc():
     try:
         import petsc4py
 
-        petsc4py.init(["pgran", "-skip_petscrc"])
+        petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler"])
         from petsc4py import PETSc
     except ImportError as error:
         yield False, f"petsc4py cannot be imported: {error}", elsewhere("petsc4py")

@@ -119,7 +119,10 @@ class CarefulFile:
         self._left -= declared
         if self._left < 0:
             self.refuse(name, f"declares {declared} bytes, far more than the file holds")
-        return np.char.decode(data[()], "utf-8") if data.dtype.kind == "S" else data[()]
+        if data.dtype.kind == "S":
+            return np.char.decode(data[()], "utf-8")
+        truth = data.dtype == np.int8 and data.attrs.get("dtype") == "bool"
+        return data[()].astype(bool) if truth else data[()]
 
 
 def bonds(file):

@@ -82,9 +82,12 @@ class Journal:
         for number, handler in self._handlers:
             signal.signal(number, handler)
         if self._file is not None:
-            if kind is None or not self._kept or (self._new and is_bad_input(error)):
-                self.path.unlink(missing_ok=True)
-            self._file.close()
+            try:
+                if kind is None or not self._kept or (self._new and is_bad_input(error)):
+                    self.path.unlink(missing_ok=True)
+                self._file.close()
+            except OSError as trouble:  # no reason to fail: the result is there, or another error
+                log.warning("%s: cannot be removed: %s", self.path, trouble.strerror)
 
     @property
     def stop_asked(self):

@@ -65,6 +65,12 @@ class Lattice:
             raise InputError(f"lattice_mass: must be positive and finite, not {self.mass}")
         if not (math.isfinite(self.damping) and self.damping >= 0):
             raise InputError(f"lattice_damping: must be 0 or more and finite, not {self.damping}")
+        largest = max(self.kmax, *(float(k.max()) for k in arrays))
+        if not math.isfinite(4 * len(arrays) * largest / self.mass):
+            raise InputError(
+                "lattice_mass, bonds: the frequencies, up to sqrt(4 d kmax / m), are too large to "
+                "compute with; choose other units"
+            )
 
     @property
     def shape(self):

@@ -65,7 +65,8 @@ def response(options, world, scene):
     trial, seconds, costs, systems = _sweep(
         options, world, ranks, shape, small, sites, omegas, spread(units), options.output_fields
     )
-    lengths = {"omega": len(omegas), "detector": len(sites), "balls": costs.balls}
+    lengths = {"omega": len(omegas), "balls": costs.balls}
+    lengths |= {"detector_number": len(sites), "axis": len(shape)}
     disk = _lattice_bytes(shape) + stored_bytes(
         results.Response, lengths, () if options.output_fields else ("field",)
     )
@@ -139,7 +140,7 @@ def relaxation(options, world, scene):
     """Return the Needs of a relaxation. Collective."""
     from pgran.relaxation import Network, draw_changes
     from pgran.scenes.common import make_law
-    from pgran.spectrum import segment_length
+    from pgran.spectrum import check_window, fewest_steps, segment_length
     from pgran.trials import steady_solver, trial_lattice, trial_sites, try_steady
     from pgran.windows import window_length
 
@@ -147,7 +148,7 @@ def relaxation(options, world, scene):
         options.relax_steps, options.relax_trajectories, options.relax_method
     )  # fmt: skip
     window = options.spectrum_fit_min, options.spectrum_fit_max
-    segment = segment_length(trajectories, steps + 1, *window)
+    check_window(*window)
     shape, small = trial_lattice(options, world)
     sites = detector_sites(shape, options.detectors)
     law, omega = make_law(options), options.relax_omega
@@ -181,12 +182,13 @@ def relaxation(options, world, scene):
     units = trajectories * math.ceil(steps / length)
     costs, seconds = _scaled(trial, shape, trajectories * steps, units, groups, ranks)
     lengths = {
-        "trajectory": trajectories, "step": steps, "state": steps + 1, "detector": len(sites),
-        "axis": len(shape), "frequency": segment // 2,
+        "trajectory": trajectories, "step": steps, "state": steps + 1, "axis": len(shape),
+        "detector_number": len(sites),
     }  # fmt: skip
-    disk = _lattice_bytes(shape) + sum(
-        stored_bytes(record, lengths) for record in (results.Relaxation, results.Spectrum)
-    )
+    disk = _lattice_bytes(shape) + stored_bytes(results.Relaxation, lengths)
+    if steps + 1 >= fewest_steps(trajectories, window[0]):
+        segment = segment_length(trajectories, steps + 1, *window)
+        disk += stored_bytes(results.Spectrum, {"frequency": segment // 2})
     return Needs(
         shape,
         costs.factor_bytes,

@@ -31,6 +31,9 @@ from pgran.options import (
 LONGEST_FILE = 2**20  # bytes of an options file
 SMALLEST_SHIFT = 1e-14  # of pivots, against bond constants of about 1
 NO_TEXT = re.compile(r"[^\t\n\r -~\u00a0-\ud7ff\ue000-\U0010ffff]")  # control characters, no UTF-8
+KEY = re.compile(r"--?[A-Za-z][\w.-]*", re.ASCII)
+# What other programs' files begin a comment with, and what others write instead of a dash.
+COMMENTS, DASHES = ("//", "/*", "%", ";", "!"), ("\u2010", "\u2011", "\u2013", "\u2014", "\u2212")
 # What a value in a file may be: names and numbers, one or several. No path, no `viewer:file`.
 PLAIN = re.compile(r"[\w.+-]+(,[\w.+-]+)*", re.ASCII)
 # MUMPS: units of Fortran that it prints to (files fort.N), and factors on disk.
@@ -106,7 +109,7 @@ def read_file(path):
         content = stream.read(LONGEST_FILE + 1)
     if len(content) > LONGEST_FILE:
         raise FileError(f"{path}: an options file has at most {LONGEST_FILE} bytes")
-    text = content.decode("utf-8", errors="surrogateescape")
+    text = content.decode("utf-8-sig", errors="surrogateescape")  # editors may put a mark in front
     if strange := NO_TEXT.search(text):
         line = 1 + text.count("\n", 0, strange.start())
         raise FileError(f"{path}: not a text file (line {line})")
@@ -116,7 +119,8 @@ def read_file(path):
         try:
             words = shlex.split(line, comments=True)
         except ValueError as error:
-            raise InputError(f"{line.strip()}{where}: {error}") from None
+            hint = next((hint for word in line.split() if (hint := _hint(word))), error)
+            raise InputError(f"{line.strip()}{where}: {hint}") from None
         given += read_words(words, where)
     return given
 
@@ -125,13 +129,42 @@ def read_words(words, where=""):
     """Return what a command line gives: `-key value`, or `-key` alone. Not collective."""
     given = []
     for word in words:
-        if re.match(r"--?[A-Za-z]", word):
+        check_word(word, where)
+        if KEY.fullmatch(word):
             given.append(Given(word.lstrip("-"), "", where))
+        elif re.match("--?[A-Za-z]", word):
+            key, sign, value = word.partition("=")
+            hint = f"write {key} {value}" if sign else "no key has such a name"
+            raise InputError(f"{word}{where}: {hint}")
         elif given and not given[-1].text:
             given[-1] = Given(given[-1].key, word, where)
         else:
-            raise InputError(f"{word}{where}: a value without a key (keys look like -key)")
+            hint = _hint(word, given) or "a value without a key (keys look like -key)"
+            raise InputError(f"{word}{where}: {hint}")
     return given
+
+
+def check_word(word, where=""):
+    """Raise where a word could not be read again from an options file. Not collective."""
+    if NO_TEXT.search(word) or "".join(word.splitlines()) != word:
+        raise InputError(
+            f"{word}{where}: holds a line break, a control character, or a byte that is no UTF-8"
+        )
+
+
+def _hint(word, given=()):
+    """Return what a word may have been meant to be that is no value, or None."""
+    if word.startswith(COMMENTS):
+        return "a comment begins with #"
+    if word.startswith(DASHES):
+        return "begins with a long dash; keys begin with -, as in -key"
+    if word.lower() in {"scene"}.union(*({o.name for o in its} for its in SCENES.values())):
+        return f"a value without a key; did you mean -{word.lower()}?"
+    if given:
+        last = given[-1]
+        both = f"{last.text.strip(',')},{word.strip(',')}"
+        return f"a value without a key; a list has no blanks: -{last.key} {both}"
+    return None
 
 
 def read_solver(path, own):

@@ -2,7 +2,8 @@
 
 The metadata of a field say what it is, its unit, and its axes. `pgran.store` writes arrays as
 datasets with these, and plain values as attributes. An axis is named after the array that holds its
-coordinates; `balls` stands for the axes of the lattice.
+coordinates, an array of one axis, or counts from 0; `balls` stands for the axes of the lattice. An
+array without axes is a coordinate itself.
 """
 
 from dataclasses import dataclass, field
@@ -71,20 +72,23 @@ class Response:
     phase_fit_min: float
     phase_fit_max: float
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
-    detector: np.ndarray = array("indices of the detecting balls", "1")
+    detector: np.ndarray = array("indices of the detecting balls", "1", "detector_number", "axis")
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, convention exp(+i omega t)",
-        "1", "omega", "detector",
+        "1", "omega", "detector_number",
     )  # fmt: skip
-    amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega", "detector")
-    phase: np.ndarray = array("phase, unwrapped along omega", "rad", "omega", "detector")
+    amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega", "detector_number")
+    phase: np.ndarray = array(
+        "phase, unwrapped along omega; without damping 0 or pi", "rad", "omega", "detector_number"
+    )
     backward_error: np.ndarray = array("normwise backward error of the field", "1", "omega")
     error_bound: np.ndarray = array(
-        "bound of the error of the displacement; NaN: none is known", "1", "omega", "detector"
-    )
+        "bound of the error of the displacement; NaN: none is known",
+        "1", "omega", "detector_number",
+    )  # fmt: skip
     at_floor: np.ndarray = array(
         "1: the bound is below error_floor, but not small against the amplitude",
-        "1", "omega", "detector",
+        "1", "omega", "detector_number",
     )  # fmt: skip
     iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega")
     converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega")
@@ -175,18 +179,18 @@ class Relaxation:
         "its index into that axis's stiffness", "1", "trajectory", "step", "axis"
     )
     stiffness: np.ndarray = array("its new constant", "k", "trajectory", "step")
-    detector: np.ndarray = array("indices of the detecting balls", "1")
+    detector: np.ndarray = array("indices of the detecting balls", "1", "detector_number", "axis")
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, entry 0 before any change",
-        "1", "trajectory", "state", "detector",
+        "1", "trajectory", "state", "detector_number",
     )  # fmt: skip
     error_bound: np.ndarray = array(
         "bound of the error of the displacement; NaN: none is known",
-        "1", "trajectory", "state", "detector",
+        "1", "trajectory", "state", "detector_number",
     )  # fmt: skip
     at_floor: np.ndarray = array(
         "1: the bound is below error_floor, but not small against the amplitude",
-        "1", "trajectory", "state", "detector",
+        "1", "trajectory", "state", "detector_number",
     )  # fmt: skip
 
     @property
@@ -252,7 +256,9 @@ class ContinuumResponse:
         "amplitude relative to the driven wall, convention exp(+i omega t)", "1", "omega"
     )
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega")
-    phase: np.ndarray = array("phase, unwrapped along omega", "rad", "omega")
+    phase: np.ndarray = array(
+        "phase, unwrapped along omega; without damping 0 or pi", "rad", "omega"
+    )
     resonance: np.ndarray = array("driven resonances, angular", "sqrt(K0/m)/length")
 
 

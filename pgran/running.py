@@ -28,12 +28,13 @@ def run(words):
     faulthandler.enable()  # a crash in a library names the line that called it
 
     from pgran.options import WITHOUT_PETSC
-    from pgran.reading import read_environment, read_file, read_words, resolve
+    from pgran.reading import check_word, read_environment, read_file, read_words, resolve
 
     if not words or words[0].startswith("-"):
         raise InputError("run: an options file is needed, as in pgran run options/response.opts")
     started = time.perf_counter()
     path, *rest = words
+    check_word(path)
     world = start_mpi()
     given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
@@ -88,9 +89,12 @@ def compute(options, words, world, started):
             seconds = time.perf_counter() - started
             attributes = run_attributes(options, words, world, failures, seconds)
             store.write(output, attributes, records)
-            warn_of_unused(options)
-            for line in scene.summary(records):
-                log.info(line)
+            try:
+                warn_of_unused(options)
+                for line in scene.summary(records):
+                    log.info(line)
+            except Exception as error:  # no reason to fail: the result is there
+                log.warning("no summary: %s: %s", type(error).__name__, error)
             log.info("written to %s after %.1f s", output, seconds)
             if failures:
                 log.warning("%d results miss the accuracy asked for; the file marks them", failures)

@@ -102,22 +102,43 @@ def segment_length(trajectories, steps, fit_min=0.01, fit_max=0.3):
     InputError
         If the window is impossible, or the trajectories are too short for it.
     """
-    if not 0 < fit_min < 0.5:
-        raise InputError(f"spectrum_fit_min: must lie between 0 and .5, not {fit_min}")
+    check_window(fit_min, fit_max)
+    needed = fewest_steps(trajectories, fit_min)
+    if steps < needed:
+        raise InputError(
+            f"relax_steps: {steps} amplitudes (trajectories: {trajectories}) are too few for a "
+            f"spectrum from spectrum_fit_min = {fit_min} cycles per step on; at least "
+            f"{needed:.9g} are needed"
+        )
+    shortest, longest = (_half(periods, fit_min) for periods in (LOWEST_USED, LOWEST_WANTED))
+    half = steps // (math.ceil(GROUPS / trajectories) + 1)
+    return 2 * min(max(half, shortest), longest)
+
+
+def fewest_steps(trajectories, fit_min=0.01):
+    """Return how many steps a trajectory must have for a spectrum. Not collective."""
+    return (math.ceil(FEWEST / trajectories) + 1) * _half(LOWEST_USED, fit_min)
+
+
+def _half(periods, fit_min):
+    """Return half the length of a segment of so many periods of the lowest frequency."""
+    return math.ceil(periods / (2 * fit_min))
+
+
+def check_window(fit_min, fit_max):
+    """Raise unless an exponent can be fitted in a window. Not collective.
+
+    Raises
+    ------
+    InputError
+    """
+    if not 1e-300 < fit_min < 0.5:
+        raise InputError(f"spectrum_fit_min: must lie between 1e-300 and .5, not {fit_min}")
     if not 2 * fit_min <= fit_max <= 0.5:
         raise InputError(
             f"spectrum_fit_max: must be at least twice spectrum_fit_min, {fit_min}, and at most "
             f".5 cycles per step, not {fit_max}"
         )
-    shortest, longest = (math.ceil(n / (2 * fit_min)) for n in (LOWEST_USED, LOWEST_WANTED))
-    needed = (math.ceil(FEWEST / trajectories) + 1) * shortest
-    if steps < needed:
-        raise InputError(
-            f"relax_steps: {steps} steps (trajectories: {trajectories}) are too few for a spectrum "
-            f"from spectrum_fit_min = {fit_min} cycles per step on; at least {needed} are needed"
-        )
-    half = steps // (math.ceil(GROUPS / trajectories) + 1)
-    return 2 * min(max(half, shortest), longest)
 
 
 def _checked(series):

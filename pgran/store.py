@@ -1,7 +1,10 @@
 """Results on disk: one HDF5 file a run, written whole by rank 0, and read back.
 
-The first 512 bytes, which HDF5 skips, are a seal: what the file is, and the SHA-256 of all that
-follows. No result with a broken seal reaches the HDF5 library, which can crash on damaged files.
+The last 512 bytes, which HDF5 does not look at, are a seal: what the file is, and the SHA-256 of
+all bytes before. No result with a broken seal reaches the HDF5 library, which can crash on damaged
+files. In format version 1 the seal came first, where it hid the file from netCDF.
+
+A group is one of netCDF-4, too: each axis of an array has a dimension scale of one axis.
 """
 
 import contextlib
@@ -20,8 +23,9 @@ from pgran import foreign
 from pgran.errors import FileError, describe, open_regular
 from pgran.lattice import AXES
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 SEAL_SIZE, SEAL = 512, b"pgran result "
+PIECE = 2**20  # bytes read at a time
 BOND_AXES = {f"stiffness_{name}": axis for axis, name in enumerate(AXES)}
 
 
@@ -82,14 +86,13 @@ def write(path, attributes, records):
     try:
         path.parent.mkdir(parents=True, exist_ok=True)  # it may have been removed meanwhile
         with _Stream(temporary, "w+") as stream:
-            with h5py.File(stream, "w", userblock_size=SEAL_SIZE) as file:
+            with h5py.File(stream, "w") as file:
                 file.attrs.update(known | attributes)
                 axes = next((len(r.shape) for r in records if r.group == "lattice"), 0)
                 for record in records:
                     _write_record(file, record, axes)
-            seal = _seal(stream)
-            stream.seek(0)
-            stream.write(seal)
+            size = stream.seek(0, os.SEEK_END)
+            stream.write(_seal(stream, FORMAT_VERSION, 0, size))
             if stream.failure:
                 raise stream.failure
             os.fsync(stream.fileno())
@@ -136,11 +139,13 @@ def _write_record(file, record, axes):
         if value is None:
             continue
         if "axes" not in item.metadata:
-            (file if item.metadata else group).attrs[item.name] = value
+            (file if item.metadata else group).attrs[item.name] = _stored(value)
             continue
         data = group.create_dataset(item.name, data=_stored(value))
         data.attrs["units"] = item.metadata["units"]
         data.attrs["long_name"] = item.metadata["long_name"]
+        if np.asarray(value).dtype == bool:
+            data.attrs["dtype"] = "bool"  # as xarray writes and reads it
     for item in dataclasses.fields(record):
         if item.name in group:
             for number, scale in enumerate(_axis_names(item, axes)):
@@ -148,8 +153,11 @@ def _write_record(file, record, axes):
 
 
 def _stored(value):
-    """Return an array as HDF5 takes it: text as UTF-8 of fixed length."""
-    if np.asarray(value).dtype.kind != "U":
+    """Return a value as HDF5 and netCDF take it: text as UTF-8, truth as an integer."""
+    kind = np.asarray(value).dtype.kind
+    if kind == "b":
+        return np.int8(value)
+    if kind != "U" or isinstance(value, str):
         return value
     encoded = np.char.encode(value, "utf-8")
     return encoded.astype(h5py.string_dtype("utf-8", encoded.itemsize))
@@ -161,7 +169,7 @@ def _axis_names(item, axes):
     if item.name in BOND_AXES:
         axis = BOND_AXES[item.name]
         return [f"bond_{n}" if a == axis else n for a, n in enumerate(names)]
-    declared = item.metadata["axes"]
+    declared = item.metadata["axes"] or (item.name,)  # coordinates lie along themselves
     return [n for name in declared for n in (names if name == "balls" else [name])]
 
 
@@ -173,14 +181,34 @@ def _attach(group, data, number, scale):
         index.attrs["long_name"] = f"index along {scale}"
     if not h5py.h5ds.is_scale(group[scale].id):
         group[scale].make_scale(scale)
-    data.dims[number].attach_scale(group[scale])
+    if data != group[scale]:
+        data.dims[number].attach_scale(group[scale])
 
 
-def _seal(stream):
-    """Return the seal that belongs to a file; reads it through, piece by piece."""
-    stream.seek(SEAL_SIZE)
-    digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    return (SEAL + f"{FORMAT_VERSION}\nsha256 {digest}\n".encode()).ljust(SEAL_SIZE, b"\0")
+def _seal(stream, version, start, stop):
+    """Return the seal of a part of a file, which is read through."""
+    stream.seek(start)
+    digest, left = hashlib.sha256(), stop - start
+    while piece := stream.read(min(left, PIECE)):
+        digest.update(piece)
+        left -= len(piece)
+    seal = SEAL + f"{version}\nsha256 {digest.hexdigest()}\n".encode()
+    return seal.ljust(SEAL_SIZE, b"\0")
+
+
+def _read_seal(stream):
+    """Return a file's seal, the version that has it there, and which bytes it is of.
+
+    The seal is empty where there is none.
+    """
+    size = stream.seek(0, os.SEEK_END)
+    end = max(0, size - SEAL_SIZE)
+    for version, place, content in ((2, end, (0, end)), (1, 0, (SEAL_SIZE, size))):
+        stream.seek(place)
+        seal = stream.read(SEAL_SIZE)
+        if seal.startswith(SEAL):
+            return seal, version, content
+    return b"", None, None
 
 
 def is_result(path):
@@ -188,20 +216,22 @@ def is_result(path):
     if not Path(path).is_file():
         return False
     with open_regular(path) as stream:
-        return stream.read(len(SEAL)) == SEAL
+        return bool(_read_seal(stream)[0])
 
 
 def check_seal(path):
     """Raise unless a file is a result of pgran, unchanged since it was written. Not collective."""
     with open_regular(path) as stream:
-        seal = stream.read(SEAL_SIZE)
-        if not seal.startswith(SEAL):
-            raise FileError(f"{path}: not a result of pgran")
-        version = seal[len(SEAL) :].split(b"\n")[0]
-        if version != b"%d" % FORMAT_VERSION:
-            version = version[:20].decode(errors="replace")
-            raise FileError(f"{path}: format version {version}; this pgran reads {FORMAT_VERSION}")
-        if seal != _seal(stream):
+        seal, version, content = _read_seal(stream)
+        if not seal:
+            raise FileError(f"{path}: not a result of pgran, or damaged or changed since (no seal)")
+        said = seal[len(SEAL) :].split(b"\n")[0]
+        if said != b"%d" % version:
+            said = said[:20].decode(errors="replace")
+            raise FileError(
+                f"{path}: format version {said}; this pgran reads 1 to {FORMAT_VERSION}"
+            )
+        if seal != _seal(stream, version, *content):
             raise FileError(f"{path}: damaged or changed since it was written (checksum differs)")
 
 

@@ -1,6 +1,8 @@
 """The command line as users start it: exit codes, messages, ranks that fail. Serial run only."""
 
+import os
 import re
+import shlex
 import subprocess
 import sys
 import time
@@ -203,6 +205,170 @@ def test_petscrc_is_not_read(start, tmp_path):
 def test_petsc_options_are_checked(start):
     done = start("run", "a.opts", PETSC_OPTIONS="-sweep_point 3")
     assert_one_line(done, 2, "-sweep_point", "PETSC_OPTIONS")
+
+
+def test_a_relaxation_too_short_for_a_spectrum(start, tmp_path):
+    (tmp_path / "b.opts").write_text("-scene relaxation -lattice_shape 4,3 -detectors 2,1")
+    words = ["-relax_steps", "50", "-output_progress", "none"]
+    assert "50 steps" in start("run", "b.opts", *words, "-dry_run").stdout
+    done = start("run", "b.opts", *words, ranks=2)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("no spectrum: relax_steps: 51 amplitudes") == 1
+    result = load(tmp_path / "results" / "b.h5")
+    assert result.status == "complete"
+    assert result.relaxation.displacement.shape == (1, 51, 1)
+    assert not hasattr(result, "spectrum")
+    assert start("plot", "results/b.h5").returncode == 0
+    window = ["-spectrum_fit_min", ".2", "-spectrum_fit_max", ".3", "-output_overwrite"]
+    for more in ([], ["-dry_run"]):
+        done = start("run", "b.opts", *words, *window, *more)
+        assert_one_line(done, 2, "spectrum_fit_max: must be at least twice spectrum_fit_min")
+
+
+# Odd names, help
+
+
+def test_a_byte_that_is_no_utf8_is_refused_at_once(start, tmp_path):
+    """No result could name it; nothing is computed in vain."""
+    odd = os.fsdecode(b"a\xff.opts")
+    (tmp_path / odd).write_text(SMALL)
+    assert_one_line(start("run", odd), 2, "no UTF-8")
+    assert_one_line(start("run", "a.opts", "-output_file", odd), 2, "no UTF-8")
+    done = start("run", "a.opts", PETSC_OPTIONS=os.fsdecode(b"-bonds_seed \xff"))
+    assert_one_line(done, 2, "no UTF-8", "PETSC_OPTIONS")
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_result_of_an_odd_name(start, tmp_path):
+    name = 'it\'s a "name"\t#\u00e4;$x\\.h5'
+    assert start("run", "a.opts", "-output_file", name).returncode == 0
+    first = load(tmp_path / name)
+    assert shlex.split(first.command)[-1] == name
+    (tmp_path / "b.opts").write_text(first.options, encoding="utf-8")
+    assert_one_line(start("run", "b.opts"), 4, "exists already")
+    assert start("plot", name).returncode == 0
+
+
+@pytest.mark.parametrize("words", [["-h"], ["a.opts", "--help"], ["a.opts", "-sweep_point", "-h"]])
+def test_help_of_a_run(start, words):
+    done = start("run", *words)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "pgran run FILE" in done.stdout
+    assert ("pgran options response lists the options of a.opts" in done.stdout) == (
+        words[0] == "a.opts"
+    )
+
+
+def test_help_of_the_other_commands(start):
+    for command in ("options", "doctor", "plot"):
+        done = start(command, "-h")
+        assert (done.returncode, done.stderr) == (0, "")
+        assert "pgran" in done.stdout
+
+
+# Standard streams
+
+
+@pytest.fixture
+def shell(clean_environment, tmp_path):
+    """Return what runs a line of bash, in which $pgran is pgran."""
+    (tmp_path / "a.opts").write_text(SMALL)
+    environment = clean_environment | {"pgran": f"{sys.executable} -m pgran"}
+
+    def shell(line):
+        return subprocess.run(
+            ["bash", "-o", "pipefail", "-c", line],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=SECONDS,
+        )
+
+    return shell
+
+
+@pytest.mark.parametrize(
+    "words", ["options", "doctor", "--help", "plot -h", "run a.opts -dry_run", "--version"]
+)
+def test_output_that_cannot_be_written(shell, words):
+    """A full device is an error in a line; a pipe that nobody reads any more is none."""
+    assert_one_line(
+        shell(f"$pgran {words} >/dev/full"), 4, "standard output: cannot be written: No"
+    )
+    done = shell(f"$pgran {words} | true")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert shell(f"$pgran {words} >&-").returncode == 0
+
+
+@pytest.mark.parametrize("stream", ["2>&-", "2>/dev/full", "<&- >&- 2>&-", "2> >(true)"])
+@pytest.mark.parametrize("progress", ["bar", "lines"])
+def test_a_run_that_nobody_listens_to(shell, tmp_path, stream, progress):
+    done = shell(f"$pgran run a.opts -output_progress {progress} {stream}")
+    assert done.returncode == 0
+    assert load(tmp_path / "results" / "a.h5").status == "complete"
+    assert shell(f"$pgran run a.opts {stream}").returncode == 4
+
+
+# Nothing that happens after the result is written ends a run
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import ctypes; ctypes.CDLL = None",
+        "import pgran.database; pgran.database.unused = None",
+        "import pgran.scenes.response as scene; scene.summary = lambda records: [1 / 0]",
+        "Path.unlink = lambda path, missing_ok: os.remove('/proc/version')",
+    ],
+)
+def test_trouble_after_the_result(start, tmp_path, statement):
+    code = f"""
+import os
+from pathlib import Path
+import pgran.__main__
+start, write = pgran.running.start_petsc, None
+def start_petsc(options):
+    start(options)
+    from pgran import store
+    global write
+    write, store.write = store.write, late
+def late(*arguments):
+    write(*arguments)
+    {statement}
+pgran.running.start_petsc = start_petsc
+pgran.__main__.console()
+"""
+    done = start("run", "a.opts", "-steady_ksp_typo", "3", code=code)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "written to results/a.h5" in done.stderr
+    assert load(tmp_path / "results" / "a.h5").status == "complete"
+
+
+def test_warnings_of_libraries_are_one_line(start):
+    code = """
+import warnings
+import pgran.__main__
+main = pgran.__main__.main
+def warn(words):
+    warnings.warn("a first line\\nand another", RuntimeWarning)
+    return main(words)
+pgran.__main__.main = warn
+pgran.__main__.console()
+"""
+    done = start("--version", code=code)
+    assert done.stderr == "pgran: RuntimeWarning: a first line and another\n"
+
+
+def test_a_missing_scipy_is_said_at_the_start(start, tmp_path):
+    code = "import sys; sys.modules['scipy'] = None; import pgran.__main__ as m; m.console()"
+    (tmp_path / "c.opts").write_text("-relax_method krylov")
+    for words in ("relaxation", "accuracy -accuracy_of relaxation -accuracy_solvers c.opts"):
+        (tmp_path / "b.opts").write_text(f"-scene {words}")
+        done = start("run", "b.opts", code=code)
+        assert_one_line(done, 1, "scipy", "pgran doctor says how to mend it")
+    assert os.listdir(tmp_path / "results") == []
 
 
 # One rank fails

@@ -10,6 +10,7 @@ from reference import Reference, uniform_frequencies
 from samples import bond_arrays, random_lattice, uniform_lattice
 
 from pgran import counting, normal
+from pgran.errors import InputError
 from pgran.lattice import Lattice
 from pgran.operators import Operators
 from pgran.scenes.modes import certificate, find_modes
@@ -239,6 +240,16 @@ def test_units_change_nothing(name, speed, crew, solver_options):
     assert modes.count_certified
     assert others.count_certified
     np.testing.assert_array_equal(speed * modes.omega, others.omega)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "which",
+    [{"interval": (0.0, 1e300)}, {"interval": (1e200, 1e201)}, {"targets": [1e300], "count": 3}],
+)
+def test_frequencies_too_high_to_compute_with(crew, which):
+    with pytest.raises(InputError, match="too large"):
+        find_modes(random_lattice((4, 3)), crew, **which)
 
 
 def test_missing_modes_are_never_certified(crew, monkeypatch):

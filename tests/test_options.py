@@ -1,6 +1,7 @@
 """Options files and command lines: what is accepted, what is refused, and what it is told."""
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -212,6 +213,50 @@ def test_value_without_a_key():
         read_words(["-lattice_shape", "5", "6"])
 
 
+@pytest.mark.parametrize(
+    ("line", "hint"),
+    [
+        ("-lattice_shape 2, 2", "a list has no blanks: -lattice_shape 2,2"),
+        ("-detectors 3 4", "a list has no blanks: -detectors 3,4"),
+        ("-detectors 3 ,4", "a list has no blanks: -detectors 3,4"),
+        ("-sweep_points=3", "-sweep_points=3.* write -sweep_points 3"),
+        ("-detectors=", "-detectors=.* write -detectors"),
+        ("scene response", "did you mean -scene?"),
+        ("Sweep_Points 3", "did you mean -sweep_points?"),
+        ("// it's the paper's", "a comment begins with #"),
+        ("-sweep_points 3 // few", "a comment begins with #"),
+        ("%few", "a comment begins with #"),
+        ("; few", "a comment begins with #"),
+        ("\u2013scene response", "long dash; keys begin with -"),
+        ("-sc\u00e8ne response", "no key has such a name"),
+        ("-steady_a'b 3", "No closing quotation"),
+        ("'-steady_a b' 3", "no key has such a name"),
+        ("7", "keys look like -key"),
+    ],
+)
+def test_what_to_write_instead(tmp_path, line, hint):
+    with pytest.raises(InputError, match=rf"{hint}|{re.escape(hint)}") as caught:
+        read_file(write(tmp_path / "a.opts", f"-sweep_max 2\n{line}\n"))
+    assert "a.opts, line 2" in str(caught.value)
+
+
+@pytest.mark.parametrize("odd", ["\n", "\r", "\x1b", "\x85", "\u2028", "\udcff"])
+@pytest.mark.parametrize("word", ["-output_file a{}b.h5", "-steady_ksp_type b{}", "{}", "-a{}b"])
+def test_words_that_no_file_could_hold(word, odd):
+    """The result repeats its options as a file, where these would end a line, or could not be."""
+    with pytest.raises(InputError, match="line break, a control character, or a byte that"):
+        read_words(word.format(odd).split(" "))
+
+
+@pytest.mark.parametrize(
+    "name", ["a b", "a'b", 'a"b', "a#b", "a\\b", "a\tb", "\u00e4\u00a0b", "$a;b"]
+)
+def test_names_of_files_come_back_from_the_text(tmp_path, name):
+    found = resolve(read_words(["-scene", "response", "-output_file", name]))
+    again = resolve(read_file(write(tmp_path / "a.opts", found.text())))
+    assert again.output_file == name
+
+
 # Contradictions
 
 
@@ -269,6 +314,11 @@ def test_file_syntax(tmp_path):
     assert found.output_fields is True
     assert found.output_file == "a folder/b#c.h5"
     assert found.solver == {"steady_ksp_type": "gmres"}
+
+
+def test_a_mark_in_front_of_a_file(tmp_path):
+    (tmp_path / "a.opts").write_text("-scene response\n-bonds_seed 5\n", encoding="utf-8-sig")
+    assert resolve(read_file(tmp_path / "a.opts")).bonds_seed == 5
 
 
 def test_refusals_name_file_and_line(tmp_path):

@@ -1,5 +1,7 @@
 """The sweep of the paper, end to end, against the dense reference; phases and their fit."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from reference import Reference, uniform_field
@@ -147,6 +149,28 @@ def test_summary_warns_of_a_coarse_grid(world):
     assert "too coarse" in text
 
 
+def test_without_damping_there_is_no_phase_to_follow(world):
+    """The amplitude is real: its sign changes at resonances and between them, by jumps of pi."""
+    lattice = random_lattice((8, 9), damping=0.0)
+    found = run(world, lattice, np.linspace(0.05, 1.2, 60), (3, 4))
+    assert set(found.phase.ravel()) == {0.0, np.pi}
+    assert np.array_equal(found.phase > 0, found.displacement.real < 0)
+    for name in ("slope", "intercept", "velocity"):
+        assert np.all(np.isnan(getattr(found, f"phase_{name}")))
+    text = "\n".join(summary([LatticeRecord.of(lattice), found]))
+    assert text.count("no phase velocity: without damping") == 1
+    assert "too coarse" not in text
+    assert "phase slope" not in text
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_a_coarse_grid_is_seen_beside_missing_points(response, missing):
+    phase = np.array([[0.0], [0.1], [3.2], [0.2]])
+    phase[-1] = np.nan if missing else 0.2
+    shown = dataclasses.replace(response, phase=phase)
+    assert "too coarse" in "\n".join(summary([LatticeRecord.of(paper_lattice()), shown]))
+
+
 # Phases
 
 
@@ -175,6 +199,15 @@ def test_fit_of_a_line():
     slope, intercept = fit_phase(x, phase)
     assert slope == pytest.approx([-160, -20], rel=1e-12)
     assert intercept == pytest.approx([2, -1], rel=1e-10)
+
+
+@pytest.mark.filterwarnings("error")
+def test_points_too_close_for_a_line():
+    """Without a warning, either: the slope would be that of rounding."""
+    x = 0.5 + np.arange(4) * 2.0**-53
+    assert np.all(np.isnan(fit_phase(x, np.random.default_rng(1).random((4, 1)))))
+    x = 0.5 + np.arange(4) * 2.0**-20
+    assert fit_phase(x, -3 * x[:, None])[0] == pytest.approx(-3, rel=1e-8)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import welch
 
 from pgran.errors import InputError
-from pgran.spectrum import power_spectrum, segment_length
+from pgran.spectrum import check_window, fewest_steps, power_spectrum, segment_length
 
 
 def power_law_noise(psi, trajectories, steps, seed):
@@ -186,11 +186,18 @@ def test_impossible_windows_name_their_option(arguments, option):
         power_spectrum(power_law_noise(2, 1, 4000, seed=14), *arguments)
 
 
+@pytest.mark.parametrize("fit_min", [0.0, 1e-310, 0.5, math.nan])
+def test_a_window_is_checked_without_a_series(fit_min):
+    with pytest.raises(InputError, match=r"^spectrum_fit_min: "):
+        check_window(fit_min, 0.5)
+
+
 @pytest.mark.parametrize(("trajectories", "steps"), [(1, 2000), (2, 1200), (4, 800), (9, 800)])
 def test_too_few_steps(trajectories, steps):
     walks = power_law_noise(2, trajectories, steps, seed=15)
     result = power_spectrum(walks)
     assert np.isfinite(result.exponent_error)
+    assert fewest_steps(trajectories) == steps
     with pytest.raises(InputError, match=f"^relax_steps: .* at least {steps} are needed"):
         power_spectrum(walks[:, 1:])
 

@@ -6,15 +6,25 @@ import math
 import os
 import resource
 import stat
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from samples import random_lattice
 
-from pgran import foreign, load, store
+from pgran import figures, foreign, load, store
 from pgran.errors import FileError
-from pgran.results import LatticeRecord, Response
+from pgran.results import (
+    Accuracy,
+    ContinuumResponse,
+    LatticeRecord,
+    Modes,
+    Projection,
+    Relaxation,
+    Response,
+    Spectrum,
+)
 
 ATTRIBUTES = {
     "scene": "response",
@@ -55,10 +65,10 @@ def records(shape=(4, 5), fields=True, nw=3):
 
 
 def reseal(path):
-    """Give a changed result the seal of its new content, as a malicious writer would."""
-    content = path.read_bytes()[512:]
-    seal = b"pgran result 1\nsha256 %s\n" % hashlib.sha256(content).hexdigest().encode()
-    path.write_bytes(seal.ljust(512, b"\0") + content)
+    """Give a result that h5py changed the seal of its new content, as a malicious writer would."""
+    content = path.read_bytes()
+    seal = b"pgran result 2\nsha256 %s\n" % hashlib.sha256(content).hexdigest().encode()
+    path.write_bytes(content + seal.ljust(512, b"\0"))
 
 
 @pytest.fixture
@@ -86,39 +96,91 @@ def test_everything_comes_back(path, shape, fields):
     for name, value in ATTRIBUTES.items():
         assert getattr(result, name) == value
     assert result.format == "pgran"
-    assert result.format_version == 1
+    assert result.format_version == 2
     assert result.bonds_sha256 == written[0].bonds_sha256
     assert result.response.displacement.dtype == complex
 
 
+SPECTRUM = Spectrum(2.0, 0.1, 1.9, 1.0, 0.01, 0.3, 8, np.arange(1, 4) / 8, np.ones(3))
+CONTINUUM = ContinuumResponse(
+    *((0.5, 0.5), (1.0, 1.0), 1.0, 1.0, 0.0),
+    *(np.arange(3.0), np.ones(3) + 0j, np.ones(3), np.zeros(3), np.zeros(0)),
+)
+MODES = Modes(0, True, 0.1, *np.zeros((3, 0)), np.zeros((0, 4, 5)))
+PROJECTION = Projection(
+    *(2, False, 3, 0.1, np.arange(3.0), np.arange(2.0), np.ones((3, 2)) + 1j),
+    *np.zeros((3, 3)),
+)
+RELAXATION = Relaxation(
+    *(0.6, 1, 0.1, 0.0, np.zeros((1, 3), int), np.zeros((1, 3, 2), int), np.ones((1, 3))),
+    *(np.array([[1, 2]]), np.ones((1, 4, 1)) + 0j, np.ones((1, 4, 1)), np.ones((1, 4, 1), np.int8)),
+)
+ACCURACY = Accuracy(
+    *("response", 1, 3, 3, 1e-9, np.array(["a", "b c"]), np.array(["ä", "b"])),
+    *np.ones((7, 2)),
+    *np.ones((2, 2), int),
+    np.array([True, False]),
+)
+ALL = [*records(), MODES, PROJECTION, RELAXATION, SPECTRUM, CONTINUUM, ACCURACY]
+
+
 def test_every_dataset_has_units_name_and_scales(path):
-    store.write(path, ATTRIBUTES, records((4, 5)))
-    seen = []
-
-    def check(name, item):
-        if isinstance(item, h5py.Dataset):
-            seen.append(name)
-            assert isinstance(item.attrs["units"], str)
-            assert item.attrs["units"]
-            assert item.attrs["long_name"]
-            if not h5py.h5ds.is_scale(item.id):
-                for number, dimension in enumerate(item.dims):
-                    assert len(dimension) == 1, f"{name} axis {number}"
-                    assert dimension[0].shape[0] == item.shape[number]
-
+    """As netCDF-4 has it: every axis has one scale, which has one axis, and their lengths agree."""
+    store.write(path, ATTRIBUTES, ALL)
     with h5py.File(path) as file:
-        file.visititems(check)
-        response = file["response"]
-        assert response["displacement"].dims[0][0] == response["omega"]
-        assert response["displacement"].dims[1][0] == response["detector"]
-        assert response["field"].dims[0][0] == response["omega"]
-        assert [d[0].name for d in response["field"].dims][1:] == ["/response/x", "/response/y"]
-        assert file["lattice/stiffness_x"].shape == (5, 5)
-        assert file["lattice/stiffness_y"].shape == (4, 6)
-    declared = [
-        item.name for r in records() for item in dataclasses.fields(r) if "axes" in item.metadata
-    ]
-    assert set(declared) - {"stiffness_z"} <= {name.split("/")[1] for name in seen}
+        members = [data for group in file.values() for data in group.values()]
+        for data in members:
+            assert isinstance(data.attrs["units"], str)
+            assert data.attrs["units"]
+            assert data.attrs["long_name"]
+            if h5py.h5ds.is_scale(data.id):
+                assert data.ndim == 1, data.name
+                continue
+            assert data.name.split("/")[2] not in [d[0].name.split("/")[2] for d in data.dims]
+            for number, dimension in enumerate(data.dims):
+                assert len(dimension) == 1, f"{data.name} axis {number}"
+                assert dimension[0].shape == data.shape[number : number + 1]
+                assert dimension[0].parent == data.parent
+        assert {data.name.split("/")[2] for data in members} >= {
+            item.name for r in ALL for item in dataclasses.fields(r) if "axes" in item.metadata
+        } - {"stiffness_z"}
+        for name, scales in {
+            "response/displacement": "omega detector_number",
+            "response/detector": "detector_number axis",
+            "response/field": "omega x y",
+            "lattice/stiffness_x": "bond_x y",
+            "relaxation/bond_index": "trajectory step axis",
+            "spectrum/power": "frequency",
+        }.items():
+            assert [d[0].name.split("/")[2] for d in file[name].dims] == scales.split()
+
+
+@pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
+def test_xarray_reads_every_group(path, engine):
+    pytest.importorskip({"netcdf4": "netCDF4"}.get(engine, engine))
+    xarray = pytest.importorskip("xarray")
+    store.write(path, ATTRIBUTES, ALL)
+    for record in ALL:
+        with xarray.open_dataset(path, engine=engine, group=record.group) as found:
+            for item in dataclasses.fields(record):
+                value = getattr(record, item.name)
+                if value is None or "of_run" in item.metadata:
+                    continue
+                read = found[item.name].values if item.metadata else found.attrs[item.name]
+                kind = np.asarray(value).dtype.kind
+                if kind == "U":  # bytes by h5netcdf
+                    read = [t.decode() if isinstance(t, bytes) else t for t in np.atleast_1d(read)]
+                    value = np.atleast_1d(value)
+                if kind == "c" and read.dtype.names:  # by netCDF4
+                    read = read["r"] + 1j * read["i"]
+                assert np.array_equal(read, value, equal_nan=kind in "fc"), item.name
+    with xarray.open_dataset(path, engine=engine, group="response") as found:
+        assert found.displacement.dims == ("omega", "detector_number")
+        assert found.detector.dims == ("detector_number", "axis")
+        near = found.amplitude.sel(omega=0.56, method="nearest").values
+        assert np.array_equal(near, ALL[1].amplitude[1])
+    with xarray.open_dataset(path, engine=engine) as found:
+        assert found.attrs["options"] == ATTRIBUTES["options"]
 
 
 def test_stiffness_comes_back_as_a_lattice_needs_it(path):
@@ -220,7 +282,7 @@ def test_existing_output_needs_leave(path):
         store.check_output(path, False)
     store.check_output(path, True)
     assert path.read_bytes() == before
-    path.write_bytes(before[:1000])  # damaged, and still a result
+    path.write_bytes(before.replace(b"lattice", b"lettuce"))  # damaged, and still a result
     store.check_output(path, True)
 
 
@@ -295,22 +357,43 @@ def test_missing_and_other_files(tmp_path):
     both_refuse(tmp_path / "pipe.h5", "pipe")
 
 
-@pytest.mark.parametrize("version", [b"0", b"2", b"1.0", b"\x1b[31m", b""])
+@pytest.mark.parametrize("version", [b"0", b"1", b"3", b"2.0", b"\x1b[31m", b""])
 def test_other_format_versions(path, version):
     store.write(path, ATTRIBUTES, records())
-    content = path.read_bytes()
-    path.write_bytes(content.replace(b"result 1\n", b"result %s\n" % version, 1))
-    refused(path, "format version")
+    content, seal = path.read_bytes()[:-512], path.read_bytes()[-512:]
+    seal = seal.replace(b"result 2\n", b"result %s\n" % version).ljust(512, b"\0")[:512]
+    path.write_bytes(content + seal)
+    refused(path, "format version .*; this pgran reads 1 to 2")
 
 
-def test_seal_is_the_checksum_of_all_that_follows(path):
+VERSION_1 = Path(__file__).with_name("version1.h5")
+
+
+def test_files_of_version_1_are_read(path):
+    """Its seal comes first; `detector` is a scale of two axes."""
+    result = load(VERSION_1)
+    assert (result.format_version, result.pgran_version) == (1, "0.1.0")
+    assert result.response.amplitude.shape == (5, 1)
+    assert result.response.detector.tolist() == [[1, 1]]
+    stiffness, kmax = store.read_stiffness(VERSION_1)
+    assert np.array_equal(stiffness[0], result.lattice.stiffness_x)
+    assert kmax == pytest.approx(0.25)
+    store.check_output(VERSION_1, True)
+    assert len(list(figures.draw(result, path.with_suffix(".png")))) > 1
+    whole = VERSION_1.read_bytes()
+    for place in (20, 511, 512, 3000, len(whole) - 1):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :])
+        refused(path, "damaged or changed")
+
+
+def test_seal_is_the_checksum_of_all_before(path):
     store.write(path, ATTRIBUTES, records())
     before = path.read_bytes()
+    path.write_bytes(before[:-512])
     reseal(path)
     assert path.read_bytes() == before
-    assert before.startswith(b"pgran result 1\nsha256 ")
-    with h5py.File(path) as file:
-        assert file.userblock_size == 512
+    assert before[-512:].startswith(b"pgran result 2\nsha256 ")
+    assert before.startswith(b"\x89HDF\r\n\x1a\n")
 
 
 def test_every_changed_byte_is_found(path):
@@ -318,14 +401,19 @@ def test_every_changed_byte_is_found(path):
     store.write(path, ATTRIBUTES, records((1, 1), fields=False, nw=1))
     whole = path.read_bytes()
     rng = np.random.default_rng(3)
-    for place in [*range(0, 600, 7), *rng.integers(0, len(whole), 200), len(whole) - 1]:
+    size = len(whole)
+    for place in [*range(0, 600, 7), *range(size - 600, size, 7), *rng.integers(0, size, 200)]:
         changed = bytearray(whole)
         changed[place] ^= 1 << rng.integers(8)
         path.write_bytes(changed)
-        refused(path, "damaged or changed|not a result|format version")
-    for content in (whole[:-1], whole + b"\0", whole[:512], whole[:300], whole * 2):
+        refused(path, "damaged or changed|format version")
+    for content in (whole[1:], whole[:-512] + whole, whole * 2):
         path.write_bytes(content)
         both_refuse(path, "damaged or changed")
+    for content in (whole[:-1], whole + b"\0", whole[:-512], whole[:512], whole[:300]):
+        path.write_bytes(content)
+        refused(path, "damaged or changed")
+        refused(path, "damaged", store.read_stiffness)
     path.write_bytes(whole)
     load(path)
 
@@ -334,7 +422,7 @@ def test_bonds_of_a_result_without_seal_are_refused(path):
     """A single bit of the seal's first word, or the file copied by a tool that drops the seal."""
     store.write(path, ATTRIBUTES, records())
     whole = path.read_bytes()
-    for content in (b"q" + whole[1:], whole[512:]):
+    for content in (whole[:-512] + b"q" + whole[-511:], whole[:-512]):
         path.write_bytes(content)
         refused(path, "not a result")
         refused(path, "damaged or changed .no seal", store.read_stiffness)
@@ -372,9 +460,9 @@ def both_refuse(path, match):
 
 def apart(path):
     """Take the seal away, so that the bonds are read as from any other file."""
-    with h5py.File(path, "r+") as file:
+    with h5py.File(path, "r+") as file:  # which drops what follows HDF5's own bytes
         del file.attrs["format"]
-    path.write_bytes(bytes(512) + path.read_bytes()[512:])
+    assert not store.is_result(path)
     return path
 
 

@@ -8,6 +8,8 @@ from pgran.lattice import Lattice
 from pgran.sharing import Crew, automatic_ranks
 from pgran.stiffness import BondLaw
 
+CLOSE = 1e-10  # relative distance
+
 
 def make_lattice(options, world):
     """Return the lattice that the options describe, the same on every rank.
@@ -57,6 +59,30 @@ def driving_frequencies(options):
     if options.sweep_omega:
         return np.array(options.sweep_omega)
     return np.linspace(options.sweep_min, options.sweep_max, options.sweep_points)
+
+
+def phase_of_sign(displacement):
+    """Return the phase of amplitudes that are real, as without damping: 0 or pi; NaN where unknown.
+
+    Not collective. Its jumps are changes of sign, to be followed by no unwrapping.
+    """
+    sign = np.where(displacement.real < 0, np.pi, 0.0)
+    return np.where(np.isnan(displacement), np.nan, sign)
+
+
+def fit_line(x, y):
+    """Return slope and intercept of the straight line through some points; y may hold NaN.
+
+    Not collective. NaN where less than three points are known, or where these are too close
+    together to tell a slope from rounding.
+    """
+    known = np.isfinite(y)
+    x, y = x[known], y[known]
+    if len(x) < 3 or np.ptp(x) < CLOSE * np.abs(x).max():
+        return np.nan, np.nan
+    middle = x.mean()
+    slope, height = np.polyfit(x - middle, y, 1)
+    return slope, height - slope * middle
 
 
 def reached_accuracy(record, good):

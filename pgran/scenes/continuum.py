@@ -5,7 +5,7 @@ import numpy as np
 from pgran.continuum import Continuum
 from pgran.errors import on_root
 from pgran.results import ContinuumResponse
-from pgran.scenes.common import driving_frequencies
+from pgran.scenes.common import driving_frequencies, phase_of_sign
 
 
 def run(options, world, journal=None):
@@ -26,7 +26,11 @@ def respond(options):
         omega=omegas,
         displacement=displacement,
         amplitude=np.abs(displacement),
-        phase=phase(displacement, options.continuum_damping),
+        phase=(
+            np.unwrap(np.angle(displacement))
+            if options.continuum_damping
+            else phase_of_sign(displacement)
+        ),
         resonance=box.resonances(omegas[-1]),
     )
 
@@ -39,16 +43,6 @@ def make_box(options):
         options.continuum_stiffness,
         options.continuum_damping,
     )
-
-
-def phase(displacement, damping):
-    """Return the unwrapped phase; without damping 0 or pi, the sign of a real amplitude.
-
-    Not collective.
-    """
-    if damping == 0:
-        return np.where(displacement.real < 0, np.pi, 0.0)
-    return np.unwrap(np.angle(displacement))
 
 
 def summary(records):

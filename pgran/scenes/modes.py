@@ -8,6 +8,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from pgran.counting import ModeCounter, cut, shared
+from pgran.lattice import check_frequency
 from pgran.normal import RESIDUAL, ModeSolver, participation
 from pgran.operators import Operators
 from pgran.progress import Progress
@@ -92,11 +93,14 @@ def find_modes(
 
     Raises
     ------
+    InputError
+        If the interval or the targets are too high to compute with.
     PgranError
         If the modes cannot be counted.
     """
     started, root = time.perf_counter(), crew.world.rank == 0
     lattice, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
+    check_frequency(lattice, max(targets if targets is not None else interval or (0.0,)))
     with Operators(lattice, MPI.COMM_SELF) as operators:
         K = operators.K
         for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):

@@ -9,7 +9,7 @@ from pgran.lattice import check_frequency
 from pgran.operators import Operators
 from pgran.progress import Progress
 from pgran.results import LatticeRecord, Projection
-from pgran.scenes.common import driving_frequencies, make_lattice
+from pgran.scenes.common import driving_frequencies, fit_line, make_lattice
 from pgran.scenes.modes import certificate, chosen, find_modes
 from pgran.scenes.response import units
 from pgran.sharing import Crew
@@ -54,15 +54,13 @@ def summary(records):
         f"with {projection.factorizations} factorizations"
     )
     yield certificate(projection, nm)
-    omega = projection.omega / lattice.omega_mx
-    inside = (omega > 0.1) & (omega < 0.9) & (projection.converged_reason > 0)
-    if nm:
-        inside &= projection.omega >= projection.mode_omega[0]
-        inside &= projection.omega <= projection.mode_omega[-1]
-    if nm > 3 and np.count_nonzero(inside) >= 3:
-        dominant = projection.mode_omega[projection.dominant[inside]] / lattice.omega_mx
-        slope = np.polyfit(omega[inside], dominant, 1)[0]
-        yield f"the dominant mode follows the drive with slope {slope:.3f} (.1 to .9 omega_mx)"
+    omega, modes, unit = projection.omega, projection.mode_omega, lattice.omega_mx
+    inside = (omega > 0.1 * unit) & (omega < 0.9 * unit) & (projection.converged_reason > 0)
+    if nm > 3:
+        inside &= (omega >= modes[0]) & (omega <= modes[-1])
+        slope, _ = fit_line(omega[inside], modes[projection.dominant[inside]])
+        if np.isfinite(slope):
+            yield f"the dominant mode follows the drive with slope {slope:.3f} (.1 to .9 omega_mx)"
 
 
 def project(

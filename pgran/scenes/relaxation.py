@@ -19,7 +19,7 @@ from pgran.scenes.common import (
     make_law,
     reached_accuracy,
 )
-from pgran.spectrum import power_spectrum, segment_length
+from pgran.spectrum import check_window, power_spectrum
 from pgran.steady import SteadySolver
 from pgran.windows import Windows, window_length
 
@@ -32,7 +32,7 @@ def run(options, world, journal=None):
     """Return lattice, relaxation and spectrum, on rank 0; None on the others. Collective."""
     steps, trajectories = options.relax_steps, options.relax_trajectories
     window = options.spectrum_fit_min, options.spectrum_fit_max
-    segment_length(trajectories, steps + 1, *window)  # refuses a bad window before any work
+    check_window(*window)  # before any work; too short a series only has no spectrum
     lattice = make_lattice(options, world)
     with make_crew(options, lattice, world, journal) as crew:
         relaxation = relax(

@@ -11,8 +11,10 @@ from pgran.results import LatticeRecord, Response
 from pgran.scenes.common import (
     below_relative_accuracy,
     driving_frequencies,
+    fit_line,
     make_crew,
     make_lattice,
+    phase_of_sign,
     reached_accuracy,
 )
 from pgran.steady import SteadySolver
@@ -42,13 +44,16 @@ def run(options, world, journal=None):
 
 def summary(records):
     """Return in words what a run found. Not collective."""
-    _, response = records
+    lattice, response = records
     nw = len(response.omega)
     yield (
         f"{nw} frequencies with {response.factorizations} factorizations in "
         f"{response.solve_seconds:.2f} s"
     )
     yield from reached_accuracy(response, response.converged_reason > 0)
+    if lattice.damping == 0:
+        yield "no phase velocity: without damping amplitudes are real, and their phase is 0 or pi"
+        return
     for site, slope, velocity in zip(
         response.detector.tolist(), response.phase_slope, response.phase_velocity, strict=True
     ):
@@ -57,7 +62,7 @@ def summary(records):
                 f"ball {tuple(site)}: phase slope {slope:.4g} rad per omega_mx, "
                 f"phase velocity {velocity:.4g} spacings x omega_mx"
             )
-    turn = np.abs(np.diff(response.phase, axis=0)).max(initial=0.0)
+    turn = np.fmax.reduce(np.abs(np.diff(response.phase, axis=0)), axis=None, initial=0.0)
     if turn > 3.0:
         yield (
             f"the phase turns by up to {turn:.2f} rad from one frequency to the next: the grid is "
@@ -182,10 +187,11 @@ def assemble(lattice, omegas, sites, rows, seconds, phase_window, tolerance):
     displacement = rows["displacement"].copy()
     at_floor = below_relative_accuracy(rows["error_bound"], displacement, tolerance)
     at_floor[rows["converged_reason"] <= 0] = 0
-    phase = unwrap(np.where(at_floor, np.nan, displacement))
+    known = np.where(at_floor, np.nan, displacement)
+    phase = unwrap(known) if lattice.damping else phase_of_sign(known)
     low, high = phase_window
     inside = (omegas > low * lattice.omega_mx) & (omegas < high * lattice.omega_mx)
-    inside &= rows["converged_reason"] > 0
+    inside &= (rows["converged_reason"] > 0) & (lattice.damping > 0)
     slope, intercept = fit_phase(omegas[inside] / lattice.omega_mx, phase[inside])
     distance = lattice.shape[0] - sites[:, 0]
     with np.errstate(divide="ignore"):
@@ -240,9 +246,4 @@ def fit_phase(x, phase):
     slope, intercept : numpy.ndarray, shape (nd,)
         In rad per omega_mx, and rad.
     """
-    lines = np.full((2, phase.shape[1]), np.nan)
-    for d, column in enumerate(phase.T):
-        known = np.isfinite(column)
-        if np.count_nonzero(known) >= 3:
-            lines[:, d] = np.polyfit(x[known], column[known], 1)
-    return lines
+    return np.transpose([fit_line(x, column) for column in phase.T])

@@ -1,0 +1,45 @@
+"""Standard output and standard error, which may be closed, a closed pipe, or a full device."""
+
+import io
+import os
+import sys
+
+from pgran.errors import FileError
+
+
+class Stream(io.FileIO):
+    """A standard stream that breaks once: a closed pipe quietly, anything else with a FileError.
+
+    Standard error breaks quietly always: no run ends because nobody hears of it.
+    """
+
+    broken = False
+
+    def write(self, data):
+        """Write what can be written; once broken, nothing."""
+        try:
+            return len(data) if self.broken else super().write(data)
+        except OSError as error:
+            self.broken = True
+            if self.fileno() == 1 and not isinstance(error, BrokenPipeError):
+                text = f"standard output: cannot be written: {error.strerror}"
+                raise FileError(text) from None
+            return len(data)
+
+
+def guard():
+    """Let this process use standard streams that break in order. Not collective."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:  # closed: the next file opened would be in its place
+            os.open(os.devnull, os.O_RDWR)
+    sys.stdout, sys.stderr = (
+        io.TextIOWrapper(
+            io.BufferedWriter(Stream(number, "w", closefd=False)),
+            encoding=getattr(old, "encoding", "utf-8"),
+            errors="backslashreplace",
+            line_buffering=number == 2 or os.isatty(number),
+        )
+        for number, old in ((1, sys.stdout), (2, sys.stderr))
+    )
