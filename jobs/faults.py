@@ -95,8 +95,9 @@ def one_kind(campaign, trial):
     seconds = time.monotonic() - begun
     said = job.said()
     # exactly one message: of pgran's own, or of mpirun where a rank cannot speak any more
-    messages = [line for line in said.splitlines() if line.startswith(("pgran", "mpirun"))]
-    who = "results" if kind in ALIKE else f"rank {rank}"
+    speakers = ("pgran", "mpirun", "YOUR APPLICATION")
+    messages = [line for line in said.splitlines() if line.startswith(speakers)]
+    who = "results" if kind in ALIKE else cause if kind in UNNAMED else f"rank {rank}"
     campaign.check(
         job,
         not fault.exists() and "the fault did not happen",
@@ -134,6 +135,14 @@ FAULTS = {
 ONCE = {"import", "result", "folder", "writing"}  # happen once in a run
 ALIKE = {"result", "folder"}  # all ranks agree on these
 UNEXPECTED = {"exception", "callback", "memory", "recursion", "writing"}
+UNNAMED = set()
+version = subprocess.run(["mpirun", "--version"], capture_output=True, text=True, check=True).stdout
+if "HYDRA" in version:  # MPICH's names the signal alone, and takes a rank that vanishes for done
+    UNNAMED = {"segfault", "kill", "abort"}
+    del FAULTS["vanish"]
+    for kind in UNNAMED:
+        number = FAULTS[kind][0] - 128
+        FAULTS[kind] = (number, f"(signal {number})", True)
 
 
 def kills(campaign):

@@ -130,6 +130,7 @@ def end_all_ranks(error):
         sys.stdout.flush()
     finally:  # whatever else goes wrong: no rank must be left waiting
         if world:
+            time.sleep(errors.SECONDS_FOR_MPIRUN)
             world.Abort(code)
     if is_petsc(error):
         os._exit(code)  # after an error of its own PETSc can crash while it is shut down

@@ -2,6 +2,7 @@
 
 import math
 
+from mpi4py import MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 from petsc4py import PETSc
 
 TINY = 1e-300
