@@ -148,6 +148,8 @@ def explain(error):
         return 130, "interrupted"
     if isinstance(error, ModuleNotFoundError):
         return 1, f"{error}: pgran doctor says how to mend it"
+    if is_petsc(error) and error.__cause__:
+        return explain(error.__cause__)  # a Python error that PETSc has met in a callback
     if is_petsc(error):
         return errors.BAD_INPUT if is_bad_input(error) else 1, petsc_message(error)
     return 1, "".join(traceback.format_exception(error)).rstrip()

@@ -45,9 +45,10 @@ def plain_errors():
     try:
         yield
     except SystemError as error:
-        if not is_petsc(error.__cause__):
+        hidden = error.__cause__
+        if not is_petsc(hidden):
             raise
-        raise error.__cause__ from None
+        raise hidden from hidden.__cause__
 
 
 class ModeSolver(Owner):
