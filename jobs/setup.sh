@@ -153,7 +153,8 @@ make_venv() {
     [ ! -d "$folder" ] || echo "$folder"
   done >"$site/pgran_petsc.pth"
   [ -z "$outer" ] || hand_on "$outer"
-  [ -z "$wheel" ] || "$venv/bin/pip" install -q --only-binary :all: "${wheels[@]}" || give_up
+  [ -z "$wheel" ] || "$venv/bin/pip" install -q --only-binary :all: "${wheels[@]}" ||
+    { say "PETSc cannot be installed from PyPI: see above"; give_up; }
   # The distribution's packages stay as they are: pip does not recognise all of them.
   "$venv/bin/python" -c 'import setuptools, wheel' 2>/dev/null || build=()
   "$venv/bin/python" -m pip install -q --no-deps "${build[@]}" -e .
