@@ -7,6 +7,7 @@ import statistics
 import sys
 import time
 
+import mpi4py.MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 import petsc4py
 
 petsc4py.init(["benchmark", "-skip_petscrc"])

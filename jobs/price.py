@@ -11,6 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import mpi4py.MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 import petsc4py
 
 petsc4py.init(["price", "-skip_petscrc"])

@@ -5,20 +5,35 @@
 #   source jobs/setup.sh    the same, and the environment of a job script:
 #                           the project's folder, .venv, one thread a rank
 #
-# On Debian and Ubuntu the distribution's packages are used (sudo where you are not root). Where a
-# python3 with complex petsc4py and slepc4py works already (conda-forge, a cluster's module), that
-# python3 is used and nothing is installed but pgran.
+# A python3 with complex petsc4py and slepc4py (conda-forge, a cluster's module) is used as it is, and
+# nothing is installed but pgran. Else the distribution's packages are, on Debian and Ubuntu (sudo
+# where you are not root). Where they cannot be, all comes from PyPI, PETSc in a wheel.
+#
+#   PGRAN_STACK=wheel bash jobs/setup.sh    all from PyPI at once, in .venv-wheel beside .venv
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
-# A .venv that is active already must not be mistaken for the python3 to build on.
+case ${PGRAN_STACK:-} in
+  "") venv=.venv ;;
+  wheel) venv=.venv-wheel ;;
+  *) echo "setup: PGRAN_STACK is $PGRAN_STACK; it can be wheel, or nothing" >&2; exit 2 ;;
+esac
+
+# One of these that is active already must not be mistaken for the python3 to build on.
 PATH=${PATH//"$PWD/.venv/bin:"/}
+PATH=${PATH//"$PWD/.venv-wheel/bin:"/}
 
 packages=(
   python3-petsc4py python3-petsc4py-complex python3-slepc4py python3-slepc4py-complex
   python3-mpi4py python3-h5py-mpi python3-numpy python3-scipy python3-matplotlib python3-tqdm
-  python3-pytest python3-mpmath python3-xarray python3-h5netcdf python3-venv python3-setuptools python3-wheel
-  openmpi-bin libopenblas0-pthread
+  python3-pytest python3-mpmath python3-xarray python3-h5netcdf python3-venv python3-setuptools
+  python3-wheel openmpi-bin libopenblas0-pthread
+)
+# The same from PyPI: a wheel of another project's with PETSc, SLEPc, petsc4py and slepc4py in it.
+wheels=(
+  dolfinx-solver-complex==0.11.0.post0 mpich==5.0.2 mpi4py==4.1.2 h5py==3.16.0 numpy==2.5.5
+  scipy==1.18.1 matplotlib==3.11.2 tqdm==4.70.1 pytest==9.2.0 mpmath==1.4.1 xarray==2026.9.0
+  h5netcdf==1.8.2 setuptools wheel
 )
 extras=(matplotlib scipy tqdm pytest mpmath) # figures, spectra and tests; from PyPI where missing
 ruff="ruff==0.14.4" # pinned: its formatting changes between versions
@@ -36,88 +51,152 @@ debian_folder() { # petsc | slepc
 }
 
 works() { # PYTHON: has it what pgran cannot do without, with complex scalars?
-  "$1" - <<'PYTHON' >/dev/null 2>&1
+  "$1" - <<'PYTHON'
 import sys
-assert sys.version_info >= (3, 11)
-import h5py, mpi4py.MPI, numpy, slepc4py
+assert sys.version_info >= (3, 11), "Python is older than 3.11"
+import h5py, mpi4py.MPI, numpy
 import petsc4py
 petsc4py.init(["setup", "-skip_petscrc"])
 from petsc4py import PETSc
-assert numpy.dtype(PETSc.ScalarType).kind == "c"
+from slepc4py import SLEPc
+assert numpy.dtype(PETSc.ScalarType).kind == "c", "this PETSc has real scalars"
 PYTHON
 }
 
 find_python() { # sets python, or leaves it empty
   python=
-  if command -v python3 >/dev/null && works python3; then
+  if works python3 2>/dev/null; then
     python=$(command -v python3)
-    return
-  fi
-  local petsc slepc
-  petsc=$(debian_folder petsc)
-  slepc=$(debian_folder slepc)
-  if [ -n "$petsc" ] && [ -n "$slepc" ] &&
-    PETSC_DIR=$petsc SLEPC_DIR=$slepc works /usr/bin/python3; then
-    export PETSC_DIR=$petsc SLEPC_DIR=$slepc
+  elif debian_works 2>/dev/null; then
+    PETSC_DIR=$(debian_folder petsc)
+    SLEPC_DIR=$(debian_folder slepc)
+    export PETSC_DIR SLEPC_DIR
     python=/usr/bin/python3
   fi
 }
 
+debian_works() {
+  PETSC_DIR=$(debian_folder petsc) SLEPC_DIR=$(debian_folder slepc) works /usr/bin/python3
+}
+
+root=()
+can_install() { # Debian packages
+  command -v apt-get >/dev/null || return
+  [ "$(id -u)" -eq 0 ] && return
+  root=(sudo)
+  command -v sudo >/dev/null && sudo apt-get --version >/dev/null
+}
+
 install_packages() {
-  if ! command -v apt-get >/dev/null; then
-    say "no python3 with complex petsc4py and slepc4py was found, and this is no Debian or Ubuntu."
-    say "With conda:     conda create -n pgran -c conda-forge python=3.12 'petsc=*=complex*' \\"
-    say "                'slepc=*=complex*' petsc4py slepc4py mpi4py h5py ${extras[*]}"
-    say "                conda activate pgran"
-    say "On a cluster:   load the modules of a complex PETSc with petsc4py and slepc4py"
-    say "then start this script again."
-    exit 2
-  fi
-  local root=()
-  if [ "$(id -u)" -ne 0 ]; then
-    command -v sudo >/dev/null || { say "installing packages needs root: no sudo here"; exit 2; }
-    root=(sudo)
-  fi
   say "installing Debian packages (about a minute) ..."
   "${root[@]}" apt-get update -qq
   "${root[@]}" env DEBIAN_FRONTEND=noninteractive \
     apt-get install -y -qq --no-install-recommends "${packages[@]}" >/dev/null
 }
 
-make_venv() {
-  say "making .venv with $python ..."
-  "$python" -m venv --system-site-packages .venv
-  local site
-  site=$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
-  # So that pgran finds PETSc without an exported PETSC_DIR.
-  for folder in "${PETSC_DIR:-}" "${SLEPC_DIR:-}"; do
-    [ -d "$folder/lib/python3/dist-packages" ] && echo "$folder/lib/python3/dist-packages"
-  done >"$site/pgran_petsc.pth" || true
-  # The distribution's packages stay as they are: pip does not recognise all of them.
-  local build=(--no-build-isolation)
-  .venv/bin/python -c 'import setuptools, wheel' 2>/dev/null || build=()
-  .venv/bin/python -m pip install -q --no-deps "${build[@]}" -e .
-  local missing=() name
-  for name in "${extras[@]}"; do
-    .venv/bin/python -c "import $name" 2>/dev/null || missing+=("$name")
+find_wheel_python() { # sets python to one that the wheels are made for, or leaves it empty
+  local name
+  for name in python3 python3.{13,12,14} "${PYENV_ROOT:-${HOME:-}/.pyenv}"/versions/3.1[234].*/bin/python3; do
+    "$name" - 2>/dev/null <<'PYTHON' || continue
+import ensurepip, os, sys, sysconfig, venv
+assert (3, 12) <= sys.version_info < (3, 15) and not sysconfig.get_config_var("Py_GIL_DISABLED")
+assert sysconfig.get_platform() == "linux-x86_64"
+assert tuple(map(int, os.confstr("CS_GNU_LIBC_VERSION").split()[1].split("."))) >= (2, 34)
+PYTHON
+    python=$(command -v "$name")
+    return
   done
-  local complete=yes
-  for name in "$ruff" "${missing[@]}"; do
-    .venv/bin/python -m pip install -q "$name" || { complete=; say "$name: not installed (no PyPI?)"; }
-  done
-  .venv/bin/python -c 'import pgran'
-  [ -z "$complete" ] || touch .venv/complete # else the next call tries again
 }
 
-if [ ! -e .venv/complete ] || [ pyproject.toml -nt .venv/complete ] || [ jobs/setup.sh -nt .venv/complete ]; then
-  find_python
-  [ -n "$python" ] || { install_packages; find_python; }
-  [ -n "$python" ] || { say "the packages are installed, but petsc4py does not work:"; \
-    PETSC_DIR=$(debian_folder petsc) /usr/bin/python3 -c 'from petsc4py import PETSc'; exit 2; }
+give_up() {
+  say "With conda:     conda create -n pgran -c conda-forge python=3.12 'petsc=*=complex*' \\"
+  say "                'slepc=*=complex*' petsc4py slepc4py mpi4py h5py ${extras[*]}"
+  say "                conda activate pgran"
+  say "On a cluster:   load the modules of a complex PETSc with petsc4py and slepc4py"
+  say "then start this script again."
+  exit 2
+}
+
+# A venv made with the python3 of another venv sees nothing of that one: its packages, nor an MPI from
+# PyPI, which mpi4py looks for in the lib folder of the venv that it runs in.
+hand_on() { # FOLDER of that other venv
+  local file
+  file=$("$1/bin/python3" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+  echo "import site; site.addsitedir('$file')" >>"$site/pgran_petsc.pth"
+  for file in "$1"/lib/*; do
+    [ -e "$venv/lib/${file##*/}" ] || ln -s "$file" "$venv/lib/"
+  done
+  for file in "$1"/bin/mpirun "$1"/bin/mpiexec; do # no links: they look for their helpers beside them
+    [ -x "$file" ] || continue
+    printf '#!/bin/sh\nexec "%s" "$@"\n' "$file" >"$venv/bin/${file##*/}"
+    chmod +x "$venv/bin/${file##*/}"
+  done
+}
+
+make_venv() {
+  say "making $venv with $python${wheel:+, and PETSc from PyPI (about a minute)} ..."
+  local made site outer= folder build=(--no-build-isolation) missing=() name complete=yes
+  local flags=(--system-site-packages)
+  if [ "$wheel" ]; then
+    flags=()
+    unset PETSC_DIR SLEPC_DIR # of another PETSc, if any
+  else
+    outer=$("$python" -c 'import sys; print(sys.prefix if sys.prefix != sys.base_prefix else "")')
+  fi
+  made="$python ${flags[*]}"
+  [ "$(cat "$venv/made" 2>/dev/null)" = "$made" ] || flags+=(--clear) # of what another one left
+  "$python" -m venv "${flags[@]}" "$venv"
+  echo "$made" >"$venv/made"
+  site=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+  # So that pgran finds PETSc without an exported PETSC_DIR.
+  for folder in "${PETSC_DIR:-}" "${SLEPC_DIR:-}"; do
+    folder=${folder:+$folder/lib/python3/dist-packages}
+    [ ! -d "$folder" ] || echo "$folder"
+  done >"$site/pgran_petsc.pth"
+  [ -z "$outer" ] || hand_on "$outer"
+  [ -z "$wheel" ] || "$venv/bin/pip" install -q --only-binary :all: "${wheels[@]}" ||
+    { say "PETSc cannot be installed from PyPI: see above"; give_up; }
+  # The distribution's packages stay as they are: pip does not recognise all of them.
+  "$venv/bin/python" -c 'import setuptools, wheel' 2>/dev/null || build=()
+  "$venv/bin/python" -m pip install -q --no-deps "${build[@]}" -e .
+  for name in "${extras[@]}"; do
+    "$venv/bin/python" -c "import $name" 2>/dev/null || missing+=("$name")
+  done
+  for name in "$ruff" "${missing[@]}"; do
+    "$venv/bin/python" -m pip install -q "$name" || { complete=; say "$name: not installed (no PyPI?)"; }
+  done
+  if ! (unset PETSC_DIR SLEPC_DIR; works "$venv/bin/python"; "$venv/bin/pgran" --version >/dev/null); then
+    say "$venv is made, but does not work with $python: see above"
+    exit 2
+  fi
+  [ -z "$complete" ] || touch "$venv/complete" # else the next call tries again
+}
+
+if [ ! -e "$venv/complete" ] || [ pyproject.toml -nt "$venv/complete" ] || [ jobs/setup.sh -nt "$venv/complete" ]; then
+  python='' wheel=''
+  if [ -z "${PGRAN_STACK:-}" ]; then
+    find_python
+    if [ -z "$python" ] && can_install; then
+      install_packages
+      find_python
+      [ -n "$python" ] || { say "the packages are installed, but do not work:"; debian_works || true; }
+    fi
+  fi
+  if [ -z "$python" ]; then
+    find_wheel_python
+    wheel=yes
+  fi
+  if [ -z "$python" ]; then
+    [ -n "${PGRAN_STACK:-}" ] || say "no python3 with complex petsc4py and slepc4py was found, and" \
+      "Debian packages cannot be installed (no apt-get, or neither root nor sudo)."
+    say "PETSc from PyPI needs Python 3.12 to 3.14 with its venv, on x86_64 with glibc 2.34 or later:" \
+      "none was found."
+    give_up
+  fi
   make_venv
 fi
 
-source .venv/bin/activate
+source "$venv/bin/activate"
 export OMP_NUM_THREADS=1
 # Open MPI refuses root (a container) and more ranks than cores unless told so.
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 OMPI_MCA_rmaps_base_oversubscribe=1

@@ -156,6 +156,7 @@ def end_all_ranks(error):
         sys.stdout.flush()
     finally:  # whatever else goes wrong: no rank must be left waiting
         if world:
+            time.sleep(errors.SECONDS_FOR_MPIRUN)
             world.Abort(code)
     if is_petsc(error):
         os._exit(code)  # after an error of its own PETSc can crash while it is shut down
@@ -173,6 +174,8 @@ def explain(error):
         return 130, "interrupted"
     if isinstance(error, ImportError):
         return 1, str(PgranError(f"{error}: pgran doctor says how to mend it"))
+    if is_petsc(error) and error.__cause__:
+        return explain(error.__cause__)  # a Python error that PETSc has met in a callback
     if is_petsc(error):
         return errors.BAD_INPUT if is_bad_input(error) else 1, petsc_message(error)
     return 1, "".join(traceback.format_exception(error)).rstrip()

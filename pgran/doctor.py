@@ -16,7 +16,7 @@ import tempfile
 from pgran import launch
 
 INSTALL = "bash jobs/setup.sh makes .venv, and .venv/bin/pgran has all it needs"
-FIGURES = "figures, spectra and progress bars need it: python3-{0} or pip install {0}"
+FIGURES = "figures and progress bars need it: python3-{0} or pip install {0}"
 OLDEST_PYTHON, OLDEST_NUMPY = (3, 11), (1, 24)
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # The libraries of which a program must hold one only.
@@ -73,7 +73,7 @@ def mpi():
     except (ImportError, RuntimeError) as error:  # RuntimeError: no MPI library
         yield False, f"mpi4py cannot be imported: {error}", elsewhere("mpi4py")
         return
-    name = MPI.Get_library_version().splitlines()[0].split(",")[0].strip()
+    name = launch.library(MPI)
     ranks = MPI.COMM_WORLD.size
     yield True, f"mpi4py with {name}, {ranks} rank{'s' if ranks > 1 else ''} here", ""
     cure = "put the mpirun of the MPI that mpi4py was built with first on PATH"
@@ -175,6 +175,11 @@ def h5py():
     return library("h5py")
 
 
+def scipy():
+    """Find SciPy."""
+    return library("scipy")
+
+
 def library(name):
     """Find a module that pgran cannot do without."""
     try:
@@ -231,7 +236,7 @@ def memory_map():
 
 def extras():
     """Find modules that only some commands need."""
-    for name in ("matplotlib", "scipy", "tqdm"):
+    for name in ("matplotlib", "tqdm"):
         for good, text, _ in library(name):
             yield good or None, text, FIGURES.format(name)
 
@@ -278,4 +283,4 @@ def folder():
         yield True, f"{os.path.abspath(where)} can be written to", ""
 
 
-CHECKS = (python, mpi, petsc, slepc, numpy, h5py, libraries, extras, threads, folder)
+CHECKS = (python, mpi, petsc, slepc, numpy, scipy, h5py, libraries, extras, threads, folder)

@@ -16,6 +16,7 @@ LONGEST = 1010  # characters of a message
 WRONG_OPTION = ("SetFromOptions()", "Could not locate solver type")
 SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # that ask a run to stop
 SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail alike
+SECONDS_FOR_MPIRUN = 0.1  # to hand on a message: MPICH's loses some that an abort follows at once
 FAILED = 0  # tag of the message in which it tells them
 
 

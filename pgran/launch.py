@@ -16,6 +16,12 @@ def size():
     return _first(SIZES, 1)
 
 
+def library(MPI):
+    """Return the name and version of the library behind mpi4py's module."""
+    first = MPI.Get_library_version().splitlines()[0].split(",")[0]
+    return " ".join(first.replace("Version:", "").split())
+
+
 def _first(names, otherwise):
     numbers = (os.environ[name] for name in names if name in os.environ)
     return next((int(number) for number in numbers if number.isdigit()), otherwise)

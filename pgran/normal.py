@@ -9,6 +9,7 @@ The complex build of SLEPc gives complex vectors. One Rayleigh-Ritz step in real
 them real and orthonormal.
 """
 
+import contextlib
 import logging
 import math
 
@@ -17,6 +18,7 @@ import slepc4py
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from pgran.errors import is_petsc
 from pgran.operators import Owner
 
 slepc4py.init([])  # PETSc has its options already
@@ -35,6 +37,18 @@ TARGETS = (0.5, 0.43, 0.57, 0.36, 0.64)
 # Where a Krylov space is a small part of all, orthogonalizing again only what has lost a digit
 # saves a quarter of the time; else modes are missed. A search that fails is repeated with care.
 HASTY_ETA, HASTY_BALLS = 0.3, 5000
+
+
+@contextlib.contextmanager
+def plain_errors():
+    """Raise PETSc's errors as they are: a slepc4py from PyPI hides them behind a SystemError."""
+    try:
+        yield
+    except SystemError as error:
+        hidden = error.__cause__
+        if not is_petsc(hidden):
+            raise
+        raise hidden from hidden.__cause__
 
 
 class ModeSolver(Owner):
@@ -121,6 +135,7 @@ class ModeSolver(Owner):
         missed = residuals(stiffness, values, vectors) / self.norm
         return values, with_fixed_sign(vectors), missed
 
+    @plain_errors()
     def _make_eps(self, hasty):
         """Create an EPS, first with the defaults, then as its options say."""
         eps = SLEPc.EPS().create(PETSc.COMM_SELF)
@@ -151,17 +166,18 @@ class ModeSolver(Owner):
         self._deflated = False
         once = eps.getType() == "lapack" or eps.getWhichEigenpairs() == SLEPc.EPS.Which.ALL
         try:
-            for _ in range(1 if once else SEARCHES):
-                self._aim(eps, low, high, count - len(inside), len(seen), part)
-                if seen:
-                    eps.setDeflationSpace(seen)
-                    self._deflated = True
-                self._start(eps, len(seen))
-                before = len(seen)
-                eps.solve()
-                self._collect(eps, low, high, inside, seen)
-                if len(inside) >= count or len(seen) == before:
-                    break
+            with plain_errors():
+                for _ in range(1 if once else SEARCHES):
+                    self._aim(eps, low, high, count - len(inside), len(seen), part)
+                    if seen:
+                        eps.setDeflationSpace(seen)
+                        self._deflated = True
+                    self._start(eps, len(seen))
+                    before = len(seen)
+                    eps.solve()
+                    self._collect(eps, low, high, inside, seen)
+                    if len(inside) >= count or len(seen) == before:
+                        break
         except PETSc.Error as error:
             self._failure = str(error).splitlines()[-1]
         finally:
@@ -190,6 +206,7 @@ class ModeSolver(Owner):
             if low < value < high:
                 inside.append(vector.getArray().copy())
 
+    @plain_errors()
     def _refined(self, st, found):
         """Return x - (K - sigma)^-1 (K x - lambda x) for eigenvectors x, a row each.
 

@@ -8,6 +8,7 @@ is combined anew for each frequency without assembly, and factored symbolically 
 from functools import cached_property
 
 import numpy as np
+from mpi4py import MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 from petsc4py import PETSc
 
 from pgran.errors import InputError

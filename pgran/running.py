@@ -133,7 +133,7 @@ def start_mpi():
     if world.size == 1 and launch.size() > 1:
         raise InputError(
             f"mpirun started {launch.size()} ranks that do not know of each other: it belongs to "
-            f"another MPI than mpi4py ({MPI.Get_library_version().split(',')[0]})"
+            f"another MPI than mpi4py ({launch.library(MPI)})"
         )
     return world
 

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from mpi4py import MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 from petsc4py import PETSc
 
 from pgran.bounds import ErrorBounds, is_accurate

@@ -7,6 +7,7 @@ ranks compare outcomes after each test, and end the whole run where they differ 
 
 # ruff: noqa: E402 (PETSc is started before anything imports it)
 
+import contextlib
 import faulthandler
 import os
 import sys
@@ -15,6 +16,7 @@ from pathlib import Path
 
 os.environ.pop("PETSC_OPTIONS", None)
 
+import mpi4py.MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 import petsc4py
 
 petsc4py.init(["pytest", "-skip_petscrc"])
@@ -23,6 +25,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
+from samples import option_values
+
+from pgran import launch
+from pgran.database import holding
+from pgran.errors import SECONDS_FOR_MPIRUN
 
 WORLD = MPI.COMM_WORLD
 SECONDS_PER_TEST = 120  # the slowest takes about ten
@@ -40,6 +47,19 @@ def pytest_configure(config):
     reporter = config.pluginmanager.getplugin("terminalreporter")
     if WORLD.rank > 0 and reporter is not None:
         reporter._tw._file = open(os.devnull, "w")  # noqa: SIM115
+
+
+def pytest_sessionstart(session):
+    """Say what is tested, with `-q` too."""
+    reporter = session.config.pluginmanager.getplugin("terminalreporter")
+    versions = {
+        "PETSc": ".".join(map(str, PETSc.Sys.getVersion())),
+        "MPI": launch.library(MPI),
+        "NumPy": np.__version__,
+        "Python": sys.version.split()[0],
+        "ranks": WORLD.size,
+    }
+    reporter.write_line(", ".join(f"{name} {version}" for name, version in versions.items()))
 
 
 def pytest_collection_finish(session):
@@ -95,6 +115,7 @@ def _say(message):
 def _end(message):
     _say(message)
     sys.stdout.flush()
+    time.sleep(SECONDS_FOR_MPIRUN)
     WORLD.Abort(1)
 
 
@@ -118,23 +139,26 @@ def shared_path(tmp_path):
     WORLD.Barrier()
 
 
+@pytest.fixture(autouse=True)
+def option_database():
+    """Hold every test to leaving PETSc's options as it has found them."""
+    database = PETSc.Options()
+    before = database.getAll()
+    yield
+    left = database.getAll()
+    for key in left.keys() - before.keys():
+        database.delValue(key)
+    for key in before:
+        if left.get(key) != before[key]:
+            database.setValue(key, before[key])
+    assert left == before
+
+
 @pytest.fixture
 def solver_options():
     """Return what sets PETSc options for one test: `solver_options("-steady_ksp_type gmres")`."""
-    database, given = PETSc.Options(), []
-
-    def put(text):
-        words = text.split()
-        for position, word in enumerate(words):
-            if word.startswith("-") and word[1].isalpha():
-                following = words[position + 1 : position + 2]
-                value = following[0] if following and not following[0].startswith("-s") else ""
-                database.setValue(word[1:], value)
-                given.append(word[1:])
-
-    yield put
-    for key in given:
-        database.delValue(key)
+    with contextlib.ExitStack() as held:
+        yield lambda text: held.enter_context(holding(option_values(text)))
 
 
 @pytest.fixture
@@ -144,7 +168,9 @@ def clean_environment():
         pytest.skip("starts programs of its own: serial run only")
     foreign = ("OMPI_COMM", "OMPI_UNIVERSE", "OMPI_APP", "OMPI_FILE", "PMIX_", "PMI_", "PRTE_")
     environment = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}
+    here = os.path.dirname(sys.executable)  # with the mpirun of this stack, if it is a wheel's
     environment |= {
+        "PATH": f"{here}{os.pathsep}{environment['PATH']}",
         "OMP_NUM_THREADS": "1",
         "OMPI_ALLOW_RUN_AS_ROOT": "1",
         "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",

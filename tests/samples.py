@@ -1,9 +1,17 @@
-"""Lattices to test with. Their bonds come from NumPy's default generator, not from pgran's laws."""
+"""Lattices to test with. Their bonds come from NumPy's default generator, not from pgran's laws.
+
+And PETSc options: those of a text, and whether this PETSc has KLU.
+"""
 
 import numpy as np
 import pytest
+from petsc4py import PETSc
 
+from pgran.doctor import has_solver
 from pgran.lattice import Lattice
+
+HAS_KLU = has_solver(PETSc, "klu")
+needs_klu = pytest.mark.skipif(not HAS_KLU, reason="this PETSc has no KLU")
 
 
 def bond_arrays(shape, draw):
@@ -38,3 +46,15 @@ def skip_unless_ranks_fit(shape, comm):
     """Skip a test where PETSc cannot cut so few balls among the ranks."""
     if max(shape) < comm.size:
         pytest.skip("fewer balls along every axis than ranks")
+
+
+def option_values(text):
+    """The PETSc options of a text, `-key value -flag ...`, as a dictionary."""
+    found = {}
+    for word in text.split():
+        if word.startswith("-") and word[1].isalpha():
+            key = word[1:]
+            found[key] = ""
+        else:
+            found[key] = word
+    return found

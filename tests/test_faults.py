@@ -11,7 +11,9 @@ import h5py
 import numpy as np
 import pytest
 from mpi4py import MPI
+from petsc4py import PETSc
 
+from pgran.__main__ import explain
 from pgran.errors import who_reports
 from pgran.journal import Journal
 
@@ -41,6 +43,18 @@ def test_a_rank_that_fails_alone_does_not_wait_for_ever(world):
         assert not alike
     world.Barrier()
     comm.Free()
+
+
+# What is said
+
+
+def test_an_error_in_a_callback_is_told():
+    """Newer PETSc raises an error of its own, with Python's as its cause."""
+    error = PETSc.Error(101)
+    error.__cause__ = RuntimeError("planted")
+    code, text = explain(error)
+    assert code == 1
+    assert "RuntimeError: planted" in text
 
 
 # Trials of the campaign

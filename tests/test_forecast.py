@@ -199,7 +199,7 @@ MEMORY = """
 import atexit, re
 def tell():
     with open("/proc/self/status") as status:
-        print("PEAK", re.search(r"VmHWM:\\s+(\\d+) kB", status.read())[1])
+        print("PEAK " + re.search(r"VmHWM:\\s+(\\d+) kB", status.read())[1])
 atexit.register(tell)
 from pgran.__main__ import console
 console()

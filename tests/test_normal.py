@@ -252,6 +252,15 @@ def test_frequencies_too_high_to_compute_with(crew, which):
         find_modes(random_lattice((4, 3)), crew, **which)
 
 
+def test_errors_of_petsc_are_not_hidden():
+    """A slepc4py from PyPI raises a SystemError, PETSc's own error being its cause."""
+    with pytest.raises(PETSc.Error, match="71"), normal.plain_errors():
+        raise SystemError("returned a result with an exception set") from PETSc.Error(71)
+    with pytest.raises(SystemError, match="another") as info, normal.plain_errors():
+        raise SystemError("another") from ValueError("cause")
+    assert isinstance(info.value.__cause__, ValueError)
+
+
 def test_missing_modes_are_never_certified(crew, monkeypatch):
     found = normal.ModeSolver._search
     monkeypatch.setattr(normal.ModeSolver, "_search", lambda *arguments: found(*arguments)[:-1])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from reference import Reference
-from samples import random_lattice
+from samples import needs_klu, random_lattice
 
 from pgran.bounds import smallest_damping_eigenvalue
 from pgran.errors import InputError
@@ -289,6 +289,7 @@ def test_a_lattice_that_all_ranks_share(world):
     assert np.max(np.abs(alone.displacement - together.displacement)) < 1e-12
 
 
+@needs_klu
 def test_an_inexact_factorization_serves_no_window(solver_options):
     """KLU solves with the conjugate matrix: a KSP makes up for it, block solves cannot."""
     solver_options("-steady_pc_type lu -steady_pc_factor_mat_solver_type klu")

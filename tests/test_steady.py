@@ -65,7 +65,7 @@ def random_cases():
         yield pytest.param(lattice, omegas, sites, tolerance, id=f"{number}-{law}")
 
 
-@pytest.mark.parametrize(("lattice", "omegas", "sites", "tolerance"), random_cases())
+@pytest.mark.parametrize(("lattice", "omegas", "sites", "tolerance"), list(random_cases()))
 def test_error_is_within_bound_and_tolerance(comm, lattice, omegas, sites, tolerance):
     """Amplitudes below 1e-17 may miss the tolerance, but must say so; the bound holds anyway."""
     states, _ = solve(lattice, omegas, sites, comm, tolerance)
