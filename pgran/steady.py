@@ -293,7 +293,7 @@ class SteadySolver(Owner):
             good = np.all(bound * (1 + self.tolerance) <= self.tolerance * np.abs(displacement))
             if self.whole_field:
                 field_bound = bounds.field(residual)
-                good = good and field_bound <= self.tolerance * size
+                good = good and field_bound * (1 + self.tolerance) <= self.tolerance * size
         if good and np.all(np.isfinite(displacement)):
             reason = (
                 self._reason if self._reason > 0 else int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL)
