@@ -1,5 +1,6 @@
 """Normal modes against dense linear algebra, closed forms and identities."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -241,7 +242,7 @@ def test_units_change_nothing(name, speed, crew, solver_options):
     np.testing.assert_array_equal(speed * modes.omega, others.omega)
 
 
-def test_missing_modes_are_never_certified(crew, monkeypatch):
+def test_missing_modes_are_never_certified(crew, monkeypatch, caplog):
     found = normal.ModeSolver._search
     monkeypatch.setattr(normal.ModeSolver, "_search", lambda *arguments: found(*arguments)[:-1])
     lattice = random_lattice((7, 7))
@@ -249,9 +250,31 @@ def test_missing_modes_are_never_certified(crew, monkeypatch):
     assert not modes.count_certified
     assert modes.failures == modes.count_expected - len(modes.omega) > 0
     assert "NOT ALL" in certificate(modes, len(modes.omega))
+    said = f"{len(modes.omega)} of {modes.count_expected} modes found for omega^2 m from"
+    assert crew.world.allreduce(said in caplog.text, MPI.LOR)
     near = from_root(find_modes(lattice, crew, targets=[0.5], count=4), crew.world)
     assert not near.count_certified
     assert near.failures > 0
+
+
+def test_a_mode_found_twice_makes_up_for_none_that_is_missing(crew, monkeypatch, narrow):
+    """As many modes as were counted, but not slice by slice."""
+    find = normal.ModeSolver.solve
+
+    def spoilt(self, low, high, count):
+        modes = find(self, low, high, count)
+        chosen = np.arange(count)
+        if low < 0:  # the lowest slice
+            chosen = chosen[1:]
+        if high > self.norm:  # the highest
+            chosen = np.append(chosen, count - 1)
+        return tuple(part[chosen] for part in modes)
+
+    monkeypatch.setattr(normal.ModeSolver, "solve", spoilt)
+    modes = from_root(find_modes(random_lattice((7, 7)), crew), crew.world)
+    assert len(modes.omega) == modes.count_expected
+    assert not modes.count_certified
+    assert modes.failures > 0
 
 
 def test_inaccurate_modes_are_never_certified(crew, monkeypatch):
@@ -304,10 +327,24 @@ def test_spoilt_factors_are_refused():
     matrix.destroy()
 
 
+@pytest.mark.parametrize("wanted", [1, 7, 30])
+@pytest.mark.parametrize("omega", [0.0, 0.41, 0.9])
+def test_an_interval_around_a_frequency_has_few_more_modes_than_wanted(counter, omega, wanted):
+    counter, values = counter
+    (low, below), (high, above) = counter.around(omega, 1.0, wanted).items()
+    assert wanted <= above - below <= wanted + max(4, wanted // 4)
+    assert above - below == np.count_nonzero((values > low) & (values < high))
+    nearest = np.sort(np.abs(np.sqrt(values) - omega))[:wanted]
+    assert nearest[-1] <= np.sqrt(high) - omega
+
+
 def test_slices_share_no_mode_and_leave_none(counter, world, narrow):
     counter, values = counter
     slices = counting.cut(counter, counter.interval(0.2, 0.9), world)
     assert len(slices) > 4
+    counts = [count for *_, count in slices]
+    assert counts == sorted(counts, reverse=True)  # so that ranks end together
+    assert all(a[2] + b[2] > 6 for a, b in pairwise(sorted(slices)))
     for low, high, count in slices:
         assert np.count_nonzero((values > low) & (values < high)) == count
         assert count <= 9 + 6

@@ -12,6 +12,7 @@ from samples import bond_arrays, random_lattice, skip_unless_ranks_fit, uniform_
 
 from pgran.bounds import smallest_damping_eigenvalue
 from pgran.lattice import Lattice
+from pgran.linear import factor_package
 from pgran.operators import Operators
 from pgran.steady import SteadySolver
 
@@ -257,6 +258,22 @@ def test_other_solvers(comm, options, solver_options):
     lattice = random_lattice((9, 10), 8)
     states, _ = solve(lattice, np.linspace(0.5, 1.3, 9), [(3, 4), (8, 0)], comm)
     assert_certified(states, lattice, [(3, 4), (8, 0)], 1e-4)
+
+
+def test_what_factors_by_default(solver_options):
+    """PETSc in the ordering of the smaller factor; MUMPS where lattices are large or shared."""
+    assert factor_package((20, 20), 1) == "petsc"
+    assert factor_package((1000, 1000), 1) == factor_package((20, 20), 2) == "mumps"
+    entries = []
+    for options in ("", "-steady_pc_factor_mat_ordering_type nd"):
+        solver_options(options)
+        with (
+            Operators(random_lattice((30, 30)), MPI.COMM_SELF) as operators,
+            SteadySolver(operators, [[5, 5]]) as solver,
+        ):
+            solver.solve(0.6)
+            entries.append(solver.factor.getInfo()["nz_used"])
+    assert entries[0] < entries[1]
 
 
 def test_incomplete_factorization_never_passes_wrong_numbers(solver_options):
