@@ -15,12 +15,15 @@ from pgran.bounds import smallest_damping_eigenvalue
 from pgran.errors import InputError
 from pgran.lattice import Lattice, bond_arrays, bond_count, bond_places
 from pgran.operators import Operators
+from pgran.reading import read_words, resolve
 from pgran.relaxation import Changes, Network, draw_changes
+from pgran.scenes import relaxation as relaxation_scene
 from pgran.scenes.relaxation import relax
 from pgran.sharing import Crew
+from pgran.spectrum import power_spectrum
 from pgran.steady import SteadySolver
 from pgran.stiffness import BondLaw
-from pgran.windows import Windows, march, window_length
+from pgran.windows import Deformation, Windows, march, window_length
 
 UNIFORM = BondLaw("uniform")
 
@@ -65,7 +68,7 @@ def solve(lattice, sites, crew_of=MPI.COMM_SELF, law=UNIFORM, omega=0.5, **choic
 def test_every_amplitude_is_that_of_the_stored_network(method, shape, beta):
     lattice = random_lattice(shape, seed=5, damping=beta)
     sites = [[0] * len(shape), [n // 2 for n in shape]]
-    relaxation = solve(lattice, sites, steps=300, method=method, window=40)
+    relaxation = solve(lattice, sites, steps=300, method=method, window=40, seed=3)
     assert relaxation.failures == 0
     steps = np.linspace(0, 300, 16).astype(int)
     allowed = 1e-4 if method == "krylov" else 1e-10
@@ -231,6 +234,38 @@ def test_the_bound_covers_block_solves_that_went_wrong(monkeypatch):
     assert np.all(error <= bound)
     assert np.median(error / np.abs(exact)) > 1e-12
     assert np.median(bound / error) < 1e3
+
+
+@pytest.mark.parametrize("spoilt", ["solves", "algebra"])
+def test_residuals_after_each_step_are_no_larger_than_said(spoilt):
+    """Those of x0 + Y gamma, where the solutions Y or the algebra are wrong by 1e-3."""
+    lattice, rng = random_lattice((3, 4), seed=5, damping=0.05), np.random.default_rng(1)
+    S, f = Reference(lattice.stiffness, damping=0.05).system(0.6)
+    bonds = np.array([2, 11, 13, 20, 26, 30])  # the third ends at the driven wall
+    B, k = np.zeros((12, 6)), [array.copy() for array in lattice.stiffness]
+    axes, places = bond_places((3, 4), bonds)
+    for column, (axis, place) in enumerate(zip(axes, places, strict=True)):
+        for step, sign in ((-1, -1.0), (0, 1.0)):
+            ball = place + step * (np.arange(2) == axis)
+            if np.all((ball >= 0) & (ball < (3, 4))):
+                B[np.ravel_multi_index(ball, (3, 4)), column] = sign
+    driven = (axes == 0) & (places[:, 0] == 3)
+    Y, x0 = (np.linalg.solve(S.astype(complex), b.astype(complex)) for b in (B, f))
+    if spoilt == "solves":
+        Y *= 1 + 1e-3 * rng.standard_normal(Y.shape)
+    G, delta = B.T @ Y, rng.uniform(0.05, 0.2, 6)
+    T, c = march(G, delta)
+    if spoilt == "algebra":
+        c *= 1 + 1e-3 * rng.standard_normal(6)
+    rows, missed = np.linalg.norm(G, axis=1), np.linalg.norm((B - S @ Y).astype(complex), axis=0)
+    moved = Deformation.of(T, c, G, rows, delta, B.T @ x0, driven)
+    said = moved.residual(np.linalg.norm((f - S @ x0).astype(complex)), missed)
+    for step in range(6):
+        k[axes[step]][tuple(places[step])] += delta[step]
+        S, f = Reference(k, damping=0.05).system(0.6)
+        true = np.linalg.norm((f - S @ (x0 + Y @ moved.part[:, step])).astype(complex))
+        assert true <= said[step] <= 10 * true
+    assert driven.tolist() == [False, False, True, False, False, False]
 
 
 def test_the_bound_of_a_step_is_reached(monkeypatch):
@@ -426,6 +461,31 @@ def test_bounds_hold_after_many_changes_of_very_different_bonds():
             exact = Reference(bond_arrays((2,), network.bonds), damping=0.01)
             error = np.abs(state.displacement - exact.amplitudes(0.6, [[0], [1]]))
             assert np.all(error <= state.error_bound)
+
+
+def test_the_spectrum_of_a_run(world, caplog):
+    """That of |A| at the first detector; with a word where the window lies below the memory."""
+    words = "-scene relaxation -lattice_shape 5,4 -detectors 2,2,1,1 -output_progress none"
+    words += " -relax_trajectories 4 -spectrum_fit_min"
+    for fit, steps, warns in ((0.01, 800, True), (0.1, 80, False)):
+        caplog.clear()
+        options = resolve(read_words(f"{words} {fit} -relax_steps {steps}".split()))
+        records = relaxation_scene.run(options, world)
+        if world.rank == 0:
+            _, relaxation, spectrum = records
+            expected = power_spectrum(np.abs(relaxation.displacement[:, :, 0]), fit, 0.3)
+            assert np.array_equal(spectrum.power, expected.power)
+            assert spectrum.exponent == expected.exponent
+            assert ("corner 1/(2 pi 49)" in caplog.text) == warns
+
+
+def test_no_spectrum_of_a_series_with_gaps(world, caplog):
+    words = "-scene relaxation -lattice_shape 5,4 -detectors 2,2 -output_progress none"
+    words += " -relax_steps 200 -spectrum_fit_min .1 -error_tolerance 1e-17"
+    records = relaxation_scene.run(resolve(read_words(words.split())), world)
+    if world.rank == 0:
+        assert len(records) == 2
+        assert "no spectrum: some steps have no amplitude" in caplog.text
 
 
 def test_trajectories_start_alike_and_part():

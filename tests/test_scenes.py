@@ -10,6 +10,7 @@ from mpi4py import MPI
 from pgran.database import holding
 from pgran.options import RUN, SCENES
 from pgran.reading import read_words, resolve
+from pgran.scenes.common import driving_frequencies
 
 GRID = "-lattice_shape 5,4 -detectors 2,2 -sweep_points 9"
 RELAX = "-lattice_shape 5,4 -detectors 2,2 -relax_steps 200 -spectrum_fit_min .1"
@@ -89,6 +90,16 @@ def same(one, other):
         a == b and x.dtype == y.dtype and x.shape == y.shape and x.tobytes() == y.tobytes()
         for (a, x), (b, y) in zip(one, other, strict=True)
     )
+
+
+def test_frequencies_of_a_sweep():
+    """A grid holds both its ends; frequencies given one by one are taken as they are."""
+    for words, expected in (
+        ("-sweep_min .2 -sweep_max .8 -sweep_points 4", [0.2, 0.4, 0.6, 0.8]),
+        ("-sweep_omega 1,3", [1, 3]),
+    ):
+        options = resolve(read_words(["-scene", "response", *words.split()]))
+        assert driving_frequencies(options) == pytest.approx(expected, rel=1e-15)
 
 
 @pytest.mark.parametrize("scene", BASE)

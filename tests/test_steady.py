@@ -17,6 +17,7 @@ from pgran.operators import Operators
 from pgran.steady import SteadySolver
 
 DIRECT = "-steady_ksp_type preonly -steady_pc_type lu"
+POOR = "-steady_ksp_type gmres -steady_pc_type ilu -steady_ksp_max_it 60"
 
 
 def solve(lattice, omegas, sites, comm, tolerance=1e-4, **more):
@@ -317,18 +318,26 @@ def test_hopeless_solvers_are_marked(comm, options, solver_options):
         assert not error > state.error_bound[0]
 
 
-def test_no_point_of_a_sweep_suffers_from_a_failed_neighbour(solver_options):
+@pytest.mark.parametrize(
+    ("options", "shape", "site", "omegas"),
+    [
+        (POOR, (12, 12), (3, 4), np.linspace(0.1, 1.3, 25)),
+        ("", (20,), (0,), np.linspace(1.8, 0.9, 30)),  # at first amplitudes beyond all digits
+    ],
+)
+def test_no_point_of_a_sweep_suffers_from_a_failed_neighbour(
+    options, shape, site, omegas, solver_options
+):
     """After a failure the next frequency starts afresh, though the factors could be reused: it
     gets what it would get alone."""
-    solver_options("-steady_ksp_max_it 60 -steady_pc_type ilu -steady_ksp_type gmres")
-    lattice = random_lattice((12, 12), 8)
-    omegas = np.linspace(0.1, 1.3, 25)
+    solver_options(options)
+    lattice = random_lattice(shape, 8)
     choices = {"comm": MPI.COMM_SELF, "refresh_iterations": 1000}
-    states, _ = solve(lattice, omegas, [(3, 4)], **choices)
+    states, _ = solve(lattice, omegas, [site], **choices)
     failed = [i for i, state in enumerate(states[:-1]) if state.converged_reason <= 0]
-    assert failed
-    for i in failed[:5]:
-        alone, _ = solve(lattice, omegas[i + 1], [(3, 4)], **choices)
+    assert any(states[i + 1].converged_reason > 0 for i in failed)
+    for i in failed[-5:]:
+        alone, _ = solve(lattice, omegas[i + 1], [site], **choices)
         assert alone[0].displacement[0] == states[i + 1].displacement[0]
         assert alone[0].converged_reason == states[i + 1].converged_reason
 
