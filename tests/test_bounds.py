@@ -274,6 +274,8 @@ def test_residuals_are_no_larger_than_said(comm, shape, damping):
             vectors = primal.solution, adjoint.solution, terms
             A, z, sizes = (comm.bcast(operators.field(x)).ravel() for x in vectors)
             S, f = reference.system(omega)
+            assert np.abs(S).sum(axis=1).max() <= bounds.scale
+            assert len(set(comm.allgather(bounds.scale))) == 1
             # |f| + |S| |A|, the parts of S apart: those of its diagonal may cancel
             parts = np.abs(reference.K) + omega * damping * np.abs(reference.C)
             exact = np.abs(f) + parts @ np.abs(A) + omega**2 * np.abs(A)

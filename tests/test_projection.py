@@ -1,13 +1,16 @@
 """Projections of driven states on normal modes."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from mpi4py import MPI
 from reference import Reference
 from samples import paper_lattice, random_lattice
 
+from pgran.reading import read_words, resolve
 from pgran.scenes.modes import find_modes
-from pgran.scenes.projection import project
+from pgran.scenes.projection import project, which_modes
 from pgran.sharing import Crew
 
 OMEGAS = np.array([0.02, 0.31, 0.6, 0.93, 1.3])
@@ -70,6 +73,10 @@ def test_frequencies_that_miss_their_accuracy_are_marked(crew, solver_options):
     assert modes.count_certified
     assert np.all(found.converged_reason <= 0)
     assert found.failures == len(OMEGAS)
+    missing = dataclasses.replace(found, count_certified=False)
+    assert missing.failures == len(OMEGAS) + 1
+    missing = dataclasses.replace(missing, count_expected=found.count_expected + 3)
+    assert missing.failures == len(OMEGAS) + 3
 
 
 def test_modes_diagonalise_the_undamped_lattice(crew):
@@ -101,6 +108,19 @@ def test_part_of_the_modes_is_part_of_the_projection(which, crew):
     np.testing.assert_allclose(part.coefficient, expected, atol=1e-9 * np.abs(expected).max())
     largest = np.abs(part.coefficient)[np.arange(len(OMEGAS)), part.dominant]
     np.testing.assert_array_equal(largest, np.abs(part.coefficient).max(axis=1))
+
+
+def test_which_modes_are_projected_on():
+    """All of a small lattice; else, or where a number is given, those near each frequency."""
+    for balls, words, expected in (
+        (3600, "", {}),
+        (3601, "", {"targets": OMEGAS, "count": 60}),
+        (3600, "-modes_count 7", {"targets": OMEGAS, "count": 7}),
+        (3601, "-modes_count 7 -modes_target .5", {"targets": [0.5], "count": 7}),
+        (3601, "-modes_omega_min .1 -modes_omega_max .2", {"interval": (0.1, 0.2)}),
+    ):
+        options = resolve(read_words(["-scene", "projection", *words.split()]))
+        assert which_modes(options, balls, OMEGAS) == expected
 
 
 def test_no_modes_no_dominant_one(crew):

@@ -1,5 +1,7 @@
 """The sweep of the paper, end to end, against the dense reference; phases and their fit."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from reference import Reference, uniform_field
@@ -125,6 +127,11 @@ def test_failures_are_counted_and_left_out_of_the_fit(world, solver_options):
     assert found.failures == 23
     assert np.all(np.isnan(found.phase_slope))
     assert np.all(np.isnan(found.phase_velocity))
+
+
+def test_a_reason_of_zero_is_a_failure(response):
+    reasons = np.array([2, 0, -3, 1])
+    assert dataclasses.replace(response, converged_reason=reasons).failures == 2
 
 
 def test_detector_outside(world):

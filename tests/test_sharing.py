@@ -6,6 +6,8 @@ from mpi4py import MPI
 from samples import random_lattice
 
 from pgran.errors import InputError
+from pgran.reading import read_words, resolve
+from pgran.scenes.common import make_crew
 from pgran.scenes.response import sweep, units
 from pgran.sharing import LARGE, Crew, automatic_ranks
 
@@ -42,6 +44,14 @@ def test_groups_that_do_not_divide(world):
     if world.size == 3:
         with pytest.raises(InputError, match="-ranks_per_lattice 2"):
             Crew(world, 2)
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_groups_that_options_ask_for(world, lattice, together):
+    size = world.size if together else 1
+    options = resolve(read_words(f"-scene response -ranks_per_lattice {size}".split()))
+    with make_crew(options, lattice, world) as crew:
+        assert crew.group.size == size
 
 
 def test_automatic_ranks():

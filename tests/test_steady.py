@@ -297,13 +297,14 @@ def test_incomplete_factorization_never_passes_wrong_numbers(solver_options):
         "-steady_ksp_type preonly -steady_pc_type none",
     ],
 )
-def test_hopeless_solvers_are_marked(comm, options, solver_options):
+@pytest.mark.parametrize("damping", [0.003, 0.0])
+def test_hopeless_solvers_are_marked(comm, options, damping, solver_options):
     """Every point is tried, marked, and its bound still holds where it is finite.
 
     No pass leaves a larger residual than no solution at all.
     """
     solver_options(options)
-    lattice = random_lattice((9, 10), 8)
+    lattice = random_lattice((9, 10), 8, damping)
     states, fields = solve(lattice, np.linspace(0.1, 1.0, 10), [(3, 4)], comm)
     reference = reference_of(lattice)
     for state, field in zip(states, fields, strict=True):
@@ -379,8 +380,9 @@ def test_nothing_passes_next_to_an_undamped_resonance(comm, options, solver_opti
     solver_options(options)
     lattice = random_lattice((8, 9), 3, damping=0.0)
     omegas = np.sqrt(reference_of(lattice).eigenvalues()[[0, 5, 40]])
-    states, _ = solve(lattice, omegas, [(6, 4)], comm)
-    assert [state.omega for state in states if state.converged_reason > 0] == []
+    for sites, whole_field in ((np.array([[6, 4]]), False), (np.empty((0, 2), int), True)):
+        states, _ = solve(lattice, omegas, sites, comm, whole_field=whole_field)
+        assert [state.omega for state in states if state.converged_reason > 0] == []
 
 
 @pytest.mark.parametrize(
