@@ -9,6 +9,7 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 from reference import Reference
+from samples import random_lattice
 from test_journal import stop_at
 
 from pgran import load, store
@@ -145,6 +146,14 @@ def test_residuals_bound_the_errors_of_modes(world, seed):
         omega = np.sqrt(energy)
         distance = np.min(np.abs(omega[:, None] - np.sqrt(values)), axis=1)
         assert np.all(distance <= mode_bounds(lattice, omega, residual))
+
+
+def test_bounds_of_modes_are_residuals_in_their_unit():
+    """omega^2 is wrong by no more than the residual, in units of |K|, over the mass."""
+    lattice = random_lattice((7, 8), 3, mass=0.5)
+    norm = np.abs(Reference(lattice.stiffness).K).sum(axis=1).max()
+    bound = mode_bounds(lattice, np.array([1.0]), np.array([1e-6]))
+    assert 1e-6 * norm / 0.5 <= bound[0] <= 1.2e-6 * norm / 0.5
 
 
 @pytest.mark.parametrize("seed", range(5))
