@@ -400,7 +400,13 @@ def test_the_same_bit_for_bit_on_any_number_of_ranks(world, method, monkeypatch)
     """Of each trajectory several units, on several ranks."""
     monkeypatch.setattr("pgran.scenes.relaxation.STEPS_IN_UNIT", 1000)
     lattice = random_lattice((6, 5), seed=6, damping=0.01)
-    choices = {"steps": 130, "trajectories": 3, "method": method, "window": 20}
+    choices = {
+        "steps": 130,
+        "trajectories": 3,
+        "method": method,
+        "window": 20,
+        "refresh_iterations": 50,
+    }
     at_a_stretch = solve(lattice, [2, 2], **choices)
     monkeypatch.setattr("pgran.scenes.relaxation.STEPS_IN_UNIT", 40)
     alone = solve(lattice, [2, 2], **choices)

@@ -83,19 +83,19 @@ def test_phase_window_is_in_units_of_omega_mx(world, response):
 def test_fields(world, solver_options):
     """Also in the 2-norm as accurate as asked, and the detectors' values agree.
 
-    By a poor solver, which makes errors, on units of two frequencies.
+    By a poor solver, which makes errors away from the detectors, on units of two frequencies.
     """
     solver_options("-steady_pc_type jacobi")
     lattice = random_lattice((6, 9), 2)
     omegas = np.linspace(0.1, 1.2, 128)
-    found = run(world, lattice, omegas, (3, 4, 0, 8), fields=True, error_tolerance=1e-9)
+    found = run(world, lattice, omegas, (5, 4, 5, 8), fields=True, error_tolerance=1e-9)
     reference = Reference(lattice.stiffness)
     assert found.field.shape == (128, 6, 9)
     assert np.all(found.converged_reason > 0)
     for omega, field, displacement in zip(omegas, found.field, found.displacement, strict=True):
         exact = reference.field(omega)
         assert np.linalg.norm(field - exact) <= 1e-9 * np.linalg.norm(exact)
-        assert np.abs(displacement - exact[[3, 0], [4, 8]]).max() <= 1e-9 * np.abs(exact).max()
+        assert np.abs(displacement - exact[[5, 5], [4, 8]]).max() <= 1e-9 * np.abs(exact).max()
 
 
 @pytest.mark.parametrize("shape", [(12,), (5, 4, 6), (1, 1), (3, 1, 2)])
