@@ -1,4 +1,4 @@
-"""True errors against a reference that knows how wrong it may be itself. NumPy only."""
+"""What is accurate enough; true errors against a reference that knows how wrong it is. NumPy only."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,6 +9,14 @@ EPSILON = np.finfo(float).eps
 # The numbers of an experiment: each with a bound of its error, absolute, and whether it is as
 # accurate as the experiment's own options ask.
 ENTRY = np.dtype([("value", complex), ("bound", float), ("good", bool)])
+
+
+def is_accurate(bound, amplitude, tolerance):
+    """Return whether errors of at most `bound` are small against the true amplitudes.
+
+    Not collective; arrays of one shape, and False where there is no bound.
+    """
+    return bound * (1 + tolerance) <= tolerance * np.abs(amplitude)
 
 
 @dataclass(frozen=True)

@@ -31,14 +31,6 @@ EPSILON = float(np.finfo(float).eps)
 TINIEST = float(np.finfo(float).tiny)  # a result below it may be lost
 
 
-def is_accurate(bound, amplitude, tolerance):
-    """Return whether errors of at most `bound` are small against the true amplitudes.
-
-    Not collective; arrays of one shape, and False where there is no bound.
-    """
-    return bound * (1 + tolerance) <= tolerance * np.abs(amplitude)
-
-
 def smallest_damping_eigenvalue(shape):
     """Return lambda_min(C), C the Laplacian of the uniform lattice with walls. Not collective."""
     return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in shape)

@@ -14,7 +14,8 @@ import numpy as np
 from mpi4py import MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 from petsc4py import PETSc
 
-from pgran.bounds import ErrorBounds, is_accurate
+from pgran.accuracy import is_accurate
+from pgran.bounds import ErrorBounds
 from pgran.comparison import Comparison
 from pgran.errors import is_bad_input, met_by_all, petsc_message
 from pgran.linear import NO_PRECONDITIONER, TINY, System, make_ksp, set_up
@@ -363,7 +364,7 @@ class SteadySolver(Owner):
             good = np.all(is_accurate(bound, displacement, self.tolerance))
             if self.whole_field:
                 field_bound = bounds.field(residual)
-                good = good and field_bound <= self.tolerance * size
+                good = good and is_accurate(field_bound, size, self.tolerance)
         reason = self._judged(good and np.all(np.isfinite(displacement)))
         return SteadyState(
             omega, displacement, bound, backward_error, self._iterations, reason, field_bound
@@ -392,7 +393,7 @@ class SteadySolver(Owner):
         good = is_accurate(bound, state.displacement, self.tolerance) | (bound <= self.floor)
         good = np.all(good)
         if self.whole_field:
-            good = good and field_bound <= self.tolerance * primal.solution.norm()
+            good = good and is_accurate(field_bound, primal.solution.norm(), self.tolerance)
         reason = self._judged(good)
         return replace(state, error_bound=bound, field_bound=field_bound, converged_reason=reason)
 

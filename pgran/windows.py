@@ -29,7 +29,8 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from pgran.bounds import EPSILON, TINIEST, is_accurate
+from pgran.accuracy import is_accurate
+from pgran.bounds import EPSILON, TINIEST
 from pgran.errors import InputError
 from pgran.operators import SAME, Owner
 

@@ -10,10 +10,19 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 from reference import Reference
+from samples import random_lattice
 from test_journal import stop_at
 
 from pgran import database, load, store
-from pgran.accuracy import entries, front, matched, mode_bounds, relative_errors
+from pgran.accuracy import (
+    entries,
+    front,
+    matched,
+    mode_bounds,
+    read_modes,
+    read_response,
+    relative_errors,
+)
 from pgran.database import holding, unused
 from pgran.errors import FileError, InputError, PgranError, StoppedError, agree
 from pgran.journal import Journal
@@ -146,6 +155,50 @@ def test_residuals_bound_the_errors_of_modes(world, seed):
         omega = np.sqrt(energy)
         distance = np.min(np.abs(omega[:, None] - np.sqrt(values)), axis=1)
         assert np.all(distance <= mode_bounds(lattice, omega, residual))
+
+
+def test_what_is_good():
+    """Amplitudes whose reason is positive, modes whose residual is small, and none that miss."""
+    ones = np.ones((3, 2))
+    response = SimpleNamespace(
+        displacement=ones, error_bound=ones, converged_reason=np.array([2, 0, -3])
+    )
+    assert read_response(response, {})["good"].tolist() == [True, True, False, False, False, False]
+    modes = SimpleNamespace(omega=np.ones(2), residual=np.array([1e-13, 1e-9]), count_expected=3)
+    found = read_modes(random_lattice((3, 2)), modes, {}, 1e-12)
+    assert found["good"].tolist() == [True, False, False]
+
+
+def test_what_is_asked_of_solvers_and_of_the_reference(world, solver):
+    words = f"-accuracy_solvers {solver('default')} -accuracy_tolerances 1e-2,1e-12"
+    for text in (RESPONSE, RELAXATION, MODES):
+        options = resolve(read_words(f"-scene accuracy {text} {words}".split()))
+        loose, tight = accuracy.read_configurations(options)
+        task = accuracy.make_study(options, make_lattice(options, world))
+        if text == MODES:
+            asked = [float(c.keys["normal_eps_tol"]) for c in (loose, tight)]
+            assert task.certified == 1e-6
+        else:
+            asked = [c.choices["error_tolerance"] for c in (loose, tight)]
+            assert task.exact["error_tolerance"] == task.certified == pytest.approx(1e-13)
+        assert asked == [1e-2, 1e-12]
+
+
+def test_seconds_are_those_of_the_middle_repeat():
+    study = accuracy.Study("response", None, None, {}, 1e-3)
+    rows = np.zeros(3, accuracy.ROW)
+    rows["seconds"] = 9.0, 1.0, 2.0
+    one = accuracy.Configuration("a", 1e-4, {}, {})
+    found = accuracy.assemble(study, [one], entries([1.0], [0.0], True), rows, 3)
+    assert (found.seconds, found.seconds_min, found.seconds_max) == (2.0, 1.0, 9.0)
+
+
+def test_bounds_of_modes_are_residuals_in_their_unit():
+    """omega^2 is wrong by no more than the residual, in units of |K|, over the mass."""
+    lattice = random_lattice((7, 8), 3, mass=0.5)
+    norm = np.abs(Reference(lattice.stiffness).K).sum(axis=1).max()
+    bound = mode_bounds(lattice, np.array([1.0]), np.array([1e-6]))
+    assert 1e-6 * norm / 0.5 <= bound[0] <= 1.2e-6 * norm / 0.5
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -1,5 +1,6 @@
 """Normal modes against dense linear algebra, closed forms and identities."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from pgran import counting, normal
 from pgran.errors import InputError
 from pgran.lattice import Lattice
 from pgran.operators import Operators
-from pgran.scenes.modes import certificate, find_modes
+from pgran.scenes.modes import _united, certificate, find_modes
 from pgran.sharing import Crew
 
 SOLVERS = Path(__file__).parents[1] / "options" / "solvers"
@@ -204,6 +205,12 @@ def test_modes_nearest_to_several_targets(crew):
     np.testing.assert_allclose(modes.omega, omegas[sorted(nearest)], rtol=1e-12)
 
 
+def test_intervals_that_overlap_are_joined():
+    """Also one that lies within another; each keeps the counts of its ends."""
+    around = [{6: 5, 9: 8}, {0: 0, 4: 3}, {1: 1, 2: 2}, {3: 2, 5: 4}]
+    assert _united(around) == [{0: 0, 5: 4}, {6: 5, 9: 8}]
+
+
 @pytest.mark.parametrize("kind", ["uniform", "islands"])
 def test_number_of_ranks_does_not_matter(kind, crew, narrow):
     lattice = with_islands((9, 8)) if kind == "islands" else random_lattice((9, 8))
@@ -261,7 +268,7 @@ def test_errors_of_petsc_are_not_hidden():
     assert isinstance(info.value.__cause__, ValueError)
 
 
-def test_missing_modes_are_never_certified(crew, monkeypatch):
+def test_missing_modes_are_never_certified(crew, monkeypatch, caplog):
     found = normal.ModeSolver._search
     monkeypatch.setattr(normal.ModeSolver, "_search", lambda *arguments: found(*arguments)[:-1])
     lattice = random_lattice((7, 7))
@@ -269,9 +276,31 @@ def test_missing_modes_are_never_certified(crew, monkeypatch):
     assert not modes.count_certified
     assert modes.failures == modes.count_expected - len(modes.omega) > 0
     assert "NOT ALL" in certificate(modes, len(modes.omega))
+    said = f"{len(modes.omega)} of {modes.count_expected} modes found for omega^2 m from"
+    assert crew.world.allreduce(said in caplog.text, MPI.LOR)
     near = from_root(find_modes(lattice, crew, targets=[0.5], count=4), crew.world)
     assert not near.count_certified
-    assert near.failures > 0
+    assert near.failures == near.count_expected - len(near.omega) > 0
+
+
+def test_a_mode_found_twice_makes_up_for_none_that_is_missing(crew, monkeypatch, narrow):
+    """As many modes as were counted, but not slice by slice."""
+    find = normal.ModeSolver.solve
+
+    def spoilt(self, low, high, count):
+        modes = find(self, low, high, count)
+        chosen = np.arange(count)
+        if low < 0:  # the lowest slice
+            chosen = chosen[1:]
+        if high > self.norm:  # the highest
+            chosen = np.append(chosen, count - 1)
+        return tuple(part[chosen] for part in modes)
+
+    monkeypatch.setattr(normal.ModeSolver, "solve", spoilt)
+    modes = from_root(find_modes(random_lattice((7, 7)), crew), crew.world)
+    assert len(modes.omega) == modes.count_expected
+    assert not modes.count_certified
+    assert modes.failures > 0
 
 
 def test_inaccurate_modes_are_never_certified(crew, monkeypatch):
@@ -324,10 +353,24 @@ def test_spoilt_factors_are_refused():
     matrix.destroy()
 
 
+@pytest.mark.parametrize("wanted", [1, 7, 30])
+@pytest.mark.parametrize("omega", [0.0, 0.41, 0.9])
+def test_an_interval_around_a_frequency_has_few_more_modes_than_wanted(counter, omega, wanted):
+    counter, values = counter
+    (low, below), (high, above) = counter.around(omega, 1.0, wanted).items()
+    assert wanted <= above - below <= wanted + max(4, wanted // 4)
+    assert above - below == np.count_nonzero((values > low) & (values < high))
+    nearest = np.sort(np.abs(np.sqrt(values) - omega))[:wanted]
+    assert nearest[-1] <= np.sqrt(high) - omega
+
+
 def test_slices_share_no_mode_and_leave_none(counter, world, narrow):
     counter, values = counter
     slices = counting.cut(counter, counter.interval(0.2, 0.9), world)
     assert len(slices) > 4
+    counts = [count for *_, count in slices]
+    assert counts == sorted(counts, reverse=True)  # so that ranks end together
+    assert all(a[2] + b[2] > 6 for a, b in pairwise(sorted(slices)))
     for low, high, count in slices:
         assert np.count_nonzero((values > low) & (values < high)) == count
         assert count <= 9 + 6

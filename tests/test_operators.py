@@ -201,6 +201,15 @@ def test_change_and_back(comm):
             assert np.array_equal(dense(operators.K, operators), before)
 
 
+def test_an_error_on_its_way_destroys_nothing_that_needs_other_ranks(comm):
+    lattice = random_lattice((5, 4))
+    with pytest.raises(ZeroDivisionError), Operators(lattice, comm) as operators:
+        raise ZeroDivisionError
+    assert (operators.K.handle == 0) == (comm.size == 1)
+    operators.destroy()
+    assert operators.K.handle == 0
+
+
 def test_field_is_in_natural_order(comm, shape):
     """Ball (i, j, k) holds 100 i + 10 j + k."""
     lattice = random_lattice(shape)
@@ -216,7 +225,10 @@ def test_field_is_in_natural_order(comm, shape):
                 vector.setValue(number, name)
         vector.assemble()
         field = operators.field(vector)
+        back = operators.vector(names.reshape(shape))
+        assert back.equal(vector)
         vector.destroy()
+        back.destroy()
     if comm.rank == 0:
         assert field.shape == shape
         for site, name in zip(balls(shape), names, strict=True):

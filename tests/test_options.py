@@ -44,7 +44,17 @@ def test_defaults_of_the_paper():
     assert (found.sweep_min, found.sweep_max, found.sweep_points) == (0.01, 1.3, 1291)
     assert found.detectors == (8, 10)
     assert found.error_tolerance == 1e-4
+    assert (found.phase_fit_min, found.phase_fit_max) == (0.3, 1.0)
     assert found.solver == {}
+    found = options("-scene relaxation")
+    assert (found.relax_omega, found.spectrum_fit_min, found.spectrum_fit_max) == (0.6, 0.01, 0.3)
+    found = options("-scene continuum")
+    assert (found.continuum_point, found.continuum_size) == ((0.47, 0.52), (1.0, 1.0))
+    assert (found.continuum_mass, found.continuum_stiffness, found.continuum_damping) == (
+        1,
+        1,
+        0.003,
+    )
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -91,11 +101,17 @@ def test_values_outside_the_range_are_refused(option, value):
     assert option.range() in str(caught.value)
 
 
-@pytest.mark.parametrize("option", ALL.values(), ids=lambda option: option.name)
-def test_bounds_themselves_are_allowed(option):
-    for value in inside(option):
-        read = option.read(repr(value))
-        assert value in (read if isinstance(read, tuple) else (read,))
+ALLOWED = [
+    pytest.param(option, value, id=f"{option.name}={value}")
+    for option in ALL.values()
+    for value in inside(option)
+]
+
+
+@pytest.mark.parametrize(("option", "value"), ALLOWED)
+def test_bounds_themselves_are_allowed(option, value):
+    read = option.read(repr(value))
+    assert value in (read if isinstance(read, tuple) else (read,))
 
 
 WRONG = {
@@ -121,9 +137,11 @@ def test_wrong_types_are_refused(option):
 
 
 def test_texts_need_a_value():
-    for option in ALL.values():
-        if option.kind is TEXT:
-            refusal(f"-scene response -{option.name}", option.name)
+    texts = [option for option in ALL.values() if option.kind is TEXT]
+    assert len(texts) > 5
+    for option in texts:
+        with pytest.raises(InputError, match=f"-{option.name} : needs a value"):
+            option.read("")
 
 
 def test_flags():
@@ -277,6 +295,12 @@ def test_names_of_files_come_back_from_the_text(tmp_path, name):
         ("-bonds_law file -bonds_file x.h5 -lattice_shape 3,3", "lattice_shape"),
         ("-bonds_law file -bonds_file x.h5 -bonds_kmax 1", "bonds_kmax"),
         ("-bonds_law file -bonds_file x.h5 -bonds_kmin 0", "bonds_kmin"),
+        ("-scene relaxation -spectrum_fit_min .3", "spectrum_fit_min"),
+        ("-scene modes -modes_omega_min .5 -modes_omega_max .4", "modes_omega_min"),
+        ("-scene modes -modes_omega_min .5", "modes_omega_max"),
+        ("-scene modes -modes_target .5", "modes_count"),
+        ("-scene modes -modes_count 3", "modes_target"),
+        ("-scene modes -modes_omega_min 0 -modes_omega_max 1 -modes_count 3", "modes_count"),
     ],
 )
 def test_contradictions(text, key):
@@ -436,7 +460,10 @@ def test_files_can_choose_solvers_and_set_numbers(tmp_path, text):
     assert resolve(read_file(path)).solver == {key: value}
 
 
-@pytest.mark.parametrize("path", sorted(Path("options").rglob("*.opts")), ids=str)
+SHIPPED = sorted((Path(__file__).parents[1] / "options").rglob("*.opts"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_the_files_that_come_with_pgran_are_accepted(path):
     given = read_file(path)
     if path.parent.name == "solvers":
@@ -485,12 +512,26 @@ def test_more_than_fits_into_memory(text, key):
     assert "GB" in message
 
 
-def test_memory_that_is_needed(monkeypatch):
-    """1000 frequencies of one ball: 72 bytes each, and a copy."""
+@pytest.mark.parametrize(
+    ("scene", "key", "each", "more"),
+    [
+        ("response", "sweep_points", 32 + 40, 0),
+        ("response -output_fields", "sweep_points", 32 + 40 + 16 * 400, 0),
+        ("projection", "sweep_points", 40 + 16 * 400, 0),
+        ("projection -modes_count 7", "sweep_points", 40 + 16 * 7, 0),
+        ("relaxation", "relax_steps", 16 + 16 + 16, 100),
+    ],
+)
+def test_memory_that_is_needed(monkeypatch, scene, key, each, more):
+    """Of each frequency, amplitudes, fields or coefficients; of each step; and a copy."""
+    monkeypatch.setattr(reading, "machine_memory", lambda: 2 * (more + each * 1000))
+    options(f"-scene {scene} -{key} 1000")
+    with pytest.raises(InputError, match=f"-{key}: too much"):
+        options(f"-scene {scene} -{key} 1001")
+
+
+def test_memory_of_modes_that_are_not_asked_for(monkeypatch):
     monkeypatch.setattr(reading, "machine_memory", lambda: 2 * 72 * 1000)
-    options("-scene response -sweep_points 1000")
-    with pytest.raises(InputError, match="-sweep_points: too much"):
-        options("-scene response -sweep_points 1001")
     options("-scene modes -lattice_shape 3000 -modes_omega_min 0 -modes_omega_max 1 -output_fields")
 
 
@@ -528,8 +569,21 @@ def test_resolved_text_gives_the_same_options(tmp_path, text):
     assert second.text() == first.text()
 
 
-def test_resolved_text_does_not_repeat_leave_to_overwrite():
-    assert "overwrite" not in options("-scene response -output_overwrite").text()
+def test_resolved_text_repeats_neither_leave_to_overwrite_nor_a_dry_run():
+    text = options("-scene response -output_overwrite -dry_run").text()
+    assert text == options("-scene response").text()
+
+
+def test_a_run_is_what_decides_its_numbers():
+    """It goes on with other ranks, files and words on the terminal, and with nothing else."""
+    run = options("-scene response").identity()
+    how = "-ranks_per_lattice 1 -output_file b.h5 -output_log b.log -output_progress none -log_view"
+    assert options(f"-scene response {how}").identity() == run
+    for what in ("-bonds_seed 2", "-error_tolerance 1e-3", "-output_fields", "-steady_pc_type lu"):
+        key, _, value = what[1:].partition(" ")
+        other = options(f"-scene response {what}").identity()
+        assert {k for k in other if other[k] != run.get(k)} == {key}
+        assert other[key] == (value or "true").replace("1e-3", "0.001")
 
 
 @pytest.mark.parametrize("name", ["a folder/b.h5", "it's#1.h5", "a\\b.h5", '"q".h5'])
@@ -565,8 +619,17 @@ def test_list_names_every_option_with_its_default():
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_list_of_one_scene(scene):
-    names = {line[1:] for line in describe_options(scene).splitlines() if line.startswith("-")}
-    assert {option.name for option in SCENES[scene]} <= names
+    """Each with its meaning, type, unit, range, default and choices."""
+    entries = {e.split("\n")[0]: e for e in ("\n" + describe_options(scene)).split("\n-")}
+    for option in SCENES[scene]:
+        entry = entries[option.name]
+        default = "" if option.default is None else option.kind.write(option.default)
+        facts = option.meaning, option.kind.name, option.unit, option.range(), *option.choices
+        assert all(fact in entry for fact in facts)
+        assert (f"default {default})" in entry) == bool(default)
+    assert not set(entries) - {option.name for option in SCENES[scene]} - {
+        "", "scene", *(f"{prefix}*" for prefix in SOLVER_PREFIXES)
+    }  # fmt: skip
 
 
 def test_every_option_is_documented():

@@ -1,8 +1,11 @@
 """When a factorization is refreshed: by counts and prices, the same way every time."""
 
-import numpy as np
+import math
 
-from pgran.reuse import ReusePolicy
+import numpy as np
+import pytest
+
+from pgran.reuse import ReusePolicy, expected_iterations
 
 
 def serve(policy, iterations):
@@ -66,6 +69,31 @@ def test_policy_comes_near_the_cheapest_constant_cycle():
         ages.append(age)
     best = min(cost([i % cycle for i in range(points)]) for cycle in range(1, 60))
     assert cost(ages) <= 1.3 * best
+
+
+def test_policy_gives_up_what_did_not_work():
+    """In time, and after a failure for good."""
+    policy = ReusePolicy()
+    policy.price = 50.0
+    assert (policy.patience(), ReusePolicy(limit=3).patience()) == (100, None)
+    policy.count(True, 1)
+    assert not policy.due()
+    policy.count_failure()
+    policy.count(True, 1)
+    assert policy.due()
+
+
+def test_what_to_expect_of_an_old_factorization():
+    """Nothing beyond a resonance's width in omega^2, 2 d omega beta / m; within, each application
+    gains what is left of it; in whatever units."""
+    omega, damping = 1.0, 0.01
+    assert expected_iterations(math.sqrt(1 - 0.041), omega, 2, 1.0, damping) == math.inf
+    for part, count in ((1e-1, 3), (1e-2, 1.5), (1e-3, 1)):
+        for m, w in ((1.0, 1.0), (7.0, 1.0), (1.0, 3.0)):
+            before = w * math.sqrt(1 - 0.04 * part)
+            found = expected_iterations(before, w * omega, 2, m, m * w * damping)
+            assert found == pytest.approx(count, rel=1e-9)
+    assert expected_iterations(omega, omega, 2, 1.0, damping) == 1
 
 
 def test_policy_is_deterministic():

@@ -6,6 +6,9 @@ from mpi4py import MPI
 from samples import random_lattice
 
 from pgran.errors import InputError
+from pgran.reading import read_words, resolve
+from pgran.scenes.common import make_crew
+from pgran.scenes.projection import project
 from pgran.scenes.response import sweep, units
 from pgran.sharing import LARGE, Crew, automatic_ranks
 
@@ -44,6 +47,14 @@ def test_groups_that_do_not_divide(world):
             Crew(world, 2)
 
 
+@pytest.mark.parametrize("together", [False, True])
+def test_groups_that_options_ask_for(world, lattice, together):
+    size = world.size if together else 1
+    options = resolve(read_words(f"-scene response -ranks_per_lattice {size}".split()))
+    with make_crew(options, lattice, world) as crew:
+        assert crew.group.size == size
+
+
 def test_automatic_ranks():
     """One rank a lattice, unless it is large."""
     assert automatic_ranks((20, 20), 8) == 1
@@ -58,6 +69,15 @@ def test_units_cover_a_sweep_once(count):
     cut = units(count)
     assert [index for unit in cut for index in unit] == list(range(count))
     assert max(map(len, cut)) <= 16
+
+
+def test_units_share_no_factorization(lattice):
+    """So that it does not matter which of them a group has done before."""
+    omegas = np.linspace(0.6, 0.6001, 150)
+    with Crew(MPI.COMM_SELF, 1) as crew:
+        response = sweep(lattice, omegas, (4, 3), crew, refresh_iterations=1000)
+        projection = project(lattice, omegas, crew, refresh_iterations=1000)
+    assert response.factorizations == projection.factorizations == len(units(150)) == 75
 
 
 ROW = np.dtype([("unit", int), ("rank", int), ("value", complex, (3,))])

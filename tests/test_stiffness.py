@@ -151,6 +151,7 @@ def test_bimodal():
     assert abs(np.mean(k == 0.25) - 0.3) < 4 * math.sqrt(0.3 * 0.7 / N)
     assert np.all(sample("bimodal", fraction=1.0) == 0.25)
     assert np.all(sample("bimodal", fraction=0.0) == 0.05)
+    assert BondLaw("bimodal", **PARAMETERS | {"fraction": 0.0})(np.zeros(1)) == 0.05
 
 
 def test_constant():

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pgran.bounds import is_accurate
+from pgran.accuracy import is_accurate
 from pgran.errors import PgranError, on_root
 from pgran.lattice import Lattice
 from pgran.sharing import Crew, automatic_ranks

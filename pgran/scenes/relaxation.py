@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 
-from pgran.bounds import is_accurate
+from pgran.accuracy import is_accurate
 from pgran.errors import InputError
 from pgran.lattice import bond_count, bond_places, check_frequency, detector_sites
 from pgran.operators import Operators

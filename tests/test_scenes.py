@@ -1,0 +1,123 @@
+"""Every option of a scene counts: whoever changes it gets another result."""
+
+import dataclasses
+import importlib
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from pgran.database import holding
+from pgran.options import RUN, SCENES
+from pgran.reading import read_words, resolve
+from pgran.scenes.common import driving_frequencies
+
+GRID = "-lattice_shape 5,4 -detectors 2,2 -sweep_points 9"
+RELAX = "-lattice_shape 5,4 -detectors 2,2 -relax_steps 200 -spectrum_fit_min .1"
+BASE = {
+    "response": GRID,
+    "continuum": "-sweep_points 9",
+    "modes": "-lattice_shape 5,4",
+    "projection": "-lattice_shape 5,4 -sweep_points 9",
+    "relaxation": RELAX,
+}
+PAIRS = "-sweep_points 128 -relax_method krylov"  # units of two frequencies: the second differs
+HERTZ, NEAREST = "-bonds_law hertz", "-modes_target .1 -modes_count 3"
+INTERVAL = "-modes_omega_min .2 -modes_omega_max .6"
+# Another value of each option, and what it is to be seen with. Keys a scene has not are left out.
+CHANGES = {
+    "lattice_shape": "4,5",
+    "lattice_mass": "2",
+    "lattice_damping": ".01",
+    "bonds_law": "constant",
+    "bonds_kmin": ".1",
+    "bonds_kmax": ".5",
+    "bonds_fraction": (".2", "-bonds_law bimodal"),
+    "bonds_force": ("2", HERTZ),
+    "bonds_hertz": ("2", HERTZ),
+    "bonds_seed": "7",
+    "detectors": "1,3",
+    "sweep_min": ".2",
+    "sweep_max": ".9",
+    "sweep_points": "8",
+    "sweep_omega": (".3,.4", "-sweep_omega .3,.5"),
+    "error_tolerance": ("1e-12", f"{PAIRS} -steady_pc_type jacobi"),
+    "steady_refresh_iterations": ("50", PAIRS),
+    "phase_fit_min": ".5",
+    "phase_fit_max": ".8",
+    "output_fields": "true",
+    "continuum_point": ".3,.4",
+    "continuum_size": "1,2",
+    "continuum_mass": "2",
+    "continuum_stiffness": "2",
+    "continuum_damping": ".1",
+    "relax_steps": "201",
+    "relax_omega": ".5",
+    "relax_seed": "2",
+    "relax_method": "direct",
+    "relax_window": "7",
+    "relax_trajectories": "2",
+    "spectrum_fit_min": ".12",
+    "spectrum_fit_max": ".4",
+    "modes_omega_min": (".4", INTERVAL),
+    "modes_omega_max": (".5", INTERVAL),
+    "modes_target": (".5", NEAREST),
+    "modes_count": ("4", NEAREST),
+}
+SEEN_ELSEWHERE = {"bonds_file"}  # test_command_line.py
+IDLE = {"modes": ["lattice_damping"]}  # normal modes are those without damping
+
+
+def result(scene, text, world):
+    """What a scene computes: records, their times and the lattice left out; on rank 0."""
+    known = {option.name for option in SCENES[scene]}
+    pairs = zip(text.split()[::2], text.split()[1::2], strict=True)
+    words = [w for pair in pairs for w in pair if pair[0][1:] in known or "_pc_" in pair[0]]
+    options = resolve(read_words(["-scene", scene, "-output_progress", "none", *words]))
+    with holding(options.solver):
+        records = importlib.import_module(f"pgran.scenes.{scene}").run(options, world)
+    return [
+        (item.name, np.asarray(getattr(record, item.name)))
+        for record in records or []
+        for item in dataclasses.fields(record)
+        if record.group != "lattice" and item.name != "solve_seconds"
+    ]
+
+
+def same(one, other):
+    """Whether two results agree bit for bit."""
+    return len(one) == len(other) and all(
+        a == b and x.dtype == y.dtype and x.shape == y.shape and x.tobytes() == y.tobytes()
+        for (a, x), (b, y) in zip(one, other, strict=True)
+    )
+
+
+def test_frequencies_of_a_sweep():
+    """A grid holds both its ends; frequencies given one by one are taken as they are."""
+    for words, expected in (
+        ("-sweep_min .2 -sweep_max .8 -sweep_points 4", [0.2, 0.4, 0.6, 0.8]),
+        ("-sweep_omega 1,3", [1, 3]),
+    ):
+        options = resolve(read_words(["-scene", "response", *words.split()]))
+        assert driving_frequencies(options) == pytest.approx(expected, rel=1e-15)
+
+
+@pytest.mark.parametrize("scene", BASE)
+def test_every_option_counts(scene, world):
+    idle, plain = [], {}
+    for option in SCENES[scene]:
+        if option in RUN or option.name in SEEN_ELSEWHERE:
+            continue
+        change = CHANGES[option.name]
+        value, needed = change if isinstance(change, tuple) else (change, "")
+        base = f"{BASE[scene]} {needed}"
+        if option.name == "sweep_omega":
+            base = base.replace("-sweep_points 9", "")
+        if base not in plain:
+            plain[base] = result(scene, base, world)
+        if same(plain[base], result(scene, f"{base} -{option.name} {value}", world)):
+            idle.append(option.name)
+    if world.rank == 0:
+        assert idle == IDLE.get(scene, [])
+        alone = {base: result(scene, base, MPI.COMM_SELF) for base in plain}
+        assert all(same(plain[base], alone[base]) for base in plain)
