@@ -1,4 +1,4 @@
-"""What is accurate enough; true errors against a reference that knows how wrong it is. NumPy only."""
+"""What is accurate enough; true errors against a reference with a bound. NumPy only."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
