@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from pgran.continuum import Continuum
 from pgran.database import holding
 from pgran.options import RUN, SCENES
 from pgran.reading import read_words, resolve
+from pgran.scenes import continuum
 from pgran.scenes.common import driving_frequencies
 
 GRID = "-lattice_shape 5,4 -detectors 2,2 -sweep_points 9"
@@ -100,6 +102,25 @@ def test_frequencies_of_a_sweep():
     ):
         options = resolve(read_words(["-scene", "response", *words.split()]))
         assert driving_frequencies(options) == pytest.approx(expected, rel=1e-15)
+
+
+@pytest.mark.parametrize("damping", ["0", ".003"])
+def test_the_record_of_the_continuum(damping):
+    """The series at the options' box and point; a phase without jumps, or of 0 and pi."""
+    words = "-scene continuum -sweep_points 700 -sweep_max 20 -continuum_mass 2 -continuum_damping"
+    options = resolve(read_words([*words.split(), damping]))
+    found = continuum.respond(options)
+    box = Continuum((1.0, 1.0), 2.0, 1.0, float(damping))
+    assert (found.mass, found.damping, found.point) == (2.0, float(damping), (0.47, 0.52))
+    assert np.array_equal(found.displacement, box.response(found.omega, found.point))
+    assert np.array_equal(found.resonance, box.resonances(20.0))
+    turned = found.amplitude * np.exp(1j * found.phase)
+    assert np.abs(turned - found.displacement).max() <= 1e-12 * found.amplitude.max()
+    if damping == "0":
+        assert set(found.phase) == {0.0, np.pi}
+    else:
+        assert np.abs(np.diff(found.phase)).max() < np.pi
+        assert found.phase[-1] < -np.pi  # it has turned more than once
 
 
 @pytest.mark.parametrize("scene", BASE)
