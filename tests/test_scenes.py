@@ -44,6 +44,7 @@ CHANGES = {
     "sweep_points": "8",
     "sweep_omega": (".3,.4", "-sweep_omega .3,.5"),
     "error_tolerance": ("1e-12", f"{PAIRS} -steady_pc_type jacobi"),
+    "error_floor": (".1", "-error_tolerance 1e-17"),
     "steady_refresh_iterations": ("50", PAIRS),
     "phase_fit_min": ".5",
     "phase_fit_max": ".8",

@@ -320,19 +320,20 @@ def test_hopeless_solvers_are_marked(comm, options, damping, solver_options):
 
 
 @pytest.mark.parametrize(
-    ("options", "shape", "site", "omegas"),
+    ("options", "lattice", "site", "omegas"),
     [
-        (POOR, (12, 12), (3, 4), np.linspace(0.1, 1.3, 25)),
-        ("", (20,), (0,), np.linspace(1.8, 0.9, 30)),  # at first amplitudes beyond all digits
+        (POOR, random_lattice((12, 12), 8), (3, 4), np.linspace(0.1, 1.3, 25)),
+        # at first amplitudes beyond all digits
+        ("", random_lattice((120,), 8, damping=0.3), (0,), np.linspace(0.6, 0.1, 30)),
     ],
+    ids=["poor", "tiny"],
 )
 def test_no_point_of_a_sweep_suffers_from_a_failed_neighbour(
-    options, shape, site, omegas, solver_options
+    options, lattice, site, omegas, solver_options
 ):
     """After a failure the next frequency starts afresh, though the factors could be reused: it
     gets what it would get alone."""
     solver_options(options)
-    lattice = random_lattice(shape, 8)
     choices = {"comm": MPI.COMM_SELF, "refresh_iterations": 1000}
     states, _ = solve(lattice, omegas, [site], **choices)
     failed = [i for i, state in enumerate(states[:-1]) if state.converged_reason <= 0]
@@ -496,8 +497,9 @@ def test_several_detectors_are_each_certified(comm):
 
 
 def test_a_point_passes_only_if_every_detector_does(comm):
-    """Next to the wall the amplitude is known to rounding, at the far end, 1e-50, no digit is."""
-    (state,), _ = solve(random_lattice((60,), 3), 2.0, [(59,), (0,)], comm)
+    """Next to the wall the amplitude is known to rounding, at the far end, 1e-30, no digit is."""
+    lattice = random_lattice((120,), 4, damping=0.3)
+    (state,), _ = solve(lattice, 0.55, [(119,), (1,)], comm)
     assert (state.error_bound <= 1e-4 * np.abs(state.displacement)).tolist() == [True, False]
     assert state.converged_reason <= 0
 

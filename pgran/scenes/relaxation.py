@@ -54,8 +54,11 @@ def run(options, world, journal=None):
     if relaxation is None:
         return None
     records = [LatticeRecord.of(lattice), relaxation]
-    if relaxation.failures or relaxation.at_floor[:, :, 0].any():
-        log.warning("no spectrum: some amplitudes are not known with the relative accuracy asked")
+    if relaxation.failures:
+        log.warning("no spectrum: some steps have no amplitude")
+        return records
+    if relaxation.at_floor[:, :, 0].any():
+        log.warning("no spectrum: some amplitudes have an upper limit only (at_floor)")
         return records
     try:
         series, memory = relaxation.amplitude[:, :, 0], bond_count(lattice.shape)
