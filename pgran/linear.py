@@ -22,10 +22,15 @@ class System:
         self.solution, self.residual, self.earlier = (rhs.duplicate() for _ in range(3))
         self.norm = math.inf
 
+    @property
+    def owned(self):
+        """The vectors that are this system's own."""
+        return self.solution, self.residual, self.earlier
+
     def destroy(self):
         """Free what is owned. Collective."""
-        for held in (self.solution, self.residual, self.earlier):
-            held.destroy()
+        for vector in self.owned:
+            vector.destroy()
 
     def advance(self):
         """Make room for the next solution; this one becomes the earlier one. Not collective."""

@@ -89,14 +89,14 @@ class Operators(Owner):
             if made.get(name) is not None:
                 made[name].destroy()
 
-    def forget(self):
-        """Free S, which keeps a failed solve's mark for good; `combine` makes it anew. Collective.
+    def forget(self, name):
+        """Free S or f, after an error that PETSc would keep; `combine` makes it anew. Collective.
 
         Nothing may hold on to it.
         """
-        if "S" in vars(self):
-            self.S.destroy()
-            del self.S
+        if name in vars(self):
+            getattr(self, name).destroy()
+            delattr(self, name)
 
     def combine(self, omega):
         """Set S = K + i omega beta C - m omega^2 and the drive f (paper: ampeq).

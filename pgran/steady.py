@@ -114,15 +114,10 @@ class SteadySolver(Owner):
         self.factorizations = 0
         self._ksp = self._rtol = self._longest = self._comparison = None
         self._spoilt, self._said = False, set()
-        self._correction = operators.f.duplicate()
-        self.primal = System(operators.f)
         self._numbers = operators.numbers(sites)
         self._scatter, self._readings = self._make_probe()
         self.bounds = ErrorBounds(operators)
-        self.adjoints = []
-        if self.bounds.proven:
-            self.adjoints = [System(self._unit_vector(number)) for number in self._numbers]
-        self._systems = [self.primal, *self.adjoints]
+        self._make_systems()
         self._policy = ReusePolicy(refresh_iterations)
         self.restart()
 
@@ -140,21 +135,48 @@ class SteadySolver(Owner):
 
     def destroy(self):
         """Free all PETSc objects. Collective."""
-        for adjoint in self.adjoints:
-            adjoint.rhs.destroy()
         self._forget()
-        if self._comparison is not None:
-            self._comparison.destroy()
-        held = (self._correction, self._scatter, self._readings, self.bounds)
-        for item in [*self._systems, *held]:
+        for system in self.adjoints:
+            system.rhs.destroy()
+        for item in (*self._systems, self._correction, self._scatter, self._readings, self.bounds):
             item.destroy()
 
+    def _make_systems(self):
+        """Make what is solved, and for which right-hand sides."""
+        self._correction = self.operators.f.duplicate()
+        self.primal, self.adjoints = System(self.operators.f), []
+        if self.bounds.proven:
+            self.adjoints = [System(self._unit_vector(number)) for number in self._numbers]
+        self._systems = [self.primal, *self.adjoints]
+
     def _forget(self):
-        """Free what PETSc may have marked as failed for good: the KSP and S. Collective."""
-        if self._ksp is not None:
-            self._ksp.destroy()
-            self._ksp = None
-        self.operators.forget()
+        """Free what PETSc may have marked as failed for good: its solvers and S. Collective."""
+        for solver in (self._ksp, self._comparison):
+            if solver is not None:
+                solver.destroy()
+        self._ksp = self._comparison = None
+        self.operators.forget("S")
+
+    def _renew_systems(self):
+        """Make all vectors anew that an error inside PETSc may have left locked. Collective.
+
+        It may also take some for its own, and free them with the solver that was interrupted: so
+        they are held until that is gone.
+        """
+        vectors = [self._correction]
+        for system in self._systems:
+            vectors += [system.rhs, *system.owned]
+        for vector in vectors:
+            vector.incRef()
+            vector.incRef()
+        self._forget()
+        for vector in vectors:
+            while vector.refcount > 1:
+                vector.decRef()
+            if vector is not self.primal.rhs:
+                vector.destroy()
+        self.operators.forget("f")
+        self._make_systems()
 
     def _prepare(self, omega):
         """Combine S and f, and make the KSP where there is none, or none to rely on."""
@@ -192,10 +214,14 @@ class SteadySolver(Owner):
         -------
         SteadyState
         """
+        state = None
         try:
             state = self._solve(omega)
         except PETSc.Error as error:
-            state = self._failed(omega, error)
+            self._tell(omega, error)
+        if state is None:  # the error is gone, and with it what it kept alive
+            self._renew_systems()
+            state = self._nothing(omega)
         self._spoilt = state.converged_reason <= 0
         if self._spoilt:
             self.restart()
@@ -221,8 +247,8 @@ class SteadySolver(Owner):
         self._omegas, self._size = [*self._omegas[-1:], omega], np.abs(state.displacement)
         return state
 
-    def _failed(self, omega, error):
-        """Return the state of a frequency at which PETSc fails, and say why, each reason once.
+    def _tell(self, omega, error):
+        """Say why PETSc fails at a frequency, each reason once.
 
         Raises
         ------
@@ -235,12 +261,6 @@ class SteadySolver(Owner):
         if message not in self._said:
             self._said.add(message)
             log.warning("omega = %g is marked: %s", omega, message)
-        # Where an error ends it PETSc may keep vectors of ours as its own, and free them as well.
-        for system in self._systems:
-            for vector in (system.rhs, system.solution, system.residual):
-                vector.incRef()
-        self._correction.incRef()
-        return self._nothing(omega)
 
     def _nothing(self, omega):
         """Return the state of a frequency without a solution."""

@@ -19,7 +19,8 @@ SINGULAR = [((1,), 0.5, 1.0), ((2,), 1.0, 1.0), ((2, 2), 0.5, 1.0), ((5, 5, 5), 
 SOLVERS = [
     "",
     "-steady_pc_factor_mat_solver_type mumps",
-    "-steady_pc_type lu -steady_pc_factor_mat_solver_type superlu_dist",
+    "-steady_pc_type lu -steady_pc_factor_mat_solver_type superlu_dist "
+    "-steady_mat_superlu_dist_fact DOFACT",
     "-steady_ksp_type preonly -steady_pc_type lu",
     "-steady_pc_type gamg",
     "-steady_pc_type icc",
