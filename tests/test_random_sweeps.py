@@ -190,10 +190,10 @@ def report(first, last):
             if point.good and point.error > 1e-13 * point.size > 0:
                 ratios.append(point.bound / point.error)
     print(
-        f"cases {first} to {last}: {count} amplitudes, {undamped} of them undamped, {good} good; {refused} "
-        f"cases refused; "
-        f"frequencies that differ alone: {others}; where the error is more than rounding, bound / "
-        f"error: median {np.median(ratios):.3g}, nine of ten below {np.quantile(ratios, 0.9):.3g}",
+        f"cases {first} to {last}: {refused} refused; {count} amplitudes, {undamped} of them "
+        f"undamped, {good} good; frequencies that differ alone: {others}; where the error is more "
+        f"than rounding, bound / error: median {np.median(ratios):.3g}, nine of ten below "
+        f"{np.quantile(ratios, 0.9):.3g}",
         flush=True,
     )
 
