@@ -78,10 +78,16 @@ class Judgement:
         kinds = {"marked": self.marked > 0, "accurate": self.marked < self.points}
         return {kind for kind, present in kinds.items() if present}
 
-    def add(self, where, found, exact, bound, tolerance, good):
-        """Count a value with its absolute bound, NaN if none is known, and find its faults."""
+    def add(self, where, found, exact, bound, tolerance, good, at_floor=None):
+        """Count a value with its absolute bound, NaN if none is known, and find its faults.
+
+        Of an amplitude at the floor `at_floor` is what its bound must be below.
+        """
         error = abs(mpmath.mpmathify(complex(found)) - exact) if np.isfinite(found) else mpmath.inf
-        if good:
+        if good and at_floor is not None:
+            if not bound <= at_floor:
+                self.faults.append(f"{where}: at the floor with the bound {bound:.1e}")
+        elif good:
             size = max(abs(exact), mpmath.mpf("1e-9999"))
             self.error = np.fmax(self.error, float(error / size))
             self.bound = np.fmax(self.bound, float(mpmath.mpf(float(bound)) / size))
@@ -174,6 +180,7 @@ def judge_response(options, result, judgement):
                 f"omega {omega!r}, ball {sites[d]}", response.displacement[point, d], value,
                 response.error_bound[point, d], options.error_tolerance,
                 response.converged_reason[point] > 0,
+                options.error_floor if response.at_floor[point, d] else None,
             )  # fmt: skip
 
 
@@ -202,6 +209,7 @@ def judge_relaxation(options, result, judgement):
                     relaxation.displacement[trajectory, state, d], value,
                     relaxation.error_bound[trajectory, state, d], options.error_tolerance,
                     good[trajectory, state],
+                    options.error_floor if relaxation.at_floor[trajectory, state, d] else None,
                 )  # fmt: skip
 
 

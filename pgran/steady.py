@@ -216,7 +216,8 @@ class SteadySolver(Owner):
         """
         state = None
         try:
-            state = self._solve(omega)
+            with np.errstate(all="ignore"):  # what is not finite has no bound
+                state = self._solve(float(omega))
         except PETSc.Error as error:
             self._tell(omega, error)
         if state is None:  # the error is gone, and with it what it kept alive
