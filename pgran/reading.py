@@ -304,19 +304,21 @@ def _check_harmless(key, item):
 def _check_ends(keys):
     """Raise where PETSc would shift the pivots of a singular matrix by nothing, and never end."""
     for key, text in keys.items():
-        if not key.endswith("pc_factor_zeropivot"):
+        if not (key.startswith("steady_") and key.endswith("pc_factor_zeropivot")):
             continue
         pc = key.removesuffix("factor_zeropivot")
-        shift = "positive_definite" if keys.get(f"{pc}type") == "icc" else "none"
-        shift = keys.get(f"{pc}factor_shift_type", shift).lower()
+        # what a preconditioner inside another one shifts by default depends on both
+        plain = pc == "steady_pc_" and keys.get("steady_pc_type", "lu") in ("lu", "cholesky", "ilu")
+        shift = keys.get(f"{pc}factor_shift_type", "none" if plain else "unknown").lower()
         try:
             small = float(text) < SMALLEST_SHIFT
         except ValueError:
             continue  # PETSc says so itself
-        if small and shift == "positive_definite":
+        if small and shift not in ("none", "nonzero"):
             raise InputError(
-                f"-{key} {text}: with a shift to positive definite pivots PETSc does not end on "
-                f"singular matrices; leave it out, or give {SMALLEST_SHIFT:g} or more"
+                f"-{key} {text}: PETSc may shift the pivots of a singular matrix by as little, and "
+                f"never end; leave it out, give {SMALLEST_SHIFT:g} or more, or say "
+                f"-{pc}factor_shift_type none"
             )
 
 
