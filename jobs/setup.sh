@@ -89,7 +89,7 @@ can_install() { # Debian packages
 
 install_packages() {
   say "installing Debian packages (about a minute) ..."
-  "${root[@]}" apt-get update -qq
+  "${root[@]}" apt-get update -qq || say "apt-get update fails: going on with the lists there are"
   "${root[@]}" env DEBIAN_FRONTEND=noninteractive \
     apt-get install -y -qq --no-install-recommends "${packages[@]}" >/dev/null
 }
@@ -124,7 +124,7 @@ hand_on() { # FOLDER of that other venv
   file=$("$1/bin/python3" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
   echo "import site; site.addsitedir('$file')" >>"$site/pgran_petsc.pth"
   for file in "$1"/lib/*; do
-    [ -e "$venv/lib/${file##*/}" ] || ln -s "$file" "$venv/lib/"
+    [ -e "$venv/lib/${file##*/}" ] || ln -sfn "$file" "$venv/lib/${file##*/}"
   done
   for file in "$1"/bin/mpirun "$1"/bin/mpiexec; do # no links: they look for their helpers beside them
     [ -x "$file" ] || continue
@@ -144,7 +144,10 @@ make_venv() {
     outer=$("$python" -c 'import sys; print(sys.prefix if sys.prefix != sys.base_prefix else "")')
   fi
   made="$python ${flags[*]}"
-  [ "$(cat "$venv/made" 2>/dev/null)" = "$made" ] || flags+=(--clear) # of what another one left
+  if [ "$(cat "$venv/made" 2>/dev/null)" != "$made" ]; then
+    [ ! -e "$venv" ] || say "$venv was made in another way: it is made anew"
+    flags+=(--clear)
+  fi
   "$python" -m venv "${flags[@]}" "$venv"
   echo "$made" >"$venv/made"
   site=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
@@ -177,9 +180,12 @@ if [ ! -e "$venv/complete" ] || [ pyproject.toml -nt "$venv/complete" ] || [ job
   if [ -z "${PGRAN_STACK:-}" ]; then
     find_python
     if [ -z "$python" ] && can_install; then
-      install_packages
-      find_python
-      [ -n "$python" ] || { say "the packages are installed, but do not work:"; debian_works || true; }
+      if install_packages; then
+        find_python
+        [ -n "$python" ] || { say "the packages are installed, but do not work:"; debian_works || true; }
+      else
+        say "the packages cannot be installed: see above"
+      fi
     fi
   fi
   if [ -z "$python" ]; then

@@ -119,8 +119,10 @@ def console():
     try:
         try:
             code = main(sys.argv[1:])
-        finally:
+        except SystemExit:  # a help text has been printed
             sys.stdout.flush()
+            raise
+        sys.stdout.flush()
     except BaseException as error:
         end_all_ranks(error)
     sys.exit(code)
@@ -153,7 +155,8 @@ def end_all_ranks(error):
         if text:
             log.error("%s", text)
         sys.stderr.flush()
-        sys.stdout.flush()
+        with contextlib.suppress(PgranError):  # of a full device: the error is told
+            sys.stdout.flush()
     finally:  # whatever else goes wrong: no rank must be left waiting
         if world:
             time.sleep(errors.SECONDS_FOR_MPIRUN)

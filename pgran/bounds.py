@@ -74,9 +74,14 @@ class ErrorBounds:
             signs = np.where(unit_numbers(0, 0, operators.balls) < 0.5, -1.0, 1.0)
             self._signs = operators.vector(signs.reshape(operators.shape))
 
+    @property
+    def owned(self):
+        """The vectors to work with."""
+        return self._product, self._work
+
     def destroy(self):
         """Free the work vectors. Collective."""
-        for held in (self._product, self._work, self._counter, self._signs):
+        for held in (*self.owned, self._counter, self._signs):
             if held is not None:
                 held.destroy()
 
@@ -188,6 +193,7 @@ class ErrorBounds:
         z = np.abs(adjoint.solution.getArray(readonly=True))
         known = self.unit * self._total(z @ terms)
         product = (self.operators.balls + 2) * EPSILON * residual * adjoint.solution.norm()
+        # What a product loses; what residuals lose, times z, `product` holds by their own `lost`.
         lost = 16 * self.operators.balls * TINIEST
         return 1.01 * (known + product) + 4 * EPSILON * abs(value) + lost
 

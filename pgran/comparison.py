@@ -10,7 +10,8 @@ entry (Ostrowski 1937). So with a residual r = f - S A~ and any v
 since a matrix without positive entries beside its diagonal, which takes one positive vector to
 another, is an M-matrix. A ball's neighbours belong to the other sublattice; changing the sign of
 one sublattice turns S of an undamped lattice into -<S> when m omega^2 exceeds every K_pp, and so
-<S> is positive definite exactly above the highest mode. Where it is not, v has negative entries.
+<S> is positive definite exactly above the highest mode. (So it is below the lowest mode, where S is
+its own comparison matrix.) Where it is not, v has negative entries.
 """
 
 import numpy as np
@@ -20,6 +21,7 @@ from petsc4py import PETSc
 from pgran.bounds import TINIEST
 from pgran.linear import make_ksp, set_up
 from pgran.operators import Owner
+from pgran.reuse import FACTORIZATIONS
 
 
 class Comparison(Owner):
@@ -30,18 +32,32 @@ class Comparison(Owner):
     Parameters
     ----------
     operators : pgran.operators.Operators
+    pc : petsc4py.PETSc.PC, optional
+        Of S: if it is a factorization, <S> is factored in the same way.
     """
 
-    def __init__(self, operators):
+    def __init__(self, operators, pc=None):
         """Make <S>, with the pattern of S, and its factorization."""
         self.operators, self.comm = operators, operators.comm
         self.v, self._target, self._product = (operators.f.duplicate() for _ in range(3))
         self._matrix = operators.S.duplicate()
-        self._ksp = make_ksp(operators, self._matrix, "steady_comparison_", "preonly")
+        self._how = ()
+        if pc is not None and pc.getType() in FACTORIZATIONS:
+            self._how = pc.getType(), pc.getFactorSolverType()
+        self._ksp = self._make_ksp()
+
+    def _make_ksp(self):
+        """Make the KSP of <S>."""
+        return make_ksp(self.operators, self._matrix, "steady_comparison_", "preonly", *self._how)
+
+    @property
+    def owned(self):
+        """The vectors to work with."""
+        return self.v, self._target, self._product
 
     def destroy(self):
         """Free all PETSc objects. Collective."""
-        for held in (self._ksp, self._matrix, self.v, self._target, self._product):
+        for held in (self._ksp, self._matrix, *self.owned):
             held.destroy()
 
     def errors(self, residual, bounds):
@@ -60,6 +76,8 @@ class Comparison(Owner):
             return None
         self._target.setArray(4 * residual)  # leaves room for the rounding of the product below
         if not set_up(self._ksp, self._matrix, self.comm):
+            self._ksp.destroy()  # it would fail for good
+            self._ksp = self._make_ksp()
             return None
         self._ksp.solve(self._target, self.v)
         v = self.v.getArray().real

@@ -92,8 +92,9 @@ class Lattice:
         """Return the same lattice with its largest bond constant between 1 and 2, and the unit.
 
         Not collective. Stiffness, mass and damping lose the same factor, so amplitudes and
-        frequencies stay as they are; it is a power of two, which rounds nothing. PETSc and SLEPc
-        take small pivots for zero by absolute thresholds, and squares of small numbers vanish.
+        frequencies stay as they are; it is a power of two, which rounds nothing but bonds 1e-308
+        times softer than the stiffest. PETSc and SLEPc take small pivots for zero by absolute
+        thresholds, and squares of small numbers vanish.
 
         Returns
         -------

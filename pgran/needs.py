@@ -157,8 +157,10 @@ def relaxation(options, world, scene):
     tried = length if method == "window" else min(length, STEPS)
     march = scene.march_windows if method == "window" else scene.march_steps
 
+    small, unit = small.in_own_unit()
+
     def draw(trajectory, first, count):
-        return draw_changes(law, small.shape, options.relax_seed, trajectory, first, count)
+        return draw_changes(law, small.shape, options.relax_seed, trajectory, first, count, unit)
 
     ranks = _ranks_per_lattice(options, shape, world)
     with (
@@ -166,6 +168,7 @@ def relaxation(options, world, scene):
         steady_solver(
             small, shape, crew.group, trial_sites(sites, shape, small.shape),
             options.error_tolerance, options.steady_refresh_iterations,
+            error_floor=options.error_floor,
         ) as (operators, solver),
     ):  # fmt: skip
         network = Network(small, operators, draw)
@@ -241,11 +244,13 @@ def _sweep(options, world, ranks, shape, small, sites, omegas, units, whole_fiel
     """Return the Trial of a sweep, its seconds and costs, and how many systems a solve has."""
     from pgran.trials import steady_solver, trial_sites, try_steady
 
+    small, _ = small.in_own_unit()
     with (
         Crew(world, ranks) as crew,
         steady_solver(
             small, shape, crew.group, trial_sites(sites, shape, small.shape),
             options.error_tolerance, options.steady_refresh_iterations, whole_field,
+            error_floor=getattr(options, "error_floor", 0.0),
         ) as (_, solver),
     ):  # fmt: skip
         systems = 1 + len(solver.adjoints)

@@ -48,7 +48,7 @@ class Changes:
         )
 
 
-def draw_changes(law, shape, seed, trajectory, first, count):
+def draw_changes(law, shape, seed, trajectory, first, count, unit=1.0):
     """Return the changes of `count` steps from step `first` on, counted from 0.
 
     Not collective; the same on every rank.
@@ -61,10 +61,12 @@ def draw_changes(law, shape, seed, trajectory, first, count):
         Balls along each axis.
     seed, trajectory, first, count : int
         Trajectories of one seed are independent.
+    unit : float
+        Of the constants returned.
     """
     u = unit_numbers(seed, 2 * first, 2 * count, generation=1 + trajectory)
     bonds = bond_count(shape)
-    return Changes(np.minimum((u[::2] * bonds).astype(np.int64), bonds - 1), law(u[1::2]))
+    return Changes(np.minimum((u[::2] * bonds).astype(np.int64), bonds - 1), law(u[1::2]) / unit)
 
 
 class Network:

@@ -15,7 +15,7 @@ from mpi4py import MPI  # noqa: F401 (first: PETSc may have no MPI library of it
 from petsc4py import PETSc
 
 from pgran.accuracy import is_accurate
-from pgran.bounds import ErrorBounds
+from pgran.bounds import TINIEST, ErrorBounds
 from pgran.comparison import Comparison
 from pgran.errors import is_bad_input, met_by_all, petsc_message
 from pgran.linear import NO_PRECONDITIONER, TINY, System, make_ksp, set_up
@@ -45,7 +45,7 @@ class SteadyState:
         Complex amplitudes at the detectors, relative to the driven wall's; NaN where PETSc fails.
     error_bound : numpy.ndarray, shape (nd,)
         The error of each is at most this; NaN where no bound is known (an undamped lattice that
-        ranks share, below its highest mode).
+        ranks share, where rounding is tried instead).
     backward_error : float
         |f - S A| / (|S| |A| + |f|).
     iterations : int
@@ -113,7 +113,7 @@ class SteadySolver(Owner):
         self.whole_field = whole_field
         self.factorizations = 0
         self._ksp = self._rtol = self._longest = self._comparison = None
-        self._spoilt, self._said = False, set()
+        self._spoilt, self._works, self._said = False, False, set()
         self._numbers = operators.numbers(sites)
         self._scatter, self._readings = self._make_probe()
         self.bounds = ErrorBounds(operators)
@@ -163,19 +163,24 @@ class SteadySolver(Owner):
         It may also take some for its own, and free them with the solver that was interrupted: so
         they are held until that is gone.
         """
-        vectors = [self._correction]
-        for system in self._systems:
-            vectors += [system.rhs, *system.owned]
-        for vector in vectors:
+        if self._comparison is not None:
+            for vector in self._comparison.owned:
+                vector.incRef()  # for good: its own `destroy` comes before that of what was kept
+        mine = [self._correction, *(adjoint.rhs for adjoint in self.adjoints)]
+        mine += [vector for system in self._systems for vector in system.owned]
+        held = [self.operators.f, *self.bounds.owned, *mine]
+        for vector in held:
             vector.incRef()
             vector.incRef()
         self._forget()
-        for vector in vectors:
+        for vector in held:
             while vector.refcount > 1:
                 vector.decRef()
-            if vector is not self.primal.rhs:
-                vector.destroy()
+        for vector in mine:
+            vector.destroy()
         self.operators.forget("f")
+        self.bounds.destroy()
+        self.bounds = ErrorBounds(self.operators)
         self._make_systems()
 
     def _prepare(self, omega):
@@ -256,7 +261,8 @@ class SteadySolver(Owner):
         PETSc.Error
             Where an option or a callback is to blame, or not all ranks of the lattice have met it.
         """
-        if error.__cause__ or is_bad_input(error) or not met_by_all(self.comm):
+        wrong = is_bad_input(error) and not self._works
+        if error.__cause__ or wrong or not met_by_all(self.comm):
             raise error
         message = petsc_message(error)
         if message not in self._said:
@@ -273,11 +279,11 @@ class SteadySolver(Owner):
 
     def _attempt(self, omega, fresh):
         """Solve at `omega` with a fresh or the present factorization."""
+        self._iterations, self._reason = 0, 0
         if fresh and not self._factor():
             return self._nothing(omega)
         self._guess(omega, fresh)
         self._ksp.setTolerances(max_it=self._longest if fresh else self._policy.patience())
-        self._iterations, self._reason = 0, 0
         state, size = None, self._size
         for attempt in range(PASSES):
             previous = state
@@ -312,6 +318,7 @@ class SteadySolver(Owner):
         self.factorizations += 1
         if not set_up(self._ksp, self.operators.S, self.comm):
             return False
+        self._works = True
         pc.setReusePreconditioner(True)
         if not self._policy.price:
             self._policy.price = factor_price(pc, self.operators.balls)
@@ -399,10 +406,10 @@ class SteadySolver(Owner):
 
     def _compared(self, state):
         """Return a state that misses its accuracy with bounds ball by ball; judge by the floor."""
-        if not np.all(np.isfinite(state.displacement)):
+        if not math.isfinite(state.backward_error) or not np.all(np.isfinite(state.displacement)):
             return state
         if self._comparison is None:
-            self._comparison = Comparison(self.operators)
+            self._comparison = Comparison(self.operators, self._ksp.getPC())
         primal, bounds = self.primal, self.bounds
         bound, field_bound = state.error_bound, state.field_bound
         errors = self._comparison.errors(bounds.residuals(primal), bounds)
@@ -410,7 +417,7 @@ class SteadySolver(Owner):
             corrected = np.abs(state.displacement - self._read(primal.solution))
             bound = np.fmin(bound, 1.01 * (np.abs(self._read(errors)) + corrected))
             if self.whole_field:
-                field_bound = min(field_bound, 1.01 * errors.norm() + bounds.lost)
+                field_bound = np.fmin(field_bound, 1.01 * errors.norm() + bounds.lost)
         good = is_accurate(bound, state.displacement, self.tolerance) | (bound <= self.floor)
         good = np.all(good)
         if self.whole_field:
@@ -432,7 +439,8 @@ class SteadySolver(Owner):
         if self._ksp.getConvergedReason() <= 0:
             return False
         allowed = self.tolerance / ROUNDING_TRIED
-        good = np.all(np.abs(self._read(self._correction)) <= allowed * np.abs(displacement))
+        moved = np.abs(self._read(self._correction)) + TINIEST  # an amplitude may have vanished
+        good = np.all(moved <= allowed * np.abs(displacement))
         if self.whole_field:
             good = good and self._correction.norm() <= allowed * self.field.norm()
         return bool(good)

@@ -189,7 +189,7 @@ def try_modes(world, lattice, interval):
     from pgran.counting import SLICE, ModeCounter
     from pgran.normal import ModeSolver
 
-    costs = Costs(lattice.shape, "petsc")
+    costs, (lattice, _) = Costs(lattice.shape, "petsc"), lattice.in_own_unit()
     low, high = (lattice.mass * omega**2 for omega in interval)
     with Operators(dataclasses.replace(lattice, damping=0.0), MPI.COMM_SELF) as operators:
         for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):

@@ -129,7 +129,8 @@ class Deformation:
         rows, ends = (steps + 8) * EPSILON * rows, EPSILON * (4 * np.abs(w) + wall)
         return cls(
             part, np.abs(part), stretch, missed, np.abs(missed),
-            rows, ends, np.abs(delta)[:, None] * upper, np.sqrt(squares(part)),
+            rows, ends, np.abs(delta)[:, None] * upper,
+            np.sqrt(squares(part)) + np.sqrt(2 * steps * TINIEST),
         )  # fmt: skip
 
     def stretch_rounding(self, weights):
@@ -268,7 +269,9 @@ class Windows(Owner):
                 error_bound[:, d] += 4 * EPSILON * np.abs(amplitude)
             error_bound += 64 * steps**2 * TINIEST
             kept = is_accurate(error_bound, after, min(solver.tolerance, LONGEST_REACH))
-            kept |= error_bound <= solver.floor
+            # The floor is for what was no more accurate at the start either.
+            known = is_accurate(self.state.error_bound, before, solver.tolerance)
+            kept |= (error_bound <= solver.floor) & ~known
         kept = np.all(kept, axis=1)
         count = wanted if np.all(kept[:wanted]) else np.argmin(kept)
         return after[:count], error_bound[:count]

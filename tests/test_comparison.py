@@ -92,19 +92,18 @@ def test_no_error_of_the_field_exceeds_its_bound(comm, damping):
                     assert np.all(bound.real <= 1e-11 * np.abs(field))
 
 
-def test_an_undamped_lattice_that_ranks_share_is_proven_above_its_highest_mode(world):
-    shape = (24, 6)
-    lattice = random_lattice(shape, 3, damping=0.0)
-    with Operators(lattice, world) as operators, SteadySolver(operators, [[1, 2]], 1e-6) as solver:
-        state = solver.solve(1.6)
-    (reference,) = exact(lattice, [1.6], [(1, 2)])
-    assert state.converged_reason > 0
-    if world.size > 1:
-        return  # the residual test passes first, as everywhere in such a lattice
-    with mp.workdps(60):
-        assert abs(mp.mpmathify(complex(state.displacement[0])) - reference[0]) <= float(
-            state.error_bound[0]
-        )
+def test_amplitudes_that_vanish_are_not_good(comm):
+    """What no double can hold is known to nothing but the floor, however the lattice is shared."""
+    lattice = random_lattice((12, 12), 3, damping=0.0)
+    for floor in (0.0, 1e-20):
+        with (
+            Operators(lattice, comm) as operators,
+            SteadySolver(operators, [[1, 5]], 1e-4, error_floor=floor) as solver,
+        ):
+            for omega in (1e15, 1e20):
+                state = solver.solve(omega)
+                assert (state.converged_reason > 0) == (floor > 0)
+                assert not floor or 0 < state.error_bound[0] <= floor
 
 
 def test_the_floor():
@@ -135,6 +134,16 @@ def test_the_floor_of_a_relaxation():
         assert np.all(found.at_floor == 1)
         assert found.failures == 0
         assert without.failures == 21
+
+
+def test_windows_keep_the_relative_accuracy_of_their_start():
+    """Above the highest mode, where the bound of a window is about the floor, as elsewhere."""
+    lattice = random_lattice((12, 12), 2)
+    with Crew(MPI.COMM_SELF, 1) as crew:
+        arguments = (lattice, BondLaw("uniform"), 6.0, (1, 5), crew)
+        found = relax(*arguments, steps=40)
+    assert not found.at_floor.any()
+    assert np.all(found.error_bound <= 1e-4 * np.abs(found.displacement))
 
 
 CASES = [

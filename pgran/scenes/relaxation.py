@@ -10,7 +10,7 @@ from pgran.errors import InputError
 from pgran.lattice import bond_count, bond_places, check_frequency, detector_sites
 from pgran.operators import Operators
 from pgran.progress import Progress
-from pgran.relaxation import Changes, Network, draw_changes
+from pgran.relaxation import Network, draw_changes
 from pgran.results import LatticeRecord, Relaxation
 from pgran.scenes.common import (
     below_relative_accuracy,
@@ -173,8 +173,7 @@ def relax(
     ):
 
         def draw(trajectory, first, count):
-            changes = draw_changes(law, lattice.shape, seed, trajectory, first, count)
-            return Changes(changes.bond, changes.stiffness / unit)
+            return draw_changes(law, lattice.shape, seed, trajectory, first, count, unit)
 
         network = Network(scaled, operators, draw)
         march = {"window": march_windows, "krylov": march_steps, "direct": march_steps}[method]
@@ -244,6 +243,7 @@ def march_windows(network, solver, omega, changes, window, method):
             start, start_bound = good(windows.start())
             if done and known == done:
                 compared = is_accurate(start_bound, start, solver.tolerance)
+                compared &= is_accurate(bound[done], found[done], solver.tolerance)
                 moved = np.abs(found[done] - start)[compared] / np.abs(start[compared])
                 drift = max(drift, moved.max(initial=0.0))
             found[done], bound[done] = start, start_bound
