@@ -23,6 +23,8 @@ from pgran.linear import make_ksp, set_up
 from pgran.operators import Owner
 from pgran.reuse import FACTORIZATIONS
 
+SMALLEST = 1e-290  # what is proven of no amplitude is less
+
 
 class Comparison(Owner):
     """Finds and verifies v for one frequency after the other; destroy with `destroy` or `with`.
@@ -74,7 +76,8 @@ class Comparison(Owner):
         """
         if self._compare() <= 0:
             return None
-        self._target.setArray(4 * residual)  # leaves room for the rounding of the product below
+        # Room for the rounding of the product below; and no v so small that it vanishes.
+        self._target.setArray(4 * residual + SMALLEST * bounds.scale)
         if not set_up(self._ksp, self._matrix, self.comm):
             self._ksp.destroy()  # it would fail for good
             self._ksp = self._make_ksp()
