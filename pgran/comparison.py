@@ -21,7 +21,6 @@ from petsc4py import PETSc
 from pgran.bounds import TINIEST
 from pgran.linear import make_ksp, set_up
 from pgran.operators import Owner
-from pgran.reuse import FACTORIZATIONS
 
 SMALLEST = 1e-290  # what is proven of no amplitude is less
 
@@ -34,23 +33,14 @@ class Comparison(Owner):
     Parameters
     ----------
     operators : pgran.operators.Operators
-    pc : petsc4py.PETSc.PC, optional
-        Of S: if it is a factorization, <S> is factored in the same way.
     """
 
-    def __init__(self, operators, pc=None):
+    def __init__(self, operators):
         """Make <S>, with the pattern of S, and its factorization."""
         self.operators, self.comm = operators, operators.comm
         self.v, self._target, self._product = (operators.f.duplicate() for _ in range(3))
         self._matrix = operators.S.duplicate()
-        self._how = ()
-        if pc is not None and pc.getType() in FACTORIZATIONS:
-            self._how = pc.getType(), pc.getFactorSolverType()
-        self._ksp = self._make_ksp()
-
-    def _make_ksp(self):
-        """Make the KSP of <S>."""
-        return make_ksp(self.operators, self._matrix, "steady_comparison_", "preonly", *self._how)
+        self._ksp = None  # until it is needed
 
     @property
     def owned(self):
@@ -60,7 +50,8 @@ class Comparison(Owner):
     def destroy(self):
         """Free all PETSc objects. Collective."""
         for held in (self._ksp, self._matrix, *self.owned):
-            held.destroy()
+            if held is not None:
+                held.destroy()
 
     def errors(self, residual, bounds):
         """Return a vector that no error of an amplitude exceeds, or None where there is none.
@@ -78,9 +69,12 @@ class Comparison(Owner):
             return None
         # Room for the rounding of the product below; and no v so small that it vanishes.
         self._target.setArray(4 * residual + SMALLEST * bounds.scale)
+        if self._ksp is None:
+            prefix = "steady_comparison_"
+            self._ksp = make_ksp(self.operators, self._matrix, prefix, "preonly")
         if not set_up(self._ksp, self._matrix, self.comm):
             self._ksp.destroy()  # it would fail for good
-            self._ksp = self._make_ksp()
+            self._ksp = None
             return None
         self._ksp.solve(self._target, self.v)
         v = self.v.getArray().real

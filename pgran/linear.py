@@ -74,8 +74,8 @@ def factor_package(shape, ranks):
     return "petsc" if ranks == 1 and small else "mumps"
 
 
-def make_ksp(operators, matrix, prefix="steady_", kind="bcgs", factors="cholesky", package=None):
-    """Return a KSP on a factorization by default, then as its options say.
+def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
+    """Return a KSP on an LDL^T factorization by default, then as its options say.
 
     Collective. The caller destroys it.
 
@@ -88,8 +88,6 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs", factors="cholesky
         Of the options.
     kind : str
         The type of KSP by default.
-    factors, package : str, optional
-        The type of PC by default, and what factors; by default what is fastest for the lattice.
     """
     ksp = PETSc.KSP().create(operators.comm)
     ksp.setOptionsPrefix(prefix)
@@ -97,10 +95,9 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs", factors="cholesky
     ksp.setType(kind)
     ksp.setTolerances(rtol=1e-13, atol=TINY, max_it=1000)
     pc = ksp.getPC()
-    pc.setType(factors)
-    package = package or factor_package(operators.shape, operators.comm.size)
-    if package != "petsc":
-        pc.setFactorSolverType(package)
+    pc.setType("cholesky")
+    if factor_package(operators.shape, operators.comm.size) != "petsc":
+        pc.setFactorSolverType("mumps")
     elif operators.balls <= MINIMUM_DEGREE[len(operators.shape)]:
         pc.setFactorOrdering("qmd")
     ksp.setFromOptions()

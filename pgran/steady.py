@@ -409,7 +409,7 @@ class SteadySolver(Owner):
         if not math.isfinite(state.backward_error) or not np.all(np.isfinite(state.displacement)):
             return state
         if self._comparison is None:
-            self._comparison = Comparison(self.operators, self._ksp.getPC())
+            self._comparison = Comparison(self.operators)
         primal, bounds = self.primal, self.bounds
         bound, field_bound = state.error_bound, state.field_bound
         errors = self._comparison.errors(bounds.residuals(primal), bounds)
