@@ -17,16 +17,16 @@ import scipy.sparse as sp  # noqa: E402
 from mpi4py import MPI  # noqa: E402
 from scipy.sparse.linalg import eigsh, splu  # noqa: E402
 
-from pgran.lattice import Lattice, bond_places  # noqa: E402
-from pgran.linear import make_ksp  # noqa: E402
-from pgran.operators import Operators  # noqa: E402
-from pgran.relaxation import draw_changes  # noqa: E402
+from pgran.parallel.crew import Crew  # noqa: E402
+from pgran.physics.bondlaw import BondLaw  # noqa: E402
+from pgran.physics.changes import draw_changes  # noqa: E402
+from pgran.physics.lattice import Lattice, bond_places  # noqa: E402
 from pgran.scenes.modes import find_modes  # noqa: E402
 from pgran.scenes.relaxation import relax  # noqa: E402
 from pgran.scenes.response import sweep  # noqa: E402
-from pgran.sharing import Crew  # noqa: E402
-from pgran.steady import SteadySolver  # noqa: E402
-from pgran.stiffness import BondLaw  # noqa: E402
+from pgran.solve.linear import make_ksp  # noqa: E402
+from pgran.solve.operators import Operators  # noqa: E402
+from pgran.solve.steady import SteadySolver  # noqa: E402
 
 WORLD = MPI.COMM_WORLD
 REPEATS = 5

@@ -15,7 +15,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from pgran.journal import MAGIC, RECORD
+from pgran.parallel.journal import MAGIC, RECORD
 
 PGRAN, QUIET = ["-m", "pgran"], ["-output_progress", "none"]
 RESULT, JOURNAL, PART = "results/a.h5", "results/a.h5.unfinished", "results/.a.h5.part"

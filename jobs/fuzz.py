@@ -21,10 +21,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from pgran import foreign, store
 from pgran.errors import PgranError
-from pgran.lattice import Lattice, bond_shape
-from pgran.reading import read_file, resolve
+from pgran.files import hdf5 as foreign
+from pgran.files import store
+from pgran.files.reading import read_file, resolve
+from pgran.physics.lattice import Lattice, bond_shape
 from pgran.results import LatticeRecord, Modes
 
 SECONDS = 30  # for one case; a real run is given twice as long

@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 from pgran import __main__ as program
-from pgran import running
+from pgran.command import run as running
 
 
 def planted():
@@ -78,7 +78,7 @@ def before(owner, name, maybe):
 
 def in_unit(maybe):
     """Call `maybe` before each unit of work."""
-    from pgran.sharing import Crew
+    from pgran.parallel.crew import Crew
 
     share = Crew.share
 
@@ -98,7 +98,7 @@ def in_callback(maybe):
 
     def replaced(options):
         start(options)
-        from pgran import steady
+        from pgran.solve import steady
 
         make_ksp = steady.make_ksp
 
@@ -121,14 +121,14 @@ def in_import(maybe):
 
 def in_journal(maybe):
     """Call `maybe` before each record of the journal."""
-    from pgran.journal import Journal
+    from pgran.parallel.journal import Journal
 
     before(Journal, "write", maybe)
 
 
 def in_result(maybe):
     """Call `maybe` before the result is written."""
-    from pgran import store
+    from pgran.files import store
 
     before(store, "write", maybe)
 

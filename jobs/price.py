@@ -18,8 +18,8 @@ petsc4py.init(["price", "-skip_petscrc"])
 
 from mpi4py import MPI  # noqa: E402
 
-from pgran.journal import Journal  # noqa: E402
-from pgran.reading import read_file, read_words, resolve  # noqa: E402
+from pgran.files.reading import read_file, read_words, resolve  # noqa: E402
+from pgran.parallel.journal import Journal  # noqa: E402
 
 REPEATS = 9
 QUIET = ["-output_progress", "none"]

@@ -33,8 +33,8 @@ sys.path[:0] = [str(FOLDER), str(FOLDER / "tests")]
 from reference import Reference, continuum_amplitude, exact_amplitudes  # noqa: E402
 
 import pgran  # noqa: E402
-from pgran.lattice import AXES  # noqa: E402
-from pgran.reading import read_file, resolve  # noqa: E402
+from pgran.files.reading import read_file, resolve  # noqa: E402
+from pgran.physics.lattice import AXES  # noqa: E402
 
 FILES = sorted((FOLDER / "options" / "extreme").glob("*.opts"))
 LU = "-steady_pc_type lu -steady_pc_factor_mat_solver_type"

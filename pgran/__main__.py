@@ -12,9 +12,11 @@ import warnings
 from pathlib import Path
 
 import pgran
-from pgran import errors, launch, streams
+from pgran import errors
+from pgran.command.run import name_rank, run
 from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
-from pgran.running import name_rank, run
+from pgran.files import streams
+from pgran.parallel import agreement, launch
 
 log = logging.getLogger("pgran")
 
@@ -55,7 +57,7 @@ def main(words):
 
 def more_help(path):
     """Say how to list the options of the experiment in a file, if it is one."""
-    from pgran.reading import read_file
+    from pgran.files.reading import read_file
 
     with contextlib.suppress(PgranError):
         for item in read_file(path):
@@ -88,7 +90,7 @@ def plot(words):
 
 def list_options(words):
     """List every option of one scene, or of all."""
-    from pgran.options import SCENES, describe_options, nearest
+    from pgran.files.options import SCENES, describe_options, nearest
 
     if words and words[0] not in SCENES:
         near = nearest(words[0], SCENES)
@@ -102,7 +104,7 @@ def list_options(words):
 
 def doctor(words):
     """Say what is installed, and how to mend what is wrong."""
-    from pgran.doctor import examine
+    from pgran.command.doctor import examine
 
     return examine()
 
@@ -142,10 +144,10 @@ def end_all_ranks(error):
     try:
         if world:
             kind = (type(error).__name__, str(error).partition("\n")[0])
-            first, alike = errors.who_reports(world, kind)
+            first, alike = agreement.who_reports(world, kind)
             if world.rank != first:  # that one ends all
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
-                time.sleep(5 * errors.SECONDS_FOR_OTHERS)
+                time.sleep(5 * agreement.SECONDS_FOR_OTHERS)
             if not alike:
                 name_rank(world)
         elif isinstance(error, InputError) and launch.rank() > 0:
@@ -159,7 +161,7 @@ def end_all_ranks(error):
             sys.stdout.flush()
     finally:  # whatever else goes wrong: no rank must be left waiting
         if world:
-            time.sleep(errors.SECONDS_FOR_MPIRUN)
+            time.sleep(agreement.SECONDS_FOR_MPIRUN)
             world.Abort(code)
     if is_petsc(error):
         os._exit(code)  # after an error of its own PETSc can crash while it is shut down

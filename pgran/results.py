@@ -1,6 +1,6 @@
 """What scenes return: frozen dataclasses of plain values and NumPy arrays.
 
-The metadata of a field say what it is, its unit, and its axes. `pgran.store` writes arrays as
+The metadata of a field say what it is, its unit, and its axes. `pgran.files.store` writes arrays as
 datasets with these, and plain values as attributes. An axis is named after the array that holds its
 coordinates, an array of one axis, or counts from 0; `balls` stands for the axes of the lattice. An
 array without axes is a coordinate itself.
@@ -42,7 +42,7 @@ class LatticeRecord:
 
     @classmethod
     def of(cls, lattice):
-        """Return the record of a `pgran.lattice.Lattice`."""
+        """Return the record of a `pgran.physics.lattice.Lattice`."""
         names = ("stiffness_x", "stiffness_y", "stiffness_z")
         stiffness = dict(zip(names, lattice.stiffness, strict=False))
         return cls(

@@ -27,9 +27,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from samples import option_values
 
-from pgran import launch
-from pgran.database import holding
-from pgran.errors import SECONDS_FOR_MPIRUN
+from pgran.parallel import launch
+from pgran.parallel.agreement import SECONDS_FOR_MPIRUN
+from pgran.solve.database import holding
 
 WORLD = MPI.COMM_WORLD
 SECONDS_PER_TEST = 120  # the slowest takes about ten

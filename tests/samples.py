@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from petsc4py import PETSc
 
-from pgran.doctor import has_solver
-from pgran.lattice import Lattice
+from pgran.command.doctor import has_solver
+from pgran.physics.lattice import Lattice
 
 HAS_KLU = has_solver(PETSc, "klu")
 needs_klu = pytest.mark.skipif(not HAS_KLU, reason="this PETSc has no KLU")

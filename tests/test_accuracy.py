@@ -13,8 +13,14 @@ from reference import Reference
 from samples import random_lattice
 from test_journal import stop_at
 
-from pgran import database, load, store
-from pgran.accuracy import (
+from pgran import load
+from pgran.errors import FileError, InputError, PgranError, StoppedError
+from pgran.files import store
+from pgran.files.reading import read_words, resolve
+from pgran.parallel.agreement import agree
+from pgran.parallel.crew import Crew
+from pgran.parallel.journal import Journal
+from pgran.physics.accuracy import (
     entries,
     front,
     matched,
@@ -23,14 +29,11 @@ from pgran.accuracy import (
     read_response,
     relative_errors,
 )
-from pgran.database import holding, unused
-from pgran.errors import FileError, InputError, PgranError, StoppedError, agree
-from pgran.journal import Journal
-from pgran.reading import read_words, resolve
 from pgran.results import Accuracy
 from pgran.scenes import accuracy
 from pgran.scenes.common import driving_frequencies, make_lattice
-from pgran.sharing import Crew
+from pgran.solve import database
+from pgran.solve.database import holding, unused
 
 RESPONSE = "-lattice_shape 9,7 -detectors 3,2,5,5 -sweep_omega .1,.35,.6,.9,1.1"
 # Units of two frequencies: the first of each is solved to rounding.

@@ -21,10 +21,10 @@ from samples import (
     uniform_lattice,
 )
 
-from pgran.database import holding
-from pgran.lattice import Lattice
-from pgran.operators import Operators
-from pgran.steady import SteadySolver
+from pgran.physics.lattice import Lattice
+from pgran.solve.database import holding
+from pgran.solve.operators import Operators
+from pgran.solve.steady import SteadySolver
 
 SHAPES = [(1,), (2,), (17,), (60,), (1, 6), (6, 1), (4, 5), (7, 8), (2, 3, 2), (4, 3, 5)]
 LAWS = ("uniform", "loguniform", "bimodal", "constant")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pgran import __version__, load
-from pgran.options import SCENES
+from pgran.files.options import SCENES
 
 SMALL = "-scene response -lattice_shape 6,5 -detectors 2,3 -sweep_points 70 -output_progress none\n"
 SECONDS = 60  # for a command that takes one or two
@@ -316,7 +316,7 @@ def test_a_run_that_nobody_listens_to(shell, tmp_path, stream, progress):
     "statement",
     [
         "import ctypes; ctypes.CDLL = None",
-        "import pgran.database; pgran.database.unused = None",
+        "import pgran.solve.database; pgran.solve.database.unused = None",
         "import pgran.scenes.response as scene; scene.summary = lambda records: [1 / 0]",
         "Path.unlink = lambda path, missing_ok: os.remove('/proc/version')",
     ],
@@ -326,16 +326,16 @@ def test_trouble_after_the_result(start, tmp_path, statement):
 import os
 from pathlib import Path
 import pgran.__main__
-start, write = pgran.running.start_petsc, None
+start, write = pgran.command.run.start_petsc, None
 def start_petsc(options):
     start(options)
-    from pgran import store
+    from pgran.files import store
     global write
     write, store.write = store.write, late
 def late(*arguments):
     write(*arguments)
     {statement}
-pgran.running.start_petsc = start_petsc
+pgran.command.run.start_petsc = start_petsc
 pgran.__main__.console()
 """
     done = start("run", "a.opts", "-steady_ksp_typo", "3", code=code)
@@ -379,10 +379,10 @@ def sabotage(statement, rank=1):
 import sys
 from mpi4py import MPI
 import pgran.__main__
-start = pgran.running.start_petsc
+start = pgran.command.run.start_petsc
 def start_petsc(options):
     start(options)
-    from pgran.steady import SteadySolver
+    from pgran.solve.steady import SteadySolver
     solve, calls = SteadySolver.solve, []
     def fail(self, omega):
         calls.append(omega)
@@ -390,7 +390,7 @@ def start_petsc(options):
             {statement}
         return solve(self, omega)
     SteadySolver.solve = fail
-pgran.running.start_petsc = start_petsc
+pgran.command.run.start_petsc = start_petsc
 pgran.__main__.console()
 """
 

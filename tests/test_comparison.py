@@ -11,15 +11,15 @@ from mpmath import mp
 from reference import Reference, exact_amplitudes, refined_field
 from samples import bond_arrays, random_lattice, skip_unless_ranks_fit
 
-from pgran.comparison import Comparison
 from pgran.errors import InputError
-from pgran.lattice import Lattice
-from pgran.operators import Operators
+from pgran.parallel.crew import Crew
+from pgran.physics.bondlaw import BondLaw
+from pgran.physics.lattice import Lattice
 from pgran.scenes.relaxation import relax
 from pgran.scenes.response import summary, sweep
-from pgran.sharing import Crew
-from pgran.steady import SteadySolver
-from pgran.stiffness import BondLaw
+from pgran.solve.comparison import Comparison
+from pgran.solve.operators import Operators
+from pgran.solve.steady import SteadySolver
 
 
 def swept(lattice, omegas, sites, **more):

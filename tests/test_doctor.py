@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pgran import doctor, launch
+from pgran.command import doctor
+from pgran.parallel import launch
 
-PROJECT = Path(doctor.__file__).parents[1]
+PROJECT = Path(doctor.__file__).parents[2]
 LAUNCHED = (*launch.RANKS, *launch.SIZES)
 
 
@@ -90,7 +91,7 @@ def test_pgran_runs_without_extras(monkeypatch, module):
 
 def test_a_python_that_has_what_this_one_lacks(monkeypatch, tmp_path):
     """A .venv beside the package that can import the module, and one that cannot."""
-    monkeypatch.setattr(doctor, "__file__", str(tmp_path / "pgran" / "doctor.py"))
+    monkeypatch.setattr(doctor, "__file__", str(tmp_path / "pgran" / "command" / "doctor.py"))
     (tmp_path / ".venv" / "bin").mkdir(parents=True)
     python = tmp_path / ".venv" / "bin" / "python"
     python.symlink_to("/bin/true")

@@ -8,11 +8,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from samples import random_lattice, uniform_lattice
 
-from pgran.counting import ModeCounter
-from pgran.errors import InputError, met_by_all
-from pgran.operators import Operators
-from pgran.reading import read_words, resolve
-from pgran.steady import SteadySolver
+from pgran.errors import InputError
+from pgran.files.reading import read_words, resolve
+from pgran.parallel.agreement import met_by_all
+from pgran.solve.counting import ModeCounter
+from pgran.solve.operators import Operators
+from pgran.solve.steady import SteadySolver
 
 # m omega^2 = 2 k is an eigenvalue of these lattices exactly, in doubles too.
 SINGULAR = [((1,), 0.5, 1.0), ((2,), 1.0, 1.0), ((2, 2), 0.5, 1.0), ((5, 5, 5), 1.5, 3.0)]

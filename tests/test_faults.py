@@ -14,8 +14,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from pgran.__main__ import explain
-from pgran.errors import who_reports
-from pgran.journal import Journal
+from pgran.parallel.agreement import who_reports
+from pgran.parallel.journal import Journal
 
 HERE = Path(__file__).resolve().parent.parent / "jobs"
 

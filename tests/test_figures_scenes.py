@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from pgran import __main__ as command_line
-from pgran import errors, figures, results, store
+from pgran import errors, figures, results
 from pgran.errors import FileError
-from pgran.lattice import Lattice
-from pgran.spectrum import power_spectrum
+from pgran.files import store
+from pgran.physics.lattice import Lattice
+from pgran.physics.spectrum import power_spectrum
 
 pytest.importorskip("matplotlib")
 

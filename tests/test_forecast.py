@@ -13,19 +13,19 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from samples import random_lattice
 
-from pgran import forecast, needs, trials
-from pgran.costs import FILLED, Costs, dissection
-from pgran.counting import ModeCounter
+from pgran.command import forecast, needs, trials
+from pgran.command.costs import FILLED, Costs, dissection
 from pgran.errors import InputError
-from pgran.linear import factor_package
-from pgran.operators import Operators
-from pgran.options import SCENES
-from pgran.reading import read_file, read_words, resolve
+from pgran.files.options import SCENES
+from pgran.files.reading import read_file, read_words, resolve
 from pgran.scenes import response
 from pgran.scenes.common import make_lattice
-from pgran.steady import SteadySolver
+from pgran.solve.counting import ModeCounter
+from pgran.solve.linear import factor_package
+from pgran.solve.operators import Operators
+from pgran.solve.steady import SteadySolver
 
-PROJECT = Path(forecast.__file__).parents[1]
+PROJECT = Path(forecast.__file__).parents[2]
 UNITS = {"kB": 1e3, "MB": 1e6, "GB": 1e9}
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pgran import foreign
 from pgran.errors import FileError
-from pgran.store import read_stiffness
+from pgran.files import hdf5 as foreign
+from pgran.files.store import read_stiffness
 
 serial = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts programs: serial run only")
 
@@ -322,18 +322,18 @@ def test_the_reader_is_limited_and_knows_nothing_of_mpi(path, monkeypatch):
     monkeypatch.chdir(path.parent)
     program = path.with_name("program.py")
     program.write_text(
-        "import os, resource as r, sys, pgran.foreign\n"
+        "import os, resource as r, sys, pgran.files.hdf5\n"
         "from pathlib import Path\n"
-        "pgran.foreign.bonds = lambda file: sys.exit(' '.join(map(str, [\n"
+        "pgran.files.hdf5.bonds = lambda file: sys.exit(' '.join(map(str, [\n"
         "    r.getrlimit(r.RLIMIT_CORE)[0], r.getrlimit(r.RLIMIT_AS)[0] < 10**9,\n"
         "    r.getrlimit(r.RLIMIT_CPU)[0] < 1000, 'mpi4py' in sys.modules,\n"
         "    [k for k in os.environ if k.startswith(('OMPI', 'PMI'))]])))\n"
-        "pgran.foreign.main(sys.argv[1])\n"
+        "pgran.files.hdf5.main(sys.argv[1])\n"
     )
     run = subprocess.run
 
     def start(words, **more):
-        assert words[1:4] == ["-P", "-m", "pgran.foreign"]
+        assert words[1:4] == ["-P", "-m", "pgran.files.hdf5"]
         return run([words[0], "-P", str(program), words[4]], **more)
 
     monkeypatch.setattr(subprocess, "run", start)

@@ -43,7 +43,7 @@ def test_no_file_does_harm(clean_environment, tmp_path, campaign, cases):
 )
 def test_a_campaign_notices(clean_environment, tmp_path, sabotage, cases, said):
     program = (
-        f"import os, runpy, sys; from pgran import store; {sabotage}; "
+        f"import os, runpy, sys; from pgran.files import store; {sabotage}; "
         f"sys.argv = ['fuzz.py', 'hdf5', '{cases}', '3']; "
         f"runpy.run_path({str(PROGRAM)!r}, run_name='__main__')"
     )

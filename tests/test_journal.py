@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from samples import random_lattice
 
-from pgran.errors import SIGNALS, FileError, InputError, StoppedError
-from pgran.journal import MAGIC, RECORD, Journal
+from pgran.errors import FileError, InputError, StoppedError
+from pgran.parallel.crew import Crew
+from pgran.parallel.journal import MAGIC, RECORD, Journal
+from pgran.parallel.launch import SIGNALS
+from pgran.physics.bondlaw import BondLaw
 from pgran.scenes.modes import find_modes
 from pgran.scenes.projection import project
 from pgran.scenes.relaxation import relax
 from pgran.scenes.response import sweep
-from pgran.sharing import Crew
-from pgran.stiffness import BondLaw
 
 ROW = np.dtype([("unit", np.int64), ("value", float, (3,))])
 UNITS = list(range(11))

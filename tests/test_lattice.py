@@ -9,7 +9,7 @@ from reference import bonds
 from samples import bond_arrays, random_lattice, uniform_lattice
 
 from pgran.errors import InputError
-from pgran.lattice import Lattice, bond_count, bond_shape, check_frequency, detector_sites
+from pgran.physics.lattice import Lattice, bond_count, bond_shape, check_frequency, detector_sites
 
 
 @pytest.mark.parametrize("shape", [(1,), (9,), (20, 20), (1, 4), (3, 1, 2), (4, 5, 6)])

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from pgran import logfile
 from pgran.errors import FileError
+from pgran.files import logfile
 
 SMALL = "-scene response -lattice_shape 6,5 -detectors 2,3 -sweep_points 70 -output_progress none\n"
 STAMP = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4} "
@@ -63,17 +63,17 @@ def test_a_log_goes_on(start, tmp_path):
 FAILING = """
 from mpi4py import MPI
 import pgran.__main__
-start = pgran.running.start_petsc
+start = pgran.command.run.start_petsc
 def start_petsc(options):
     start(options)
     from petsc4py import PETSc
-    from pgran.steady import SteadySolver
+    from pgran.solve.steady import SteadySolver
     def fail(self, omega):
         if MPI.COMM_WORLD.rank == {rank}:
             {statement}
         MPI.COMM_WORLD.Barrier()
     SteadySolver.solve = fail
-pgran.running.start_petsc = start_petsc
+pgran.command.run.start_petsc = start_petsc
 pgran.__main__.console()
 """
 

@@ -179,7 +179,12 @@ def test_every_module_can_be_the_first(clean_environment):
     done = subprocess.run(words, env=clean_environment, capture_output=True, text=True, check=True)
     firsts = dict(line.split() for line in done.stdout.splitlines() if " " in line)
     assert set(firsts.values()) == {"MPI"}, firsts
-    assert {"pgran.steady", "pgran.operators", "pgran.linear", "pgran.normal"} <= set(firsts)
+    assert {
+        "pgran.solve.steady",
+        "pgran.solve.operators",
+        "pgran.solve.linear",
+        "pgran.solve.normal",
+    } <= set(firsts)
 
 
 def main():

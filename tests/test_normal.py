@@ -10,12 +10,13 @@ from petsc4py import PETSc
 from reference import Reference, uniform_frequencies
 from samples import bond_arrays, random_lattice, uniform_lattice
 
-from pgran import counting, normal
 from pgran.errors import InputError
-from pgran.lattice import Lattice
-from pgran.operators import Operators
+from pgran.parallel.crew import Crew
+from pgran.physics import modes as physics_modes
+from pgran.physics.lattice import Lattice
 from pgran.scenes.modes import _united, certificate, find_modes
-from pgran.sharing import Crew
+from pgran.solve import counting, normal
+from pgran.solve.operators import Operators
 
 SOLVERS = Path(__file__).parents[1] / "options" / "solvers"
 SHAPES = [(30,), (1, 1), (6, 7), (13, 9), (1, 8), (5, 4, 3)]
@@ -304,8 +305,8 @@ def test_a_mode_found_twice_makes_up_for_none_that_is_missing(crew, monkeypatch,
 
 
 def test_inaccurate_modes_are_never_certified(crew, monkeypatch):
-    stiff = normal.restoring_forces
-    monkeypatch.setattr(normal, "restoring_forces", lambda k, f: stiff(k, f) + 1e-9 * f**2)
+    stiff = physics_modes.restoring_forces
+    monkeypatch.setattr(physics_modes, "restoring_forces", lambda k, f: stiff(k, f) + 1e-9 * f**2)
     modes = from_root(find_modes(random_lattice((7, 7)), crew), crew.world)
     assert len(modes.omega) == modes.count_expected
     assert not modes.count_certified

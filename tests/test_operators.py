@@ -6,8 +6,8 @@ from petsc4py import PETSc
 from reference import REST, Reference, balls, bonds
 from samples import random_lattice, skip_unless_ranks_fit, uniform_lattice
 
-from pgran.lattice import Lattice
-from pgran.operators import Operators
+from pgran.physics.lattice import Lattice
+from pgran.solve.operators import Operators
 
 SHAPES = [(7,), (1,), (2,), (5, 6), (6, 1), (1, 6), (1, 1), (2, 3), (4, 3, 5), (1, 4, 3), (5, 1, 2)]
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from pgran import reading
 from pgran.errors import FileError, InputError
-from pgran.options import (
+from pgran.files import reading
+from pgran.files.options import (
     FLAG,
     SCENES,
     SOLVER_PREFIXES,
@@ -16,7 +16,7 @@ from pgran.options import (
     describe_options,
     nearest,
 )
-from pgran.reading import read_environment, read_file, read_words, resolve
+from pgran.files.reading import read_environment, read_file, read_words, resolve
 
 ALL = {option.name: option for options in SCENES.values() for option in options}
 

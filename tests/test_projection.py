@@ -8,10 +8,10 @@ from mpi4py import MPI
 from reference import Reference
 from samples import paper_lattice, random_lattice
 
-from pgran.reading import read_words, resolve
+from pgran.files.reading import read_words, resolve
+from pgran.parallel.crew import Crew
 from pgran.scenes.modes import find_modes
 from pgran.scenes.projection import project, which_modes
-from pgran.sharing import Crew
 
 OMEGAS = np.array([0.02, 0.31, 0.6, 0.93, 1.3])
 

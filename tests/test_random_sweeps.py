@@ -17,11 +17,11 @@ from mpmath import mp, mpf
 from reference import Reference, exact_amplitudes
 from samples import HAS_KLU, bond_arrays, option_values
 
-from pgran.database import holding
 from pgran.errors import InputError
-from pgran.lattice import Lattice
+from pgran.parallel.crew import Crew
+from pgran.physics.lattice import Lattice
 from pgran.scenes.response import sweep
-from pgran.sharing import Crew
+from pgran.solve.database import holding
 
 SHAPES = [
     *[(1,), (2,), (17,), (60,), (90,), (1, 6), (6, 1), (3, 1), (4, 5), (7, 8), (20, 2)],

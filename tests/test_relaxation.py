@@ -11,19 +11,19 @@ from mpi4py import MPI
 from reference import Reference
 from samples import needs_klu, random_lattice, uniform_lattice
 
-from pgran.bounds import smallest_damping_eigenvalue
 from pgran.errors import InputError
-from pgran.lattice import Lattice, bond_arrays, bond_count, bond_places
-from pgran.operators import Operators
-from pgran.reading import read_words, resolve
-from pgran.relaxation import Changes, Network, draw_changes
+from pgran.files.reading import read_words, resolve
+from pgran.parallel.crew import Crew
+from pgran.physics.bondlaw import BondLaw
+from pgran.physics.changes import Changes, Network, draw_changes
+from pgran.physics.lattice import Lattice, bond_arrays, bond_count, bond_places
+from pgran.physics.spectrum import power_spectrum
 from pgran.scenes import relaxation as relaxation_scene
 from pgran.scenes.relaxation import relax
-from pgran.sharing import Crew
-from pgran.spectrum import power_spectrum
-from pgran.steady import SteadySolver
-from pgran.stiffness import BondLaw
-from pgran.windows import Deformation, Windows, march, window_length
+from pgran.solve.bounds import smallest_damping_eigenvalue
+from pgran.solve.operators import Operators
+from pgran.solve.steady import SteadySolver
+from pgran.solve.windows import Deformation, Windows, march, window_length
 
 UNIFORM = BondLaw("uniform")
 
@@ -204,7 +204,7 @@ def test_the_bound_covers_a_march_that_went_wrong(monkeypatch):
         T, c = march(G, delta)
         return T * (1 + 1e-7 * rng.standard_normal(T.shape)), c
 
-    monkeypatch.setattr("pgran.windows.march", spoilt)
+    monkeypatch.setattr("pgran.solve.windows.march", spoilt)
     after, bound, exact = follow(lattice, 0.6, [[2, 2]], changes)
     assert len(after) == 40
     assert np.all(np.abs(after - exact) <= bound)
@@ -276,7 +276,7 @@ def test_the_bound_of_a_step_is_reached(monkeypatch):
         T, c = march(G, delta)
         return T, c * (1 + 1e-5)
 
-    monkeypatch.setattr("pgran.windows.march", spoilt)
+    monkeypatch.setattr("pgran.solve.windows.march", spoilt)
     lattice = uniform_lattice((1, 1), 0.125, damping=0.1, mass=2.0)
     stiffness = tuple(k.copy() for k in lattice.stiffness)
     stiffness[0][0] = 0.25

@@ -8,9 +8,9 @@ from reference import Reference, uniform_field
 from samples import paper_lattice, random_lattice, uniform_lattice
 
 from pgran.errors import InputError
+from pgran.parallel.crew import Crew
 from pgran.results import LatticeRecord
 from pgran.scenes.response import fit_phase, summary, sweep, unwrap
-from pgran.sharing import Crew
 
 PAPER = np.linspace(0.01, 1.3, 1291)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from pgran.reuse import ReusePolicy, expected_iterations
+from pgran.solve.reuse import ReusePolicy, expected_iterations
 
 
 def serve(policy, iterations):

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pgran.continuum import Continuum
-from pgran.database import holding
-from pgran.options import RUN, SCENES
-from pgran.reading import read_words, resolve
+from pgran.files.options import RUN, SCENES
+from pgran.files.reading import read_words, resolve
+from pgran.physics.continuum import Continuum
 from pgran.scenes import continuum
 from pgran.scenes.common import driving_frequencies
+from pgran.solve.database import holding
 
 GRID = "-lattice_shape 5,4 -detectors 2,2 -sweep_points 9"
 RELAX = "-lattice_shape 5,4 -detectors 2,2 -relax_steps 200 -spectrum_fit_min .1"

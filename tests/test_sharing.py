@@ -6,11 +6,11 @@ from mpi4py import MPI
 from samples import random_lattice
 
 from pgran.errors import InputError
-from pgran.reading import read_words, resolve
+from pgran.files.reading import read_words, resolve
+from pgran.parallel.crew import LARGE, Crew, automatic_ranks
 from pgran.scenes.common import make_crew
 from pgran.scenes.projection import project
 from pgran.scenes.response import sweep, units
-from pgran.sharing import LARGE, Crew, automatic_ranks
 
 OMEGAS = np.linspace(0.05, 1.3, 150)
 NUMBERS = ("displacement", "error_bound", "backward_error", "iterations", "converged_reason")

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import welch
 
 from pgran.errors import InputError
-from pgran.spectrum import check_window, fewest_steps, power_spectrum, segment_length
+from pgran.physics.spectrum import check_window, fewest_steps, power_spectrum, segment_length
 
 
 def power_law_noise(psi, trajectories, steps, seed):
@@ -245,7 +245,7 @@ def test_warning_of_the_flat_low_end(caplog):
     power_spectrum(signal, 0.01, 0.3)
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
-    assert record.name == "pgran.spectrum"
+    assert record.name == "pgran.physics.spectrum"
     assert record.message.startswith("spectrum_fit_min: ")
 
 

@@ -10,11 +10,11 @@ from petsc4py import PETSc
 from reference import Reference, uniform_field
 from samples import bond_arrays, random_lattice, skip_unless_ranks_fit, uniform_lattice
 
-from pgran.bounds import smallest_damping_eigenvalue
-from pgran.lattice import Lattice
-from pgran.linear import factor_package
-from pgran.operators import Operators
-from pgran.steady import SteadySolver
+from pgran.physics.lattice import Lattice
+from pgran.solve.bounds import smallest_damping_eigenvalue
+from pgran.solve.linear import factor_package
+from pgran.solve.operators import Operators
+from pgran.solve.steady import SteadySolver
 
 DIRECT = "-steady_ksp_type preonly -steady_pc_type lu"
 POOR = "-steady_ksp_type gmres -steady_pc_type ilu -steady_ksp_max_it 60"

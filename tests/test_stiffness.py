@@ -9,8 +9,8 @@ from reference import bonds
 from scipy.stats import kstest
 
 from pgran.errors import InputError
-from pgran.lattice import Lattice, bond_count
-from pgran.stiffness import LAWS, BondLaw, unit_numbers
+from pgran.physics.bondlaw import LAWS, BondLaw, unit_numbers
+from pgran.physics.lattice import Lattice, bond_count
 
 MASK = 2**64 - 1
 

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from samples import random_lattice
 
-from pgran import figures, foreign, load, store
+from pgran import figures, load
 from pgran.errors import FileError
+from pgran.files import hdf5 as foreign
+from pgran.files import store
 from pgran.results import (
     Accuracy,
     ContinuumResponse,

@@ -3,7 +3,7 @@
 import importlib
 from pathlib import Path
 
-from pgran.errors import FileError, PgranError, describe
+from pgran.errors import FileError, PgranError, reason_of
 
 # What draws which group of a result: a module whose `figures(result, modes)` yields names and
 # figures, and whose NEEDS lists what it reads of that group, besides the lattice.
@@ -158,4 +158,6 @@ def save(figure, path):
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)
     except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error.strerror or describe(error)}") from None
+        raise FileError(
+            f"{path}: cannot be written: {error.strerror or reason_of(error)}"
+        ) from None

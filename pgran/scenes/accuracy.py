@@ -9,7 +9,13 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from pgran.accuracy import (
+from pgran.errors import PgranError
+from pgran.files.options import SCENES
+from pgran.files.reading import read_solver
+from pgran.parallel.agreement import agree, on_root
+from pgran.parallel.crew import Crew, automatic_ranks
+from pgran.parallel.progress import Progress
+from pgran.physics.accuracy import (
     ENTRY,
     Configuration,
     Study,
@@ -21,14 +27,9 @@ from pgran.accuracy import (
     relative_bounds,
     relative_errors,
 )
-from pgran.database import holding, unused
-from pgran.errors import PgranError, agree, on_root
-from pgran.options import SCENES
-from pgran.progress import Progress
-from pgran.reading import read_solver
 from pgran.results import Accuracy, LatticeRecord
 from pgran.scenes.common import driving_frequencies, make_lattice, make_law
-from pgran.sharing import Crew, automatic_ranks
+from pgran.solve.database import holding, unused
 
 log = logging.getLogger(__name__)
 
@@ -131,8 +132,8 @@ def read_configurations(options):
 def make_study(options, lattice):
     """Return the experiment that the options name. Not collective."""
     if options.accuracy_of == "modes":
-        from pgran.normal import RESIDUAL
         from pgran.scenes.modes import chosen, find_modes
+        from pgran.solve.normal import RESIDUAL
 
         solve = partial(find_modes, lattice, **chosen(options))
         read = partial(read_modes, lattice, largest=RESIDUAL)
@@ -189,13 +190,13 @@ def compare(study, configurations, whole, crew, *, repeats, progress="none"):
     ----------
     study : Study
     configurations : sequence of Configuration
-    whole : pgran.sharing.Crew
+    whole : pgran.parallel.crew.Crew
         One group of all ranks, which takes one run after the other.
     crew : AgreeingCrew
         What shares out the work of a run.
     repeats : int
     progress : str
-        Style of `pgran.progress.Progress`.
+        Style of `pgran.parallel.progress.Progress`.
 
     Returns
     -------

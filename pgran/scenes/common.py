@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from pgran.accuracy import is_accurate
-from pgran.errors import PgranError, on_root
-from pgran.lattice import Lattice
-from pgran.sharing import Crew, automatic_ranks
-from pgran.stiffness import BondLaw
+from pgran.errors import PgranError
+from pgran.parallel.agreement import on_root
+from pgran.parallel.crew import Crew, automatic_ranks
+from pgran.physics.accuracy import is_accurate
+from pgran.physics.bondlaw import BondLaw
+from pgran.physics.lattice import Lattice
 
 CLOSE = 1e-10  # relative distance
 
@@ -24,7 +25,7 @@ def make_lattice(options, world):
         If the ranks disagree on the bonds.
     """
     if options.bonds_law == "file":
-        from pgran.store import read_stiffness
+        from pgran.files.store import read_stiffness
 
         stiffness, kmax = on_root(world, lambda: read_stiffness(options.bonds_file))
     else:

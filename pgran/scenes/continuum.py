@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from pgran.continuum import Continuum
-from pgran.errors import on_root
+from pgran.parallel.agreement import on_root
+from pgran.physics.continuum import Continuum
 from pgran.results import ContinuumResponse
 from pgran.scenes.common import driving_frequencies, phase_of_sign
 

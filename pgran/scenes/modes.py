@@ -7,14 +7,15 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from pgran.counting import ModeCounter, cut, shared
-from pgran.lattice import check_frequency
-from pgran.normal import RESIDUAL, ModeSolver, participation
-from pgran.operators import Operators
-from pgran.progress import Progress
+from pgran.parallel.crew import Crew
+from pgran.parallel.progress import Progress
+from pgran.physics.lattice import check_frequency
+from pgran.physics.modes import participation
 from pgran.results import LatticeRecord, Modes
 from pgran.scenes.common import make_lattice
-from pgran.sharing import Crew
+from pgran.solve.counting import ModeCounter, cut, shared
+from pgran.solve.normal import RESIDUAL, ModeSolver
+from pgran.solve.operators import Operators
 
 
 def run(options, world, journal=None):
@@ -73,8 +74,8 @@ def find_modes(
 
     Parameters
     ----------
-    lattice : pgran.lattice.Lattice
-    crew : pgran.sharing.Crew
+    lattice : pgran.physics.lattice.Lattice
+    crew : pgran.parallel.crew.Crew
         Of groups of one rank.
     interval : tuple of float, optional
         Lowest and highest omega; both ends belong to it.
@@ -84,7 +85,7 @@ def find_modes(
     shapes : bool
         Keep the shapes.
     progress : str
-        Style of `pgran.progress.Progress`.
+        Style of `pgran.parallel.progress.Progress`.
 
     Returns
     -------

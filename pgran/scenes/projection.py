@@ -5,15 +5,15 @@ import time
 
 import numpy as np
 
-from pgran.lattice import check_frequency
-from pgran.operators import Operators
-from pgran.progress import Progress
+from pgran.parallel.crew import Crew
+from pgran.parallel.progress import Progress
+from pgran.physics.lattice import check_frequency
 from pgran.results import LatticeRecord, Projection
 from pgran.scenes.common import driving_frequencies, fit_line, make_lattice
 from pgran.scenes.modes import certificate, chosen, find_modes
 from pgran.scenes.response import units
-from pgran.sharing import Crew
-from pgran.steady import SteadySolver
+from pgran.solve.operators import Operators
+from pgran.solve.steady import SteadySolver
 
 ALL_MODES = 3600  # balls; of a larger lattice only the modes near each driving frequency
 NEAR = 60  # so many
@@ -79,10 +79,10 @@ def project(
 
     Parameters
     ----------
-    lattice : pgran.lattice.Lattice
+    lattice : pgran.physics.lattice.Lattice
     omegas : numpy.ndarray, shape (nw,)
         Driving frequencies, angular, increasing.
-    crew : pgran.sharing.Crew
+    crew : pgran.parallel.crew.Crew
         Of groups of one rank.
     which : dict, optional
         Which modes: arguments of `pgran.scenes.modes.find_modes`; all by default.
@@ -90,9 +90,9 @@ def project(
         Relative accuracy asked of each field, in the 2-norm; a coefficient is no more in error than
         the field.
     refresh_iterations : int
-        See `pgran.steady.SteadySolver`.
+        See `pgran.solve.steady.SteadySolver`.
     progress : str
-        Style of `pgran.progress.Progress`.
+        Style of `pgran.parallel.progress.Progress`.
 
     Returns
     -------
@@ -144,7 +144,7 @@ def project(
         crew.share(units(len(omegas)), work, deliver, row)
     if not root:
         return None
-    coefficient = rows["coefficient"].copy()  # in one piece: see pgran.windows.SHORTEST
+    coefficient = rows["coefficient"].copy()  # in one piece: see pgran.solve.windows.SHORTEST
     return Projection(
         count_expected=modes.count_expected,
         count_certified=modes.count_certified,

@@ -5,12 +5,12 @@ import time
 
 import numpy as np
 
-from pgran.accuracy import is_accurate
 from pgran.errors import InputError
-from pgran.lattice import bond_count, bond_places, check_frequency, detector_sites
-from pgran.operators import Operators
-from pgran.progress import Progress
-from pgran.relaxation import Network, draw_changes
+from pgran.parallel.progress import Progress
+from pgran.physics.accuracy import is_accurate
+from pgran.physics.changes import Network, draw_changes
+from pgran.physics.lattice import bond_count, bond_places, check_frequency, detector_sites
+from pgran.physics.spectrum import check_window, power_spectrum
 from pgran.results import LatticeRecord, Relaxation
 from pgran.scenes.common import (
     below_relative_accuracy,
@@ -19,9 +19,9 @@ from pgran.scenes.common import (
     make_law,
     reached_accuracy,
 )
-from pgran.spectrum import check_window, power_spectrum
-from pgran.steady import SteadySolver
-from pgran.windows import Windows, window_length
+from pgran.solve.operators import Operators
+from pgran.solve.steady import SteadySolver
+from pgran.solve.windows import Windows, window_length
 
 log = logging.getLogger(__name__)
 
@@ -113,7 +113,7 @@ def relax(
 
     Parameters
     ----------
-    lattice : pgran.lattice.Lattice
+    lattice : pgran.physics.lattice.Lattice
         Before any change.
     law : callable
         Turns numbers uniform on [0, 1) into bond constants.
@@ -121,7 +121,7 @@ def relax(
         Driving frequency, angular.
     detectors : array_like of int
         Ball indices, flat or one row a detector.
-    crew : pgran.sharing.Crew
+    crew : pgran.parallel.crew.Crew
     steps, trajectories, seed : int
         Trajectories are independent and all start from the lattice's bonds.
     method : {"window", "krylov", "direct"}
@@ -130,9 +130,9 @@ def relax(
     window : int
         Steps to a window; 0 decides by the size of the lattice.
     error_tolerance, refresh_iterations, error_floor
-        See `pgran.steady.SteadySolver`.
+        See `pgran.solve.steady.SteadySolver`.
     progress : str
-        Style of `pgran.progress.Progress`.
+        Style of `pgran.parallel.progress.Progress`.
 
     Returns
     -------

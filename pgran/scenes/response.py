@@ -4,9 +4,8 @@ import time
 
 import numpy as np
 
-from pgran.lattice import check_frequency, detector_sites
-from pgran.operators import Operators
-from pgran.progress import Progress
+from pgran.parallel.progress import Progress
+from pgran.physics.lattice import check_frequency, detector_sites
 from pgran.results import LatticeRecord, Response
 from pgran.scenes.common import (
     below_relative_accuracy,
@@ -17,7 +16,8 @@ from pgran.scenes.common import (
     phase_of_sign,
     reached_accuracy,
 )
-from pgran.steady import SteadySolver
+from pgran.solve.operators import Operators
+from pgran.solve.steady import SteadySolver
 
 LONGEST_UNIT = 16  # frequencies that share factorizations
 
@@ -89,24 +89,24 @@ def sweep(
 
     Parameters
     ----------
-    lattice : pgran.lattice.Lattice
+    lattice : pgran.physics.lattice.Lattice
     omegas : numpy.ndarray, shape (nw,)
         Driving frequencies, angular, increasing.
     detectors : array_like of int
         Ball indices, flat or one row a detector.
-    crew : pgran.sharing.Crew
+    crew : pgran.parallel.crew.Crew
     error_tolerance : float
         Relative accuracy asked of each amplitude, and of each field if they are kept.
     error_floor : float
-        See `pgran.steady.SteadySolver`.
+        See `pgran.solve.steady.SteadySolver`.
     refresh_iterations : int
-        See `pgran.steady.SteadySolver`.
+        See `pgran.solve.steady.SteadySolver`.
     fields : bool
         Keep the amplitudes of all balls.
     phase_window : tuple of float
         Where the phase is fitted, in units of omega_mx.
     progress : str
-        Style of `pgran.progress.Progress`.
+        Style of `pgran.parallel.progress.Progress`.
 
     Returns
     -------

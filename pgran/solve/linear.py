@@ -81,7 +81,7 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
 
     Parameters
     ----------
-    operators : pgran.operators.Operators
+    operators : pgran.solve.operators.Operators
     matrix : petsc4py.PETSc.Mat
         S, or another one of its pattern.
     prefix : str

@@ -12,9 +12,8 @@ import re
 import shlex
 from dataclasses import dataclass
 
-from pgran.errors import FileError, InputError, open_regular
-from pgran.lattice import bond_count
-from pgran.options import (
+from pgran.errors import FileError, InputError
+from pgran.files.options import (
     ACCURACY,
     HARMFUL,
     LATTICES_SHARED,
@@ -27,6 +26,8 @@ from pgran.options import (
     SOLVER_PREFIXES,
     nearest,
 )
+from pgran.files.paths import open_regular
+from pgran.physics.lattice import bond_count
 
 LONGEST_FILE = 2**20  # bytes of an options file
 SMALLEST_SHIFT = 1e-14  # of pivots, against bond constants of about 1

@@ -27,7 +27,7 @@ class Crew:
     world : mpi4py.MPI.Comm
     ranks_per_lattice : int
         How many ranks share a lattice.
-    journal : pgran.journal.Journal, optional
+    journal : pgran.parallel.journal.Journal, optional
         Keeps finished units, and says when to stop.
 
     Attributes

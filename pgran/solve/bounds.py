@@ -10,13 +10,13 @@ eigenvalue is known, and |r|_{C^-1} <= |r|_2 / sqrt(lambda_min(C)).
 Without damping |x|_2 <= |S x|_2 / delta, delta the distance of m omega^2 to the nearest eigenvalue
 of K, and |r|_2 |s|_2 / delta bounds the error; with very little damping delta - omega beta |C|
 still does better than damping alone. That no eigenvalue is nearer than delta is certified by
-counting those below m omega^2 - delta and below m omega^2 + delta (`pgran.counting`).
+counting those below m omega^2 - delta and below m omega^2 + delta (`pgran.solve.counting`).
 
 Residuals are known up to rounding only; what rounding can change is bounded in terms of
 |f| + |S| |A~|, ball by ball, because amplitudes fall by many orders across a lattice. What is lost
 below the smallest normal double, of a square above all, is counted too.
 
-Where the product of norms says too little, `pgran.comparison` bounds the errors ball by ball.
+Where the product of norms says too little, `pgran.solve.comparison` bounds the errors ball by ball.
 """
 
 import math
@@ -24,8 +24,8 @@ import math
 import numpy as np
 from mpi4py import MPI
 
-from pgran.counting import ModeCounter
-from pgran.stiffness import unit_numbers
+from pgran.physics.bondlaw import unit_numbers
+from pgran.solve.counting import ModeCounter
 
 EPSILON = float(np.finfo(float).eps)
 TINIEST = float(np.finfo(float).tiny)  # a result below it may be lost
@@ -43,7 +43,7 @@ class ErrorBounds:
 
     Parameters
     ----------
-    operators : pgran.operators.Operators
+    operators : pgran.solve.operators.Operators
 
     Attributes
     ----------
@@ -185,7 +185,7 @@ class ErrorBounds:
             The `primal_residual` of A~.
         terms : numpy.ndarray
             The `rounding` of A~.
-        adjoint : pgran.linear.System
+        adjoint : pgran.solve.linear.System
             z~.
         value : complex
             The amplitude as evaluated.

@@ -19,15 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pgran.errors import (
-    SIGNALS,
-    FileError,
-    InputError,
-    StoppedError,
-    describe,
-    is_bad_input,
-    on_root,
-)
+from pgran.errors import FileError, InputError, StoppedError, is_bad_input, reason_of
+from pgran.parallel.agreement import on_root
+from pgran.parallel.launch import SIGNALS
 
 log = logging.getLogger(__name__)
 
@@ -239,7 +233,7 @@ class Journal:
         try:
             yield
         except OSError as error:
-            raise FileError(f"{self.path}: cannot be written: {describe(error)}") from None
+            raise FileError(f"{self.path}: cannot be written: {reason_of(error)}") from None
 
     def _difference(self, found, identity):
         """Say which option differs from the unfinished run."""

@@ -8,11 +8,10 @@ is combined anew for each frequency without assembly, and factored symbolically 
 from functools import cached_property
 
 import numpy as np
-from mpi4py import MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 from petsc4py import PETSc
 
 from pgran.errors import InputError
-from pgran.lattice import bond_count, bond_shape
+from pgran.physics.lattice import bond_count, bond_shape
 
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 
@@ -37,7 +36,7 @@ class Operators(Owner):
 
     Parameters
     ----------
-    lattice : pgran.lattice.Lattice
+    lattice : pgran.physics.lattice.Lattice
         The same on every rank.
     comm : mpi4py.MPI.Comm
         The ranks that share this lattice.

@@ -11,8 +11,10 @@ import time
 from pathlib import Path
 
 import pgran
-from pgran import errors, launch
-from pgran.errors import InputError, PgranError, on_root
+from pgran import errors
+from pgran.errors import InputError, PgranError
+from pgran.parallel import launch
+from pgran.parallel.agreement import on_root
 
 log = logging.getLogger("pgran")
 
@@ -24,11 +26,11 @@ def run(words):
     """
     # Signals to stop wait until the journal listens, and do no harm once the result is written;
     # blocked before anything starts threads, which else would get them.
-    signal.pthread_sigmask(signal.SIG_BLOCK, errors.SIGNALS)
+    signal.pthread_sigmask(signal.SIG_BLOCK, launch.SIGNALS)
     faulthandler.enable()  # a crash in a library names the line that called it
 
-    from pgran.options import WITHOUT_PETSC
-    from pgran.reading import check_word, read_environment, read_file, read_words, resolve
+    from pgran.files.options import WITHOUT_PETSC
+    from pgran.files.reading import check_word, read_environment, read_file, read_words, resolve
 
     if not words or words[0].startswith("-"):
         raise InputError("run: an options file is needed, as in pgran run options/response.opts")
@@ -54,8 +56,8 @@ def run(words):
 
 def foresee(options, world, started):
     """Say what a run will need. Collective."""
-    from pgran import store
-    from pgran.forecast import forecast
+    from pgran.command.forecast import forecast
+    from pgran.files import store
 
     on_root(
         world,
@@ -72,8 +74,8 @@ def compute(options, words, world, started):
     """Compute a scene, or go on with it, and write its result. Collective."""
     import numpy
 
-    from pgran import store
-    from pgran.journal import Journal
+    from pgran.files import store
+    from pgran.parallel.journal import Journal
 
     output, overwrite = options.output_file, options.output_overwrite
     on_root(world, lambda: store.check_output(output, overwrite))
@@ -140,7 +142,7 @@ def start_mpi():
 
 def start_log(options, words, world):
     """Let messages go to the log file of the options, too. Collective."""
-    from pgran import logfile
+    from pgran.files import logfile
 
     path = options.output_log
     if Path(path).absolute() == Path(options.output_file).absolute():
@@ -202,11 +204,11 @@ def loaded_version(name):
 
 def warn_of_unused(options):
     """Warn of solver keys that no PETSc object asked for. Not collective."""
-    from pgran.options import SOLVER_PREFIXES
+    from pgran.files.options import SOLVER_PREFIXES
 
     keys = [key for key in options.solver if key.startswith(tuple(SOLVER_PREFIXES))]
     if "petsc4py.PETSc" in sys.modules:
-        from pgran.database import unused
+        from pgran.solve.database import unused
 
         keys = unused(keys)
     for key in keys:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from pgran.costs import FILE_BYTES
-from pgran.lattice import bond_count
-from pgran.needs import SCENES
+from pgran.command.costs import FILE_BYTES
+from pgran.command.needs import SCENES
+from pgran.physics.lattice import bond_count
 
 LAUNCH = 0.3  # seconds that mpirun and the interpreter take to start and to end
 COPIES = 2.0  # of the result on rank 0, while it is put together and written
@@ -25,7 +25,7 @@ def forecast(options, world, started):
 
     Parameters
     ----------
-    options : pgran.reading.Options
+    options : pgran.files.reading.Options
     world : mpi4py.MPI.Comm
     started : float
         When the program started, by `time.perf_counter`.

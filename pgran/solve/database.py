@@ -3,7 +3,6 @@
 import contextlib
 import ctypes
 
-from mpi4py import MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 from petsc4py import PETSc
 
 

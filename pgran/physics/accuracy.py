@@ -133,7 +133,7 @@ def mode_bounds(lattice, omega, residual):
 
     Parameters
     ----------
-    lattice : pgran.lattice.Lattice
+    lattice : pgran.physics.lattice.Lattice
     omega, residual : numpy.ndarray, shape (nm,)
         As in `pgran.results.Modes`.
     """

@@ -5,7 +5,6 @@ So a run repeats exactly.
 
 import math
 
-from mpi4py import MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 from petsc4py import PETSc
 
 FACTORIZATIONS = ("lu", "cholesky")

@@ -2,8 +2,8 @@
 
 HDF5 can point outside itself, can declare far more data than it holds, and the library can crash or
 hang on files that are not what they seem. Files that are not pgran's own are read by a process of
-their own, of bounded memory and time: `python -m pgran.foreign FILE`, which writes the bonds to its
-standard output as NumPy arrays.
+their own, of bounded memory and time: `python -m pgran.files.hdf5 FILE`, which writes the bonds to
+its standard output as NumPy arrays.
 """
 
 import contextlib
@@ -19,9 +19,10 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 
-from pgran.errors import BAD_FILE, DONE, FileError, describe, open_regular
-from pgran.lattice import AXES, bond_shape
-from pgran.reading import machine_memory
+from pgran.errors import BAD_FILE, DONE, FileError, reason_of
+from pgran.files.paths import open_regular
+from pgran.files.reading import machine_memory
+from pgran.physics.lattice import AXES, bond_shape
 
 FORMAT = "pgran"  # what results say they are
 MODEST = 64 * 2**20  # bytes that the data of a smaller file may be when they are decompressed
@@ -137,7 +138,7 @@ def bonds(file):
     Returns
     -------
     stiffness : tuple of numpy.ndarray
-        As `pgran.lattice.Lattice` takes them.
+        As `pgran.physics.lattice.Lattice` takes them.
     kmax : float or None
         What the unit of frequency belongs to, if the file says.
     """
@@ -190,10 +191,10 @@ def read_apart(path):
     with open_regular(path) as stream:
         seconds = SECONDS + os.fstat(stream.fileno()).st_size / 2**25
     kept = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHERS)}
-    home = str(Path(__file__).parent.parent)
+    home = str(Path(__file__).parents[2])
     kept["PYTHONPATH"] = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
     # -P: a file numpy.py in the present folder stays what it is.
-    words = [sys.executable, "-P", "-m", "pgran.foreign", os.fspath(path)]
+    words = [sys.executable, "-P", "-m", "pgran.files.hdf5", os.fspath(path)]
     try:
         done = subprocess.run(
             words, env=kept, stdin=subprocess.DEVNULL, capture_output=True, timeout=seconds
@@ -201,7 +202,7 @@ def read_apart(path):
     except subprocess.TimeoutExpired:
         raise FileError(f"{path}: damaged: reading it took more than {seconds:.0f} s") from None
     except OSError as error:
-        raise FileError(f"{path}: cannot be read apart: {describe(error)}") from None
+        raise FileError(f"{path}: cannot be read apart: {reason_of(error)}") from None
     said = done.stderr.decode(errors="replace").strip().split("\n")[-1]
     if done.returncode == BAD_FILE:
         raise FileError(said)

@@ -18,9 +18,9 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from pgran.bounds import TINIEST
-from pgran.linear import make_ksp, set_up
-from pgran.operators import Owner
+from pgran.solve.bounds import TINIEST
+from pgran.solve.linear import make_ksp, set_up
+from pgran.solve.operators import Owner
 
 SMALLEST = 1e-290  # what is proven of no amplitude is less
 
@@ -32,7 +32,7 @@ class Comparison(Owner):
 
     Parameters
     ----------
-    operators : pgran.operators.Operators
+    operators : pgran.solve.operators.Operators
     """
 
     def __init__(self, operators):
@@ -62,7 +62,7 @@ class Comparison(Owner):
         ----------
         residual : numpy.ndarray
             No less than |f - S A~|, rounding included, at each of this rank's balls; positive.
-        bounds : pgran.bounds.ErrorBounds
+        bounds : pgran.solve.bounds.ErrorBounds
             Prepared for the frequency.
         """
         if self._compare() <= 0:

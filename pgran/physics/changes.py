@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.lattice import bond_arrays, bond_count
-from pgran.stiffness import unit_numbers
+from pgran.physics.bondlaw import unit_numbers
+from pgran.physics.lattice import bond_arrays, bond_count
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def draw_changes(law, shape, seed, trajectory, first, count, unit=1.0):
     Parameters
     ----------
     law : callable
-        Turns numbers uniform on [0, 1) into bond constants (`pgran.stiffness.BondLaw`).
+        Turns numbers uniform on [0, 1) into bond constants (`pgran.physics.bondlaw.BondLaw`).
     shape : sequence of int
         Balls along each axis.
     seed, trajectory, first, count : int
@@ -76,9 +76,9 @@ class Network:
 
     Parameters
     ----------
-    lattice : pgran.lattice.Lattice
+    lattice : pgran.physics.lattice.Lattice
         Before any change.
-    operators : pgran.operators.Operators
+    operators : pgran.solve.operators.Operators
     draw : callable
         Takes a trajectory, the first step and how many, and returns their Changes.
     """

@@ -1,14 +1,14 @@
 """What a factorization, a solve and a slice of modes cost: entries, operations, bytes, time.
 
 Formulas in the shape of a lattice. Their constants were measured with PETSc 3.18 and MUMPS 5.5;
-times matter only relative to each other, because `pgran.trials` measures the machine at hand.
+times matter only relative to each other: `pgran.command.trials` measures the machine at hand.
 """
 
 import dataclasses
 import math
 from dataclasses import dataclass
 
-from pgran.lattice import bond_count
+from pgran.physics.lattice import bond_count
 
 # Of the entries that nested dissection predicts, a factor has this part: 1.2 of them for a chain,
 # .9 to .66 for 20 x 20 to 500 x 500, .73 to .61 for 6^3 to 15^3, .8 for 20^3.

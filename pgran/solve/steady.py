@@ -3,7 +3,7 @@
 One KSP (option prefix `steady_`) serves every frequency. Its factorization is reused for the
 frequencies that follow as long as iterating is expected to be cheaper than factoring anew. Beside
 the amplitudes A an adjoint z of each detector is solved with the same factorization; the two
-together give the amplitude at the detector with a rigorous bound (`pgran.bounds`).
+together give the amplitude at the detector with a rigorous bound (`pgran.solve.bounds`).
 """
 
 import logging
@@ -11,16 +11,16 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from mpi4py import MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 from petsc4py import PETSc
 
-from pgran.accuracy import is_accurate
-from pgran.bounds import TINIEST, ErrorBounds
-from pgran.comparison import Comparison
-from pgran.errors import is_bad_input, met_by_all, petsc_message
-from pgran.linear import NO_PRECONDITIONER, TINY, System, make_ksp, set_up
-from pgran.operators import Owner
-from pgran.reuse import FACTORIZATIONS, ReusePolicy, expected_iterations, factor_price
+from pgran.errors import is_bad_input, petsc_message
+from pgran.parallel.agreement import met_by_all
+from pgran.physics.accuracy import is_accurate
+from pgran.solve.bounds import TINIEST, ErrorBounds
+from pgran.solve.comparison import Comparison
+from pgran.solve.linear import NO_PRECONDITIONER, TINY, System, make_ksp, set_up
+from pgran.solve.operators import Owner
+from pgran.solve.reuse import FACTORIZATIONS, ReusePolicy, expected_iterations, factor_price
 
 log = logging.getLogger(__name__)
 
@@ -74,7 +74,7 @@ class SteadySolver(Owner):
 
     Parameters
     ----------
-    operators : pgran.operators.Operators
+    operators : pgran.solve.operators.Operators
     sites : array_like of int, shape (nd, dim)
         The detectors; none (nd = 0) where only the whole field is wanted.
     error_tolerance : float
@@ -90,10 +90,10 @@ class SteadySolver(Owner):
     ----------
     factorizations : int
         How many there were so far.
-    primal, adjoints : pgran.linear.System, list of pgran.linear.System
+    primal, adjoints : pgran.solve.linear.System, list of pgran.solve.linear.System
         The amplitudes of all balls at the last frequency, and the adjoint of each detector; no
         adjoints where they prove nothing.
-    bounds : pgran.bounds.ErrorBounds
+    bounds : pgran.solve.bounds.ErrorBounds
     field : petsc4py.PETSc.Vec
         All amplitudes at the frequency of the last `solve`.
     """

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 
-from pgran import launch
+from pgran.parallel import launch
 
 INSTALL = "bash jobs/setup.sh makes .venv, and .venv/bin/pgran has all it needs"
 FIGURES = "figures and progress bars need it: python3-{0} or pip install {0}"
@@ -192,7 +192,7 @@ def library(name):
 
 def elsewhere(module):
     """Return how to get at a missing module: in another interpreter, if one of them has it."""
-    here = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    here = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
     venv = os.path.join(here, ".venv", "bin", "python")
     debian = glob.glob("/usr/lib/petscdir/*-complex") + glob.glob("/usr/lib/petscdir/*/*-complex")
     environment = dict(os.environ)

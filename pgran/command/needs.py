@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pgran import results
-from pgran.costs import SLICE_BYTES, SPEED_UP, stored_bytes
-from pgran.errors import on_root
-from pgran.lattice import bond_count, detector_sites
+from pgran.command.costs import SLICE_BYTES, SPEED_UP, stored_bytes
+from pgran.parallel.agreement import on_root
+from pgran.parallel.crew import Crew, automatic_ranks
+from pgran.physics.lattice import bond_count, detector_sites
 from pgran.scenes.common import driving_frequencies
-from pgran.sharing import Crew, automatic_ranks
 
 PART = 64  # frequencies of the exact series that are tried
 SERIES_BYTES = 5e6  # what the terms of a part of them take
@@ -57,7 +57,7 @@ class Needs:
 
 def response(options, world, scene):
     """Return the Needs of a sweep. Collective."""
-    from pgran.trials import spread, trial_lattice
+    from pgran.command.trials import spread, trial_lattice
 
     shape, small = trial_lattice(options, world)
     sites, omegas = detector_sites(shape, options.detectors), driving_frequencies(options)
@@ -84,7 +84,7 @@ def response(options, world, scene):
 
 def projection(options, world, scene):
     """Return the Needs of a projection. Collective."""
-    from pgran.trials import product_seconds, spread, trial_lattice, try_modes
+    from pgran.command.trials import product_seconds, spread, trial_lattice, try_modes
 
     shape, small = trial_lattice(options, world)
     balls, omegas = math.prod(shape), driving_frequencies(options)
@@ -115,7 +115,7 @@ def projection(options, world, scene):
 
 def modes(options, world, scene):
     """Return the Needs of normal modes. Collective."""
-    from pgran.trials import trial_lattice, try_modes
+    from pgran.command.trials import trial_lattice, try_modes
 
     shape, small = trial_lattice(options, world)
     which = scene.chosen(options)
@@ -138,11 +138,11 @@ def modes(options, world, scene):
 
 def relaxation(options, world, scene):
     """Return the Needs of a relaxation. Collective."""
-    from pgran.relaxation import Network, draw_changes
+    from pgran.command.trials import steady_solver, trial_lattice, trial_sites, try_steady
+    from pgran.physics.changes import Network, draw_changes
+    from pgran.physics.spectrum import check_window, fewest_steps, segment_length
     from pgran.scenes.common import make_law
-    from pgran.spectrum import check_window, fewest_steps, segment_length
-    from pgran.trials import steady_solver, trial_lattice, trial_sites, try_steady
-    from pgran.windows import window_length
+    from pgran.solve.windows import window_length
 
     steps, trajectories, method = (
         options.relax_steps, options.relax_trajectories, options.relax_method
@@ -242,7 +242,7 @@ def _ranks_per_lattice(options, shape, world):
 
 def _sweep(options, world, ranks, shape, small, sites, omegas, units, whole_field):
     """Return the Trial of a sweep, its seconds and costs, and how many systems a solve has."""
-    from pgran.trials import steady_solver, trial_sites, try_steady
+    from pgran.command.trials import steady_solver, trial_sites, try_steady
 
     small, _ = small.in_own_unit()
     with (

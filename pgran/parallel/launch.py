@@ -1,7 +1,9 @@
 """What mpirun or srun says of this process in its environment, before MPI has started."""
 
 import os
+import signal
 
+SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # that ask a run to stop
 RANKS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
 

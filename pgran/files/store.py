@@ -19,9 +19,10 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 
-from pgran import foreign
-from pgran.errors import FileError, describe, open_regular
-from pgran.lattice import AXES
+from pgran.errors import FileError, reason_of
+from pgran.files import hdf5 as foreign
+from pgran.files.paths import open_regular
+from pgran.physics.lattice import AXES
 
 FORMAT_VERSION = 2
 SEAL_SIZE, SEAL = 512, b"pgran result "
@@ -98,7 +99,7 @@ def write(path, attributes, records):
             os.fsync(stream.fileno())
         os.replace(temporary, path)
     except OSError as error:
-        raise FileError(f"{path}: cannot be written: {describe(error)}") from None
+        raise FileError(f"{path}: cannot be written: {reason_of(error)}") from None
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)

@@ -5,9 +5,9 @@ driven wall; with w = b^T A, the driven wall counted as displacement 1, the ampl
 
     A' = A - S^-1 b c w,    c = delta / (1 + delta b^T S^-1 b).
 
-The changes of the next steps are known ahead (`pgran.relaxation`). So the amplitudes of a window of
-steps follow exactly from one factorization at its start, one solve for each of its bonds, and
-algebra among those bonds alone.
+The changes of the next steps are known ahead (`pgran.physics.changes`). So the amplitudes of a
+window of steps follow exactly from one factorization at its start, one solve for each of its bonds,
+and algebra among those bonds alone.
 
 That algebra proves its own results. Let S0, x0, z0 be the matrix, the amplitudes and the adjoint
 at the start, with residuals r0 and s0; B the bonds b_1 .. b_s of a window, Y the solutions of
@@ -18,7 +18,7 @@ residuals
     r = r0 + R gamma - B h,    h = gamma + Delta (w + G gamma),
     s = s0 + R eta - B g,      g = eta + Delta (q + G eta),
 
-h and g being what the algebra misses. As in `pgran.bounds`, x_d + z^T r is wrong by at most
+h and g being what the algebra misses. As in `pgran.solve.bounds`, x_d + z^T r is wrong by at most
 |r|_2 |s|_2 |S^-1|_2, and damping bounds S^-1 for all steps alike. Up to products of residuals with
 Y that sum is the amplitude at the start plus q^T gamma - (q + G eta)^T h, which is reported.
 """
@@ -29,10 +29,10 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from pgran.accuracy import is_accurate
-from pgran.bounds import EPSILON, TINIEST
 from pgran.errors import InputError
-from pgran.operators import SAME, Owner
+from pgran.physics.accuracy import is_accurate
+from pgran.solve.bounds import EPSILON, TINIEST
+from pgran.solve.operators import SAME, Owner
 
 COLUMNS = 32  # right-hand sides solved for at once
 # A window ends where its relative bound exceeds this, even if less is asked for: a fresh start is
@@ -169,7 +169,7 @@ class Windows(Owner):
     Parameters
     ----------
     network : Network
-    solver : pgran.steady.SteadySolver
+    solver : pgran.solve.steady.SteadySolver
         Of the network's operators, with adjoints.
     omega : float
 
@@ -211,7 +211,7 @@ class Windows(Owner):
 
         Returns
         -------
-        pgran.steady.SteadyState
+        pgran.solve.steady.SteadyState
         """
         self.solver.restart()
         self.state = self.solver.solve(self.omega)

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.lattice import bond_arrays, bond_count
+from pgran.physics.lattice import bond_arrays, bond_count
 
 
 def unit_numbers(seed, first, count, generation=0):

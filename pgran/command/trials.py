@@ -13,12 +13,12 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from pgran.costs import Costs
-from pgran.lattice import Lattice
-from pgran.linear import factor_package
-from pgran.operators import Operators
+from pgran.command.costs import Costs
+from pgran.physics.lattice import Lattice
 from pgran.scenes.common import make_lattice, make_law
-from pgran.steady import SteadySolver
+from pgran.solve.linear import factor_package
+from pgran.solve.operators import Operators
+from pgran.solve.steady import SteadySolver
 
 # A trial takes so long, and at least so many units of work: low and high frequencies differ.
 SECONDS, FEWEST = 0.15, 3
@@ -31,7 +31,7 @@ class Trial:
 
     Attributes
     ----------
-    costs : pgran.costs.Costs
+    costs : pgran.command.costs.Costs
         Of the lattice that was tried.
     first, seconds : float
         Of the first point, symbolic factorization included, and of any later one.
@@ -129,7 +129,7 @@ def try_steady(world, shape, solver, omega, units, work):
     world : mpi4py.MPI.Comm
     shape : tuple of int
         Of the lattice tried.
-    solver : pgran.steady.SteadySolver
+    solver : pgran.solve.steady.SteadySolver
     omega : float
         The first point's frequency.
     units : sequence
@@ -167,7 +167,7 @@ class ModeTrial:
 
     Attributes
     ----------
-    costs : pgran.costs.Costs
+    costs : pgran.command.costs.Costs
         Of the lattice that was tried.
     slicing, counting : float
         Seconds.
@@ -186,8 +186,8 @@ class ModeTrial:
 
 def try_modes(world, lattice, interval):
     """Return the ModeTrial of a slice in the middle of an interval of omega. Collective."""
-    from pgran.counting import SLICE, ModeCounter
-    from pgran.normal import ModeSolver
+    from pgran.solve.counting import SLICE, ModeCounter
+    from pgran.solve.normal import ModeSolver
 
     costs, (lattice, _) = Costs(lattice.shape, "petsc"), lattice.in_own_unit()
     low, high = (lattice.mass * omega**2 for omega in interval)

@@ -1,0 +1,1 @@
+"""What `pgran WORD` does, a file a word."""

@@ -1,0 +1,1 @@
+"""Ranks in groups, the journal of finished work, agreement over ranks, progress."""

@@ -1,0 +1,1 @@
+"""What is computed: NumPy only. No PETSc, no MPI, no files."""

@@ -1,0 +1,10 @@
+"""How it is computed, with PETSc and SLEPc.
+
+MPI comes before PETSc, which may have no MPI library of its own; and PETSc reads no file of
+options. `pgran run` starts it with the keys of its options file; nobody else has any.
+"""
+
+import petsc4py
+from mpi4py import MPI  # noqa: F401
+
+petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler"])  # once: later calls do nothing
