@@ -1,10 +1,42 @@
-"""Sound in a granular material: Leibig's lattice of balls and random springs."""
+"""Sound in a granular material: Leibig's lattice of balls and random springs.
+
+    lattice = pgran.Lattice.random((20, 20), seed=7)
+    response = pgran.sweep(lattice, np.linspace(0.01, 1.3, 1291), detectors=[(8, 10)])
+    modes = pgran.find_modes(lattice)
+
+The functions take lattices and plain values, work alike in a notebook, a script and under mpirun,
+and return the records of `pgran.results`, on every rank.
+"""
+
+import importlib
 
 __version__ = "0.1.0"
 
+# Where the names of the Python interface come from, once they are asked for: what needs neither
+# PETSc nor matplotlib does without them.
+_HOMES = {
+    "BondLaw": "pgran.physics.bondlaw",
+    "InputError": "pgran.errors",
+    "Lattice": "pgran.physics.lattice",
+    "PgranError": "pgran.errors",
+    "continuum": "pgran.scenes.continuum",
+    "find_modes": "pgran.scenes.modes",
+    "load": "pgran.files.store",
+    "plot": "pgran.command.plot",
+    "project": "pgran.scenes.projection",
+    "relax": "pgran.scenes.relaxation",
+    "sweep": "pgran.scenes.response",
+}
+__all__ = sorted(_HOMES)
 
-def load(path):
-    """Return a result file as attributes that hold NumPy arrays. See `pgran.files.store.load`."""
-    from pgran.files import store
 
-    return store.load(path)
+def __getattr__(name):
+    """Return a name of the Python interface."""
+    if name not in _HOMES:
+        raise AttributeError(f"module pgran has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOMES[name]), name)
+
+
+def __dir__():
+    """Return the names of the Python interface."""
+    return [*__all__, "__version__"]

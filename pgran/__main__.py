@@ -90,15 +90,9 @@ def plot(words):
 
 def list_options(words):
     """List every option of one scene, or of all."""
-    from pgran.files.options import SCENES, describe_options, nearest
+    from pgran.command import resolve
 
-    if words and words[0] not in SCENES:
-        near = nearest(words[0], SCENES)
-        raise InputError(
-            f"{words[0]}: no scene; choose {', '.join(SCENES)}"
-            + (f"; did you mean {near}?" if near else "")
-        )
-    print(describe_options(words[0] if words else None), end="")
+    resolve.list_options(words)
     return errors.DONE
 
 

@@ -31,6 +31,11 @@ def is_petsc(error):
     return type(error).__module__.startswith("petsc4py")
 
 
+def is_foreseen(error):
+    """Return whether pgran or PETSc raised an error, on purpose. Not collective."""
+    return isinstance(error, PgranError) or is_petsc(error)
+
+
 def is_bad_input(error):
     """Return whether an error is to blame on the user's options. Not collective."""
     blamed = is_petsc(error) and any(sign in str(error) for sign in WRONG_OPTION)

@@ -307,3 +307,13 @@ class Accuracy:
     on_front: np.ndarray = array(
         "no other configuration without failures is faster and as accurate", "1", "label"
     )
+
+
+class Result:
+    """Records by group."""
+
+    def __init__(self, records, **attributes):
+        """Keep them."""
+        self.__dict__.update(attributes)
+        for record in records:
+            setattr(self, record.group, record)

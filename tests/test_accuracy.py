@@ -14,9 +14,10 @@ from samples import random_lattice
 from test_journal import stop_at
 
 from pgran import load
+from pgran.command.resolve import resolve
 from pgran.errors import FileError, InputError, PgranError, StoppedError
 from pgran.files import store
-from pgran.files.reading import read_words, resolve
+from pgran.files.reading import read_words
 from pgran.parallel.agreement import agree
 from pgran.parallel.crew import Crew
 from pgran.parallel.journal import Journal
@@ -287,8 +288,8 @@ def test_an_error_of_one_rank_is_raised_on_all(world, kind):
 
     with accuracy.AgreeingCrew(world, 1) as crew:
         with pytest.raises(PgranError, match="the reason" if kind is PgranError else None):
-            crew.share(range(8), work, delivered.append, row)
-        crew.share(range(8, 12), work, delivered.append, row)
+            crew.share(SimpleNamespace(units=range(8), row=row), work, delivered.append)
+        crew.share(SimpleNamespace(units=range(8, 12), row=row), work, delivered.append)
     if world.rank == 0:
         units = sorted(int(unit) for rows in delivered for unit in rows["unit"])
         assert [unit for unit in units if unit >= 8] == [8, 9, 10, 11]

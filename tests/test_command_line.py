@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pgran import __version__, load
-from pgran.files.options import SCENES
+from pgran.command.resolve import SCENES
 
 SMALL = "-scene response -lattice_shape 6,5 -detectors 2,3 -sweep_points 70 -output_progress none\n"
 SECONDS = 60  # for a command that takes one or two

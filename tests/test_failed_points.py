@@ -8,8 +8,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from samples import random_lattice, uniform_lattice
 
+from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.files.reading import read_words, resolve
+from pgran.files.reading import read_words
 from pgran.parallel.agreement import met_by_all
 from pgran.solve.counting import ModeCounter
 from pgran.solve.operators import Operators

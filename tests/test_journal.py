@@ -291,7 +291,7 @@ def test_share_stops_within_a_unit_and_goes_on(world, result, whom, together):
         ):
             stop_at(journal, 3, rank)
             world.Barrier()
-            crew.share(UNITS, work, deliver, ROW)
+            crew.share(SimpleNamespace(units=UNITS, row=ROW), work, deliver)
 
     with pytest.raises(StoppedError, match=r"SIG(USR1|TERM)"):
         run()
@@ -301,7 +301,7 @@ def test_share_stops_within_a_unit_and_goes_on(world, result, whom, together):
     delivered.clear()
     done.clear()
     with Journal(world, result, RUN) as journal, Crew(world, 1, journal) as crew:
-        crew.share(UNITS, work, deliver, ROW)
+        crew.share(SimpleNamespace(units=UNITS, row=ROW), work, deliver)
     assert first + world.allreduce(len(done)) == len(UNITS)
     if world.rank == 0:
         assert dict(delivered) == {unit: rows_of(unit).tobytes() for unit in UNITS}

@@ -6,17 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from pgran.command.resolve import SCENES, describe_options, resolve
 from pgran.errors import FileError, InputError
 from pgran.files import reading
-from pgran.files.options import (
-    FLAG,
-    SCENES,
-    SOLVER_PREFIXES,
-    TEXT,
-    describe_options,
-    nearest,
-)
-from pgran.files.reading import read_environment, read_file, read_words, resolve
+from pgran.files.options import FLAG, TEXT, nearest
+from pgran.files.reading import read_environment, read_file, read_words
+from pgran.files.solver_keys import SOLVER_PREFIXES
 
 ALL = {option.name: option for options in SCENES.values() for option in options}
 

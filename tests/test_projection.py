@@ -8,7 +8,8 @@ from mpi4py import MPI
 from reference import Reference
 from samples import paper_lattice, random_lattice
 
-from pgran.files.reading import read_words, resolve
+from pgran.command.resolve import resolve
+from pgran.files.reading import read_words
 from pgran.parallel.crew import Crew
 from pgran.scenes.modes import find_modes
 from pgran.scenes.projection import project, which_modes

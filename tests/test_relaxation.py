@@ -11,8 +11,9 @@ from mpi4py import MPI
 from reference import Reference
 from samples import needs_klu, random_lattice, uniform_lattice
 
+from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.files.reading import read_words, resolve
+from pgran.files.reading import read_words
 from pgran.parallel.crew import Crew
 from pgran.physics.bondlaw import BondLaw
 from pgran.physics.changes import Changes, Network, draw_changes
@@ -23,7 +24,8 @@ from pgran.scenes.relaxation import relax
 from pgran.solve.bounds import smallest_damping_eigenvalue
 from pgran.solve.operators import Operators
 from pgran.solve.steady import SteadySolver
-from pgran.solve.windows import Deformation, Windows, march, window_length
+from pgran.scenes.relaxation import window_length
+from pgran.solve.windows import Deformation, Windows, march, 
 
 UNIFORM = BondLaw("uniform")
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pgran.files.options import RUN, SCENES
-from pgran.files.reading import read_words, resolve
+from pgran.command.resolve import SCENES, resolve
+from pgran.files.options import RUN
+from pgran.files.reading import read_words
 from pgran.physics.continuum import Continuum
 from pgran.scenes import continuum
 from pgran.scenes.common import driving_frequencies

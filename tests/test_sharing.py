@@ -5,8 +5,9 @@ import pytest
 from mpi4py import MPI
 from samples import random_lattice
 
+from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.files.reading import read_words, resolve
+from pgran.files.reading import read_words
 from pgran.parallel.crew import LARGE, Crew, automatic_ranks
 from pgran.scenes.common import make_crew
 from pgran.scenes.projection import project
@@ -97,7 +98,9 @@ def test_share_delivers_every_unit_once(world, count):
         return rows
 
     with Crew(world, 1) as crew:
-        crew.share(units, work, lambda rows: delivered.append(rows.copy()), ROW)
+        crew.share(
+            SimpleNamespace(units=units, row=ROW), work, lambda rows: delivered.append(rows.copy())
+        )
         if world.rank > 0:
             assert delivered == []
             return
@@ -128,7 +131,7 @@ def test_share_of_large_units(world):
         return rows
 
     with Crew(world, 1) as crew:
-        crew.share(list(range(6)), work, deliver, ROW)
+        crew.share(SimpleNamespace(units=list(range(6)), row=ROW), work, deliver)
     assert total == (750_000 if world.rank == 0 else 0)
 
 

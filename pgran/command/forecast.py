@@ -1,31 +1,119 @@
-"""What a run will need, said without running it: unknowns, work, memory, time and disk."""
+"""What a run will need, found by trying a little of it: work, memory, time and disk.
 
-import importlib
+A dry run is the run itself, with a few units of each task done and zeros in place of the others,
+and without a journal or a result. What it takes is measured; only whether a lattice fits into
+memory at all is foreseen by a formula, before anything is tried.
+"""
+
+import dataclasses
 import math
-import os
-import resource
 import shutil
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from mpi4py import MPI
 
-from pgran.command.costs import FILE_BYTES
-from pgran.command.needs import SCENES
+from pgran.machine import free_memory, most_resident
+from pgran.parallel.crew import Crew
 from pgran.physics.lattice import bond_count
+from pgran.scenes.common import make_lattice, ranks_per_lattice
 
 LAUNCH = 0.3  # seconds that mpirun and the interpreter take to start and to end
-COPIES = 2.0  # of the result on rank 0, while it is put together and written
+FILE_BYTES = 20_000  # of HDF5 itself: names, attributes, tables of datasets
+# Trials of a task go on for so many seconds; whole units are tried if one takes no longer than
+# that, parts of them else, and a single part if that takes longer still.
+TRIAL, UNIT, PART = 0.3, 1.0, 10.0
+# Of the entries that nested dissection predicts, a factor has this part: 1.2 of them for a chain,
+# .9 to .66 for 20 x 20 to 500 x 500, .73 to .61 for 6^3 to 15^3, .8 for 20^3.
+FILLED = 0.75
+# Bytes for each entry of a factor, with room to work in; for each ball and nonzero of its row; and
+# for each ball in vectors. Shared by r ranks, each holds 1.3/r of a lattice.
+ENTRY_BYTES, NONZERO_BYTES, VECTOR_BYTES, UNEVEN = 28, 90, 400, 1.3
 
 
-def forecast(options, world, started):
+@dataclass(frozen=True)
+class Trial:
+    """What the trial of a task says of the whole: its size in words, and the seconds it takes."""
+
+    work: str
+    seconds: float
+
+
+class Rehearsal(Crew):
+    """A crew that tries a few units of each task, and delivers zeros for all others.
+
+    Attributes
+    ----------
+    trials : list of Trial
+    spent : float
+        Seconds that the trials themselves took.
+    """
+
+    dry = True
+
+    def __init__(self, world, ranks_per_lattice):
+        """Split the world."""
+        super().__init__(world, ranks_per_lattice)
+        self.trials, self.spent = [], 0.0
+
+    def share(self, task, work, deliver):
+        """Try some units, from all over the task; see `Crew.share`. Collective."""
+        began = time.perf_counter()
+        tried = {} if not task.units else self._try(task, work)
+        if self.world.rank == 0:
+            for position, unit in enumerate(task.units):
+                rows = tried.get(position)
+                deliver(position, np.zeros(task.length(unit), task.row) if rows is None else rows)
+        self.spent += time.perf_counter() - began
+
+    def _try(self, task, work):
+        """Time some units; return the rows of those that were done whole. Collective."""
+        done, seconds, rows, factorizations, whole = {}, [], [], [], False
+        for position, unit in _spread(task.units):
+            part = unit if whole else task.sample(unit)
+            self.world.Barrier()
+            started = time.perf_counter()
+            found = work(part)
+            took = self.world.allreduce(time.perf_counter() - started) / self.world.size
+            seconds.append(took)
+            rows.append(task.length(part))
+            if self.world.rank == 0:
+                counted = "factorizations" in task.row.names
+                factorizations.append(int(found["factorizations"].sum()) if counted else 0)
+                if part == unit:
+                    done[position] = found
+            whole = sum(seconds) * task.length(unit) <= UNIT * sum(rows)
+            if took > PART or sum(seconds[1:]) > TRIAL:
+                break
+        total = sum(map(task.length, task.units))
+        later = slice(1 if len(rows) > 1 else 0, None)  # the first does what others need not again
+        tried = sum(rows[later])
+        work_in_words, count = f"{total} {task.items}", sum(factorizations[later])
+        if count:
+            work_in_words += f", about {max(1, round(count / tried * total))} factorizations"
+        mine = total * math.ceil(len(task.units) / self.groups) / len(task.units)
+        expected = seconds[0] + sum(seconds[later]) / tried * max(0.0, mine - rows[0])
+        self.trials.append(Trial(work_in_words, expected))
+        return done
+
+
+def _spread(units):
+    """Return pairs (position, unit), those from all over the task first. Not collective."""
+    golden = 0.6180339887498949
+    return sorted(enumerate(units), key=lambda pair: pair[0] * golden % 1)
+
+
+def forecast(scene, options, world, started):
     """Return the lines that say what a run will need, on rank 0; none on the others.
 
     Collective. Nothing is written.
 
     Parameters
     ----------
-    options : pgran.files.reading.Options
+    scene : pgran.scenes.scene.Scene
+    options : pgran.files.options.Options
     world : mpi4py.MPI.Comm
     started : float
         When the program started, by `time.perf_counter`.
@@ -35,101 +123,150 @@ def forecast(options, world, started):
     PgranError
         If the options are impossible, as the run itself would.
     """
-    scene = importlib.import_module(f"pgran.scenes.{options.scene}")
-    if options.scene not in SCENES:
-        return [f"no forecast for scene {options.scene}"] if world.rank == 0 else []
-    startup, program = time.perf_counter() - started, resident_bytes()
-    needs = SCENES[options.scene](options, world, scene)
-    others = program + needs.memory + needs.sent
-    root = program + needs.memory + needs.gathered + COPIES * needs.disk
-    machine = world.Split_type(MPI.COMM_TYPE_SHARED)
-    together = root + (machine.size - 1) * others
-    machine.Free()
+    lines = []
+    if scene.needs_petsc:
+        lattice = make_lattice(options, world)
+        shape = lattice.shape
+        balls = " x ".join(map(str, shape))
+        lines.append(f"unknowns  {lattice.balls} ({balls} balls, {bond_count(shape)} bonds)")
+        factored = options.solver.get("steady_pc_type", "lu") in ("lu", "cholesky")
+        ranks = ranks_per_lattice(options, lattice, world) if scene.shares_lattice else 1
+        needed = lattice_memory(shape, ranks, factored) * ranks_here(world)
+        free = world.bcast(free_memory())
+        if free and needed > free:
+            lines.append(
+                f"WARNING   matrices and factors take about {in_bytes(needed)} on this machine, "
+                f"more than the {in_bytes(free)} that are free: nothing was tried"
+            )
+            return lines if world.rank == 0 else []
+    crews = []
+
+    def rehearse(ranks):
+        crews.append(Rehearsal(world, ranks))
+        return crews[-1]
+
+    records = scene.run(options, world, rehearse)
+    memory = np.array(world.allgather(most_resident()))
+    together = _machine_total(world, memory[world.rank])
     if world.rank > 0:
         return []
-    return report(needs, options, world.size, root, others, together, startup)
+    trials = [trial for crew in crews for trial in crew.trials]
+    seconds = time.perf_counter() - started - sum(crew.spent for crew in crews) + LAUNCH
+    seconds += sum(trial.seconds for trial in trials)
+    lines.append(f"work      {'; '.join(trial.work for trial in trials)}")
+    return lines + report(options, memory, together, seconds, stored_bytes(records))
 
 
-def report(needs, options, ranks, root, others, together, startup):
-    """Return what is needed in words, a line each. Not collective."""
-    memory = f"about {size(root)}" + (" a rank" if ranks > 1 else "")
-    if ranks > 1 and root > 1.2 * others:
-        memory = f"about {size(root)} on rank 0, {size(others)} on each other rank"
-    free, folder = free_bytes(), next(p for p in Path(options.output_file).parents if p.exists())
-    disk, room = needs.disk + FILE_BYTES, shutil.disk_usage(folder).free
-    where = f"on {ranks} rank{'s' if ranks > 1 else ''}"
-    duration = "not known: without a factorization, iterations cannot be foreseen"
-    if needs.seconds is not None:
-        duration = f"about {span(needs.seconds + startup + LAUNCH)} {where}"
-    else:
-        memory += " beside the preconditioner"
+def report(options, memory, together, seconds, disk):
+    """Return memory, time and disk in words, a line each, and warnings. Not collective.
+
+    Parameters
+    ----------
+    options : pgran.files.options.Options
+    memory : numpy.ndarray, shape (ranks,)
+        Bytes that each rank takes.
+    together : int
+        Bytes that the ranks of this machine take.
+    seconds : float
+    disk : int
+        Bytes of the result.
+    """
+    ranks, free = len(memory), free_memory()
+    words = f"about {in_bytes(memory.max())}" + (" a rank" if ranks > 1 else "")
+    if ranks > 1 and memory[0] > 1.2 * memory[1:].max():
+        words = f"about {in_bytes(memory[0])} on rank 0, {in_bytes(memory[1:].max())} on others"
+    folder = next(p for p in Path(options.output_file).absolute().parents if p.exists())
+    room = shutil.disk_usage(folder).free
     lines = [
-        f"unknowns  {unknowns(needs)}",
-        f"work      {needs.work}",
-        f"memory    {memory}" + (f"; {size(free)} free" if free else ""),
-        f"time      {duration}",
-        f"disk      about {size(disk)} in {options.output_file}; {size(room)} free",
+        f"memory    {words}" + (f"; {in_bytes(free)} free" if free else ""),
+        f"time      about {in_time(seconds)} on {ranks} rank{'s' if ranks > 1 else ''}",
+        f"disk      about {in_bytes(disk)} in {options.output_file}; {in_bytes(room)} free",
     ]
     if free and together > free:
-        lines.append(f"WARNING   {size(together)} of memory {where} are more than is free here")
+        lines.append(f"WARNING   {in_bytes(together)} of memory are more than is free here")
     if disk > room:
-        lines.append(f"WARNING   {size(disk)} are more than is free on the disk")
+        lines.append(f"WARNING   {in_bytes(disk)} are more than is free on the disk")
     return lines
 
 
-def unknowns(needs):
-    """Return the unknowns of the matrix in words. Not collective."""
-    if needs.shape is None:
-        return "none: no matrix"
-    shape = " x ".join(map(str, needs.shape))
-    words = f"{math.prod(needs.shape)} ({shape} balls, {bond_count(needs.shape)} bonds)"
-    return words + (f"; factor about {size(needs.factor)}" if needs.factor else "")
+def dissection(shape):
+    """Return the entries of the factor L of a lattice by nested dissection.
+
+    Not collective. A box is cut in two across its longest axis by a layer of m balls, which is
+    eliminated after both halves: it then couples to itself and to the b balls of the layers around
+    the box, m (m/2 + b) entries. All boxes of one level are alike, so one box a level is counted.
+    Like n for a chain, n^(4/3) for a cube of n balls; for a square of N x N the leading term is
+    George's (1973), 31/4 N^2 log2 N.
+
+    Parameters
+    ----------
+    shape : sequence of int
+    """
+    box, cuts, boxes, entries = [float(n) for n in shape], [0.0] * len(shape), 1.0, 0.0
+    while True:
+        balls = math.prod(box)
+        around = sum(c * balls / side for c, side in zip(cuts, box, strict=True))
+        axis = max(range(len(box)), key=box.__getitem__)
+        whole = balls <= 1
+        layer = balls if whole else balls / box[axis]
+        entries += boxes * layer * (layer / 2 + around)
+        if whole:
+            return FILLED * entries
+        # of the two faces across an axis, `cuts` are layers on the average, the others walls
+        box[axis], cuts[axis], boxes = (box[axis] - 1) / 2, cuts[axis] / 2 + 1, 2 * boxes
 
 
-def size(count):
-    """Return a number of bytes in words, two digits of it."""
+def lattice_memory(shape, ranks, factored=True):
+    """Return the bytes that a rank needs for bonds, matrices, vectors and the factor.
+
+    Not collective.
+
+    Parameters
+    ----------
+    shape : sequence of int
+    ranks : int
+        How many share the lattice.
+    factored : bool
+        Whether S is factored.
+    """
+    nonzeros, factor = 2 * len(shape) + 1, ENTRY_BYTES * dissection(shape) * factored
+    shared = math.prod(shape) * (NONZERO_BYTES * nonzeros + VECTOR_BYTES) + factor
+    return 3 * 8 * bond_count(shape) + shared * (1 if ranks == 1 else UNEVEN / ranks)
+
+
+def stored_bytes(records):
+    """Return the size of records in a file. Not collective."""
+    values = (getattr(record, f.name) for record in records for f in dataclasses.fields(record))
+    return FILE_BYTES + sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+
+
+def ranks_here(world):
+    """Return how many ranks run on this machine. Collective."""
+    machine = world.Split_type(MPI.COMM_TYPE_SHARED)
+    size = machine.size
+    machine.Free()
+    return size
+
+
+def _machine_total(world, size):
+    """Return the sum of a number over the ranks of this machine. Collective."""
+    machine = world.Split_type(MPI.COMM_TYPE_SHARED)
+    total = machine.allreduce(int(size))
+    machine.Free()
+    return total
+
+
+def in_bytes(count):
+    """Return a number of bytes in words, two digits of it. Not collective."""
     for unit, name in ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
         if count >= unit:
-            return f"{_rounded(count / unit)} {name}"
+            return f"{float(f'{count / unit:.2g}'):g} {name}"
     return f"{count:.0f} bytes"
 
 
-def span(seconds):
-    """Return a time in words, two digits of it."""
+def in_time(seconds):
+    """Return a time in words, two digits of it. Not collective."""
     for unit, name in ((86400, "days"), (3600, "h"), (60, "min")):
         if seconds >= 2 * unit:
-            return f"{_rounded(seconds / unit)} {name}"
-    return f"{_rounded(seconds)} s"
-
-
-def _rounded(value):
-    return f"{float(f'{value:.2g}'):g}"
-
-
-def resident_bytes():
-    """Return the memory that this process takes now. Not collective."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except (OSError, ValueError, IndexError):  # no Linux: the most it has taken so far
-        return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return pages * os.sysconf("SC_PAGE_SIZE")
-
-
-def free_bytes():
-    """Return the memory that programs may still take here, None if unknown. Not collective.
-
-    What the system has available, or less where a container has a limit of its own.
-    """
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        facts = dict(line.split(":") for line in lines)
-        free = 1024 * int(facts["MemAvailable"].split()[0])
-    except (OSError, ValueError, KeyError):
-        return None
-    try:
-        limit, used = (
-            int(Path(f"/sys/fs/cgroup/memory.{name}").read_text()) for name in ("max", "current")
-        )
-    except (OSError, ValueError):  # no such limit
-        return free
-    return min(free, limit - used)
+            return f"{float(f'{seconds / unit:.2g}'):g} {name}"
+    return f"{float(f'{seconds:.2g}'):g} s"

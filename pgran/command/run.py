@@ -29,8 +29,8 @@ def run(words):
     signal.pthread_sigmask(signal.SIG_BLOCK, launch.SIGNALS)
     faulthandler.enable()  # a crash in a library names the line that called it
 
-    from pgran.files.options import WITHOUT_PETSC
-    from pgran.files.reading import check_word, read_environment, read_file, read_words, resolve
+    from pgran.command.resolve import SCENES, resolve
+    from pgran.files.reading import check_word, read_environment, read_file, read_words
 
     if not words or words[0].startswith("-"):
         raise InputError("run: an options file is needed, as in pgran run options/response.opts")
@@ -41,59 +41,58 @@ def run(words):
     given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
     if options.output_log:
-        start_log(options, words, world)
-    if options.scene not in WITHOUT_PETSC:
+        _start_log(options, words, world)
+    scene = SCENES[options.scene]
+    if scene.needs_petsc:
         start_petsc(options)
     if options.dry_run:
-        return foresee(options, world, started)
+        return _foresee(scene, options, world, started)
     try:
-        return compute(options, words, world, started)
+        return _compute(scene, options, words, world, started)
     except errors.StoppedError as stopped:  # on all ranks alike: they end in order
         if world.rank == 0:
             log.info("%s", stopped)
         return errors.STOPPED
 
 
-def foresee(options, world, started):
+def _foresee(scene, options, world, started):
     """Say what a run will need. Collective."""
     from pgran.command.forecast import forecast
-    from pgran.files import store
+    from pgran.files.store import check_output
 
-    on_root(
-        world,
-        lambda: store.check_output(options.output_file, options.output_overwrite, make=False),
-    )
-    for line in forecast(options, world, started):
+    on_root(world, lambda: check_output(options.output_file, options.output_overwrite, make=False))
+    for line in forecast(scene, options, world, started):
         print(line)
     if world.rank == 0:
-        warn_of_unused(options)
+        _warn_of_unused(options)
     return errors.DONE
 
 
-def compute(options, words, world, started):
+def _compute(scene, options, words, world, started):
     """Compute a scene, or go on with it, and write its result. Collective."""
     import numpy
 
     from pgran.files import store
+    from pgran.parallel.crew import Crew
     from pgran.parallel.journal import Journal
+    from pgran.results import Result
 
     output, overwrite = options.output_file, options.output_overwrite
     on_root(world, lambda: store.check_output(output, overwrite))
-    identity = on_root(world, lambda: run_identity(options))
+    identity = on_root(world, lambda: _run_identity(options))
     with Journal(world, output, identity, overwrite) as journal:
         # again: another run may have written it just before the journal was locked
         on_root(world, lambda: store.check_output(output, overwrite))
-        scene = importlib.import_module(f"pgran.scenes.{options.scene}")
-        records = scene.run(options, world, journal)
+        records = scene.run(options, world, lambda ranks: Crew(world, ranks, journal))
 
         def finish():
             failures = sum(int(numpy.sum(getattr(r, "failures", 0))) for r in records)
             seconds = time.perf_counter() - started
-            attributes = run_attributes(options, words, world, failures, seconds)
+            attributes = _run_attributes(options, words, world, failures, seconds)
             store.write(output, attributes, records)
             try:
-                warn_of_unused(options)
-                for line in scene.summary(records):
+                _warn_of_unused(options)
+                for line in scene.summary(Result(records)):
                     log.info(line)
             except Exception as error:  # no reason to fail: the result is there
                 log.warning("no summary: %s: %s", type(error).__name__, error)
@@ -105,7 +104,7 @@ def compute(options, words, world, started):
         return errors.INACCURATE if on_root(world, finish) else errors.DONE
 
 
-def run_identity(options):
+def _run_identity(options):
     """Return what decides a run's numbers, {option: text}. Not collective."""
     identity = {"pgran": pgran.__version__} | options.identity()
     for name in ("bonds_file", "accuracy_solvers"):
@@ -140,7 +139,7 @@ def start_mpi():
     return world
 
 
-def start_log(options, words, world):
+def _start_log(options, words, world):
     """Let messages go to the log file of the options, too. Collective."""
     from pgran.files import logfile
 
@@ -171,13 +170,10 @@ def start_petsc(options):
         ) from None
     words = [word for key, text in options.solver.items() for word in (f"-{key}", text) if word]
     petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler", *words])
-    from petsc4py import PETSc
-
-    if PETSc.ScalarType().dtype.kind != "c":
-        raise PgranError("this PETSc has real scalars; pgran needs a complex one (pgran doctor)")
+    importlib.import_module("pgran.solve")  # where a PETSc that is no use is refused
 
 
-def run_attributes(options, words, world, failures, seconds):
+def _run_attributes(options, words, world, failures, seconds):
     """Return what a result file says of its run. Not collective."""
     import numpy
 
@@ -187,8 +183,8 @@ def run_attributes(options, words, world, failures, seconds):
         "status": "unconverged" if failures else "complete",
         "command": shlex.join(["pgran", "run", *words]),
         "options": options.text(),
-        "petsc_version": loaded_version("petsc4py.PETSc"),
-        "slepc_version": loaded_version("slepc4py.SLEPc"),
+        "petsc_version": _loaded_version("petsc4py.PETSc"),
+        "slepc_version": _loaded_version("slepc4py.SLEPc"),
         "numpy_version": numpy.__version__,
         "mpi_size": world.size,
         "seconds": seconds,
@@ -196,17 +192,17 @@ def run_attributes(options, words, world, failures, seconds):
     }
 
 
-def loaded_version(name):
+def _loaded_version(name):
     """Return the version of PETSc or SLEPc, if this run has loaded it. Not collective."""
     module = sys.modules.get(name)
     return ".".join(map(str, module.Sys.getVersion())) if module else "not loaded"
 
 
-def warn_of_unused(options):
+def _warn_of_unused(options):
     """Warn of solver keys that no PETSc object asked for. Not collective."""
-    from pgran.files.options import SOLVER_PREFIXES
+    from pgran.files.solver_keys import is_solver_key
 
-    keys = [key for key in options.solver if key.startswith(tuple(SOLVER_PREFIXES))]
+    keys = [key for key in options.solver if is_solver_key(key)]
     if "petsc4py.PETSc" in sys.modules:
         from pgran.solve.database import unused
 

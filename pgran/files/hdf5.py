@@ -21,7 +21,7 @@ import numpy as np
 
 from pgran.errors import BAD_FILE, DONE, FileError, reason_of
 from pgran.files.paths import open_regular
-from pgran.files.reading import machine_memory
+from pgran.machine import total_memory
 from pgran.physics.lattice import AXES, bond_shape
 
 FORMAT = "pgran"  # what results say they are
@@ -221,7 +221,7 @@ def main(path):
     for limit, most in (
         (resource.RLIMIT_CORE, 0),
         (resource.RLIMIT_CPU, seconds),
-        (resource.RLIMIT_AS, min(MEMORY + 4 * size, machine_memory() // 4)),
+        (resource.RLIMIT_AS, min(MEMORY + 4 * size, total_memory() // 4)),
     ):
         with contextlib.suppress(ValueError, OSError):  # a limit that is lower already
             resource.setrlimit(limit, (most, most))

@@ -8,10 +8,8 @@ nor on whether the run was stopped in between and went on from its journal.
 import numpy as np
 from mpi4py import MPI
 
-from pgran.errors import InputError
-
-# Beyond this many balls all ranks share one lattice, unless options say otherwise.
-LARGE = {1: 10**7, 2: 100_000, 3: 20_000}
+from pgran.errors import InputError, is_foreseen
+from pgran.parallel.agreement import agree
 
 WORD, FIRST_TAG = 1, 2  # tags of messages: a word to stop; results, a tag for each call of `share`
 NO_MORE = -1  # in place of a unit's position
@@ -36,12 +34,16 @@ class Crew:
         The ranks that share a lattice with this one.
     number, groups : int
         Which group this rank is in, of how many.
+    dry : bool
+        Whether units are only tried, in a dry run.
 
     Raises
     ------
     InputError
         If the ranks cannot be cut into groups of that size.
     """
+
+    dry = False
 
     def __init__(self, world, ranks_per_lattice, journal=None):
         """Split the world."""
@@ -67,22 +69,20 @@ class Crew:
         if error[0] is None:
             self.group.Free()
 
-    def share(self, units, work, deliver, row):
+    def share(self, task, work, deliver):
         """Call `work` for every unit on one group, and `deliver` with its rows on rank 0.
 
         Collective. Units that the journal holds are delivered from there.
 
         Parameters
         ----------
-        units : sequence
-            The same on every rank.
+        task : pgran.parallel.task.Task
+            Its `units` and `row`, the same on every rank.
         work : callable
-            Takes a unit, collectively on a group, and returns its results as a structured array,
-            on the first rank of the group at least.
+            Takes a unit, collectively on a group, and returns its rows, on the first rank of the
+            group at least.
         deliver : callable
-            Takes such an array; called on rank 0 alone, as results arrive.
-        row : numpy.dtype
-            Of these arrays.
+            Takes the position of a unit and its rows; called on rank 0 alone, as they arrive.
 
         Raises
         ------
@@ -91,12 +91,12 @@ class Crew:
         """
         # A tag of its own keeps a fast rank's next results apart from a slow one's present ones.
         self._shared += 1
-        results = _Results(self, FIRST_TAG + self._shared, units, deliver, row)
+        results = _Results(self, FIRST_TAG + self._shared, task, deliver)
         left = self.world.bcast(results.left)
         for position in (p for turn, p in enumerate(left) if self._takes(turn)):
             if self._stop_asked():
                 break
-            rows = work(units[position])
+            rows = work(task.units[position])
             if self.group.rank == 0:
                 results.put(position, rows)
         if self.group.rank == 0:
@@ -154,19 +154,40 @@ class Crew:
             self.journal.stop(stopped)
 
 
+class AgreeingCrew(Crew):
+    """Ranks of which all raise what one of them meets: where a study goes on, others end."""
+
+    def share(self, task, work, deliver):
+        """Do as a Crew does; after an error a rank takes part without working. Collective."""
+        met = []
+
+        def tried(unit):
+            if not met:
+                try:
+                    return work(unit)
+                except Exception as error:
+                    if not is_foreseen(error):
+                        raise
+                    met.append(error)
+            return np.zeros(0, task.row)
+
+        super().share(task, tried, deliver)
+        agree(self.world, met[0] if met else None)
+
+
 class _Results:
     """The way of results to rank 0: into the journal, and to whom they are delivered."""
 
-    def __init__(self, crew, tag, units, deliver, row):
+    def __init__(self, crew, tag, task, deliver):
         """Deliver what the journal holds; `left` are the positions of the other units."""
         self.world, self.groups, self.tag = crew.world, crew.groups, tag
-        self.deliver, self.row, self.journal = deliver, row, crew.journal
-        self.left, self._sent, self._working = list(range(len(units))), [], crew.groups - 1
+        self.deliver, self.row, self.journal = deliver, task.row, crew.journal
+        self.left, self._sent, self._working = list(range(len(task.units))), [], crew.groups - 1
         if self.journal is not None and self.world.rank == 0:
-            self.stage = self.journal.stage(tag, units, row)
+            self.stage = self.journal.stage(tag, task.units, task.row)
             kept = self.journal.kept(self.stage)
             for position in kept:
-                deliver(self.journal.read(self.stage, position, row))
+                deliver(position, self.journal.read(self.stage, position, task.row))
             self.left = sorted(set(self.left).difference(kept))
 
     def put(self, position, rows):
@@ -195,7 +216,7 @@ class _Results:
         """Keep and deliver the rows of a unit, on rank 0."""
         if self.journal is not None:
             self.journal.write(self.stage, position, rows)
-        self.deliver(rows)
+        self.deliver(position, rows)
 
     def _receive(self):
         """Receive a unit's rows, or that a group has no more, from any."""
@@ -214,11 +235,3 @@ class _Results:
 def _first(names):
     """Return the first name that is not None, if there is one."""
     return next(filter(None, names), None)
-
-
-def automatic_ranks(shape, ranks):
-    """Return how many of the ranks should share a lattice: one, unless it is large.
-
-    Not collective.
-    """
-    return ranks if np.prod(shape, dtype=float) > LARGE[len(shape)] else 1

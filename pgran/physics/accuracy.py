@@ -19,6 +19,12 @@ def is_accurate(bound, amplitude, tolerance):
     return bound * (1 + tolerance) <= tolerance * np.abs(amplitude)
 
 
+def below_relative_accuracy(error_bound, amplitude, tolerance):
+    """Return which amplitudes have a bound, but miss the relative accuracy. Not collective."""
+    missed = np.isfinite(error_bound) & ~is_accurate(error_bound, amplitude, tolerance)
+    return missed.astype(np.int8)
+
+
 @dataclass(frozen=True)
 class Study:
     """The experiment that is repeated.
@@ -29,7 +35,7 @@ class Study:
     solve : callable
         Takes a crew and keywords; returns the result of the experiment on rank 0. Collective.
     read : callable
-        Takes that result and the keywords; returns its numbers as an array of ENTRY.
+        Takes that result; returns its numbers as an array of ENTRY.
     exact : dict
         Keywords for the reference.
     certified : float
@@ -76,19 +82,19 @@ def entries(values, bounds, good):
     return found
 
 
-def read_response(response, choices):
+def read_response(response):
     """Return the amplitudes of a sweep. Not collective."""
     good = np.broadcast_to(response.converged_reason[:, None] > 0, response.displacement.shape)
     return entries(response.displacement, response.error_bound, good)
 
 
-def read_relaxation(relaxation, choices):
+def read_relaxation(relaxation):
     """Return the amplitudes of a relaxation, NaN where they miss the tolerance. Not collective."""
     found = relaxation.displacement
     return entries(found, relaxation.error_bound, np.isfinite(found))
 
 
-def read_modes(lattice, modes, choices, largest):
+def read_modes(lattice, largest, modes):
     """Return the frequencies of modes, and zeros that are not good for those that are missing.
 
     Not collective. Modes with residuals above `largest` are as good as missing.

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+RESIDUAL = 1e-12  # of |K|: what a mode must meet
+
 
 def restoring_forces(stiffness, fields):
     """Return K f for fields of shape (count, *shape): B^T diag(k) B, bond by bond.

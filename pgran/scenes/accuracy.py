@@ -1,20 +1,18 @@
 """Scene `accuracy`: error against run time, one experiment by several solvers and tolerances."""
 
+import contextlib
 import logging
 import time
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from mpi4py import MPI
-from petsc4py import PETSc
 
-from pgran.errors import PgranError
-from pgran.files.options import SCENES
+from pgran.errors import InputError, PgranError, is_foreseen
+from pgran.files.options import INTEGER, REALS, TEXT, TEXTS, Option
 from pgran.files.reading import read_solver
-from pgran.parallel.agreement import agree, on_root
-from pgran.parallel.crew import Crew, automatic_ranks
-from pgran.parallel.progress import Progress
+from pgran.parallel.agreement import on_root
+from pgran.parallel.task import Task, carry_out
 from pgran.physics.accuracy import (
     ENTRY,
     Configuration,
@@ -27,12 +25,39 @@ from pgran.physics.accuracy import (
     relative_bounds,
     relative_errors,
 )
+from pgran.physics.modes import RESIDUAL
 from pgran.results import Accuracy, LatticeRecord
-from pgran.scenes.common import driving_frequencies, make_lattice, make_law
-from pgran.solve.database import holding, unused
+from pgran.scenes import modes, relaxation, response
+from pgran.scenes.common import (
+    DETECTORS,
+    LATTICE,
+    REUSE,
+    SWEEP,
+    driving_frequencies,
+    make_lattice,
+    make_law,
+    ranks_per_lattice,
+)
+from pgran.scenes.scene import Scene
 
 log = logging.getLogger(__name__)
 
+EXPERIMENTS = {"response": response, "modes": modes, "relaxation": relaxation}
+STUDY = (
+    Option(
+        "accuracy_of", TEXT, "response", "the experiment that is repeated",
+        choices=tuple(EXPERIMENTS),
+    ),
+    Option(
+        "accuracy_solvers", TEXTS, None,
+        "options files of the solvers to compare: a.opts,b.opts; each holds solver keys alone"
+    ),
+    Option(
+        "accuracy_tolerances", REALS, (1e-2, 1e-4, 1e-6, 1e-8),
+        "accuracies to ask each solver for; of modes, its -normal_eps_tol", above=0, high=0.5
+    ),
+    Option("accuracy_repeats", INTEGER, 5, "repeats of each timing", low=1),
+)  # fmt: skip
 # What the file of a solver may set besides keys of PETSc's solvers, and what `sweep` and `relax`
 # call it.
 CHOICES = {
@@ -43,40 +68,51 @@ CHOICES = {
 REFERENCE = 1e-10  # what the reference of driven amplitudes asks for, or a tenth of the smallest
 MODES_REFERENCE = 1e-6  # how well a mode must be known to be compared with
 
-ROW = np.dtype(
-    [
-        ("configuration", np.int64),
-        ("seconds", float),
-        ("error_max", float),
-        ("error_median", float),
-        ("error_bound_max", float),
-        ("iterations", np.int64),
-        ("failures", np.int64),
-    ]
-)
+
+def check(values, given):
+    """Raise unless the options of a study are those of its experiment; unset all others.
+
+    Not collective.
+    """
+    if values["accuracy_solvers"] is None:
+        raise InputError("-accuracy_solvers is missing: options files of the solvers to compare")
+    experiment = EXPERIMENTS[values["accuracy_of"]].SCENE
+    used = {option.name for option in (*experiment.options, *STUDY)}
+    for name in [option.name for option in SCENE.options if option.name not in used]:
+        if name in given:
+            raise InputError(
+                f"-{name}{given[name].where}: -accuracy_of {values['accuracy_of']} does not use it"
+            )
+        values[name] = None
+    if values["ranks_per_lattice"] > 1 and not experiment.shares_lattice:
+        raise InputError("-ranks_per_lattice: of modes, each lattice has one rank only")
+    experiment.check(values, given)
 
 
-def run(options, world, journal=None):
-    """Return the lattice and the comparison, on rank 0; None on the others. Collective."""
+def run(options, world, crew):
+    """Return the lattice and the comparison, on rank 0; None on the others.
+
+    Collective. Parameters are those of `pgran.scenes.scene.Scene`.
+    """
+    from pgran.parallel.crew import AgreeingCrew
+
     configurations = on_root(world, lambda: read_configurations(options))
     lattice = make_lattice(options, world)
-    automatic = 1 if options.accuracy_of == "modes" else automatic_ranks(lattice.shape, world.size)
-    ranks = options.ranks_per_lattice or automatic
-    with Crew(world, world.size, journal) as whole, AgreeingCrew(world, ranks) as crew:
-        accuracy = compare(
-            make_study(options, lattice),
-            configurations,
-            whole,
-            crew,
-            repeats=options.accuracy_repeats,
-            progress=options.output_progress,
-        )
+    shared = EXPERIMENTS[options.accuracy_of].SCENE.shares_lattice
+    ranks = ranks_per_lattice(options, lattice, world) if shared else 1
+    with crew(world.size) as whole, AgreeingCrew(world, ranks) as workers:
+        study = make_study(options, lattice)
+        numbers = carry_out(Reference(study, workers), whole)
+        reference = on_root(world, lambda: certified(numbers, study.certified), keep=True)
+        repeats, progress = options.accuracy_repeats, options.output_progress
+        task = Comparison(study, configurations, repeats, reference, workers)
+        accuracy = carry_out(task, whole, progress)
     return accuracy and [LatticeRecord.of(lattice), accuracy]
 
 
-def summary(records):
+def summary(result):
     """Return in words what a run found: a table, a row a configuration. Not collective."""
-    accuracy = records[1]
+    accuracy = result.accuracy
     yield (
         f"{accuracy.compared} of {accuracy.values} numbers compared with a reference that is wrong "
         f"by at most {accuracy.reference_bound:.1e}, relatively; no smaller error can be seen"
@@ -110,7 +146,8 @@ def read_configurations(options):
     FileError, InputError
         If a file cannot be read, or holds what is no solver's.
     """
-    own = {o.name: o for o in SCENES[options.accuracy_of] if o.name in CHOICES}
+    declared = EXPERIMENTS[options.accuracy_of].SCENE.options
+    own = {option.name: option for option in declared if option.name in CHOICES}
     paths = options.accuracy_solvers
     names = [Path(path).stem for path in paths]
     if len(set(names)) < len(names):
@@ -131,25 +168,17 @@ def read_configurations(options):
 
 def make_study(options, lattice):
     """Return the experiment that the options name. Not collective."""
+    smallest = 0.1 * min(options.accuracy_tolerances)
+    exact = {"error_tolerance": min(REFERENCE, smallest)}
     if options.accuracy_of == "modes":
-        from pgran.scenes.modes import chosen, find_modes
-        from pgran.solve.normal import RESIDUAL
-
-        solve = partial(find_modes, lattice, **chosen(options))
-        read = partial(read_modes, lattice, largest=RESIDUAL)
-        return Study("modes", solve, read, {}, MODES_REFERENCE)
-    certified = 0.1 * min(options.accuracy_tolerances)
-    exact = {"error_tolerance": min(REFERENCE, certified)}
+        solve = partial(modes.find_modes, lattice, **modes.chosen(options))
+        return Study("modes", solve, partial(read_modes, lattice, RESIDUAL), {}, MODES_REFERENCE)
     if options.accuracy_of == "response":
-        from pgran.scenes.response import sweep
-
         omegas = driving_frequencies(options)
-        solve = partial(sweep, lattice, omegas, options.detectors, error_floor=0.0)
-        return Study("response", solve, read_response, exact, certified)
-    from pgran.scenes.relaxation import relax
-
+        solve = partial(response.sweep, lattice, omegas, options.detectors, error_floor=0.0)
+        return Study("response", solve, read_response, exact, smallest)
     solve = partial(
-        relax,
+        relaxation.relax,
         lattice,
         make_law(options),
         options.relax_omega,
@@ -159,135 +188,198 @@ def make_study(options, lattice):
         seed=options.relax_seed,
         error_floor=0.0,
     )
-    return Study("relaxation", solve, read_relaxation, exact | {"method": "direct"}, certified)
+    return Study("relaxation", solve, read_relaxation, exact | {"method": "direct"}, smallest)
 
 
-class AgreeingCrew(Crew):
-    """Ranks of which all raise what one of them meets: where a study goes on, others end."""
-
-    def share(self, units, work, deliver, row):
-        """Do as a Crew does; after an error a rank takes part without working. Collective."""
-        met = []
-
-        def tried(unit):
-            if not met:
-                try:
-                    return work(unit)
-                except (PgranError, PETSc.Error) as error:
-                    met.append(error)
-            return np.zeros(0, row)
-
-        super().share(units, tried, deliver, row)
-        agree(self.world, met[0] if met else None)
-
-
-def compare(study, configurations, whole, crew, *, repeats, progress="none"):
-    """Repeat an experiment by every configuration in turn, and compare with a reference.
-
-    Collective.
+class Reference(Task):
+    """The experiment once, as exactly as it can be had.
 
     Parameters
     ----------
-    study : Study
-    configurations : sequence of Configuration
-    whole : pgran.parallel.crew.Crew
-        One group of all ranks, which takes one run after the other.
-    crew : AgreeingCrew
-        What shares out the work of a run.
-    repeats : int
-    progress : str
-        Style of `pgran.parallel.progress.Progress`.
-
-    Returns
-    -------
-    pgran.results.Accuracy or None
-        None on all ranks but rank 0.
-
-    Raises
-    ------
-    PgranError
-        If no number of the reference is good enough.
+    study : pgran.physics.accuracy.Study
+    workers : AgreeingCrew
+        What shares out the work of a run; all its ranks work on a unit together.
     """
-    world, rows, broken, said = whole.world, [], set(), set()
-    reference = find_reference(study, whole, crew)
-    units = [
-        (repeat, number, configuration)
-        for repeat in range(repeats)
-        for number, configuration in enumerate(configurations)
-    ]
-    with Progress(len(units), "runs", progress if world.rank == 0 else "none") as counter:
 
-        def say(line):
-            if world.rank == 0 and line not in said:
-                said.add(line)
-                log.warning(line)
+    items = "runs"
+    row = ENTRY
 
-        def work(unit):
-            _, number, configuration = unit
-            result, seconds = None, np.nan
-            if number not in broken:
-                try:
-                    result, seconds = timed(study, configuration, crew, say)
-                except (PgranError, PETSc.Error) as error:  # on all ranks alike
-                    broken.add(number)
-                    say(f"{configuration.solver} does not work: {str(error).splitlines()[-1]}")
-            if world.rank > 0:
-                return None
-            return judged(study, reference, unit, result, seconds)
+    def __init__(self, study, workers):
+        """Plan one run."""
+        self.study, self.workers, self.units = study, workers, [study.exact]
 
-        def deliver(row):
-            rows.append(row)
-            counter.advance(1)
+    @contextlib.contextmanager
+    def open(self, group):
+        """See `Task`."""
 
-        whole.share(units, work, deliver, ROW)
-    if world.rank > 0:
-        return None
-    return assemble(study, configurations, reference, np.concatenate(rows), repeats)
+        def work(choices):
+            found = self.study.solve(self.workers, **choices)
+            return self.study.read(found) if found else None
+
+        yield work
+
+    def length(self, unit):
+        """See `Task`; unknown, and not asked for in a journal."""
+        return 1
+
+    def collect(self, rows, seconds):
+        """See `Task`."""
+        return rows
 
 
-def find_reference(study, whole, crew):
-    """Return the numbers to compare with, on rank 0; those are good whose bounds are small enough.
+def certified(numbers, allowed):
+    """Return the numbers of a reference; those are good whose error bounds are small enough.
 
-    Collective.
+    Not collective.
+
+    Parameters
+    ----------
+    numbers : numpy.ndarray of pgran.physics.accuracy.ENTRY
+    allowed : float
+        Relative error bound.
 
     Raises
     ------
     PgranError
         If none is.
     """
-    found = []
-
-    def work(choices):
-        result = study.solve(crew, **choices)
-        return result and study.read(result, choices)
-
-    whole.share([study.exact], work, found.append, ENTRY)
-
-    def check():
-        reference = found[0].copy()
-        reference["good"] = relative_bounds(reference) <= study.certified
-        good = np.count_nonzero(reference["good"])
-        if good == 0:
-            raise PgranError(
-                f"no reference to compare with: of its {len(reference)} numbers none has an error "
-                f"certified to be below {study.certified:g}; the experiment's own solver keys, or "
-                "larger -accuracy_tolerances, may help"
-            )
-        if good < len(reference):
-            log.warning(
-                "%d of %d numbers are not compared: the reference's own error is not certified to "
-                "be below %g there", len(reference) - good, len(reference), study.certified,
-            )  # fmt: skip
-        return reference
-
-    return on_root(whole.world, check, keep=True)
+    reference = numbers.copy()
+    reference["good"] = relative_bounds(reference) <= allowed
+    good = np.count_nonzero(reference["good"])
+    if good == 0:
+        raise PgranError(
+            f"no reference to compare with: of its {len(reference)} numbers none has an error "
+            f"certified to be below {allowed:g}; the experiment's own solver keys, or larger "
+            "-accuracy_tolerances, may help"
+        )
+    if good < len(reference):
+        log.warning(
+            "%d of %d numbers are not compared: the reference's own error is not certified to "
+            "be below %g there", len(reference) - good, len(reference), allowed,
+        )  # fmt: skip
+    return reference
 
 
-def timed(study, configuration, crew, say):
+class Comparison(Task):
+    """The experiment by every configuration in turn, repeated, each compared with the reference.
+
+    Parameters
+    ----------
+    study : pgran.physics.accuracy.Study
+    configurations : sequence of pgran.physics.accuracy.Configuration
+    repeats : int
+    reference : numpy.ndarray of pgran.physics.accuracy.ENTRY, or None
+        On rank 0.
+    workers : AgreeingCrew
+        As of `Reference`.
+    """
+
+    items = "runs"
+    row = np.dtype(
+        [
+            ("seconds", float),
+            ("error_max", float),
+            ("error_median", float),
+            ("error_bound_max", float),
+            ("iterations", np.int64),
+            ("failures", np.int64),
+        ]
+    )
+
+    def __init__(self, study, configurations, repeats, reference, workers):
+        """Plan all runs."""
+        self.study, self.configurations, self.repeats = study, configurations, repeats
+        self.reference, self.workers = reference, workers
+        numbers = range(len(configurations))
+        self.units = [(repeat, number) for repeat in range(repeats) for number in numbers]
+        self._broken, self._said = set(), set()
+
+    @contextlib.contextmanager
+    def open(self, group):
+        """See `Task`."""
+
+        def work(unit):
+            _, number = unit
+            configuration, result, seconds = self.configurations[number], None, np.nan
+            if number not in self._broken:
+                try:
+                    result, seconds = _timed(self.study, configuration, self.workers, self.say)
+                except Exception as error:  # on all ranks alike
+                    if not is_foreseen(error):
+                        raise
+                    self._broken.add(number)
+                    reason = str(error).splitlines()[-1]
+                    self.say(f"{configuration.solver} does not work: {reason}")
+            return self.judged(result, seconds) if group.rank == 0 else None
+
+        yield work
+
+    def say(self, line):
+        """Warn once, on rank 0."""
+        if self.workers.world.rank == 0 and line not in self._said:
+            self._said.add(line)
+            log.warning(line)
+
+    def length(self, unit):
+        """See `Task`."""
+        return 1
+
+    def judged(self, result, seconds):
+        """Return a run's row; a run that did not work has no result. Not collective.
+
+        Numbers that failed count as failures, and in no error.
+        """
+        found = np.zeros(len(self.reference), ENTRY)
+        if result is not None:
+            found = self.study.read(result)
+            if self.study.name == "modes":
+                found = matched(found, self.reference)
+        good = found["good"]
+        bounds = relative_bounds(found[good])
+        compared = good & self.reference["good"]
+        errors = relative_errors(found[compared], self.reference[compared])
+        row = np.zeros(1, self.row)
+        row["seconds"] = seconds
+        row["error_max"] = errors.max() if len(errors) else np.nan
+        row["error_median"] = np.median(errors) if len(errors) else np.nan
+        row["error_bound_max"] = bounds.max() if len(bounds) else np.nan
+        row["iterations"] = result.iterations.sum() if hasattr(result, "iterations") else -1
+        row["failures"] = np.count_nonzero(~good)
+        return row
+
+    def collect(self, rows, seconds):
+        """See `Task`."""
+        rows, configurations = rows.reshape(self.repeats, -1), self.configurations
+        times, first = rows["seconds"], rows[0]  # what is not time is the same in all repeats
+        compared = self.reference[self.reference["good"]]
+        median = np.median(times, axis=0)
+        errors = ("error_max", "error_median", "error_bound_max", "iterations", "failures")
+        return Accuracy(
+            experiment=self.study.name,
+            repeats=self.repeats,
+            values=len(self.reference),
+            compared=len(compared),
+            reference_bound=float(relative_bounds(compared).max()),
+            label=np.array([c.label for c in configurations]),
+            solver=np.array([c.solver for c in configurations]),
+            tolerance=np.array([c.tolerance for c in configurations]),
+            seconds=median,
+            seconds_min=times.min(axis=0),
+            seconds_max=times.max(axis=0),
+            **{name: first[name] for name in errors},
+            on_front=front(median, first["error_max"], first["failures"]),
+        )
+
+
+def _timed(study, configuration, crew, say):
     """Return the result of a run, and how long the slowest rank took.
 
     Collective. Solver keys that nothing used are said.
     """
+    from mpi4py import MPI
+
+    from pgran.solve.database import holding, unused
+
     with holding(configuration.keys):
         crew.world.Barrier()
         started = time.perf_counter()
@@ -298,52 +390,14 @@ def timed(study, configuration, crew, say):
     return result, seconds
 
 
-def judged(study, reference, unit, result, seconds):
-    """Return a run's row of the comparison; a run that did not work has no result. Not collective.
-
-    Numbers that failed count as failures, and in no error.
-    """
-    _, number, configuration = unit
-    found = np.zeros(len(reference), ENTRY)
-    if result is not None:
-        found = study.read(result, configuration.choices)
-        if study.name == "modes":
-            found = matched(found, reference)
-    good = found["good"]
-    bounds = relative_bounds(found[good])
-    compared = good & reference["good"]
-    errors = relative_errors(found[compared], reference[compared])
-    row = np.zeros(1, ROW)
-    row["configuration"], row["seconds"] = number, seconds
-    row["error_max"] = errors.max() if len(errors) else np.nan
-    row["error_median"] = np.median(errors) if len(errors) else np.nan
-    row["error_bound_max"] = bounds.max() if len(bounds) else np.nan
-    row["iterations"] = result.iterations.sum() if hasattr(result, "iterations") else -1
-    row["failures"] = np.count_nonzero(~good)
-    return row
-
-
-def assemble(study, configurations, reference, rows, repeats):
-    """Return the Accuracy that the runs make up. Not collective."""
-    seconds = np.full((len(configurations), repeats), np.nan)
-    for number, mine in enumerate(seconds):
-        mine[:] = rows["seconds"][rows["configuration"] == number]
-    _, first = np.unique(rows["configuration"], return_index=True)
-    first = rows[first]  # what is not time is the same in all repeats
-    compared = reference[reference["good"]]
-    median = np.median(seconds, axis=1)
-    return Accuracy(
-        experiment=study.name,
-        repeats=repeats,
-        values=len(reference),
-        compared=len(compared),
-        reference_bound=float(relative_bounds(compared).max()),
-        label=np.array([c.label for c in configurations]),
-        solver=np.array([c.solver for c in configurations]),
-        tolerance=np.array([c.tolerance for c in configurations]),
-        seconds=median,
-        seconds_min=seconds.min(axis=1),
-        seconds_max=seconds.max(axis=1),
-        **{name: first[name] for name in ROW.names[2:]},
-        on_front=front(median, first["error_max"], first["failures"]),
-    )
+SCENE = Scene(
+    # Of the experiments' options, a study takes those of the one that it repeats.
+    options=(
+        *(*STUDY, *LATTICE, *DETECTORS, *SWEEP, *REUSE),
+        *(*relaxation.RELAXATION, *modes.WHICH),
+    ),
+    run=run,
+    summary=summary,
+    check=check,
+    shares_lattice=True,
+)

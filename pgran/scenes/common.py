@@ -1,15 +1,145 @@
-"""What several scenes make from their options."""
+"""What several scenes share: options and what must hold between them, and what these make."""
+
+import math
 
 import numpy as np
 
-from pgran.errors import PgranError
+from pgran.errors import InputError, PgranError
+from pgran.files.options import INTEGER, INTEGERS, REAL, REALS, TEXT, Option
+from pgran.machine import check_memory
 from pgran.parallel.agreement import on_root
-from pgran.parallel.crew import Crew, automatic_ranks
-from pgran.physics.accuracy import is_accurate
-from pgran.physics.bondlaw import BondLaw
-from pgran.physics.lattice import Lattice
+from pgran.physics.bondlaw import LAWS, BondLaw
+from pgran.physics.lattice import Lattice, bond_count
 
-CLOSE = 1e-10  # relative distance
+LATTICE = (
+    Option("lattice_shape", INTEGERS, (20, 20), "balls along each axis, 1 to 3 numbers", low=1),
+    Option("lattice_mass", REAL, 1.0, "mass m of a ball", above=0),
+    Option("lattice_damping", REAL, 0.003, "damping beta of every bond", "mass x frequency", low=0),
+    Option(
+        "bonds_law", TEXT, "uniform",
+        "uniform on [kmin, kmax]; constant kmax; loguniform on [kmin, kmax]; bimodal, kmin or "
+        "kmax; hertz, 3/2 c^(2/3) F^(1/3) with exponential forces F; file",
+        choices=(*LAWS, "file"),
+    ),
+    Option("bonds_kmin", REAL, 0.0, "smallest bond constant", "mass x frequency^2", low=0),
+    Option("bonds_kmax", REAL, 0.25, "largest bond constant", "mass x frequency^2", above=0),
+    Option("bonds_fraction", REAL, 0.5, "bimodal: part of the bonds that is kmax", low=0, high=1),
+    Option("bonds_force", REAL, 1.0, "hertz: mean contact force", "force", above=0),
+    Option("bonds_hertz", REAL, 1.0, "hertz: c in F = c h^(3/2)", "force / length^(3/2)", above=0),
+    Option("bonds_seed", INTEGER, 1993, "which sample", low=0, high=2**63 - 1),
+    Option("bonds_file", TEXT, None, "law file: HDF5 file with /lattice/stiffness_x ..."),
+)  # fmt: skip
+DETECTORS = (
+    Option(
+        "detectors", INTEGERS, (8, 10), "ball indices from 0, flat: 8,10 or 8,10,3,4",
+        low=0, high=2**63 - 1
+    ),
+)  # fmt: skip
+SWEEP = (
+    Option("sweep_min", REAL, 0.01, "lowest driving frequency", "angular", above=0),
+    Option("sweep_max", REAL, 1.3, "highest driving frequency", "angular", above=0),
+    Option("sweep_points", INTEGER, 1291, "frequencies of the linear grid", low=1),
+    Option(
+        "sweep_omega", REALS, None, "driving frequencies, instead of a grid", "angular", above=0
+    ),
+)
+TOLERANCE = (
+    Option(
+        "error_tolerance", REAL, 1e-4, "relative accuracy asked of each amplitude",
+        above=0, high=0.5
+    ),
+)  # fmt: skip
+FLOOR = (
+    Option(
+        "error_floor", REAL, 1e-20,
+        "an amplitude whose error bound is below this part of the wall's amplitude is good without "
+        "relative accuracy",
+        low=0
+    ),
+)  # fmt: skip
+REUSE = (
+    Option(
+        "steady_refresh_iterations", INTEGER, 0,
+        "factor anew after a frequency that took more Krylov iterations; 0 = when it pays", low=0
+    ),
+)  # fmt: skip
+
+
+# Beyond this many balls all ranks share one lattice, unless options say otherwise.
+LARGE = {1: 10**7, 2: 100_000, 3: 20_000}
+
+
+def alternatives(some, others, values, given):
+    """Let one of two ways to say the same stand: what was given, and of both the winning source.
+
+    Not collective.
+
+    Parameters
+    ----------
+    some, others : sequence of str
+        Options. `some` stand only where given; without any, `others` have their defaults.
+    values : dict
+        Of all options; those of the way that does not stand become None.
+    given : dict of pgran.files.reading.Given
+
+    Raises
+    ------
+    InputError
+        If both ways are given at the same place.
+    """
+    first, second = (
+        max((given[k].rank for k in keys if k in given), default=-1) for keys in (some, others)
+    )
+    if first == second >= 0:
+        one, other = (next(given[k] for k in keys if k in given) for keys in (some, others))
+        raise InputError(
+            f"-{other.key}{other.where}: contradicts -{one.key}{one.where}; give one of them"
+        )
+    if max(first, second) >= 0 or values[some[0]] is not None:
+        values.update(dict.fromkeys(others if first > second else some))
+
+
+def check_lattice(values, given):
+    """Raise where the options of a lattice contradict each other. Not collective."""
+    if len(values["lattice_shape"]) > 3:
+        raise InputError("-lattice_shape: a lattice has 1 to 3 axes")
+    from_file = values["bonds_law"] == "file"
+    if from_file != (values["bonds_file"] is not None):
+        raise InputError("-bonds_file and -bonds_law file belong together: give both or neither")
+    if from_file:
+        alternatives(("bonds_file",), ("lattice_shape", "bonds_kmin", "bonds_kmax"), values, given)
+
+
+def check_sweep(values, given):
+    """Raise where the options of a sweep contradict each other. Not collective."""
+    alternatives(("sweep_omega",), ("sweep_min", "sweep_max", "sweep_points"), values, given)
+    omega = values["sweep_omega"]
+    if omega is None:
+        check_ends("sweep", values)
+    elif list(omega) != sorted(set(omega)):
+        raise InputError("-sweep_omega: the frequencies must increase")
+
+
+def check_values(options, **values):
+    """Raise unless values given in Python are possible for the options of their names.
+
+    Not collective.
+
+    Raises
+    ------
+    InputError
+        As for the same value on the command line.
+    """
+    for option in options:
+        if option.name in values:
+            option.check(values[option.name])
+
+
+def check_ends(name, values):
+    """Raise unless the lower end of a window lies below its upper end. Not collective."""
+    low, high = (values.get(f"{name}_{end}") for end in ("min", "max"))
+    if low is not None and low >= high:
+        raise InputError(f"-{name}_min: {low:g} is not below -{name}_max, {high:g}")
 
 
 def make_lattice(options, world):
@@ -29,8 +159,9 @@ def make_lattice(options, world):
 
         stiffness, kmax = on_root(world, lambda: read_stiffness(options.bonds_file))
     else:
-        law = make_law(options)
-        stiffness, kmax = law.draw(options.lattice_shape, options.bonds_seed), law.kmax
+        law, shape = make_law(options), options.lattice_shape
+        check_memory("lattice_shape", 8 * bond_count(shape))
+        stiffness, kmax = law.draw(shape, options.bonds_seed), law.kmax
     lattice = Lattice(stiffness, options.lattice_mass, options.lattice_damping, kmax)
     if len(set(world.allgather(lattice.bonds_sha256))) > 1:
         raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
@@ -49,41 +180,34 @@ def make_law(options):
     )
 
 
-def make_crew(options, lattice, world, journal=None):
-    """Return the ranks in groups as `-ranks_per_lattice` says. Collective."""
-    ranks = options.ranks_per_lattice or automatic_ranks(lattice.shape, world.size)
-    return Crew(world, ranks, journal)
+def ranks_per_lattice(options, lattice, world):
+    """Return how many ranks share the lattice: as the options say, or all if it is large.
+
+    Not collective.
+
+    Parameters
+    ----------
+    options : pgran.files.options.Options
+    lattice : pgran.physics.lattice.Lattice
+    world : mpi4py.MPI.Comm
+    """
+    return options.ranks_per_lattice or automatic_ranks(lattice.shape, world.size)
+
+
+def automatic_ranks(shape, ranks):
+    """Return how many of the ranks should share a lattice: one, unless it is large.
+
+    Not collective.
+    """
+    return ranks if math.prod(shape) > LARGE[len(shape)] else 1
 
 
 def driving_frequencies(options):
     """Return the frequencies of the sweep, increasing. Not collective."""
     if options.sweep_omega:
         return np.array(options.sweep_omega)
+    check_memory("sweep_points", 8 * options.sweep_points)
     return np.linspace(options.sweep_min, options.sweep_max, options.sweep_points)
-
-
-def phase_of_sign(displacement):
-    """Return the phase of amplitudes that are real, as without damping: 0 or pi; NaN where unknown.
-
-    Not collective. Its jumps are changes of sign, to be followed by no unwrapping.
-    """
-    sign = np.where(displacement.real < 0, np.pi, 0.0)
-    return np.where(np.isnan(displacement), np.nan, sign)
-
-
-def fit_line(x, y):
-    """Return slope and intercept of the straight line through some points; y may hold NaN.
-
-    Not collective. NaN where less than three points are known, or where these are too close
-    together to tell a slope from rounding.
-    """
-    known = np.isfinite(y)
-    x, y = x[known], y[known]
-    if len(x) < 3 or np.ptp(x) < CLOSE * np.abs(x).max():
-        return np.nan, np.nan
-    middle = x.mean()
-    slope, height = np.polyfit(x - middle, y, 1)
-    return slope, height - slope * middle
 
 
 def reached_accuracy(record, good):
@@ -114,9 +238,3 @@ def reached_accuracy(record, good):
             f"{np.count_nonzero(floored)} of {record.at_floor.size} amplitudes are known to "
             "-error_floor of the wall's only, not relative to themselves (at_floor)"
         )
-
-
-def below_relative_accuracy(error_bound, amplitude, tolerance):
-    """Return which amplitudes have a bound, but miss the relative accuracy. Not collective."""
-    missed = np.isfinite(error_bound) & ~is_accurate(error_bound, amplitude, tolerance)
-    return missed.astype(np.int8)

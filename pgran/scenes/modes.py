@@ -1,30 +1,69 @@
 """Scene `modes`: normal modes, all of them, those of an interval, or those nearest to a target."""
 
+import contextlib
 import dataclasses
 import time
 
 import numpy as np
-from mpi4py import MPI
-from petsc4py import PETSc
 
-from pgran.parallel.crew import Crew
-from pgran.parallel.progress import Progress
+from pgran.errors import InputError
+from pgran.files.options import FLAG, INTEGER, REAL, Option
+from pgran.machine import check_memory
+from pgran.parallel.task import Task, carry_out
 from pgran.physics.lattice import check_frequency
-from pgran.physics.modes import participation
+from pgran.physics.modes import RESIDUAL, participation
 from pgran.results import LatticeRecord, Modes
-from pgran.scenes.common import make_lattice
-from pgran.solve.counting import ModeCounter, cut, shared
-from pgran.solve.normal import RESIDUAL, ModeSolver
-from pgran.solve.operators import Operators
+from pgran.scenes.common import LATTICE, alternatives, check_lattice, make_lattice
+from pgran.scenes.interface import in_parallel
+from pgran.scenes.scene import Scene
+
+WHICH = (
+    Option("modes_omega_min", REAL, None, "interval of modes: its lower end", "angular", low=0),
+    Option("modes_omega_max", REAL, None, "interval of modes: its upper end", "angular", above=0),
+    Option("modes_target", REAL, None, "the modes nearest to this frequency", "angular", low=0),
+    Option(
+        "modes_count", INTEGER, None,
+        "how many nearest modes; a projection without target: nearest to each driving frequency",
+        low=1
+    ),
+)  # fmt: skip
+SHAPES = Option("output_fields", FLAG, False, "store the shapes of the modes")
 
 
-def run(options, world, journal=None):
-    """Return the lattice and its modes, on rank 0; None on the others. Collective."""
+def check(values, given):
+    """Raise where options contradict each other. Not collective."""
+    check_lattice(values, given)
+    check_modes(values, given)
+    if values["modes_count"] is not None and values["modes_target"] is None:
+        raise InputError("-modes_count: -modes_target must say where")
+
+
+def check_modes(values, given):
+    """Raise where the options that choose modes contradict each other. Not collective."""
+    alternatives(
+        ("modes_omega_min", "modes_omega_max"), ("modes_target", "modes_count"), values, given
+    )
+    low, high, target, count = (
+        values[f"modes_{name}"] for name in ("omega_min", "omega_max", "target", "count")
+    )
+    if (low is None) != (high is None):
+        raise InputError("-modes_omega_min and -modes_omega_max belong together: give both")
+    if low is not None and low >= high:
+        raise InputError(f"-modes_omega_min: {low:g} is not below -modes_omega_max, {high:g}")
+    if target is not None and count is None:
+        raise InputError("-modes_target: -modes_count must say how many modes")
+
+
+def run(options, world, crew):
+    """Return the lattice and its modes, on rank 0; None on the others.
+
+    Collective. Parameters are those of `pgran.scenes.scene.Scene`.
+    """
     lattice = make_lattice(options, world)
-    with Crew(world, 1, journal) as crew:
+    with crew(1) as workers:
         modes = find_modes(
             lattice,
-            crew,
+            workers,
             **chosen(options),
             shapes=options.output_fields,
             progress=options.output_progress,
@@ -41,9 +80,9 @@ def chosen(options):
     return {}
 
 
-def summary(records):
+def summary(result):
     """Return in words what a run found. Not collective."""
-    _, modes = records
+    modes = result.modes
     yield f"{len(modes.omega)} modes in {modes.solve_seconds:.2f} s"
     yield certificate(modes, len(modes.omega))
     if len(modes.omega):
@@ -64,8 +103,9 @@ def certificate(record, found):
     return f"NOT CERTIFIED: the residuals of some of the {found} modes are above {RESIDUAL:g}"
 
 
+@in_parallel()
 def find_modes(
-    lattice, crew, *, interval=None, targets=None, count=None, shapes=False, progress="none"
+    lattice, crew=None, *, interval=None, targets=None, count=None, shapes=False, progress="none"
 ):
     """Find the normal modes K f = m omega^2 f, all unless an interval or targets are given.
 
@@ -75,8 +115,8 @@ def find_modes(
     Parameters
     ----------
     lattice : pgran.physics.lattice.Lattice
-    crew : pgran.parallel.crew.Crew
-        Of groups of one rank.
+    crew : pgran.parallel.crew.Crew, optional
+        All ranks unless given; of groups of one rank.
     interval : tuple of float, optional
         Lowest and highest omega; both ends belong to it.
     targets : sequence of float, optional
@@ -90,7 +130,8 @@ def find_modes(
     Returns
     -------
     pgran.results.Modes or None
-        None on all ranks but rank 0. `count_certified` is False if modes are missing.
+        With a crew of the caller's None on all ranks but rank 0. `count_certified` is False if
+        modes are missing.
 
     Raises
     ------
@@ -99,55 +140,70 @@ def find_modes(
     PgranError
         If the modes cannot be counted.
     """
-    started, root = time.perf_counter(), crew.world.rank == 0
+    started = time.perf_counter()
     lattice, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
     check_frequency(lattice, max(targets if targets is not None else interval or (0.0,)))
+    slices = find_slices(lattice, crew, interval, targets, count)
+    modes = carry_out(Slices(lattice, slices, shapes, targets, count), crew, progress)
+    seconds = time.perf_counter() - started  # counts included
+    return modes and dataclasses.replace(modes, solve_seconds=seconds)
+
+
+@contextlib.contextmanager
+def hermitian_stiffness(lattice):
+    """Return, for a `with`, the stiffness of a lattice on this rank, flagged as what it is.
+
+    Not collective.
+    """
+    from mpi4py import MPI
+    from petsc4py import PETSc
+
+    from pgran.solve.operators import Operators
+
     with Operators(lattice, MPI.COMM_SELF) as operators:
-        K = operators.K
         for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
-            K.setOption(flag, True)
-        with ModeCounter(K) as counter:
-            intervals = _intervals(lattice, counter, crew.world, interval, targets, count)
-            slices = _slices(counter, crew.world, intervals)
-        found, row = [], _mode_dtype(lattice.shape if shapes else None)
-        expected = sum(size for *_, size in slices)
-        with (
-            ModeSolver(lattice, K) as solver,
-            Progress(expected, "modes", progress if root else "none") as done,
-        ):
-
-            def work(unit):
-                number, piece = unit
-                values, vectors, missed = solver.solve(*piece)
-                rows = np.zeros(len(values), row)
-                rows["slice"] = number
-                rows["value"] = values
-                rows["residual"] = missed
-                rows["participation"] = participation(vectors)
-                if shapes:
-                    rows["vector"] = vectors
-                return rows
-
-            def deliver(rows):
-                found.append(rows)
-                done.advance(len(rows))
-
-            crew.share(list(enumerate(slices)), work, deliver, row)
-    if not root:
-        return None
-    modes = np.concatenate([np.zeros(0, row), *found])
-    return _assemble(lattice, modes, slices, targets, count, started)
+            operators.K.setOption(flag, True)
+        yield operators.K
 
 
-def _intervals(lattice, counter, world, interval, targets, count):
-    """Return disjoint intervals of lambda that hold the wanted modes, each {end: count below}."""
-    if targets is not None:
-        around = shared(
-            world, list(targets), lambda omega: counter.around(omega, lattice.mass, count)
-        )
-        return _united([ends for _, ends in around])
-    low, high = interval or (0.0, np.inf)
-    return [counter.interval(lattice.mass * low**2, lattice.mass * high**2, world)]
+def find_slices(lattice, crew, interval=None, targets=None, count=None):
+    """Return the slices of the spectrum (low, high, count) that hold the wanted modes.
+
+    Collective: the ranks share out the counts. Parameters are those of `find_modes`. In a dry run
+    one slice amid the wanted modes stands for all.
+    """
+    from pgran.solve.counting import SLICE, ModeCounter, cut, shared
+    from pgran.solve.normal import ModeSolver
+
+    mass, world = lattice.mass, crew.world
+    with hermitian_stiffness(lattice) as K, ModeCounter(K) as counter:
+        if targets is None:
+            low, high = interval or (0.0, np.inf)
+            ends = [counter.interval(mass * low**2, mass * high**2, world)]
+        else:
+            wanted = targets[:: max(1, len(targets) // 3)] if crew.dry else targets
+            around = shared(world, list(wanted), lambda omega: counter.around(omega, mass, count))
+            ends = _united([found for _, found in around])
+        if ModeSolver.whole():
+            slices = [(*found, max(found.values()) - min(found.values())) for found in ends]
+            return [piece for piece in slices if piece[2] > 0]
+        if not crew.dry:
+            return [piece for found in ends for piece in cut(counter, found, world)]
+        return _like_one_slice(counter, ends, mass, SLICE)
+
+
+def _like_one_slice(counter, intervals, mass, size):
+    """Return as many slices as intervals need, all of them one that lies amid the first."""
+    total = sum(max(found.values()) - min(found.values()) for found in intervals)
+    low, high = (min(max(end, 0.0), counter.norm) for end in intervals[0])
+    omega = (0.5 * (low + high) / mass) ** 0.5
+    pieces = []
+    while total > 0:
+        found = counter.around(omega, mass, min(size, total))
+        count = max(found.values()) - min(found.values())
+        pieces += [(*found, count)] * max(1, total // count)
+        total -= count * max(1, total // count)
+    return pieces
 
 
 def _united(intervals):
@@ -161,41 +217,83 @@ def _united(intervals):
     return [dict(ends) for ends in joined]
 
 
-def _slices(counter, world, intervals):
-    """Return the slices (low, high, count) to solve."""
-    if not ModeSolver.whole():
-        return [piece for ends in intervals for piece in cut(counter, ends, world)]
-    slices = [(*ends, max(ends.values()) - min(ends.values())) for ends in intervals]
-    return [piece for piece in slices if piece[2] > 0]
+class Slices(Task):
+    """The modes of some slices of the spectrum, each certified by its count.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice
+    slices : sequence of (low, high, count)
+        Ends in lambda = m omega^2, and how many modes lie between them.
+    shapes : bool
+        Keep the shapes.
+    targets, count
+        As in `find_modes`.
+    """
+
+    items = "modes"
+
+    def __init__(self, lattice, slices, shapes=False, targets=None, count=None):
+        """Say what a mode travels in."""
+        self.lattice, self.shapes = lattice, shapes
+        self.targets, self.count = targets, count
+        self.units = list(enumerate(slices))
+        numbers = [("slice", int), ("value", float), ("residual", float), ("participation", float)]
+        self.row = np.dtype(numbers + ([("vector", float, lattice.shape)] if shapes else []))
+        self.expected = sum(map(self.length, self.units))
+        check_memory("output_fields", self.expected * self.row.itemsize)
+
+    @contextlib.contextmanager
+    def open(self, group):
+        """See `Task`."""
+        from pgran.solve.normal import ModeSolver
+
+        with hermitian_stiffness(self.lattice) as K, ModeSolver(self.lattice, K) as solver:
+
+            def work(unit):
+                number, piece = unit
+                values, vectors, missed = solver.solve(*piece)
+                rows = np.zeros(len(values), self.row)
+                rows["slice"] = number
+                rows["value"] = values
+                rows["residual"] = missed
+                rows["participation"] = participation(vectors)
+                if self.shapes:
+                    rows["vector"] = vectors
+                return rows
+
+            yield work
+
+    def length(self, unit):
+        """See `Task`."""
+        _, (_, _, count) = unit
+        return count
+
+    def collect(self, rows, seconds):
+        """See `Task`; modes that no target asks for are left out."""
+        sizes = [self.length(unit) for unit in self.units]
+        found = np.bincount(rows["slice"], minlength=len(sizes))
+        certified = np.array_equal(found, sizes) and bool(np.all(rows["residual"] <= RESIDUAL))
+        rows = rows[np.argsort(rows["value"], kind="stable")]
+        # zero modes come out as rounding, of either sign
+        omega = np.sqrt(np.maximum(rows["value"], 0.0) / self.lattice.mass)
+        expected = self.expected
+        if self.targets is not None:
+            wanted = np.zeros(len(rows), dtype=bool)
+            for target in self.targets:
+                nearest = np.argsort(np.abs(omega - target), kind="stable")[: self.count]
+                wanted[nearest] = True
+            expected += int(np.count_nonzero(wanted)) - len(rows)
+            rows, omega = rows[wanted], omega[wanted]
+        return Modes(
+            count_expected=expected,
+            count_certified=certified,
+            solve_seconds=seconds,
+            omega=omega,
+            residual=rows["residual"],
+            participation=rows["participation"],
+            vector=rows["vector"] if self.shapes else None,
+        )
 
 
-def _mode_dtype(shape):
-    """Return the dtype that a mode travels in."""
-    fields = [("slice", int), ("value", float), ("residual", float), ("participation", float)]
-    return np.dtype(fields + ([("vector", float, shape)] if shape else []))
-
-
-def _assemble(lattice, modes, slices, targets, count, started):
-    """Return the Modes that the rows of all slices make up, certified slice by slice."""
-    sizes = [size for *_, size in slices]
-    expected = sum(sizes)
-    found = np.bincount(modes["slice"], minlength=len(slices))
-    certified = np.array_equal(found, sizes) and bool(np.all(modes["residual"] <= RESIDUAL))
-    modes = modes[np.argsort(modes["value"], kind="stable")]
-    # zero modes come out as rounding, of either sign
-    omega = np.sqrt(np.maximum(modes["value"], 0.0) / lattice.mass)
-    if targets is not None:
-        wanted = np.zeros(len(modes), dtype=bool)
-        for target in targets:
-            wanted[np.argsort(np.abs(omega - target), kind="stable")[:count]] = True
-        expected += np.count_nonzero(wanted) - len(modes)
-        modes, omega = modes[wanted], omega[wanted]
-    return Modes(
-        count_expected=int(expected),
-        count_certified=certified,
-        solve_seconds=time.perf_counter() - started,
-        omega=omega,
-        residual=modes["residual"],
-        participation=modes["participation"],
-        vector=modes["vector"] if "vector" in modes.dtype.names else None,
-    )
+SCENE = Scene(options=(*LATTICE, *WHICH, SHAPES), run=run, summary=summary, check=check)

@@ -2,34 +2,55 @@
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 
-from pgran.parallel.crew import Crew
-from pgran.parallel.progress import Progress
+from pgran.machine import check_memory
+from pgran.parallel.task import carry_out
 from pgran.physics.lattice import check_frequency
+from pgran.physics.phase import fit_line
 from pgran.results import LatticeRecord, Projection
-from pgran.scenes.common import driving_frequencies, fit_line, make_lattice
-from pgran.scenes.modes import certificate, chosen, find_modes
-from pgran.scenes.response import units
-from pgran.solve.operators import Operators
-from pgran.solve.steady import SteadySolver
+from pgran.scenes.common import (
+    LATTICE,
+    REUSE,
+    SWEEP,
+    TOLERANCE,
+    check_lattice,
+    check_sweep,
+    check_values,
+    driving_frequencies,
+    make_lattice,
+)
+from pgran.scenes.interface import in_parallel
+from pgran.scenes.modes import WHICH, certificate, check_modes, chosen, find_modes
+from pgran.scenes.scene import Scene
+from pgran.scenes.sweeping import FrequencySweep, checked_frequencies
 
 ALL_MODES = 3600  # balls; of a larger lattice only the modes near each driving frequency
 NEAR = 60  # so many
 
 
-def run(options, world, journal=None):
-    """Return the lattice and its projection, on rank 0; None on the others. Collective."""
+def check(values, given):
+    """Raise where options contradict each other. Not collective."""
+    check_lattice(values, given)
+    check_sweep(values, given)
+    check_modes(values, given)
+
+
+def run(options, world, crew):
+    """Return the lattice and its projection, on rank 0; None on the others.
+
+    Collective. Parameters are those of `pgran.scenes.scene.Scene`.
+    """
     lattice = make_lattice(options, world)
     omegas = driving_frequencies(options)
-    which = which_modes(options, lattice.balls, omegas)
-    with Crew(world, 1, journal) as crew:
+    with crew(1) as workers:
         projection = project(
             lattice,
             omegas,
-            crew,
-            which,
+            workers,
+            which_modes(options, lattice.balls, omegas),
             error_tolerance=options.error_tolerance,
             refresh_iterations=options.steady_refresh_iterations,
             progress=options.output_progress,
@@ -38,16 +59,26 @@ def run(options, world, journal=None):
 
 
 def which_modes(options, balls, omegas):
-    """Return which modes to project on, as `find_modes` takes it. Not collective."""
+    """Return which modes to project on, as `find_modes` takes it.
+
+    Not collective.
+
+    Parameters
+    ----------
+    options : pgran.files.options.Options
+    balls : int
+        Of the lattice: of a large one only modes near the drives are wanted, unless options say.
+    omegas : numpy.ndarray, shape (nw,)
+    """
     which = chosen(options)
     if not which and (options.modes_count or balls > ALL_MODES):
         which = {"targets": omegas, "count": options.modes_count or NEAR}
     return which
 
 
-def summary(records):
+def summary(result):
     """Return in words what a run found. Not collective."""
-    lattice, projection = records
+    lattice, projection = result.lattice, result.projection
     nm = len(projection.mode_omega)
     yield (
         f"{len(projection.omega)} frequencies on {nm} modes in {projection.solve_seconds:.2f} s, "
@@ -63,10 +94,11 @@ def summary(records):
             yield f"the dominant mode follows the drive with slope {slope:.3f} (.1 to .9 omega_mx)"
 
 
+@in_parallel()
 def project(
     lattice,
     omegas,
-    crew,
+    crew=None,
     which=None,
     *,
     error_tolerance=1e-4,
@@ -82,8 +114,8 @@ def project(
     lattice : pgran.physics.lattice.Lattice
     omegas : numpy.ndarray, shape (nw,)
         Driving frequencies, angular, increasing.
-    crew : pgran.parallel.crew.Crew
-        Of groups of one rank.
+    crew : pgran.parallel.crew.Crew, optional
+        All ranks unless given; of groups of one rank.
     which : dict, optional
         Which modes: arguments of `pgran.scenes.modes.find_modes`; all by default.
     error_tolerance : float
@@ -97,66 +129,83 @@ def project(
     Returns
     -------
     pgran.results.Projection or None
-        None on all ranks but rank 0.
+        With a crew of the caller's None on all ranks but rank 0.
     """
-    scaled, _ = lattice.in_own_unit()
-    check_frequency(scaled, omegas[-1])
-    started, root = time.perf_counter(), crew.world.rank == 0
-    modes = find_modes(lattice, crew, **(which or {}), shapes=True, progress=progress)
-    vectors = _on_all_ranks(modes.vector if root else None, crew.world)
-    row = np.dtype(
-        [
-            ("index", np.int64),
-            ("coefficient", complex, (len(vectors),)),
-            ("field_bound", float),
-            ("converged_reason", np.int64),
-            ("factorizations", np.int64),
-        ]
+    check_values(
+        SCENE.options,
+        error_tolerance=error_tolerance,
+        steady_refresh_iterations=refresh_iterations,
     )
-    rows = np.zeros(len(omegas) if root else 0, row)
-    nowhere = np.empty((0, len(lattice.shape)), dtype=np.int64)
-    with (
-        Operators(scaled, crew.group) as operators,
-        SteadySolver(
-            operators, nowhere, error_tolerance, refresh_iterations, whole_field=True
-        ) as solver,
-        Progress(len(omegas), "frequencies", progress if root else "none") as counter,
-    ):
-
-        def work(unit):
-            solver.restart()
-            points = np.zeros(len(unit), row)
-            for point, index in zip(points, unit, strict=True):
-                before = solver.factorizations
-                state = solver.solve(omegas[index])
-                field = operators.field(solver.field).ravel()
-                point["index"] = index
-                point["coefficient"] = vectors @ field.real + 1j * (vectors @ field.imag)
-                point["field_bound"] = state.field_bound
-                point["converged_reason"] = state.converged_reason
-                point["factorizations"] = solver.factorizations - before
-            return points
-
-        def deliver(points):
-            rows[points["index"]] = points
-            counter.advance(len(points))
-
-        crew.share(units(len(omegas)), work, deliver, row)
-    if not root:
-        return None
-    coefficient = rows["coefficient"].copy()  # in one piece: see pgran.solve.windows.SHORTEST
-    return Projection(
+    started, world = time.perf_counter(), crew.world
+    scaled, _ = lattice.in_own_unit()
+    check_frequency(scaled, checked_frequencies(omegas)[-1])  # before any work
+    modes = find_modes(lattice, crew, **(which or {}), shapes=True, progress=progress)
+    vectors = _on_all_ranks(modes.vector if modes else None, world)
+    choices = {"error_tolerance": error_tolerance, "refresh_iterations": refresh_iterations}
+    task = ProjectedSweep(lattice, omegas, vectors, choices)
+    projection = carry_out(task, crew, progress)
+    return projection and replace(
+        projection,
         count_expected=modes.count_expected,
         count_certified=modes.count_certified,
-        factorizations=int(rows["factorizations"].sum()),
-        solve_seconds=time.perf_counter() - started,
-        omega=omegas,
         mode_omega=modes.omega,
-        coefficient=coefficient,
-        dominant=_dominant(coefficient),
-        error_bound=rows["field_bound"],
-        converged_reason=rows["converged_reason"],
+        solve_seconds=time.perf_counter() - started,
     )
+
+
+class ProjectedSweep(FrequencySweep):
+    """The projection of each field on mode shapes; a field lives until it is projected.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice
+    omegas : array_like of float, shape (nw,)
+    vectors : numpy.ndarray, shape (nm, balls)
+        The shapes of the modes, a row a mode, orthonormal.
+    choices : dict
+        Keywords of `pgran.solve.steady.SteadySolver`.
+    """
+
+    def __init__(self, lattice, omegas, vectors, choices):
+        """Say what a frequency's results travel in."""
+        nowhere = np.empty((0, len(lattice.shape)), dtype=np.int64)
+        super().__init__(lattice, omegas, nowhere, choices | {"whole_field": True})
+        self.vectors = vectors
+        self.row = np.dtype(
+            [
+                ("coefficient", complex, (len(vectors),)),
+                ("field_bound", float),
+                ("converged_reason", np.int64),
+                ("factorizations", np.int64),
+            ]
+        )
+        check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
+
+    def keep(self, point, state, solver):
+        """Project: c_i = sum over balls p of A_p f_i(p) (paper: cidef).
+
+        Parameters are those of `FrequencySweep.keep`.
+        """
+        field = solver.operators.field(solver.field).ravel()
+        point["coefficient"] = self.vectors @ field.real + 1j * (self.vectors @ field.imag)
+        point["field_bound"] = state.field_bound
+        point["converged_reason"] = state.converged_reason
+
+    def collect(self, rows, seconds):
+        """See `Task`; what belongs to the modes is added by `project`."""
+        coefficient = rows["coefficient"].copy()  # in one piece: see pgran.solve.windows.SHORTEST
+        return Projection(
+            count_expected=len(self.vectors),
+            count_certified=False,
+            factorizations=int(rows["factorizations"].sum()),
+            solve_seconds=seconds,
+            omega=self.omegas,
+            mode_omega=np.full(len(self.vectors), np.nan),
+            coefficient=coefficient,
+            dominant=_dominant(coefficient),
+            error_bound=rows["field_bound"],
+            converged_reason=rows["converged_reason"],
+        )
 
 
 def _dominant(coefficient):
@@ -173,3 +222,8 @@ def _on_all_ranks(vectors, world):
     vectors = np.ascontiguousarray(vectors)
     world.Bcast(vectors)
     return vectors.reshape(shape[0], math.prod(shape[1:]))
+
+
+SCENE = Scene(
+    options=(*LATTICE, *SWEEP, *TOLERANCE, *REUSE, *WHICH), run=run, summary=summary, check=check
+)

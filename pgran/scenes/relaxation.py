@@ -1,48 +1,88 @@
 """Scene `relaxation`: the amplitude at the detectors while one bond a step is redrawn."""
 
+import contextlib
 import logging
-import time
 
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.parallel.progress import Progress
-from pgran.physics.accuracy import is_accurate
-from pgran.physics.changes import Network, draw_changes
+from pgran.files.options import INTEGER, REAL, TEXT, Option
+from pgran.machine import check_memory
+from pgran.parallel.task import Task, carry_out
+from pgran.physics.accuracy import below_relative_accuracy
+from pgran.physics.changes import draw_changes
 from pgran.physics.lattice import bond_count, bond_places, check_frequency, detector_sites
-from pgran.physics.spectrum import check_window, power_spectrum
 from pgran.results import LatticeRecord, Relaxation
 from pgran.scenes.common import (
-    below_relative_accuracy,
-    make_crew,
+    DETECTORS,
+    FLOOR,
+    LATTICE,
+    REUSE,
+    TOLERANCE,
+    check_ends,
+    check_lattice,
+    check_values,
     make_lattice,
     make_law,
+    ranks_per_lattice,
     reached_accuracy,
 )
-from pgran.solve.operators import Operators
-from pgran.solve.steady import SteadySolver
-from pgran.solve.windows import Windows, window_length
+from pgran.scenes.interface import in_parallel
+from pgran.scenes.scene import Scene
 
 log = logging.getLogger(__name__)
 
+RELAXATION = (
+    Option("relax_steps", INTEGER, 20000, "steps, one bond each", low=1),
+    Option("relax_omega", REAL, 0.6, "driving frequency", "angular", above=0),
+    Option("relax_seed", INTEGER, 1, "which sequence of changes", low=0, high=2**63 - 1),
+    Option(
+        "relax_method", TEXT, "window",
+        "window: many known changes on one factorization; krylov: iterate from the last step; "
+        "direct: factor at each step",
+        choices=("window", "krylov", "direct"),
+    ),
+    Option("relax_window", INTEGER, 0, "steps to a window; 0 = by cost", low=0, high=4096),
+    Option(
+        "relax_trajectories", INTEGER, 1, "independent trajectories, all from the same bonds", low=1
+    ),
+)  # fmt: skip
+SPECTRUM = (
+    Option("spectrum_fit_min", REAL, 0.01, "window of the exponent's fit", "cycles/step", above=0),
+    Option("spectrum_fit_max", REAL, 0.3, "window of the exponent's fit", "cycles/step", above=0),
+)
 STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windows
 
 
-def run(options, world, journal=None):
-    """Return lattice, relaxation and spectrum, on rank 0; None on the others. Collective."""
-    steps, trajectories = options.relax_steps, options.relax_trajectories
+def check(values, given):
+    """Raise where options contradict each other. Not collective."""
+    check_lattice(values, given)
+    if values["bonds_law"] == "file":
+        raise InputError(
+            "-bonds_law file: a relaxation draws new constants and needs a law for them"
+        )
+    check_ends("spectrum_fit", values)
+
+
+def run(options, world, crew):
+    """Return lattice, relaxation and spectrum, on rank 0; None on the others.
+
+    Collective. Parameters are those of `pgran.scenes.scene.Scene`.
+    """
+    from pgran.physics.spectrum import check_window
+
     window = options.spectrum_fit_min, options.spectrum_fit_max
     check_window(*window)  # before any work; too short a series only has no spectrum
     lattice = make_lattice(options, world)
-    with make_crew(options, lattice, world, journal) as crew:
+    with crew(ranks_per_lattice(options, lattice, world)) as workers:
         relaxation = relax(
             lattice,
             make_law(options),
             options.relax_omega,
             options.detectors,
-            crew,
-            steps=steps,
-            trajectories=trajectories,
+            workers,
+            steps=options.relax_steps,
+            trajectories=options.relax_trajectories,
             seed=options.relax_seed,
             method=options.relax_method,
             window=options.relax_window,
@@ -53,24 +93,41 @@ def run(options, world, journal=None):
         )
     if relaxation is None:
         return None
-    records = [LatticeRecord.of(lattice), relaxation]
+    memory = bond_count(lattice.shape)
+    spectrum = None if workers.dry else spectrum_of(relaxation, window, memory)
+    return [record for record in (LatticeRecord.of(lattice), relaxation, spectrum) if record]
+
+
+def spectrum_of(relaxation, window, memory):
+    """Return the power spectrum of the first detector's amplitude; None, aloud, if it has none.
+
+    Not collective.
+
+    Parameters
+    ----------
+    relaxation : pgran.results.Relaxation
+    window : tuple of float
+        Of the exponent's fit, in cycles per step.
+    memory : float
+        Longest correlation time, in steps.
+    """
+    from pgran.physics.spectrum import power_spectrum
+
     if relaxation.failures:
         log.warning("no spectrum: some steps have no amplitude")
-        return records
-    if relaxation.at_floor[:, :, 0].any():
+    elif relaxation.at_floor[:, :, 0].any():
         log.warning("no spectrum: some amplitudes have an upper limit only (at_floor)")
-        return records
-    try:
-        series, memory = relaxation.amplitude[:, :, 0], bond_count(lattice.shape)
-        records.append(power_spectrum(series, *window, memory=memory))
-    except InputError as error:
-        log.warning("no spectrum: %s", error)
-    return records
+    else:
+        try:
+            return power_spectrum(relaxation.amplitude[:, :, 0], *window, memory=memory)
+        except InputError as error:
+            log.warning("no spectrum: %s", error)
+    return None
 
 
-def summary(records):
+def summary(result):
     """Return in words what a run found. Not collective."""
-    relaxation = records[1]
+    relaxation = result.relaxation
     steps = relaxation.bond_axis.size
     yield (
         f"{steps} steps with {relaxation.factorizations} factorizations in "
@@ -82,7 +139,8 @@ def summary(records):
             f"largest relative difference between a window's end and the next one's start: "
             f"{relaxation.drift:.1e}"
         )
-    for spectrum in records[2:]:
+    spectrum = getattr(result, "spectrum", None)
+    if spectrum:
         yield (
             f"power spectrum S(f) ~ f^-psi with psi = {spectrum.exponent:.3f} +- "
             f"{spectrum.exponent_error:.3f} between {spectrum.fit_min:g} and "
@@ -90,12 +148,13 @@ def summary(records):
         )
 
 
+@in_parallel(shares_lattice=True)
 def relax(
     lattice,
     law,
     omega,
     detectors,
-    crew,
+    crew=None,
     *,
     steps,
     trajectories=1,
@@ -121,7 +180,8 @@ def relax(
         Driving frequency, angular.
     detectors : array_like of int
         Ball indices, flat or one row a detector.
-    crew : pgran.parallel.crew.Crew
+    crew : pgran.parallel.crew.Crew, optional
+        All ranks unless given.
     steps, trajectories, seed : int
         Trajectories are independent and all start from the lattice's bonds.
     method : {"window", "krylov", "direct"}
@@ -137,148 +197,154 @@ def relax(
     Returns
     -------
     pgran.results.Relaxation or None
-        None on all ranks but rank 0.
+        With a crew of the caller's None on all ranks but rank 0.
     """
+    check_values(
+        SCENE.options,
+        relax_omega=omega,
+        relax_steps=steps,
+        relax_trajectories=trajectories,
+        relax_seed=seed,
+        relax_method=method,
+        relax_window=window,
+        error_tolerance=error_tolerance,
+        error_floor=error_floor,
+        steady_refresh_iterations=refresh_iterations,
+    )
+    choices = {
+        "error_tolerance": error_tolerance,
+        "error_floor": error_floor,
+        "refresh_iterations": refresh_iterations,
+    }
     sites = detector_sites(lattice.shape, detectors)
-    scaled, unit = lattice.in_own_unit()
-    check_frequency(scaled, omega)
-    root = crew.world.rank == 0
-    window = window or window_length(lattice.balls)
-    length = unit_length(window)
-    units = [
-        (trajectory, first, min(length, steps - first))
-        for trajectory in range(trajectories)
-        for first in range(0, steps, length)
-    ]
-    row = np.dtype(
-        [
-            ("trajectory", np.int64),
-            ("first", np.int64),
-            ("count", np.int64),
-            ("drift", float),
-            ("factorizations", np.int64),
-            ("displacement", complex, (length + 1, len(sites))),
-            ("error_bound", float, (length + 1, len(sites))),
+    task = Steps(lattice, law, omega, sites, (trajectories, steps, seed), method, window, choices)
+    return carry_out(task, crew, progress)
+
+
+class Steps(Task):
+    """The states of all trajectories, some steps of one trajectory at a time.
+
+    Parameters
+    ----------
+    lattice, law, omega, method, window
+        As in `relax`.
+    sites : numpy.ndarray of int, shape (nd, dim)
+        The detectors.
+    extent : tuple of int
+        Trajectories, steps of each, and their seed.
+    choices : dict
+        Keywords of `pgran.solve.steady.SteadySolver`.
+    """
+
+    items = "states"
+
+    def __init__(self, lattice, law, omega, sites, extent, method, window, choices):
+        """Cut the trajectories into stretches of whole windows."""
+        self.lattice, self.law, self.omega, self.sites = lattice, law, omega, sites
+        self.trajectories, self.steps, self.seed = extent
+        self.method, self.choices = method, choices
+        self.scaled, self.unit = lattice.in_own_unit()
+        check_frequency(self.scaled, omega)
+        self.window = window or window_length(lattice.balls)
+        self.row = np.dtype(
+            [
+                ("displacement", complex, (len(sites),)),
+                ("error_bound", float, (len(sites),)),
+                ("drift", float),
+                ("factorizations", np.int64),
+            ]
+        )
+        check_memory("relax_steps", self.trajectories * (self.steps + 1) * self.row.itemsize)
+        length = max(1, STEPS_IN_UNIT // self.window) * self.window
+        self.units = [
+            (trajectory, first, min(length, self.steps - first))
+            for trajectory in range(self.trajectories)
+            for first in range(0, self.steps, length)
         ]
-    )
-    displacement = np.empty((trajectories, steps + 1, len(sites)), complex) if root else None
-    error_bound = np.empty(displacement.shape) if root else None
-    drift, factorizations, started = 0.0, 0, time.perf_counter()
-    with (
-        Operators(scaled, crew.group) as operators,
-        SteadySolver(
-            operators, sites, error_tolerance, refresh_iterations, error_floor=error_floor
-        ) as solver,
-        Progress(trajectories * steps, "steps", progress if root else "none") as counter,
-    ):
 
-        def draw(trajectory, first, count):
-            return draw_changes(law, lattice.shape, seed, trajectory, first, count, unit)
+    def _draw(self, trajectory, first, count, unit=1.0):
+        """Return the changes of some steps, constants in a unit. Not collective."""
+        shape = self.lattice.shape
+        return draw_changes(self.law, shape, self.seed, trajectory, first, count, unit)
 
-        network = Network(scaled, operators, draw)
-        march = {"window": march_windows, "krylov": march_steps, "direct": march_steps}[method]
+    @contextlib.contextmanager
+    def open(self, group):
+        """See `Task`."""
+        from pgran.physics.changes import Network
+        from pgran.solve.marching import march_steps, march_windows
+        from pgran.solve.operators import Operators
+        from pgran.solve.steady import SteadySolver
 
-        def work(unit):
-            trajectory, first, count = unit
-            before = solver.factorizations
-            network.move_to(trajectory, first)
-            solver.restart()
-            changes = draw(trajectory, first, count)
-            found, bound, drift = march(network, solver, omega, changes, window, method)
-            rows = np.zeros(1, row)
-            rows[0]["trajectory"], rows[0]["first"], rows[0]["count"] = unit
-            rows[0]["drift"] = drift
-            rows[0]["factorizations"] = solver.factorizations - before
-            rows[0]["displacement"][: count + 1] = found
-            rows[0]["error_bound"][: count + 1] = bound
-            return rows
+        with (
+            Operators(self.scaled, group) as operators,
+            SteadySolver(operators, self.sites, **self.choices) as solver,
+        ):
+            network = Network(self.scaled, operators, lambda *which: self._draw(*which, self.unit))
 
-        def deliver(rows):
-            nonlocal drift, factorizations
-            for part in rows:
-                trajectory, first, count = part["trajectory"], part["first"], part["count"]
-                new = slice(int(first > 0), count + 1)  # a state between units is the earlier one's
-                for whole, name in ((displacement, "displacement"), (error_bound, "error_bound")):
-                    whole[trajectory, first + new.start : first + count + 1] = part[name][new]
-                drift = max(drift, part["drift"])
-                factorizations += part["factorizations"]
-                counter.advance(int(part["count"]))
+            def work(unit):
+                trajectory, first, count = unit
+                before = solver.factorizations
+                network.move_to(trajectory, first)
+                solver.restart()
+                changes = self._draw(trajectory, first, count, self.unit)
+                if self.method == "window":
+                    states = march_windows(network, solver, self.omega, changes, self.window)
+                else:
+                    direct = self.method == "direct"
+                    states = march_steps(network, solver, self.omega, changes, direct)
+                rows = np.zeros(count + 1, self.row)
+                rows["displacement"], rows["error_bound"], rows["drift"] = states
+                rows[-1]["factorizations"] = solver.factorizations - before
+                return rows[int(first > 0) :]  # a state between units is the earlier one's
 
-        crew.share(units, work, deliver, row)
-    if not root:
-        return None
-    changes = [draw_changes(law, lattice.shape, seed, r, 0, steps) for r in range(trajectories)]
-    axis, index = bond_places(lattice.shape, np.stack([c.bond for c in changes]))
-    return Relaxation(
-        omega=omega,
-        factorizations=factorizations,
-        solve_seconds=time.perf_counter() - started,
-        drift=drift,
-        bond_axis=axis,
-        bond_index=index,
-        stiffness=np.stack([c.stiffness for c in changes]),
-        detector=sites,
-        displacement=displacement,
-        error_bound=error_bound,
-        at_floor=below_relative_accuracy(error_bound, displacement, error_tolerance),
-    )
+            yield work
+
+    def length(self, unit):
+        """See `Task`."""
+        _, first, count = unit
+        return count + (first == 0)
+
+    def sample(self, unit):
+        """See `Task`."""
+        trajectory, first, count = unit
+        few = 4 * self.window if self.method == "window" else 32
+        return trajectory, first, min(count, few)
+
+    def collect(self, rows, seconds):
+        """See `Task`."""
+        rows = rows.reshape(self.trajectories, self.steps + 1)
+        changes = [self._draw(number, 0, self.steps) for number in range(self.trajectories)]
+        axis, index = bond_places(self.lattice.shape, np.stack([c.bond for c in changes]))
+        displacement, error_bound = (rows[name].copy() for name in ("displacement", "error_bound"))
+        tolerance = self.choices["error_tolerance"]
+        return Relaxation(
+            omega=self.omega,
+            factorizations=int(rows["factorizations"].sum()),
+            solve_seconds=seconds,
+            drift=float(rows["drift"].max()),
+            bond_axis=axis,
+            bond_index=index,
+            stiffness=np.stack([c.stiffness for c in changes]),
+            detector=self.sites,
+            displacement=displacement,
+            error_bound=error_bound,
+            at_floor=below_relative_accuracy(error_bound, displacement, tolerance),
+        )
 
 
-def unit_length(window):
-    """Return how many steps a unit of work has. Not collective."""
-    return max(1, STEPS_IN_UNIT // window) * window
+def window_length(balls):
+    """Return how many steps a factorization should serve.
 
-
-def march_windows(network, solver, omega, changes, window, method):
-    """Return the amplitudes before and after each change, their bounds, and how windows drift.
-
-    Collective. Each window starts from a state solved for afresh, which is compared with what the
-    window before made of it.
+    Not collective. Measured: the factorization's price a step falls like 1/s, that of the algebra
+    grows like s^2.
     """
-    found = np.empty((len(changes) + 1, len(solver.adjoints)), dtype=complex)
-    bound = np.empty(found.shape)
-    done, known, drift, reach = 0, 0, 0.0, window
-    with Windows(network, solver, omega) as windows:
-        while True:
-            start, start_bound = good(windows.start())
-            if done and known == done:
-                compared = is_accurate(start_bound, start, solver.tolerance)
-                compared &= is_accurate(bound[done], found[done], solver.tolerance)
-                moved = np.abs(found[done] - start)[compared] / np.abs(start[compared])
-                drift = max(drift, moved.max(initial=0.0))
-            found[done], bound[done] = start, start_bound
-            if done == len(changes):
-                return found, bound, drift
-            after, after_bound = windows.follow(changes[done : done + reach])
-            known = done + len(after)
-            found[done + 1 : known + 1], bound[done + 1 : known + 1] = after, after_bound
-            steps = max(1, len(after))
-            network.apply(changes[done : done + steps])
-            done += steps
-            reach = min(window, 2 * steps)  # after an early end not much more may be reached
+    return 64 if balls < 5000 else 128
 
 
-def march_steps(network, solver, omega, changes, window, method):
-    """Return the amplitudes before and after each change, solved for one by one; their bounds.
-
-    Collective.
-    """
-    states = [good(solver.solve(omega))]
-    for step in range(len(changes)):
-        network.apply(changes[step : step + 1])
-        if method == "direct":
-            solver.restart()
-        states.append(good(solver.solve(omega)))
-    found, bound = zip(*states, strict=True)
-    return np.stack(found), np.stack(bound), 0.0
-
-
-def good(state):
-    """Return a state's amplitudes and their bounds, NaN where they miss their accuracy.
-
-    Not collective.
-    """
-    if state.converged_reason > 0:
-        return state.displacement, state.error_bound
-    missing = np.full(state.displacement.shape, np.nan)
-    return missing, missing
+SCENE = Scene(
+    options=(*LATTICE, *DETECTORS, *RELAXATION, *SPECTRUM, *TOLERANCE, *FLOOR, *REUSE),
+    run=run,
+    summary=summary,
+    check=check,
+    shares_lattice=True,
+)

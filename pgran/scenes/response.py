@@ -1,37 +1,60 @@
 """Scene `response`: amplitude and phase of single balls over a sweep of driving frequencies."""
 
-import time
-
 import numpy as np
 
-from pgran.parallel.progress import Progress
-from pgran.physics.lattice import check_frequency, detector_sites
+from pgran.files.options import FLAG, REAL, Option
+from pgran.machine import check_memory
+from pgran.parallel.task import carry_out
+from pgran.physics.accuracy import below_relative_accuracy
+from pgran.physics.lattice import detector_sites
+from pgran.physics.phase import fit_phase, phase_of_sign, phase_velocity, unwrap
 from pgran.results import LatticeRecord, Response
 from pgran.scenes.common import (
-    below_relative_accuracy,
+    DETECTORS,
+    FLOOR,
+    LATTICE,
+    REUSE,
+    SWEEP,
+    TOLERANCE,
+    check_ends,
+    check_lattice,
+    check_sweep,
+    check_values,
     driving_frequencies,
-    fit_line,
-    make_crew,
     make_lattice,
-    phase_of_sign,
+    ranks_per_lattice,
     reached_accuracy,
 )
-from pgran.solve.operators import Operators
-from pgran.solve.steady import SteadySolver
+from pgran.scenes.interface import in_parallel
+from pgran.scenes.scene import Scene
+from pgran.scenes.sweeping import FrequencySweep
 
-LONGEST_UNIT = 16  # frequencies that share factorizations
+PHASE = (
+    Option("phase_fit_min", REAL, 0.3, "window of the phase fit", "omega_mx", low=0),
+    Option("phase_fit_max", REAL, 1.0, "window of the phase fit", "omega_mx", above=0),
+)
+FIELDS = Option("output_fields", FLAG, False, "store the whole field at every frequency")
 
 
-def run(options, world, journal=None):
-    """Return the lattice and its response, on rank 0; None on the others. Collective."""
+def check(values, given):
+    """Raise where options contradict each other. Not collective."""
+    check_lattice(values, given)
+    check_sweep(values, given)
+    check_ends("phase_fit", values)
+
+
+def run(options, world, crew):
+    """Return the lattice and its response, on rank 0; None on the others.
+
+    Collective. Parameters are those of `pgran.scenes.scene.Scene`.
+    """
     lattice = make_lattice(options, world)
-    omegas = driving_frequencies(options)
-    with make_crew(options, lattice, world, journal) as crew:
+    with crew(ranks_per_lattice(options, lattice, world)) as workers:
         response = sweep(
             lattice,
-            omegas,
+            driving_frequencies(options),
             options.detectors,
-            crew,
+            workers,
             error_tolerance=options.error_tolerance,
             error_floor=options.error_floor,
             refresh_iterations=options.steady_refresh_iterations,
@@ -42,9 +65,9 @@ def run(options, world, journal=None):
     return response and [LatticeRecord.of(lattice), response]
 
 
-def summary(records):
+def summary(result):
     """Return in words what a run found. Not collective."""
-    lattice, response = records
+    lattice, response = result.lattice, result.response
     nw = len(response.omega)
     yield (
         f"{nw} frequencies with {response.factorizations} factorizations in "
@@ -70,11 +93,12 @@ def summary(records):
         )
 
 
+@in_parallel(shares_lattice=True)
 def sweep(
     lattice,
     omegas,
     detectors,
-    crew,
+    crew=None,
     *,
     error_tolerance=1e-4,
     error_floor=1e-20,
@@ -94,7 +118,8 @@ def sweep(
         Driving frequencies, angular, increasing.
     detectors : array_like of int
         Ball indices, flat or one row a detector.
-    crew : pgran.parallel.crew.Crew
+    crew : pgran.parallel.crew.Crew, optional
+        All ranks unless given.
     error_tolerance : float
         Relative accuracy asked of each amplitude, and of each field if they are kept.
     error_floor : float
@@ -111,139 +136,103 @@ def sweep(
     Returns
     -------
     pgran.results.Response or None
-        None on all ranks but rank 0.
+        With a crew of the caller's None on all ranks but rank 0.
 
     Raises
     ------
     InputError
         If a detector lies outside the lattice.
     """
-    sites = detector_sites(lattice.shape, detectors)
-    scaled, _ = lattice.in_own_unit()
-    check_frequency(scaled, omegas[-1])
-    row = point_dtype(len(sites), lattice.shape if fields else None)
-    root = crew.world.rank == 0
-    rows = np.zeros(len(omegas) if root else 0, row)
-    started = time.perf_counter()
-    with (
-        Operators(scaled, crew.group) as operators,
-        SteadySolver(
-            operators, sites, error_tolerance, refresh_iterations, fields, error_floor
-        ) as solver,
-        Progress(len(omegas), "frequencies", progress if root else "none") as counter,
-    ):
-
-        def work(unit):
-            solver.restart()
-            points = np.zeros(len(unit), row)
-            for point, index in zip(points, unit, strict=True):
-                before = solver.factorizations
-                state = solver.solve(omegas[index])
-                point["index"] = index
-                point["factorizations"] = solver.factorizations - before
-                for name in row.names[1:6]:
-                    point[name] = getattr(state, name)
-                if fields:
-                    field = operators.field(solver.field)
-                    point["field"] = 0.0 if field is None else field
-            return points
-
-        def deliver(points):
-            rows[points["index"]] = points
-            counter.advance(len(points))
-
-        crew.share(units(len(omegas)), work, deliver, row)
-    if not root:
-        return None
-    seconds = time.perf_counter() - started
-    return assemble(lattice, omegas, sites, rows, seconds, phase_window, error_tolerance)
-
-
-def units(count):
-    """Cut a sweep into ranges of frequencies; how many ranks there are does not matter.
-
-    Not collective.
-    """
-    length = min(LONGEST_UNIT, max(1, count // 64))
-    return [range(start, min(start + length, count)) for start in range(0, count, length)]
-
-
-def point_dtype(detectors, field_shape):
-    """Return the dtype that a frequency's results travel in. Not collective."""
-    fields = [
-        ("index", np.int64),
-        ("displacement", complex, (detectors,)),
-        ("error_bound", float, (detectors,)),
-        ("backward_error", float),
-        ("iterations", np.int64),
-        ("converged_reason", np.int64),
-        ("factorizations", np.int64),
-    ]
-    return np.dtype(fields + ([("field", complex, field_shape)] if field_shape else []))
-
-
-def assemble(lattice, omegas, sites, rows, seconds, phase_window, tolerance):
-    """Return the Response that the solved frequencies make up. Not collective."""
-    displacement = rows["displacement"].copy()
-    at_floor = below_relative_accuracy(rows["error_bound"], displacement, tolerance)
-    at_floor[rows["converged_reason"] <= 0] = 0
-    known = np.where(at_floor, np.nan, displacement)
-    phase = unwrap(known) if lattice.damping else phase_of_sign(known)
-    low, high = phase_window
-    inside = (omegas > low * lattice.omega_mx) & (omegas < high * lattice.omega_mx)
-    inside &= (rows["converged_reason"] > 0) & (lattice.damping > 0)
-    slope, intercept = fit_phase(omegas[inside] / lattice.omega_mx, phase[inside])
-    distance = lattice.shape[0] - sites[:, 0]
-    with np.errstate(divide="ignore"):
-        velocity = distance / np.abs(slope)
-    return Response(
-        factorizations=int(rows["factorizations"].sum()),
-        solve_seconds=seconds,
-        phase_slope=slope,
-        phase_velocity=velocity,
-        phase_intercept=intercept,
-        phase_fit_min=low,
-        phase_fit_max=high,
-        omega=omegas,
-        detector=sites,
-        displacement=displacement,
-        amplitude=np.abs(displacement),
-        phase=phase,
-        backward_error=rows["backward_error"],
-        error_bound=rows["error_bound"],
-        at_floor=at_floor,
-        iterations=rows["iterations"],
-        converged_reason=rows["converged_reason"],
-        field=rows["field"] if "field" in rows.dtype.names else None,
+    check_values(
+        SCENE.options,
+        error_tolerance=error_tolerance,
+        error_floor=error_floor,
+        steady_refresh_iterations=refresh_iterations,
     )
+    choices = {
+        "error_tolerance": error_tolerance,
+        "error_floor": error_floor,
+        "refresh_iterations": refresh_iterations,
+        "whole_field": fields,
+    }
+    sites = detector_sites(lattice.shape, detectors)
+    task = ResponseSweep(lattice, omegas, sites, choices)
+    task.phase_window = phase_window
+    return carry_out(task, crew, progress)
 
 
-def unwrap(displacement):
-    """Return the phase along the first axis without its jumps, from the lowest frequency on.
+class ResponseSweep(FrequencySweep):
+    """The amplitudes at the detectors, with their bounds, and the whole field if it is wanted.
 
-    Not collective. Frequencies that have no amplitude keep NaN and are passed over.
+    Parameters are those of `FrequencySweep`.
     """
-    phase = np.angle(displacement)
-    for column in phase.T:
-        known = np.isfinite(column)
-        column[known] = np.unwrap(column[known])
-    return phase
+
+    phase_window = (0.3, 1.0)
+
+    def __init__(self, lattice, omegas, sites, choices):
+        """Say what a frequency's results travel in."""
+        super().__init__(lattice, omegas, sites, choices)
+        self.fields, nd = choices["whole_field"], len(sites)
+        kept = [
+            ("displacement", complex, (nd,)),
+            ("error_bound", float, (nd,)),
+            ("backward_error", float),
+            ("iterations", np.int64),
+            ("converged_reason", np.int64),
+        ]
+        self.kept = [name for name, *_ in kept]
+        field = [("field", complex, lattice.shape)] if self.fields else []
+        self.row = np.dtype([*kept, ("factorizations", np.int64), *field])
+        check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
+
+    def keep(self, point, state, solver):
+        """See `FrequencySweep`; parameters are those of its `keep`."""
+        for name in self.kept:
+            point[name] = getattr(state, name)
+        if self.fields:
+            field = solver.operators.field(solver.field)
+            point["field"] = 0.0 if field is None else field
+
+    def collect(self, rows, seconds):
+        """See `Task`."""
+        lattice, omegas, sites = self.lattice, self.omegas, self.sites
+        displacement = rows["displacement"].copy()
+        tolerance = self.choices["error_tolerance"]
+        at_floor = below_relative_accuracy(rows["error_bound"], displacement, tolerance)
+        at_floor[rows["converged_reason"] <= 0] = 0
+        known = np.where(at_floor, np.nan, displacement)
+        phase = unwrap(known) if lattice.damping else phase_of_sign(known)
+        low, high = self.phase_window
+        inside = (omegas > low * lattice.omega_mx) & (omegas < high * lattice.omega_mx)
+        inside &= (rows["converged_reason"] > 0) & (lattice.damping > 0)
+        slope, intercept = fit_phase(omegas[inside] / lattice.omega_mx, phase[inside])
+        distance = lattice.shape[0] - sites[:, 0]
+        return Response(
+            factorizations=int(rows["factorizations"].sum()),
+            solve_seconds=seconds,
+            phase_slope=slope,
+            phase_velocity=phase_velocity(slope, distance),
+            phase_intercept=intercept,
+            phase_fit_min=low,
+            phase_fit_max=high,
+            omega=omegas,
+            detector=sites,
+            displacement=displacement,
+            amplitude=np.abs(displacement),
+            phase=phase,
+            backward_error=rows["backward_error"],
+            error_bound=rows["error_bound"],
+            at_floor=at_floor,
+            iterations=rows["iterations"],
+            converged_reason=rows["converged_reason"],
+            field=rows["field"] if self.fields else None,
+        )
 
 
-def fit_phase(x, phase):
-    """Fit a straight line to the phase of each detector; NaN where there are too few points.
-
-    Not collective.
-
-    Parameters
-    ----------
-    x : numpy.ndarray, shape (n,)
-        Frequency in units of omega_mx.
-    phase : numpy.ndarray, shape (n, nd)
-
-    Returns
-    -------
-    slope, intercept : numpy.ndarray, shape (nd,)
-        In rad per omega_mx, and rad.
-    """
-    return np.transpose([fit_line(x, column) for column in phase.T])
+SCENE = Scene(
+    options=(*LATTICE, *DETECTORS, *SWEEP, *TOLERANCE, *FLOOR, *REUSE, *PHASE, FIELDS),
+    run=run,
+    summary=summary,
+    check=check,
+    shares_lattice=True,
+)

@@ -7,4 +7,11 @@ options. `pgran run` starts it with the keys of its options file; nobody else ha
 import petsc4py
 from mpi4py import MPI  # noqa: F401
 
+from pgran.errors import PgranError
+
 petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler"])  # once: later calls do nothing
+
+from petsc4py import PETSc  # noqa: E402
+
+if PETSc.ScalarType().dtype.kind != "c":
+    raise PgranError("this PETSc has real scalars; pgran needs a complex one (pgran doctor)")

@@ -2,12 +2,15 @@
 
 import contextlib
 import ctypes
+import logging
 
 from petsc4py import PETSc
 
+log = logging.getLogger(__name__)
+
 
 @contextlib.contextmanager
-def holding(keys):
+def holding(keys, warn=False):
     """Let solver keys hold for the objects that are made meanwhile, on top of those there are.
 
     Not collective, but every rank must hold the same.
@@ -16,6 +19,8 @@ def holding(keys):
     ----------
     keys : dict of str
         Names without the leading dash.
+    warn : bool
+        Warn of keys that no object has asked for meanwhile.
     """
     database = PETSc.Options()
     before = database.getAll()
@@ -23,6 +28,8 @@ def holding(keys):
         database.setValue(key, text)
     try:
         yield
+        for key in unused(keys) if warn else ():
+            log.warning("%s was not used: no solver of this run has such an option", key)
     finally:
         for key in keys:
             if key in before:

@@ -29,7 +29,6 @@ from slepc4py import SLEPc  # noqa: E402
 log = logging.getLogger(__name__)
 
 SEARCHES = 40
-RESIDUAL = 1e-12  # of |K|: what a mode must meet
 WELL = 1e-13  # of |K|: what is tried for again
 REFINED = 2e-14  # of |K|: what a step of refinement is taken for
 # Where sigma goes, as parts of the slice: elsewhere if modes are missing, or inaccurate because

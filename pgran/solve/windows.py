@@ -326,12 +326,3 @@ def squares(columns):
     """Return the sum of squares of each column of this rank's part of a block. Not collective."""
     rows = np.ascontiguousarray(columns.T).view(float)
     return np.einsum("ij,ij->i", rows, rows)
-
-
-def window_length(balls):
-    """Return how many steps a factorization should serve.
-
-    Not collective. Measured: the factorization's price a step falls like 1/s, that of the algebra
-    grows like s^2.
-    """
-    return 64 if balls < 5000 else 128

@@ -1,0 +1,106 @@
+"""Which experiment a run is, and its options: all scenes, and what keys mean to one of them."""
+
+import importlib
+import pkgutil
+
+from pgran import scenes
+from pgran.errors import InputError
+from pgran.files.options import RUN, TEXT, Option, Options, nearest
+from pgran.files.solver_keys import (
+    SOLVER_PREFIXES,
+    check_ends,
+    check_harmless,
+    is_petsc_key,
+    is_solver_key,
+)
+
+# Every module of `pgran.scenes` that has the facts of a scene is one.
+SCENES = {
+    module.__name__.rpartition(".")[2]: module.SCENE
+    for found in pkgutil.iter_modules(scenes.__path__, "pgran.scenes.")
+    if hasattr(module := importlib.import_module(found.name), "SCENE")
+}
+SCENE_OPTION = Option("scene", TEXT, None, "the experiment", choices=tuple(SCENES))
+
+
+def options_of(scene):
+    """Return all options of a scene by name, those of every run last. Not collective."""
+    return {option.name: option for option in (*SCENES[scene].options, *RUN)}
+
+
+def resolve(given, output_file=None):
+    """Return the Options that keys mean, later ones winning.
+
+    Not collective.
+
+    Parameters
+    ----------
+    given : sequence of pgran.files.reading.Given
+    output_file : str, optional
+        Where the result goes unless the options say.
+
+    Raises
+    ------
+    InputError
+        For an unknown key, one that the scene does not use, a wrong type or an impossible value.
+    """
+    last = {item.key.lower(): item for item in given}
+    if "scene" not in last:
+        raise InputError(f"-scene is missing: choose {', '.join(SCENES)}")
+    scene = SCENE_OPTION.read(last["scene"].text, last["scene"].where)
+    options = options_of(scene)
+    values = {name: option.default for name, option in options.items()}
+    values["output_file"] = output_file
+    solver = {}
+    for key, item in last.items():
+        if key in options:
+            values[key] = options[key].read(item.text, item.where)
+        elif key != "scene":
+            _check_foreign(key, item, scene)
+            solver[key] = item.text
+    check_ends(solver)
+    if not SCENES[scene].shares_lattice and values["ranks_per_lattice"] > 1:
+        raise InputError(f"-ranks_per_lattice: scene {scene} has one rank for each lattice only")
+    SCENES[scene].check(values, last)
+    return Options(scene, options.values(), values, solver)
+
+
+def _check_foreign(key, item, scene):
+    """Raise unless a key that is no option of the scene belongs to PETSc."""
+    users = [name for name in SCENES if key in options_of(name)]
+    if users:
+        raise InputError(
+            f"-{key}{item.where}: scene {scene} does not use it, but {', '.join(users)} does"
+        )
+    if is_solver_key(key) or is_petsc_key(key):
+        check_harmless(key, item)
+        return
+    near = nearest(key, ["scene", *options_of(scene)])
+    prefixed = next((p + key for p in SOLVER_PREFIXES if key.startswith(("ksp_", "pc_"))), near)
+    raise InputError(
+        f"-{key}{item.where}: unknown option"
+        + (f"; did you mean -{prefixed}?" if prefixed else "")
+        + f" (pgran options {scene} lists all)"
+    )
+
+
+def list_options(words):
+    """Carry out `pgran options [SCENE]`: list every option of one scene, or of all."""
+    if words and words[0] not in SCENES:
+        near = nearest(words[0], SCENES)
+        raise InputError(
+            f"{words[0]}: no scene; choose {', '.join(SCENES)}"
+            + (f"; did you mean {near}?" if near else "")
+        )
+    print(describe_options(words[0] if words else None), end="")
+
+
+def describe_options(scene=None):
+    """Return a table of the options of one scene, or of all. Not collective."""
+    names = [scene] if scene else SCENES
+    all_options = (option for name in names for option in options_of(name).values())
+    lines = [option.describe() for option in dict.fromkeys([SCENE_OPTION, *all_options])]
+    lines += [
+        f"-{prefix}*\n    PETSc options of {what}\n" for prefix, what in SOLVER_PREFIXES.items()
+    ]
+    return "".join(lines)

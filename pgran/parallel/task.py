@@ -1,0 +1,99 @@
+"""One way to run a scene: a task is cut into units of work, and one driver carries them out."""
+
+import time
+
+import numpy as np
+
+from pgran.parallel.progress import Progress
+
+
+class Task:
+    """A computation cut into units, whose results do not depend on which ranks do which of them.
+
+    Attributes
+    ----------
+    units : sequence
+        What is shared out. How many ranks there are has no influence on it.
+    row : numpy.dtype
+        What the results of a unit travel in and the journal keeps: a row an item.
+    items : str
+        What an item is, in the plural.
+    """
+
+    def open(self, group):
+        """Return a context whose value works on one unit and returns its rows. Collective.
+
+        Parameters
+        ----------
+        group : mpi4py.MPI.Comm
+            The ranks that work on a unit together. The rows count on its first rank alone.
+        """
+        raise NotImplementedError
+
+    def length(self, unit):
+        """Return how many rows a unit should have. Not collective."""
+        raise NotImplementedError
+
+    def sample(self, unit):
+        """Return a small part of a unit, for a dry run to try. Not collective."""
+        return unit
+
+    def collect(self, rows, seconds):
+        """Return the record that all rows make up, those of the first unit first.
+
+        Not collective: called on rank 0.
+
+        Parameters
+        ----------
+        rows : numpy.ndarray of `row`
+        seconds : float
+            What the task took.
+        """
+        raise NotImplementedError
+
+
+def carry_out(task, crew, progress="none"):
+    """Return the record of a task on rank 0, None on the others.
+
+    Collective.
+
+    Parameters
+    ----------
+    task : Task
+    crew : pgran.parallel.crew.Crew
+        Shares out the units, keeps the journal, and knows when to stop.
+    progress : str
+        Style of `pgran.parallel.progress.Progress`.
+
+    Raises
+    ------
+    StoppedError
+        If a signal asked for it; on every rank.
+    """
+    started, root = time.perf_counter(), crew.world.rank == 0
+    style = progress if root and not crew.dry else "none"
+    total, parts = sum(map(task.length, task.units)), {}
+    with (
+        task.open(crew.group) as work,
+        Progress(total, task.items, style) as counter,
+    ):
+
+        def deliver(position, rows):
+            parts[position] = rows
+            counter.advance(len(rows))
+
+        crew.share(task, work, deliver)
+    if not root:
+        return None
+    return task.collect(_joined(parts, task.row), time.perf_counter() - started)
+
+
+def _joined(parts, row):
+    """Return the rows of all units in one array; each part is freed once it is copied."""
+    rows = np.empty(sum(map(len, parts.values())), row)
+    start = 0
+    for position in sorted(parts):
+        part = parts.pop(position)
+        rows[start : start + len(part)] = part
+        start += len(part)
+    return rows

@@ -1,0 +1,97 @@
+"""Driven steady states over a sweep of frequencies; a scene says what it keeps of each."""
+
+import contextlib
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.parallel.task import Task
+from pgran.physics.lattice import check_frequency
+
+LONGEST_UNIT = 16  # frequencies that share factorizations
+
+
+class FrequencySweep(Task):
+    """Steady states of one lattice, one frequency after the other.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice
+    omegas : array_like of float, shape (nw,)
+        Driving frequencies, angular, increasing.
+    sites : numpy.ndarray of int, shape (nd, dim)
+        The detectors.
+    choices : dict
+        Keywords of `pgran.solve.steady.SteadySolver`.
+    """
+
+    items = "frequencies"
+
+    def __init__(self, lattice, omegas, sites, choices):
+        """Cut the sweep into ranges of frequencies."""
+        self.lattice, self.omegas, self.sites = lattice, checked_frequencies(omegas), sites
+        self.choices = choices
+        self.scaled, _ = lattice.in_own_unit()
+        check_frequency(self.scaled, self.omegas[-1])
+        count = len(self.omegas)
+        length = min(LONGEST_UNIT, max(1, count // 64))
+        self.units = [range(i, min(i + length, count)) for i in range(0, count, length)]
+
+    def keep(self, point, state, solver):
+        """Put into a row what is wanted of a steady state. Collective over a group.
+
+        Parameters
+        ----------
+        point : numpy.void of `row`
+        state : pgran.solve.steady.SteadyState
+        solver : pgran.solve.steady.SteadySolver
+        """
+        raise NotImplementedError
+
+    @contextlib.contextmanager
+    def open(self, group):
+        """See `Task`."""
+        from pgran.solve.operators import Operators
+        from pgran.solve.steady import SteadySolver
+
+        with (
+            Operators(self.scaled, group) as operators,
+            SteadySolver(operators, self.sites, **self.choices) as solver,
+        ):
+
+            def work(unit):
+                solver.restart()
+                points = np.zeros(len(unit), self.row)
+                for point, index in zip(points, unit, strict=True):
+                    before = solver.factorizations
+                    state = solver.solve(self.omegas[index])
+                    point["factorizations"] = solver.factorizations - before
+                    self.keep(point, state, solver)
+                return points
+
+            yield work
+
+    def length(self, unit):
+        """See `Task`."""
+        return len(unit)
+
+    def sample(self, unit):
+        """See `Task`."""
+        return unit[:2]
+
+
+def checked_frequencies(omegas):
+    """Return driving frequencies as an array; raise unless they are positive and increase.
+
+    Not collective.
+
+    Raises
+    ------
+    InputError
+    """
+    omegas = np.atleast_1d(np.asarray(omegas, dtype=float))
+    if omegas.ndim != 1 or not omegas.size or not np.all(np.isfinite(omegas) & (omegas > 0)):
+        raise InputError("-sweep_omega: the frequencies must be positive and finite, in a list")
+    if np.any(np.diff(omegas) <= 0):
+        raise InputError("-sweep_omega: the frequencies must increase")
+    return omegas

@@ -1,0 +1,112 @@
+"""The Python interface, in a script and under mpirun, with the messages of the command line."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from samples import random_lattice
+
+import pgran
+from pgran.command.resolve import resolve
+from pgran.files.reading import read_words
+from pgran.parallel.crew import Crew
+from pgran.physics.bondlaw import BondLaw
+from pgran.scenes import response
+
+LATTICE = random_lattice((6, 5))
+OMEGAS, LAW = [0.2, 0.5, 0.8], BondLaw("uniform")
+
+
+def test_a_record_on_every_rank(world):
+    found = pgran.sweep(LATTICE, OMEGAS, [(3, 2), (5, 1)])
+    with Crew(world, 1) as crew:
+        mine = response.sweep(LATTICE, np.array(OMEGAS), np.array([3, 2, 5, 1]), crew)
+    assert (mine is None) == (world.rank > 0)
+    expected = world.bcast(mine)
+    assert isinstance(found, pgran.results.Response)
+    assert np.array_equal(found.displacement, expected.displacement)
+
+
+def test_all_functions_agree_with_each_other():
+    """The response is the sum over modes of the projection's coefficients times their shapes."""
+    found = pgran.sweep(LATTICE, OMEGAS, [3, 2], fields=True)
+    modes = pgran.find_modes(LATTICE, shapes=True)
+    projection = pgran.project(LATTICE, tuple(OMEGAS))
+    rebuilt = np.einsum("wi,ixy->wxy", projection.coefficient, modes.vector)
+    np.testing.assert_allclose(rebuilt, found.field, rtol=0, atol=1e-10)
+    steps = pgran.relax(LATTICE, LAW, OMEGAS[1], [3, 2], steps=20)
+    assert steps.displacement[0, 0, 0] == pytest.approx(found.displacement[1, 0], rel=1e-9)
+    box = pgran.continuum([1.0, 2.0], (0.47, 0.52), damping=0.1)
+    assert box.displacement.shape == (2,)
+
+
+@pytest.mark.parametrize(
+    ("call", "option"),
+    [
+        (lambda: pgran.sweep(LATTICE, OMEGAS, [3, 2], error_tolerance=2), "error_tolerance 2"),
+        (lambda: pgran.sweep(LATTICE, OMEGAS, [3, 2], error_floor=-1.0), "error_floor -1.0"),
+        (lambda: pgran.sweep(LATTICE, OMEGAS[::-1], [3, 2]), "sweep_omega .8,.5,.2"),
+        (lambda: pgran.relax(LATTICE, LAW, 0.0, [3, 2], steps=2), "relax_omega 0.0"),
+        (lambda: pgran.relax(LATTICE, LAW, 0.5, [3, 2], steps=0), "relax_steps 0"),
+        (lambda: pgran.relax(LATTICE, LAW, 0.5, [3, 2], steps=2, method="x"), "relax_method x"),
+    ],
+)
+def test_wrong_values_have_the_messages_of_the_command_line(call, option):
+    scene = "relaxation" if option.startswith("relax") else "response"
+    with pytest.raises(pgran.InputError) as there:
+        resolve(read_words(f"-scene {scene} -{option}".split()))
+    with pytest.raises(pgran.InputError) as here:
+        call()
+    assert str(here.value) == str(there.value)
+
+
+@pytest.mark.parametrize("detectors", [[(6, 0)], [3], [], [(1, -1)]])
+def test_wrong_detectors(detectors):
+    with pytest.raises(pgran.InputError, match="detectors"):
+        pgran.sweep(LATTICE, OMEGAS, detectors)
+
+
+@pytest.mark.parametrize("omegas", [[], [-1.0, 1.0], [np.nan], [[0.1, 0.2]]])
+def test_wrong_frequencies(omegas):
+    with pytest.raises(pgran.InputError, match="frequencies must"):
+        pgran.sweep(LATTICE, omegas, [3, 2])
+
+
+def test_solver_options(caplog):
+    default = pgran.sweep(LATTICE, OMEGAS, [3, 2])
+    solver = {"steady_ksp_type": "gmres", "steady_pc_type": "jacobi", "steady_nothing": True}
+    other = pgran.sweep(LATTICE, OMEGAS, [3, 2], solver=solver)
+    assert other.iterations.sum() > default.iterations.sum()
+    np.testing.assert_allclose(other.displacement, default.displacement, rtol=1e-4)
+    assert "steady_nothing was not used" in caplog.text
+    with pytest.raises(pgran.InputError, match="did you mean 'steady_ksp_type'"):
+        pgran.sweep(LATTICE, OMEGAS, [3, 2], solver={"ksp_type": "gmres"})
+    again = pgran.sweep(LATTICE, OMEGAS, [3, 2])
+    assert np.array_equal(again.displacement, default.displacement)
+
+
+def test_names():
+    assert set(pgran.__all__) <= set(dir(pgran))
+    for name in pgran.__all__:
+        assert getattr(pgran, name).__doc__
+    with pytest.raises(AttributeError, match="nothing"):
+        pgran.nothing  # noqa: B018
+
+
+ANY_ORDER = """
+import importlib, pkgutil, sys
+import pgran
+names = [found.name for found in pkgutil.walk_packages(pgran.__path__, "pgran.")]
+for first in [*names, *reversed(names)]:
+    for name in [name for name in sys.modules if name.startswith("pgran")]:
+        del sys.modules[name]
+    importlib.import_module(first)
+print(len(names))
+"""
+
+
+def test_any_module_can_be_imported_first(clean_environment):
+    words = [sys.executable, "-c", ANY_ORDER]
+    done = subprocess.run(words, env=clean_environment, capture_output=True, text=True, check=True)
+    assert int(done.stdout) > 40
