@@ -179,11 +179,12 @@ def test_front_by_brute_force(seed):
     failures = rng.integers(0, 2, 12)
     broken = rng.uniform(size=12) < 0.2
     seconds[broken], error[broken], failures[broken] = np.nan, np.nan, 3
-    points = [(s, e) for s, e, f in zip(seconds, error, failures, strict=True) if f == 0]
-    wanted = [
-        bool(f == 0) and not any(t <= s and d <= e and (t, d) != (s, e) for t, d in points)
-        for s, e, f in zip(seconds, error, failures, strict=True)
+    rows = list(zip(seconds, error, failures == 0, strict=True))
+    beaten = [
+        any(fine and t <= s and d <= e and (t, d) != (s, e) for t, d, fine in rows)
+        for s, e, _ in rows
     ]
+    wanted = [bool(row[2]) and not lost for row, lost in zip(rows, beaten, strict=True)]
     assert front(seconds, error, failures).tolist() == wanted
 
 
