@@ -8,6 +8,8 @@ import pytest
 from petsc4py import PETSc
 
 from pgran.command.doctor import has_solver
+from pgran.command.resolve import SCENES
+from pgran.parallel.crew import Crew
 from pgran.physics.lattice import Lattice
 
 HAS_KLU = has_solver(PETSc, "klu")
@@ -58,3 +60,9 @@ def option_values(text):
         else:
             found[key] = word
     return found
+
+
+def run_scene(options, world, journal=None):
+    """Run the scene of some options; return its records on rank 0, None on the others."""
+    scene = SCENES[options.scene]
+    return scene.run(options, world, lambda ranks: Crew(world, ranks, journal))

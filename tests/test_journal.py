@@ -4,6 +4,7 @@ import os
 import resource
 import signal
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest

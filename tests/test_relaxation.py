@@ -20,12 +20,11 @@ from pgran.physics.changes import Changes, Network, draw_changes
 from pgran.physics.lattice import Lattice, bond_arrays, bond_count, bond_places
 from pgran.physics.spectrum import power_spectrum
 from pgran.scenes import relaxation as relaxation_scene
-from pgran.scenes.relaxation import relax
+from pgran.scenes.relaxation import relax, window_length
 from pgran.solve.bounds import smallest_damping_eigenvalue
 from pgran.solve.operators import Operators
 from pgran.solve.steady import SteadySolver
-from pgran.scenes.relaxation import window_length
-from pgran.solve.windows import Deformation, Windows, march, 
+from pgran.solve.windows import Deformation, Windows, march
 
 UNIFORM = BondLaw("uniform")
 

@@ -1,5 +1,7 @@
 """Ranks in groups: who does what, and that results do not depend on it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from mpi4py import MPI

@@ -6,15 +6,24 @@ from dataclasses import dataclass
 import numpy as np
 
 EPSILON = np.finfo(float).eps
-# The numbers of an experiment: each with a bound of its error, absolute, and whether it is as
-# accurate as the experiment's own options ask.
+# The numbers of an experiment: each with a bound of its error, absolute, and whether it is `good`:
+# as accurate as was asked for.
 ENTRY = np.dtype([("value", complex), ("bound", float), ("good", bool)])
 
 
 def is_accurate(bound, amplitude, tolerance):
     """Return whether errors of at most `bound` are small against the true amplitudes.
 
-    Not collective; arrays of one shape, and False where there is no bound.
+    Not collective.
+
+    Parameters
+    ----------
+    bound : numpy.ndarray of float
+        Of the absolute error; NaN, which is not accurate, where there is none.
+    amplitude : numpy.ndarray of complex, the shape of `bound`
+        As computed.
+    tolerance : float
+        Relative to the true amplitude.
     """
     return bound * (1 + tolerance) <= tolerance * np.abs(amplitude)
 
@@ -75,10 +84,20 @@ class Configuration:
 
 
 def entries(values, bounds, good):
-    """Return numbers in one flat array of ENTRY. Not collective."""
+    """Return numbers in one flat array of ENTRY.
+
+    Not collective.
+
+    Parameters
+    ----------
+    values : array_like of complex
+    bounds, good : array_like, the shape of `values` or a scalar
+        Columns of ENTRY.
+    """
     found = np.zeros(np.size(values), ENTRY)
-    for name, column in zip(ENTRY.names, (values, bounds, good), strict=True):
-        found[name] = np.ravel(column)
+    found["value"] = np.ravel(values)
+    found["bound"] = np.ravel(bounds)
+    found["good"] = np.ravel(good)
     return found
 
 
@@ -97,7 +116,16 @@ def read_relaxation(relaxation):
 def read_modes(lattice, largest, modes):
     """Return the frequencies of modes, and zeros that are not good for those that are missing.
 
-    Not collective. Modes with residuals above `largest` are as good as missing.
+    Not collective.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice
+    modes : pgran.results.Modes
+    choices : dict
+        What the solver was asked for; not needed.
+    largest : float
+        Modes with residuals above it, in units of |K|, count as missing.
     """
     good = modes.residual <= largest
     omega = modes.omega[good]
@@ -186,7 +214,7 @@ def front(seconds, error, failures):
     numpy.ndarray of bool, shape (n,)
     """
     eligible = (failures == 0) & np.isfinite(error)
-    faster, better = seconds[:, None] < seconds, error[:, None] < error
-    as_fast, as_good = seconds[:, None] <= seconds, error[:, None] <= error
-    beats = as_fast & as_good & (faster | better)
+    faster, closer = seconds[:, None] < seconds, error[:, None] < error
+    as_fast, as_accurate = seconds[:, None] <= seconds, error[:, None] <= error
+    beats = as_fast & as_accurate & (faster | closer)
     return eligible & ~np.any(beats[eligible], axis=0)

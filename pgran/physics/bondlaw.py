@@ -40,29 +40,29 @@ def unit_numbers(seed, first, count, generation=0):
     return (raw >> np.uint64(11)) * 2.0**-53
 
 
-def uniform(u, kmin, kmax):
+def _uniform(u, kmin, kmax):
     """Uniform on [kmin, kmax), the paper's law with kmin = 0."""
     return kmin + (kmax - kmin) * u
 
 
-def constant(u, kmax):
+def _constant(u, kmax):
     """Every bond the same."""
     return np.full_like(u, kmax)
 
 
-def loguniform(u, kmin, kmax):
+def _loguniform(u, kmin, kmax):
     """Uniform in log k between kmin and kmax."""
     low, high = np.log(np.array([kmin, kmax], dtype=np.longdouble))
     k = np.exp(low + (high - low) * u.astype(np.longdouble)).astype(float)
     return np.clip(k, kmin, kmax)
 
 
-def bimodal(u, kmin, kmax, fraction):
+def _bimodal(u, kmin, kmax, fraction):
     """A `fraction` of the bonds kmax, the others kmin."""
     return np.where(u < fraction, kmax, kmin)
 
 
-def hertz(u, force, contact):
+def _hertz(u, force, contact):
     """Springs of Hertzian contacts under random forces (paper: hertz, basespr).
 
     F = c h^(3/2) linearised at the force F gives k = 3/2 c h^(1/2) = 3/2 c^(2/3) F^(1/3); F is
@@ -73,11 +73,11 @@ def hertz(u, force, contact):
 
 
 LAWS = {
-    "uniform": (uniform, ("kmin", "kmax")),
-    "constant": (constant, ("kmax",)),
-    "loguniform": (loguniform, ("kmin", "kmax")),
-    "bimodal": (bimodal, ("kmin", "kmax", "fraction")),
-    "hertz": (hertz, ("force", "hertz")),
+    "uniform": (_uniform, ("kmin", "kmax")),
+    "constant": (_constant, ("kmax",)),
+    "loguniform": (_loguniform, ("kmin", "kmax")),
+    "bimodal": (_bimodal, ("kmin", "kmax", "fraction")),
+    "hertz": (_hertz, ("force", "hertz")),
 }
 
 

@@ -21,7 +21,7 @@ from scipy.signal import periodogram
 from pgran.errors import InputError
 from pgran.results import Spectrum
 
-LOG = logging.getLogger(__name__)
+log = logging.getLogger(__name__)
 
 # The main lobe of a Hann window is 2 frequencies wide to either side and raises f^-psi by
 # psi (psi+1) / (6 j^2) at the j-th frequency of a segment: 1.6 % at the 8th for psi = 2.
@@ -30,7 +30,7 @@ GROUPS, FEWEST = 20, 4  # parts of the series for the error bar: wanted, needed
 BINS_PER_DECADE = 10
 CORNERS_ABOVE = 5  # the local slope of a series of one memory is 2 / (1 + 1/25) there
 ALIASED = 0.44  # sin(pi f) / (pi f) < 1 / sqrt(2): most of a random walk's power is aliased
-FLATTER, SURE = 0.25, 5  # slope missing at the low end, and in its standard errors, to warn about
+FLATTER, FLATTER_ERRORS = 0.25, 5  # slope missing at the low end that is warned about; in errors
 ROUNDING = 1e-12  # relative differences that may be rounding
 
 
@@ -87,8 +87,17 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     _warn(fit_min, fit_max, memory, flatter, flatter_error)
     mean = _bin_means(f, fit_min, fit_max).mean(axis=0)
     scale = math.exp(mean @ (np.log(power[window]) + exponent * np.log(2 * np.sin(np.pi * f))))
-    fit = (float(exponent), float(error), float(plain), scale, float(fit_min), float(fit_max))
-    return Spectrum(*fit, segment, frequency, power)
+    return Spectrum(
+        exponent=float(exponent),
+        exponent_error=float(error),
+        exponent_plain=float(plain),
+        scale=scale,
+        fit_min=float(fit_min),
+        fit_max=float(fit_max),
+        segment=segment,
+        frequency=frequency,
+        power=power,
+    )
 
 
 def segment_length(trajectories, steps, fit_min=0.01, fit_max=0.3):
@@ -96,6 +105,13 @@ def segment_length(trajectories, steps, fit_min=0.01, fit_max=0.3):
 
     Not collective. Segments overlap by half. They are as long as `LOWEST_WANTED` periods of
     `fit_min`, or shorter, down to `LOWEST_USED`, where there would be fewer than `GROUPS`.
+
+    Parameters
+    ----------
+    trajectories, steps : int
+        The shape (R, T) of the series.
+    fit_min, fit_max : float
+        Window of the fit, cycles per step.
 
     Raises
     ------
@@ -206,19 +222,19 @@ def _jackknife(replicas):
 def _warn(fit_min, fit_max, memory, flatter, flatter_error):
     """Warn of a window that reaches the flat low end or the aliased high end of a spectrum."""
     if memory is not None and fit_min * 2 * math.pi * memory < CORNERS_ABOVE:
-        LOG.warning(
+        log.warning(
             "spectrum_fit_min: %g is less than %g times the corner 1/(2 pi %g) = %.2g cycles per "
             "step, below which a series of this memory is flat; the exponent will be too small",
             *(fit_min, CORNERS_ABOVE, memory, 1 / (2 * math.pi * memory)),
         )
-    if flatter > max(FLATTER, SURE * flatter_error):
-        LOG.warning(
+    if flatter > max(FLATTER, FLATTER_ERRORS * flatter_error):
+        log.warning(
             "spectrum_fit_min: near %g cycles per step the slope is smaller by %.2f +- %.2f than "
             "in the whole window; the exponent will be too small",
             *(fit_min, flatter, flatter_error),
         )
     if fit_max > ALIASED:
-        LOG.warning(
+        log.warning(
             "spectrum_fit_max: above %g cycles per step most of the power may be aliased from "
             "above 1/2; the exponent holds only for a series without anything between steps",
             ALIASED,

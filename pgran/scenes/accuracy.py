@@ -290,8 +290,10 @@ class Comparison(Task):
         """Plan all runs."""
         self.study, self.configurations, self.repeats = study, configurations, repeats
         self.reference, self.workers = reference, workers
-        numbers = range(len(configurations))
-        self.units = [(repeat, number) for repeat in range(repeats) for number in numbers]
+        # With the configuration itself, by which a journal tells one study from another.
+        self.units = [
+            (repeat, *pair) for repeat in range(repeats) for pair in enumerate(configurations)
+        ]
         self._broken, self._said = set(), set()
 
     @contextlib.contextmanager
@@ -299,8 +301,8 @@ class Comparison(Task):
         """See `Task`."""
 
         def work(unit):
-            _, number = unit
-            configuration, result, seconds = self.configurations[number], None, np.nan
+            _, number, configuration = unit
+            result, seconds = None, np.nan
             if number not in self._broken:
                 try:
                     result, seconds = _timed(self.study, configuration, self.workers, self.say)

@@ -16,8 +16,8 @@ from pgran.solve.linear import accept_small_pivots
 from pgran.solve.operators import SAME, Owner
 
 SLICE = 60  # modes that are computed together; measured for 40 x 40 and 100 x 100
-HAIR = 1e-11  # of |K|: how far the ends of an interval are moved outward
-LEVELS = 40
+MARGIN = 1e-11  # of |K|: how far the ends of an interval are moved outward
+ATTEMPTS = 40  # at an end, at an interval around a frequency, at cutting what is left
 
 
 class ModeCounter(Owner):
@@ -40,13 +40,13 @@ class ModeCounter(Owner):
     def __init__(self, K):
         """Set up the factorization from its options, prefix `normal_count_`."""
         self.K, self.norm = K, K.norm(PETSc.NormType.INFINITY) or 1.0
-        self.size, self.comm = K.getSize()[0], MPI.COMM_SELF
+        self.order, self.comm = K.getSize()[0], MPI.COMM_SELF
         self._shifted = K.duplicate(copy=True)
         for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
             self._shifted.setOption(flag, True)
         self._x, self._rhs = K.createVecs()
         self._residual = self._rhs.duplicate()
-        self._rhs.setArray(np.random.Generator(np.random.Philox(1)).standard_normal(self.size))
+        self._rhs.setArray(np.random.Generator(np.random.Philox(1)).standard_normal(self.order))
         self._pc = PETSc.PC().create(K.getComm())
         self._pc.setOptionsPrefix("normal_count_")
         self._pc.setType("cholesky")
@@ -65,7 +65,7 @@ class ModeCounter(Owner):
 
         Not collective.
         """
-        return self.norm * min(max(0.1 / self.size, 2e-6), 0.5 / self.size)
+        return self.norm * min(max(0.1 / self.order, 2e-6), 0.5 / self.order)
 
     def below(self, shift, clearance):
         """Return how many eigenvalues lie below a shift, or None where that is uncertain.
@@ -101,10 +101,10 @@ class ModeCounter(Owner):
         return negative
 
     def end(self, shift, side):
-        """Return an end of an interval, moved outward by a hair, and how many lie below it.
+        """Return an end of an interval, moved outward by MARGIN |K|, and the count below it.
 
-        Not collective. So a mode at the end belongs to the interval. Where another one happens to
-        lie a hair off, the end moves on.
+        Not collective. So a mode at the end belongs to the interval. Where another mode is too
+        close to the moved end for a certain count, it is moved on.
 
         Raises
         ------
@@ -112,15 +112,15 @@ class ModeCounter(Owner):
             If no reliable count is found.
         """
         if side < 0 and shift <= 0:
-            return -HAIR * self.norm, 0
+            return -MARGIN * self.norm, 0
         if side > 0 and shift >= self.norm:
-            return (1 + HAIR) * self.norm, self.size
-        hair = HAIR * self.norm
-        for _ in range(LEVELS):
-            count = self.below(shift + side * hair, 0.5 * hair)
+            return (1 + MARGIN) * self.norm, self.order
+        margin = MARGIN * self.norm
+        for _ in range(ATTEMPTS):
+            count = self.below(shift + side * margin, 0.5 * margin)
             if count is not None:
-                return shift + side * hair, count
-            hair *= 1.5
+                return shift + side * margin, count
+            margin *= 1.5
         raise PgranError(
             f"no reliable count of the modes below omega^2 m = {shift:g}: the factorization that "
             "-normal_count_pc_* chooses gives none"
@@ -130,6 +130,12 @@ class ModeCounter(Owner):
         """Return the ends of [low, high] with their counts, {shift: count}.
 
         Collective over `comm`, whose ranks share out the work.
+
+        Parameters
+        ----------
+        low, high : float
+            Values of lambda; both belong to the interval.
+        comm : mpi4py.MPI.Comm
         """
         ends = shared(comm, [(low, -1), (high, 1)], lambda end: self.end(*end))
         return dict(found for _, found in ends)
@@ -138,19 +144,31 @@ class ModeCounter(Owner):
         """Return an interval around `omega` with at least `wanted` modes and few more.
 
         Not collective. Symmetric in omega: those nearest are among them.
+
+        Parameters
+        ----------
+        omega : float
+        mass : float
+            m in lambda = m omega^2.
+        wanted : int
+
+        Returns
+        -------
+        dict
+            Ends in lambda with their counts, {shift: count}.
         """
-        wanted = min(wanted, self.size)
+        wanted = min(wanted, self.order)
         few = wanted + max(4, wanted // 4)
         short, long, top = 0.0, np.inf, np.sqrt(self.norm / mass)
-        reach = top * wanted / self.size
-        for _ in range(LEVELS):
+        reach = top * wanted / self.order
+        for _ in range(ATTEMPTS):
             ends = self.interval(mass * max(omega - reach, 0.0) ** 2, mass * (omega + reach) ** 2)
             low, high = ends.values()
             if high - low >= wanted:
                 best, long = ends, reach
             else:
                 short = reach
-            if wanted <= high - low <= few or long - short <= HAIR * top:
+            if wanted <= high - low <= few or long - short <= MARGIN * top:
                 break
             guess = reach * np.clip(0.5 * (wanted + few) / max(high - low, 1), 0.125, 8.0)
             reach = guess if short < guess < long else 0.5 * (short + long)
@@ -176,13 +194,13 @@ def cut(counter, ends, comm):
         of eigenvalues; a cluster of equal ones stays in one slice however many they are.
     """
     below = dict(ends)
-    for level in range(LEVELS):
+    for attempt in range(ATTEMPTS):
         shifts = []
         for low, high in pairwise(sorted(below)):
             count = below[high] - below[low]
             if count > 1.5 * SLICE and high - low > 4 * counter.clearance:
-                # more pieces at each level, so that a shift that failed is not tried again
-                shifts += np.linspace(low, high, count // SLICE + 2 + level)[1:-1].tolist()
+                # more pieces at each attempt, so that a shift that failed is not tried again
+                shifts += np.linspace(low, high, count // SLICE + 2 + attempt)[1:-1].tolist()
         if not shifts:
             break
         below |= {
@@ -199,6 +217,14 @@ def shared(comm, items, work):
     """Return pairs (item, work(item)), the items shared out over the ranks.
 
     Collective. A PgranError that one rank meets is raised on all.
+
+    Parameters
+    ----------
+    comm : mpi4py.MPI.Comm
+    items : list
+        The same on every rank.
+    work : callable
+        Takes an item; not collective.
     """
     mine, failure = [], None
     try:

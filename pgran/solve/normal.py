@@ -29,14 +29,15 @@ from slepc4py import SLEPc  # noqa: E402
 log = logging.getLogger(__name__)
 
 SEARCHES = 40
-WELL = 1e-13  # of |K|: what is tried for again
-REFINED = 2e-14  # of |K|: what a step of refinement is taken for
+SEARCH_AGAIN = 1e-13  # of |K|: residuals above it make the search start again from another sigma
+REFINE = 2e-14  # of |K|: residuals above it are worth a step of refinement
 # Where sigma goes, as parts of the slice: elsewhere if modes are missing, or inaccurate because
 # sigma came too close to one. An interval or a contour is widened by the difference instead.
-TARGETS = (0.5, 0.43, 0.57, 0.36, 0.64)
-# Where a Krylov space is a small part of all, orthogonalizing again only what has lost a digit
-# saves a quarter of the time; else modes are missed. A search that fails is repeated with care.
-HASTY_ETA, HASTY_BALLS = 0.3, 5000
+SHIFTS = (0.5, 0.43, 0.57, 0.36, 0.64)
+# The eta of selective reorthogonalization: where a Krylov space is a small part of all, doing it
+# only for what has lost a digit saves a quarter of the time; else modes are missed. A search that
+# fails is repeated with SLEPc's own eta, .71.
+ETA, ETA_BALLS = 0.3, 5000
 
 
 @contextlib.contextmanager
@@ -105,19 +106,20 @@ class ModeSolver(Owner):
             |K f - lambda f| / |K|.
         """
         best, self._failure = None, "the EPS did not converge"
-        for part in TARGETS:
-            hasty = part == TARGETS[0] and self.lattice.balls >= HASTY_BALLS
-            eps = self._eps = self._eps or self._make_eps(hasty)
+        for part in SHIFTS:
+            first = part == SHIFTS[0]
+            eta = ETA if first and self.lattice.balls >= ETA_BALLS else None
+            eps = self._eps = self._eps or self._make_eps(eta)
             found = self._search(eps, low, high, count, part)
             modes = self._real_modes(found, low, high)
-            if _rank(modes, count) > (0, REFINED) and eps.getST().getType() == "sinvert":
+            if _defects(modes, count) > (0, REFINE) and eps.getST().getType() == "sinvert":
                 found = self._refined(eps.getST(), found)
                 modes = self._real_modes(found, low, high)
-            if self._deflated or part != TARGETS[0] or _rank(modes, count) > (0, WELL):
+            if self._deflated or not first or _defects(modes, count) > (0, SEARCH_AGAIN):
                 self.destroy()  # an EPS never forgets what it was to deflate
-            if best is None or _rank(modes, count) < _rank(best, count):
+            if best is None or _defects(modes, count) < _defects(best, count):
                 best = modes
-            if _rank(best, count) <= (0, WELL):
+            if _defects(best, count) <= (0, SEARCH_AGAIN):
                 break
         if len(best[0]) != count:
             log.warning(
@@ -136,8 +138,8 @@ class ModeSolver(Owner):
         return values, with_fixed_sign(vectors), missed
 
     @plain_errors()
-    def _make_eps(self, hasty):
-        """Create an EPS, first with the defaults, then as its options say."""
+    def _make_eps(self, eta):
+        """Create an EPS, first with the defaults, then as its options say; eta None: SLEPc's."""
         eps = SLEPc.EPS().create(PETSc.COMM_SELF)
         eps.setOptionsPrefix("normal_")
         eps.setOperators(self.K)
@@ -150,8 +152,8 @@ class ModeSolver(Owner):
             eps.setWhichEigenpairs(SLEPc.EPS.Which.ALL)
         else:
             eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
-            if hasty:
-                eps.getBV().setOrthogonalization(eta=HASTY_ETA)
+            if eta is not None:
+                eps.getBV().setOrthogonalization(eta=eta)
             st = eps.getST()
             st.setType("sinvert")
             ksp = st.getKSP()
@@ -229,7 +231,7 @@ class ModeSolver(Owner):
     def _aim(self, eps, low, high, missing, seen, part):
         """Tell the EPS where to search, and for how many modes."""
         width = high - low
-        margin = abs(part - TARGETS[0]) * width
+        margin = abs(part - SHIFTS[0]) * width
         if eps.getType() == "ciss":
             # A flat ellipse around the slice, with room for half as many vectors again. More
             # moments would need fewer vectors, but lose digits.
@@ -253,8 +255,8 @@ class ModeSolver(Owner):
         return fields.transpose(0, *range(axes, 0, -1))
 
 
-def _rank(modes, count):
-    """Return what makes modes of a slice better the smaller it is: missing ones, residual."""
+def _defects(modes, count):
+    """Return how many modes of a slice are missing or too many, and the largest residual."""
     values, _, missed = modes
     return abs(count - len(values)), missed.max(initial=0.0)
 

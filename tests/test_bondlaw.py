@@ -1,0 +1,128 @@
+"""Bond constants: a pure function of seed and bond, with the distribution that its law promises."""
+
+import math
+from decimal import Decimal, getcontext
+
+import numpy as np
+import pytest
+from reference import bonds
+from scipy.stats import kstest
+
+from pgran.errors import InputError
+from pgran.physics.bondlaw import LAWS, BondLaw, unit_numbers
+from pgran.physics.lattice import Lattice
+
+MASK = 2**64 - 1
+PARAMETERS = {"kmin": 0.05, "kmax": 0.25, "fraction": 0.3, "force": 2.0, "hertz": 3.0}
+
+
+def philox(key, counter):
+    """Philox4x64-10 of Salmon et al., Parallel random numbers: as easy as 1, 2, 3 (SC 2011)."""
+    x, (k0, k1) = list(counter), key
+    for _ in range(10):
+        a, b = 0xD2E7470EE14C6C93 * x[0], 0xCA5A826395121157 * x[2]
+        x = [(b >> 64) ^ x[1] ^ k0, b & MASK, (a >> 64) ^ x[3] ^ k1, a & MASK]
+        k0, k1 = (k0 + 0x9E3779B97F4A7C15) & MASK, (k1 + 0xBB67AE8584CAA73B) & MASK
+    return x
+
+
+@pytest.mark.parametrize("seed", [0, 1993, 2**63 - 1, 2**64 - 1])
+@pytest.mark.parametrize("generation", [0, 1, 77])
+@pytest.mark.parametrize("first", [0, 1, 3, 4, 8191, 2**42 + 3])
+def test_numbers_are_philox_from_any_place_of_the_stream(seed, generation, first):
+    """Four numbers a counter, which NumPy raises before it draws; the upper 53 bits of each."""
+    block, skip = divmod(first, 4)
+    words = [
+        word
+        for counter in range(block + 1, block + 5)
+        for word in philox((seed, 0), (counter, 0, generation, 0))
+    ]
+    expected = [(word >> 11) * 2.0**-53 for word in words[skip:]]
+    for count in (0, 1, 5, 12):
+        assert unit_numbers(seed, first, count, generation).tolist() == expected[:count]
+
+
+@pytest.mark.parametrize(
+    ("name", "distribution"),
+    [
+        ("uniform", lambda k: np.clip((k - 0.05) / 0.2, 0, 1)),
+        ("loguniform", lambda k: np.clip(np.log(k / 0.05) / np.log(5), 0, 1)),
+        # k = 3/2 c^(2/3) F^(1/3), so F = (2k/3)^3 / c^2, exponential with mean `force`
+        ("hertz", lambda k: -np.expm1(-((2 * k / 3) ** 3) / 3.0**2 / 2.0)),
+    ],
+)
+def test_continuous_laws(name, distribution):
+    law = BondLaw(name, **PARAMETERS)
+    assert kstest(law(unit_numbers(4, 0, 20_000)), distribution).pvalue > 1e-3
+    ends = law(np.array([0.0, 2.0**-53, 1 - 2.0**-53]))
+    assert np.all(np.diff(ends) >= 0)
+    if name == "hertz":
+        assert 0 == ends[0] < ends[1] < ends[2] < math.inf
+    else:
+        assert 0.05 <= ends[0] <= ends[2] <= 0.25
+        np.testing.assert_allclose(ends[[0, 2]], [0.05, 0.25], rtol=1e-15)
+
+
+def test_exact_values():
+    u = np.array([0.0, 0.5, 1 - 2.0**-53])
+    np.testing.assert_allclose(BondLaw("uniform")(u), [0.0, 0.125, 0.25], rtol=2.0**-52)  # paper's
+    assert BondLaw("constant")(u).tolist() == [0.25] * 3
+    assert BondLaw("bimodal", kmin=0.1)(u).tolist() == [0.25, 0.1, 0.1]
+    assert BondLaw("bimodal", kmin=0.1, fraction=1.0)(u).tolist() == [0.25] * 3
+    assert BondLaw("uniform", kmin=0.1, kmax=0.1)(u).tolist() == [0.1] * 3
+
+
+def test_loguniform_keeps_its_bounds_without_extended_precision(monkeypatch):
+    monkeypatch.setattr(np, "longdouble", float)
+    for k in (0.1, 0.3, 7.7):
+        assert BondLaw("loguniform", kmin=k, kmax=k)(np.zeros(1)) == k
+
+
+def test_elementary_functions_are_rounded_once():
+    """The exact values, from decimals, rounded to the nearest double but for rare ties."""
+    getcontext().prec = 40
+    u = unit_numbers(8, 0, 100)
+    low, high = (Decimal(PARAMETERS[end]).ln() for end in ("kmin", "kmax"))
+    exact = {"loguniform": [(low + (high - low) * Decimal(float(x))).exp() for x in u]}
+    forces = [-2 * (1 - Decimal(float(x))).ln() for x in u]
+    exact["hertz"] = [Decimal("1.5") * ((9 * force).ln() / 3).exp() for force in forces]
+    for name, values in exact.items():
+        found = BondLaw(name, **PARAMETERS)(u)
+        assert np.count_nonzero(found != [float(value) for value in values]) <= 1
+
+
+@pytest.mark.parametrize("shape", [(9,), (4, 5), (2, 3, 4), (1, 1)])
+@pytest.mark.parametrize("name", LAWS)
+def test_bond_b_has_the_bth_number_on_all_ranks(shape, name, world):
+    """Axis after axis, each in C order, for every law."""
+    law = BondLaw(name, **PARAMETERS)
+    arrays = law.draw(shape, 7)
+    for number, (axis, index, *_) in enumerate(bonds(shape)):
+        assert arrays[axis][index] == law(unit_numbers(7, number, 1))[0]
+    assert Lattice(arrays).shape == shape
+    assert len(set(world.allgather(Lattice(arrays).bonds_sha256))) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "key"),
+    [
+        ("normal", {}, "bonds_law"), ("file", {}, "bonds_law"),
+        ("uniform", {"kmin": -0.1}, "bonds_kmin"), ("uniform", {"kmin": 0.3}, "bonds_kmin"),
+        ("uniform", {"kmin": math.nan}, "bonds_kmin"), ("uniform", {"kmax": 0.0}, "bonds_kmax"),
+        ("uniform", {"kmax": math.inf}, "bonds_kmax"), ("constant", {"kmax": -1.0}, "bonds_kmax"),
+        ("constant", {"kmax": math.nan}, "bonds_kmax"), ("loguniform", {"kmin": 0.0}, "bonds_kmin"),
+        ("loguniform", {"kmin": 0.3}, "bonds_kmin"), ("bimodal", {"kmin": 0.3}, "bonds_kmin"),
+        *(("bimodal", {"fraction": bad}, "bonds_fraction") for bad in (1.5, -0.1, math.nan)),
+        *(("hertz", {"force": bad}, "bonds_force") for bad in (0.0, math.inf)),
+        *(("hertz", {"hertz": bad}, "bonds_hertz") for bad in (0.0, -1.0)),
+    ],
+)  # fmt: skip
+def test_impossible_parameters(name, parameters, key):
+    with pytest.raises(InputError, match=key):
+        BondLaw(name, **parameters)
+
+
+def test_a_law_reads_only_its_own_parameters():
+    BondLaw("constant", kmin=9.0, fraction=7.0, force=-1.0)
+    assert BondLaw("uniform", kmax=0.5, hertz=0.0).kmax == 0.5
+    assert BondLaw("hertz", kmin=9.0, kmax=-1.0).kmax is None
