@@ -1,6 +1,5 @@
 """The command line; whatever goes wrong on one rank ends all of them."""
 
-import argparse
 import contextlib
 import logging
 import os
@@ -9,10 +8,10 @@ import sys
 import time
 import traceback
 import warnings
-from pathlib import Path
 
 import pgran
 from pgran import errors
+from pgran.command.plot import plot
 from pgran.command.run import name_rank, run
 from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
 from pgran.files import streams
@@ -64,28 +63,6 @@ def more_help(path):
             if item.key.lower() == "scene":
                 return f"\npgran options {item.text} lists the options of {path}\n"
     return ""
-
-
-def plot(words):
-    """Draw the figures of a result, a response with the modes of another one marked."""
-    parser = argparse.ArgumentParser("pgran plot", description=plot.__doc__)
-    parser.add_argument("result", help="HDF5 file that pgran run has written")
-    parser.add_argument("other", nargs="?", help="modes of the response's lattice, or vice versa")
-    parser.add_argument("-o", "--output", help="figure file; its ending decides the format")
-    given = parser.parse_intermixed_args(words)
-    from pgran import figures
-
-    shown, modes = pgran.load(given.result), None
-    if given.other:
-        shown, marked, swapped = figures.pair(shown, pgran.load(given.other))
-        modes = marked.modes.omega
-        if not getattr(marked.modes, "count_certified", False):
-            log.warning("modes are missing or inaccurate, so not all are marked")
-        given.result = given.other if swapped else given.result
-    output = given.output or str(Path(given.result).with_suffix(".png"))
-    for path in figures.draw(shown, output, modes):
-        print(path)
-    return errors.DONE
 
 
 def list_options(words):

@@ -488,30 +488,6 @@ def test_labels_come_back_from_the_file(tmp_path):
     assert found.on_front.tolist() == [True, True]
 
 
-def test_the_figure(tmp_path):
-    pytest.importorskip("matplotlib")
-    from pgran.figures import style
-    from pgran.figures.accuracy import draw_front, figures
-
-    names = [f"solver{n}" for n in range(12)]
-    error = [1e-3, 1e-5, 1e-4, 1e-6, *[1e-2] * 7, np.nan]
-    with style.applied():
-        figure = draw_front(made(names, error, [0, 0, 0, 4, *[0] * 7, 7]))
-        (ax,) = figure.axes
-        legend = [text.get_text() for text in ax.get_legend().get_texts()]
-        assert legend[:11] == names[:11]
-        assert "hollow: some failed" in legend
-        assert "solver11" in figure._suptitle.get_text()
-        steps = next(line for line in ax.get_lines() if line.get_drawstyle() == "steps-post")
-        assert steps.get_xdata()[:3].tolist() == [1, 1, 2]
-        assert steps.get_ydata()[1:].tolist() == [1e-3, 1e-5, 1e-5]
-        looks = {(line.get_color(), line.get_marker()) for line in ax.get_legend().get_lines()[:11]}
-        assert len(looks) == 11
-        result = type("Result", (), {"accuracy": made(names[:1], [np.nan], [7])})
-        with pytest.raises(FileError, match="nothing to draw"):
-            list(figures(result))
-
-
 def test_the_command(tmp_path, clean_environment):
     (tmp_path / "default.opts").write_text("")
     (tmp_path / "a.opts").write_text(f"-scene accuracy {RESPONSE}\n".replace(" -", "\n-"))
