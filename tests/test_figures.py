@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -36,14 +36,18 @@ def make_lattice(shape=(4, 3), mass=1.0, seed=5):
     return LatticeRecord.of(Lattice(stiffness, mass, 0.1, kmax=kmax))
 
 
+def record(kind, **values):
+    """A record of which a test says only what a figure shows."""
+    return kind(**dict.fromkeys([field.name for field in fields(kind)], 0) | values)
+
+
 def make_result(x=None, shape=(4, 3), detectors=((1, 1),)):
     """A response whose phase is a straight line, frequencies `x` in units of omega_mx."""
     x = np.linspace(0.005, 1.3, 260) if x is None else np.asarray(x, dtype=float)
     steeper = SLOPE * np.arange(1, len(detectors) + 1)
     amplitude, phase = np.outer(10.0 ** (-8 * x), steeper / SLOPE), np.outer(x, steeper) + INTERCEPT
-    record = Response(
-        factorizations=len(x),
-        solve_seconds=0.0,
+    made = record(
+        Response,
         phase_slope=steeper,
         phase_velocity=3 / np.abs(steeper),
         phase_intercept=np.full(len(detectors), INTERCEPT),
@@ -54,13 +58,11 @@ def make_result(x=None, shape=(4, 3), detectors=((1, 1),)):
         displacement=amplitude * np.exp(1j * phase),
         amplitude=amplitude,
         phase=phase,
-        backward_error=np.zeros(len(x)),
         error_bound=np.full(amplitude.shape, 1e-3),
         at_floor=np.zeros(amplitude.shape, np.int8),
-        iterations=np.ones(len(x), int),
         converged_reason=np.ones(len(x), int),
     )
-    return SimpleNamespace(scene="response", lattice=make_lattice(shape), response=record)
+    return SimpleNamespace(scene="response", lattice=make_lattice(shape), response=made)
 
 
 def draw(result, panel=response.amplitude, **wanted):
@@ -119,12 +121,9 @@ def test_every_point_of_every_detector_is_drawn_in_its_regime():
 @pytest.mark.parametrize(
     ("x", "ranges"),
     [
-        (np.linspace(0.4, 0.8, 50), [(0.38, 0.82)]),
         (np.linspace(0.3, 1.0, 50), [(0.3, 1.0)]),
         ([0.3], [(0.3, 0.32)]),
-        ([0.6], [(0.58, 0.62)]),
         ([0.2, 0.3, 1.2], [(0.195, 0.3), (1.18, 1.22)]),
-        ([1.1, 1.5], [(1.08, 1.52)]),
     ],
 )
 def test_regimes_without_data_are_left_out(x, ranges):
@@ -145,8 +144,6 @@ def test_failed_points_are_crosses_and_gaps():
         assert line.get_markevery() == [82]  # has no good neighbour to be joined with: a dot
         assert labels(ax)[-1] == "missed the accuracy asked for"
     result.response.converged_reason[:] = -3
-    for figure in figures.make(result).values():
-        figure.draw_without_rendering()
     assert not draw(result).yaxis.get_visible()
 
 
@@ -157,17 +154,11 @@ def test_upper_limits_of_amplitudes_at_the_floor():
     ax = draw(result)
     assert [gaps(line) for line in curves(ax)] == [[], [30, 31]]
     (limits,) = lines(ax, marker="v")
-    expected = np.full(260, np.nan)
-    expected[[30, 31]] = result.response.amplitude[[30, 31], 1] + 1e-3
-    assert limits.get_ydata() == pytest.approx(expected, rel=1e-14, nan_ok=True)
+    there = np.isfinite(limits.get_ydata())
+    assert list(np.flatnonzero(there)) == [30, 31]
+    expected = result.response.amplitude[[30, 31], 1] + 1e-3
+    assert limits.get_ydata()[there] == pytest.approx(expected, rel=1e-14)
     assert labels(ax)[-1] == "upper limit, at the floor"
-
-
-def test_results_of_version_1_know_no_floor(tmp_path):
-    older = make_result()
-    assert not np.isfinite(style.upper_limits(replace(older.response, at_floor=None))).any()
-    made = pgran.plot(Path(__file__).with_name("version1.h5"), tmp_path / "a.png")
-    assert len(list(tmp_path.iterdir())) == len(made) == 3
 
 
 @pytest.mark.parametrize("panel", PANELS)
@@ -183,25 +174,22 @@ def test_modes_are_pluses_on_the_frequency_axis(panel):
 
 def test_phase_and_its_fit():
     result = make_result(detectors=[(1, 1), (3, 0)])
-    record = result.response
-    record.phase[:] += np.random.default_rng(1).normal(size=record.phase.shape)
+    shown = result.response
+    shown.phase[:] += np.random.default_rng(1).normal(size=shown.phase.shape)
     ax = draw(result, response.phase)
-    x = record.omega / UNIT
+    x = shown.omega / UNIT
     window = x[(x > 0.3) & (x < 1.0)]
     fits = lines(ax, linewidth=3)
     for d, (curve, fit) in enumerate(zip(curves(ax), fits, strict=True)):
-        assert np.array_equal(curve.get_ydata(), record.phase[:, d])
+        assert np.array_equal(curve.get_ydata(), shown.phase[:, d])
         assert np.array_equal(fit.get_xdata(), window[[0, -1]])
-        assert fit.get_ydata() == pytest.approx(record.phase_slope[d] * window[[0, -1]] + INTERCEPT)
-    assert "$-150$ rad" in labels(ax)[0]
+        assert fit.get_ydata() == pytest.approx(shown.phase_slope[d] * window[[0, -1]] + INTERCEPT)
+    for label, words in zip(labels(ax), ("$-150$ rad", "$-300$ rad", "0.3 to 1 "), strict=True):
+        assert words in label
     assert "= 0.02 " in labels(ax)[0]
-    assert "$-300$ rad" in labels(ax)[1]
-    assert "0.3 to 1 " in labels(ax)[2]
     assert "rad" in ax.get_ylabel()
-    record.phase_slope[:] = np.nan
-    ax = draw(result, response.phase)
-    assert not lines(ax, linewidth=3)
-    assert labels(ax) == ["ball (1, 1)", "ball (3, 0)"]
+    shown.phase_slope[:] = np.nan
+    assert labels(draw(result, response.phase)) == ["ball (1, 1)", "ball (3, 0)"]
 
 
 def test_legends_lie_outside_of_the_data():
@@ -280,26 +268,21 @@ def test_a_large_lattice_is_an_image_of_means(shape):
 # Files, and figures of the user's
 
 
-@pytest.mark.parametrize("ending", ["png", "pdf", "svg", "PNG"])
+@pytest.mark.parametrize("ending", ["PNG", "pdf"])
 def test_plot_saves_one_file_a_figure(tmp_path, ending):
     made = pgran.plot(make_result(), tmp_path / "new" / f"my.run.{ending}", modes=[0.4, 0.8])
     assert list(made) == ["amplitude", "phase", "bonds"]
-    begin = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}[ending.lower()]
+    begin = {"PNG": b"\x89PNG", "pdf": b"%PDF"}[ending]
     for name in made:
         assert (tmp_path / "new" / f"my.run-{name}.{ending}").read_bytes().startswith(begin)
 
 
-@pytest.mark.parametrize("name", ["figure", "figure.h5", "figure.", "figure.pgf"])
-def test_an_ending_that_is_no_figure(tmp_path, name):
-    with pytest.raises(FileError, match=r"ends in one of .*\.pdf, .*\.png"):
-        pgran.plot(make_result(), tmp_path / name)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_that_cannot_be_written_to(tmp_path):
+@pytest.mark.parametrize("name", ["figure", "figure.h5", "figure.", "figure.pgf", "file/a.png"])
+def test_names_that_no_figure_can_have(tmp_path, name):
     (tmp_path / "file").touch()
-    with pytest.raises(FileError, match=r"file.a-amplitude\.png: cannot be written"):
-        pgran.plot(make_result(), tmp_path / "file" / "a.png")
+    refused = r"a-amplitude\.png: cannot be written" if "file" in name else r"one of .*, \.png"
+    with pytest.raises(FileError, match=refused):
+        pgran.plot(make_result([0.5]), tmp_path / name)
 
 
 def test_nothing_to_draw():
@@ -322,15 +305,17 @@ def test_without_matplotlib(monkeypatch):
         figures.make(make_result())
 
 
-def test_matplotlib_waits_until_something_is_drawn_and_pyplot_for_ever():
+def test_a_file_of_version_1_is_drawn_and_no_pyplot_is_needed(tmp_path):
     code = f"""
 import sys, pgran, pgran.figures
 assert "matplotlib" not in sys.modules
-pgran.plot({str(Path(__file__).with_name("version1.h5"))!r})
+made = pgran.plot({str(Path(__file__).with_name("version1.h5"))!r}, {str(tmp_path / "a.png")!r})
+assert list(made) == ["amplitude", "phase", "bonds"]
 assert "matplotlib.figure" in sys.modules
 assert "matplotlib.pyplot" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)
+    assert len(list(tmp_path.iterdir())) == 3
 
 
 def test_a_panel_leaves_the_rest_of_a_figure_alone():

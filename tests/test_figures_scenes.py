@@ -1,16 +1,16 @@
 """Figures of the box, modes, projections, relaxations and accuracy, read off the axes; pairs."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import pgran
 from pgran import errors, results
 from pgran.command.plot import plot
 from pgran.errors import FileError
-from pgran.files import store
 from pgran.physics.spectrum import power_spectrum
 
 pytest.importorskip("matplotlib")
@@ -25,6 +25,7 @@ from test_figures import (
     make_lattice,
     make_result,
     marks,
+    record,
 )
 
 from pgran import figures
@@ -33,26 +34,22 @@ from pgran.figures import accuracy, continuum, modes, projection, relaxation
 RNG = np.random.default_rng(8)
 
 
-def record(kind, **values):
-    """A record of which a test says only what a figure shows."""
-    return kind(**dict.fromkeys([field.name for field in fields(kind)], 0) | values)
-
-
-def make_continuum(damping=0.003, scale=1.0, count=300):
-    """A made-up box response, whose frequencies are `scale` times those of a unit box."""
+def make_continuum(damping=0.003, count=300):
+    """A made-up box response, whose frequencies are 3 times those of a unit box."""
     x = np.linspace(0.1, 12, count)
     displacement = 2.0 * np.exp(-1j * (x if damping else np.pi * np.floor(x / 3)))
-    box = results.ContinuumResponse(
+    box = record(
+        results.ContinuumResponse,
         point=(0.47, 0.52),
-        size=(1 / scale, 1.0),
+        size=(1 / 3, 1.0),
         mass=1.0,
         stiffness=1.0,
         damping=damping,
-        omega=x * scale,
+        omega=3 * x,
         displacement=displacement,
         amplitude=np.abs(displacement),
         phase=np.unwrap(np.angle(displacement)),
-        resonance=np.array([4.4, 7.0, 9.9]) * scale,
+        resonance=3 * np.array([4.4, 7.0, 9.9]),
     )
     return SimpleNamespace(scene="continuum", continuum=box)
 
@@ -64,10 +61,10 @@ def make_modes(shape=(6, 5), omega=None, missing=0, certified=True):
     vector, _ = np.linalg.qr(RNG.normal(size=(balls, balls)))
     vector *= np.sign(np.take_along_axis(vector, np.abs(vector).argmax(0)[None], 0))
     vector = vector.T[: len(omega)]
-    found = results.Modes(
+    found = record(
+        results.Modes,
         count_expected=len(omega) + missing,
         count_certified=certified,
-        solve_seconds=0.0,
         omega=omega * UNIT,
         residual=np.zeros(len(omega)),
         participation=1 / np.sum(vector**4, axis=1),
@@ -111,12 +108,18 @@ def make_relaxation(steps=300, trajectories=1, spectrum=False):
 
 def make_accuracy(error):
     """Configurations of one solver each, slower and slower."""
-    names, ones = np.array([f"solver{n}" for n in range(len(error))]), np.ones(len(error))
-    seconds, front = np.arange(1, len(error) + 1), np.arange(len(error)) < 2
-    made = results.Accuracy(
-        *("response", 5, 7, 7, 1e-14, names, names, 1e-4 * ones),
-        *(seconds, 0.9 * seconds, 1.1 * seconds, np.array(error), ones, ones, 0 * ones),
-        *(np.where(seconds == 4, 4, 0), front),
+    seconds = np.arange(1.0, len(error) + 1)
+    made = record(
+        results.Accuracy,
+        reference_bound=1e-14,
+        solver=np.array([f"solver{n}" for n in range(len(error))]),
+        seconds=seconds,
+        seconds_min=0.9 * seconds,
+        seconds_max=1.1 * seconds,
+        error_max=np.array(error),
+        error_bound_max=np.ones(len(error)),
+        failures=np.where(seconds == 4, 4, 0),
+        on_front=seconds < 3,
     )
     return SimpleNamespace(scene="accuracy", lattice=make_lattice(), accuracy=made)
 
@@ -173,15 +176,14 @@ def test_results_with_nothing_to_draw(make, what):
 # The box
 
 
-@pytest.mark.parametrize("scale", [1.0, 3.0])
-def test_the_box_has_amplitude_above_phase_and_its_resonances(scale):
-    result = make_continuum(scale=scale)
+def test_the_box_has_amplitude_above_phase_and_its_resonances():
+    result = make_continuum()
     result.continuum.amplitude[7] = 0.0  # on a wall at rest
     upper, lower = figures.make(result)["exactpl"].axes
     assert (upper.get_yscale(), lower.get_yscale()) == ("log", "linear")
     for ax, values in ((upper, result.continuum.amplitude), (lower, result.continuum.phase)):
         (curve,) = curves(ax)
-        assert curve.get_xdata() == pytest.approx(result.continuum.omega / scale)
+        assert curve.get_xdata() == pytest.approx(result.continuum.omega / 3.0)
         assert np.array_equal(curve.get_ydata(orig=True).data, values)
         assert gaps(curve) == [7]
         assert marks(ax, "+") == pytest.approx([4.4, 7.0, 9.9])
@@ -199,17 +201,21 @@ def test_without_damping_the_phase_is_0_or_pi():
     (curve,) = curves(ax)
     assert curve.get_drawstyle() == "steps-mid"
     assert set(curve.get_ydata()) == {0.0, np.pi}
-    assert np.array_equal(curve.get_ydata() > 0, np.floor(box.omega / 3) % 2 == 1)
+    assert np.array_equal(curve.get_ydata() > 0, np.floor(box.omega / 9) % 2 == 1)
     assert list(ax.get_yticks()) == [0, np.pi]
 
 
 # Modes
 
 
-def test_the_modes_pictured():
+def test_the_modes_chosen():
     assert modes.pick(np.array([0.1, 0.2, 0.59, 0.61, 0.98, 1.1])) == [1, 3, 4]
     assert modes.pick(np.array([0.1, 0.6, 0.7, 0.8])) == [1, 3]
     assert modes.pick(np.array([0.6, 0.61])) == [0, 1]
+    modes_at = np.array([0.2, 0.4, 0.58, 0.61, 0.7, 0.9])
+    assert projection.successive(modes_at, 0.6) == [2, 3, 4]
+    assert projection.successive(modes_at, 2.0) == [3, 4, 5]
+    assert projection.successive(modes_at[:2], 0.6) == [0, 1]
 
 
 @pytest.mark.parametrize("shape", [(30,), (6, 5), (20, 4), (4, 20), (4, 3, 5)])
@@ -288,24 +294,17 @@ def test_coefficients_at_one_frequency():
 
 def test_the_dominant_mode_and_a_line_of_slope_1():
     result = make_projection()
-    result.projection.converged_reason[50] = -1
-    ax = draw(projection.dominant, result.projection, result.lattice)
+    shown = result.projection
+    shown.converged_reason[50] = -1
+    ax = draw(projection.dominant, shown, result.lattice)
     (curve,), (line,) = curves(ax), lines(ax, linewidth=2.5)
-    dominant = result.projection.mode_omega[result.projection.dominant] / UNIT
-    assert curve.get_xdata() == pytest.approx(result.projection.omega / UNIT)
-    assert np.array_equal(curve.get_ydata(orig=True).data, dominant)
+    assert np.array_equal(curve.get_xdata(), shown.omega / UNIT)
+    assert np.array_equal(curve.get_ydata(orig=True).data, shown.mode_omega[shown.dominant] / UNIT)
     assert gaps(curve) == [50]
     assert (curve.get_marker(), curve.get_linestyle()) == (".", "None")
     assert np.array_equal(line.get_xdata(), line.get_ydata())
     assert line.get_xdata() == pytest.approx([0.1, 1.1])
     assert labels(ax) == ["slope 1", "missed the accuracy asked for"]
-
-
-def test_three_successive_modes():
-    modes_at = np.array([0.2, 0.4, 0.58, 0.61, 0.7, 0.9])
-    assert projection.successive(modes_at, 0.6) == [2, 3, 4]
-    assert projection.successive(modes_at, 2.0) == [3, 4, 5]
-    assert projection.successive(modes_at[:2], 0.6) == [0, 1]
 
 
 @pytest.mark.parametrize(("x", "centre"), [(None, 0.6), (np.linspace(0.2, 0.4, 81), 0.3)])
@@ -400,47 +399,46 @@ def test_errors_against_run_time_and_the_front():
 # Two results
 
 
-def write_pair(folder, certified=True, **lattice):
-    """Write a response and modes of one lattice; return what `pgran plot` takes."""
-    folder.mkdir(exist_ok=True)
-    lattice = make_lattice((6, 5), **lattice)
-    found = make_modes(omega=[0.4, 0.9, 2.0], certified=certified).modes
-    paths = folder / "response.h5", folder / "modes.h5"
-    store.write(paths[0], {"scene": "response"}, [lattice, make_result().response])
-    store.write(paths[1], {"scene": "modes"}, [lattice, found])
-    return list(map(str, paths))
+@pytest.fixture
+def files(monkeypatch):
+    """Results by the names of their files: a response, and modes of its lattice and of others."""
+    modes_at = {"omega": [0.4, 0.9, 2.0]}
+    shown = {"response.h5": make_result(), "modes.h5": make_modes(**modes_at)}
+    shown["doubtful.h5"] = make_modes(**modes_at, certified=False)
+    for result in shown.values():
+        result.lattice = make_lattice()
+    for name, other in (("softer.h5", {"seed": 2}), ("heavier.h5", {"mass": 2.0})):
+        shown[name] = make_modes(**modes_at)
+        shown[name].lattice = make_lattice(**other)
+    monkeypatch.setattr(pgran, "load", shown.get)
 
 
-@pytest.mark.parametrize("order", [1, -1])
-def test_modes_are_marked_in_a_response(tmp_path, capsys, caplog, monkeypatch, order):
-    made, original = [], figures.make
-    monkeypatch.setattr(figures, "make", lambda *args: made.append(original(*args)) or made[0])
-    pair = write_pair(tmp_path, certified=order > 0)
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ("response.h5 modes.h5", "response"),
+        ("doubtful.h5 response.h5", "response"),
+        ("response.h5 -o b.pdf modes.h5", "b"),
+    ],
+)
+def test_modes_are_marked_in_a_response(files, capsys, caplog, monkeypatch, words, name):
+    saved = []
+    monkeypatch.setattr(figures, "save", lambda made, path: saved.append(made) or [path])
     with caplog.at_level("WARNING", logger="pgran"):
-        assert plot(pair[::order]) == errors.DONE
-    names = [f"response-{name}.png" for name in ("amplitude", "phase", "bonds")]
-    assert capsys.readouterr().out.split() == [str(tmp_path / name) for name in names]
-    assert all((tmp_path / name).exists() for name in names)
-    assert marks(made[0]["phase"].axes[0], "+") == pytest.approx([0.4, 0.9])
-    assert ("missing or inaccurate" in caplog.text) == (order < 0)
+        assert plot(words.split()) == errors.DONE
+    assert capsys.readouterr().out.startswith(f"{name}.p")
+    assert marks(saved[0]["phase"].axes[0], "+") == pytest.approx([0.4, 0.9])
+    assert ("missing or inaccurate" in caplog.text) == ("doubtful" in words)
 
 
-def test_the_name_of_the_figures(tmp_path, capsys):
-    path, _ = write_pair(tmp_path)
-    assert plot([path, "-o", str(tmp_path / "b.pdf")]) == errors.DONE
-    assert capsys.readouterr().out.split()[0] == str(tmp_path / "b-amplitude.pdf")
-
-
-@pytest.mark.parametrize("other", [{"seed": 2}, {"mass": 2.0}])
-def test_modes_of_another_lattice(tmp_path, other):
-    one, _ = write_pair(tmp_path)
-    _, modes_file = write_pair(tmp_path / "other", **other)
-    with pytest.raises(FileError, match="different lattices"):
-        plot([one, modes_file])
-
-
-def test_two_results_that_are_no_pair(tmp_path):
-    one, other = write_pair(tmp_path)
-    for pair, scene in (([one, one], "response"), ([other, other], "modes")):
-        with pytest.raises(FileError, match=f"not {scene} and {scene}"):
-            plot(pair)
+@pytest.mark.parametrize(
+    ("other", "refused"),
+    [
+        ("response.h5", "not response and response"),
+        ("softer.h5", "different lattices"),
+        ("heavier.h5", "different lattices"),
+    ],
+)
+def test_two_results_that_are_no_pair(files, other, refused):
+    with pytest.raises(FileError, match=refused):
+        plot(["response.h5", other])
