@@ -2,67 +2,38 @@
 
 import subprocess
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from samples import bond_arrays
+from figure_results import (
+    INTERCEPT,
+    UNIT,
+    curves,
+    gaps,
+    labels,
+    lines,
+    make_lattice,
+    make_modes,
+    make_response,
+    marks,
+)
 
 import pgran
-from pgran import figures
+from pgran import errors, figures
+from pgran.command.plot import plot
 from pgran.errors import FileError, PgranError
-from pgran.physics.lattice import Lattice
-from pgran.results import LatticeRecord, Response
 
 pytest.importorskip("matplotlib")
 
 import matplotlib
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from pgran.figures import bonds, response, style
 
-UNIT = 2.0  # omega_mx
-SLOPE, INTERCEPT = -150.0, 5.0
 PANELS = [response.amplitude, response.phase]
-
-
-def make_lattice(shape=(4, 3), mass=1.0, seed=5):
-    """Random bonds whose unit of frequency is `UNIT`."""
-    rng, kmax = np.random.default_rng(seed), mass * UNIT**2 / (2 * len(shape))
-    stiffness = bond_arrays(shape, lambda size: rng.uniform(0, kmax, size))
-    return LatticeRecord.of(Lattice(stiffness, mass, 0.1, kmax=kmax))
-
-
-def record(kind, **values):
-    """A record of which a test says only what a figure shows."""
-    return kind(**dict.fromkeys([field.name for field in fields(kind)], 0) | values)
-
-
-def make_result(x=None, shape=(4, 3), detectors=((1, 1),)):
-    """A response whose phase is a straight line, frequencies `x` in units of omega_mx."""
-    x = np.linspace(0.005, 1.3, 260) if x is None else np.asarray(x, dtype=float)
-    steeper = SLOPE * np.arange(1, len(detectors) + 1)
-    amplitude, phase = np.outer(10.0 ** (-8 * x), steeper / SLOPE), np.outer(x, steeper) + INTERCEPT
-    made = record(
-        Response,
-        phase_slope=steeper,
-        phase_velocity=3 / np.abs(steeper),
-        phase_intercept=np.full(len(detectors), INTERCEPT),
-        phase_fit_min=0.3,
-        phase_fit_max=1.0,
-        omega=x * UNIT,
-        detector=np.array(detectors),
-        displacement=amplitude * np.exp(1j * phase),
-        amplitude=amplitude,
-        phase=phase,
-        error_bound=np.full(amplitude.shape, 1e-3),
-        at_floor=np.zeros(amplitude.shape, np.int8),
-        converged_reason=np.ones(len(x), int),
-    )
-    return SimpleNamespace(scene="response", lattice=make_lattice(shape), response=made)
 
 
 def draw(result, panel=response.amplitude, **wanted):
@@ -72,38 +43,11 @@ def draw(result, panel=response.amplitude, **wanted):
     return ax
 
 
-def lines(ax, **wanted):
-    """The lines of one panel that have these properties."""
-    chosen = ax.get_lines()
-    for name, value in wanted.items():
-        chosen = [line for line in chosen if getattr(line, f"get_{name}")() == value]
-    return chosen
-
-
-def curves(ax):
-    """The lines that are data: not the fits, not the marks."""
-    return [line for line in ax.get_lines() if np.ma.isMaskedArray(line.get_ydata(orig=True))]
-
-
-def gaps(line):
-    return list(np.flatnonzero(np.ma.getmaskarray(line.get_ydata(orig=True))))
-
-
-def marks(ax, marker):
-    """Where on the frequency axis there are marks of one kind."""
-    return [x for line in lines(ax, marker=marker) for x in line.get_xdata()]
-
-
-def labels(ax):
-    """What a legend of the panel lists."""
-    return ax.get_legend_handles_labels()[1]
-
-
 # Amplitude and phase
 
 
 def test_every_point_of_every_detector_is_drawn_in_its_regime():
-    result = make_result(detectors=[(1, 1), (3, 0)])
+    result = make_response(detectors=[(1, 1), (3, 0)])
     panels = figures.make(result)["amplitude"].axes
     assert [ax.get_yscale() for ax in panels] == ["log"] * 3
     assert [ax.get_xlim() for ax in panels] == [(0.0, 0.3), (0.3, 1.0), (1.0, pytest.approx(1.315))]
@@ -127,12 +71,12 @@ def test_every_point_of_every_detector_is_drawn_in_its_regime():
     ],
 )
 def test_regimes_without_data_are_left_out(x, ranges):
-    panels = figures.make(make_result(x))["amplitude"].axes
+    panels = figures.make(make_response(x))["amplitude"].axes
     assert [ax.get_xlim() for ax in panels] == [pytest.approx(each) for each in ranges]
 
 
 def test_failed_points_are_crosses_and_gaps():
-    result, failed = make_result(), [80, 81, 83, 250]
+    result, failed = make_response(), [80, 81, 83, 250]
     result.response.converged_reason[failed] = [-3, 0, -1, -9]
     result.response.amplitude[80] = np.nan
     result.response.amplitude[5] = 0.0  # has no place on a log axis
@@ -149,7 +93,7 @@ def test_failed_points_are_crosses_and_gaps():
 
 def test_upper_limits_of_amplitudes_at_the_floor():
     """In the place of an amplitude that is not known stands what it cannot exceed."""
-    result = make_result(detectors=((1, 1), (2, 2)))
+    result = make_response(detectors=((1, 1), (2, 2)))
     result.response.at_floor[[30, 31], 1] = 1
     ax = draw(result)
     assert [gaps(line) for line in curves(ax)] == [[], [30, 31]]
@@ -164,7 +108,7 @@ def test_upper_limits_of_amplitudes_at_the_floor():
 @pytest.mark.parametrize("panel", PANELS)
 def test_modes_are_pluses_on_the_frequency_axis(panel):
     modes = np.array([0.1, 0.5, 0.9, 1.2, 7.0])  # the last lies beyond the sweep
-    ax = draw(make_result(), panel, modes=modes * UNIT)
+    ax = draw(make_response(), panel, modes=modes * UNIT)
     assert marks(ax, "+") == pytest.approx(modes[:-1])
     (pluses,) = lines(ax, marker="+")
     drawn = pluses.get_transform().transform(pluses.get_xydata())
@@ -173,7 +117,7 @@ def test_modes_are_pluses_on_the_frequency_axis(panel):
 
 
 def test_phase_and_its_fit():
-    result = make_result(detectors=[(1, 1), (3, 0)])
+    result = make_response(detectors=[(1, 1), (3, 0)])
     shown = result.response
     shown.phase[:] += np.random.default_rng(1).normal(size=shown.phase.shape)
     ax = draw(result, response.phase)
@@ -193,7 +137,7 @@ def test_phase_and_its_fit():
 
 
 def test_legends_lie_outside_of_the_data():
-    result = make_result(detectors=[(1, 1), (3, 0), (2, 2)])
+    result = make_response(detectors=[(1, 1), (3, 0), (2, 2)])
     result.response.converged_reason[100] = -3
     for figure in figures.make(result, modes=[0.4, 0.8]).values():
         figure.draw_without_rendering()
@@ -211,7 +155,7 @@ def test_legends_lie_outside_of_the_data():
     [((6,), (2,), 7), ((4, 3), (1, 1), 31), ((4, 3, 5), (1, 1, 2), 31)],
 )
 def test_every_bond_is_a_segment_of_its_grey(shape, detector, count):
-    result, kmax = make_result(shape=shape, detectors=[detector]), UNIT**2 / (2 * len(shape))
+    result, kmax = make_response(shape=shape, detectors=[detector]), UNIT**2 / (2 * len(shape))
     extreme = result.lattice.stiffness_x.copy()
     extreme[2], extreme[3] = 0.0, kmax
     result.lattice = replace(result.lattice, stiffness_x=extreme)
@@ -236,17 +180,13 @@ def test_every_bond_is_a_segment_of_its_grey(shape, detector, count):
 
 
 def test_detectors_and_walls():
-    lattice = make_lattice((4, 3, 5))
     ax = Figure().subplots()
-    bonds.bonds(ax, lattice, [(1, 2, 2), (3, 0, 2), (0, 0, 4)])
+    bonds.bonds(ax, make_lattice((4, 3, 5)), [(1, 2, 2), (3, 0, 2), (0, 0, 4)])
     dots = lines(ax, marker="o")
     assert [(*line.get_xdata(), *line.get_ydata()) for line in dots] == [(1, 2), (3, 0)]
     assert labels(ax) == ["ball (1, 2, 2)", "ball (3, 0, 2)", "driven wall"]
-    (driven,) = lines(ax, marker="None")
-    assert np.array_equal(driven.get_xdata(), [4, 4])
-    (walls,) = (
-        c for c in ax.collections if isinstance(c, LineCollection) and c.get_array() is None
-    )
+    assert np.array_equal(lines(ax, marker="None")[0].get_xdata(), [4, 4])
+    (walls,) = (c for c in ax.collections if c.get_array() is None)
     sides = {tuple(map(tuple, side)) for side in walls.get_segments()}
     assert sides == {((-1, -1), (-1, 3)), ((-1, -1), (4, -1)), ((-1, 3), (4, 3))}
 
@@ -270,7 +210,7 @@ def test_a_large_lattice_is_an_image_of_means(shape):
 
 @pytest.mark.parametrize("ending", ["PNG", "pdf"])
 def test_plot_saves_one_file_a_figure(tmp_path, ending):
-    made = pgran.plot(make_result(), tmp_path / "new" / f"my.run.{ending}", modes=[0.4, 0.8])
+    made = pgran.plot(make_response([0.5]), tmp_path / "new" / f"my.run.{ending}", modes=[0.9])
     assert list(made) == ["amplitude", "phase", "bonds"]
     begin = {"PNG": b"\x89PNG", "pdf": b"%PDF"}[ending]
     for name in made:
@@ -282,15 +222,15 @@ def test_names_that_no_figure_can_have(tmp_path, name):
     (tmp_path / "file").touch()
     refused = r"a-amplitude\.png: cannot be written" if "file" in name else r"one of .*, \.png"
     with pytest.raises(FileError, match=refused):
-        pgran.plot(make_result([0.5]), tmp_path / name)
+        pgran.plot(make_response([0.5]), tmp_path / name)
 
 
 def test_nothing_to_draw():
-    result = make_result()
+    result = make_response()
     with pytest.raises(FileError, match=r"nothing to draw in this result .scene response"):
         figures.make(SimpleNamespace(scene=result.scene, lattice=result.lattice))
     with pytest.raises(FileError, match="no frequencies"):
-        figures.make(make_result([]))
+        figures.make(make_response([]))
     result.lattice = replace(result.lattice, omega_mx=0.0)
     with pytest.raises(FileError, match="omega_mx is 0"):
         figures.make(result)
@@ -302,20 +242,19 @@ def test_without_matplotlib(monkeypatch):
     monkeypatch.delattr(figures, "style")
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(PgranError, match="pip install matplotlib"):
-        figures.make(make_result())
+        figures.make(make_response())
 
 
-def test_a_file_of_version_1_is_drawn_and_no_pyplot_is_needed(tmp_path):
+def test_a_file_of_version_1_is_drawn_and_no_pyplot_is_needed():
     code = f"""
 import sys, pgran, pgran.figures
 assert "matplotlib" not in sys.modules
-made = pgran.plot({str(Path(__file__).with_name("version1.h5"))!r}, {str(tmp_path / "a.png")!r})
+made = pgran.plot({str(Path(__file__).with_name("version1.h5"))!r})
 assert list(made) == ["amplitude", "phase", "bonds"]
 assert "matplotlib.figure" in sys.modules
 assert "matplotlib.pyplot" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)
-    assert len(list(tmp_path.iterdir())) == 3
 
 
 def test_a_panel_leaves_the_rest_of_a_figure_alone():
@@ -323,7 +262,7 @@ def test_a_panel_leaves_the_rest_of_a_figure_alone():
     mine, third, other = figure.subplots(1, 3)
     other.plot([1, 2], [3, 4])
     before = figure.get_children(), other.get_children(), other.get_xlim(), other.get_ylim()
-    result = make_result()
+    result = make_response()
     response.amplitude(mine, result.response, result.lattice, modes=[0.4])
     bonds.bonds(third, result.lattice, result.response.detector)
     assert mine.get_lines()
@@ -334,9 +273,57 @@ def test_a_panel_leaves_the_rest_of_a_figure_alone():
 
 def test_pages_keep_their_style_and_leave_the_user_s():
     with matplotlib.rc_context({"font.size": 31, "xtick.labelsize": 32}):
-        figure = figures.make(make_result([0.5, 0.6]))["phase"]
+        figure = figures.make(make_response([0.5, 0.6]))["phase"]
         figure.draw_without_rendering()
         assert {label.get_fontsize() for label in figure.axes[0].get_xticklabels()} == {7}
         assert matplotlib.rcParams["font.size"] == 31
-        ax = draw(make_result([0.5, 0.6]))
+        ax = draw(make_response([0.5, 0.6]))
         assert ax.xaxis.get_ticklabels()[0].get_fontsize() == 32
+
+
+# Two results: a response with modes of its lattice
+
+
+@pytest.fixture
+def files(monkeypatch):
+    """Results by the names of their files: a response, and modes of its lattice and of others."""
+    modes_at = {"omega": [0.4, 0.9, 2.0]}
+    shown = {"response.h5": make_response(), "modes.h5": make_modes(**modes_at)}
+    shown["doubtful.h5"] = make_modes(**modes_at, certified=False)
+    for made in shown.values():
+        made.lattice = make_lattice()
+    for name, other in (("softer.h5", {"seed": 2}), ("heavier.h5", {"mass": 2.0})):
+        shown[name] = make_modes(**modes_at)
+        shown[name].lattice = make_lattice(**other)
+    monkeypatch.setattr(pgran, "load", shown.get)
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ("response.h5 modes.h5", "response"),
+        ("doubtful.h5 response.h5", "response"),
+        ("response.h5 -o b.pdf modes.h5", "b"),
+    ],
+)
+def test_modes_are_marked_in_a_response(files, capsys, caplog, monkeypatch, words, name):
+    saved = []
+    monkeypatch.setattr(figures, "save", lambda made, path: saved.append(made) or [path])
+    with caplog.at_level("WARNING", logger="pgran"):
+        assert plot(words.split()) == errors.DONE
+    assert capsys.readouterr().out.startswith(f"{name}.p")
+    assert marks(saved[0]["phase"].axes[0], "+") == pytest.approx([0.4, 0.9])
+    assert ("missing or inaccurate" in caplog.text) == ("doubtful" in words)
+
+
+@pytest.mark.parametrize(
+    ("other", "refused"),
+    [
+        ("response.h5", "not response and response"),
+        ("softer.h5", "different lattices"),
+        ("heavier.h5", "different lattices"),
+    ],
+)
+def test_two_results_that_are_no_pair(files, other, refused):
+    with pytest.raises(FileError, match=refused):
+        plot(["response.h5", other])

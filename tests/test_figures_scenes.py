@@ -1,127 +1,33 @@
-"""Figures of the box, modes, projections, relaxations and accuracy, read off the axes; pairs."""
+"""Figures of the box, modes, projections, relaxations and accuracy, read off the axes."""
 
 from dataclasses import replace
 from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-import pgran
-from pgran import errors, results
-from pgran.command.plot import plot
-from pgran.errors import FileError
-from pgran.physics.spectrum import power_spectrum
-
-pytest.importorskip("matplotlib")
-
-from matplotlib.figure import Figure
-from test_figures import (
+from figure_results import (
     UNIT,
     curves,
     gaps,
     labels,
     lines,
-    make_lattice,
-    make_result,
+    make_accuracy,
+    make_continuum,
+    make_modes,
+    make_projection,
+    make_relaxation,
     marks,
-    record,
+    note,
 )
 
 from pgran import figures
+from pgran.errors import FileError
+
+pytest.importorskip("matplotlib")
+
+from matplotlib.figure import Figure
+
 from pgran.figures import accuracy, continuum, modes, projection, relaxation
-
-RNG = np.random.default_rng(8)
-
-
-def make_continuum(damping=0.003, count=300):
-    """A made-up box response, whose frequencies are 3 times those of a unit box."""
-    x = np.linspace(0.1, 12, count)
-    displacement = 2.0 * np.exp(-1j * (x if damping else np.pi * np.floor(x / 3)))
-    box = record(
-        results.ContinuumResponse,
-        point=(0.47, 0.52),
-        size=(1 / 3, 1.0),
-        mass=1.0,
-        stiffness=1.0,
-        damping=damping,
-        omega=3 * x,
-        displacement=displacement,
-        amplitude=np.abs(displacement),
-        phase=np.unwrap(np.angle(displacement)),
-        resonance=3 * np.array([4.4, 7.0, 9.9]),
-    )
-    return SimpleNamespace(scene="continuum", continuum=box)
-
-
-def make_modes(shape=(6, 5), omega=None, missing=0, certified=True):
-    """Modes of frequencies `omega` in units of omega_mx, their shapes the columns of a matrix."""
-    balls = int(np.prod(shape))
-    omega = np.linspace(0.05, 1.2, balls) if omega is None else np.asarray(omega, dtype=float)
-    vector, _ = np.linalg.qr(RNG.normal(size=(balls, balls)))
-    vector *= np.sign(np.take_along_axis(vector, np.abs(vector).argmax(0)[None], 0))
-    vector = vector.T[: len(omega)]
-    found = record(
-        results.Modes,
-        count_expected=len(omega) + missing,
-        count_certified=certified,
-        omega=omega * UNIT,
-        residual=np.zeros(len(omega)),
-        participation=1 / np.sum(vector**4, axis=1),
-        vector=vector.reshape(-1, *shape),
-    )
-    return SimpleNamespace(scene="modes", lattice=make_lattice(shape), modes=found)
-
-
-def make_projection(x=None, mode_omega=None):
-    """A projection of Lorentzians, frequencies in units of omega_mx."""
-    x = np.linspace(0.1, 1.1, 401) if x is None else np.asarray(x, dtype=float)
-    mode_omega = np.linspace(0.05, 1.15, 45) if mode_omega is None else np.asarray(mode_omega)
-    coefficient = 1 / (x[:, None] ** 2 - mode_omega**2 + 0.01j)
-    made = record(
-        results.Projection,
-        omega=x * UNIT,
-        mode_omega=mode_omega * UNIT,
-        coefficient=coefficient,
-        dominant=np.abs(coefficient).argmax(axis=1) if mode_omega.size else 0 * x,
-        converged_reason=np.ones(len(x), dtype=int),
-        count_expected=len(mode_omega),
-        count_certified=True,
-    )
-    return SimpleNamespace(scene="projection", lattice=make_lattice(), projection=made)
-
-
-def make_relaxation(steps=300, trajectories=1, spectrum=False):
-    """A random walk: its spectrum falls like f^-2."""
-    walk = 100 + np.cumsum(RNG.normal(size=(trajectories, steps + 1)), axis=1)
-    shape = (*walk.shape, 1)
-    made = record(
-        results.Relaxation,
-        detector=np.array([(1, 2)]),
-        displacement=(walk * np.exp(0.3j))[:, :, None],
-        error_bound=np.full(shape, 0.5),
-        at_floor=np.zeros(shape, np.int8),
-    )
-    groups = {"relaxation": made} | ({"spectrum": power_spectrum(walk)} if spectrum else {})
-    return SimpleNamespace(scene="relaxation", lattice=make_lattice(), **groups)
-
-
-def make_accuracy(error):
-    """Configurations of one solver each, slower and slower."""
-    seconds = np.arange(1.0, len(error) + 1)
-    made = record(
-        results.Accuracy,
-        reference_bound=1e-14,
-        solver=np.array([f"solver{n}" for n in range(len(error))]),
-        seconds=seconds,
-        seconds_min=0.9 * seconds,
-        seconds_max=1.1 * seconds,
-        error_max=np.array(error),
-        error_bound_max=np.ones(len(error)),
-        failures=np.where(seconds == 4, 4, 0),
-        on_front=seconds < 3,
-    )
-    return SimpleNamespace(scene="accuracy", lattice=make_lattice(), accuracy=made)
 
 
 def draw(panel, *shown, **wanted):
@@ -129,10 +35,6 @@ def draw(panel, *shown, **wanted):
     ax = Figure().subplots()
     panel(ax, *shown, **wanted)
     return ax
-
-
-def note(figure):
-    return figure._suptitle.get_text() if figure._suptitle else ""
 
 
 @pytest.mark.parametrize(
@@ -163,7 +65,6 @@ def test_what_is_shown_depends_on_what_there_is(make, expected):
         (lambda: make_continuum(count=0), "no frequencies"),
         (lambda: make_modes(omega=[]), "no modes"),
         (lambda: make_projection([]), "no frequencies"),
-        (lambda: make_projection(None, []), "no modes"),
         (lambda: make_relaxation(trajectories=0), "no amplitudes"),
         (lambda: make_accuracy([np.nan]), "no configuration"),
     ],
@@ -177,21 +78,21 @@ def test_results_with_nothing_to_draw(make, what):
 
 
 def test_the_box_has_amplitude_above_phase_and_its_resonances():
-    result = make_continuum()
-    result.continuum.amplitude[7] = 0.0  # on a wall at rest
-    upper, lower = figures.make(result)["exactpl"].axes
+    made = make_continuum()
+    made.continuum.amplitude[7] = 0.0  # on a wall at rest
+    upper, lower = figures.make(made)["exactpl"].axes
     assert (upper.get_yscale(), lower.get_yscale()) == ("log", "linear")
-    for ax, values in ((upper, result.continuum.amplitude), (lower, result.continuum.phase)):
+    for ax, values in ((upper, made.continuum.amplitude), (lower, made.continuum.phase)):
         (curve,) = curves(ax)
-        assert curve.get_xdata() == pytest.approx(result.continuum.omega / 3.0)
+        assert curve.get_xdata() == pytest.approx(made.continuum.omega / 3.0)
         assert np.array_equal(curve.get_ydata(orig=True).data, values)
         assert gaps(curve) == [7]
-        assert marks(ax, "+") == pytest.approx([4.4, 7.0, 9.9])
+        assert marks(ax, "+") == pytest.approx([4.4, 9.9])
     assert labels(upper) == ["driven resonances"]
     assert "0.003" in upper.get_title(loc="left")
     assert "rad" in lower.get_ylabel()
-    result.continuum.amplitude[:] = 0.0
-    assert not draw(continuum.amplitude, result.continuum).yaxis.get_visible()
+    made.continuum.amplitude[:] = 0.0
+    assert not draw(continuum.amplitude, made.continuum).yaxis.get_visible()
 
 
 def test_without_damping_the_phase_is_0_or_pi():
@@ -220,13 +121,13 @@ def test_the_modes_chosen():
 
 @pytest.mark.parametrize("shape", [(30,), (6, 5), (20, 4), (4, 20), (4, 3, 5)])
 def test_a_mode_is_an_image_symmetric_about_0_or_a_line_from_wall_to_wall(shape):
-    result = make_modes(shape)
-    figure = figures.make(result)["shapes"]
+    made = make_modes(shape)
+    figure = figures.make(made)["shapes"]
     panels = [ax for ax in figure.axes if ax.get_title(loc="left")]
-    for mode, ax in zip(modes.pick(result.modes.omega / UNIT), panels, strict=True):
-        vector, title = result.modes.vector[mode], ax.get_title(loc="left")
-        largest = np.unravel_index(vector.argmax(), shape)
-        plane = vector[(..., *largest[2:])] / vector.max()
+    for mode, ax in zip(modes.pick(made.modes.omega / UNIT), panels, strict=True):
+        vector, title = made.modes.vector[mode], ax.get_title(loc="left")
+        largest = np.unravel_index(np.abs(vector).argmax(), shape)
+        plane = vector[(..., *largest[2:])] / np.abs(vector).max()
         if len(shape) == 1:
             (line,) = lines(ax, color="black")
             assert list(line.get_xdata()) == list(range(-1, 31))
@@ -236,8 +137,8 @@ def test_a_mode_is_an_image_symmetric_about_0_or_a_line_from_wall_to_wall(shape)
             assert np.array_equal(image.get_array(), plane.T)
             assert image.get_clim() == (-1.0, 1.0)
             assert image.get_cmap()(0.5)[:3] == pytest.approx(np.ones(3), abs=0.05)
-        assert f"= {result.modes.omega[mode] / UNIT:.4f}" in title
-        assert f"$P_i$ = {result.modes.participation[mode]:.3g} balls" in title
+        assert f"= {made.modes.omega[mode] / UNIT:.4f}" in title
+        assert f"$P_i$ = {made.modes.participation[mode]:.3g} balls" in title
         assert (f"plane $z$ = {largest[-1]}" in title) == (len(shape) == 3)
     assert len(panels) == 3
     figure.draw_without_rendering()
@@ -247,13 +148,13 @@ def test_a_mode_is_an_image_symmetric_about_0_or_a_line_from_wall_to_wall(shape)
 
 
 def test_participation_and_density_against_frequency():
-    result = make_modes((20, 20))
-    ax = draw(modes.participation, result.modes, result.lattice)
+    made = make_modes((20, 20))
+    ax = draw(modes.participation, made.modes, made.lattice)
     (points,) = ax.get_lines()
-    assert np.array_equal(points.get_xdata(), result.modes.omega / UNIT)
-    assert np.array_equal(points.get_ydata(), result.modes.participation)
+    assert np.array_equal(points.get_xdata(), made.modes.omega / UNIT)
+    assert np.array_equal(points.get_ydata(), made.modes.participation)
     assert (ax.get_yscale(), ax.get_ylim()) == ("log", (1, 400))
-    ax = draw(modes.density, result.modes, result.lattice)
+    ax = draw(modes.density, made.modes, made.lattice)
     density, edges, _ = ax.patches[0].get_data()
     assert np.sum(density * np.diff(edges)) == pytest.approx(400)
     assert edges[[0, -1]] == pytest.approx([0.05, 1.2])
@@ -265,9 +166,7 @@ def test_missing_modes_are_said_in_every_figure():
     bare = make_modes(certified=False)
     bare.modes = replace(bare.modes, vector=None)
     assert "NOT CERTIFIED" in note(figures.make(bare)["participation"])
-    result = make_projection()
-    result.projection = replace(result.projection, count_expected=46, count_certified=False)
-    for figure in figures.make(result).values():
+    for figure in figures.make(make_projection(missing=1)).values():
         assert note(figure) == "NOT ALL MODES: 45 of 46 found"
 
 
@@ -275,33 +174,32 @@ def test_missing_modes_are_said_in_every_figure():
 
 
 def test_coefficients_at_one_frequency():
-    result = make_projection()
-    shown = result.projection
+    made = make_projection()
+    shown = made.projection
     shown.converged_reason[200] = 0  # .6 itself
-    ax = draw(projection.coefficients, shown, result.lattice)
+    ax = draw(projection.coefficients, shown, made.lattice)
     (curve,), (drive,) = curves(ax), lines(ax, linestyle="-", color="#0072B2")
     nearest = np.flatnonzero(np.isclose(np.abs(shown.omega / UNIT - 0.6), 0.0025))[0]
     assert np.array_equal(curve.get_xdata(), shown.mode_omega / UNIT)
     assert np.array_equal(curve.get_ydata(), np.abs(shown.coefficient[nearest]))
-    assert drive.get_xdata() == [shown.omega[nearest] / UNIT] * 2
+    assert list(drive.get_xdata()) == [shown.omega[nearest] / UNIT] * 2
     assert labels(ax) == [rf"driving frequency {drive.get_xdata()[0]:.4g} $\omega_{{mx}}$"]
     shown.converged_reason[:] = -3
-    ax = draw(projection.coefficients, shown, result.lattice, drive=0.5)
+    ax = draw(projection.coefficients, shown, made.lattice, drive=0.5)
     assert np.ma.getmaskarray(curves(ax)[0].get_ydata(orig=True)).all()
     assert marks(ax, "x") == pytest.approx([0.5])
     assert "missed the accuracy asked for" in labels(ax)
 
 
 def test_the_dominant_mode_and_a_line_of_slope_1():
-    result = make_projection()
-    shown = result.projection
+    made = make_projection()
+    shown = made.projection
     shown.converged_reason[50] = -1
-    ax = draw(projection.dominant, shown, result.lattice)
+    ax = draw(projection.dominant, shown, made.lattice)
     (curve,), (line,) = curves(ax), lines(ax, linewidth=2.5)
     assert np.array_equal(curve.get_xdata(), shown.omega / UNIT)
     assert np.array_equal(curve.get_ydata(orig=True).data, shown.mode_omega[shown.dominant] / UNIT)
     assert gaps(curve) == [50]
-    assert (curve.get_marker(), curve.get_linestyle()) == (".", "None")
     assert np.array_equal(line.get_xdata(), line.get_ydata())
     assert line.get_xdata() == pytest.approx([0.1, 1.1])
     assert labels(ax) == ["slope 1", "missed the accuracy asked for"]
@@ -309,12 +207,12 @@ def test_the_dominant_mode_and_a_line_of_slope_1():
 
 @pytest.mark.parametrize(("x", "centre"), [(None, 0.6), (np.linspace(0.2, 0.4, 81), 0.3)])
 def test_coefficients_of_three_modes(x, centre):
-    result = make_projection(x)
-    shown = result.projection
+    made = make_projection(x)
+    shown = made.projection
     x, own = shown.omega / UNIT, shown.mode_omega / UNIT
     failed = np.abs(x - centre).argmin() + np.array([2, 3])
     shown.converged_reason[failed] = -3
-    ax = draw(projection.single_modes, shown, result.lattice)
+    ax = draw(projection.single_modes, shown, made.lattice)
     assert marks(ax, "x") == list(x[failed])
     for mode, curve in zip(projection.successive(own, centre), curves(ax), strict=True):
         near = np.isin(x, curve.get_xdata())
@@ -342,9 +240,9 @@ def test_a_stretch_of_the_series():
 
 
 def test_the_spectrum_its_fit_and_slope_2():
-    result = make_relaxation(20000, spectrum=True)
-    shown = result.spectrum
-    ax = figures.make(result)["timeres"].axes[1]
+    made = make_relaxation(20000)
+    shown = made.spectrum
+    ax = figures.make(made)["timeres"].axes[1]
     assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
     power, fit, slope = ((line.get_xdata(), line.get_ydata()) for line in ax.get_lines())
     assert np.array_equal(power, (shown.frequency, shown.power))
@@ -359,11 +257,11 @@ def test_the_spectrum_its_fit_and_slope_2():
 
 
 def test_failed_steps_and_upper_limits_of_amplitudes_at_the_floor():
-    result = make_relaxation()
-    shown = result.relaxation
+    made = make_relaxation()
+    shown = made.relaxation
     shown.displacement[0, [6, 9]] = np.nan
     shown.at_floor[0, [5, 200], 0] = 1
-    figure = figures.make(result)["timeres"]
+    figure = figures.make(made)["timeres"]
     (ax,) = figure.axes
     assert gaps(curves(ax)[0]) == [5, 6, 9, 200]
     assert marks(ax, "x") == [6, 9]
@@ -381,9 +279,9 @@ def test_failed_steps_and_upper_limits_of_amplitudes_at_the_floor():
 
 
 def test_errors_against_run_time_and_the_front():
-    result = make_accuracy([1e-3, 1e-5, 1e-4, 1e-6, *[1e-2] * 7, np.nan])
-    assert "solver11" in note(figures.make(result)["front"])
-    ax = draw(accuracy.front, result.accuracy)
+    made = make_accuracy([1e-3, 1e-5, 1e-4, 1e-6, *[1e-2] * 7, np.nan])
+    assert "solver11" in note(figures.make(made)["front"])
+    ax = draw(accuracy.front, made.accuracy)
     names = [f"solver{n}" for n in range(11)]
     assert labels(ax)[:11] == names
     assert "hollow: some failed" in labels(ax)
@@ -394,51 +292,3 @@ def test_errors_against_run_time_and_the_front():
     (steps,) = lines(ax, drawstyle="steps-post")
     assert steps.get_xdata()[:3].tolist() == [1, 1, 2]
     assert steps.get_ydata()[1:].tolist() == [1e-3, 1e-5, 1e-5]
-
-
-# Two results
-
-
-@pytest.fixture
-def files(monkeypatch):
-    """Results by the names of their files: a response, and modes of its lattice and of others."""
-    modes_at = {"omega": [0.4, 0.9, 2.0]}
-    shown = {"response.h5": make_result(), "modes.h5": make_modes(**modes_at)}
-    shown["doubtful.h5"] = make_modes(**modes_at, certified=False)
-    for result in shown.values():
-        result.lattice = make_lattice()
-    for name, other in (("softer.h5", {"seed": 2}), ("heavier.h5", {"mass": 2.0})):
-        shown[name] = make_modes(**modes_at)
-        shown[name].lattice = make_lattice(**other)
-    monkeypatch.setattr(pgran, "load", shown.get)
-
-
-@pytest.mark.parametrize(
-    ("words", "name"),
-    [
-        ("response.h5 modes.h5", "response"),
-        ("doubtful.h5 response.h5", "response"),
-        ("response.h5 -o b.pdf modes.h5", "b"),
-    ],
-)
-def test_modes_are_marked_in_a_response(files, capsys, caplog, monkeypatch, words, name):
-    saved = []
-    monkeypatch.setattr(figures, "save", lambda made, path: saved.append(made) or [path])
-    with caplog.at_level("WARNING", logger="pgran"):
-        assert plot(words.split()) == errors.DONE
-    assert capsys.readouterr().out.startswith(f"{name}.p")
-    assert marks(saved[0]["phase"].axes[0], "+") == pytest.approx([0.4, 0.9])
-    assert ("missing or inaccurate" in caplog.text) == ("doubtful" in words)
-
-
-@pytest.mark.parametrize(
-    ("other", "refused"),
-    [
-        ("response.h5", "not response and response"),
-        ("softer.h5", "different lattices"),
-        ("heavier.h5", "different lattices"),
-    ],
-)
-def test_two_results_that_are_no_pair(files, other, refused):
-    with pytest.raises(FileError, match=refused):
-        plot(["response.h5", other])
