@@ -1,7 +1,7 @@
 """The command line; whatever goes wrong on one rank ends all of them."""
 
-import argparse
 import contextlib
+import importlib
 import logging
 import os
 import signal
@@ -9,11 +9,10 @@ import sys
 import time
 import traceback
 import warnings
-from pathlib import Path
 
 import pgran
 from pgran import errors
-from pgran.command.run import name_rank, run
+from pgran.command.run import name_rank
 from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
 from pgran.files import streams
 from pgran.parallel import agreement, launch
@@ -35,6 +34,16 @@ In parallel: mpirun -n 2 pgran run options/response.opts
 """
 
 
+# A module of `pgran.command` and its function for each command, which returns an exit code.
+COMMANDS = {
+    "run": ("run", "run"),
+    "plot": ("plot", "run"),
+    "options": ("resolve", "list_options"),
+    "doctor": ("doctor", "examine"),
+    "verify": ("verify", "verify"),
+}
+
+
 def main(words):
     """Carry out one command and return its exit code."""
     if not words or words[0] in ("-h", "--help", "help"):
@@ -43,16 +52,17 @@ def main(words):
     if words[0] == "--version":
         print(f"pgran {pgran.__version__}")
         return errors.DONE
-    commands = {"run": run, "plot": plot, "options": list_options, "doctor": doctor}
-    if words[0] not in commands:
+    if words[0] not in COMMANDS:
         raise InputError(f"{words[0]}: no such command; pgran --help lists them")
-    if words[0] != "plot" and {"-h", "--help", "-help"} & set(words):
+    if words[0] in ("run", "options", "doctor") and {"-h", "--help", "-help"} & set(words):
         if launch.rank() == 0:
             print(USAGE + more_help(words[1]), end="")
         return errors.DONE
     if sys.version_info < (3, 11) and words[0] != "doctor":
         raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
-    return commands[words[0]](words[1:])
+    module, function = COMMANDS[words[0]]
+    command = getattr(importlib.import_module(f"pgran.command.{module}"), function)
+    return command(words[1:])
 
 
 def more_help(path):
@@ -64,43 +74,6 @@ def more_help(path):
             if item.key.lower() == "scene":
                 return f"\npgran options {item.text} lists the options of {path}\n"
     return ""
-
-
-def plot(words):
-    """Draw the figures of a result, a response with the modes of another one marked."""
-    parser = argparse.ArgumentParser("pgran plot", description=plot.__doc__)
-    parser.add_argument("result", help="HDF5 file that pgran run has written")
-    parser.add_argument("other", nargs="?", help="modes of the response's lattice, or vice versa")
-    parser.add_argument("-o", "--output", help="figure file; its ending decides the format")
-    given = parser.parse_intermixed_args(words)
-    from pgran import figures
-
-    shown, modes = pgran.load(given.result), None
-    if given.other:
-        shown, marked, swapped = figures.pair(shown, pgran.load(given.other))
-        modes = marked.modes.omega
-        if not getattr(marked.modes, "count_certified", False):
-            log.warning("modes are missing or inaccurate, so not all are marked")
-        given.result = given.other if swapped else given.result
-    output = given.output or str(Path(given.result).with_suffix(".png"))
-    for path in figures.draw(shown, output, modes):
-        print(path)
-    return errors.DONE
-
-
-def list_options(words):
-    """List every option of one scene, or of all."""
-    from pgran.command import resolve
-
-    resolve.list_options(words)
-    return errors.DONE
-
-
-def doctor(words):
-    """Say what is installed, and how to mend what is wrong."""
-    from pgran.command.doctor import examine
-
-    return examine()
 
 
 def console():

@@ -1,9 +1,6 @@
 """Error against run time: true errors, the front, solvers that do not work, solver files."""
 
-import dataclasses
 import logging
-import subprocess
-import sys
 import time
 from types import SimpleNamespace
 
@@ -15,7 +12,6 @@ from reference import Reference
 from samples import option_values, random_lattice, run_scene
 from test_journal import stop_at
 
-from pgran import load
 from pgran.command.resolve import resolve
 from pgran.errors import FileError, InputError, PgranError, StoppedError
 from pgran.files.reading import read_words
@@ -292,54 +288,3 @@ def test_a_study_goes_on_where_it_stopped(world, ask, shared_path, monkeypatch):
         found = go(vectors)
         assert len(runs) == left
         assert np.all(np.isfinite(found.seconds) & (found.failures == 0))
-
-
-def test_the_figure(ask):
-    """Twelve solvers, one of which failed in part, and one altogether."""
-    pytest.importorskip("matplotlib")
-    from pgran.figures import style
-    from pgran.figures.accuracy import draw_front, figures
-
-    record = study(ask(f"{RESPONSE} .6", **{f"s{n}": "" for n in range(12)}), MPI.COMM_SELF)
-    error = np.array([1e-3, 1e-5, 1e-4, 1e-6, *[1e-2] * 7, np.nan])
-    seconds, failures = np.arange(1.0, 13), np.array([0, 0, 0, 4, *[0] * 7, 7])
-    drawn = {"seconds": seconds, "error_max": error, "failures": failures}
-    drawn["on_front"] = front(seconds, error, failures)
-    with style.applied():
-        figure = draw_front(dataclasses.replace(record, **drawn))
-        nothing = SimpleNamespace(accuracy=dataclasses.replace(record, error_max=error * np.nan))
-        with pytest.raises(FileError, match="nothing to draw"):
-            list(figures(nothing))
-    (ax,) = figure.axes
-    legend = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert legend[:11] == record.solver[:11].tolist()
-    assert "hollow: some failed" in legend
-    assert "s11" in figure._suptitle.get_text()
-    steps = next(line for line in ax.get_lines() if line.get_drawstyle() == "steps-post")
-    assert steps.get_xdata()[:3].tolist() == [1, 1, 2]
-    assert steps.get_ydata()[1:].tolist() == [1e-3, 1e-5, 1e-5]
-
-
-def test_the_command(tmp_path, clean_environment):
-    """Two solvers of one name are told apart; one does not work."""
-    for folder, text in (("x", MISSING), ("y", "")):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "µ.opts").write_text(text)
-    (tmp_path / "a.opts").write_text(f"-scene accuracy {RESPONSE} .2,.6".replace(" -", "\n-"))
-    words = ["-accuracy_solvers", "x/µ.opts,y/µ.opts", "-accuracy_tolerances", "1e-2,1e-6"]
-    done = subprocess.run(
-        ["mpirun", "-n", "2", sys.executable, "-m", "pgran", "run", "a.opts", *words],
-        cwd=tmp_path, env=clean_environment, capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
-    assert done.returncode == 3, done.stderr
-    found = load(tmp_path / "results" / "a.h5")
-    assert found.slepc_version == "not loaded"
-    labels = [f"{folder}/µ.opts {tolerance}" for folder in "xy" for tolerance in ("0.01", "1e-06")]
-    assert found.accuracy.label.tolist() == labels
-    assert found.accuracy.failures.tolist() == [4, 4, 0, 0]
-    table = [line for line in done.stderr.splitlines() if "µ.opts  " in line]
-    assert len({len(line) for line in table}) == 1  # aligned
-    marks = ["* " in line for line in table]
-    assert marks == (found.accuracy.on_front > 0).tolist()
-    assert not any(marks[:2])
-    assert any(marks)

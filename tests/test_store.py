@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from samples import random_lattice
 
-from pgran import figures, load
+from pgran import load
 from pgran.errors import FileError
 from pgran.files import hdf5 as foreign
 from pgran.files import store
@@ -381,7 +381,6 @@ def test_files_of_version_1_are_read(path):
     assert np.array_equal(stiffness[0], result.lattice.stiffness_x)
     assert kmax == pytest.approx(0.25)
     store.check_output(VERSION_1, True)
-    assert len(list(figures.draw(result, path.with_suffix(".png")))) > 1
     whole = VERSION_1.read_bytes()
     for place in (20, 511, 512, 3000, len(whole) - 1):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :])

@@ -23,7 +23,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 SINGLE = {"MPI": r"lib(?:mpi|mpich|mpi_cray\w*|mpi_abi)\.so", "PETSc": r"libpetsc\w*\.so"}
 
 
-def examine():
+def examine(words=()):
     """Print one line for each finding, and return 0, or 1 if pgran cannot run as it is.
 
     Collective where MPI works: rank 0 prints its own findings, and what is wrong with other ranks.

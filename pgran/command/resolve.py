@@ -4,7 +4,7 @@ import importlib
 import pkgutil
 
 from pgran import scenes
-from pgran.errors import InputError
+from pgran.errors import DONE, InputError
 from pgran.files.options import RUN, TEXT, Option, Options, nearest
 from pgran.files.solver_keys import (
     SOLVER_PREFIXES,
@@ -93,6 +93,7 @@ def list_options(words):
             + (f"; did you mean {near}?" if near else "")
         )
     print(describe_options(words[0] if words else None), end="")
+    return DONE
 
 
 def describe_options(scene=None):

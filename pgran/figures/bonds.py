@@ -10,85 +10,69 @@ from pgran.figures import style
 MOST_LINES = 8000  # bonds; a lattice with more is drawn as an image of its balls
 
 
-def draw_bonds(lattice, detectors):
-    """Return the figure of the bonds, white to black from 0 to kmax (paper: sprpic).
-
-    Three dimensions: the bonds within the plane of the first detector. A large lattice is drawn as
-    an image: at each ball the mean constant of all its bonds.
-
-    Parameters
-    ----------
-    lattice : types.SimpleNamespace
-        The group `lattice` of a result.
-    detectors : array_like of int, shape (nd, dim)
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
-    sites = np.asarray(detectors)
-    axes = len(lattice.shape)
-    stiffness = [getattr(lattice, f"stiffness_{name}") for name in "xyz"[:axes]]
-    plane, (nx, ny) = tuple(sites[0, 2:].tolist()), (*map(int, lattice.shape), 1)[:2]
-    seen = [n for n, site in enumerate(sites.tolist()) if tuple(site[2:]) == plane]
-    width, height, aspect = size(nx, ny, axes)
+def page(lattice, detectors):
+    """Return the figure of the bonds in a plane, with its scale of grey."""
+    axes, (nx, ny) = len(lattice.shape), (*lattice.shape, 1)[:2]
+    ratio, plane = (ny + 1) / (nx + 1), tuple(detectors[0][2:])
+    width = style.PAGE if axes == 1 or nx > 40 or ratio < 0.5 else style.COLUMN
+    height = 0.35 if axes == 1 else min(max((width - 0.8) * ratio, 0.8), 6.5)
     columns = 3 if width == style.COLUMN else 6
-    height += 0.13 * (len(seen) // columns) + 0.2 * len(plane)
-    figure = style.new_figure(width, height)
-    ax = figure.subplots()
-    spacing = 72 * (width - 0.8) / (nx + 1)  # points from ball to ball
-
-    kmax = lattice.mass * lattice.omega_mx**2 / (2 * axes)
-    grey = {"cmap": "gray_r", "norm": Normalize(0.0, kmax)}
-    segments, constants = bond_segments([k[(..., *plane)] for k in stiffness[:2]])
-    if len(segments) <= MOST_LINES:
-        thick = 8.0 if axes == 1 else min(max(0.3 * spacing, 0.5), 4.0)
-        order = np.argsort(constants, kind="stable")  # stiff bonds over soft ones
-        bonds = LineCollection(segments[order], array=constants[order], linewidths=thick, **grey)
-        ax.add_collection(bonds)
-        label = "bond constant $K$"
-    else:
-        constants = mean_of_bonds(stiffness)[(..., *plane)].reshape(nx, ny)
-        bonds = ax.imshow(
-            constants.T, origin="lower", extent=(-0.5, nx - 0.5, -0.5, ny - 0.5), **grey
-        )
-        label = "bond constant $K$, mean of each ball"
-    ax.set(xlim=(-1, nx), ylim=(-1, ny), aspect=aspect)
+    height += 1.1 + 0.13 * (len(detectors) // columns) + 0.2 * len(plane)
+    figure, (ax,) = style.page(width, height)
+    drawn = bonds(ax, lattice, detectors)
     bar = figure.colorbar(
-        bonds,
+        drawn,
         ax=ax,
-        label=label,
+        label="bond constant $K$" + (", mean of each ball" if ax.images else ""),
         orientation="horizontal",
         aspect=9 * width,
         pad=0.05,
-        extend="max" if np.max(constants) > kmax * (1 + 1e-9) else "neither",
+        extend="max" if np.max(drawn.get_array()) > drawn.norm.vmax * (1 + 1e-9) else "neither",
     )
     bar.outline.set_linewidth(0.6)
-
-    handles, shades = {}, style.colours(len(sites))
-    for n in seen:
-        (handles[style.ball_name(sites[n])],) = ax.plot(
-            *(*sites[n], 0)[:2],
-            marker="o",
-            markersize=min(max(0.7 * spacing, 5.0), 8.0),
-            color=shades[n],
-            markeredgecolor="white",
-            linestyle="none",
-        )
-    handles["driven wall"] = draw_walls(ax, nx, ny, axes)
-    style.legend_above(ax, handles, columns)
+    style.legend_above([ax], columns)
     if plane:
         figure.suptitle(f"bonds in the plane $z = {plane[0]}$", fontsize="medium")
     return figure
 
 
-def size(nx, ny, axes):
-    """Return the width and height of the figure in inches, and the aspect of its lattice."""
-    chain = axes == 1
-    ratio = (ny + 1) / (nx + 1)
-    width = style.PAGE if chain or nx > 40 or ratio < 0.5 else style.COLUMN
-    height = 0.35 if chain else min(max((width - 0.8) * ratio, 0.8), 6.5)
-    return width, height + 1.1, "auto" if chain or not 1 / 8 <= ratio <= 8 else "equal"
+def bonds(ax, lattice, detectors):
+    """Draw the bonds, white to black from 0 to kmax, the walls and the detectors (paper: sprpic).
+
+    Three dimensions: the bonds within the plane of the first detector. A large lattice is drawn as
+    an image: at each ball the mean constant of all its bonds. Returns what a colour bar is of.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    lattice : pgran.results.LatticeRecord
+    detectors : array_like of int, shape (nd, dim)
+    """
+    axes, (nx, ny) = len(lattice.shape), (*lattice.shape, 1)[:2]
+    stiffness = [getattr(lattice, f"stiffness_{name}") for name in "xyz"[:axes]]
+    plane, kmax = tuple(detectors[0][2:]), lattice.mass * lattice.omega_mx**2 / (2 * axes)
+    grey = {"cmap": "gray_r", "norm": Normalize(0.0, kmax)}
+    spacing = 72 * ax.bbox.width / ax.figure.dpi / (nx + 1)  # points from ball to ball
+    segments, constants = bond_segments([k[(..., *plane)] for k in stiffness[:2]])
+    if len(segments) <= MOST_LINES:
+        thick = 8.0 if axes == 1 else min(max(0.3 * spacing, 0.5), 4.0)
+        order = np.argsort(constants, kind="stable")  # stiff bonds over soft ones
+        drawn = LineCollection(segments[order], array=constants[order], linewidths=thick, **grey)
+        ax.add_collection(drawn)
+    else:
+        constants = mean_of_bonds(stiffness)[(..., *plane)].reshape(nx, ny)
+        extent = (-0.5, nx - 0.5, -0.5, ny - 0.5)
+        drawn = ax.imshow(constants.T, origin="lower", extent=extent, **grey)
+    equal = axes > 1 and 1 / 8 <= (ny + 1) / (nx + 1) <= 8
+    ax.set(xlim=(-1, nx), ylim=(-1, ny), aspect="equal" if equal else "auto")
+    names, shades = style.ball_names(detectors), style.colours(len(detectors))
+    dot = {"marker": "o", "markeredgecolor": "white", "linestyle": "none"}
+    dot["markersize"] = min(max(0.7 * spacing, 5.0), 8.0)
+    for site, name, shade in zip(detectors, names, shades, strict=True):
+        if tuple(site[2:]) == plane:
+            ax.plot(*(*site, 0)[:2], color=shade, label=name, **dot)
+    _walls(ax, nx, ny, axes)
+    return drawn
 
 
 def bond_segments(stiffness):
@@ -120,14 +104,15 @@ def mean_of_bonds(stiffness):
     return total / (2 * len(stiffness))
 
 
-def draw_walls(ax, nx, ny, axes):
-    """Draw the walls, the driven one with a double arrow; return the driven one."""
+def _walls(ax, nx, ny, axes):
+    """Draw the walls, the driven one with a double arrow, and number the balls."""
     ax.spines[:].set_visible(False)
     rest = [[(-1, -1), (-1, ny)]]
     if axes > 1:
         rest += [[(-1, -1), (nx, -1)], [(-1, ny), (nx, ny)]]
     ax.add_collection(LineCollection(rest, colors="black", linewidths=1.5, clip_on=False))
-    (driven,) = ax.plot([nx, nx], [-1, ny], color=style.ACCENT, linewidth=3, clip_on=False)
+    driven = {"color": style.ACCENT, "linewidth": 3, "label": "driven wall"}
+    ax.plot([nx, nx], [-1, ny], clip_on=False, **driven)
     ax.annotate(
         "",
         xy=(nx, (ny - 1) / 2),
@@ -142,4 +127,3 @@ def draw_walls(ax, nx, ny, axes):
         axis.set_ticks([int(tick) for tick in ticks if 0 <= tick < count])
         axis.set_label_text(f"ball ${name}$")
     ax.yaxis.set_visible(axes > 1)
-    return driven

@@ -2,142 +2,126 @@
 
 import numpy as np
 
-from pgran.errors import FileError
-from pgran.figures import modes as mode_figures
-from pgran.figures import response, style
+from pgran.figures import style
 
-NEEDS = (
-    *("omega", "mode_omega", "coefficient", "dominant", "converged_reason"),
-    *("count_expected", "count_certified"),
-)
 COEFFICIENT = "coefficient $|c_i|$ (driven wall = 1)"
 SHOWN = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes of cifreq lie
-FEW = 10  # frequencies or modes that make no curve
+HANDFUL = 10  # frequencies or modes that make no curve
 AROUND = 0.05  # omega_mx to either side of the modes of cifreq
 
 
 def figures(result, modes=None):
-    """Yield the name and the figure of what a projection can show.
+    """Yield what a projection can show.
 
     One driving frequency: its coefficients. A sweep: the dominant mode and three single modes. A
     sweep on a handful of modes: these alone.
+    """
+    projection = result.projection
+    style.check_any(projection.omega, "frequencies")
+    style.check_any(projection.mode_omega, "modes")
+    sweep, many = len(projection.omega) > HANDFUL, len(projection.mode_omega) > HANDFUL
+    panels = [
+        ("onefreq", coefficients, 1, many or not sweep),
+        ("maxci", dominant, 2, many and sweep),
+        ("cifreq", single_modes, 1, sweep),
+    ]
+    for name, draw, columns, shown in panels:
+        if shown:
+            figure, (ax,) = style.page(style.COLUMN, 2.7)
+            draw(ax, projection, result.lattice)
+            style.legend_above([ax], columns)
+            style.note_missing(figure, projection)
+            yield name, figure
+
+
+def coefficients(ax, projection, lattice, drive=SHOWN):
+    """Draw the coefficients against the frequency of the modes at one drive (paper: onefreq).
+
+    Returns the curve.
 
     Parameters
     ----------
-    result : types.SimpleNamespace
-        With groups `projection` and `lattice`.
-    modes
-        Not used.
-
-    Raises
-    ------
-    FileError
-        If there is no frequency or no mode.
+    ax : matplotlib.axes.Axes
+    projection : pgran.results.Projection
+    lattice : pgran.results.LatticeRecord
+    drive : float
+        Driving frequency in units of omega_mx. Of those that are as accurate as asked, the nearest
+        is drawn; if none is, only a cross at the nearest of all.
     """
-    projection = result.projection
-    for name, values in (("frequencies", projection.omega), ("modes", projection.mode_omega)):
-        if not np.size(values):
-            raise FileError(f"nothing to draw in this result: no {name}")
-    sweep, many = np.size(projection.omega) > FEW, np.size(projection.mode_omega) > FEW
-    if many or not sweep:
-        yield "onefreq", draw_one_frequency(result)
-    if many and sweep:
-        yield "maxci", draw_dominant(result)
-    if sweep:
-        yield "cifreq", draw_three_modes(result)
-
-
-def draw_one_frequency(result):
-    """Return the coefficients against the frequency of the modes (paper: onefreq).
-
-    Of the driving frequencies that are as accurate as asked, the one nearest to .6 omega_mx.
-    """
-    x, modes, good = in_units(result)
-    distance = np.abs(x - SHOWN) + np.where(good, 0.0, np.inf)
-    shown = int(distance.argmin())
-    coefficient = np.abs(result.projection.coefficient[shown])
-    figure, ax = new_panel()
+    x, modes, accurate = _in_units(projection, lattice)
+    distance = np.abs(x - drive)
+    shown = np.where(accurate == accurate.any(), distance, np.inf).argmin()
+    values = np.abs(projection.coefficient[shown])
+    good = accurate[shown] & np.isfinite(values) & (values > 0)
     ax.set_yscale("log")
-    ax.set_xlim(response.limits(modes, 0.0, np.inf))
-    drive = ax.axvline(x[shown], color=style.ACCENT, zorder=1)
-    if good[shown]:
-        dots = {"color": "#999999", "markerfacecolor": "black", "linewidth": 0.5}
-        drawn = np.isfinite(coefficient) & (coefficient > 0)
-        style.draw_good(ax, modes, coefficient, drawn, True, **dots)
-    else:
-        style.note(figure, f"{x[shown]:g} $\\omega_{{mx}}$ missed the accuracy asked for")
-        ax.yaxis.set_visible(False)
-    style.legend_above(ax, {rf"driving frequency {x[shown]:.4g} $\omega_{{mx}}$": drive}, columns=1)
-    ax.set_xlabel(mode_figures.FREQUENCY)
+    ax.set_xlim(style.limits(modes, 0.0, np.inf))
+    label = rf"driving frequency {x[shown]:.4g} $\omega_{{mx}}$"
+    ax.axvline(x[shown], color=style.ACCENT, zorder=1, label=label)
+    look = {"color": "#999999", "markerfacecolor": "black", "linewidth": 0.5}
+    (curve,) = style.curves(ax, modes, values, good, dots=True, **look)
+    if not accurate[shown]:
+        style.mark_failed(ax, x[[shown]])
+    ax.set_xlabel(style.MODE_FREQUENCY)
     ax.set_ylabel(COEFFICIENT)
-    return figure_of(result, figure)
+    return curve
 
 
-def draw_dominant(result):
-    """Return the frequency of the dominant mode against the drive (paper: maxci).
+def dominant(ax, projection, lattice):
+    """Draw the frequency of the dominant mode against the drive, and slope 1 (paper: maxci).
 
-    With a line of slope 1. Points that missed the accuracy asked for are crosses on the upper edge.
+    Points that missed the accuracy asked for are crosses on the upper edge. Returns the points.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    projection : pgran.results.Projection
+    lattice : pgran.results.LatticeRecord
     """
-    x, modes, good = in_units(result)
-    dominant = result.projection.dominant
-    figure, ax = new_panel()
-    ax.set_xlim(response.limits(x, 0.0, np.inf))
-    ends = np.array([max(x[0], modes[0]), min(x[-1], modes[-1])])
-    handles = {}
+    x, modes, accurate = _in_units(projection, lattice)
+    good = accurate & (projection.dominant >= 0)
+    ax.set_xlim(style.limits(x, 0.0, np.inf))
+    ends = [max(x[0], modes[0]), min(x[-1], modes[-1])]
     if ends[0] < ends[1]:
-        (handles["slope 1"],) = ax.plot(ends, ends, color=style.pale(style.ACCENT), linewidth=2.5)
-    good = good & (dominant >= 0)
-    style.draw_good(
-        ax, x, modes[dominant], good, True, color="black", linestyle="none", markersize=2.5
-    )
-    mark_failed(ax, x, good, handles)
-    style.legend_above(ax, handles, columns=2)
-    ax.set_xlabel(response.FREQUENCY)
+        ax.plot(ends, ends, color=style.pale(style.ACCENT), linewidth=2.5, label="slope 1")
+    look = {"color": "black", "linestyle": "none", "markersize": 2.5}
+    (points,) = style.curves(ax, x, modes[projection.dominant], good, dots=True, **look)
+    style.mark_failed(ax, x[~good])
+    ax.set_xlabel(style.FREQUENCY)
     ax.set_ylabel(r"dominant mode $\omega_i/\omega_{mx}$")
-    return figure_of(result, figure)
+    return points
 
 
-def draw_three_modes(result):
-    """Return the coefficients of three successive modes against the drive (paper: cifreq).
+def single_modes(ax, projection, lattice):
+    """Draw the coefficients of three successive modes against the drive (paper: cifreq).
 
     The modes nearest to .6 omega_mx, or to the middle of a sweep that is elsewhere; their own
     frequencies are broken lines. Points that missed the accuracy asked for are gaps, and crosses on
-    the upper edge.
+    the upper edge. Returns the curves.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    projection : pgran.results.Projection
+    lattice : pgran.results.LatticeRecord
     """
-    x, modes, good = in_units(result)
+    x, modes, accurate = _in_units(projection, lattice)
     centre = SHOWN if x[0] <= SHOWN <= x[-1] else (x[0] + x[-1]) / 2
     chosen = successive(modes, centre)
     near = (x >= modes[chosen[0]] - AROUND) & (x <= modes[chosen[-1]] + AROUND)
-    if np.count_nonzero(near) <= FEW:
+    if np.count_nonzero(near) <= HANDFUL:
         near[:] = True
-    figure, ax = new_panel()
+    values = np.abs(projection.coefficient[near][:, chosen])
+    good = accurate[near, None] & np.isfinite(values) & (values > 0)
     ax.set_xlim(x[near][[0, -1]])
     ax.set_yscale("log")
-    handles = {}
-    for mode, colour in zip(chosen, style.colours(len(chosen)), strict=True):
-        label = rf"$\omega_i$ = {modes[mode]:.5f} $\omega_{{mx}}$"
-        coefficient = np.abs(result.projection.coefficient[near, mode])
-        handles[label] = style.draw_good(
-            ax,
-            x[near],
-            coefficient,
-            good[near] & np.isfinite(coefficient) & (coefficient > 0),
-            np.count_nonzero(near) <= response.FEW,
-            color=colour,
-        )
-        ax.axvline(modes[mode], color=colour, linestyle=":", zorder=1)
-    mark_failed(ax, x[near], good[near], handles)
-    style.legend_above(ax, handles, columns=1)
-    ax.set_xlabel(response.FREQUENCY)
+    labels = [rf"$\omega_i$ = {modes[mode]:.5f} $\omega_{{mx}}$" for mode in chosen]
+    drawn = style.curves(ax, x[near], values, good, labels)
+    for mode, curve in zip(chosen, drawn, strict=True):
+        ax.axvline(modes[mode], color=curve.get_color(), linestyle=":", zorder=1)
+    style.mark_failed(ax, x[near & ~accurate])
+    ax.set_xlabel(style.FREQUENCY)
     ax.set_ylabel(COEFFICIENT)
-    return figure_of(result, figure)
-
-
-def in_units(result):
-    """Return driving and mode frequencies in units of omega_mx, and which drives are accurate."""
-    projection, unit = result.projection, result.lattice.omega_mx
-    good = projection.converged_reason > 0
-    return projection.omega / unit, projection.mode_omega / unit, good
+    return drawn
 
 
 def successive(modes, centre):
@@ -147,20 +131,7 @@ def successive(modes, centre):
     return min(windows, key=lambda window: np.abs(modes[window] - centre).max())
 
 
-def new_panel():
-    """Return a figure of one column with one panel."""
-    figure = style.new_figure(style.COLUMN, 2.7)
-    return figure, figure.subplots()
-
-
-def mark_failed(ax, x, good, handles):
-    """Mark frequencies without a good result, and note them for the legend."""
-    failed = style.mark_failed(ax, x[~good])
-    if failed:
-        handles[failed.get_label()] = failed
-
-
-def figure_of(result, figure):
-    """Return a figure, with a note if it lacks modes."""
-    mode_figures.note_missing(figure, result.projection, np.size(result.projection.mode_omega))
-    return figure
+def _in_units(projection, lattice):
+    """Return driving and mode frequencies in units of omega_mx, and which drives are accurate."""
+    unit = lattice.omega_mx
+    return projection.omega / unit, projection.mode_omega / unit, projection.converged_reason > 0

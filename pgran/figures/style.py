@@ -1,4 +1,4 @@
-"""One style for all figures, and the marks that several of them share."""
+"""One style for all figures, and the curves, marks and labels that several of them share."""
 
 import contextlib
 
@@ -7,9 +7,17 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from pgran.errors import FileError
+
 COLUMN, PAGE = 3.4, 7.0  # widths in inches: one column of a journal, and two
 ACCENT, FAILED, MODE = "#0072B2", "#D00000", "#555555"
 COLOURS = ("black", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")
+FEW = 100  # points of a curve that is drawn with dots
+
+AMPLITUDE = r"amplitude $|A|$ (driven wall = 1)"
+PHASE = "phase (rad)"
+FREQUENCY = r"driving frequency $\omega/\omega_{mx}$"
+MODE_FREQUENCY = r"mode frequency $\omega_i/\omega_{mx}$"
 
 RC = {
     "axes.linewidth": 0.6,
@@ -47,9 +55,25 @@ def applied():
         yield
 
 
-def new_figure(width, height):
-    """Return an empty figure, sizes in inches; no window and no backend is needed for it."""
-    return Figure(figsize=(width, height))
+class Page(Figure):
+    """A figure that is drawn in this style whenever it is drawn; it needs no window."""
+
+    def draw(self, renderer):
+        """Draw: matplotlib makes ticks only now, in the style that holds now."""
+        with applied():
+            super().draw(renderer)
+
+
+def page(width, height, **panels):
+    """Return an empty figure, sizes in inches, and an array of the panels of `Figure.subplots`."""
+    figure = Page(figsize=(width, height))
+    return figure, figure.subplots(squeeze=False, **panels).ravel()
+
+
+def check_any(values, what):
+    """Raise a FileError unless there are values to draw."""
+    if not np.size(values):
+        raise FileError(f"nothing to draw in this result: no {what}")
 
 
 def colours(count):
@@ -59,22 +83,31 @@ def colours(count):
     return matplotlib.colormaps["viridis"](np.linspace(0.0, 0.9, count))
 
 
-def ball_name(site):
-    """Return what a detector is called in a legend."""
-    return f"ball ({', '.join(str(int(index)) for index in site)})"
-
-
 def pale(colour):
     """Return a colour mixed with white."""
     return tuple(1 - 0.4 * (1 - part) for part in to_rgb(colour))
 
 
-def legend_above(ax, handles, columns):
-    """Put a legend on the upper right of a panel, outside of it, where no data can be."""
+def ball_names(detectors):
+    """Return what each detector is called in a legend."""
+    return [f"ball ({', '.join(map(str, site))})" for site in np.asarray(detectors)]
+
+
+def limits(x, low, high):
+    """Return the range of an axis for the points `x`, within `low` and `high`."""
+    margin = 0.05 * np.ptp(x) or 0.02
+    return max(low, x.min() - margin), min(high, x.max() + margin)
+
+
+def legend_above(panels, columns):
+    """Put one legend of all panels above the upper right of the first, where no data can be."""
+    handles = {}
+    for ax in panels:
+        drawn, labels = ax.get_legend_handles_labels()
+        handles |= dict(zip(labels, drawn, strict=True))
     if handles:
-        ax.legend(
-            handles.values(), handles.keys(), loc="lower right", bbox_to_anchor=(1, 1), ncol=columns
-        )
+        place = {"loc": "lower right", "bbox_to_anchor": (1, 1)}
+        panels[0].legend(handles.values(), handles.keys(), ncol=columns, **place)
 
 
 def note(figure, text):
@@ -82,78 +115,84 @@ def note(figure, text):
     figure.suptitle(text, fontsize="medium", color=FAILED)
 
 
-def draw_good(ax, x, y, good, dots, **line):
-    """Draw the good points of a curve, with gaps where points are missing.
+def note_missing(figure, record):
+    """Say in a figure if modes are missing or inaccurate, in a record of modes or on modes."""
+    found = len(getattr(record, "mode_omega", record.omega))
+    if found != record.count_expected:
+        note(figure, f"NOT ALL MODES: {found} of {record.count_expected} found")
+    elif not record.count_certified:
+        note(figure, "NOT CERTIFIED: some modes are inaccurate")
+
+
+def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
+    """Draw curves with gaps where points are missing, and upper limits in some of the gaps.
+
+    A good point that stands alone is a dot, upper limits are triangles that point down. Where
+    nothing is good the axis of `y` is hidden. Returns the curves: `x` and `y`, masked where they
+    are not good.
 
     Parameters
     ----------
     ax : matplotlib.axes.Axes
-    x, y : numpy.ndarray, shape (n,)
-    good : numpy.ndarray of bool, shape (n,)
-    dots : bool
-        Mark every good point by a dot, not only those that stand alone.
+    x : numpy.ndarray, shape (n,)
+    y : numpy.ndarray, shape (n,) or (n, curves)
+    good : numpy.ndarray of bool, shape of `y`
+    labels : sequence of str, shape (curves,), optional
+    limit : numpy.ndarray, shape of `y`, optional
+        Upper limits; NaN: none.
+    dots : bool, optional
+        Mark every good point by a dot. By default those of few points.
     **line
         For `Axes.plot`.
-
-    Returns
-    -------
-    matplotlib.lines.Line2D
-        Its data are `x` and `y`, masked where they are not good.
     """
-    padded = np.concatenate(([False], good, [False]))
-    lone = good & ~padded[:-2] & ~padded[2:]
-    dotted = np.flatnonzero(good if dots else lone).tolist()
-    if dotted:
-        line |= {"marker": ".", "markevery": dotted, "markeredgewidth": 0}
-    (curve,) = ax.plot(x, np.ma.masked_where(~good, y), **line)
-    return curve
+    y, good = np.reshape(y, (len(x), -1)), np.reshape(good, (len(x), -1))
+    shades, drawn = colours(y.shape[1]), []
+    dots = len(x) <= FEW if dots is None else dots
+    for n, shade in enumerate(shades):
+        padded = np.concatenate(([False], good[:, n], [False]))
+        lone = good[:, n] & ~padded[:-2] & ~padded[2:]
+        look = {"color": shade, "label": labels[n] if labels else None}
+        dotted = np.flatnonzero(good[:, n] if dots else lone).tolist()
+        if dotted:
+            look |= {"marker": ".", "markevery": dotted, "markeredgewidth": 0}
+        drawn += ax.plot(x, np.ma.masked_where(~good[:, n], y[:, n]), **(look | line))
+    label = "upper limit, at the floor"
+    look = {"linestyle": "none", "marker": "v", "markersize": 2.5, "markeredgewidth": 0}
+    for n in [] if limit is None else np.flatnonzero(np.isfinite(limit).any(axis=0)):
+        ax.plot(x, limit[:, n], color=shades[n], label=label, **look)
+        label = None
+    if not np.isfinite(ax.dataLim.height):
+        ax.yaxis.set_visible(False)
+    return drawn
 
 
-def upper_limits(record, amplitude):
+def upper_limits(record):
     """Return the upper limits of amplitudes that are at the floor, NaN for all others.
 
     Files of version 0.1 hold none.
     """
-    if not np.any(getattr(record, "at_floor", 0)):
-        return np.full(np.shape(amplitude), np.nan)
-    return np.where(record.at_floor > 0, amplitude + record.error_bound, np.nan)
-
-
-def draw_limits(ax, x, limit, colour):
-    """Mark upper limits by triangles that point down; None where all are NaN."""
-    if np.isnan(limit).all():
-        return None
-    style = {"linestyle": "none", "marker": "v", "markersize": 2.5, "markeredgewidth": 0}
-    (marks,) = ax.plot(x, limit, color=colour, label="upper limit, at the floor", **style)
-    return marks
+    amplitude = np.abs(record.displacement)
+    at_floor = getattr(record, "at_floor", None)
+    if at_floor is None:
+        return np.full(amplitude.shape, np.nan)
+    return np.where(at_floor > 0, amplitude + record.error_bound, np.nan)
 
 
 def mark_failed(ax, x):
-    """Mark frequencies without a good result by crosses on the upper edge; None where all are."""
-    return _mark(ax, x, 1.0, marker="x", color=FAILED, label="missed the accuracy asked for")
+    """Mark where there is no good result, by crosses on the upper edge."""
+    _mark(ax, x, 1.0, marker="x", color=FAILED, label="missed the accuracy asked for")
 
 
-def mark_modes(ax, x):
-    """Mark frequencies of normal modes by pluses on the frequency axis (paper: freqres)."""
-    return _mark(ax, x, 0.0, marker="+", color=MODE, label="normal modes")
+def mark_modes(ax, x, label="normal modes"):
+    """Mark frequencies of modes by pluses on the frequency axis (paper: freqres)."""
+    _mark(ax, x, 0.0, marker="+", color=MODE, label=label)
 
 
 def _mark(ax, x, height, **mark):
     """Draw marks at a height in units of the axes, those inside the limits of `ax`."""
     low, high = ax.get_xlim()
     inside = np.asarray(x)[(low <= x) & (x <= high)]
-    if not inside.size:
-        return None
-    (marks,) = ax.plot(
-        inside,
-        np.full(inside.size, height),
-        transform=ax.get_xaxis_transform(),
-        linestyle="none",
-        markeredgewidth=0.6,
-        clip_on=False,
-        scalex=False,
-        scaley=False,
-        zorder=5,
-        **mark,
-    )
-    return marks
+    if inside.size:
+        mark |= {"linestyle": "none", "markeredgewidth": 0.6, "clip_on": False, "zorder": 5}
+        place = {"transform": ax.get_xaxis_transform(), "scalex": False, "scaley": False}
+        ax.plot(inside, np.full(inside.size, height), **place, **mark)
