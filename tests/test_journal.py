@@ -1,5 +1,6 @@
 """Runs that stop and go on: what is finished is kept, whatever cuts the run off."""
 
+import contextlib
 import os
 import resource
 import signal
@@ -22,6 +23,7 @@ from pgran.scenes.response import sweep
 ROW = np.dtype([("unit", np.int64), ("value", float, (3,))])
 UNITS = list(range(11))
 RUN = {"scene": "response", "bonds_seed": "7"}
+OTHER = RUN | {"bonds_seed": "8"}
 
 
 def rows_of(unit):
@@ -41,17 +43,11 @@ def fill(journal, positions):
     return stage
 
 
-def leave(world, path, positions, identity=RUN):
-    """Leave the journal of a run that was stopped; return its bytes."""
-
-    def run():
-        with Journal(world, path, identity) as journal:
-            fill(journal, positions)
-            journal.stop("SIGTERM")
-
-    with pytest.raises(StoppedError):
-        run()
-    return path.with_name(path.name + ".unfinished").read_bytes()
+@contextlib.contextmanager
+def ended_by(kind, said):
+    """Expect an error at the end of several statements."""
+    with pytest.raises(kind, match=said):
+        yield
 
 
 @pytest.fixture
@@ -60,24 +56,51 @@ def result(shared_path):
 
 
 @pytest.fixture
-def unfinished(shared_path):
-    return shared_path / "a.h5.unfinished"
+def unfinished(result):
+    return result.with_name("a.h5.unfinished")
 
 
-def test_units_are_kept_until_the_run_is_complete(world, result, unfinished):
-    leave(world, result, [4, 1, 9])
-    world.Barrier()
-    with Journal(world, result, RUN) as journal:
-        stage = journal.stage(0, UNITS, ROW)
-        if world.rank == 0:
-            assert journal.kept(stage) == [1, 4, 9]
-            for position in (1, 4, 9):
-                assert np.array_equal(journal.read(stage, position, ROW), rows_of(position))
-            others = [(1, UNITS, ROW), (0, UNITS[1:], ROW), (0, UNITS, np.dtype(float))]
-            assert not any(journal.kept(journal.stage(*other)) for other in others)
+@pytest.fixture
+def leave(world, result, unfinished):
+    """Return what leaves the journal of a run that was stopped, and returns its bytes."""
+
+    def leave(positions):
+        with ended_by(StoppedError, "the same command"), Journal(world, result, RUN) as journal:
+            fill(journal, positions)
+            journal.stop("SIGTERM")
         world.Barrier()
+        return unfinished.read_bytes()
+
+    return leave
+
+
+@pytest.fixture
+def kept_of(world, result, unfinished):
+    """Return what finds the units in the bytes of a journal, none of them another than written."""
+
+    def kept_of(content):
+        world.Barrier()
+        if world.rank == 0:
+            unfinished.write_bytes(content)
+        with Journal(world, result, RUN) as journal:
+            stage = journal.stage(0, UNITS, ROW)
+            kept = journal.kept(stage)
+            for position in kept:
+                assert np.array_equal(journal.read(stage, position, ROW), rows_of(position))
+            fill(journal, [3])
+        return world.bcast(kept)
+
+    return kept_of
+
+
+def test_units_are_kept_until_the_run_is_complete(world, result, unfinished, leave, kept_of):
+    content = leave([4, 1, 9])
+    with Journal(world, result, RUN) as journal:
+        others = [(1, UNITS, ROW), (0, UNITS[1:], ROW), (0, UNITS, np.dtype(float))]
+        assert not any(journal.kept(journal.stage(*other)) for other in others)
     world.Barrier()
     assert not unfinished.exists()
+    assert kept_of(content) == [1, 4, 9]
 
 
 def test_nothing_is_left_behind_by_a_run_that_finished_no_unit(world, result, unfinished):
@@ -87,60 +110,39 @@ def test_nothing_is_left_behind_by_a_run_that_finished_no_unit(world, result, un
     assert not unfinished.exists()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_journal_cut_off_anywhere_keeps_all_whole_records(world, result, unfinished, seed):
+def test_a_journal_cut_off_anywhere_keeps_all_whole_records(leave, kept_of):
     """What a kill or a power failure leaves: any part of the file."""
-    whole = leave(world, result, UNITS)
+    whole = leave(UNITS)
     ends = [len(MAGIC)]
     while ends[-1] < len(whole):
-        size = RECORD.unpack_from(whole, ends[-1])[2]
-        ends.append(ends[-1] + RECORD.size + size)
-    rng = np.random.default_rng(seed)
-    for cut in {0, 1, ends[1] - 1, ends[1], *rng.integers(0, len(whole), 25).tolist()}:
-        world.Barrier()
-        if world.rank == 0:
-            unfinished.write_bytes(whole[:cut])
-        world.Barrier()
-        with Journal(world, result, RUN) as journal:
-            kept = journal.kept(journal.stage(0, UNITS, ROW))
-            if world.rank == 0:
-                assert len(kept) == max(0, sum(end <= cut for end in ends[2:]))
-            fill(journal, [3])
-            world.Barrier()
+        ends.append(ends[-1] + RECORD.size + RECORD.unpack_from(whole, ends[-1])[2])
+    cuts = np.random.default_rng(0).integers(0, len(whole), 60).tolist()
+    for cut in {0, 1, ends[1] - 1, ends[1], *cuts}:
+        assert len(kept_of(whole[:cut])) == sum(end <= cut for end in ends[2:])
 
 
-def test_damage_never_passes_as_results(world, result, unfinished):
-    whole = bytearray(leave(world, result, UNITS))
+def test_damage_never_passes_as_results(leave, kept_of):
+    whole = leave(UNITS)
     rng = np.random.default_rng(5)
     for place in rng.integers(len(MAGIC), len(whole), 40).tolist():
-        world.Barrier()
-        if world.rank == 0:
-            damaged = whole.copy()
-            damaged[place] ^= 1 << int(rng.integers(8))
-            unfinished.write_bytes(damaged)
-        world.Barrier()
-        with Journal(world, result, RUN) as journal:
-            stage = journal.stage(0, UNITS, ROW)
-            if world.rank == 0:
-                kept = journal.kept(stage)
-                assert len(kept) < len(UNITS)
-                for position in kept:
-                    assert np.array_equal(journal.read(stage, position, ROW), rows_of(position))
-            world.Barrier()
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        assert len(kept_of(damaged)) < len(UNITS)
 
 
-def test_another_run_is_refused_by_name(world, result, unfinished):
-    before = leave(world, result, [1])
-    with pytest.raises(InputError, match=r"-bonds_seed: .* with 7, and now it is 8.*overwrite"):
-        Journal(world, result, RUN | {"bonds_seed": "8"})
-    with pytest.raises(InputError, match=r"-relax_seed: .*not given"):
-        Journal(world, result, RUN | {"relax_seed": "8"})
-    with pytest.raises(InputError, match=r"-bonds_seed: .*now it is not given"):
-        Journal(world, result, {"scene": "response"})
+def test_another_run_is_refused_by_name(world, result, unfinished, leave):
+    before = leave([1])
+    for identity, said in (
+        (OTHER, r"-bonds_seed: .* with 7, and now it is 8.*overwrite"),
+        (RUN | {"relax_seed": "8"}, r"-relax_seed: .*not given"),
+        ({"scene": "response"}, r"-bonds_seed: .*now it is not given"),
+    ):
+        with pytest.raises(InputError, match=said):
+            Journal(world, result, identity)
     world.Barrier()
     assert unfinished.read_bytes() == before
     world.Barrier()
-    with Journal(world, result, RUN | {"bonds_seed": "8"}, overwrite=True) as journal:
+    with Journal(world, result, OTHER, overwrite=True) as journal:
         assert journal.kept(journal.stage(0, UNITS, ROW)) == []
 
 
@@ -150,15 +152,13 @@ def test_a_run_that_finished_nothing_is_no_obstacle(world, result, unfinished):
         world.Barrier()
         empty = unfinished.read_bytes()
         world.Barrier()
-    world.Barrier()
     if world.rank == 0:
         unfinished.write_bytes(empty)
-    world.Barrier()
-    with Journal(world, result, RUN | {"bonds_seed": "8"}) as journal:
+    with Journal(world, result, OTHER) as journal:
         fill(journal, [2])
-        if world.rank == 0:
-            assert b'"bonds_seed": "8"' in unfinished.read_bytes()
-            assert b'"bonds_seed": "7"' not in unfinished.read_bytes()
+        found = unfinished.read_bytes()
+        assert b'"bonds_seed": "8"' in found
+        assert b'"bonds_seed": "7"' not in found
         world.Barrier()
 
 
@@ -184,46 +184,48 @@ def test_a_second_run_on_the_same_result_is_refused(world, result):
         world.Barrier()
 
 
-def test_bad_input_that_turns_up_late(world, result, unfinished):
+@pytest.mark.parametrize("before", [False, True])
+def test_bad_input_that_turns_up_late(world, result, unfinished, leave, before):
     """Leaves nothing of a new run, and all of one that went on."""
-
-    def fail():
-        with Journal(world, result, RUN) as journal:
-            fill(journal, [2])
-            raise InputError("late")
-
-    for before in (False, True):
-        if before:
-            leave(world, result, [1])
-        with pytest.raises(InputError, match="late"):
-            fail()
-        world.Barrier()
-        assert unfinished.exists() == before
-        world.Barrier()
+    if before:
+        leave([1])
+    with ended_by(InputError, "late"), Journal(world, result, RUN) as journal:
+        fill(journal, [2])
+        raise InputError("late")
+    world.Barrier()
+    assert unfinished.exists() == before
 
 
 def test_a_foreign_file_stays(world, result, unfinished):
     if world.rank == 0:
         unfinished.write_bytes(b"my thesis")
-    world.Barrier()
     with pytest.raises(FileError, match="no journal of pgran"):
         Journal(world, result, RUN, overwrite=True)
     assert unfinished.read_bytes() == b"my thesis"
 
 
+@contextlib.contextmanager
+def no_more_than(size):
+    """Let no file grow beyond some bytes."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
 def test_no_room(world, result):
     """What was kept before stays, and the error says which file."""
+    said = r"a\.h5\.unfinished: cannot be written"
+    with no_more_than(0), pytest.raises(FileError, match=said):
+        Journal(world, result, RUN)
     with Journal(world, result, RUN) as journal:
         stage = fill(journal, [0, 1])
         if world.rank == 0:
-            limits = resource.getrlimit(resource.RLIMIT_FSIZE)
             room = os.stat(journal.path).st_size + 40
-            resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
-            try:
-                with pytest.raises(FileError, match=r"a\.h5\.unfinished: cannot be written"):
-                    journal.write(stage, 2, rows_of(2))
-            finally:
-                resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+            with no_more_than(room), pytest.raises(FileError, match=said):
+                journal.write(stage, 2, rows_of(2))
             assert journal.kept(stage) == [0, 1]
             assert np.array_equal(journal.read(stage, 1, ROW), rows_of(1))
             journal.write(stage, 2, rows_of(2))
@@ -231,26 +233,16 @@ def test_no_room(world, result):
         world.Barrier()
 
 
-def test_no_room_at_all(world, result):
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, limits[1]))
-    try:
-        with pytest.raises(FileError, match=r"a\.h5\.unfinished: cannot be written"):
-            Journal(world, result, RUN)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-
 def test_a_disk_that_fails_at_a_sync(world, result, monkeypatch):
     def fail(number):
         raise OSError(5, "Input/output error")
 
-    with Journal(world, result, RUN) as journal:
-        monkeypatch.setattr(os, "fsync", fail)
-        if world.rank == 0:
-            with pytest.raises(FileError, match=r"a\.h5\.unfinished: .*Input/output error"):
-                journal.sync()
-        world.Barrier()
+    monkeypatch.setattr(os, "fsync", fail)
+    with (
+        Journal(world, result, RUN) as journal,
+        pytest.raises(FileError, match=r"a\.h5\.unfinished: .*Input/output error"),
+    ):
+        journal.stop("SIGTERM")
 
 
 def stop_at(journal, writes, rank):
@@ -274,29 +266,26 @@ def stop_at(journal, writes, rank):
 @pytest.mark.parametrize("together", [False, True])
 def test_share_stops_within_a_unit_and_goes_on(world, result, whom, together):
     """A signal to any one rank stops all; other groups go on, and no unit is done twice."""
-    rank = whom % world.size
+    size = world.size if together else 1
     done, delivered = [], []
 
     def work(unit):
         done.append(unit)
         return rows_of(unit)
 
-    def deliver(rows):
+    def deliver(*arguments):
+        rows = arguments[-1]
         delivered.append((int(rows["unit"][0]), rows.tobytes()))
 
-    def run():
-        with (
-            Journal(world, result, RUN) as journal,
-            Crew(world, world.size if together else 1, journal) as crew,
-        ):
-            stop_at(journal, 3, rank)
-            world.Barrier()
-            crew.share(UNITS, work, deliver, ROW)
-
-    with pytest.raises(StoppedError, match=r"SIG(USR1|TERM)"):
-        run()
-    first = world.allreduce(len(done)) // (world.size if together else 1)
-    world.Barrier()
+    with (
+        ended_by(StoppedError, r"SIG(USR1|TERM)"),
+        Journal(world, result, RUN) as journal,
+        Crew(world, size, journal) as crew,
+    ):
+        stop_at(journal, 3, whom % world.size)
+        world.Barrier()
+        crew.share(UNITS, work, deliver, ROW)
+    first = world.allreduce(len(done)) // size
     assert first < len(UNITS)
     delivered.clear()
     done.clear()
@@ -304,8 +293,8 @@ def test_share_stops_within_a_unit_and_goes_on(world, result, whom, together):
         crew.share(UNITS, work, deliver, ROW)
     assert first + world.allreduce(len(done)) == len(UNITS)
     if world.rank == 0:
-        assert dict(delivered) == {unit: rows_of(unit).tobytes() for unit in UNITS}
         assert len(delivered) == len(UNITS)
+        assert dict(delivered) == {unit: rows_of(unit).tobytes() for unit in UNITS}
 
 
 LATTICE = random_lattice((7, 6), 3)
@@ -321,22 +310,22 @@ SCENES = {
 
 
 @pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize("writes", [1, 2])
-def test_a_run_that_went_on_equals_one_never_stopped(world, result, unfinished, name, writes):
-    """Bit for bit, whole scenes."""
+def test_a_run_that_went_on_equals_one_never_stopped(world, result, name):
+    """Bit for bit, whole scenes, stopped after each unit."""
     with Crew(world, 1) as crew:
         expected = SCENES[name](crew)
-
-    def run(writes):
-        with Journal(world, result, RUN) as journal, Crew(world, 1, journal) as crew:
-            stop_at(journal, writes, 0)
-            return SCENES[name](crew)
-
-    with pytest.raises(StoppedError):
-        run(writes)
-    world.Barrier()
-    assert unfinished.stat().st_size > 0
-    found = run(0)
+    stops, found = 0, None
+    while found is None:
+        with (
+            contextlib.suppress(StoppedError),
+            Journal(world, result, RUN) as journal,
+            Crew(world, 1, journal) as crew,
+        ):
+            stop_at(journal, 1, 0)
+            found = SCENES[name](crew)
+        stops += found is None
+        world.Barrier()
+    assert stops > 0
     if world.rank == 0:
         for key, value in vars(expected).items():
             if key != "solve_seconds":
