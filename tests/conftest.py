@@ -222,7 +222,16 @@ def place(shared_path, world):
 
 
 @pytest.fixture
-def call(shared_path, monkeypatch, capsys):
+def experiment(place):
+    """A small experiment, `a.opts`."""
+    place(
+        "a.opts",
+        "-scene response -lattice_shape 6,5 -detectors 2,3 -sweep_points 70 -output_progress none",
+    )
+
+
+@pytest.fixture
+def call(experiment, shared_path, monkeypatch, capsys):
     """Return what carries out a command in this process, on all ranks: `call("run", "a.opts")`.
 
     It tells what `subprocess.run` would, on every rank what rank 0 has said. Nothing that a command
@@ -275,13 +284,13 @@ def clean_environment():
 
 
 @pytest.fixture
-def start(clean_environment, shared_path):
+def start(clean_environment, experiment, shared_path):
     """Return what starts pgran as a program: `start("run", "a.opts", ranks=2)`."""
 
-    def start(*words, ranks=0, program=("-m", "pgran"), **variables):
+    def start(*words, ranks=0, program=(sys.executable, "-m", "pgran"), **variables):
         launcher = ["mpirun", "-n", str(ranks)] if ranks else []
         return subprocess.run(
-            [*launcher, sys.executable, *program, *words],
+            [*launcher, *program, *words],
             cwd=shared_path, env=clean_environment | variables,
             capture_output=True, text=True, timeout=60,
         )  # fmt: skip

@@ -3,7 +3,6 @@
 import os
 import shlex
 import signal
-import subprocess
 import sys
 import time
 
@@ -18,22 +17,6 @@ from pgran import __version__, load
 from pgran.errors import FileError
 from pgran.files import store
 from pgran.files.options import SCENES
-
-SMALL = "-scene response -lattice_shape 6,5 -detectors 2,3 -sweep_points 70 -output_progress none\n"
-
-
-@pytest.fixture
-def call(call, place):
-    """What carries out a command beside a small experiment, `a.opts`."""
-    place("a.opts", SMALL)
-    return call
-
-
-@pytest.fixture
-def start(start, place):
-    """What starts a program beside a small experiment, `a.opts`."""
-    place("a.opts", SMALL)
-    return start
 
 
 def assert_one_line(done, code, *parts):
@@ -50,7 +33,9 @@ def assert_one_line(done, code, *parts):
 
 
 def test_a_run_and_its_own_options(call, place, shared_path, world):
-    assert call("run", "a.opts", "-bonds_seed", "5").returncode == 0
+    """Which repeat it. A result is replaced if that is asked for, and not otherwise."""
+    words = ["run", "a.opts", "-bonds_seed", "5"]
+    assert call(*words).returncode == 0
     first = load(shared_path / "results" / "a.h5")
     assert (first.status, first.scene, first.pgran_version) == ("complete", "response", __version__)
     assert first.mpi_size == world.size
@@ -61,6 +46,10 @@ def test_a_run_and_its_own_options(call, place, shared_path, world):
     second = load(shared_path / "b.h5")
     assert np.array_equal(first.response.displacement, second.response.displacement)
     assert first.bonds_sha256 == second.bonds_sha256
+    assert_one_line(call(*words), 4, "a.h5: exists already", "-output_overwrite")
+    assert load(shared_path / "results" / "a.h5").created == first.created
+    assert call(*words, "-output_overwrite", "-sweep_points", "3").returncode == 0
+    assert len(load(shared_path / "results" / "a.h5").response.omega) == 3
 
 
 def test_results_do_not_depend_on_the_number_of_ranks(call, start, shared_path):
@@ -78,21 +67,6 @@ def test_results_do_not_depend_on_the_number_of_ranks(call, start, shared_path):
         assert np.array_equal(found, expected), name
 
 
-def test_existing_output_is_left_alone(call, place, shared_path):
-    words = ["run", "a.opts", "-output_file", "mine.h5"]
-    mine = place("mine.h5", "mine")
-    done = call(*words, "-output_overwrite")
-    assert_one_line(done, 4, "mine.h5: exists and is no result of pgran: move it away yourself")
-    assert mine.read_text() == "mine"
-    words[-1] = "b.h5"
-    assert call(*words).returncode == 0
-    first = load(shared_path / "b.h5").created
-    assert_one_line(call(*words), 4, "b.h5: exists already", "-output_overwrite")
-    assert load(shared_path / "b.h5").created == first
-    assert call(*words, "-output_overwrite", "-sweep_points", "3").returncode == 0
-    assert len(load(shared_path / "b.h5").response.omega) == 3
-
-
 def test_bonds_file(call, place, shared_path, world):
     assert call("run", "a.opts").returncode == 0
     first = load(shared_path / "results" / "a.h5")
@@ -100,12 +74,13 @@ def test_bonds_file(call, place, shared_path, world):
         with h5py.File(shared_path / "k.h5", "w") as file:
             for name in ("stiffness_x", "stiffness_y"):
                 file[f"lattice/{name}"] = getattr(first.lattice, name)
-    place("b.opts", SMALL.replace("-lattice_shape 6,5", "-bonds_law file -bonds_file k.h5"))
-    assert call("run", "b.opts").returncode == 0
+    words = ["run", "b.opts", "-bonds_law", "file", "-bonds_file", "k.h5", "-output_overwrite"]
+    place("b.opts", "-scene response -detectors 2,3 -sweep_points 70")
+    assert call(*words).returncode == 0
     second = load(shared_path / "results" / "b.h5")
     assert np.array_equal(first.response.displacement, second.response.displacement)
     place("k.h5", "no")
-    assert_one_line(call("run", "b.opts", "-output_overwrite"), 4, "k.h5: not an HDF5 file")
+    assert_one_line(call(*words), 4, "k.h5: not an HDF5 file")
 
 
 def test_a_hopeless_solver_is_reported_and_marked(call, shared_path):
@@ -200,7 +175,7 @@ def test_bad_input_is_told_once(start, shared_path, words, ranks, parts):
 def test_bad_lines_and_names(call, place, shared_path, monkeypatch):
     """A name that is no UTF-8, which no result could hold, is refused before any work."""
     assert_one_line(call("run", "none.opts"), 4, "none.opts: No such file")
-    place("b.opts", SMALL + "\n-sweep_max many\n")
+    place("b.opts", "-scene response\n\n-sweep_max many\n")
     assert_one_line(call("run", "b.opts"), 2, "-sweep_max many", "b.opts, line 3")
     odd = os.fsdecode(b"a\xff.opts")
     assert_one_line(call("run", odd), 2, "no UTF-8")
@@ -226,7 +201,7 @@ def test_a_result_of_an_odd_name(call, place, shared_path, world):
 def test_a_missing_scipy_is_said_at_the_start(start, shared_path):
     code = "import sys; sys.modules['scipy'] = None; import pgran.__main__ as m; m.console()"
     (shared_path / "b.opts").write_text("-scene relaxation")
-    done = start("run", "b.opts", program=["-c", code])
+    done = start("run", "b.opts", program=[sys.executable, "-c", code])
     assert_one_line(done, 1, "scipy", "pgran doctor says how to mend it")
     assert os.listdir(shared_path / "results") == []
 
@@ -249,13 +224,9 @@ def test_help_and_version(call):
         assert "pgran run FILE" in done.stdout
         told = "pgran options response lists the options of a.opts" in done.stdout
         assert told == ("a.opts" in words)
-
-
-def test_options(call):
-    listed = call("options").stdout
     for scene in SCENES:
-        assert scene in listed
-        assert call("options", scene).stdout
+        assert scene in call("options").stdout
+        assert scene in call("options", scene).stdout
 
 
 QUESTION = """
@@ -275,7 +246,7 @@ program.console()
 @pytest.mark.parametrize("word", ["options", "--help", "--version"])
 def test_questions_load_nothing(start, word):
     """And a library's warning is one line."""
-    done = start(word, program=["-c", QUESTION])
+    done = start(word, program=[sys.executable, "-c", QUESTION])
     assert done.stdout.endswith("LOADED set()\n")
     assert done.stderr == "pgran: RuntimeWarning: a first line and another\n"
 
@@ -284,18 +255,10 @@ def test_questions_load_nothing(start, word):
 
 
 @pytest.fixture
-def shell(clean_environment, place, shared_path):
+def shell(start):
     """Return what runs a line of bash, in which $pgran is pgran."""
-    place("a.opts", SMALL)
-    environment = clean_environment | {"pgran": f"{sys.executable} -m pgran"}
-
-    def shell(line):
-        return subprocess.run(
-            ["bash", "-o", "pipefail", "-c", line],
-            cwd=shared_path, env=environment, capture_output=True, text=True, timeout=60,
-        )  # fmt: skip
-
-    return shell
+    pgran = f"{sys.executable} -m pgran"
+    return lambda line: start("-o", "pipefail", "-c", line, program=["bash"], pgran=pgran)
 
 
 @pytest.mark.parametrize("words", ["options", "plot -h", "run a.opts -dry_run"])
@@ -356,7 +319,7 @@ def test_exit_codes_of_errors(error, code, said):
 )
 def test_one_failing_rank_ends_all(start, shared_path, statement, code, message, rank, together):
     began = time.monotonic()
-    fault = inject.words(inject.UNIT, statement, rank, 2)
+    fault = [sys.executable, *inject.words(inject.UNIT, statement, rank, 2)]
     done = start("run", "a.opts", "-ranks_per_lattice", together, ranks=2, program=fault)
     assert done.returncode == code, done.stderr
     assert time.monotonic() - began < 15
