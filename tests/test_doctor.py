@@ -3,8 +3,8 @@
 import os
 import re
 import sys
-import types
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,33 +25,82 @@ def verdict(check, text):
     return next((good, cure) for good, said, cure in doctor.guarded(check) if text in said)
 
 
-def fake(name, **members):
-    module = types.ModuleType(name)
-    vars(module).update(members)
-    return module
-
-
 def test_nothing_is_wrong_here(monkeypatch, capsys):
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     assert doctor.examine() == 0
     assert "WRONG" not in capsys.readouterr().out
+    assert doctor.guarded(doctor.libraries) == []
+    assert "libmpi" in doctor.memory_map() or not Path("/proc/self/maps").exists()
+
+
+NO_MUMPS = {"pgran.command.doctor.has_solver": lambda PETSc, package: False}
+OTHER_SLEPC = {"slepc4py.SLEPc.Sys": SimpleNamespace(getVersion=lambda: (3, 2, 1))}
+OPEN_MPI = "Open MPI v4.1.4, package: Debian OpenMPI, ident: 4.1.4, repo rev: v4.1.4"
+MPICH = "MPICH Version:      5.0.2\nMPICH Release date: Fri Sep 25 20:45:26 UTC 2026\n"
+MAP = """
+7f0-7f1 r-xp 00000000 08:01 1  /usr/lib/libmpi.so.40.30.4
+7f1-7f2 rw-p 00000000 08:01 1  /usr/lib/libmpi.so.40.30.4
+7f2-7f3 r-xp 00000000 08:01 1  /usr/lib/libmpi_mpifh.so.40.30.0
+7f2-7f3 r-xp 00000000 08:01 1  /usr/lib/libpetsc_complex.so.3.18.5
+7f4-7f5 r-xp 00000000 08:01 1  """
+
+
+def mpirun_of(library, said):
+    """Fakes of an MPI library, and of what an mpirun says of itself."""
+    name = launch.library(SimpleNamespace(Get_library_version=lambda: library))
+    return {
+        "pgran.parallel.launch.library": lambda MPI: name,
+        "shutil.which": lambda program: program,
+        "subprocess.run": lambda *words, **how: SimpleNamespace(stdout=said),
+    }
+
+
+def loaded(path):
+    """A fake of the libraries in memory."""
+    return {"pgran.command.doctor.memory_map": lambda: MAP + path}
+
+
+def ranks(ranks, **variables):
+    """A fake of ranks on four cores."""
+    return {"pgran.command.doctor.ranks_and_cores": lambda: (ranks, 4)} | variables
 
 
 @pytest.mark.parametrize(
-    ("owner", "name", "version", "good"),
+    ("check", "fakes", "text", "good", "cure"),
     [
-        (sys, "version_info", (3, 10, 4), False),
-        (np, "__version__", "1.23.5", False),
-        (np, "__version__", "1.24.0", True),
-        (np, "__version__", "2.4", True),
+        (doctor.python, {"sys.version_info": (3, 10, 4)}, "Python 3.10.4", False, "3.11 or later"),
+        (doctor.packages, {"numpy.__version__": "1.23.5"}, "numpy 1.23.5", False, "1.24 or later"),
+        (doctor.packages, {"numpy.__version__": "2.4"}, "numpy 2.4", True, ""),
+        (doctor.petsc, {"petsc4py.PETSc.ScalarType": np.float64}, "real sc", False, "complex"),
+        (doctor.petsc, NO_MUMPS, "MUMPS: not found", None, "--download-mumps"),
+        (doctor.slepc, OTHER_SLEPC, "slepc4py 3.2.1 on PETSc", False, "SLEPC_DIR"),
+        (doctor.mpi, {"shutil.which": lambda program: None}, "not on PATH", None, "one rank only"),
+        (doctor.mpi, mpirun_of(OPEN_MPI, "HYDRA"), "not belong to Open MPI", False, "on PATH"),
+        (doctor.mpi, mpirun_of(OPEN_MPI, "(Open MPI) 4"), "belongs to Open MPI", True, ""),
+        (doctor.mpi, mpirun_of(MPICH, "(Open MPI) 4"), "not belong to MPICH", False, "on PATH"),
+        (doctor.mpi, mpirun_of(MPICH, "HYDRA"), "mpi4py with MPICH 5.0.2,", True, ""),
+        (doctor.mpi, mpirun_of(MPICH, "HYDRA"), "belongs to MPICH", True, ""),
+        (doctor.libraries, loaded("/a/libmpi.so.12.1"), "2 different MPI", False, "one source"),
+        (doctor.libraries, loaded("/a/libmpich.so.12"), "2 different MPI", False, "one source"),
+        (doctor.libraries, loaded("/a/libpetsc.so.3"), "2 different PETSc", False, "one source"),
+        (doctor.threads, ranks(4, OMP_NUM_THREADS="1"), "threads", True, ""),
+        (doctor.threads, ranks(5, OMP_NUM_THREADS="1"), "threads", None, "fewer ranks"),
+        (doctor.threads, ranks(2, OMP_NUM_THREADS="2"), "threads", True, ""),
+        (doctor.threads, ranks(3, OMP_NUM_THREADS="2"), "threads", None, "OMP_NUM_THREADS=1"),
+        (doctor.threads, ranks(2, OMP_NUM_THREADS="1", MKL_NUM_THREADS="4"), "threads", None, "=1"),
+        (doctor.threads, ranks(1), "threads", None, "OMP_NUM_THREADS=1"),
     ],
 )
-def test_old_versions(monkeypatch, owner, name, version, good):
-    monkeypatch.setattr(owner, name, version)
-    check = doctor.python if owner is sys else doctor.packages
-    found, cure = verdict(check, "Python 3.10.4" if owner is sys else f"numpy {version}")
+def test_findings(monkeypatch, check, fakes, text, good, cure):
+    """Fakes are values of names in modules, or of variables of the environment."""
+    for name, value in fakes.items():
+        if "." in name:
+            monkeypatch.setattr(name, value)
+        else:
+            monkeypatch.setenv(name, value)
+    found, said = verdict(check, text)
     assert found is good
-    assert "or later" in cure
+    assert cure in said
 
 
 @pytest.mark.parametrize(
@@ -64,7 +113,6 @@ def test_old_versions(monkeypatch, owner, name, version, good):
     ],
 )
 def test_missing_modules(monkeypatch, check, module):
-    """Which a .venv beside the package may have, or not."""
     extra = module in doctor.EXTRAS
     monkeypatch.setitem(sys.modules, module, None)
     good, cure = verdict(check, f"{module} cannot be imported")
@@ -73,6 +121,7 @@ def test_missing_modules(monkeypatch, check, module):
 
 
 def test_a_python_that_has_what_this_one_lacks(monkeypatch, tmp_path):
+    """In a .venv beside the package."""
     monkeypatch.setattr(doctor, "__file__", str(tmp_path / "pgran" / "command" / "doctor.py"))
     python = tmp_path / ".venv" / "bin" / "python"
     python.parent.mkdir(parents=True)
@@ -83,94 +132,15 @@ def test_a_python_that_has_what_this_one_lacks(monkeypatch, tmp_path):
         python.unlink()
 
 
-def test_what_petsc_lacks(monkeypatch):
+def test_solvers_and_cores(world):
+    """Ranks that mpirun ties to a core each have as many together."""
     from petsc4py import PETSc
 
     assert doctor.has_solver(PETSc, "petsc")
     assert not doctor.has_solver(PETSc, "nonsense")
-    monkeypatch.setattr(PETSc, "ScalarType", np.float64)
-    monkeypatch.setattr(doctor, "has_solver", lambda PETSc, package: False)
-    version = fake("Sys", getVersion=lambda: (3, 2, 1))
-    foreign = fake("slepc4py", init=lambda words: None, SLEPc=fake("SLEPc", Sys=version))
-    monkeypatch.setitem(sys.modules, "slepc4py", foreign)
-    for check, text, good, cure in (
-        (doctor.petsc, "real scalars", False, "complex"),
-        (doctor.petsc, "MUMPS: not found", None, "--download-mumps"),
-        (doctor.slepc, "slepc4py 3.2.1 on PETSc", False, "SLEPC_DIR"),
-    ):
-        found, said = verdict(check, text)
-        assert found is good
-        assert cure in said
-
-
-OPEN_MPI = "Open MPI v4.1.4, package: Debian OpenMPI, ident: 4.1.4, repo rev: v4.1.4"
-MPICH = "MPICH Version:      5.0.2\nMPICH Release date: Fri Sep 25 20:45:26 UTC 2026\n"
-
-
-@pytest.mark.parametrize(("mpi", "name"), [(OPEN_MPI, "Open MPI v4.1.4"), (MPICH, "MPICH 5.0.2")])
-@pytest.mark.parametrize("output", ["HYDRA build details:", "mpirun (Open MPI) 4.1.4", None])
-def test_whose_mpirun(monkeypatch, tmp_path, mpi, name, output):
-    assert launch.library(fake("MPI", Get_library_version=lambda: mpi)) == name
-    monkeypatch.setattr(launch, "library", lambda MPI: name)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    if output is None:
-        assert verdict(doctor.mpi, "not on PATH")[0] is None
-        return
-    program = tmp_path / "mpirun"
-    program.write_text(f"#!/bin/sh\necho '{output}'\n")
-    program.chmod(0o755)
-    assert verdict(doctor.mpi, str(program))[0] is ((mpi is MPICH) == ("HYDRA" in output))
-
-
-MAP = """
-7f0-7f1 r-xp 00000000 08:01 1  /usr/lib/libmpi.so.40.30.4
-7f1-7f2 rw-p 00000000 08:01 1  /usr/lib/libmpi.so.40.30.4
-7f2-7f3 r-xp 00000000 08:01 1  /usr/lib/libmpi_mpifh.so.40.30.0
-7f2-7f3 r-xp 00000000 08:01 1  /usr/lib/libpetsc_complex.so.3.18.5
-"""
-
-
-@pytest.mark.parametrize(
-    ("more", "name"),
-    [
-        ("", None),
-        ("/opt/mpich/lib/libmpi.so.12.1.1", "MPI"),
-        ("/opt/mpich/lib/libmpich.so.12", "MPI"),
-        ("/opt/lib/libpetsc.so.3.21", "PETSc"),
-    ],
-)
-def test_mixed_libraries(monkeypatch, more, name):
-    assert "libmpi" in doctor.memory_map() or not Path("/proc/self/maps").exists()
-    monkeypatch.setattr(doctor, "memory_map", lambda: f"{MAP}7f4-7f5 r-xp 00000000 08:01 1  {more}")
-    found = doctor.guarded(doctor.libraries)
-    assert len(found) == (name is not None)
-    for good, text, _ in found:
-        assert good is False
-        assert f"2 different {name} libraries" in text
-        assert more in text
-
-
-@pytest.mark.parametrize(
-    ("variables", "ranks", "good", "cure"),
-    [
-        ({"OMP_NUM_THREADS": "1"}, 4, True, ""),
-        ({"OMP_NUM_THREADS": "1"}, 5, None, "fewer ranks"),
-        ({"OMP_NUM_THREADS": "2"}, 2, True, ""),
-        ({"OMP_NUM_THREADS": "2"}, 3, None, "OMP_NUM_THREADS=1"),
-        ({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "4"}, 2, None, "OMP_NUM_THREADS=1"),
-        ({}, 1, None, "OMP_NUM_THREADS=1"),
-    ],
-)
-def test_threads(monkeypatch, world, variables, ranks, good, cure):
-    """Ranks that mpirun ties to a core each have as many together."""
-    assert doctor.ranks_and_cores()[0] == world.size
-    assert doctor.ranks_and_cores()[1] >= len(os.sched_getaffinity(0))
-    for name, text in variables.items():
-        monkeypatch.setenv(name, text)
-    monkeypatch.setattr(doctor, "ranks_and_cores", lambda: (ranks, 4))
-    ((found, _, said),) = doctor.guarded(doctor.threads)
-    assert found is good
-    assert cure in said
+    ranks, cores = doctor.ranks_and_cores()
+    assert ranks == world.size
+    assert cores >= len(os.sched_getaffinity(0))
 
 
 @pytest.mark.parametrize("variable", launch.RANKS)
