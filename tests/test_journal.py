@@ -103,13 +103,6 @@ def test_units_are_kept_until_the_run_is_complete(world, result, unfinished, lea
     assert kept_of(content) == [1, 4, 9]
 
 
-def test_nothing_is_left_behind_by_a_run_that_finished_no_unit(world, result, unfinished):
-    with pytest.raises(StoppedError, match="before any work"), Journal(world, result, RUN) as it:
-        it.stop("SIGTERM")
-    world.Barrier()
-    assert not unfinished.exists()
-
-
 def test_a_journal_cut_off_anywhere_keeps_all_whole_records(leave, kept_of):
     """What a kill or a power failure leaves: any part of the file."""
     whole = leave(UNITS)
@@ -147,11 +140,14 @@ def test_another_run_is_refused_by_name(world, result, unfinished, leave):
 
 
 def test_a_run_that_finished_nothing_is_no_obstacle(world, result, unfinished):
-    """Killed before its first unit, it leaves a journal of no worth."""
-    with Journal(world, result, RUN):
-        world.Barrier()
+    """Stopped before its first unit it leaves nothing; killed, a journal of no worth."""
+    with ended_by(StoppedError, "before any work"), Journal(world, result, RUN) as journal:
         empty = unfinished.read_bytes()
         world.Barrier()
+        journal.stop("SIGTERM")
+    world.Barrier()
+    assert not unfinished.exists()
+    world.Barrier()
     if world.rank == 0:
         unfinished.write_bytes(empty)
     with Journal(world, result, OTHER) as journal:
@@ -175,13 +171,18 @@ def test_signals_wait_until_the_journal_listens(world, result):
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def test_a_second_run_on_the_same_result_is_refused(world, result):
+def test_a_second_run_and_a_foreign_file_are_refused(world, result, unfinished):
     with Journal(world, result, RUN):
         with pytest.raises(FileError, match="another run is writing this result"):
             Journal(world, result, RUN)
         world.Barrier()
     with Journal(world, result, RUN):  # nothing is left of the lock
         world.Barrier()
+    if world.rank == 0:
+        unfinished.write_bytes(b"my thesis")
+    with pytest.raises(FileError, match="no journal of pgran"):
+        Journal(world, result, RUN, overwrite=True)
+    assert unfinished.read_bytes() == b"my thesis"
 
 
 @pytest.mark.parametrize("before", [False, True])
@@ -196,14 +197,6 @@ def test_bad_input_that_turns_up_late(world, result, unfinished, leave, before):
     assert unfinished.exists() == before
 
 
-def test_a_foreign_file_stays(world, result, unfinished):
-    if world.rank == 0:
-        unfinished.write_bytes(b"my thesis")
-    with pytest.raises(FileError, match="no journal of pgran"):
-        Journal(world, result, RUN, overwrite=True)
-    assert unfinished.read_bytes() == b"my thesis"
-
-
 @contextlib.contextmanager
 def no_more_than(size):
     """Let no file grow beyond some bytes."""
@@ -215,8 +208,12 @@ def no_more_than(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
-def test_no_room(world, result):
-    """What was kept before stays, and the error says which file."""
+def test_no_room(world, result, monkeypatch):
+    """What was kept before stays, and the error says which file; so it does of a failing disk."""
+
+    def fail(number):
+        raise OSError(5, "Input/output error")
+
     said = r"a\.h5\.unfinished: cannot be written"
     with no_more_than(0), pytest.raises(FileError, match=said):
         Journal(world, result, RUN)
@@ -230,19 +227,9 @@ def test_no_room(world, result):
             assert np.array_equal(journal.read(stage, 1, ROW), rows_of(1))
             journal.write(stage, 2, rows_of(2))
             assert journal.kept(stage) == [0, 1, 2]
-        world.Barrier()
-
-
-def test_a_disk_that_fails_at_a_sync(world, result, monkeypatch):
-    def fail(number):
-        raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr(os, "fsync", fail)
-    with (
-        Journal(world, result, RUN) as journal,
-        pytest.raises(FileError, match=r"a\.h5\.unfinished: .*Input/output error"),
-    ):
-        journal.stop("SIGTERM")
+        monkeypatch.setattr(os, "fsync", fail)
+        with pytest.raises(FileError, match=r"a\.h5\.unfinished: .*Input/output error"):
+            journal.stop("SIGTERM")
 
 
 def stop_at(journal, writes, rank):
