@@ -132,6 +132,16 @@ def test_a_python_that_has_what_this_one_lacks(monkeypatch, tmp_path):
         python.unlink()
 
 
+def test_open_mpi_looks_for_no_network_where_a_process_is_alone(monkeypatch):
+    environment = {"PMIX_RANK": "0"}
+    monkeypatch.setattr(os, "environ", environment)
+    launch.hasten()
+    assert environment == {"PMIX_RANK": "0"}
+    environment.clear()
+    launch.hasten()
+    assert environment["OMPI_MCA_pml"] == "ob1"
+
+
 def test_solvers_and_cores(world):
     """Ranks that mpirun ties to a core each have as many together."""
     from petsc4py import PETSc

@@ -1,4 +1,4 @@
-"""The log beside the result."""
+"""The log beside the result, on all ranks."""
 
 import logging
 import re
@@ -42,31 +42,22 @@ def test_errors_are_logged(start, shared_path):
     assert last == "pgran (rank 2) error: RuntimeError: planted"
 
 
-@pytest.mark.parametrize(
-    ("path", "code", "message"),
-    [("a.opts", 4, "a.opts: exists already and is no log"), ("b.h5", 2, "is the -output_file")],
-)
-def test_a_log_is_refused_before_any_work(call, shared_path, path, code, message):
-    done = call("run", "a.opts", "-output_log", path, "-output_file", "b.h5")
-    assert done.returncode == code
-    assert message in done.stderr
-    assert (shared_path / "a.opts").read_text().startswith("-scene response")
-    assert [path.name for path in shared_path.iterdir()] == ["a.opts"]
-
-
-def test_what_cannot_be_a_log(tmp_path, monkeypatch):
-    notes = tmp_path / "notes.txt"
-    notes.write_text("2020-01-01 shopping")
-    for path, message in (
-        (tmp_path, "is a folder"),
-        (notes, "exists already and is no log"),
-        (notes / "a.log", "cannot be written"),
+def test_a_log_is_refused_before_any_work(call, place, shared_path):
+    place("notes.txt", "2020-01-01 shopping")
+    for path, code, message in (
+        ("notes.txt", 4, "notes.txt: exists already and is no log"),
+        ("notes.txt/a.log", 4, "cannot be written"),
+        (".", 4, "is a folder"),
+        ("b.h5", 2, "is the -output_file"),
     ):
-        with pytest.raises(FileError, match=message):
-            logfile.check(path)
-    logfile.check(tmp_path / "new" / "a.log", make=False)
-    assert [*tmp_path.iterdir()] == [notes]
+        done = call("run", "a.opts", "-output_log", path, "-output_file", "b.h5")
+        assert done.returncode == code
+        assert message in done.stderr
+    logfile.check(shared_path / "new" / "a.log", make=False)
+    assert sorted(path.name for path in shared_path.iterdir()) == ["a.opts", "notes.txt"]
 
+
+def test_an_unwritable_folder(tmp_path, monkeypatch):
     def refuse(dir):
         raise PermissionError(13, "Permission denied", str(dir))
 

@@ -31,12 +31,6 @@ def test_time_left_by_the_pace_of_now(clock, capsys):
     assert said[-1] == "pgran: 529 of 1000 steps, about 8 min left"
 
 
-DURATIONS = [(1, "1 s"), (119, "119 s"), (600, "10 min"), (7200, "2 h"), (2e5, "2 days")]
-
-
-@pytest.mark.parametrize(("seconds", "words"), DURATIONS)
-def test_durations(clock, capsys, seconds, words):
-    with progress.Progress(1 + seconds / 10, "frequencies", "lines") as counter:
-        clock[0] = 10.0
-        counter.advance(1)
-    assert f"about {words} left" in capsys.readouterr().err
+def test_durations():
+    for seconds, words in ((119, "119 s"), (600, "10 min"), (7200, "2 h"), (2e5, "2 days")):
+        assert progress._duration(seconds) == words
