@@ -9,12 +9,20 @@ ranks compare outcomes after each test, and end the whole run where they differ 
 
 import contextlib
 import faulthandler
+import io
+import logging
 import os
+import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
+
+from pgran.parallel import launch
 
 os.environ.pop("PETSC_OPTIONS", None)
+launch.hasten()  # as `pgran run` does
 
 import mpi4py.MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 import petsc4py
@@ -27,11 +35,21 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from samples import option_values
 
-from pgran.parallel import launch
+import pgran.__main__ as program
+from pgran.command import run as running
 from pgran.parallel.agreement import SECONDS_FOR_MPIRUN
 from pgran.solve.database import holding
 
 WORLD = MPI.COMM_WORLD
+# These know nothing of ranks, and run on one only.
+ALIKE = {
+    "test_continuum.py",
+    "test_figures.py",
+    "test_figures_scenes.py",
+    "test_options.py",
+    "test_reference.py",
+    "test_spectrum.py",
+}
 SECONDS_PER_TEST = 120  # the slowest takes about ten
 SECONDS_FOR_OTHERS = 15  # that a rank whose test has failed waits for the others to finish theirs
 
@@ -47,6 +65,27 @@ def pytest_configure(config):
     reporter = config.pluginmanager.getplugin("terminalreporter")
     if WORLD.rank > 0 and reporter is not None:
         reporter._tw._file = open(os.devnull, "w")  # noqa: SIM115
+    if "PGRAN_TESTS_TAKEN" in os.environ:
+        config.pluginmanager.register(Share(Path(os.environ["PGRAN_TESTS_TAKEN"])))
+
+
+class Share:
+    """One of several processes that share out the tests: each takes the next file that is left."""
+
+    def __init__(self, folder):
+        """Keep the folder in which they note what is taken."""
+        self.folder, self.mine = folder, {}
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_protocol(self, item):
+        """Pass over the tests of a file that another process has taken."""
+        if item.path.name not in self.mine:
+            try:
+                (self.folder / item.path.name).mkdir()
+                self.mine[item.path.name] = True
+            except FileExistsError:
+                self.mine[item.path.name] = False
+        return None if self.mine[item.path.name] else True
 
 
 def pytest_sessionstart(session):
@@ -60,6 +99,13 @@ def pytest_sessionstart(session):
         "ranks": WORLD.size,
     }
     reporter.write_line(", ".join(f"{name} {version}" for name, version in versions.items()))
+
+
+def pytest_collection_modifyitems(items):
+    """Leave out, on several ranks, what would do the same on each of them."""
+    for item in items:
+        if WORLD.size > 1 and item.path.name in ALIKE:
+            item.add_marker(pytest.mark.skip(reason="runs alike on every rank"))
 
 
 def pytest_collection_finish(session):
@@ -162,6 +208,64 @@ def solver_options():
 
 
 @pytest.fixture
+def place(shared_path, world):
+    """Return what writes a text into a file of the shared folder: `place("a.opts", text)`."""
+
+    def place(name, text):
+        world.Barrier()
+        if world.rank == 0:
+            (shared_path / name).write_text(text)
+        world.Barrier()
+        return shared_path / name
+
+    return place
+
+
+@pytest.fixture
+def experiment(place):
+    """A small experiment, `a.opts`."""
+    place(
+        "a.opts",
+        "-scene response -lattice_shape 6,5 -detectors 2,3 -sweep_points 70 -output_progress none",
+    )
+
+
+@pytest.fixture
+def call(experiment, shared_path, monkeypatch, capsys):
+    """Return what carries out a command in this process, on all ranks: `call("run", "a.opts")`.
+
+    It tells what `subprocess.run` would, on every rank what rank 0 has said. Nothing that a command
+    leaves in its process outlasts it.
+    """
+    monkeypatch.chdir(shared_path)
+    monkeypatch.setattr(faulthandler, "enable", lambda: None)
+    log = logging.getLogger("pgran")
+    held = contextlib.ExitStack()  # PETSc has started: what it would be started with is set
+    keys_of = lambda options: held.enter_context(holding(options.solver))  # noqa: E731
+    monkeypatch.setattr(running, "start_petsc", keys_of)
+
+    def call(*words):
+        said, mask = io.StringIO(), signal.pthread_sigmask(signal.SIG_BLOCK, ())
+        log.handlers, level = [logging.StreamHandler(said)], log.level
+        log.handlers[0].setFormatter(logging.Formatter("pgran: %(message)s"))
+        log.setLevel(logging.INFO)
+        try:
+            code = program.main([*words])
+        except Exception as error:
+            code, text = program.explain(error)
+            log.error("%s", text)
+        finally:
+            held.close()
+            log.handlers = []
+            log.setLevel(level)
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        out, err = WORLD.bcast((capsys.readouterr().out, said.getvalue()))
+        return SimpleNamespace(returncode=code, stdout=out, stderr=err)
+
+    return call
+
+
+@pytest.fixture
 def clean_environment():
     """Return the environment for a `pgran` or `mpirun` that a serial test starts."""
     if WORLD.size > 1:
@@ -177,3 +281,18 @@ def clean_environment():
         "OMPI_MCA_rmaps_base_oversubscribe": "1",
     }
     return environment
+
+
+@pytest.fixture
+def start(clean_environment, experiment, shared_path):
+    """Return what starts pgran as a program: `start("run", "a.opts", ranks=2)`."""
+
+    def start(*words, ranks=0, program=(sys.executable, "-m", "pgran"), **variables):
+        launcher = ["mpirun", "-n", str(ranks)] if ranks else []
+        return subprocess.run(
+            [*launcher, *program, *words],
+            cwd=shared_path, env=clean_environment | variables,
+            capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+
+    return start

@@ -13,9 +13,11 @@ PROJECT = Path(__file__).parents[1]
 @pytest.fixture
 def setup(clean_environment, tmp_path):
     """Return what starts jobs/setup.sh in a copy, without a package index."""
-    for name in ("jobs", "pgran", "pyproject.toml", "README.md"):
-        copy = shutil.copytree if (PROJECT / name).is_dir() else shutil.copy
-        copy(PROJECT / name, tmp_path / name)
+    for name in ("jobs", "pgran"):  # another process may be at work in a __pycache__
+        ignore = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(PROJECT / name, tmp_path / name, ignore=ignore)
+    for name in ("pyproject.toml", "README.md"):
+        shutil.copy(PROJECT / name, tmp_path / name)
 
     def start(**variables):
         environment = clean_environment | {"PIP_NO_INDEX": "1"} | variables

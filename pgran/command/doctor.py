@@ -4,20 +4,19 @@ A finding is (good, text, cure): good is True, None for what pgran can do withou
 module and what it imports at once run on Python 3.7 and later.
 """
 
-import glob
 import importlib
 import os
 import re
 import shutil
 import subprocess
 import sys
-import tempfile
 
 from pgran.parallel import launch
 
 INSTALL = "bash jobs/setup.sh makes .venv, and .venv/bin/pgran has all it needs"
-FIGURES = "figures and progress bars need it: python3-{0} or pip install {0}"
 OLDEST_PYTHON, OLDEST_NUMPY = (3, 11), (1, 24)
+FIGURES = "figures and progress bars need it: python3-{0} or pip install {0}"
+NEEDED, EXTRAS = ("numpy", "scipy", "h5py"), ("matplotlib", "tqdm")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # The libraries of which a program must hold one only.
 SINGLE = {"MPI": r"lib(?:mpi|mpich|mpi_cray\w*|mpi_abi)\.so", "PETSc": r"libpetsc\w*\.so"}
@@ -40,7 +39,7 @@ def examine(words=()):
     if launch.rank() == 0:
         for good, text, cure in found + wrong:
             print(f"{'ok   ' if good else 'WRONG' if good is False else 'note '} {text}")
-            if not good and cure:
+            if not good:
                 print(f"      -> {cure}")
     return int(any(good is False for good, _, _ in found + wrong))
 
@@ -58,12 +57,16 @@ def guarded(check):
 
 def python():
     """Find the Python that runs this."""
-    version = ".".join(map(str, sys.version_info[:3]))
     yield (
         sys.version_info >= OLDEST_PYTHON,
-        f"Python {version}, {sys.executable}",
-        f"pgran needs {'.'.join(map(str, OLDEST_PYTHON))} or later: {INSTALL}",
+        f"Python {dotted(sys.version_info[:3])}, {sys.executable}",
+        f"pgran needs {dotted(OLDEST_PYTHON)} or later: {INSTALL}",
     )
+
+
+def dotted(version):
+    """Return a version as text."""
+    return ".".join(map(str, version))
 
 
 def mpi():
@@ -71,10 +74,9 @@ def mpi():
     try:
         from mpi4py import MPI
     except (ImportError, RuntimeError) as error:  # RuntimeError: no MPI library
-        yield False, f"mpi4py cannot be imported: {error}", elsewhere("mpi4py")
+        yield missing("mpi4py", error)
         return
-    name = launch.library(MPI)
-    ranks = MPI.COMM_WORLD.size
+    name, ranks = launch.library(MPI), MPI.COMM_WORLD.size
     yield True, f"mpi4py with {name}, {ranks} rank{'s' if ranks > 1 else ''} here", ""
     cure = "put the mpirun of the MPI that mpi4py was built with first on PATH"
     if launch.size() > 1 and ranks == 1:
@@ -93,35 +95,29 @@ def mpi():
 
 
 def petsc():
-    """Find petsc4py, its scalars, and the factorizations it can call."""
+    """Find petsc4py, its scalars, and MUMPS."""
     try:
         import petsc4py
 
         petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler"])
         from petsc4py import PETSc
     except ImportError as error:
-        yield False, f"petsc4py cannot be imported: {error}", elsewhere("petsc4py")
+        yield missing("petsc4py", error)
         return
-    version = ".".join(map(str, PETSc.Sys.getVersion()))
+    version, where = dotted(PETSc.Sys.getVersion()), os.path.dirname(petsc4py.__file__)
     is_complex = PETSc.ScalarType().dtype.kind == "c"
-    words = "complex" if is_complex else "real"
-    where = os.path.dirname(petsc4py.__file__)
     yield (
         is_complex,
-        f"petsc4py {version}, {words} scalars, {where}",
+        f"petsc4py {version}, {'complex' if is_complex else 'real'} scalars, {where}",
         "pgran needs a complex PETSc: set PETSC_DIR and PETSC_ARCH to one, or " + INSTALL,
     )
-    for package, cure in (
-        (
-            "mumps",
-            "lattices of more than about 200 x 200 balls, or shared by ranks, need it: a PETSc "
-            "configured with --download-mumps, Debian's and conda-forge's have it",
-        ),
-        ("superlu_dist", "an alternative to MUMPS; nothing needs it"),
-    ):
-        found = has_solver(PETSc, package)
-        state = "found" if found else "not found"
-        yield found or None, f"factorizations by {package}: {state}", cure
+    found = has_solver(PETSc, "mumps")
+    yield (
+        found or None,
+        f"factorizations by MUMPS: {'found' if found else 'not found'}",
+        "lattices of more than about 200 x 200 balls, or shared by ranks, need it: a PETSc "
+        "configured with --download-mumps, Debian's and conda-forge's have it",
+    )
 
 
 def has_solver(PETSc, package):
@@ -143,73 +139,56 @@ def has_solver(PETSc, package):
 
 def slepc():
     """Find slepc4py, and whether it was built for the PETSc at hand."""
-    if "petsc4py.PETSc" not in sys.modules:
-        return  # petsc4py comes first
-    PETSc = sys.modules["petsc4py.PETSc"]
-    cure = "set SLEPC_DIR to the SLEPc of this PETSc, or " + INSTALL
+    PETSc = sys.modules.get("petsc4py.PETSc")
+    if PETSc is None:
+        return  # it comes first
     try:
         import slepc4py
 
         slepc4py.init([])
         from slepc4py import SLEPc
     except ImportError as error:
-        yield False, f"slepc4py cannot be imported: {error}", f"normal modes need it: {cure}"
+        yield missing("slepc4py", error)
         return
-    versions = [".".join(map(str, module.Sys.getVersion())) for module in (SLEPc, PETSc)]
-    same = SLEPc.Sys.getVersion()[:2] == PETSc.Sys.getVersion()[:2]
-    yield same, f"slepc4py {versions[0]}" + ("" if same else f" on PETSc {versions[1]}"), cure
+    version, here = SLEPc.Sys.getVersion(), PETSc.Sys.getVersion()
+    yield (
+        version[:2] == here[:2],
+        f"slepc4py {dotted(version)} on PETSc {dotted(here)}",
+        "set SLEPC_DIR to the SLEPc of this PETSc, or " + INSTALL,
+    )
 
 
-def numpy():
-    """Find NumPy."""
-    for good, text, cure in library("numpy"):
-        if good:
-            numbers = re.findall(r"\d+", sys.modules["numpy"].__version__)
-            good = tuple(map(int, numbers[:2])) >= OLDEST_NUMPY
-            cure = f"pgran needs {'.'.join(map(str, OLDEST_NUMPY))} or later: {INSTALL}"
-        yield good, text, cure
+def packages():
+    """Find the other modules, those that only some commands need among them."""
+    for name in NEEDED + EXTRAS:
+        try:
+            version = importlib.import_module(name).__version__
+        except ImportError as error:
+            good, text, cure = missing(name, error)
+            if name in EXTRAS:
+                good, cure = None, FIGURES.format(name)
+            yield good, text, cure
+            continue
+        old = name == "numpy" and tuple(map(int, re.findall(r"\d+", version)[:2])) < OLDEST_NUMPY
+        yield (
+            not old,
+            f"{name} {version}",
+            f"pgran needs {dotted(OLDEST_NUMPY)} or later: {INSTALL}",
+        )
 
 
-def h5py():
-    """Find h5py."""
-    return library("h5py")
-
-
-def scipy():
-    """Find SciPy."""
-    return library("scipy")
-
-
-def library(name):
-    """Find a module that pgran cannot do without."""
-    try:
-        module = importlib.import_module(name)
-    except ImportError as error:
-        yield False, f"{name} cannot be imported: {error}", elsewhere(name)
-        return
-    yield True, f"{name} {module.__version__}", ""
-
-
-def elsewhere(module):
-    """Return how to get at a missing module: in another interpreter, if one of them has it."""
+def missing(module, error):
+    """Return the finding of a module that is not here, but may be in the .venv of this folder."""
     here = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", ".."))
-    venv = os.path.join(here, ".venv", "bin", "python")
-    debian = glob.glob("/usr/lib/petscdir/*-complex") + glob.glob("/usr/lib/petscdir/*/*-complex")
-    environment = dict(os.environ)
-    environment.pop("PYTHONPATH", None)
-    if debian:
-        environment.setdefault("PETSC_DIR", debian[0])
-    cures = {
-        venv: f"this python3 has no {module}, that of .venv has: source {venv[:-6]}activate",
-        "/usr/bin/python3": f"this python3 has no {module}, /usr/bin/python3 has: {INSTALL}",
-    }
-    for interpreter, cure in cures.items():
-        if os.path.exists(interpreter) and interpreter != sys.executable:
-            words = [interpreter, "-c", f"import {module}"]
-            done = subprocess.run(words, env=environment, capture_output=True, check=False)
-            if done.returncode == 0:
-                return cure
-    return INSTALL
+    activate = os.path.join(here, ".venv", "bin", "activate")
+    python = os.path.join(here, ".venv", "bin", "python")
+    cure = INSTALL
+    if os.path.exists(python) and python != sys.executable:
+        environment = {key: text for key, text in os.environ.items() if key != "PYTHONPATH"}
+        words = [python, "-c", f"import {module}"]
+        if not subprocess.run(words, env=environment, capture_output=True, check=False).returncode:
+            cure = f"this python3 has no {module}, that of .venv has: source {activate}"
+    return False, f"{module} cannot be imported: {error}", cure
 
 
 def libraries():
@@ -234,13 +213,6 @@ def memory_map():
         return ""
 
 
-def extras():
-    """Find modules that only some commands need."""
-    for name in ("matplotlib", "tqdm"):
-        for good, text, _ in library(name):
-            yield good or None, text, FIGURES.format(name)
-
-
 def threads():
     """Find whether the threads of the ranks on this machine are more than the cores they have."""
     given = {name: os.environ[name] for name in THREADS if name in os.environ}
@@ -249,8 +221,8 @@ def threads():
     said = ", ".join(f"{name} is {text}" for name, text in given.items())
     yield (
         (ranks * each <= cores and "OMP_NUM_THREADS" in given) or None,
-        f"{ranks} rank{'s' if ranks > 1 else ''} of up to {each} thread{'s' if each > 1 else ''} "
-        f"on {cores} core{'s' if cores > 1 else ''} ({said or 'OMP_NUM_THREADS is not set'})",
+        f"ranks: {ranks}, threads of each: up to {each}, cores: {cores} "
+        f"({said or 'OMP_NUM_THREADS is not set'})",
         "more threads than cores get in each other's way: "
         + ("start fewer ranks" if each == 1 else "export OMP_NUM_THREADS=1"),
     )
@@ -270,17 +242,4 @@ def ranks_and_cores():
     return len(everyone), len(set().union(*everyone))
 
 
-def folder():
-    """Find whether results can be written here."""
-    where = "results" if os.path.exists("results") else "."
-    try:
-        with tempfile.TemporaryFile(dir=where):
-            pass
-    except OSError as error:
-        text = f"{os.path.abspath(where)}: cannot be written to: {error.strerror}"
-        yield False, text, "go to another folder, or say -output_file"
-    else:
-        yield True, f"{os.path.abspath(where)} can be written to", ""
-
-
-CHECKS = (python, mpi, petsc, slepc, numpy, scipy, h5py, libraries, extras, threads, folder)
+CHECKS = (python, mpi, petsc, slepc, packages, libraries, threads)

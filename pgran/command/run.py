@@ -125,6 +125,7 @@ def start_mpi():
     InputError
         If a foreign mpirun started independent copies.
     """
+    launch.hasten()
     from mpi4py import MPI
 
     world = MPI.COMM_WORLD

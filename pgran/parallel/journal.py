@@ -19,7 +19,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pgran.errors import FileError, InputError, StoppedError, is_bad_input, reason_of
+from pgran.errors import (
+    FileError,
+    InputError,
+    PgranError,
+    StoppedError,
+    is_bad_input,
+    reason_of,
+)
 from pgran.parallel.agreement import on_root
 from pgran.parallel.launch import SIGNALS
 
@@ -59,7 +66,12 @@ class Journal:
         self.comm, self.path = comm, Path(f"{path}.unfinished")
         self._file, self._kept, self._synced = None, {}, time.monotonic()
         self._signal = None
-        on_root(comm, lambda: self._open(identity, overwrite))
+        try:
+            on_root(comm, lambda: self._open(identity, overwrite))
+        except PgranError:
+            if self._file is not None:  # an error that is kept must not keep the lock
+                self._file.close()
+            raise
         self._handlers = [(number, signal.signal(number, self._note)) for number in SIGNALS]
         self._mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
@@ -146,7 +158,6 @@ class Journal:
                 log.warning("%s: damaged; the run begins anew", self.path)
         elif found != identity and self._kept:
             if not overwrite:
-                self._file.close()
                 raise InputError(self._difference(found, identity))
             log.info("%s: another run; discarded as -output_overwrite asks", self.path)
         self._new = found != identity
