@@ -1,0 +1,87 @@
+"""pgran with a fault planted on one rank, for the fault campaign and the tests.
+
+    python tests/campaigns/inject.py PLACE STATEMENT RANK TURN run FILE [-key value ...]
+
+pgran itself knows nothing of this: on that rank a Python statement is executed at the TURN-th call
+of a function, whose `arguments` it may use. PLACE says when and which: `before` or `after`
+`pgran.files.store:write`, or `within` what `Crew.share` is given to do. The file `fault` in the
+working directory tells when it happened. A name that pgran no longer has ends the run.
+"""
+
+import importlib
+import itertools
+import sys
+from pathlib import Path
+
+from pgran import __main__ as program
+from pgran.parallel import launch
+
+UNIT = "within pgran.parallel.crew:Crew.share"
+SOLVE = "before pgran.solve.steady:SteadySolver.solve"
+LATTICE = "before pgran.physics.lattice:Lattice.__init__"
+RECORD = "before pgran.parallel.journal:Journal.write"
+RESULT = "before pgran.files.store:write"
+OPENED = "before pgran.parallel.journal:Journal.__enter__"
+
+
+def words(place, statement, rank=0, turn=1):
+    """Return what takes the place of `-m pgran` in a command.
+
+    Parameters
+    ----------
+    place, statement : str
+        Where the fault is planted, and what is executed there.
+    rank, turn : int
+        On which rank, and at which of its calls.
+    """
+    return [str(Path(__file__).resolve()), place, statement, str(rank), str(turn)]
+
+
+def plant(place, strike):
+    """Call `strike` with the arguments of each call of the function that a place names."""
+    when, name = place.split()
+    module, _, path = name.partition(":")
+    *owners, last = path.split(".")
+    owner = importlib.import_module(module)
+    for part in owners:
+        owner = getattr(owner, part)
+    original = getattr(owner, last)
+
+    def struck(*arguments, **keywords):
+        if when == "before":
+            strike(arguments)
+        if when == "within":
+            crew, units, work, *rest = arguments
+            arguments = (crew, units, lambda unit: strike(unit) or work(unit), *rest)
+        value = original(*arguments, **keywords)
+        if when == "after":
+            strike(arguments)
+        return value
+
+    setattr(owner, last, struck)
+
+
+def main(place, statement, rank, turn, *words):
+    """Run pgran with the fault.
+
+    A module that is not imported yet waits until the journal is open: MPI and PETSc have started by
+    then, as pgran starts them.
+    """
+    calls = itertools.count(1)
+
+    def strike(arguments):
+        if next(calls) == int(turn):
+            Path("fault").touch()
+            exec(statement, {"arguments": arguments})
+
+    sys.argv = ["pgran", *words]
+    if launch.rank() == int(rank):
+        if place.split()[1].partition(":")[0] in sys.modules:
+            plant(place, strike)
+        else:
+            plant(OPENED, lambda arguments: plant(place, strike))
+    program.console()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
