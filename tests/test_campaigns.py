@@ -36,8 +36,8 @@ def own_environment(clean_environment, monkeypatch):
 
 def test_faults_do_no_harm(tmp_path, capsys):
     campaign, kinds = faults.Campaign(tmp_path), list(faults.FAULTS)
-    planted = [kinds.index(kind) for kind in ("exception", "kill", "result")]
-    failed = campaign.carry_out(faults.plant, planted) + campaign.carry_out(faults.stop, range(2))
+    planted = [kinds.index(kind) for kind in ("kill", "result")]
+    failed = campaign.carry_out(faults.plant, planted) + campaign.carry_out(faults.stop, [3])
     assert failed == 0, capsys.readouterr().out
 
 
@@ -78,21 +78,22 @@ def test_no_file_does_harm(tmp_path):
     tests = str(Path(__file__).parent)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([tests, str(fuzz.FOLDER)])}
     done = subprocess.run(
-        [sys.executable, "-m", "campaigns.fuzz", "16"],
+        [sys.executable, "-m", "campaigns.fuzz", "12"],
         cwd=tmp_path, env=environment, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    found = re.findall(r"16 cases, seed 1: (\d+) refused, (\d+) accepted", done.stdout)
+    found = re.findall(r"12 cases, seed 1: (\d+) refused, (\d+) accepted", done.stdout)
     for refused, accepted in np.array(found, dtype=int).reshape(2, 2):
-        assert refused + accepted == 16
+        assert refused + accepted == 12
         assert min(refused, accepted) > 0
     assert not (tmp_path / "results").exists()
 
 
+@pytest.mark.filterwarnings("ignore:.*fork")  # the child does not wait for MPI's threads
 @pytest.mark.parametrize(
     ("read", "verdict"),
     [
-        (lambda path: os.kill(os.getpid(), 11), "crash"),
+        (lambda path: os.kill(os.getpid(), 9), "crash"),
         (lambda path: time.sleep(99), "hang"),
         (lambda path: 1 / 0, "untidy"),
         (lambda path: (6 * 10**8 * b"x")[:0], "memory"),
@@ -118,9 +119,7 @@ def test_fuzzing_notices(tmp_path, monkeypatch, capsys, read, verdict):
 def test_every_extreme_case_says_what_must_come_out():
     for path in stability.FILES.values():
         assert stability.options_of(path).scene in stability.SCENES, path
-        outcomes, other = stability.musts(path)
-        assert set() < outcomes <= {"accurate", "marked", "refused"}, path
-        assert other is None or other in stability.FILES, path
+        assert set() < stability.musts(path) <= {"accurate", "marked", "refused"}, path
 
 
 @pytest.mark.parametrize(
