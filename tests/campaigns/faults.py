@@ -231,7 +231,7 @@ class Fault:
     traceback: bool = False
 
 
-UNIT, WRITTEN, FILE = inject.UNIT, inject.RESULT, "cannot be written: File too large"
+UNIT, WRITTEN = inject.UNIT, inject.RESULT
 RAISE, PLANTED = "raise RuntimeError('planted')", "RuntimeError: planted"
 MISUSE = "from petsc4py import PETSc; PETSc.Vec().createSeq(3).setType('nonsense')"
 NO_ROOM = "import resource as r; r.setrlimit(r.RLIMIT_FSIZE, (ROOM, r.RLIM_INFINITY))"
@@ -249,8 +249,8 @@ FAULTS = {
     "abort": Fault(UNIT, "import os; os.abort()", 134, "exited on signal 6"),
     "vanish": Fault(UNIT, "import os; os._exit(0)", 1, "exiting improperly"),
     "import": Fault(UNIT, "import not_there", 1, "pgran doctor"),
-    "journal": Fault(inject.RECORD, NO_ROOM, 4, f"{JOURNAL}: {FILE}"),
-    "result": Fault(WRITTEN, NO_ROOM, 4, f"{RESULT}: {FILE}"),
+    "journal": Fault(inject.RECORD, NO_ROOM, 4, f"{JOURNAL}: cannot be written"),
+    "result": Fault(WRITTEN, NO_ROOM, 4, f"{RESULT}: cannot be written: File too large"),
     "folder": Fault(WRITTEN, LOSE, 4, f"{RESULT}: cannot be written"),
     "writing": Fault(WRITTEN, RAISE, 1, PLANTED, traceback=True),
 }
