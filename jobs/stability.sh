@@ -3,4 +3,4 @@
 # against elimination with 60 digits: one table. About five minutes; with names of files, only those.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
-python jobs/stability.py "$@"
+PYTHONPATH=tests${PYTHONPATH:+:$PYTHONPATH} python -m campaigns.stability "$@"

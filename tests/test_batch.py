@@ -1,0 +1,81 @@
+"""The batch script of a cluster, with stubs in place of Slurm and mpirun. Serial run only."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).resolve().parents[1] / "jobs" / "slurm" / "pgran.sbatch"
+STUBS = {
+    "jobs/setup.sh": "",
+    "bin/mpirun": 'shift 2\nexec "$@"\n',
+    "bin/srun": 'exec "$@"\n',
+    "bin/pgran": f'exec {sys.executable} -m pgran "$@"\n',
+    "bin/scontrol": 'echo "$@" >>requeued\n',
+}
+LONG = "-scene relaxation\n-lattice_damping .01\n-relax_method krylov\n-relax_window 16\n"
+
+
+@pytest.fixture
+def batch(clean_environment, tmp_path):
+    """Return what starts the batch script as Slurm would."""
+    for name, text in STUBS.items():
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(f"#!/usr/bin/env bash\n{text}")
+        path.chmod(0o755)
+    (tmp_path / "a.opts").write_text(LONG)
+
+    def start(**variables):
+        environment = clean_environment | variables
+        environment |= {"PATH": f"{tmp_path}/bin:{environment['PATH']}", "SLURM_JOB_ID": "17"}
+        environment |= {"SLURM_SUBMIT_DIR": str(tmp_path), "SLURM_NTASKS": "1"}
+        return subprocess.Popen(
+            ["bash", SCRIPT, "a.opts", "-relax_steps", "2000", "-output_file", "b.h5"],
+            env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+
+    return start
+
+
+def wait_for(path, size):
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline:
+        if path.exists() and path.stat().st_size > size:
+            return
+        time.sleep(0.01)
+    pytest.fail(f"no {path}")
+
+
+def test_a_batch_job_goes_back_into_the_queue_and_goes_on(batch, tmp_path):
+    job = batch()
+    wait_for(tmp_path / "b.h5.unfinished", 5000)
+    job.send_signal(signal.SIGUSR1)
+    said = job.communicate(timeout=60)[0]
+    assert job.returncode == 75, said
+    assert "stopped by SIGUSR1" in said
+    assert (tmp_path / "requeued").read_text() == "requeue 17\n"
+    assert not (tmp_path / "b.h5").exists()
+
+    job = batch(PGRAN_LAUNCH="srun")
+    said = job.communicate(timeout=60)[0]
+    assert job.returncode == 0, said
+    assert "going on from there" in said
+    assert not (tmp_path / "b.h5.unfinished").exists()
+
+    job = batch()
+    assert job.communicate(timeout=60)[0] == "b.h5 is there already: nothing to do\n"
+    assert job.returncode == 0
+    assert (tmp_path / "requeued").read_text() == "requeue 17\n"
+
+
+@pytest.mark.parametrize(("code", "said"), [(75, "needs a longer --time"), (2, "")])
+def test_a_batch_job_that_gets_nowhere_is_not_put_back(batch, tmp_path, code, said):
+    (tmp_path / "bin" / "pgran").write_text(f"#!/usr/bin/env bash\nexit {code}\n")
+    job = batch()
+    assert said in job.communicate(timeout=60)[0]
+    assert job.returncode == code
+    assert not (tmp_path / "requeued").exists()
