@@ -1,26 +1,33 @@
-"""When a factorization is refreshed: by counts and prices, the same way every time."""
+"""When a lattice is factored, by what, and when anew: by counts and prices, the same every time."""
 
 import math
 
 import numpy as np
 import pytest
+from samples import drive, random_lattice, reference_of, steady
 
+from pgran.solve.linear import factor_package
 from pgran.solve.reuse import ReusePolicy, expected_iterations
+
+
+def policy_of(price, limit=0):
+    """A policy that has seen what a factorization costs."""
+    policy = ReusePolicy(limit)
+    policy.price = price
+    return policy
 
 
 def serve(policy, iterations):
     """Let the policy decide for frequencies that would take these iterations when reusing."""
     fresh = []
     for count in iterations:
-        due = policy.due()
-        policy.count(due, 1 if due else count)
-        fresh.append(due)
+        fresh.append(policy.due())
+        policy.count(fresh[-1], 1 if fresh[-1] else count)
     return fresh
 
 
 def test_policy_factors_at_the_start_and_after_a_restart():
-    policy = ReusePolicy()
-    policy.price = 1000.0
+    policy = policy_of(1000.0)
     assert serve(policy, [2, 2, 2]) == [True, False, False]
     policy.restart()
     assert serve(policy, [2, 2]) == [True, False]
@@ -28,28 +35,14 @@ def test_policy_factors_at_the_start_and_after_a_restart():
 
 def test_policy_with_a_limit():
     """Refresh after the first frequency that took more than the limit."""
-    assert serve(ReusePolicy(limit=4), [9, 4, 4, 5, 9, 3]) == [
-        True,
-        False,
-        False,
-        False,
-        True,
-        False,
-    ]
+    fresh = serve(policy_of(0.0, limit=4), [9, 4, 4, 5, 9, 3])
+    assert fresh == [True, False, False, False, True, False]
 
 
-def test_policy_refreshes_where_reuse_is_dearer():
+def test_policy_reuses_where_that_is_cheaper():
     """A factorization for the price of one iteration is made again once reuse has shown 10."""
-    policy = ReusePolicy()
-    policy.price = 1.0
-    fresh = serve(policy, [10] * 40)
-    assert all(fresh[3:])
-
-
-def test_policy_reuses_while_that_is_cheaper():
-    policy = ReusePolicy()
-    policy.price = 50.0
-    assert serve(policy, [3] * 200).count(True) == 1
+    assert all(serve(policy_of(1.0), [10] * 40)[3:])
+    assert serve(policy_of(50.0), [3] * 200).count(True) == 1
 
 
 def test_policy_comes_near_the_cheapest_constant_cycle():
@@ -59,9 +52,7 @@ def test_policy_comes_near_the_cheapest_constant_cycle():
     def cost(ages):
         return sum(price + 1 if age == 0 else growth * age for age in ages)
 
-    policy = ReusePolicy()
-    policy.price = price
-    ages, age = [], 0
+    policy, ages, age = policy_of(price), [], 0
     for _ in range(points):
         due = policy.due()
         age = 0 if due else age + 1
@@ -73,8 +64,7 @@ def test_policy_comes_near_the_cheapest_constant_cycle():
 
 def test_policy_gives_up_what_did_not_work():
     """In time, and after a failure for good."""
-    policy = ReusePolicy()
-    policy.price = 50.0
+    policy = policy_of(50.0)
     assert (policy.patience(), ReusePolicy(limit=3).patience()) == (100, None)
     policy.count(True, 1)
     assert not policy.due()
@@ -86,18 +76,53 @@ def test_policy_gives_up_what_did_not_work():
 def test_what_to_expect_of_an_old_factorization():
     """Nothing beyond a resonance's width in omega^2, 2 d omega beta / m; within, each application
     gains what is left of it; in whatever units."""
-    omega, damping = 1.0, 0.01
-    assert expected_iterations(math.sqrt(1 - 0.041), omega, 2, 1.0, damping) == math.inf
+    assert expected_iterations(math.sqrt(1 - 0.041), 1.0, 2, 1.0, 0.01) == math.inf
+    assert expected_iterations(1.0, 1.0, 2, 1.0, 0.01) == 1
     for part, count in ((1e-1, 3), (1e-2, 1.5), (1e-3, 1)):
         for m, w in ((1.0, 1.0), (7.0, 1.0), (1.0, 3.0)):
             before = w * math.sqrt(1 - 0.04 * part)
-            found = expected_iterations(before, w * omega, 2, m, m * w * damping)
+            found = expected_iterations(before, w, 2, m, m * w * 0.01)
             assert found == pytest.approx(count, rel=1e-9)
-    assert expected_iterations(omega, omega, 2, 1.0, damping) == 1
 
 
-def test_policy_is_deterministic():
-    counts = np.random.default_rng(0).integers(1, 30, 200)
-    first, second = ReusePolicy(), ReusePolicy()
-    first.price = second.price = 40.0
-    assert serve(first, counts) == serve(second, counts)
+def test_what_factors_by_default(solver_options):
+    """PETSc in the ordering of the smaller factor; MUMPS where lattices are large or shared."""
+    assert factor_package((20, 20), 1) == "petsc"
+    assert factor_package((1000, 1000), 1) == factor_package((20, 20), 2) == "mumps"
+    entries = []
+    for options in ("", "-steady_pc_factor_mat_ordering_type nd"):
+        solver_options(options)
+        with steady(random_lattice((30, 30)), (5, 5)) as (_, solver):
+            drive(solver, 0.6)
+            entries.append(solver.factor.getInfo()["nz_used"])
+    assert entries[0] < entries[1]
+
+
+def test_a_factorization_is_reused(comm):
+    """As long as it is cheaper, or as iterations are allowed; amplitudes are as accurate.
+
+    The line through two solutions close together meets the third without an iteration.
+    """
+    lattice, omegas = random_lattice((15, 14), 9), np.linspace(0.6, 0.6015, 31)
+    for refresh, some in ((0, omegas), (1000, omegas), (1000, omegas[:5] / 2)):
+        with steady(lattice, (5, 5), comm, 1e-6, refresh_iterations=refresh) as (_, solver):
+            states = [drive(solver, omega) for omega in some]
+            if refresh:
+                assert solver.factorizations == 1
+            elif comm.size == 1:  # shared factors are so cheap here that reuse need not pay
+                assert solver.factorizations < len(some)
+        for state in states[::5]:
+            exact = reference_of(lattice).amplitudes(state.omega, (5, 5))
+            assert state.converged_reason > 0
+            assert np.abs(state.displacement - exact) <= state.error_bound <= 1e-6 * np.abs(exact)
+        iterations = [state.iterations for state in states]
+        assert refresh == 0 or (max(iterations) > 0) == (len(some) > 5)
+
+
+def test_preonly_factors_at_each_frequency(comm, solver_options):
+    """Whatever is said of iterations, of which it makes none."""
+    solver_options("-steady_ksp_type preonly -steady_pc_type lu")
+    with steady(random_lattice((6, 7)), (2, 2), comm, refresh_iterations=1000) as (_, solver):
+        for omega in np.linspace(0.6, 0.61, 7):
+            drive(solver, omega)
+        assert solver.factorizations == 7
