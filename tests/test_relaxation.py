@@ -40,10 +40,8 @@ HOPELESS = "-steady_ksp_type richardson -steady_ksp_max_it 1 -steady_pc_type non
 @pytest.mark.parametrize("method", ["window", "direct", "krylov"])
 def test_every_amplitude_is_that_of_the_stored_network(method, shape, beta, law):
     """Also where bonds vanish and come back."""
-    lattice, sites = (
-        random_lattice(shape, 5, beta, law=law),
-        [[0] * len(shape), np.array(shape) // 2],
-    )
+    lattice = random_lattice(shape, 5, beta, law=law)
+    sites = [[0] * len(shape), [n // 2 for n in shape]]
     choices = {"law": LAWS[law], "steps": 120, "method": method, "window": 40, "seed": 3}
     relaxation = relaxed(lattice, sites, **choices)
     assert relaxation.failures == 0
@@ -282,9 +280,8 @@ def test_the_same_bit_for_bit_on_any_number_of_ranks(world, method, monkeypatch)
 
 def test_a_lattice_that_all_ranks_share(world):
     lattice = random_lattice((6, 7), seed=6, damping=0.01)
-    alone = relaxed(lattice, [2, 2], steps=100)
-    together = relaxed(lattice, [2, 2], world, world.size, steps=100)
-    assert largest_error(lattice, together, range(0, 101, 20)) < 1e-10
+    together = relaxed(lattice, [2, 2], world, world.size, steps=60)
+    alone = relaxed(lattice, [2, 2], steps=60)
     assert np.max(np.abs(alone.displacement - together.displacement)) < 1e-12
 
 
@@ -327,30 +324,24 @@ def test_windows_need_a_factorization_and_damping(solver_options):
         relaxed(random_lattice((4, 4), damping=0.1), [1, 1], steps=4)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("-spectrum_fit_min .01 -relax_steps 800 -relax_trajectories 4", "corner 1/(2 pi 49)"),
-        ("-spectrum_fit_min .1 -relax_steps 80 -relax_trajectories 4", ""),
-        (
-            "-spectrum_fit_min .1 -relax_steps 20 -error_tolerance 1e-17",
-            "no spectrum: some steps have no amplitude",
-        ),
-    ],
-)
-def test_the_spectrum_of_a_run(world, words, said, caplog):
+def test_the_spectrum_of_a_run(world, caplog):
     """That of |A| at the first detector; with a word where the window lies below the memory."""
-    words += " -scene relaxation -lattice_shape 5,4 -detectors 2,2,1,1 -output_progress none"
-    options = resolve(read_words(words.split()))
-    records = relaxation_scene.run(options, world)
-    if world.rank == 0:
-        assert said in caplog.text
-        assert said or not caplog.text
-        if "no spectrum" in said:
-            assert len(records) == 2
-        else:
-            _, relaxation, spectrum = records
-            series = np.abs(relaxation.displacement[:, :, 0])
+    words = "-scene relaxation -lattice_shape 5,4 -detectors 2,2,1,1 -output_progress none"
+    for more, said in (
+        ("-spectrum_fit_min .01 -relax_steps 800 -relax_trajectories 4", "corner 1/(2 pi 49)"),
+        ("-spectrum_fit_min .1 -relax_steps 80 -relax_trajectories 4", None),
+        ("-relax_steps 20 -error_tolerance 1e-17", "no spectrum: some steps have no amplitude"),
+    ):
+        caplog.clear()
+        options = resolve(read_words(f"{words} {more}".split()))
+        records = relaxation_scene.run(options, world)
+        if world.rank > 0:
+            continue
+        assert said in caplog.text if said else not caplog.text
+        by_group = {record.group: record for record in records}
+        assert ("spectrum" in by_group) == ("no spectrum" not in caplog.text)
+        if "spectrum" in by_group:
+            series = np.abs(by_group["relaxation"].displacement[:, :, 0])
             expected = power_spectrum(series, options.spectrum_fit_min, 0.3)
-            assert np.array_equal(spectrum.power, expected.power)
-            assert spectrum.exponent == expected.exponent
+            assert np.array_equal(by_group["spectrum"].power, expected.power)
+            assert by_group["spectrum"].exponent == expected.exponent

@@ -26,23 +26,15 @@ def serve(policy, iterations):
     return fresh
 
 
-def test_policy_factors_at_the_start_and_after_a_restart():
-    policy = policy_of(1000.0)
-    assert serve(policy, [2, 2, 2]) == [True, False, False]
-    policy.restart()
-    assert serve(policy, [2, 2]) == [True, False]
-
-
-def test_policy_with_a_limit():
-    """Refresh after the first frequency that took more than the limit."""
+def test_policy_factors_at_the_start_and_where_it_is_cheaper():
+    """After the first frequency beyond a limit, or once reuse has shown to be dearer."""
     fresh = serve(policy_of(0.0, limit=4), [9, 4, 4, 5, 9, 3])
     assert fresh == [True, False, False, False, True, False]
-
-
-def test_policy_reuses_where_that_is_cheaper():
-    """A factorization for the price of one iteration is made again once reuse has shown 10."""
     assert all(serve(policy_of(1.0), [10] * 40)[3:])
-    assert serve(policy_of(50.0), [3] * 200).count(True) == 1
+    policy = policy_of(50.0)
+    assert serve(policy, [3] * 200).count(True) == 1
+    policy.restart()
+    assert serve(policy, [3] * 2) == [True, False]
 
 
 def test_policy_comes_near_the_cheapest_constant_cycle():
