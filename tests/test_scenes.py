@@ -19,7 +19,7 @@ BASE = {
     "continuum": "-sweep_points 9",
     "modes": "-lattice_shape 5,4",
     "projection": "-lattice_shape 5,4 -sweep_points 9",
-    "relaxation": "-lattice_shape 5,4 -detectors 2,2 -relax_steps 200 -spectrum_fit_min .1",
+    "relaxation": "-lattice_shape 5,4 -detectors 2,2 -relax_steps 150 -spectrum_fit_min .14",
 }
 PAIRS = "-sweep_points 128 -relax_method krylov"  # units of two frequencies: the second differs
 HERTZ, NEAREST = "-bonds_law hertz", "-modes_target .1 -modes_count 3"
@@ -52,13 +52,13 @@ CHANGES = {
     "continuum_mass": "2",
     "continuum_stiffness": "2",
     "continuum_damping": ".1",
-    "relax_steps": "201",
+    "relax_steps": "151",
     "relax_omega": ".5",
     "relax_seed": "2",
     "relax_method": "direct",
     "relax_window": "7",
     "relax_trajectories": "2",
-    "spectrum_fit_min": ".12",
+    "spectrum_fit_min": ".15",
     "spectrum_fit_max": ".4",
     "modes_omega_min": (".4", INTERVAL),
     "modes_omega_max": (".5", INTERVAL),
