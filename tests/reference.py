@@ -93,20 +93,19 @@ class Reference:
         return np.array([field[tuple(site)] for site in np.atleast_2d(sites)])
 
 
-def exact_amplitudes(stiffness, mass, damping, omega, sites):
-    """A at some balls for the given doubles, to the digits that mpmath works with.
+def equations(stiffness, mass, damping, omega):
+    """Number the balls; return the numbers, and each row of S and f as {column: entry}.
 
-    Sparse elimination with pivoting, the longest axis outermost, so that rows stay short. Infinite
-    where S is singular.
+    Entries have the digits that mpmath works with; f is the column after the last. The longest axis
+    is outermost, so that a row's columns are near each other.
     """
     shape = tuple(n - (a == 0) for a, n in enumerate(stiffness[0].shape))
     axes = np.argsort(shape, kind="stable")[::-1]
     order = sorted(balls(shape), key=lambda ball: [ball[a] for a in axes])
     number = {ball: n for n, ball in enumerate(order)}
-    size, reach = len(order), len(order) // max(shape)
     omega = mpf(float(omega))
     loss = mpmath.mpc(0, omega * mpf(float(damping))) if damping else mpf(0)
-    rows = [{n: -mpf(float(mass)) * omega**2} for n in range(size)]  # column `size` is f
+    rows = [{n: -mpf(float(mass)) * omega**2} for n in range(len(order))]
     for axis, index, *ends in bonds(shape):
         k = mpf(float(stiffness[axis][index])) + loss
         for end, other in (ends, ends[::-1]):
@@ -114,8 +113,19 @@ def exact_amplitudes(stiffness, mass, damping, omega, sites):
                 row = rows[number[end]]
                 row[number[end]] += k
                 if other is not REST:
-                    column = size if other is DRIVEN else number[other]
+                    column = len(order) if other is DRIVEN else number[other]
                     row[column] = row.get(column, 0) + (k if other is DRIVEN else -k)
+    return number, rows
+
+
+def exact_amplitudes(stiffness, mass, damping, omega, sites):
+    """A at some balls for the given doubles, to the digits that mpmath works with.
+
+    Sparse elimination with pivoting. Infinite where S is singular.
+    """
+    number, rows = equations(stiffness, mass, damping, omega)
+    size = len(rows)
+    reach = max(abs(n - column) for n, row in enumerate(rows) for column in row if column < size)
     for n in range(size):
         below = range(n, min(n + reach + 1, size))
         pivot = max(below, key=lambda p: abs(rows[p].get(n, 0)))
@@ -141,49 +151,26 @@ def refined_field(stiffness, mass, damping, omega, steps=6):
     A sparse factorization in double precision, refined by residuals with all digits: each step adds
     about twelve of them, if S is not nearly singular.
     """
-    shape = tuple(n - (a == 0) for a, n in enumerate(stiffness[0].shape))
-    omega, size = mpf(float(omega)), math.prod(shape)
-    number = np.arange(size).reshape(shape)
-    exact = [np.vectorize(mpf, otypes=[object])(k) for k in stiffness]
-    loss = mpmath.mpc(0, omega * mpf(float(damping)))
-    diagonal = np.full(shape, -mpf(float(mass)) * omega**2)
-    force = np.full(shape, mpf(0))
-    inner, rows, columns, entries = [], [], [], []
-    for axis, k in enumerate(exact):
-        k = np.moveaxis(k + loss, axis, 0)
-        diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
-        inner.append(k[1:-1])
-        ends = np.moveaxis(number, axis, 0)
-        for row, column in ((ends[1:], ends[:-1]), (ends[:-1], ends[1:])):
-            rows.append(row.ravel())
-            columns.append(column.ravel())
-            entries.append(-k[1:-1].astype(complex).ravel())
-        if axis == 0:
-            force[-1] = force[-1] + k[-1]
-    rows, columns = (np.concatenate([*parts, number.ravel()]) for parts in (rows, columns))
-    entries = np.concatenate([*entries, diagonal.astype(complex).ravel()])
-    S = scipy.sparse.csc_matrix((entries, (rows, columns)), shape=(size, size))
+    number, rows = equations(stiffness, mass, damping, omega)
+    size = len(rows)
+    force = [row.pop(size, mpf(0)) for row in rows]
+    places = [(n, column) for n, row in enumerate(rows) for column in row]
+    entries = [complex(value) for row in rows for value in row.values()]
+    S = scipy.sparse.csc_matrix((entries, np.transpose(places)), shape=(size, size))
     options = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0}
     factors = scipy.sparse.linalg.splu(S, options={"SymmetricMode": True}, **options)
-    x = np.full(shape, mpmath.mpc(0))
+    x = np.full(size, mpf(0))
     for _ in range(steps):
-        residual = force - diagonal * x
-        for axis, k in enumerate(inner):
-            moved, left = np.moveaxis(x, axis, 0), np.moveaxis(residual, axis, 0)
-            left[1:] = left[1:] + k * moved[:-1]
-            left[:-1] = left[:-1] + k * moved[1:]
-        x = x + _solved(factors, residual)
-    return x
-
-
-def _solved(factors, residual):
-    """Return what a factorization makes of numbers that may be too small for doubles."""
-    largest = max(abs(r) for r in residual.flat)
-    if largest == 0:
-        return residual
-    scaled = (residual / largest).astype(complex)
-    found = factors.solve(scaled.ravel()).reshape(residual.shape)
-    return np.vectorize(mpmath.mpmathify, otypes=[object])(found) * largest
+        kept = [sum(v * x[column] for column, v in row.items()) for row in rows]
+        residual = np.array(force) - kept
+        largest = max(map(abs, residual))  # it may be too small for doubles
+        if largest:
+            found = factors.solve((residual / largest).astype(complex))
+            x = x + np.vectorize(mpmath.mpmathify, otypes=[object])(found) * largest
+    field = np.empty([1 + max(place) for place in zip(*number, strict=True)], object)
+    for ball, n in number.items():
+        field[ball] = x[n]
+    return field
 
 
 def uniform_field(shape, stiffness, mass, damping, omega):

@@ -1,0 +1,66 @@
+"""Long relaxations, checked at random steps against dense solves from the stored bonds and events.
+
+    python tests/campaigns/relaxation.py STEPS
+
+tests/test_relaxation.py has the short ones.
+"""
+
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+import numpy as np
+from mpi4py import MPI
+from reference import Reference
+
+from pgran.parallel.crew import Crew
+from pgran.physics.bondlaw import BondLaw
+from pgran.physics.lattice import Lattice
+from pgran.scenes.relaxation import relax
+
+UNIFORM = BondLaw("uniform")
+
+
+def relaxed(lattice, sites, comm=MPI.COMM_SELF, ranks=1, law=UNIFORM, omega=0.5, **choices):
+    """A relaxation, on every rank of `comm`; so many of them share a lattice."""
+    with Crew(comm, ranks) as crew:
+        return comm.bcast(relax(lattice, law, omega, sites, crew, **choices))
+
+
+def largest_error(lattice, relaxation, steps, trajectory=0):
+    """The largest relative error of the amplitudes after some steps."""
+    stiffness, done, worst = [k.copy() for k in lattice.stiffness], 0, 0.0
+    places = zip(relaxation.bond_axis[trajectory], relaxation.bond_index[trajectory], strict=True)
+    stored = list(zip(places, relaxation.stiffness[trajectory], strict=True))
+    for step in sorted(steps):
+        for (axis, index), constant in stored[done:step]:
+            stiffness[axis][tuple(index)] = constant
+        done = step
+        reference = Reference(stiffness, lattice.mass, lattice.damping)
+        exact = reference.amplitudes(relaxation.omega, relaxation.detector)
+        found = relaxation.displacement[trajectory, step]
+        worst = max(worst, np.max(np.abs(found - exact) / np.abs(exact)))
+    return float(worst)
+
+
+def report(steps):
+    """Print the largest errors at 200 random steps of long runs."""
+    zeros = BondLaw("bimodal", kmin=0.0, fraction=0.7)
+    print("largest relative error at 200 random steps, drift, steps that miss their accuracy")
+    for shape, sites in (((30,), [[14]]), ((7, 6), [[3, 2]]), ((4, 3, 4), [[1, 1, 2]])):
+        for beta in (1e-4, 1e-2, 1.0):
+            for name, law in (("uniform", UNIFORM), ("bonds of 0", zeros)):
+                lattice = Lattice(law.draw(shape, 5), damping=beta, kmax=0.25)
+                run = relaxed(lattice, sites, law=law, omega=0.6, steps=steps)
+                good = np.flatnonzero(np.isfinite(run.displacement[0, :, 0]))
+                chosen = np.random.default_rng(1).choice(good, 200, replace=False)
+                print(
+                    f"{' x '.join(map(str, shape)):10} beta {beta:<6g} {name:10} "
+                    f"{largest_error(lattice, run, chosen):.1e} {run.drift:.1e} {run.failures:6}",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    report(int(sys.argv[1]))
