@@ -8,8 +8,8 @@ from pgran.errors import DONE, InputError
 from pgran.files.options import RUN, TEXT, Option, Options, nearest
 from pgran.files.solver_keys import (
     SOLVER_PREFIXES,
-    check_ends,
-    check_harmless,
+    check_in_file,
+    check_pivot_shifts,
     is_petsc_key,
     is_solver_key,
 )
@@ -58,7 +58,7 @@ def resolve(given, output_file=None):
         elif key != "scene":
             _check_foreign(key, item, scene)
             solver[key] = item.text
-    check_ends(solver)
+    check_pivot_shifts(solver)
     if not SCENES[scene].shares_lattice and values["ranks_per_lattice"] > 1:
         raise InputError(f"-ranks_per_lattice: scene {scene} has one rank for each lattice only")
     SCENES[scene].check(values, last)
@@ -73,13 +73,16 @@ def _check_foreign(key, item, scene):
             f"-{key}{item.where}: scene {scene} does not use it, but {', '.join(users)} does"
         )
     if is_solver_key(key) or is_petsc_key(key):
-        check_harmless(key, item)
+        check_in_file(key, item)
         return
     near = nearest(key, ["scene", *options_of(scene)])
-    prefixed = next((p + key for p in SOLVER_PREFIXES if key.startswith(("ksp_", "pc_"))), near)
+    if key.startswith(("ksp_", "pc_")):
+        near = f"steady_{key}"
+    elif key.startswith(("eps_", "st_")):
+        near = f"normal_{key}"
     raise InputError(
         f"-{key}{item.where}: unknown option"
-        + (f"; did you mean -{prefixed}?" if prefixed else "")
+        + (f"; did you mean -{near}?" if near else "")
         + f" (pgran options {scene} lists all)"
     )
 

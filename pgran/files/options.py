@@ -12,11 +12,10 @@ from pgran.files.solver_keys import is_solver_key
 
 @dataclass(frozen=True)
 class Kind:
-    """A type of option: how its text is read and written."""
+    """A type of option, and how its text is read."""
 
     name: str
     read: Callable
-    write: Callable = str
 
 
 def _flag(text):
@@ -50,17 +49,29 @@ def _several(read):
     return lambda text: tuple(read(part) for part in text.split(","))
 
 
-def _joined(values):
-    return ",".join(map(repr, values))
-
-
 INTEGER = Kind("integer", _integer)
-REAL = Kind("real", _real, repr)
-INTEGERS = Kind("integers", _several(_integer), _joined)
-REALS = Kind("reals", _several(_real), _joined)
-FLAG = Kind("flag", _flag, lambda value: str(value).lower())
-TEXT = Kind("text", _text, shlex.quote)
-TEXTS = Kind("texts", _several(_text), lambda values: shlex.quote(",".join(values)))
+REAL = Kind("real", _real)
+INTEGERS = Kind("integers", _several(_integer))
+REALS = Kind("reals", _several(_real))
+FLAG = Kind("flag", _flag)
+TEXT = Kind("text", _text)
+TEXTS = Kind("texts", _several(_text))
+
+
+def text_of(value):
+    """Return the text that a value is read from. Not collective."""
+    if isinstance(value, tuple):
+        return ",".join(map(text_of, value))
+    if isinstance(value, bool):
+        return str(value).lower()
+    return value if isinstance(value, str) else repr(value)
+
+
+def _without_numpy(value):
+    """Return NumPy's numbers and arrays, and lists, as Python's own numbers and tuples."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    return tuple(map(_without_numpy, value)) if isinstance(value, (list, tuple)) else value
 
 
 @dataclass(frozen=True)
@@ -92,9 +103,7 @@ class Option:
         try:
             value = self.kind.read(text.strip())
         except (ValueError, KeyError):
-            raise InputError(
-                f"-{self.name} {text}{where}: needs a value of the type `{self.kind.name}`"
-            ) from None
+            raise self._wrong_type(text, where) from None
         numbers = value if isinstance(value, tuple) else (value,)
         if self.choices and value not in self.choices:
             near = nearest(value, self.choices)
@@ -124,19 +133,28 @@ class Option:
 
     def write(self, value):
         """Return the line of an options file that sets this value."""
-        return f"-{self.name} {self.kind.write(value)}".rstrip()
+        return f"-{self.name} {shlex.quote(text_of(value))}"
 
     def check(self, value):
         """Return a value given in Python as the command line would read it; raise as it does."""
-        plain = value.item() if hasattr(value, "item") else value
-        return self.read(self.kind.write(plain))
+        plain = _without_numpy(value)
+        text = text_of(plain)
+        read = self.read(text)
+        if read != plain:
+            raise self._wrong_type(text)
+        return read
 
     def describe(self):
         """Return what there is to know of the option, over several lines."""
-        default = "" if self.default is None else f"default {self.kind.write(self.default)}"
+        default = "" if self.default is None else f"default {text_of(self.default)}"
         facts = "; ".join(filter(None, [self.kind.name, self.unit, self.range(), default]))
         choices = f"    choices: {', '.join(self.choices)}\n" if self.choices else ""
         return f"-{self.name}\n    {self.meaning}\n    ({facts})\n{choices}"
+
+    def _wrong_type(self, text, where=""):
+        return InputError(
+            f"-{self.name} {text}{where}: needs a value of the type `{self.kind.name}`"
+        )
 
 
 def nearest(word, words):
@@ -201,5 +219,5 @@ class Options:
         for option in self._declared:
             value = self._values[option.name]
             if value is not None and option not in RUN:
-                found[option.name] = option.kind.write(value)
+                found[option.name] = text_of(value)
         return found | {k: text for k, text in self.solver.items() if is_solver_key(k)}

@@ -13,8 +13,14 @@ from dataclasses import dataclass
 
 from pgran.errors import FileError, InputError
 from pgran.files.paths import open_regular
-from pgran.files.solver_keys import SOLVER_PREFIXES, check_ends, check_harmless, is_solver_key
+from pgran.files.solver_keys import (
+    SOLVER_PREFIXES,
+    check_in_file,
+    check_pivot_shifts,
+    is_solver_key,
+)
 
+ENVIRONMENT = " (PETSC_OPTIONS)"
 LONGEST_FILE = 2**20  # bytes of an options file
 NO_TEXT = re.compile(r"[^\t\n\r -~\u00a0-\ud7ff\ue000-\U0010ffff]")  # control characters, no UTF-8
 KEY = re.compile(r"--?[A-Za-z][\w.-]*", re.ASCII)
@@ -33,7 +39,7 @@ class Given:
     @property
     def rank(self):
         """What wins: the command line over the file over the environment. Not collective."""
-        return 2 if not self.where else 0 if "PETSC_OPTIONS" in self.where else 1
+        return {"": 2, ENVIRONMENT: 0}.get(self.where, 1)
 
 
 def read_file(path):
@@ -97,6 +103,8 @@ def _hint(word, given=()):
         return "a comment begins with #"
     if word.startswith(DASHES):
         return "begins with a long dash; keys begin with -, as in -key"
+    if re.fullmatch("[a-z]+(_[a-z]+)*", word.lower()):
+        return f"a value without a key; did you mean -{word.lower()}?"
     if given:
         last = given[-1]
         both = f"{last.text.strip(',')},{word.strip(',')}"
@@ -133,14 +141,14 @@ def read_solver(path, own):
         if key in own:
             values[key] = own[key].read(item.text, item.where)
         elif is_solver_key(key):
-            check_harmless(key, item)
+            check_in_file(key, item)
             keys[key] = item.text
         else:
             allowed = [f"-{name}" for name in (*own, *(f"{p}*" for p in SOLVER_PREFIXES))]
             raise InputError(
                 f"-{key}{item.where}: the file of a solver holds {', '.join(allowed)} only"
             )
-    check_ends(keys)
+    check_pivot_shifts(keys)
     return values, keys
 
 
@@ -148,4 +156,4 @@ def read_environment():
     """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked. Not collective."""
     if os.environ.pop("PETSC_OPTIONS_YAML", ""):
         raise InputError("PETSC_OPTIONS_YAML: not read; an options file or PETSC_OPTIONS is")
-    return read_words(os.environ.pop("PETSC_OPTIONS", "").split(), " (PETSC_OPTIONS)")
+    return read_words(os.environ.pop("PETSC_OPTIONS", "").split(), ENVIRONMENT)
