@@ -30,7 +30,7 @@ RESPONSE = "-lattice_shape 9,7 -detectors 3,2,5,5 -sweep_omega"
 SWEEP = "-lattice_shape 6,5 -detectors 3,2,1,4 -sweep_points 128 -sweep_min .3 -sweep_max .9"
 RELAXATION = "-accuracy_of relaxation -lattice_shape 7,6 -detectors 2,3 -relax_steps 40"
 MODES = "-accuracy_of modes -lattice_shape 8,7 -accuracy_repeats 3"
-ITERATIVE, MISSING = "-steady_pc_type jacobi", "-steady_pc_factor_mat_solver_type no_such_package"
+ITERATIVE, MISSING = "-steady_pc_type jacobi", "-steady_pc_factor_mat_solver_type mkl_cpardiso"
 
 
 @pytest.fixture

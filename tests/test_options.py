@@ -4,16 +4,19 @@ import os
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from pgran.command.resolve import SCENES, describe_options, resolve
+from pgran.command.resolve import SCENES, describe_options, options_of, resolve
 from pgran.errors import FileError, InputError
-from pgran.files import reading
-from pgran.files.options import FLAG, TEXT, nearest
-from pgran.files.reading import read_environment, read_file, read_words
+from pgran.files.options import FLAG, INTEGER, INTEGERS, REAL, TEXT, nearest, text_of
+from pgran.files.reading import read_environment, read_file, read_solver, read_words
 from pgran.files.solver_keys import SOLVER_PREFIXES
+from pgran.scenes.common import check_values, driving_frequencies, make_lattice
 
-ALL = {option.name: option for options in SCENES.values() for option in options}
+OPTIONS = list(dict.fromkeys(o for scene in SCENES for o in options_of(scene).values()))
+SHIPPED = sorted((Path(__file__).parents[1] / "options").rglob("*.opts"))
+each_option = pytest.mark.parametrize("option", OPTIONS, ids=lambda option: option.name)
 
 
 def options(text, **more):
@@ -31,82 +34,58 @@ def refusal(text, key):
     return message
 
 
+@pytest.fixture
+def written(tmp_path):
+    """Return what writes an options file."""
+
+    def write(text, name="a.opts"):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        return tmp_path / name
+
+    return write
+
+
+# One option
+
+
 def test_defaults_of_the_paper():
     found = options("-scene response")
     assert found.scene == "response"
     assert found.lattice_shape == (20, 20)
     assert (found.lattice_mass, found.lattice_damping, found.bonds_kmax) == (1.0, 0.003, 0.25)
     assert (found.sweep_min, found.sweep_max, found.sweep_points) == (0.01, 1.3, 1291)
-    assert found.detectors == (8, 10)
-    assert found.error_tolerance == 1e-4
+    assert (found.detectors, found.error_tolerance, found.solver) == ((8, 10), 1e-4, {})
     assert (found.phase_fit_min, found.phase_fit_max) == (0.3, 1.0)
-    assert found.solver == {}
     found = options("-scene relaxation")
     assert (found.relax_omega, found.spectrum_fit_min, found.spectrum_fit_max) == (0.6, 0.01, 0.3)
     found = options("-scene continuum")
     assert (found.continuum_point, found.continuum_size) == ((0.47, 0.52), (1.0, 1.0))
-    assert (found.continuum_mass, found.continuum_stiffness, found.continuum_damping) == (
-        1,
-        1,
-        0.003,
-    )
 
 
-@pytest.mark.parametrize("scene", SCENES)
-def test_every_default_is_possible(scene):
-    """Writing and reading a default gives it back, and its own bounds allow it."""
-    for option in SCENES[scene]:
-        if option.default is not None:
-            _, _, text = option.write(option.default).partition(" ")
-            assert option.read(text) == option.default
+@each_option
+def test_default_is_possible(option):
+    """It comes back from the line that sets it, and from Python."""
+    if option.default is not None:
+        assert option.read(option.write(option.default).partition(" ")[2]) == option.default
+        assert option.check(option.default) == option.default
 
 
-def outside(option):
-    """Values just outside each bound that an option declares."""
-    step = 1 if option.kind.name.startswith("integer") else 1e-6
-    if option.low is not None:
-        yield option.low - step
-    if option.above is not None:
-        yield option.above
-        yield option.above - step
-    if option.high is not None:
-        yield option.high + step
-
-
-def inside(option):
-    """The bounds themselves where they belong to the range."""
-    if option.low is not None:
-        yield option.low
-    if option.high is not None:
-        yield option.high
-
-
-BOUNDED = [
-    pytest.param(option, value, id=f"{option.name}={value}")
-    for option in ALL.values()
-    for value in outside(option)
-]
-
-
-@pytest.mark.parametrize(("option", "value"), BOUNDED)
-def test_values_outside_the_range_are_refused(option, value):
-    with pytest.raises(InputError) as caught:
-        option.read(repr(value))
-    assert f"-{option.name}" in str(caught.value)
-    assert option.range() in str(caught.value)
-
-
-ALLOWED = [
-    pytest.param(option, value, id=f"{option.name}={value}")
-    for option in ALL.values()
-    for value in inside(option)
-]
-
-
-@pytest.mark.parametrize(("option", "value"), ALLOWED)
-def test_bounds_themselves_are_allowed(option, value):
-    read = option.read(repr(value))
-    assert value in (read if isinstance(read, tuple) else (read,))
+@each_option
+def test_range(option):
+    """The bounds belong to it or not, as declared; what is refused is told the range."""
+    assert option.low is None or option.above is None
+    step = 1 if option.kind in (INTEGER, INTEGERS) else 1e-6
+    inside = [bound for bound in (option.low, option.high) if bound is not None]
+    outside = [option.above] if option.above is not None else []
+    outside += [option.low - step] if option.low is not None else []
+    outside += [option.high + step] if option.high is not None else []
+    for value in inside:
+        assert option.read(text_of(value)) in (value, (value,))
+    for value in outside:
+        with pytest.raises(InputError) as caught:
+            option.read(text_of(value))
+        assert str(caught.value).startswith(f"-{option.name} {value!r}: ")
+        assert str(caught.value).endswith(f" is not {option.range()}")
 
 
 WRONG = {
@@ -115,28 +94,55 @@ WRONG = {
     "integers": ["x", "", "1,,2", "1.5,2", "1,"],
     "reals": ["x", "", "1,,2", "1,nan", "inf", ","],
     "flag": ["maybe", "2", "tru"],
-    "text": [],
+    "text": [""],
     "texts": ["", ",", "a,,b", "a,"],
 }
 
 
-@pytest.mark.parametrize("option", ALL.values(), ids=lambda option: option.name)
+@each_option
 def test_wrong_types_are_refused(option):
-    assert option.kind.name in WRONG
     for text in WRONG[option.kind.name]:
-        with pytest.raises(InputError, match=f"-{option.name}"):
-            option.read(text, " (somewhere)")
+        said = f"-{option.name} {text} (here): needs a value of the type `{option.kind.name}`"
+        with pytest.raises(InputError, match=re.escape(said)):
+            option.read(text, " (here)")
     if option.choices:
         with pytest.raises(InputError, match="choose"):
             option.read("nothing_like_it")
 
 
-def test_texts_need_a_value():
-    texts = [option for option in ALL.values() if option.kind is TEXT]
-    assert len(texts) > 5
-    for option in texts:
-        with pytest.raises(InputError, match=f"-{option.name} : needs a value"):
-            option.read("")
+WRONG_IN_PYTHON = {
+    "integer": ["3", 3.0, None, True, (3,), [3]],
+    "real": ["1.0", None, np.nan, float("inf"), 1j, True, (1.0,)],
+    "integers": ["8,10", 8, None, (1.5, 2), (), (8, None)],
+    "reals": ["0.5", 0.5, None, (0.5, np.inf), ()],
+    "flag": ["true", None, 2, 0.5],
+    "text": [5, None, ("window",), ""],
+    "texts": [5, None, "a.opts,b.opts", ("a,b",), ()],
+}
+
+
+@each_option
+def test_values_given_in_python(option):
+    """Those of NumPy are taken; a wrong type is refused, and never read as if it were a text."""
+    for value in WRONG_IN_PYTHON[option.kind.name]:
+        with pytest.raises(InputError, match=f"^-{option.name} "):
+            option.check(value)
+    numbers = {"integer": np.int64, "real": np.float64, "integers": np.array, "reals": list}
+    if option.default is not None and option.kind.name in numbers:
+        found = option.check(numbers[option.kind.name](option.default))
+        assert found == option.default
+        assert type(found) is type(option.default)
+
+
+def test_python_is_told_the_same_as_the_command_line():
+    for name, value in (("relax_steps", 0), ("relax_omega", -1.0), ("relax_method", "windw")):
+        with pytest.raises(InputError) as caught:
+            check_values(SCENES["relaxation"].options, **{name: value})
+        assert str(caught.value) == refusal(f"-scene relaxation -{name} {value}", name)
+    omega = options_of("relaxation")["relax_omega"]
+    assert omega.kind is REAL
+    assert omega.check(np.int32(2)) == 2.0
+    check_values(SCENES["relaxation"].options, relax_omega=1, nothing=None)
 
 
 def test_flags():
@@ -144,12 +150,34 @@ def test_flags():
         assert options(f"-scene response -output_fields{text}").output_fields is True
     for text in (" false", " no", " 0", " off"):
         assert options(f"-scene response -output_fields{text}").output_fields is False
-    assert any(option.kind is FLAG for option in ALL.values())
 
 
 def test_negative_numbers_are_values_and_not_keys():
     assert "-1" in refusal("-scene response -lattice_damping -1", "lattice_damping")
     assert "-.5" in refusal("-scene response -sweep_min -.5", "sweep_min")
+
+
+@pytest.mark.parametrize("digits", [30, 5000])
+@pytest.mark.parametrize("name", ["bonds_seed", "lattice_shape", "lattice_mass"])
+def test_numbers_beyond_the_machine(name, digits):
+    more = "e999" if name == "lattice_mass" else ""
+    message = refusal(f"-scene response -{name} {'9' * digits}{more}", name)
+    assert message.startswith(f"-{name} 999")
+    assert len(message) < 1100
+
+
+@pytest.mark.parametrize(
+    ("decide", "text"),
+    [
+        (lambda o: make_lattice(o, None), "-scene modes -lattice_shape 10000000,10000,10000"),
+        (driving_frequencies, "-scene response -sweep_points 1000000000000000"),
+    ],
+)
+def test_more_than_fits_into_memory(decide, text):
+    with pytest.raises(
+        InputError, match=rf"{text.split()[2]}: too much: .* this machine has .* GB"
+    ):
+        decide(options(text))
 
 
 # Keys
@@ -158,60 +186,41 @@ def test_negative_numbers_are_values_and_not_keys():
 @pytest.mark.parametrize(
     ("key", "meant"),
     [
-        ("latice_shape", "-lattice_shape"),
-        ("bond_seed", "-bonds_seed"),
-        ("sweep_point", "-sweep_points"),
-        ("detector", "-detectors"),
-        ("ksp_type", "-steady_ksp_type"),
-        ("pc_type", "-steady_pc_type"),
-        ("pc_factor_mat_solver_type", "-steady_pc_factor_mat_solver_type"),
-        ("stedy_ksp_type", None),
+        ("latice_shape", "lattice_shape"),
+        ("sweep_point", "sweep_points"),
+        ("detector", "detectors"),
+        ("ksp_type", "steady_ksp_type"),
+        ("pc_factor_mat_solver_type", "steady_pc_factor_mat_solver_type"),
+        ("eps_tol", "normal_eps_tol"),
+        ("qqqqqqq", None),
+        ("steady_", None),
     ],
 )
 def test_unknown_keys_suggest_the_nearest(key, meant):
     message = refusal(f"-scene response -{key} 1", key)
-    assert "unknown" in message
-    if meant:
-        assert f"did you mean {meant}?" in message
+    assert "unknown option" in message
+    assert "pgran options response lists all" in message
+    assert meant is None or f"did you mean -{meant}?" in message
+    assert key != "qqqqqqq" or "did you mean" not in message
 
 
-def test_key_like_nothing_suggests_nothing():
-    assert "did you mean" not in refusal("-scene response -qqqqqqq 1", "qqqqqqq")
+def test_nearest():
+    assert nearest("respons", ["response", "modes"]) == "response"
+    assert nearest("zzz", ["response", "modes"]) is None
 
 
 def test_missing_and_wrong_scene():
-    assert "response" in refusal("-lattice_shape 3,3", "scene")
+    assert "-scene is missing" in refusal("-lattice_shape 3,3", "scene")
     assert "did you mean response?" in refusal("-scene respons", "scene")
 
 
-def test_key_of_another_scene():
-    """A key that only another scene has is refused, and that scene is named."""
-    for scene, its in SCENES.items():
-        mine = {option.name for option in its}
-        for name, other in SCENES.items():
-            for option in other:
-                if option.name not in mine:
-                    text = option.kind.write(option.default) if option.default else "1"
-                    message = refusal(f"-scene {scene} -{option.name} {text}", option.name)
-                    assert "does not use it" in message
-                    assert name in message
-
-
-@pytest.mark.parametrize("prefix", SOLVER_PREFIXES)
-def test_solver_keys_pass(prefix):
-    found = options(f"-scene response -{prefix}ksp_type gmres -log_view -{prefix}pc_type lu")
-    assert found.solver == {f"{prefix}ksp_type": "gmres", "log_view": "", f"{prefix}pc_type": "lu"}
-
-
-def test_prefix_alone_is_no_key():
-    refusal("-scene response -steady_ 3", "steady_")
-
-
-@pytest.mark.parametrize(
-    "key", ["dll_append x.so", "options_file x", "options_file_yaml x", "python x", "f x"]
-)
-def test_keys_that_make_petsc_read_or_load_files_are_refused(key):
-    refusal(f"-scene response -{key}", key.split()[0])
+@pytest.mark.parametrize("scene", SCENES)
+def test_keys_of_other_scenes(scene):
+    """They are refused, and a scene that has them is named."""
+    foreign = {name: other for other in SCENES for name in options_of(other)}
+    for name in foreign.keys() - options_of(scene).keys():
+        message = refusal(f"-scene {scene} -{name} 1", name)
+        assert re.search(rf"does not use it, but .*\b{foreign[name]}\b", message)
 
 
 def test_unknown_attribute_names_the_option():
@@ -219,23 +228,20 @@ def test_unknown_attribute_names_the_option():
         options("-scene response").nonsense  # noqa: B018
 
 
-def test_value_without_a_key():
-    with pytest.raises(InputError, match="value without a key"):
-        read_words(["5"])
-    with pytest.raises(InputError, match="value without a key"):
-        read_words(["-lattice_shape", "5", "6"])
+# Words
 
 
 @pytest.mark.parametrize(
     ("line", "hint"),
     [
         ("-lattice_shape 2, 2", "a list has no blanks: -lattice_shape 2,2"),
-        ("-detectors 3 4", "a list has no blanks: -detectors 3,4"),
         ("-detectors 3 ,4", "a list has no blanks: -detectors 3,4"),
+        ("-accuracy_solvers a.opts b.opts", "no blanks: -accuracy_solvers a.opts,b.opts"),
         ("-sweep_points=3", "-sweep_points=3.* write -sweep_points 3"),
         ("-detectors=", "-detectors=.* write -detectors"),
         ("scene response", "did you mean -scene?"),
         ("Sweep_Points 3", "did you mean -sweep_points?"),
+        ("-output_fields true sweep_points 3", "did you mean -sweep_points?"),
         ("// it's the paper's", "a comment begins with #"),
         ("-sweep_points 3 // few", "a comment begins with #"),
         ("%few", "a comment begins with #"),
@@ -247,9 +253,9 @@ def test_value_without_a_key():
         ("7", "keys look like -key"),
     ],
 )
-def test_what_to_write_instead(tmp_path, line, hint):
+def test_what_to_write_instead(written, line, hint):
     with pytest.raises(InputError, match=rf"{hint}|{re.escape(hint)}") as caught:
-        read_file(write(tmp_path / "a.opts", f"-sweep_max 2\n{line}\n"))
+        read_file(written(f"-sweep_max 2\n{line}\n"))
     assert "a.opts, line 2" in str(caught.value)
 
 
@@ -261,16 +267,93 @@ def test_words_that_no_file_could_hold(word, odd):
         read_words(word.format(odd).split(" "))
 
 
+# Files, environment, precedence
+
+
+def test_file_syntax(written):
+    text = (
+        "\ufeff# a mark and a comment\n\n  -scene response # another\n-lattice_shape 3,4 "
+        "-bonds_seed 9\n-output_fields\n-output_file 'a folder/b#c.h5'\n-steady_ksp_type \"gmres\"\n"
+    )
+    found = resolve(read_file(written(text)))
+    assert (found.lattice_shape, found.bonds_seed, found.output_fields) == ((3, 4), 9, True)
+    assert found.output_file == "a folder/b#c.h5"
+    assert found.solver == {"steady_ksp_type": "gmres"}
+
+
+def test_refusals_name_file_and_line(written):
+    path = written("-scene response\n\n-sweep_points many\n")
+    with pytest.raises(InputError, match=r"-sweep_points many .*a\.opts, line 3"):
+        resolve(read_file(path))
+    with pytest.raises(InputError, match="-scene is missing"):
+        resolve(read_file(written("# nothing\n")))
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    for path, said in (("missing.opts", r"missing\.opts: No such file"), ("", "directory")):
+        with pytest.raises(FileError, match=said):
+            read_file(tmp_path / path)
+    with pytest.raises(FileError, match="no name of a file"):
+        read_file("a\0b")
+    for odd in (b"\0", b"\x1b[2J", b"\xff", b"\xc3", b"\xed\xa0\x80", b"\x7f", b"\xc2\x85"):
+        (tmp_path / "binary.opts").write_bytes(b"-scene response\n-output_file a" + odd + b"b\n")
+        with pytest.raises(FileError, match=r"binary\.opts: not a text file \(line 2\)"):
+            read_file(tmp_path / "binary.opts")
+
+
+def test_files_without_end(tmp_path, written):
+    """Pipes and devices are not even opened; of large files no more is read than may be."""
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", "/dev/zero"):
+        with pytest.raises(FileError, match="is a pipe or a device"):
+            read_file(path)
+    with open(tmp_path / "large.opts", "wb") as stream:
+        stream.truncate(10 * 2**30)
+    with pytest.raises(FileError, match="at most 1048576 bytes"):
+        read_file(tmp_path / "large.opts")
+    (tmp_path / "large.opts").unlink()
+    filler = 2**20 - len("-scene response\n")
+    assert resolve(read_file(written("-scene response\n" + filler * "\n")))
+
+
+def test_later_keys_win(written, monkeypatch):
+    """The command line over the file over the environment, which is read once."""
+    monkeypatch.setenv("PETSC_OPTIONS", "-bonds_seed 3 -sweep_points 4 -steady_ksp_type gmres")
+    given = read_environment() + read_file(written("-scene response\n-bonds_seed 5 -sweep_max 7\n"))
+    found = resolve(given + read_words("-sweep_max 8 --SWEEP_MAX 9".split()))
+    assert (found.bonds_seed, found.sweep_points, found.sweep_max) == (5, 4, 9.0)
+    assert found.solver == {"steady_ksp_type": "gmres"}
+    assert read_environment() == []  # PETSc finds nothing either
+
+
+def test_yaml_of_the_environment_is_refused(monkeypatch):
+    monkeypatch.setenv("PETSC_OPTIONS_YAML", "steady_pc_type: python")
+    with pytest.raises(InputError, match="PETSC_OPTIONS_YAML: not read"):
+        read_environment()
+    assert "PETSC_OPTIONS_YAML" not in os.environ
+
+
 @pytest.mark.parametrize(
-    "name", ["a b", "a'b", 'a"b', "a#b", "a\\b", "a\tb", "\u00e4\u00a0b", "$a;b"]
+    ("first", "second", "kept", "gone"),
+    [
+        ("-sweep_min .1", "-sweep_omega .5", "sweep_omega", "sweep_min"),
+        ("-sweep_omega .5", "-sweep_min .1", "sweep_min", "sweep_omega"),
+        ("-lattice_shape 4,4", "-bonds_law file -bonds_file a.h5", "bonds_file", "lattice_shape"),
+    ],
 )
-def test_names_of_files_come_back_from_the_text(tmp_path, name):
-    found = resolve(read_words(["-scene", "response", "-output_file", name]))
-    again = resolve(read_file(write(tmp_path / "a.opts", found.text())))
-    assert again.output_file == name
-
-
-# Contradictions
+def test_of_two_ways_to_say_the_same_the_later_source_wins(
+    written, monkeypatch, first, second, kept, gone
+):
+    monkeypatch.setenv("PETSC_OPTIONS", f"-scene response {first}")
+    environment = read_environment()
+    for given in (
+        environment + read_file(written(second, "PETSC_OPTIONS")),
+        read_file(written(f"-scene response {first}")) + read_words(second.split()),
+    ):
+        found = resolve(given)
+        assert getattr(found, kept) is not None
+        assert getattr(found, gone) is None
+    assert "contradicts" in refusal(f"-scene response {first} {second}", gone)
 
 
 @pytest.mark.parametrize(
@@ -278,154 +361,67 @@ def test_names_of_files_come_back_from_the_text(tmp_path, name):
     [
         ("-lattice_shape 2,2,2,2", "lattice_shape"),
         ("-sweep_min 1 -sweep_max 1", "sweep_min"),
-        ("-sweep_min 2", "sweep_min"),
         ("-phase_fit_min 1", "phase_fit_min"),
         ("-sweep_omega 1,2 -sweep_points 3", "sweep_points"),
-        ("-sweep_omega 1,2 -sweep_min .1", "sweep_min"),
         ("-sweep_omega 1,2 -sweep_max 3", "sweep_max"),
         ("-sweep_omega 2,1", "sweep_omega"),
         ("-sweep_omega 1,1", "sweep_omega"),
         ("-bonds_law file", "bonds_file"),
         ("-bonds_file x.h5", "bonds_file"),
-        ("-bonds_law file -bonds_file x.h5 -lattice_shape 3,3", "lattice_shape"),
         ("-bonds_law file -bonds_file x.h5 -bonds_kmax 1", "bonds_kmax"),
         ("-bonds_law file -bonds_file x.h5 -bonds_kmin 0", "bonds_kmin"),
         ("-scene relaxation -spectrum_fit_min .3", "spectrum_fit_min"),
+        ("-scene relaxation -bonds_law file -bonds_file a.h5", "bonds_law"),
         ("-scene modes -modes_omega_min .5 -modes_omega_max .4", "modes_omega_min"),
         ("-scene modes -modes_omega_min .5", "modes_omega_max"),
         ("-scene modes -modes_target .5", "modes_count"),
         ("-scene modes -modes_count 3", "modes_target"),
         ("-scene modes -modes_omega_min 0 -modes_omega_max 1 -modes_count 3", "modes_count"),
+        ("-scene modes -ranks_per_lattice 2", "ranks_per_lattice"),
+        ("-scene projection -ranks_per_lattice 2", "ranks_per_lattice"),
+        ("-scene continuum -ranks_per_lattice 2", "ranks_per_lattice"),
     ],
 )
 def test_contradictions(text, key):
     refusal(f"-scene response {text}", key)
 
 
-# Precedence, files, environment
-
-
-def test_later_keys_win():
-    found = options("-scene response -bonds_seed 1 -bonds_seed 2 --BONDS_SEED 3")
-    assert found.bonds_seed == 3
-
-
-def write(path, text):
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def test_command_line_wins_over_the_file(tmp_path):
-    path = write(tmp_path / "a.opts", "-scene response\n-bonds_seed 5 -sweep_points 7\n")
-    found = resolve(read_file(path) + read_words(["-bonds_seed", "6"]))
-    assert (found.bonds_seed, found.sweep_points) == (6, 7)
-
-
-def test_file_syntax(tmp_path):
-    path = write(
-        tmp_path / "a.opts",
-        "# a comment\n\n  -scene response # another\n-lattice_shape 3,4 -bonds_seed 9\n"
-        "-output_fields\n-output_file 'a folder/b#c.h5'\n-steady_ksp_type \"gmres\"\n",
-    )
-    found = resolve(read_file(path))
-    assert found.lattice_shape == (3, 4)
-    assert found.bonds_seed == 9
-    assert found.output_fields is True
-    assert found.output_file == "a folder/b#c.h5"
-    assert found.solver == {"steady_ksp_type": "gmres"}
-
-
-def test_a_mark_in_front_of_a_file(tmp_path):
-    (tmp_path / "a.opts").write_text("-scene response\n-bonds_seed 5\n", encoding="utf-8-sig")
-    assert resolve(read_file(tmp_path / "a.opts")).bonds_seed == 5
-
-
-def test_refusals_name_file_and_line(tmp_path):
-    path = write(tmp_path / "a.opts", "-scene response\n\n-sweep_points many\n")
-    with pytest.raises(InputError, match=r"-sweep_points many .*a\.opts, line 3"):
-        resolve(read_file(path))
-    path = write(tmp_path / "b.opts", "-scene response\nlattice_shape 3,3\n")
-    with pytest.raises(InputError, match=r"b\.opts, line 2"):
-        read_file(path)
-    path = write(tmp_path / "c.opts", "-scene 'response\n")
-    with pytest.raises(InputError, match=r"c\.opts, line 1"):
-        read_file(path)
-
-
-def test_files_that_cannot_be_read(tmp_path):
-    with pytest.raises(FileError, match=r"missing\.opts: No such file"):
-        read_file(tmp_path / "missing.opts")
-    with pytest.raises(FileError, match="directory"):
-        read_file(tmp_path)
-    for odd in (b"\0", b"\x1b[2J", b"\xff", b"\xc3", b"\xed\xa0\x80", b"\x7f", b"\xc2\x85"):
-        (tmp_path / "binary.opts").write_bytes(b"-scene response\n-output_file a" + odd + b"b\n")
-        with pytest.raises(FileError, match=r"binary\.opts: not a text file \(line 2\)"):
-            read_file(tmp_path / "binary.opts")
-
-
-def test_files_without_end(tmp_path):
-    """Pipes and devices are not even opened; of large files no more is read than may be."""
-    os.mkfifo(tmp_path / "pipe")
-    for path in (tmp_path / "pipe", "/dev/zero"):
-        with pytest.raises(FileError, match="is a pipe or a device"):
-            read_file(path)
-    with pytest.raises(FileError, match="no name of a file"):
-        read_file("a\0b")
-    with open(tmp_path / "large.opts", "wb") as stream:
-        stream.truncate(10 * 2**30)
-    with pytest.raises(FileError, match="at most 1048576 bytes"):
-        read_file(tmp_path / "large.opts")
-    (tmp_path / "large.opts").unlink()
-    filler = 2**20 - len("-scene response\n")
-    assert resolve(read_file(write(tmp_path / "a.opts", "-scene response\n" + filler * "\n")))
-
-
-def test_empty_file(tmp_path):
-    with pytest.raises(InputError, match="-scene is missing"):
-        resolve(read_file(write(tmp_path / "a.opts", "# nothing\n")))
-
-
-def test_environment_is_read_once_and_checked(monkeypatch):
-    monkeypatch.setenv("PETSC_OPTIONS", "-bonds_seed 3 -steady_ksp_type gmres")
-    given = read_environment()
-    found = resolve([*given, *read_words(["-scene", "response"])])
-    assert found.bonds_seed == 3
-    assert found.solver == {"steady_ksp_type": "gmres"}
-    assert read_environment() == []  # PETSc finds nothing either
-    monkeypatch.setenv("PETSC_OPTIONS", "-dll_append evil.so")
-    with pytest.raises(InputError, match=r"-dll_append .*PETSC_OPTIONS"):
-        resolve([*read_words(["-scene", "response"]), *read_environment()])
-
-
-# What no file may say
-
+# Keys of PETSc's
 
 HARMFUL = [
-    "steady_pc_type python", "steady_PC_Type PYTHON", "steady_ksp_type shell",
-    "steady_pc_python_type m.f", "steady_ksp_monitor_python m.f", "steady_sub_pc_type mypython",
+    # code that is loaded, programs that are started
+    "steady_pc_type python", "steady_PC_Type PYTHON", "steady_pc_python_type m.f",
+    "steady_ksp_type shell", "steady_ksp_monitor_python m.f", "steady_sub_pc_type mypython",
+    "steady_pc_composite_pcs ilu,python", "steady_pc_factor_mat_solver_type matlab",
+    "start_in_debugger", "on_error_attach_debugger gdb", "stop_for_debugger",
+    # files, sockets and windows
     "steady_ksp_view ascii:a.txt", "steady_ksp_view :a.txt", "steady_ksp_view binary",
-    "steady_ksp_view_mat hdf5:a.h5", "steady_ksp_monitor draw", "steady_ksp_view saws",
-    "steady_ksp_view socket:5000", "steady_mat_view matlab", "normal_eps_view_vectors vtk:a.vts",
+    "steady_ksp_view_mat hdf5:a.h5", "steady_ksp_view_mat", "steady_ksp_monitor draw",
+    "steady_ksp_view socket:5000", "normal_eps_view_vectors vtk:a.vts",
     "normal_eps_error_relative ::ascii_info_detail", "normal_eps_view_values xbinary",
-    "steady_mat_mumps_ooc_tmpdir here", "steady_mat_mumps_icntl_22 1", "steady_mat_mumps_icntl_3 7",
-    "steady_sub_mat_mumps_icntl_1 8", "steady_pc_mg_dump_binary", "steady_pc_bddc_save 5",
-    "steady_pc_asm_print_subdomains out", "steady_mat_factor_dump_on_error 1",
-    "steady_pc_type ../lib", "steady_pc_type ~/lib", "steady_x $HOME", "steady_x é", "steady_x a;b",
-    "log_view :a.txt", "log_view a.txt", "log_trace", "log_all", "log a", "log_mpe a", "info a",
-    "history", "history a.txt", "citations a.bib", "malloc_dump", "malloc_view a.txt",
-    "objects_dump a", "start_in_debugger", "on_error_attach_debugger gdb", "stop_for_debugger",
+    "steady_pc_mg_dump_binary", "steady_pc_bddc_save 5", "steady_pc_asm_print_subdomains out",
+    "steady_ksp_gmres_krylov_monitor", "steady_mat_mumps_ooc_tmpdir here",
+    "steady_mat_mumps_icntl_22 1", "steady_mat_mumps_icntl_3 7", "steady_sub_mat_mumps_icntl_1 8",
+    "log_view :a.txt", "log_trace", "log_all", "log a", "info a", "history", "history a.txt",
+    "citations a.bib", "malloc_dump", "malloc_view a.txt", "memory_view a", "objects_dump a",
     "viewer_binary_filename a", "viewer_socket_machine a", "options_left a", "options_view a",
+    # what is no name, number or flag, or no key that pgran knows
+    "steady_pc_type ../lib", "steady_pc_type ~/lib", "steady_ksp_rtol $HOME", "steady_ksp_max_it é",
+    "steady_ksp_max_it \u0663", "steady_ksp_norm_type a;b", "steady_ksp_typo gmres", "steady_x",
+    "normal_count_eps_tol 1", "normal_ksp_type gmres", "steady_eps_tol 1",
+    # work without end
+    "steady_pc_mg_levels 100000000", "steady_pc_mg_levels 1000", "steady_ksp_bcgsl_ell 1000",
+    "steady_ksp_max_it 1000000", "normal_eps_ncv 99999999999", "steady_pc_type mg",
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("text", HARMFUL)
-def test_files_cannot_load_code_start_programs_or_write_files(tmp_path, monkeypatch, text):
+def test_files_cannot_load_code_start_programs_or_write_files(written, monkeypatch, text):
     """Nor can the environment; who gives the same on the command line means it."""
-    path = write(tmp_path / "a.opts", f"-scene response\n-{text}\n")
     monkeypatch.setenv("PETSC_OPTIONS", f"-scene response -{text}")
     key, _, value = text.partition(" ")
     for given, where in (
-        (read_file(path), "a.opts, line 2"),
+        (read_file(written(f"-scene response\n-{text}\n")), "a.opts, line 2"),
         (read_environment(), "PETSC_OPTIONS"),
     ):
         with pytest.raises(InputError) as caught:
@@ -439,23 +435,50 @@ def test_files_cannot_load_code_start_programs_or_write_files(tmp_path, monkeypa
 
 
 @pytest.mark.parametrize(
+    "key",
+    [
+        "options_file a",
+        "options_file_yaml a",
+        "prefix_push steady_",
+        "dll_append a",
+        "python",
+        "f x",
+    ],
+)
+def test_keys_that_make_petsc_read_or_load_files_are_unknown_everywhere(key):
+    assert "unknown option" in refusal(f"-scene response -{key}", key.split()[0])
+
+
+@pytest.mark.parametrize(
     "text",
     [
-        "steady_ksp_type gmres", "steady_pc_factor_mat_solver_type mumps", "log_view",
-        "steady_mat_mumps_icntl_14 60", "steady_mat_mumps_icntl_4 2", "steady_mat_mumps_icntl_3 6",
-        "steady_mat_mumps_cntl_1 1e-3", "steady_ksp_view", "steady_ksp_monitor", "options_left",
-        "steady_ksp_chebyshev_eigenvalues 0.1,-1.5e+2", "normal_eps_all true", "normal_ds_method 2",
-        "steady_pc_composite_pcs ilu,jacobi", "memory_view", "steady_ksp_rtol .5",
-        "steady_ksp_pc_side right",
+        "steady_ksp_type gmres", "steady_comparison_pc_type lu", "log_view", "options_left",
+        "steady_pc_factor_mat_solver_type mumps", "steady_mat_mumps_icntl_14 60",
+        "steady_mat_mumps_cntl_1 1e-3", "steady_mat_superlu_dist_colperm METIS_AT_PLUS_A",
+        "steady_ksp_view", "steady_ksp_monitor", "steady_ksp_converged_reason", "normal_eps_view",
+        "steady_ksp_chebyshev_eigenvalues 0.1,-1.5e+2", "steady_ksp_rtol .5",
+        "steady_ksp_max_it 999999", "steady_ksp_divtol 1E30", "steady_ksp_pc_side right",
+        "steady_pc_composite_pcs ilu,jacobi", "steady_mg_levels_1_pc_type sor",
+        "steady_mg_coarse_sub_pc_factor_shift_type NONZERO", "steady_sub_0_ksp_type preonly",
+        "normal_eps_all true", "normal_eps_target_magnitude", "normal_ds_method 2",
+        "normal_st_pc_type cholesky", "normal_st_mat_mumps_icntl_7 5", "normal_bv_type vecs",
+        "normal_count_pc_factor_mat_solver_type mumps", "normal_eps_ciss_ksp_type preonly",
     ],
 )  # fmt: skip
-def test_files_can_choose_solvers_and_set_numbers(tmp_path, text):
-    path = write(tmp_path / "a.opts", f"-scene response\n-{text}\n")
+def test_files_can_choose_solvers_and_set_numbers(written, text):
     key, _, value = text.partition(" ")
-    assert resolve(read_file(path)).solver == {key: value}
+    assert resolve(read_file(written(f"-scene response\n-{text}\n"))).solver == {key: value}
 
 
-SHIPPED = sorted((Path(__file__).parents[1] / "options").rglob("*.opts"))
+def test_files_of_solvers_hold_the_same_keys(written):
+    own = {"relax_window": options_of("relaxation")["relax_window"]}
+    path = written("-relax_window 3\n-steady_pc_type lu\n")
+    assert read_solver(path, own) == ({"relax_window": 3}, {"steady_pc_type": "lu"})
+    for text, said in (("pc_type python", "could load code"), ("relax_window x", "of the type")):
+        with pytest.raises(InputError, match=f"line 1.*{said}"):
+            read_solver(written(f"-{text}\n".replace("pc_", "steady_pc_")), own)
+    with pytest.raises(InputError, match=r"holds -relax_window, -steady_\*, -normal_\* only"):
+        read_solver(written("-log_view\n"), own)
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
@@ -467,83 +490,11 @@ def test_the_files_that_come_with_pgran_are_accepted(path):
     resolve(given)
 
 
-@pytest.mark.parametrize(
-    "key",
-    ["options_file a", "options_file_yaml a", "prefix_push steady_", "dll_append a", "python"],
-)
-def test_keys_that_are_read_recursively_are_unknown(tmp_path, key):
-    with pytest.raises(InputError, match="unknown option"):
-        resolve(read_file(write(tmp_path / "a.opts", f"-scene response\n-{key}\n")))
-
-
-def test_yaml_of_the_environment_is_refused(monkeypatch):
-    monkeypatch.setenv("PETSC_OPTIONS_YAML", "steady_pc_type: python")
-    with pytest.raises(InputError, match="PETSC_OPTIONS_YAML: not read"):
-        read_environment()
-    assert "PETSC_OPTIONS_YAML" not in os.environ
-
-
-# What no machine can do
-
-
-@pytest.mark.parametrize(
-    ("text", "key"),
-    [
-        ("response -lattice_shape 1000000000,1000000000", "lattice_shape"),
-        ("modes -lattice_shape 10000000,10000,10000", "lattice_shape"),
-        ("response -sweep_points 1000000000000000", "sweep_points"),
-        ("response -lattice_shape 2000,2000 -sweep_points 1000000 -output_fields", "sweep_points"),
-        ("continuum -sweep_points 100000000000000", "sweep_points"),
-        ("projection -lattice_shape 3000,3000 -sweep_points 1000000", "sweep_points"),
-        ("modes -lattice_shape 5000,5000 -output_fields", "output_fields"),
-        ("relaxation -relax_steps 1000000000000000", "relax_steps"),
-        ("relaxation -relax_trajectories 1000000000000", "relax_steps"),
-        ("relaxation -relax_trajectories 10000000 -relax_steps 10000000", "relax_steps"),
-    ],
-)
-def test_more_than_fits_into_memory(text, key):
-    message = refusal(f"-scene {text}", key)
-    assert "this machine has" in message
-    assert "GB" in message
-
-
-@pytest.mark.parametrize(
-    ("scene", "key", "each", "more"),
-    [
-        ("response", "sweep_points", 32 + 40, 0),
-        ("response -output_fields", "sweep_points", 32 + 40 + 16 * 400, 0),
-        ("projection", "sweep_points", 40 + 16 * 400, 0),
-        ("projection -modes_count 7", "sweep_points", 40 + 16 * 7, 0),
-        ("relaxation", "relax_steps", 16 + 16 + 16, 100),
-    ],
-)
-def test_memory_that_is_needed(monkeypatch, scene, key, each, more):
-    """Of each frequency, amplitudes, fields or coefficients; of each step; and a copy."""
-    monkeypatch.setattr(reading, "machine_memory", lambda: 2 * (more + each * 1000))
-    options(f"-scene {scene} -{key} 1000")
-    with pytest.raises(InputError, match=f"-{key}: too much"):
-        options(f"-scene {scene} -{key} 1001")
-
-
-def test_memory_of_modes_that_are_not_asked_for(monkeypatch):
-    monkeypatch.setattr(reading, "machine_memory", lambda: 2 * 72 * 1000)
-    options("-scene modes -lattice_shape 3000 -modes_omega_min 0 -modes_omega_max 1 -output_fields")
-
-
-@pytest.mark.parametrize("digits", [30, 400, 5000])
-@pytest.mark.parametrize("name", ["bonds_seed", "lattice_shape", "sweep_points", "lattice_mass"])
-def test_numbers_beyond_the_machine(name, digits):
-    with pytest.raises(InputError) as caught:
-        options(f"-scene response -{name} {'9' * digits}{'' if name != 'lattice_mass' else 'e999'}")
-    assert str(caught.value).startswith(f"-{name} 999")
-    assert len(str(caught.value)) < 1100
-
-
 # The resolved text
 
 
 @pytest.mark.parametrize(
-    "text",
+    "words",
     [
         "",
         "-lattice_shape 3,4,5 -detectors 1,1,1,2,2,2 -bonds_law loguniform -bonds_kmin 1e-3",
@@ -552,14 +503,15 @@ def test_numbers_beyond_the_machine(name, digits):
         "-output_fields -steady_ksp_type gmres -steady_ksp_monitor -log_view",
         "-bonds_seed 9223372036854775807 -lattice_mass 0.1 -lattice_damping 0",
         "-bonds_law hertz -bonds_force 2.5e-7 -bonds_hertz 1e300",
+        *(f"-output_file|{name}" for name in ("a b", "it's#1", 'a"b', "a\\b", "a\tb", "\u00e4\u00a0b")),
     ],
-)
-def test_resolved_text_gives_the_same_options(tmp_path, text):
-    first = options(f"-scene response {text}", output_file="results/a.h5")
-    path = write(tmp_path / "a.opts", first.text())
-    second = resolve(read_file(path))
-    for option in SCENES["response"]:
-        assert getattr(second, option.name) == getattr(first, option.name), option.name
+)  # fmt: skip
+def test_resolved_text_gives_the_same_options(written, words):
+    words = words.split("|") if "|" in words else words.split()
+    first = resolve(read_words(["-scene", "response", *words]), output_file="results/a.h5")
+    second = resolve(read_file(written(first.text())))
+    for name in options_of("response"):
+        assert getattr(second, name) == getattr(first, name), name
     assert second.solver == first.solver
     assert second.text() == first.text()
 
@@ -567,6 +519,16 @@ def test_resolved_text_gives_the_same_options(tmp_path, text):
 def test_resolved_text_repeats_neither_leave_to_overwrite_nor_a_dry_run():
     text = options("-scene response -output_overwrite -dry_run").text()
     assert text == options("-scene response").text()
+
+
+def test_what_only_the_command_line_may_say_is_in_the_text_and_refused_from_there(written):
+    words = ["-scene", "response", "-steady_ksp_view", "ascii:a b.txt"]
+    first = resolve(read_words(words))
+    assert first.solver == {"steady_ksp_view": "ascii:a b.txt"}
+    given = read_file(written(first.text()))
+    assert [item.text for item in given if item.key == "steady_ksp_view"] == ["ascii:a b.txt"]
+    with pytest.raises(InputError, match="command line if you mean it"):
+        resolve(given)
 
 
 def test_a_run_is_what_decides_its_numbers():
@@ -581,90 +543,20 @@ def test_a_run_is_what_decides_its_numbers():
         assert other[key] == (value or "true").replace("1e-3", "0.001")
 
 
-@pytest.mark.parametrize("name", ["a folder/b.h5", "it's#1.h5", "a\\b.h5", '"q".h5'])
-def test_resolved_text_keeps_any_file_name(tmp_path, name):
-    first = options("-scene response", output_file=name)
-    second = resolve(read_file(write(tmp_path / "a.opts", first.text())))
-    assert second.output_file == name
-
-
-def test_resolved_text_keeps_solver_values_with_spaces(tmp_path):
-    """What only the command line may say is in the text, and is refused from there."""
-    words = ["-scene", "response", "-steady_ksp_view", "ascii:a b.txt"]
-    first = resolve(read_words(words))
-    assert first.solver == {"steady_ksp_view": "ascii:a b.txt"}
-    given = read_file(write(tmp_path / "b.opts", first.text()))
-    assert [item.text for item in given if item.key == "steady_ksp_view"] == ["ascii:a b.txt"]
-    with pytest.raises(InputError, match="command line if you mean it"):
-        resolve(given)
-
-
 # The list of options
 
 
-def test_list_names_every_option_with_its_default():
-    text = describe_options()
-    for option in ALL.values():
-        assert f"-{option.name}\n" in text
-        assert option.meaning in text
-        assert option.range() in text
-    assert "default 20,20" in text
-    assert "-steady_*" in text
-
-
-@pytest.mark.parametrize("scene", SCENES)
-def test_list_of_one_scene(scene):
-    """Each with its meaning, type, unit, range, default and choices."""
-    entries = {e.split("\n")[0]: e for e in ("\n" + describe_options(scene)).split("\n-")}
-    for option in SCENES[scene]:
-        entry = entries[option.name]
-        default = "" if option.default is None else option.kind.write(option.default)
+@pytest.mark.parametrize("scene", [None, *SCENES])
+def test_list(scene):
+    """Each option of a scene, or of all, with meaning, type, unit, range, default and choices."""
+    entries = ("\n" + describe_options(scene)).split("\n-")[1:]
+    declared = [o for o in OPTIONS if scene is None or options_of(scene).get(o.name) == o]
+    for option in declared:
+        default = "" if option.default is None else f"default {text_of(option.default)})"
         facts = option.meaning, option.kind.name, option.unit, option.range(), *option.choices
-        assert all(fact in entry for fact in facts)
-        assert (f"default {default})" in entry) == bool(default)
-    assert not set(entries) - {option.name for option in SCENES[scene]} - {
-        "", "scene", *(f"{prefix}*" for prefix in SOLVER_PREFIXES)
-    }  # fmt: skip
-
-
-def test_every_option_is_documented():
-    for option in ALL.values():
+        (entry,) = (e for e in entries if e.startswith(f"{option.name}\n    {option.meaning}\n"))
         assert option.meaning
-        assert option.low is None or option.above is None
-        bound = option.low if option.above is None else option.above
-        assert bound is None or option.high is None or bound < option.high
-
-
-def test_nearest():
-    assert nearest("respons", ["response", "modes"]) == "response"
-    assert nearest("zzz", ["response", "modes"]) is None
-
-
-@pytest.mark.parametrize(
-    ("file", "words", "kept", "gone"),
-    [
-        ("-sweep_min .1", "-sweep_omega .5", "sweep_omega", "sweep_min"),
-        ("-sweep_omega .5", "-sweep_min .1", "sweep_min", "sweep_omega"),
-        ("-lattice_shape 4,4", "-bonds_law file -bonds_file a.h5", "bonds_file", "lattice_shape"),
-    ],
-)
-def test_of_two_ways_to_say_the_same_the_command_line_wins(tmp_path, file, words, kept, gone):
-    (tmp_path / "a.opts").write_text(f"-scene response\n{file}\n")
-    given = read_file(tmp_path / "a.opts")
-    options = resolve(given + read_words(words.split()))
-    assert getattr(options, kept) is not None
-    assert getattr(options, gone) is None
-    with pytest.raises(InputError, match="contradicts"):
-        resolve(read_words(f"-scene response {file} {words}".split()))
-
-
-def test_relaxation_needs_a_law_to_draw_from():
-    with pytest.raises(InputError, match="needs a law"):
-        resolve(read_words(["-scene", "relaxation", "-bonds_law", "file", "-bonds_file", "a.h5"]))
-
-
-@pytest.mark.parametrize("scene", ["modes", "projection", "continuum"])
-def test_only_driven_lattices_are_shared(scene):
-    resolve(read_words(f"-scene {scene} -ranks_per_lattice 1".split()))
-    with pytest.raises(InputError, match="ranks_per_lattice"):
-        resolve(read_words(f"-scene {scene} -ranks_per_lattice 2".split()))
+        assert all(fact in entry for fact in (*facts, default))
+        assert ("default" in entry.split("(")[-1]) == bool(default)
+    names = {"scene", *(o.name for o in declared), *(f"{prefix}*" for prefix in SOLVER_PREFIXES)}
+    assert {entry.partition("\n")[0] for entry in entries} == names
