@@ -185,6 +185,17 @@ def shared_path(tmp_path):
     WORLD.Barrier()
 
 
+@pytest.fixture
+def written(tmp_path):
+    """Return what writes a text file in a folder of this rank's."""
+
+    def write(text, name="a.opts"):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        return tmp_path / name
+
+    return write
+
+
 @pytest.fixture(autouse=True)
 def option_database():
     """Hold every test to leaving PETSc's options as it has found them."""

@@ -1,21 +1,18 @@
-"""Options files and command lines: what is accepted, what is refused, and what it is told."""
+"""Options: what each may be, what several may be together, how they are written and listed."""
 
-import os
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pgran.command.resolve import SCENES, describe_options, options_of, resolve
-from pgran.errors import FileError, InputError
-from pgran.files.options import FLAG, INTEGER, INTEGERS, REAL, TEXT, nearest, text_of
-from pgran.files.reading import read_environment, read_file, read_solver, read_words
+from pgran.errors import InputError
+from pgran.files.options import INTEGER, INTEGERS, text_of
+from pgran.files.reading import read_environment, read_file, read_words
 from pgran.files.solver_keys import SOLVER_PREFIXES
 from pgran.scenes.common import check_values, driving_frequencies, make_lattice
 
 OPTIONS = list(dict.fromkeys(o for scene in SCENES for o in options_of(scene).values()))
-SHIPPED = sorted((Path(__file__).parents[1] / "options").rglob("*.opts"))
 each_option = pytest.mark.parametrize("option", OPTIONS, ids=lambda option: option.name)
 
 
@@ -28,21 +25,8 @@ def refusal(text, key):
     """Return the message that a command line is refused with; it names the key."""
     with pytest.raises(InputError) as caught:
         options(text)
-    message = str(caught.value)
-    assert f"-{key}" in message
-    assert "\n" not in message
-    return message
-
-
-@pytest.fixture
-def written(tmp_path):
-    """Return what writes an options file."""
-
-    def write(text, name="a.opts"):
-        (tmp_path / name).write_text(text, encoding="utf-8")
-        return tmp_path / name
-
-    return write
+    assert f"-{key}" in str(caught.value)
+    return str(caught.value)
 
 
 # One option
@@ -89,9 +73,9 @@ def test_range(option):
 
 
 WRONG = {
-    "integer": ["1.5", "x", "", "1,2", "1e3", "nan"],
+    "integer": ["1.5", "x", "", "1,2", "1e3", "nan", "9" * 30, "9" * 5000],
     "real": ["x", "", "1,2", "nan", "inf", "-inf", "1e999"],
-    "integers": ["x", "", "1,,2", "1.5,2", "1,"],
+    "integers": ["x", "", "1,,2", "1.5,2", "1,", "9" * 30],
     "reals": ["x", "", "1,,2", "1,nan", "inf", ","],
     "flag": ["maybe", "2", "tru"],
     "text": [""],
@@ -102,9 +86,12 @@ WRONG = {
 @each_option
 def test_wrong_types_are_refused(option):
     for text in WRONG[option.kind.name]:
-        said = f"-{option.name} {text} (here): needs a value of the type `{option.kind.name}`"
-        with pytest.raises(InputError, match=re.escape(said)):
+        with pytest.raises(InputError) as caught:
             option.read(text, " (here)")
+        message = str(caught.value)
+        assert message.startswith(f"-{option.name} {text[:99]}")
+        assert message.endswith(f" (here): needs a value of the type `{option.kind.name}`")
+        assert len(message) < 1100
     if option.choices:
         with pytest.raises(InputError, match="choose"):
             option.read("nothing_like_it")
@@ -135,21 +122,18 @@ def test_values_given_in_python(option):
 
 
 def test_python_is_told_the_same_as_the_command_line():
+    own = SCENES["relaxation"].options
     for name, value in (("relax_steps", 0), ("relax_omega", -1.0), ("relax_method", "windw")):
         with pytest.raises(InputError) as caught:
-            check_values(SCENES["relaxation"].options, **{name: value})
+            check_values(own, **{name: value})
         assert str(caught.value) == refusal(f"-scene relaxation -{name} {value}", name)
-    omega = options_of("relaxation")["relax_omega"]
-    assert omega.kind is REAL
-    assert omega.check(np.int32(2)) == 2.0
-    check_values(SCENES["relaxation"].options, relax_omega=1, nothing=None)
+    check_values(own, relax_omega=np.int32(2), nothing=None)
 
 
 def test_flags():
-    for text in ("", " true", " YES", " 1", " on"):
-        assert options(f"-scene response -output_fields{text}").output_fields is True
-    for text in (" false", " no", " 0", " off"):
-        assert options(f"-scene response -output_fields{text}").output_fields is False
+    for value, words in ((True, ("", "true", "YES", "1", "on")), (False, ("no", "0", "Off"))):
+        for word in words:
+            assert options(f"-scene response -output_fields {word}").output_fields is value
 
 
 def test_negative_numbers_are_values_and_not_keys():
@@ -157,27 +141,12 @@ def test_negative_numbers_are_values_and_not_keys():
     assert "-.5" in refusal("-scene response -sweep_min -.5", "sweep_min")
 
 
-@pytest.mark.parametrize("digits", [30, 5000])
-@pytest.mark.parametrize("name", ["bonds_seed", "lattice_shape", "lattice_mass"])
-def test_numbers_beyond_the_machine(name, digits):
-    more = "e999" if name == "lattice_mass" else ""
-    message = refusal(f"-scene response -{name} {'9' * digits}{more}", name)
-    assert message.startswith(f"-{name} 999")
-    assert len(message) < 1100
-
-
-@pytest.mark.parametrize(
-    ("decide", "text"),
-    [
-        (lambda o: make_lattice(o, None), "-scene modes -lattice_shape 10000000,10000,10000"),
-        (driving_frequencies, "-scene response -sweep_points 1000000000000000"),
-    ],
-)
-def test_more_than_fits_into_memory(decide, text):
-    with pytest.raises(
-        InputError, match=rf"{text.split()[2]}: too much: .* this machine has .* GB"
-    ):
-        decide(options(text))
+def test_more_than_fits_into_memory():
+    asked = options("-scene response -lattice_shape 10000000,10000 -sweep_points 10000000000000")
+    with pytest.raises(InputError, match=r"-lattice_shape: too much: .* this machine has .* GB"):
+        make_lattice(asked, None)
+    with pytest.raises(InputError, match=r"-sweep_points: too much: .* this machine has .* GB"):
+        driving_frequencies(asked)
 
 
 # Keys
@@ -186,27 +155,15 @@ def test_more_than_fits_into_memory(decide, text):
 @pytest.mark.parametrize(
     ("key", "meant"),
     [
-        ("latice_shape", "lattice_shape"),
-        ("sweep_point", "sweep_points"),
-        ("detector", "detectors"),
-        ("ksp_type", "steady_ksp_type"),
-        ("pc_factor_mat_solver_type", "steady_pc_factor_mat_solver_type"),
-        ("eps_tol", "normal_eps_tol"),
-        ("qqqqqqq", None),
-        ("steady_", None),
+        ("latice_shape", "lattice_shape"), ("sweep_point", "sweep_points"), ("qqqqqqq", None),
+        ("ksp_type", "steady_ksp_type"), ("pc_mg_levels", "steady_pc_mg_levels"),
+        ("eps_tol", "normal_eps_tol"), ("detector", "detectors"), ("steady_", None),
     ],
-)
+)  # fmt: skip
 def test_unknown_keys_suggest_the_nearest(key, meant):
     message = refusal(f"-scene response -{key} 1", key)
-    assert "unknown option" in message
-    assert "pgran options response lists all" in message
-    assert meant is None or f"did you mean -{meant}?" in message
-    assert key != "qqqqqqq" or "did you mean" not in message
-
-
-def test_nearest():
-    assert nearest("respons", ["response", "modes"]) == "response"
-    assert nearest("zzz", ["response", "modes"]) is None
+    hint = f"; did you mean -{meant}?" if meant else ""
+    assert message == f"-{key}: unknown option{hint} (pgran options response lists all)"
 
 
 def test_missing_and_wrong_scene():
@@ -228,109 +185,17 @@ def test_unknown_attribute_names_the_option():
         options("-scene response").nonsense  # noqa: B018
 
 
-# Words
-
-
-@pytest.mark.parametrize(
-    ("line", "hint"),
-    [
-        ("-lattice_shape 2, 2", "a list has no blanks: -lattice_shape 2,2"),
-        ("-detectors 3 ,4", "a list has no blanks: -detectors 3,4"),
-        ("-accuracy_solvers a.opts b.opts", "no blanks: -accuracy_solvers a.opts,b.opts"),
-        ("-sweep_points=3", "-sweep_points=3.* write -sweep_points 3"),
-        ("-detectors=", "-detectors=.* write -detectors"),
-        ("scene response", "did you mean -scene?"),
-        ("Sweep_Points 3", "did you mean -sweep_points?"),
-        ("-output_fields true sweep_points 3", "did you mean -sweep_points?"),
-        ("// it's the paper's", "a comment begins with #"),
-        ("-sweep_points 3 // few", "a comment begins with #"),
-        ("%few", "a comment begins with #"),
-        ("; few", "a comment begins with #"),
-        ("\u2013scene response", "long dash; keys begin with -"),
-        ("-sc\u00e8ne response", "no key has such a name"),
-        ("-steady_a'b 3", "No closing quotation"),
-        ("'-steady_a b' 3", "no key has such a name"),
-        ("7", "keys look like -key"),
-    ],
-)
-def test_what_to_write_instead(written, line, hint):
-    with pytest.raises(InputError, match=rf"{hint}|{re.escape(hint)}") as caught:
-        read_file(written(f"-sweep_max 2\n{line}\n"))
-    assert "a.opts, line 2" in str(caught.value)
-
-
-@pytest.mark.parametrize("odd", ["\n", "\r", "\x1b", "\x85", "\u2028", "\udcff"])
-@pytest.mark.parametrize("word", ["-output_file a{}b.h5", "-steady_ksp_type b{}", "{}", "-a{}b"])
-def test_words_that_no_file_could_hold(word, odd):
-    """The result repeats its options as a file, where these would end a line, or could not be."""
-    with pytest.raises(InputError, match="line break, a control character, or a byte that"):
-        read_words(word.format(odd).split(" "))
-
-
-# Files, environment, precedence
-
-
-def test_file_syntax(written):
-    text = (
-        "\ufeff# a mark and a comment\n\n  -scene response # another\n-lattice_shape 3,4 "
-        "-bonds_seed 9\n-output_fields\n-output_file 'a folder/b#c.h5'\n-steady_ksp_type \"gmres\"\n"
-    )
-    found = resolve(read_file(written(text)))
-    assert (found.lattice_shape, found.bonds_seed, found.output_fields) == ((3, 4), 9, True)
-    assert found.output_file == "a folder/b#c.h5"
-    assert found.solver == {"steady_ksp_type": "gmres"}
-
-
-def test_refusals_name_file_and_line(written):
-    path = written("-scene response\n\n-sweep_points many\n")
-    with pytest.raises(InputError, match=r"-sweep_points many .*a\.opts, line 3"):
-        resolve(read_file(path))
-    with pytest.raises(InputError, match="-scene is missing"):
-        resolve(read_file(written("# nothing\n")))
-
-
-def test_files_that_cannot_be_read(tmp_path):
-    for path, said in (("missing.opts", r"missing\.opts: No such file"), ("", "directory")):
-        with pytest.raises(FileError, match=said):
-            read_file(tmp_path / path)
-    with pytest.raises(FileError, match="no name of a file"):
-        read_file("a\0b")
-    for odd in (b"\0", b"\x1b[2J", b"\xff", b"\xc3", b"\xed\xa0\x80", b"\x7f", b"\xc2\x85"):
-        (tmp_path / "binary.opts").write_bytes(b"-scene response\n-output_file a" + odd + b"b\n")
-        with pytest.raises(FileError, match=r"binary\.opts: not a text file \(line 2\)"):
-            read_file(tmp_path / "binary.opts")
-
-
-def test_files_without_end(tmp_path, written):
-    """Pipes and devices are not even opened; of large files no more is read than may be."""
-    os.mkfifo(tmp_path / "pipe")
-    for path in (tmp_path / "pipe", "/dev/zero"):
-        with pytest.raises(FileError, match="is a pipe or a device"):
-            read_file(path)
-    with open(tmp_path / "large.opts", "wb") as stream:
-        stream.truncate(10 * 2**30)
-    with pytest.raises(FileError, match="at most 1048576 bytes"):
-        read_file(tmp_path / "large.opts")
-    (tmp_path / "large.opts").unlink()
-    filler = 2**20 - len("-scene response\n")
-    assert resolve(read_file(written("-scene response\n" + filler * "\n")))
+# Several options
 
 
 def test_later_keys_win(written, monkeypatch):
     """The command line over the file over the environment, which is read once."""
     monkeypatch.setenv("PETSC_OPTIONS", "-bonds_seed 3 -sweep_points 4 -steady_ksp_type gmres")
     given = read_environment() + read_file(written("-scene response\n-bonds_seed 5 -sweep_max 7\n"))
-    found = resolve(given + read_words("-sweep_max 8 --SWEEP_MAX 9".split()))
+    found = resolve(given + read_words(["-sweep_max", "8", "--SWEEP_MAX", "9"]))
     assert (found.bonds_seed, found.sweep_points, found.sweep_max) == (5, 4, 9.0)
     assert found.solver == {"steady_ksp_type": "gmres"}
     assert read_environment() == []  # PETSc finds nothing either
-
-
-def test_yaml_of_the_environment_is_refused(monkeypatch):
-    monkeypatch.setenv("PETSC_OPTIONS_YAML", "steady_pc_type: python")
-    with pytest.raises(InputError, match="PETSC_OPTIONS_YAML: not read"):
-        read_environment()
-    assert "PETSC_OPTIONS_YAML" not in os.environ
 
 
 @pytest.mark.parametrize(
@@ -359,15 +224,11 @@ def test_of_two_ways_to_say_the_same_the_later_source_wins(
 @pytest.mark.parametrize(
     ("text", "key"),
     [
-        ("-lattice_shape 2,2,2,2", "lattice_shape"),
-        ("-sweep_min 1 -sweep_max 1", "sweep_min"),
-        ("-phase_fit_min 1", "phase_fit_min"),
-        ("-sweep_omega 1,2 -sweep_points 3", "sweep_points"),
-        ("-sweep_omega 1,2 -sweep_max 3", "sweep_max"),
-        ("-sweep_omega 2,1", "sweep_omega"),
-        ("-sweep_omega 1,1", "sweep_omega"),
-        ("-bonds_law file", "bonds_file"),
-        ("-bonds_file x.h5", "bonds_file"),
+        ("-lattice_shape 2,2,2,2", "lattice_shape"), ("-phase_fit_min 1", "phase_fit_min"),
+        ("-sweep_min 1 -sweep_max 1", "sweep_min"), ("-sweep_omega 2,1", "sweep_omega"),
+        ("-sweep_omega 1,1", "sweep_omega"), ("-sweep_omega 1 -sweep_max 3", "sweep_max"),
+        ("-sweep_omega 1,2 -sweep_points 3", "sweep_points"), ("-bonds_law file", "bonds_file"),
+        ("-bonds_file x.h5", "bonds_law"),
         ("-bonds_law file -bonds_file x.h5 -bonds_kmax 1", "bonds_kmax"),
         ("-bonds_law file -bonds_file x.h5 -bonds_kmin 0", "bonds_kmin"),
         ("-scene relaxation -spectrum_fit_min .3", "spectrum_fit_min"),
@@ -381,113 +242,9 @@ def test_of_two_ways_to_say_the_same_the_later_source_wins(
         ("-scene projection -ranks_per_lattice 2", "ranks_per_lattice"),
         ("-scene continuum -ranks_per_lattice 2", "ranks_per_lattice"),
     ],
-)
+)  # fmt: skip
 def test_contradictions(text, key):
     refusal(f"-scene response {text}", key)
-
-
-# Keys of PETSc's
-
-HARMFUL = [
-    # code that is loaded, programs that are started
-    "steady_pc_type python", "steady_PC_Type PYTHON", "steady_pc_python_type m.f",
-    "steady_ksp_type shell", "steady_ksp_monitor_python m.f", "steady_sub_pc_type mypython",
-    "steady_pc_composite_pcs ilu,python", "steady_pc_factor_mat_solver_type matlab",
-    "start_in_debugger", "on_error_attach_debugger gdb", "stop_for_debugger",
-    # files, sockets and windows
-    "steady_ksp_view ascii:a.txt", "steady_ksp_view :a.txt", "steady_ksp_view binary",
-    "steady_ksp_view_mat hdf5:a.h5", "steady_ksp_view_mat", "steady_ksp_monitor draw",
-    "steady_ksp_view socket:5000", "normal_eps_view_vectors vtk:a.vts",
-    "normal_eps_error_relative ::ascii_info_detail", "normal_eps_view_values xbinary",
-    "steady_pc_mg_dump_binary", "steady_pc_bddc_save 5", "steady_pc_asm_print_subdomains out",
-    "steady_ksp_gmres_krylov_monitor", "steady_mat_mumps_ooc_tmpdir here",
-    "steady_mat_mumps_icntl_22 1", "steady_mat_mumps_icntl_3 7", "steady_sub_mat_mumps_icntl_1 8",
-    "log_view :a.txt", "log_trace", "log_all", "log a", "info a", "history", "history a.txt",
-    "citations a.bib", "malloc_dump", "malloc_view a.txt", "memory_view a", "objects_dump a",
-    "viewer_binary_filename a", "viewer_socket_machine a", "options_left a", "options_view a",
-    # what is no name, number or flag, or no key that pgran knows
-    "steady_pc_type ../lib", "steady_pc_type ~/lib", "steady_ksp_rtol $HOME", "steady_ksp_max_it é",
-    "steady_ksp_max_it \u0663", "steady_ksp_norm_type a;b", "steady_ksp_typo gmres", "steady_x",
-    "normal_count_eps_tol 1", "normal_ksp_type gmres", "steady_eps_tol 1",
-    # work without end
-    "steady_pc_mg_levels 100000000", "steady_pc_mg_levels 1000", "steady_ksp_bcgsl_ell 1000",
-    "steady_ksp_max_it 1000000", "normal_eps_ncv 99999999999", "steady_pc_type mg",
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("text", HARMFUL)
-def test_files_cannot_load_code_start_programs_or_write_files(written, monkeypatch, text):
-    """Nor can the environment; who gives the same on the command line means it."""
-    monkeypatch.setenv("PETSC_OPTIONS", f"-scene response -{text}")
-    key, _, value = text.partition(" ")
-    for given, where in (
-        (read_file(written(f"-scene response\n-{text}\n")), "a.opts, line 2"),
-        (read_environment(), "PETSC_OPTIONS"),
-    ):
-        with pytest.raises(InputError) as caught:
-            resolve(given)
-        message = str(caught.value)
-        assert message.startswith(f"-{key.lower()} {value}".rstrip())
-        assert where in message
-        assert "give it on the command line if you mean it" in message
-        overridden = resolve([*given, *read_words([f"-{key}", *value.split()])])
-        assert overridden.solver == {key.lower(): value}
-
-
-@pytest.mark.parametrize(
-    "key",
-    [
-        "options_file a",
-        "options_file_yaml a",
-        "prefix_push steady_",
-        "dll_append a",
-        "python",
-        "f x",
-    ],
-)
-def test_keys_that_make_petsc_read_or_load_files_are_unknown_everywhere(key):
-    assert "unknown option" in refusal(f"-scene response -{key}", key.split()[0])
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "steady_ksp_type gmres", "steady_comparison_pc_type lu", "log_view", "options_left",
-        "steady_pc_factor_mat_solver_type mumps", "steady_mat_mumps_icntl_14 60",
-        "steady_mat_mumps_cntl_1 1e-3", "steady_mat_superlu_dist_colperm METIS_AT_PLUS_A",
-        "steady_ksp_view", "steady_ksp_monitor", "steady_ksp_converged_reason", "normal_eps_view",
-        "steady_ksp_chebyshev_eigenvalues 0.1,-1.5e+2", "steady_ksp_rtol .5",
-        "steady_ksp_max_it 999999", "steady_ksp_divtol 1E30", "steady_ksp_pc_side right",
-        "steady_pc_composite_pcs ilu,jacobi", "steady_mg_levels_1_pc_type sor",
-        "steady_mg_coarse_sub_pc_factor_shift_type NONZERO", "steady_sub_0_ksp_type preonly",
-        "normal_eps_all true", "normal_eps_target_magnitude", "normal_ds_method 2",
-        "normal_st_pc_type cholesky", "normal_st_mat_mumps_icntl_7 5", "normal_bv_type vecs",
-        "normal_count_pc_factor_mat_solver_type mumps", "normal_eps_ciss_ksp_type preonly",
-    ],
-)  # fmt: skip
-def test_files_can_choose_solvers_and_set_numbers(written, text):
-    key, _, value = text.partition(" ")
-    assert resolve(read_file(written(f"-scene response\n-{text}\n"))).solver == {key: value}
-
-
-def test_files_of_solvers_hold_the_same_keys(written):
-    own = {"relax_window": options_of("relaxation")["relax_window"]}
-    path = written("-relax_window 3\n-steady_pc_type lu\n")
-    assert read_solver(path, own) == ({"relax_window": 3}, {"steady_pc_type": "lu"})
-    for text, said in (("pc_type python", "could load code"), ("relax_window x", "of the type")):
-        with pytest.raises(InputError, match=f"line 1.*{said}"):
-            read_solver(written(f"-{text}\n".replace("pc_", "steady_pc_")), own)
-    with pytest.raises(InputError, match=r"holds -relax_window, -steady_\*, -normal_\* only"):
-        read_solver(written("-log_view\n"), own)
-
-
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_the_files_that_come_with_pgran_are_accepted(path):
-    given = read_file(path)
-    if path.parent.name == "solvers":
-        scene = path.stem.split("_")[0]
-        given += read_words(["-scene", scene if scene in SCENES else "response"])
-    resolve(given)
 
 
 # The resolved text
@@ -503,7 +260,8 @@ def test_the_files_that_come_with_pgran_are_accepted(path):
         "-output_fields -steady_ksp_type gmres -steady_ksp_monitor -log_view",
         "-bonds_seed 9223372036854775807 -lattice_mass 0.1 -lattice_damping 0",
         "-bonds_law hertz -bonds_force 2.5e-7 -bonds_hertz 1e300",
-        *(f"-output_file|{name}" for name in ("a b", "it's#1", 'a"b', "a\\b", "a\tb", "\u00e4\u00a0b")),
+        "-output_file|a b", "-output_file|it's#1", '-output_file|a"b', "-output_file|a\\b",
+        "-output_file|a\tb", "-output_file|\u00e4\u00a0b", "-output_file|$a;b",
     ],
 )  # fmt: skip
 def test_resolved_text_gives_the_same_options(written, words):
@@ -525,10 +283,8 @@ def test_what_only_the_command_line_may_say_is_in_the_text_and_refused_from_ther
     words = ["-scene", "response", "-steady_ksp_view", "ascii:a b.txt"]
     first = resolve(read_words(words))
     assert first.solver == {"steady_ksp_view": "ascii:a b.txt"}
-    given = read_file(written(first.text()))
-    assert [item.text for item in given if item.key == "steady_ksp_view"] == ["ascii:a b.txt"]
-    with pytest.raises(InputError, match="command line if you mean it"):
-        resolve(given)
+    with pytest.raises(InputError, match=r"-steady_ksp_view ascii:a b.txt .* if you mean it"):
+        resolve(read_file(written(first.text())))
 
 
 def test_a_run_is_what_decides_its_numbers():
@@ -550,13 +306,12 @@ def test_a_run_is_what_decides_its_numbers():
 def test_list(scene):
     """Each option of a scene, or of all, with meaning, type, unit, range, default and choices."""
     entries = ("\n" + describe_options(scene)).split("\n-")[1:]
+    found = {tuple(entry.split("\n    ")[:2]): entry for entry in entries}
     declared = [o for o in OPTIONS if scene is None or options_of(scene).get(o.name) == o]
     for option in declared:
         default = "" if option.default is None else f"default {text_of(option.default)})"
-        facts = option.meaning, option.kind.name, option.unit, option.range(), *option.choices
-        (entry,) = (e for e in entries if e.startswith(f"{option.name}\n    {option.meaning}\n"))
+        facts = option.kind.name, option.unit, option.range(), *option.choices, default
         assert option.meaning
-        assert all(fact in entry for fact in (*facts, default))
-        assert ("default" in entry.split("(")[-1]) == bool(default)
+        assert all(fact in found[option.name, option.meaning] for fact in facts)
     names = {"scene", *(o.name for o in declared), *(f"{prefix}*" for prefix in SOLVER_PREFIXES)}
-    assert {entry.partition("\n")[0] for entry in entries} == names
+    assert {name for name, _ in found} == names
