@@ -222,7 +222,7 @@ main = program.main
 def ask(words):
     warnings.warn("a first line\\nand another", RuntimeWarning)
     code = main(words)
-    print("LOADED", {"petsc4py.PETSc", "mpi4py.MPI", "h5py", "numpy"} & set(sys.modules))
+    print("LOADED", {"petsc4py.PETSc", "mpi4py.MPI", "h5py", "scipy"} & set(sys.modules))
     return code
 program.main = ask
 program.console()
@@ -230,7 +230,7 @@ program.console()
 
 
 @pytest.mark.parametrize("word", ["options", "--help", "--version"])
-def test_questions_load_nothing(start, word):
+def test_questions_load_no_library(start, word):
     """And a library's warning is one line."""
     done = start(word, program=[sys.executable, "-c", QUESTION])
     assert done.stdout.endswith("LOADED set()\n")

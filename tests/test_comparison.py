@@ -15,7 +15,7 @@ from pgran.errors import InputError
 from pgran.parallel.crew import Crew
 from pgran.physics.bondlaw import BondLaw
 from pgran.physics.lattice import Lattice
-from pgran.results import Result
+from pgran.results import LatticeRecord, Result
 from pgran.scenes.relaxation import relax
 from pgran.scenes.response import summary, sweep
 from pgran.solve.comparison import Comparison
@@ -120,7 +120,7 @@ def test_the_floor():
     assert np.all(found.error_bound <= 1e-20)
     assert np.all(errors(found, exact(lattice, omegas, [site])) <= found.error_bound)
     assert np.isnan(found.phase).all()  # nothing is known of it
-    text = "\n".join(summary(Result([lattice, found])))
+    text = "\n".join(summary(Result([LatticeRecord.of(lattice), found])))
     assert "2 of 2 amplitudes are known to -error_floor of the wall's only" in text
 
 

@@ -23,7 +23,7 @@ from figure_results import (
 
 import pgran
 from pgran import errors, figures
-from pgran.command.plot import plot
+from pgran.command.plot import run as plot
 from pgran.errors import FileError, PgranError
 
 pytest.importorskip("matplotlib")

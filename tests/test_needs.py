@@ -152,41 +152,6 @@ def test_reading_results_needs_no_petsc(tmp_path, clean_environment):
     assert done.stdout.split() == ["False", "False"]
 
 
-FIRST = """
-import importlib, pkgutil, sys, types
-from unittest.mock import MagicMock
-import pgran
-asked = []
-class Watched(types.ModuleType):
-    def __getattr__(self, name):
-        asked.append(name)
-        return MagicMock()
-for name in ("mpi4py", "petsc4py", "slepc4py"):
-    sys.modules[name] = Watched(name)
-for module in pkgutil.walk_packages(pgran.__path__, "pgran."):
-    for name in [name for name in sys.modules if name.startswith("pgran.")]:
-        del sys.modules[name]
-    asked.clear()
-    importlib.import_module(module.name)
-    order = [name for name in asked if name in ("MPI", "PETSc", "SLEPc")]
-    print(module.name, *order[:1])
-"""
-
-
-def test_every_module_can_be_the_first(clean_environment):
-    """MPI comes before PETSc, which may have no MPI library of its own."""
-    words = [sys.executable, "-c", FIRST]
-    done = subprocess.run(words, env=clean_environment, capture_output=True, text=True, check=True)
-    firsts = dict(line.split() for line in done.stdout.splitlines() if " " in line)
-    assert set(firsts.values()) == {"MPI"}, firsts
-    assert {
-        "pgran.solve.steady",
-        "pgran.solve.operators",
-        "pgran.solve.linear",
-        "pgran.solve.normal",
-    } <= set(firsts)
-
-
 def main():
     """Print the table."""
     import tempfile

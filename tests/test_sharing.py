@@ -1,5 +1,7 @@
 """Ranks in groups: who does what, and that results do not depend on it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -11,7 +13,7 @@ from pgran.files.reading import read_words
 from pgran.parallel.crew import Crew
 from pgran.scenes.common import LARGE, automatic_ranks, ranks_per_lattice
 from pgran.scenes.projection import project
-from pgran.scenes.response import units
+from pgran.scenes.sweeping import ranges
 
 LATTICE = random_lattice((9, 8), 12)
 
@@ -43,7 +45,7 @@ def test_automatic_ranks():
 
 @pytest.mark.parametrize("count", [1, 2, 63, 64, 150, 1291, 5000])
 def test_units_cover_a_sweep_once(count):
-    cut = units(count)
+    cut = ranges(count)
     assert [index for unit in cut for index in unit] == list(range(count))
     assert max(map(len, cut)) <= 16
 
@@ -54,7 +56,7 @@ def test_units_share_no_factorization():
     with Crew(MPI.COMM_SELF, 1) as crew:
         projection = project(LATTICE, omegas, crew, **choices)
     response = swept(LATTICE, omegas, (4, 3), **choices)
-    assert response.factorizations == projection.factorizations == len(units(150)) == 75
+    assert response.factorizations == projection.factorizations == len(ranges(150)) == 75
 
 
 ROW = np.dtype([("unit", int), ("rank", int), ("value", complex, (3,))])
@@ -64,6 +66,7 @@ ROW = np.dtype([("unit", int), ("rank", int), ("value", complex, (3,))])
 def test_share_delivers_every_unit_once(world, count, rows):
     """Of unequal sizes, more or fewer than there are groups, beyond MPI's eager limit too."""
     sizes, delivered = [1 + number * 37 % rows for number in range(count)], []
+    task = SimpleNamespace(units=range(count), row=ROW)
 
     def work(number):
         found = np.zeros(sizes[number], ROW)
@@ -72,7 +75,7 @@ def test_share_delivers_every_unit_once(world, count, rows):
         return found
 
     with Crew(world, 1) as crew:
-        crew.share(list(range(count)), work, lambda rows: delivered.append(rows.copy()), ROW)
+        crew.share(task, work, lambda position, rows: delivered.append(rows.copy()))
     if world.rank > 0:
         assert delivered == []
         return

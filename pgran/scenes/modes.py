@@ -143,8 +143,10 @@ def find_modes(
     started = time.perf_counter()
     lattice, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
     check_frequency(lattice, max(targets if targets is not None else interval or (0.0,)))
-    slices = find_slices(lattice, crew, interval, targets, count)
-    modes = carry_out(Slices(lattice, slices, shapes, targets, count), crew, progress)
+    with hermitian_stiffness(lattice) as K:
+        slices = find_slices(lattice, K, crew, interval, targets, count)
+        task = Slices(lattice, K, slices, shapes, targets, count)
+        modes = carry_out(task, crew, progress)
     seconds = time.perf_counter() - started  # counts included
     return modes and dataclasses.replace(modes, solve_seconds=seconds)
 
@@ -166,17 +168,17 @@ def hermitian_stiffness(lattice):
         yield operators.K
 
 
-def find_slices(lattice, crew, interval=None, targets=None, count=None):
+def find_slices(lattice, K, crew, interval=None, targets=None, count=None):
     """Return the slices of the spectrum (low, high, count) that hold the wanted modes.
 
-    Collective: the ranks share out the counts. Parameters are those of `find_modes`. In a dry run
-    one slice amid the wanted modes stands for all.
+    Collective: the ranks share out the counts. In a dry run one slice amid the wanted modes stands
+    for all. Parameters are those of `find_modes` and `Slices`.
     """
     from pgran.solve.counting import SLICE, ModeCounter, cut, shared
     from pgran.solve.normal import ModeSolver
 
     mass, world = lattice.mass, crew.world
-    with hermitian_stiffness(lattice) as K, ModeCounter(K) as counter:
+    with ModeCounter(K) as counter:
         if targets is None:
             low, high = interval or (0.0, np.inf)
             ends = [counter.interval(mass * low**2, mass * high**2, world)]
@@ -223,6 +225,8 @@ class Slices(Task):
     Parameters
     ----------
     lattice : pgran.physics.lattice.Lattice
+    K : petsc4py.PETSc.Mat
+        Its stiffness, flagged symmetric and Hermitian, of this rank alone.
     slices : sequence of (low, high, count)
         Ends in lambda = m omega^2, and how many modes lie between them.
     shapes : bool
@@ -233,9 +237,9 @@ class Slices(Task):
 
     items = "modes"
 
-    def __init__(self, lattice, slices, shapes=False, targets=None, count=None):
+    def __init__(self, lattice, K, slices, shapes=False, targets=None, count=None):
         """Say what a mode travels in."""
-        self.lattice, self.shapes = lattice, shapes
+        self.lattice, self.K, self.shapes = lattice, K, shapes
         self.targets, self.count = targets, count
         self.units = list(enumerate(slices))
         numbers = [("slice", int), ("value", float), ("residual", float), ("participation", float)]
@@ -248,7 +252,7 @@ class Slices(Task):
         """See `Task`."""
         from pgran.solve.normal import ModeSolver
 
-        with hermitian_stiffness(self.lattice) as K, ModeSolver(self.lattice, K) as solver:
+        with ModeSolver(self.lattice, self.K) as solver:
 
             def work(unit):
                 number, piece = unit

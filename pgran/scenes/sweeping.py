@@ -33,9 +33,7 @@ class FrequencySweep(Task):
         self.choices = choices
         self.scaled, _ = lattice.in_own_unit()
         check_frequency(self.scaled, self.omegas[-1])
-        count = len(self.omegas)
-        length = min(LONGEST_UNIT, max(1, count // 64))
-        self.units = [range(i, min(i + length, count)) for i in range(0, count, length)]
+        self.units = ranges(len(self.omegas))
 
     def keep(self, point, state, solver):
         """Put into a row what is wanted of a steady state. Collective over a group.
@@ -78,6 +76,15 @@ class FrequencySweep(Task):
     def sample(self, unit):
         """See `Task`."""
         return unit[:2]
+
+
+def ranges(count):
+    """Cut a sweep into ranges of frequencies; how many ranks there are does not matter.
+
+    Not collective.
+    """
+    length = min(LONGEST_UNIT, max(1, count // 64))
+    return [range(start, min(start + length, count)) for start in range(0, count, length)]
 
 
 def checked_frequencies(omegas):
