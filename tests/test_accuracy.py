@@ -194,13 +194,13 @@ def test_solvers_that_do_not_work_are_marked_rows(world, ask, solver_options, ca
     """On some ranks or on all: one frequency only, so that other ranks have nothing to do."""
     solver_options("-steady_ksp_type gmres -steady_ksp_max_it 50")
     before = PETSc.Options().getAll()
-    poor, misspelt = (
+    poor, idle = (
         f"{ITERATIVE}\n-steady_ksp_max_it 3",
         "-steady_ksp_type bcgs\n-steady_ksp_gmres_restart",
     )
     text = f"{RESPONSE} .6 -accuracy_repeats 2"
     with caplog.at_level(logging.WARNING, logger="pgran"):
-        found = study(ask(text, missing=MISSING, default="", poor=poor, misspelt=misspelt), world)
+        found = study(ask(text, missing=MISSING, default="", poor=poor, idle=idle), world)
     assert PETSc.Options().getAll() == before
     assert found.failures.tolist() == [2, 0, 2, 0]
     assert np.isnan([found.seconds[0], found.error_max[0], found.error_bound_max[0]]).all()
@@ -212,7 +212,7 @@ def test_solvers_that_do_not_work_are_marked_rows(world, ask, solver_options, ca
     said = [r.getMessage() for r in caplog.records]
     for beginning in (
         "missing does not work: ",
-        "-steady_ksp_gmres_restart of misspelt was not used",
+        "-steady_ksp_gmres_restart of idle was not used",
     ):
         assert sum(line.startswith(beginning) for line in said) == (world.rank == 0)
 
