@@ -98,16 +98,16 @@ def in_callback(maybe):
 
     def replaced(options):
         start(options)
-        from pgran.solve import steady
+        from pgran.solve import linear
 
-        make_ksp = steady.make_ksp
+        make_ksp = linear.make_ksp
 
         def monitored(operators, matrix):
             ksp = make_ksp(operators, matrix)
             ksp.setMonitor(maybe)
             return ksp
 
-        steady.make_ksp = monitored
+        linear.make_ksp = monitored
 
     running.start_petsc = replaced
 

@@ -139,9 +139,10 @@ def modes(options, world, scene):
 def relaxation(options, world, scene):
     """Return the Needs of a relaxation. Collective."""
     from pgran.command.trials import steady_solver, trial_lattice, trial_sites, try_steady
-    from pgran.physics.changes import Network, draw_changes
+    from pgran.physics.changes import draw_changes
     from pgran.physics.spectrum import check_window, fewest_steps, segment_length
     from pgran.scenes.common import make_law
+    from pgran.solve.changing import ChangingBonds
     from pgran.solve.windows import window_length
 
     steps, trajectories, method = (
@@ -171,13 +172,13 @@ def relaxation(options, world, scene):
             error_floor=options.error_floor,
         ) as (operators, solver),
     ):  # fmt: skip
-        network = Network(small, operators, draw)
+        changing = ChangingBonds(small, operators, draw)
 
         def work(first):
-            network.move_to(0, first)
+            changing.move_to(0, first)
             solver.restart()
             changes = draw(0, first, min(tried, steps - first))
-            march(network, solver, omega, changes, serves, method)
+            march(changing, solver, 1j * omega, changes, serves, method)
             return len(changes), SOLVES[method] * len(changes)
 
         trial = try_steady(world, small.shape, solver, omega, range(0, steps, length), work)
@@ -257,7 +258,7 @@ def _sweep(options, world, ranks, shape, small, sites, omegas, units, whole_fiel
 
         def work(unit):
             solver.restart()
-            iterations = sum(solver.solve(omegas[index]).iterations for index in unit)
+            iterations = sum(solver.solve(1j * omegas[index]).iterations for index in unit)
             return len(unit), systems * len(unit) + 2 * iterations
 
         trial = try_steady(world, small.shape, solver, omegas[0], units, work)

@@ -138,7 +138,7 @@ def try_steady(world, shape, solver, omega, units, work):
     """
     world.Barrier()
     began = time.perf_counter()
-    solver.solve(omega)
+    solver.solve(1j * omega)
     first = time.perf_counter() - began
     before, points, solves, began = solver.factorizations, 0, 0, time.perf_counter()
     for count, unit in enumerate(units, 1):

@@ -85,6 +85,11 @@ class Lattice:
         return math.prod(self.shape)
 
     @property
+    def constants(self):
+        """The constants of all bonds, axis after axis, each array in C order."""
+        return np.concatenate([k.ravel() for k in self.stiffness])
+
+    @property
     def omega_mx(self):
         """The Einstein frequency of a ball on springs kmax, unit of frequency (paper: omxdef)."""
         return math.sqrt(2 * len(self.shape) * self.kmax / self.mass)

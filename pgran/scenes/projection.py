@@ -128,7 +128,7 @@ def project(
             points = np.zeros(len(unit), row)
             for point, index in zip(points, unit, strict=True):
                 before = solver.factorizations
-                state = solver.solve(omegas[index])
+                state = solver.solve(1j * omegas[index])
                 field = operators.field(solver.field).ravel()
                 point["index"] = index
                 point["coefficient"] = vectors @ field.real + 1j * (vectors @ field.imag)

@@ -8,7 +8,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.parallel.progress import Progress
 from pgran.physics.accuracy import is_accurate
-from pgran.physics.changes import Network, draw_changes
+from pgran.physics.changes import draw_changes
 from pgran.physics.lattice import bond_count, bond_places, check_frequency, detector_sites
 from pgran.physics.spectrum import check_window, power_spectrum
 from pgran.results import LatticeRecord, Relaxation
@@ -19,6 +19,7 @@ from pgran.scenes.common import (
     make_law,
     reached_accuracy,
 )
+from pgran.solve.changing import ChangingBonds
 from pgran.solve.operators import Operators
 from pgran.solve.steady import SteadySolver
 from pgran.solve.windows import Windows, window_length
@@ -175,16 +176,16 @@ def relax(
         def draw(trajectory, first, count):
             return draw_changes(law, lattice.shape, seed, trajectory, first, count, unit)
 
-        network = Network(scaled, operators, draw)
+        changing = ChangingBonds(scaled, operators, draw)
         march = {"window": march_windows, "krylov": march_steps, "direct": march_steps}[method]
 
         def work(unit):
             trajectory, first, count = unit
             before = solver.factorizations
-            network.move_to(trajectory, first)
+            changing.move_to(trajectory, first)
             solver.restart()
             changes = draw(trajectory, first, count)
-            found, bound, drift = march(network, solver, omega, changes, window, method)
+            found, bound, drift = march(changing, solver, 1j * omega, changes, window, method)
             rows = np.zeros(1, row)
             rows[0]["trajectory"], rows[0]["first"], rows[0]["count"] = unit
             rows[0]["drift"] = drift
@@ -229,7 +230,7 @@ def unit_length(window):
     return max(1, STEPS_IN_UNIT // window) * window
 
 
-def march_windows(network, solver, omega, changes, window, method):
+def march_windows(changing, solver, s, changes, window, method):
     """Return the amplitudes before and after each change, their bounds, and how windows drift.
 
     Collective. Each window starts from a state solved for afresh, which is compared with what the
@@ -238,7 +239,7 @@ def march_windows(network, solver, omega, changes, window, method):
     found = np.empty((len(changes) + 1, len(solver.adjoints)), dtype=complex)
     bound = np.empty(found.shape)
     done, known, drift, reach = 0, 0, 0.0, window
-    with Windows(network, solver, omega) as windows:
+    with Windows(changing, solver, s) as windows:
         while True:
             start, start_bound = good(windows.start())
             if done and known == done:
@@ -253,22 +254,22 @@ def march_windows(network, solver, omega, changes, window, method):
             known = done + len(after)
             found[done + 1 : known + 1], bound[done + 1 : known + 1] = after, after_bound
             steps = max(1, len(after))
-            network.apply(changes[done : done + steps])
+            changing.apply(changes[done : done + steps])
             done += steps
             reach = min(window, 2 * steps)  # after an early end not much more may be reached
 
 
-def march_steps(network, solver, omega, changes, window, method):
+def march_steps(changing, solver, s, changes, window, method):
     """Return the amplitudes before and after each change, solved for one by one; their bounds.
 
     Collective.
     """
-    states = [good(solver.solve(omega))]
+    states = [good(solver.solve(s))]
     for step in range(len(changes)):
-        network.apply(changes[step : step + 1])
+        changing.apply(changes[step : step + 1])
         if method == "direct":
             solver.restart()
-        states.append(good(solver.solve(omega)))
+        states.append(good(solver.solve(s)))
     found, bound = zip(*states, strict=True)
     return np.stack(found), np.stack(bound), 0.0
 

@@ -138,7 +138,7 @@ def sweep(
             points = np.zeros(len(unit), row)
             for point, index in zip(points, unit, strict=True):
                 before = solver.factorizations
-                state = solver.solve(omegas[index])
+                state = solver.solve(1j * omegas[index])
                 point["index"] = index
                 point["factorizations"] = solver.factorizations - before
                 for name in row.names[1:6]:
