@@ -15,15 +15,17 @@ from pgran.errors import InputError
 from pgran.files.reading import read_words, resolve
 from pgran.parallel.crew import Crew
 from pgran.physics.bondlaw import BondLaw
-from pgran.physics.changes import Changes, Network, draw_changes
+from pgran.physics.changes import Changes, draw_changes
 from pgran.physics.lattice import Lattice, bond_arrays, bond_count, bond_places
 from pgran.physics.spectrum import power_spectrum
 from pgran.scenes import relaxation as relaxation_scene
 from pgran.scenes.relaxation import relax
 from pgran.solve.bounds import smallest_damping_eigenvalue
+from pgran.solve.changing import ChangingBonds
+from pgran.solve.deformation import Deformation, march
 from pgran.solve.operators import Operators
 from pgran.solve.steady import SteadySolver
-from pgran.solve.windows import Deformation, Windows, march, window_length
+from pgran.solve.windows import Windows, window_length
 
 UNIFORM = BondLaw("uniform")
 
@@ -129,7 +131,7 @@ def follow(lattice, omega, sites, changes, tolerance=1e-4):
     with (
         Operators(lattice, MPI.COMM_SELF) as operators,
         SteadySolver(operators, sites, tolerance) as solver,
-        Windows(Network(lattice, operators, None), solver, omega) as windows,
+        Windows(ChangingBonds(lattice, operators, None), solver, 1j * omega) as windows,
     ):
         windows.start()
         after, bound = windows.follow(changes)
@@ -257,13 +259,13 @@ def test_residuals_after_each_step_are_no_larger_than_said(spoilt):
     T, c = march(G, delta)
     if spoilt == "algebra":
         c *= 1 + 1e-3 * rng.standard_normal(6)
-    rows, missed = np.linalg.norm(G, axis=1), np.linalg.norm((B - S @ Y).astype(complex), axis=0)
-    moved = Deformation.of(T, c, G, rows, delta, B.T @ x0, driven)
+    missed = np.linalg.norm((B - S @ Y).astype(complex), axis=0)
+    moved = Deformation.of(T, c, G, delta, B.T @ x0, driven)
     said = moved.residual(np.linalg.norm((f - S @ x0).astype(complex)), missed)
     for step in range(6):
         k[axes[step]][tuple(places[step])] += delta[step]
         S, f = Reference(k, damping=0.05).system(0.6)
-        true = np.linalg.norm((f - S @ (x0 + Y @ moved.part[:, step])).astype(complex))
+        true = np.linalg.norm((f - S @ (x0 + Y @ moved.coefficients[:, step])).astype(complex))
         assert true <= said[step] <= 10 * true
     assert driven.tolist() == [False, False, True, False, False, False]
 
@@ -293,11 +295,11 @@ def test_residuals_of_block_solves_are_no_larger_than_said(comm):
     with (
         Operators(lattice, comm) as operators,
         SteadySolver(operators, [[2, 2]]) as solver,
-        Windows(Network(lattice, operators, None), solver, 0.6) as windows,
+        Windows(ChangingBonds(lattice, operators, None), solver, 0.6j) as windows,
     ):
         windows.start()
-        ends = operators.bond_ends[:30]
-        G, sizes, residuals = windows._flexibility(ends)
+        ends, flexibility = operators.ends[:30], windows._flexibility(np.arange(30))
+        G, sizes, residuals = flexibility.G, flexibility.norms, flexibility.residuals
         places = operators.numbers(list(np.ndindex(6, 5)))
         B = np.zeros((30, 30))
         for column, (below, above) in enumerate(ends):
@@ -364,10 +366,10 @@ def test_bonds_are_drawn_uniformly():
 def test_differences_count_repeated_bonds():
     lattice = random_lattice((3, 3), seed=1)
     with Operators(lattice, MPI.COMM_SELF) as operators:
-        network = Network(lattice, operators, None)
+        changing = ChangingBonds(lattice, operators, None)
         changes = draw_changes(UNIFORM, (3, 3), 1, 0, 0, 200)
-        moved = network.differences(changes)
-        bonds = network.bonds.copy()
+        moved = changing.differences(changes)
+        bonds = changing.constants.copy()
         for bond, value, difference in zip(changes.bond, changes.stiffness, moved, strict=True):
             assert difference == value - bonds[bond]
             bonds[bond] = value
@@ -380,11 +382,11 @@ def test_changed_operators_equal_rebuilt_ones(world):
         return draw_changes(UNIFORM, (5, 4), 3, trajectory, first, count)
 
     with Operators(lattice, world) as operators:
-        network = Network(lattice, operators, draw)
+        changing = ChangingBonds(lattice, operators, draw)
         for trajectory, step in ((0, 60), (1, 10), (1, 40), (1, 5)):
-            network.move_to(trajectory, step)
-            network.apply(draw(trajectory, step, 30))
-            stiffness = bond_arrays((5, 4), network.bonds)
+            changing.move_to(trajectory, step)
+            changing.apply(draw(trajectory, step, 30))
+            stiffness = bond_arrays((5, 4), changing.constants)
             fresh = type(lattice)(stiffness, damping=0.01)
             with Operators(fresh, world) as rebuilt:
                 difference = rebuilt.K.copy()
@@ -425,9 +427,9 @@ def test_few_changes_are_extended_by_ones_that_change_nothing(world):
     assert len(more) == 7
     assert len(changes.extended(2)) == 3
     with Operators(lattice, world) as operators:
-        network = Network(lattice, operators, None)
-        assert np.array_equal(network.differences(more)[:3], network.differences(changes))
-        assert not network.differences(more)[3:].any()
+        changing = ChangingBonds(lattice, operators, None)
+        assert np.array_equal(changing.differences(more)[:3], changing.differences(changes))
+        assert not changing.differences(more)[3:].any()
 
 
 def test_a_lattice_that_all_ranks_share(world):
@@ -466,12 +468,12 @@ def test_bounds_hold_after_many_changes_of_very_different_bonds():
         Operators(lattice, MPI.COMM_SELF) as operators,
         SteadySolver(operators, [[0], [1]]) as solver,
     ):
-        network = Network(lattice, operators, draw)
+        changing = ChangingBonds(lattice, operators, draw)
         for step in range(200):
-            network.apply(draw(0, step, 1))
+            changing.apply(draw(0, step, 1))
             solver.restart()
-            state = solver.solve(0.6)
-            exact = Reference(bond_arrays((2,), network.bonds), damping=0.01)
+            state = solver.solve(0.6j)
+            exact = Reference(bond_arrays((2,), changing.constants), damping=0.01)
             error = np.abs(state.displacement - exact.amplitudes(0.6, [[0], [1]]))
             assert np.all(error <= state.error_bound)
 

@@ -87,13 +87,13 @@ def test_what_to_expect_of_an_old_factorization():
     """Nothing beyond a resonance's width in omega^2, 2 d omega beta / m; within, each application
     gains what is left of it; in whatever units."""
     omega, damping = 1.0, 0.01
-    assert expected_iterations(math.sqrt(1 - 0.041), omega, 2, 1.0, damping) == math.inf
+    assert expected_iterations(1j * math.sqrt(1 - 0.041), 1j * omega, 2, 1.0, damping) == math.inf
     for part, count in ((1e-1, 3), (1e-2, 1.5), (1e-3, 1)):
         for m, w in ((1.0, 1.0), (7.0, 1.0), (1.0, 3.0)):
             before = w * math.sqrt(1 - 0.04 * part)
-            found = expected_iterations(before, w * omega, 2, m, m * w * damping)
+            found = expected_iterations(1j * before, 1j * w * omega, 2, m, m * w * damping)
             assert found == pytest.approx(count, rel=1e-9)
-    assert expected_iterations(omega, omega, 2, 1.0, damping) == 1
+    assert expected_iterations(1j * omega, 1j * omega, 2, 1.0, damping) == 1
 
 
 def test_policy_is_deterministic():

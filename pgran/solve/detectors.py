@@ -37,15 +37,12 @@ class Detectors:
         self._scatter.scatter(x, self._readings)
         return self._readings.getArray().copy()
 
-    def unit_vectors(self):
-        """Return e_d for each detector, which the caller destroys. Collective."""
-        vectors = []
-        for number in self._numbers:
-            vector = self._like.duplicate()
-            vector.set(0.0)
-            first, last = vector.getOwnershipRange()
-            if first <= number < last:
-                vector.setValue(number, 1.0)
-            vector.assemble()
-            vectors.append(vector)
-        return vectors
+    def unit_vector(self, number):
+        """Return e_d for one of the detectors; the caller destroys it. Collective."""
+        vector, ball = self._like.duplicate(), self._numbers[number]
+        vector.set(0.0)
+        first, last = vector.getOwnershipRange()
+        if first <= ball < last:
+            vector.setValue(ball, 1.0)
+        vector.assemble()
+        return vector

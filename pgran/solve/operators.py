@@ -81,12 +81,12 @@ class Operators(Owner):
         self.ends, self.driven = bond_ends(numbers.reshape(self.shape)), driven_bonds(self.shape)
         self._make_pattern()
         constants = lattice.constants
-        self.K = self._assembled(constants)
+        self.K = self._assemble(constants)
         self.f_stiffness.setArray(self._drive(constants))
         self.C = self.f_damping = None
         if self.damping > 0:
             ones = np.ones(len(constants))
-            self.C, self.f_damping = self._assembled(ones), self.f_stiffness.duplicate()
+            self.C, self.f_damping = self._assemble(ones), self.f_stiffness.duplicate()
             self.f_damping.setArray(self._drive(ones))
         self.M, self._inertia = self.f_stiffness.duplicate(), self.f_stiffness.duplicate()
         self.M.set(self.mass)
@@ -299,7 +299,7 @@ class Operators(Owner):
         balls = self.ends[bonds, 0] - self.first
         return np.bincount(balls, constants[bonds], self.last - self.first)
 
-    def _assembled(self, constants):
+    def _assemble(self, constants):
         """Return the matrix B^T diag(k) B."""
         csr = self._pointer, self._columns, self._values(constants)
         size = self.f_stiffness.getSizes()

@@ -126,7 +126,8 @@ class SteadySolver(Owner):
     def _need_adjoints(self):
         """Make the adjoints where they prove something for the first time."""
         if self.bounds.proven and not self.adjoints:
-            self.adjoints = [System(vector) for vector in self._detectors.unit_vectors()]
+            numbers = range(len(self._detectors))
+            self.adjoints = [System(self._detectors.unit_vector(d)) for d in numbers]
 
     def _need_krylov(self):
         """Make the KSP where there is none: SuperLU_DIST cannot free what it never factored."""
