@@ -1,14 +1,24 @@
-"""Lattices to test with. Their bonds come from NumPy's default generator, not from pgran's laws.
+"""Lattices to test with, given or at random, and what solves them.
 
-And PETSc options: those of a text, and whether this PETSc has KLU.
+Bonds come from NumPy's default generator, not from pgran's laws.
 """
+
+import contextlib
+import math
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from petsc4py import PETSc
+from reference import Reference
 
 from pgran.command.doctor import has_solver
+from pgran.parallel.crew import Crew
 from pgran.physics.lattice import Lattice
+from pgran.scenes.response import sweep
+from pgran.solve.operators import Operators
+from pgran.solve.steady import SteadySolver
 
 HAS_KLU = has_solver(PETSc, "klu")
 needs_klu = pytest.mark.skipif(not HAS_KLU, reason="this PETSc has no KLU")
@@ -42,6 +52,11 @@ def paper_lattice(seed=0):
     return random_lattice((20, 20), seed)
 
 
+def reference_of(lattice):
+    """The dense reference of a lattice."""
+    return Reference(lattice.stiffness, lattice.mass, lattice.damping)
+
+
 def skip_unless_ranks_fit(shape, comm):
     """Skip a test where PETSc cannot cut so few balls among the ranks."""
     if max(shape) < comm.size:
@@ -58,3 +73,112 @@ def option_values(text):
         else:
             found[key] = word
     return found
+
+
+@contextlib.contextmanager
+def steady(lattice, sites, comm=MPI.COMM_SELF, tolerance=1e-4, **choices):
+    """Yield the operators of a lattice, and the solver of its driven states."""
+    skip_unless_ranks_fit(lattice.shape, comm)
+    sites = np.reshape(sites, (-1, len(lattice.shape))).astype(int)
+    with (
+        Operators(lattice, comm) as operators,
+        SteadySolver(operators, sites, tolerance, **choices) as solver,
+    ):
+        yield operators, solver
+
+
+def drive(solver, omega):
+    """The driven state at a frequency."""
+    return solver.solve(1j * float(omega))
+
+
+def solve(lattice, omegas, sites, comm=MPI.COMM_SELF, tolerance=1e-4, **choices):
+    """The driven states at some frequencies, and the whole fields on rank 0 of `comm`."""
+    states, fields = [], []
+    with steady(lattice, sites, comm, tolerance, **choices) as (operators, solver):
+        for omega in np.atleast_1d(omegas):
+            states.append(drive(solver, omega))
+            fields.append(operators.field(solver.field))
+    return states, fields
+
+
+def swept(lattice, omegas, sites, comm=MPI.COMM_SELF, ranks=1, **choices):
+    """The response, on every rank of `comm`; so many of them share a lattice."""
+    with Crew(comm, ranks) as crew:
+        return comm.bcast(sweep(lattice, np.asarray(omegas), sites, crew, **choices))
+
+
+# Lattices of many kinds, and how they are driven and solved
+
+SHAPES = [
+    *[(1,), (2,), (17,), (60,), (90,), (1, 6), (6, 1), (3, 1), (4, 5), (7, 8), (20, 2)],
+    *[(2, 2, 2), (2, 3, 2), (4, 3, 5)],
+]
+LAWS = ("uniform", "loguniform", "bimodal", "with zeros", "constant")
+FEW = "-steady_ksp_max_it 200"
+SOLVERS = {
+    "default": "",
+    "ilu": f"-steady_pc_type ilu {FEW}",
+    "icc": f"-steady_pc_type icc {FEW}",
+    "preonly, ilu": "-steady_ksp_type preonly -steady_pc_type ilu",
+    "preonly, lu": "-steady_ksp_type preonly -steady_pc_type lu",
+    "mumps": "-steady_pc_factor_mat_solver_type mumps",
+    "superlu_dist": "-steady_pc_type lu -steady_pc_factor_mat_solver_type superlu_dist",
+    "gmres, jacobi": f"-steady_ksp_type gmres -steady_pc_type jacobi -steady_ksp_rtol 1e-3 {FEW}",
+    # solves with the conjugate matrix
+    "preonly, klu": "-steady_ksp_type preonly -steady_pc_type lu "
+    "-steady_pc_factor_mat_solver_type klu",
+}
+if not HAS_KLU:
+    del SOLVERS["preonly, klu"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A lattice, how it is driven and solved, and with how many digits it is eliminated."""
+
+    seed: int
+    lattice: Lattice
+    omegas: np.ndarray
+    sites: np.ndarray
+    solver: str
+    tolerance: float
+    floor: float
+    digits: int
+
+
+def random_case(seed):
+    """Constants over up to 300 orders of magnitude, any damping or none, also on eigenvalues."""
+    rng = np.random.default_rng([11, seed])
+    shape = SHAPES[rng.integers(len(SHAPES))]
+    orders = rng.uniform(0, 300) if rng.random() < 0.4 else rng.uniform(0, 14)
+    unit = 10 ** rng.uniform(-200, 200) if rng.random() < 0.2 else 0.25
+    law = LAWS[rng.integers(len(LAWS))]
+    draw = {
+        "uniform": lambda size: rng.uniform(0, 1, size),
+        "loguniform": lambda size: 10 ** -(orders * rng.uniform(0, 1, size)),
+        "bimodal": lambda size: rng.choice([10**-orders, 1.0], size, p=[0.4, 0.6]),
+        "with zeros": lambda size: rng.choice([0.0, 1.0], size, p=[0.3, 0.7]),
+        "constant": lambda size: np.ones(size),
+    }[law]
+    stiffness = bond_arrays(shape, draw)
+    mass = 10 ** rng.uniform(-3, 3)
+    damping = 0.0 if rng.random() < 0.4 else math.sqrt(mass) * 10 ** rng.uniform(-10, 1)
+    einstein = math.sqrt(2 * len(shape) / mass)
+    omegas = list(einstein * 10 ** rng.uniform(-3, 0.7, rng.integers(1, 5)))
+    if rng.random() < 0.3:
+        eigenvalues = Reference(stiffness).eigenvalues()
+        chosen = rng.choice(eigenvalues, min(2, len(eigenvalues)), replace=False)
+        omegas += list(np.sqrt(np.maximum(chosen, 1e-300) / mass))
+    if law == "constant":  # where every diagonal entry of S vanishes: often an eigenvalue exactly
+        omegas.append(einstein)
+    return Case(
+        seed,
+        Lattice(tuple(unit * k for k in stiffness), unit * mass, unit * damping, kmax=unit),
+        np.unique(omegas),
+        np.array([[rng.integers(n) for n in shape] for _ in range(rng.integers(1, 3))]),
+        list(SOLVERS)[rng.integers(len(SOLVERS))],
+        10 ** rng.uniform(-12, -1),
+        (1e-20, 0.0)[rng.integers(2)],
+        60 + math.ceil(1.1 * orders),
+    )
