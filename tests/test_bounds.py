@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from reference import exact_amplitudes
 from samples import (
-    HAS_KLU,
     SOLVERS,
     needs_klu,
     option_values,
@@ -24,7 +23,6 @@ from pgran.physics.lattice import Lattice
 from pgran.solve.database import holding
 
 COARSE = "-steady_ksp_type bcgs -steady_pc_type ilu -steady_ksp_rtol 1e-2"
-KLU = "-steady_pc_type lu -steady_pc_factor_mat_solver_type klu"
 
 
 def system(lattice, s):
@@ -119,23 +117,8 @@ def test_bounds_hold_over_random_cases(world, cases, whole_field):
     assert np.median([p.bound / p.error for p in beyond_rounding]) < 1000
 
 
-@pytest.mark.parametrize("damping", [0.0, 1e-10, 1e-7, 1e-4, 0.1])
-@pytest.mark.parametrize("distance", [1e-9, 1e-6, 1e-3])
-def test_norm_of_the_inverse_next_to_a_mode(damping, distance):
-    """|S^-1| is no larger than said, and not much smaller where next to nothing is damped."""
-    lattice = random_lattice((5, 6), 3, damping)
-    with steady(lattice, [[2, 2]]) as (operators, solver):
-        for eigenvalue in reference_of(lattice).eigenvalues()[[0, 9, 29]]:
-            s = 1j * math.sqrt(eigenvalue * (1 + distance))
-            solver.solve(s)
-            exact = norm_of_inverse(system(lattice, s)[0])
-            assert exact <= solver.bounds.inverse_norm
-            if damping == 0:
-                assert solver.bounds.inverse_norm <= 30 * max(exact, operators.balls)
-
-
 @pytest.mark.parametrize("damping", [0.0, 1e-8])
-@pytest.mark.parametrize("digits", [1, 2, 3])
+@pytest.mark.parametrize("digits", [1, 3])
 def test_an_eigenvalue_just_beyond_what_a_count_excludes(damping, digits):
     """The norm of the inverse holds where the nearest eigenvalue is hardly farther than counted."""
     lattice = random_lattice((5, 6), 3, damping)
@@ -173,7 +156,7 @@ def test_norm_of_the_inverse_right_of_the_axis(comm, shape, damping):
 @needs_klu
 def test_bounds_are_reached(solver_options):
     """One ball on its resonance, solved with the conjugate matrix: no bound could be smaller."""
-    solver_options(f"{KLU} -steady_ksp_type preonly")
+    solver_options(SOLVERS["preonly, klu"])
     lattice = uniform_lattice((1, 1), 0.125, damping=0.1, mass=2.0)
     ((state,), (field,)) = solve(lattice, [0.5], [[0, 0]], whole_field=True)
     exact = reference_of(lattice).field(0.5)
@@ -252,23 +235,6 @@ def test_what_passes_is_accurate_wherever_within_its_bound_the_truth_lies(
         assert bound <= tolerance * (size - bound)
 
 
-@pytest.mark.parametrize("options", [COARSE, KLU, f"{KLU} -steady_ksp_type preonly"])
-def test_a_wrong_solver_is_caught(options, solver_options):
-    """KLU solves with the conjugate matrix: alone it is wrong everywhere, under a KSP nowhere."""
-    if "klu" in options and not HAS_KLU:
-        pytest.skip("this PETSc has no KLU")
-    solver_options(options)
-    lattice = random_lattice((6, 7), 8, damping=0.1)
-    states, _ = solve(lattice, np.linspace(0.2, 1.2, 20), [[3, 4]], tolerance=1e-6)
-    for state in states:
-        exact = reference_of(lattice).amplitudes(state.s.imag, [[3, 4]])[0]
-        error = abs(state.displacement[0] - exact)
-        assert error <= state.error_bound[0]
-        assert error <= 1e-6 * abs(exact) or state.converged_reason <= 0
-    if "klu" in options:
-        assert {state.converged_reason <= 0 for state in states} == {"preonly" in options}
-
-
 def test_what_is_missed_is_refined_or_factored_anew_or_marked():
     """Three iterations with a stale factorization solve nothing here."""
     lattice = random_lattice((7, 6), 3)
@@ -305,13 +271,3 @@ def test_units_change_nothing(unit, damping, solver, solver_options):
             assert abs(a.displacement[0] - b.displacement[0]) <= 1e-12 * abs(a.displacement[0])
             assert a.converged_reason == b.converged_reason
             assert 0.1 < a.error_bound[0] / b.error_bound[0] < 10
-
-
-def test_only_the_right_half_plane():
-    """The bounds hold there alone; and a point that was refused leaves the next one as it is."""
-    with steady(random_lattice((3, 2)), [[1, 1]]) as (_, solver):
-        expected = solver.solve(0.5j).displacement[0]
-        for s in (-1e-9 + 0.5j, complex(math.nan, 0.5)):
-            with pytest.raises(ValueError, match="the real part of s"):
-                solver.solve(s)
-        assert solver.solve(0.5j).displacement[0] == pytest.approx(expected, rel=1e-12)
