@@ -213,21 +213,40 @@ class Operators(Owner):
         constants : numpy.ndarray, shape (bonds,)
             The constants of all bonds after the change.
         """
-        changed = np.zeros(len(constants), dtype=bool)
-        changed[bonds] = True
-        touched = np.zeros(len(self._columns) + 1, dtype=bool)
-        touched[self._place[changed[self._bonds]]] = True
-        (entries,) = np.nonzero(touched[:-1])
+        if self.comm.size > 1:
+            mine = bonds[self._is_own(self.ends[bonds]).any(axis=1)]
+            bonds_here = np.searchsorted(self._bonds, mine)
+        else:
+            bonds_here = bonds
+        entries = self._place[bonds_here].ravel()
+        entries = entries[entries < len(self._columns)]
         if len(entries):  # petsc4py divides by zero otherwise
-            rows = self.first + np.searchsorted(self._pointer, entries, side="right") - 1
+            rows, summed, signs = self._terms
+            values = (constants[summed[entries]] * signs[entries]).cumsum(axis=1)[:, -1:]
             self.K.setValuesRCV(
-                rows.astype(PETSc.IntType)[:, None],
-                self._columns[entries][:, None],
-                self._values(constants, touched)[entries][:, None],
+                rows[entries, None], self._columns[entries, None], values.astype(PETSc.ScalarType)
             )
         self.K.assemble()
-        if np.any(changed & self.driven):
+        if self.driven[bonds].any():
             self.f_stiffness.setArray(self._drive(constants))
+
+    @cached_property
+    def _terms(self):
+        """What each nonzero is summed of: its row, the bonds in their order, and the signs.
+
+        Bonds and signs have a row for each nonzero, with signs of 0 where there is no bond more.
+        """
+        count, signs = len(self._columns), np.outer(SIGNS, SIGNS).ravel()
+        places = self._place.ravel()
+        order = np.argsort(places, kind="stable")[: np.count_nonzero(places < count)]
+        places, sizes = places[order], np.bincount(places, minlength=count)[:count]
+        column = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        summed = np.zeros((count, sizes.max()), dtype=PETSc.IntType)
+        summed[places, column] = self._bonds[order // len(signs)]
+        weights = np.zeros(summed.shape, dtype=np.int8)
+        weights[places, column] = signs[order % len(signs)]
+        rows = np.repeat(np.arange(self.first, self.last), np.diff(self._pointer))
+        return rows.astype(PETSc.IntType), summed, weights
 
     def numbers(self, sites):
         """Return PETSc's global numbers of balls given by their indices, shape (count, dim).
@@ -285,12 +304,11 @@ class Operators(Owner):
         sizes = np.bincount(rows, minlength=own)[:own]
         self._pointer = np.append(0, np.cumsum(sizes)).astype(PETSc.IntType)
 
-    def _values(self, constants, wanted=None):
-        """Return the nonzeros of B^T diag(k) B, each bond after bond; other than wanted ones 0."""
+    def _values(self, constants):
+        """Return the nonzeros of B^T diag(k) B, each summed up bond after bond."""
         products = constants[self._bonds, None, None] * np.outer(SIGNS, SIGNS)
-        chosen = slice(None) if wanted is None else wanted[self._place]
         count = len(self._columns)
-        sums = np.bincount(self._place[chosen].ravel(), products[chosen].ravel(), count + 1)
+        sums = np.bincount(self._place.ravel(), products.ravel(), count + 1)
         return sums[:count].astype(PETSc.ScalarType)
 
     def _drive(self, constants):
