@@ -158,7 +158,7 @@ def solve_only(lattice, omegas, site):
         number = operators.numbers([site])[0]
         started = time.perf_counter()
         for omega in omegas:
-            operators.combine(omega)
+            operators.combine(1j * omega)
             ksp.setOperators(operators.S)
             ksp.solve(operators.f, field)
             amplitudes.append(field.getArray(readonly=True)[number])
@@ -175,7 +175,7 @@ def solve_with_bounds(lattice, omegas, site):
         SteadySolver(operators, [site]) as solver,
     ):
         started = time.perf_counter()
-        states = [solver.solve(omega) for omega in omegas]
+        states = [solver.solve(1j * omega) for omega in omegas]
         return states, time.perf_counter() - started
 
 

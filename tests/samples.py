@@ -96,7 +96,7 @@ def steady(lattice, sites, comm=MPI.COMM_SELF, tolerance=1e-4, **choices):
 
 def drive(solver, omega):
     """The driven state at a frequency."""
-    return solver.solve(float(omega))
+    return solver.solve(1j * float(omega))
 
 
 def solve(lattice, omegas, sites, comm=MPI.COMM_SELF, tolerance=1e-4, **choices):

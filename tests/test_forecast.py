@@ -44,7 +44,7 @@ def test_entries_of_a_factor(shape):
         Operators(lattice, MPI.COMM_SELF) as operators,
         SteadySolver(operators, [[n // 2 for n in shape]]) as solver,
     ):
-        solver.solve(0.5)
+        solver.solve(1j * 0.5)
         found = solver.factor.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
     assert found / 1.7 < forecast.dissection(shape) < found * 1.7
 

@@ -44,7 +44,7 @@ MAKES = {
     "Laplacians": "Operators._assemble",
     "S": "Operators.S",
     "factorizations": "SteadySolver._factor",
-    "adjoints": "SteadySolver._unit_vector",
+    "adjoints": "Detectors.unit_vector",
     "blocks of solves": "Windows._flexibility",
     "counts of modes": "ModeCounter._inertia",
     "searches for modes": "ModeSolver._search",

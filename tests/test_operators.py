@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from petsc4py import PETSc
-from reference import REST, Reference, balls, bonds
-from samples import random_lattice, skip_unless_ranks_fit, uniform_lattice
+from reference import Reference, balls
+from samples import random_lattice, reference_of, skip_unless_ranks_fit
 
-from pgran.physics.lattice import Lattice
+from pgran.physics.lattice import Lattice, bond_arrays, stretch
 from pgran.solve.operators import Operators
 
 SHAPES = [(7,), (1,), (2,), (5, 6), (6, 1), (1, 6), (1, 1), (2, 3), (4, 3, 5), (1, 4, 3), (5, 1, 2)]
+POINTS = (0.3j, 1.1j, 0j, 0.4 + 0j, 0.2 + 0.7j, 0.2 - 0.7j)
 
 
 @pytest.fixture(params=SHAPES, ids=str)
@@ -41,28 +42,45 @@ def assert_close(found, expected):
     assert np.abs(found - expected).max() <= 1e-15 * max(1.0, np.abs(expected).max())
 
 
-def test_operators_equal_the_sum_over_bonds(comm, shape):
-    lattice = random_lattice(shape, 7, damping=0.02, mass=1.7)
-    reference = Reference(lattice.stiffness, 1.7, 0.02)
+def assert_same(operators, stiffness):
+    """K and f are, bit for bit, those of new operators with these bonds."""
+    with Operators(Lattice(stiffness), operators.comm) as anew:
+        assert np.array_equal(dense(operators.K, operators), dense(anew.K, anew))
+        drives = (column(part.f_stiffness, part) for part in (operators, anew))
+        assert np.array_equal(*drives)
+
+
+@pytest.mark.parametrize("damping", [0.02, 0.0])
+def test_one_system_for_every_s(comm, shape, damping):
+    """S = K + s beta C + s^2 m, symmetric, S(conj s) = conj S(s); the drive alike; and for every x
+    Re(conj(s) x^H S x) = sigma x^H K x + |s|^2 (beta x^H C x + sigma m x^H x)."""
+    lattice, rng = random_lattice(shape, 7, damping, mass=1.7), np.random.default_rng(1)
+    reference, mass, found = reference_of(lattice), 1.7 * np.eye(lattice.balls), {}
+    x = rng.standard_normal(lattice.balls) + 1j * rng.standard_normal(lattice.balls)
+    forms = [(x.conj() @ part @ x).real for part in (reference.K, damping * reference.C, mass)]
     with Operators(lattice, comm) as operators:
         assert_close(dense(operators.K, operators), reference.K)
-        assert_close(dense(operators.C, operators), reference.C)
-        for omega in (0.3, 1.1):
-            operators.combine(omega)
-            S, f = reference.system(omega)
-            assert_close(dense(operators.S, operators), S)
-            assert_close(column(operators.f, operators), f)
+        assert (operators.C is None) == (damping == 0)
+        for s in POINTS:
+            operators.combine(s)
+            found[s] = S = dense(operators.S, operators)
+            assert_close(S, reference.K + s * damping * reference.C + s**2 * mass)
+            drive = reference.drive_K + s * damping * reference.drive_C
+            assert_close(column(operators.f, operators), drive)
+            assert np.array_equal(S, S.T)
+            weights = s.real, abs(s) ** 2, abs(s) ** 2 * s.real
+            missed = (s.conjugate() * (x.conj() @ S @ x)).real - np.dot(weights, forms)
+            assert abs(missed) <= 1e-13 * abs(s) * np.dot((1, abs(s), abs(s) ** 2), forms)
+        assert np.array_equal(found[0.2 + 0.7j].conj(), found[0.2 - 0.7j])
+        operators.combine(0.3j)  # nothing of another s is left
+        assert np.array_equal(dense(operators.S, operators), found[0.3j])
 
 
-def test_combine_forgets_the_frequency_before(comm):
+@pytest.mark.parametrize("s", [-1e-3, -1e-9 + 1j, complex(np.nan, 1.0)])
+def test_the_left_half_plane_is_refused(comm, s):
     lattice = random_lattice((5, 4))
-    with Operators(lattice, comm) as operators:
-        operators.combine(0.7)
-        first, drive = dense(operators.S, operators), column(operators.f, operators)
-        operators.combine(0.1)
-        operators.combine(0.7)
-        assert np.array_equal(dense(operators.S, operators), first)
-        assert np.array_equal(column(operators.f, operators), drive)
+    with Operators(lattice, comm) as operators, pytest.raises(ValueError, match="the real part"):
+        operators.combine(s)
 
 
 def test_pattern_and_symmetry_do_not_change(comm):
@@ -71,134 +89,60 @@ def test_pattern_and_symmetry_do_not_change(comm):
     entries = 30 + 2 * (5 * 5 + 6 * 4)  # balls, and two for every bond between balls
     with Operators(lattice, comm) as operators:
         patterns = []
-        for omega in (0.2, 0.9, 1.4):
-            operators.combine(omega)
+        for s in (0.2j, 0.9 + 1j, 1.4j):
+            operators.combine(s)
             patterns.append([part.tolist() for part in operators.S.getRowIJ()[:2]])
-            S = dense(operators.S, operators)
             assert operators.S.isSymmetricKnown() == (True, True)
             assert operators.S.isHermitianKnown() == (True, False)
-            assert np.array_equal(S, S.T)
-            assert np.abs(S - S.conj().T).max() > 0  # symmetric, not Hermitian
+            operators.change_bonds(np.array([14, 3]), np.full(len(operators.ends), 0.1))
         assert patterns[0] == patterns[1] == patterns[2]
         for matrix in (operators.K, operators.C, operators.S):
             assert matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] == entries
-        arrays = [k.copy() for k in lattice.stiffness]
-        change(operators, arrays, 1, (2, 2), 0.1)
-        change(operators, arrays, 0, (6, 0), 0.1)
-        operators.combine(0.5)
-        assert [part.tolist() for part in operators.S.getRowIJ()[:2]] == patterns[0]
-        assert operators.S.isSymmetricKnown() == (True, True)
 
 
-def test_trace(comm, shape):
-    """Fact 8: trace K = 2 sum k, less one count for each wall bond; and K, C positive definite."""
-    lattice = random_lattice(shape, 2)
-    walls = sum(
-        lattice.stiffness[axis][index]
-        for axis, index, *ends in bonds(shape)
-        if any(isinstance(end, str) for end in ends)
-    )
-    total = 2 * sum(k.sum() for k in lattice.stiffness) - walls
+def test_stretch_and_spread(comm, shape):
+    """B x is the stretch of each bond, and spread gives its rows, which are what K is made of."""
+    lattice = random_lattice(shape, 3)
+    rng = np.random.default_rng(2)
+    fields = rng.standard_normal((2, *shape))
     with Operators(lattice, comm) as operators:
-        diagonal = operators.K.getDiagonal()
-        trace = diagonal.sum()
-        diagonal.destroy()
-        assert trace == pytest.approx(total, rel=1e-13)
-        for matrix in (operators.K, operators.C):
-            assert np.linalg.eigvalsh(dense(matrix, operators))[0] > 0
+        vectors = [operators.vector(field) for field in fields]
+        columns = np.stack([vector.getArray() for vector in vectors], axis=1)
+        chosen = rng.permutation(len(operators.ends))
+        found = operators.stretch(columns, chosen)
+        lengths = np.concatenate([t.reshape(2, -1) for t in stretch(fields, len(shape))], axis=1)
+        assert np.array_equal(found, lengths.T[chosen])
+        rows = np.full((len(columns), len(chosen) + 1), 7.0)
+        operators.spread(chosen, rows)
+        assert not rows[:, -1].any()
+        numbers = operators.numbers(balls(shape))
+        rows = np.concatenate(comm.allgather(rows[:, :-1]))[numbers]
+        assert_close((rows * lattice.constants[chosen]) @ rows.T, dense(operators.K, operators))
+        for vector in vectors:
+            vector.destroy()
 
 
-def test_largest_frequency(comm):
-    """Fact 8: omega^2 <= 8 Kmax/m in two dimensions, 4 dim Kmax/m in general."""
-    for shape in [(9,), (6, 6), (4, 4, 4)]:
-        with Operators(uniform_lattice(shape, 0.25), comm) as operators:
-            largest = np.linalg.eigvalsh(dense(operators.K, operators))[-1]
-        assert 0.7 * 4 * len(shape) * 0.25 < largest < 4 * len(shape) * 0.25
-
-
-def test_undamped_lattice_has_no_damping_matrix(comm):
-    lattice = random_lattice((4, 5), damping=0.0)
-    reference = Reference(lattice.stiffness, damping=0.0)
+@pytest.mark.parametrize("law", ["uniform", "wide"])
+def test_changed_bonds_leave_nothing_behind(comm, shape, law):
+    """One bond after the other, many at once, and all: as assembled anew, bit for bit."""
+    lattice = random_lattice(shape, 11, law=law)
+    constants, rng = lattice.constants, np.random.default_rng(3)
+    count = len(constants)
+    some = {0, count - 1, *rng.integers(0, count, 6).tolist()}
+    changes = [*([bond] for bond in sorted(some)), range(0, count, 2), range(count), [], [0, 0]]
     with Operators(lattice, comm) as operators:
-        assert operators.C is None
-        operators.combine(0.8)
-        assert_close(dense(operators.S, operators), reference.system(0.8)[0])
-        assert_close(column(operators.f, operators), reference.drive_K)
-
-
-def some_bonds(shape):
-    """Two bonds of every sort: inside, at a wall at rest, at the driven wall; along every axis."""
-    sorts = {}
-    for axis, index, one, other in bonds(shape):
-        sort = (axis, "ball" if isinstance(one, tuple) else one,
-                "ball" if isinstance(other, tuple) else other)  # fmt: skip
-        sorts.setdefault(sort, []).append((axis, index))
-    return [bond for found in sorts.values() for bond in (found[0], found[-1])]
-
-
-def change(operators, arrays, axis, index, by):
-    """Change one bond; bonds are numbered axis after axis, each in C order."""
-    table = list(bonds(operators.shape))
-    assert len(operators.bond_ends) == len(operators.driven_bonds) == len(table)
-    number = next(n for n, (a, i, *_) in enumerate(table) if (a, i) == (axis, index))
-    arrays[axis][index] += by
-    constants = np.concatenate([k.ravel() for k in arrays])
-    operators.change_bonds(np.array([number]), constants)
-
-
-def test_change_of_many_bonds_at_once(comm, shape):
-    """Every second bond; and all replaced, by `set_stiffness`."""
-    lattice = random_lattice(shape, 11)
-    arrays = [k.copy() for k in lattice.stiffness]
-    table = list(bonds(shape))
-    changed = np.arange(0, len(table), 2)
-    for number in changed:
-        axis, index, *_ = table[number]
-        arrays[axis][index] = 0.01 * number
-    reference = Reference(arrays)
-    with Operators(lattice, comm) as operators:
-        operators.change_bonds(changed, np.concatenate([k.ravel() for k in arrays]))
-        for _ in range(2):
-            operators.combine(0.6)
-            S, f = reference.system(0.6)
-            assert_close(dense(operators.K, operators), reference.K)
-            assert_close(dense(operators.S, operators), S)
-            assert_close(column(operators.f, operators), f)
-            operators.set_stiffness(lattice.stiffness)
-            reference = Reference(lattice.stiffness)
-
-
-def test_change_of_a_bond_equals_new_operators(comm, shape):
-    lattice = random_lattice(shape, 11)
-    arrays = [k.copy() for k in lattice.stiffness]
-    touched = some_bonds(shape)
-    with Operators(lattice, comm) as operators:
-        for number, (axis, index) in enumerate([*touched, *touched[:2]]):
-            by = 0.01 * (number + 1)
-            change(operators, arrays, axis, index, by)
-            reference = Reference(arrays)
-            operators.combine(0.6)
-            S, f = reference.system(0.6)
-            assert_close(dense(operators.K, operators), reference.K)
-            assert_close(dense(operators.S, operators), S)
-            assert_close(column(operators.f, operators), f)
-        with Operators(Lattice(tuple(arrays)), comm) as anew:
-            assert_close(dense(operators.K, operators), dense(anew.K, anew))
-    assert {axis for axis, _ in touched} == set(range(len(shape)))
-    assert any(REST in ends for *_, one, other in bonds(shape) for ends in [(one, other)])
-
-
-def test_change_and_back(comm):
-    """Adding and taking away a power of two leaves K bit for bit."""
-    lattice = Lattice(tuple(np.full(k, 0.25) for k in [(6, 4), (5, 5)]))
-    with Operators(lattice, comm) as operators:
-        before = dense(operators.K, operators)
-        arrays = [k.copy() for k in lattice.stiffness]
-        for axis, index in some_bonds((5, 4)):
-            change(operators, arrays, axis, index, 0.5)
-            assert not np.array_equal(dense(operators.K, operators), before)
-            change(operators, arrays, axis, index, -0.5)
-            assert np.array_equal(dense(operators.K, operators), before)
+        for number, changed in enumerate(changes):
+            changed = np.array(changed, dtype=int)
+            constants[changed] = 10.0 ** rng.uniform(-6, 0, len(changed))
+            operators.change_bonds(changed, constants)
+            assert_same(operators, bond_arrays(shape, constants))
+            if number % 3 == 0:
+                operators.combine(0.1 + 0.6j)
+                reference = Reference(bond_arrays(shape, constants))
+                S = reference.K + (0.1 + 0.6j) * (0.003 * reference.C)
+                assert_close(dense(operators.S, operators), S + (0.1 + 0.6j) ** 2 * np.eye(len(S)))
+        operators.set_stiffness(lattice.constants)
+        assert_same(operators, lattice.stiffness)
 
 
 def test_an_error_on_its_way_destroys_nothing_that_needs_other_ranks(comm):
@@ -212,26 +156,20 @@ def test_an_error_on_its_way_destroys_nothing_that_needs_other_ranks(comm):
 
 def test_field_is_in_natural_order(comm, shape):
     """Ball (i, j, k) holds 100 i + 10 j + k."""
-    lattice = random_lattice(shape)
-    sites = np.array(balls(shape))
-    names = sites @ (10.0 ** np.arange(len(shape))[::-1])
-    with Operators(lattice, comm) as operators:
-        vector = operators.f.duplicate()
+    names = np.array(balls(shape)) @ (10.0 ** np.arange(len(shape))[::-1])
+    with Operators(random_lattice(shape), comm) as operators:
+        vector, numbers = operators.f.duplicate(), operators.numbers(balls(shape))
         first, last = vector.getOwnershipRange()
-        numbers = operators.numbers(sites)
         assert sorted(numbers) == list(range(operators.balls))
         for number, name in zip(numbers, names, strict=True):
             if first <= number < last:
                 vector.setValue(number, name)
         vector.assemble()
-        field = operators.field(vector)
-        back = operators.vector(names.reshape(shape))
+        field, back = operators.field(vector), operators.vector(names.reshape(shape))
         assert back.equal(vector)
         vector.destroy()
         back.destroy()
     if comm.rank == 0:
-        assert field.shape == shape
-        for site, name in zip(balls(shape), names, strict=True):
-            assert field[site] == name
+        assert np.array_equal(field, names.reshape(shape))
     else:
         assert field is None

@@ -20,11 +20,12 @@ from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.files.reading import read_words
 from pgran.physics.bondlaw import BondLaw
-from pgran.physics.changes import Changes, Network, draw_changes
+from pgran.physics.changes import Changes, draw_changes
 from pgran.physics.lattice import Lattice, bond_arrays, bond_count, bond_places
 from pgran.physics.spectrum import power_spectrum
 from pgran.solve import windows
 from pgran.solve.bounds import smallest_damping_eigenvalue
+from pgran.solve.changing import ChangingBonds
 from pgran.solve.steady import SteadySolver
 from pgran.solve.windows import Windows, march
 
@@ -75,7 +76,7 @@ def follow(lattice, omega, sites, changes, tolerance=1e-4):
     """The amplitudes of one window, their bounds, and what they are."""
     with (
         steady(lattice, sites, tolerance=tolerance) as (operators, solver),
-        Windows(Network(lattice, operators, None), solver, omega) as followed,
+        Windows(ChangingBonds(lattice, operators, None), solver, 1j * omega) as followed,
     ):
         followed.start()
         after, bound = followed.follow(changes)
@@ -236,12 +237,12 @@ def test_bounds_hold_after_many_changes_of_very_different_bonds():
     lattice = random_lattice((2,), damping=0.01)
     changes = draw_changes(law, (2,), 3, 0, 0, 200)
     with steady(lattice, [[0], [1]]) as (operators, solver):
-        network = Network(lattice, operators, None)
+        changing = ChangingBonds(lattice, operators, None)
         for step in range(200):
-            network.apply(changes[step : step + 1])
+            changing.apply(changes[step : step + 1])
             solver.restart()
             state = drive(solver, 0.6)
-            exact = Reference(bond_arrays((2,), network.bonds), damping=0.01)
+            exact = Reference(bond_arrays((2,), changing.constants), damping=0.01)
             error = np.abs(state.displacement - exact.amplitudes(0.6, [[0], [1]]))
             assert np.all(error <= state.error_bound)
 

@@ -43,7 +43,7 @@ def assert_certified(states, lattice, sites, tolerance, tiny=0.0):
     """
     reference = reference_of(lattice)
     for state in states:
-        exact = reference.amplitudes(state.omega, sites)
+        exact = reference.amplitudes(state.s.imag, sites)
         error = np.abs(state.displacement - exact)
         assert np.all(error <= state.error_bound)
         if state.converged_reason > 0:
@@ -97,7 +97,7 @@ def test_uniform_lattice(comm, shape):
     omegas = [0.02, 0.71, 1.1, 1.5]
     states, fields = solve(lattice, omegas, corner, comm, 1e-9, whole_field=True)
     for state, field in zip(states, fields, strict=True):
-        exact = uniform_field(shape, 0.25, 1.0, 0.003, state.omega)
+        exact = uniform_field(shape, 0.25, 1.0, 0.003, state.s.imag)
         scale = max(1.0, float(np.abs(exact).max()))
         assert state.converged_reason > 0
         assert abs(state.displacement[0] - exact[corner]) <= 1e-12 * scale
@@ -176,12 +176,12 @@ def test_hopeless_solvers_are_marked(comm, options, damping, solver_options):
     for state, field in zip(states, fields, strict=True):
         assert state.converged_reason <= 0
         if field is not None:
-            S, f = (part.astype(complex) for part in reference.system(state.omega))
+            S, f = (part.astype(complex) for part in reference.system(state.s.imag))
             missed, largest = np.linalg.norm(f - S @ field.ravel()), np.linalg.norm(S, np.inf)
             assert missed <= (1 + 1e-12) * np.linalg.norm(f)
             expected = missed / (largest * np.linalg.norm(field) + np.linalg.norm(f))
             assert 0.3 * expected < state.backward_error < 1.01 * expected
-        error = abs(state.displacement[0] - reference.amplitudes(state.omega, [(3, 4)])[0])
+        error = abs(state.displacement[0] - reference.amplitudes(state.s.imag, [(3, 4)])[0])
         assert not error > state.error_bound[0]
 
 
@@ -229,7 +229,7 @@ def test_undamped_lattice(comm):
     states, _ = solve(lattice, [lowest / 3, lowest / 2, 1.3, 1.6], [(6, 4)], comm)
     for state in states:
         assert state.converged_reason > 0
-        exact = reference.amplitudes(state.omega, [(6, 4)])[0]
+        exact = reference.amplitudes(state.s.imag, [(6, 4)])[0]
         error = abs(state.displacement[0] - exact)
         assert error <= state.error_bound[0] if comm.size == 1 else np.isnan(state.error_bound[0])
         # S is definite below the lowest and above the highest mode: well conditioned
@@ -255,7 +255,7 @@ def test_nothing_passes_on_an_undamped_resonance(comm, options, solver_options):
     for lattice, omegas in cases:
         for sites, whole_field in (([(0,) * len(lattice.shape)], False), ([], True)):
             states, _ = solve(lattice, omegas, sites, comm, whole_field=whole_field)
-            assert [state.omega for state in states if state.converged_reason > 0] == []
+            assert [state.s.imag for state in states if state.converged_reason > 0] == []
 
 
 # Memory

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-EPSILON = np.finfo(float).eps
+from pgran.physics.rounding import residual_rounding
+
 # The numbers of an experiment: each with a bound of its error, absolute, and whether it is `good`:
 # as accurate as was asked for.
 ENTRY = np.dtype([("value", complex), ("bound", float), ("good", bool)])
@@ -176,7 +177,7 @@ def mode_bounds(lattice, omega, residual):
         k = np.moveaxis(k, axis, 0)
         diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
     norm = 2 * np.max(diagonal)  # no smaller than |K|_inf
-    missed = (residual + (2 * len(lattice.shape) + 4) * EPSILON) * norm / lattice.mass
+    missed = (residual + residual_rounding(len(lattice.shape))) * norm / lattice.mass
     # |omega - omega'| (omega + omega') = |omega^2 - omega'^2| <= missed
     with np.errstate(divide="ignore"):
         return np.minimum(missed / omega, np.sqrt(missed))

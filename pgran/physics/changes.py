@@ -1,4 +1,4 @@
-"""One bond a step: which bond changes, and to what, and the network while it does.
+"""One bond a step: which bond changes, and to what.
 
 At each step one bond, drawn uniformly, gets a new constant from the bond law. Both draws are a pure
 function of (seed, trajectory, step), so the changes of the next steps are known ahead.
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.physics.bondlaw import unit_numbers
-from pgran.physics.lattice import bond_arrays, bond_count
+from pgran.physics.lattice import bond_count
 
 
 @dataclass(frozen=True)
@@ -67,52 +67,3 @@ def draw_changes(law, shape, seed, trajectory, first, count, unit=1.0):
     u = unit_numbers(seed, 2 * first, 2 * count, generation=1 + trajectory)
     bonds = bond_count(shape)
     return Changes(np.minimum((u[::2] * bonds).astype(np.int64), bonds - 1), law(u[1::2]) / unit)
-
-
-class Network:
-    """The bonds of a lattice while they change, in an array and in its operators.
-
-    Collective.
-
-    Parameters
-    ----------
-    lattice : pgran.physics.lattice.Lattice
-        Before any change.
-    operators : pgran.solve.operators.Operators
-    draw : callable
-        Takes a trajectory, the first step and how many, and returns their Changes.
-    """
-
-    def __init__(self, lattice, operators, draw):
-        """Start from the lattice's bonds."""
-        self.shape, self.operators, self.draw = lattice.shape, operators, draw
-        self.initial = np.concatenate([k.ravel() for k in lattice.stiffness])
-        self.bonds = self.initial.copy()
-        self.trajectory, self.step = 0, 0
-
-    def move_to(self, trajectory, step):
-        """Set all bonds to what they are before a step; the operators anew. Collective."""
-        if trajectory != self.trajectory or step < self.step:
-            self.bonds[:] = self.initial
-            self.step = 0
-        changes = self.draw(trajectory, self.step, step - self.step)
-        self.bonds[changes.bond] = changes.stiffness
-        self.trajectory, self.step = trajectory, step
-        self.operators.set_stiffness(bond_arrays(self.shape, self.bonds))
-
-    def differences(self, changes):
-        """Return by how much each change moves its bond, repeated bonds included.
-
-        Not collective.
-        """
-        before = self.bonds[changes.bond]
-        order = np.argsort(changes.bond, kind="stable")
-        again = changes.bond[order][1:] == changes.bond[order][:-1]
-        before[order[1:][again]] = changes.stiffness[order[:-1][again]]
-        return changes.stiffness - before
-
-    def apply(self, changes):
-        """Carry out the changes of the next steps. Collective."""
-        self.bonds[changes.bond] = changes.stiffness  # of several of one bond the last holds
-        self.operators.change_bonds(np.unique(changes.bond), self.bonds)
-        self.step += len(changes)

@@ -16,6 +16,7 @@ import numpy as np
 from pgran.errors import InputError
 
 AXES = "xyz"
+SIGNS = np.array([-1.0, 1.0])  # in a row of B, of the ball below a bond and of that above
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,11 @@ class Lattice:
         return math.prod(self.shape)
 
     @property
+    def constants(self):
+        """The constants of all bonds, axis after axis, each array in C order."""
+        return np.concatenate([k.ravel() for k in self.stiffness])
+
+    @property
     def omega_mx(self):
         """The Einstein frequency of a ball on springs kmax, unit of frequency (paper: omxdef)."""
         return math.sqrt(2 * len(self.shape) * self.kmax / self.mass)
@@ -143,6 +149,86 @@ def bond_arrays(shape, bonds):
     sizes = [math.prod(bond_shape(shape, axis)) for axis in range(len(shape))]
     parts = np.split(bonds, np.cumsum(sizes)[:-1])
     return tuple(part.reshape(bond_shape(shape, axis)) for axis, part in enumerate(parts))
+
+
+def bond_sides(values, axis, wall):
+    """Return what the balls below and above each bond along an axis hold, walls included.
+
+    Not collective. This is the topology of the lattice: all else follows from it.
+
+    Parameters
+    ----------
+    values : numpy.ndarray
+        Numbers of the balls.
+    axis : int
+        Of the array.
+    wall : number
+        What both walls hold.
+
+    Returns
+    -------
+    below, above : numpy.ndarray
+        One longer than `values` along the axis.
+    """
+    axis %= values.ndim
+    before = (slice(None),) * axis
+    padded = np.empty([n + 2 * (a == axis) for a, n in enumerate(values.shape)], values.dtype)
+    padded[(*before, slice(1, -1))] = values
+    padded[(*before, [0, -1])] = wall
+    return padded[(*before, slice(-1))], padded[(*before, slice(1, None))]
+
+
+def bond_ends(numbers):
+    """Return the numbers of the balls that each bond joins, -1 for a wall, shape (bonds, 2).
+
+    Not collective. These are the columns of B in each of its rows; its entries there are `SIGNS`.
+
+    Parameters
+    ----------
+    numbers : numpy.ndarray of int
+        The number of each ball, an array over the lattice.
+    """
+    sides = [bond_sides(numbers, axis, -1) for axis in range(numbers.ndim)]
+    return np.concatenate([np.stack([end.ravel() for end in pair], axis=1) for pair in sides])
+
+
+def driven_bonds(shape):
+    """Return which bonds end at the driven wall, shape (bonds,). Not collective."""
+    along = np.zeros(bond_shape(shape, 0), dtype=bool)
+    along[-1] = True
+    return np.pad(along.ravel(), (0, bond_count(shape) - along.size))
+
+
+def stretch(fields, axes):
+    """Yield B x for the bonds along each axis: how far fields of displacements lengthen them.
+
+    Not collective. All walls are at rest.
+
+    Parameters
+    ----------
+    fields : numpy.ndarray, shape (..., *shape)
+    axes : int
+        How many axes the lattice has: the last ones.
+    """
+    for axis in range(-axes, 0):
+        below, above = bond_sides(fields, axis, 0.0)
+        yield above - below
+
+
+def spread(tensions):
+    """Return B^T t, the adjoint of `stretch`: the sum, ball by ball, of what its bonds hold.
+
+    Not collective.
+
+    Parameters
+    ----------
+    tensions : iterable of numpy.ndarray
+        For each axis an array over its bonds, (..., *bond_shape(shape, axis)).
+    """
+    total, tensions = 0.0, list(tensions)
+    for axis, t in enumerate(tensions, -len(tensions)):
+        total -= np.diff(t, axis=axis)  # the bond below a ball counts +, as in B
+    return total
 
 
 def bond_places(shape, bonds):

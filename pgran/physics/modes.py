@@ -4,19 +4,15 @@ import math
 
 import numpy as np
 
+from pgran.physics.lattice import spread, stretch
+
 RESIDUAL = 1e-12  # of |K|: what a mode must meet
 
 
 def restoring_forces(stiffness, fields):
-    """Return K f for fields of shape (count, *shape): B^T diag(k) B, bond by bond.
-
-    Not collective.
-    """
-    total = np.zeros_like(fields)
-    for axis, k in enumerate(stiffness, 1):
-        stretch = np.diff(fields, axis=axis, prepend=0.0, append=0.0)
-        total -= np.diff(k * stretch, axis=axis)
-    return total
+    """Return K f = B^T diag(k) B f for fields of shape (count, *shape). Not collective."""
+    stretches = stretch(fields, len(stiffness))
+    return spread(k * t for k, t in zip(stiffness, stretches, strict=True))
 
 
 def rayleigh_ritz(stiffness, vectors):

@@ -270,7 +270,7 @@ class Steps(Task):
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`."""
-        from pgran.physics.changes import Network
+        from pgran.solve.changing import ChangingBonds
         from pgran.solve.marching import march_steps, march_windows
         from pgran.solve.operators import Operators
         from pgran.solve.steady import SteadySolver
@@ -279,19 +279,22 @@ class Steps(Task):
             Operators(self.scaled, group) as operators,
             SteadySolver(operators, self.sites, **self.choices) as solver,
         ):
-            network = Network(self.scaled, operators, lambda *which: self._draw(*which, self.unit))
+            changing = ChangingBonds(
+                self.scaled, operators, lambda *which: self._draw(*which, self.unit)
+            )
+            s = 1j * self.omega
 
             def work(unit):
                 trajectory, first, count = unit
                 before = solver.factorizations
-                network.move_to(trajectory, first)
+                changing.move_to(trajectory, first)
                 solver.restart()
                 changes = self._draw(trajectory, first, count, self.unit)
                 if self.method == "window":
-                    states = march_windows(network, solver, self.omega, changes, self.window)
+                    states = march_windows(changing, solver, s, changes, self.window)
                 else:
                     direct = self.method == "direct"
-                    states = march_steps(network, solver, self.omega, changes, direct)
+                    states = march_steps(changing, solver, s, changes, direct)
                 rows = np.zeros(count + 1, self.row)
                 rows["displacement"], rows["error_bound"], rows["drift"] = states
                 rows[-1]["factorizations"] = solver.factorizations - before

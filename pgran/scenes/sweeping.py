@@ -62,7 +62,7 @@ class FrequencySweep(Task):
                 points = np.zeros(len(unit), self.row)
                 for point, index in zip(points, unit, strict=True):
                     before = solver.factorizations
-                    state = solver.solve(self.omegas[index])
+                    state = solver.solve(1j * self.omegas[index])
                     point["factorizations"] = solver.factorizations - before
                     self.keep(point, state, solver)
                 return points

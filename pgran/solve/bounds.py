@@ -1,16 +1,20 @@
 """Rigorous error bounds of driven amplitudes, rounding included.
 
-S = (K - m omega^2) + i omega beta C with C positive definite, so |x|_C <= |S x|_{C^-1} / (omega
-beta) for every x. Take approximate solutions A~ of S A = f and z~ of S z = e_d with residuals r and
-s. Because S is symmetric, A_d - (A~_d + z~^T r) = s^T S^-1 r, and so the corrected amplitude
-A~_d + z~^T r is wrong by at most |r|_{C^-1} |s|_{C^-1} / (omega beta): a product of two residuals,
-each of which needs half the digits only. C is the Laplacian of the uniform lattice, whose smallest
-eigenvalue is known, and |r|_{C^-1} <= |r|_2 / sqrt(lambda_min(C)).
+S(s) = K + s beta C + s^2 m with C positive definite and K semidefinite. For s = sigma + i omega
 
-Without damping |x|_2 <= |S x|_2 / delta, delta the distance of m omega^2 to the nearest eigenvalue
-of K, and |r|_2 |s|_2 / delta bounds the error; with very little damping delta - omega beta |C|
-still does better than damping alone. That no eigenvalue is nearer than delta is certified by
-counting those below m omega^2 - delta and below m omega^2 + delta (`pgran.solve.counting`).
+    Re(conj(s) x^H S x) = sigma x^H K x + |s|^2 (beta x^H C x + sigma m x^H x),
+
+so that |S x|_2 >= c |x|_2 with c = |s| (beta lambda_min(C) + sigma m) wherever sigma >= 0. C is the
+Laplacian of the uniform lattice, whose smallest eigenvalue is known.
+
+Take approximate solutions A~ of S A = f and z~ of S z = e_d with residuals r and q. Because S is
+symmetric, A_d - (A~_d + z~^T r) = q^T S^-1 r, and so the corrected amplitude A~_d + z~^T r is wrong
+by at most |r|_2 |q|_2 / c: a product of two residuals, each of which needs half the digits only.
+
+Without damping, at s = i omega, |x|_2 <= |S x|_2 / delta, delta the distance of m omega^2 to the
+nearest eigenvalue of K; with very little damping delta - omega beta |C| still does better than
+damping alone. That no eigenvalue is nearer than delta is certified by counting those below
+m omega^2 - delta and below m omega^2 + delta (`pgran.solve.counting`).
 
 Residuals are known up to rounding only; what rounding can change is bounded in terms of
 |f| + |S| |A~|, ball by ball, because amplitudes fall by many orders across a lattice. What is lost
@@ -24,11 +28,8 @@ import math
 import numpy as np
 from mpi4py import MPI
 
-from pgran.physics.bondlaw import unit_numbers
+from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL, residual_rounding
 from pgran.solve.counting import ModeCounter
-
-EPSILON = float(np.finfo(float).eps)
-TINIEST = float(np.finfo(float).tiny)  # a result below it may be lost
 
 
 def smallest_damping_eigenvalue(shape):
@@ -48,11 +49,12 @@ class ErrorBounds:
     Attributes
     ----------
     proven : bool
-        Whether there is a bound, proven by damping or certified by counts: without damping there
-        is none where ranks share the lattice, because eigenvalues are counted serially. But what
-        rounding does to the amplitudes can be tried (`random_rounding`).
+        Whether there is a bound at the s of the last `prepare`, at first for s = i omega: proven by
+        damping or sigma, or certified by counts. Without damping there is none at s = i omega where
+        ranks share the lattice, because eigenvalues are counted serially; but what rounding does to
+        the amplitudes can be tried (`random_rounding`).
     inverse_norm : float
-        No less than |S^-1|_2 at the frequency of the last `prepare`; NaN where unknown.
+        No less than |S^-1|_2 there; NaN where unknown.
     scale : float
         No less than |S|_inf there.
     """
@@ -61,18 +63,16 @@ class ErrorBounds:
         """Make the work vectors."""
         self.operators = operators
         self._alone = operators.comm.size == 1
-        self.proven = self._alone or operators.damping > 0
+        self._always = self.proven = self._alone or operators.damping > 0
         self.lambda_min = smallest_damping_eigenvalue(operators.shape)
-        # Roundings in a ball's residual, with d axes: 2d - 1 in the diagonal of K, 3 in S, 2d + 4
-        # in a row of complex products and its difference from f; each at most EPSILON / 2.
-        self.unit = (2 * len(operators.shape) + 4) * EPSILON
+        self.unit = residual_rounding(len(operators.shape))
         # What a 2-norm may miss because the squares of small numbers are lost.
-        self.lost = 2 * math.sqrt(2 * operators.balls * TINIEST)
+        self.lost = 2 * math.sqrt(2 * operators.balls * SMALLEST_NORMAL)
         self._product, self._work = operators.f.duplicate(), operators.f.duplicate()
         self._counter = self._signs = None
-        if not self.proven:
-            signs = np.where(unit_numbers(0, 0, operators.balls) < 0.5, -1.0, 1.0)
-            self._signs = operators.vector(signs.reshape(operators.shape))
+        if not self._always:
+            odd = np.random.Philox(key=0).random_raw(operators.balls) % np.uint64(2)
+            self._signs = operators.vector(np.where(odd, 1.0, -1.0).reshape(operators.shape))
 
     @property
     def owned(self):
@@ -85,27 +85,29 @@ class ErrorBounds:
             if held is not None:
                 held.destroy()
 
-    def stability(self, omega):
-        """Return the c with |S x|_2 >= c |x|_2 for every x that damping gives, whatever the bonds.
+    def stability(self, s):
+        """Return the c with |S x|_2 >= c |x|_2 for every x that holds whatever the bonds.
 
         Not collective.
         """
-        return self.lambda_min * omega * self.operators.damping
+        damping = self.lambda_min * abs(s) * self.operators.damping
+        return damping + abs(s) * s.real * self.operators.mass
 
-    def prepare(self, omega, tolerance):
-        """Bound the sizes of S and of its inverse at a frequency.
+    def prepare(self, s, tolerance):
+        """Bound the sizes of S(s) and of its inverse.
 
         Collective; S and f must be combined.
 
         Parameters
         ----------
-        omega : float
+        s : complex
         tolerance : float
             Relative accuracy that will be asked of amplitudes.
         """
-        operators = self.operators
-        damping, inertia = omega * operators.damping, operators.mass * omega * omega
-        spread = 4 * len(operators.shape) * damping  # |omega beta C| is at most this
+        operators, size = self.operators, abs(s)
+        self.proven = self._always or s.real > 0
+        inertia = operators.mass * size * size
+        spread = 4 * len(operators.shape) * size * operators.damping  # |s beta C| is at most this
         operators.K.getDiagonal(self._work)
         # A Laplacian's diagonal holds the sum of its row's other magnitudes.
         self._weights = 2 * self._work.getArray(readonly=True).real + spread
@@ -114,8 +116,10 @@ class ErrorBounds:
         if not self._alone:
             largest = operators.comm.allreduce(largest, MPI.MAX)
         self.scale = 1.01 * (largest + inertia)
-        stability = self.stability(omega) if self.proven else math.nan
-        if self._alone:
+        self._weights += 2 * s.real * size * operators.mass
+        self._imaginary = s.imag / (size + s.real) if s else 0.0
+        stability = self.stability(s) if self.proven else math.nan
+        if self._alone and s.real == 0:
             stability = max(stability, self._distance(inertia, spread, tolerance) - spread)
         self.inverse_norm = 1.0 / stability if stability else math.inf
 
@@ -138,16 +142,18 @@ class ErrorBounds:
         return 0.0
 
     def rounding(self, x):
-        """Return |f| + |S| |x| for each of this rank's balls.
+        """Return |f| + (|K| + |s| beta |C| + |s|^2 m) |x| for each of this rank's balls.
 
-        Collective. With a = |x|, |K| a = 2 diag(K) a - K a, and likewise for C, whose part of S is
-        imaginary.
+        Collective. With a = |x|, |K| a = 2 diag(K) a - K a, and likewise for C. One product gives
+        both: with t = omega / (|s| + sigma), which is 1 for s = i omega,
+
+            Re(S a) + t Im(S a) = K a + |s| beta C a + (2 sigma |s| - |s|^2) m a.
         """
         a = np.abs(x.getArray(readonly=True))
         self._work.setArray(a)
         self.operators.S.mult(self._work, self._product)
         product = self._product.getArray(readonly=True)
-        return self._force + self._weights * a - product.real - product.imag
+        return self._force + self._weights * a - product.real - self._imaginary * product.imag
 
     def random_rounding(self, terms):
         """Return a residual as rounding leaves it, of random signs; the next call overwrites it.
@@ -167,7 +173,7 @@ class ErrorBounds:
         It is positive.
         """
         size = np.abs(primal.residual.getArray(readonly=True))
-        return size + self.unit * self.rounding(primal.solution) + 64 * TINIEST
+        return size + self.unit * self.rounding(primal.solution) + 64 * SMALLEST_NORMAL
 
     def adjoint_residual(self, adjoint):
         """Return a bound of |e_d - S z~|_2, rounding included. Collective."""
@@ -194,7 +200,7 @@ class ErrorBounds:
         known = self.unit * self._total(z @ terms)
         product = (self.operators.balls + 2) * EPSILON * residual * adjoint.solution.norm()
         # What a product loses; what residuals lose, times z, `product` holds by their own `lost`.
-        lost = 16 * self.operators.balls * TINIEST
+        lost = 16 * self.operators.balls * SMALLEST_NORMAL
         return 1.01 * (known + product) + 4 * EPSILON * abs(value) + lost
 
     def amplitude(self, residual, terms, adjoint, value):

@@ -18,15 +18,15 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from pgran.solve.bounds import TINIEST
+from pgran.physics.rounding import SMALLEST_NORMAL
 from pgran.solve.linear import make_ksp, set_up
 from pgran.solve.operators import Owner
 
-SMALLEST = 1e-290  # what is proven of no amplitude is less
+LEAST_PROVEN = 1e-290  # what is proven of no amplitude is less
 
 
 class Comparison(Owner):
-    """Finds and verifies v for one frequency after the other; destroy with `destroy` or `with`.
+    """Finds and verifies v for one s after the other; destroy with `destroy` or `with`.
 
     Collective. Its factorization has the option prefix `steady_comparison_`.
 
@@ -36,22 +36,28 @@ class Comparison(Owner):
     """
 
     def __init__(self, operators):
-        """Make <S>, with the pattern of S, and its factorization."""
+        """Make the work vectors."""
         self.operators, self.comm = operators, operators.comm
         self.v, self._target, self._product = (operators.f.duplicate() for _ in range(3))
-        self._matrix = operators.S.duplicate()
-        self._ksp = None  # until it is needed
+        self._matrix = self._ksp = None  # until they are needed
 
     @property
     def owned(self):
         """The vectors to work with."""
         return self.v, self._target, self._product
 
-    def destroy(self):
-        """Free all PETSc objects. Collective."""
-        for held in (self._ksp, self._matrix, *self.owned):
+    def forget(self):
+        """Free what PETSc may have marked as failed for good. Collective."""
+        for held in (self._ksp, self._matrix):
             if held is not None:
                 held.destroy()
+        self._matrix = self._ksp = None
+
+    def destroy(self):
+        """Free all PETSc objects. Collective."""
+        self.forget()
+        for vector in self.owned:
+            vector.destroy()
 
     def errors(self, residual, bounds):
         """Return a vector that no error of an amplitude exceeds, or None where there is none.
@@ -63,35 +69,36 @@ class Comparison(Owner):
         residual : numpy.ndarray
             No less than |f - S A~|, rounding included, at each of this rank's balls; positive.
         bounds : pgran.solve.bounds.ErrorBounds
-            Prepared for the frequency.
+            Prepared for this s.
         """
         if self._compare() <= 0:
             return None
         # Room for the rounding of the product below; and no v so small that it vanishes.
-        self._target.setArray(4 * residual + SMALLEST * bounds.scale)
+        self._target.setArray(4 * residual + LEAST_PROVEN * bounds.scale)
         if self._ksp is None:
             prefix = "steady_comparison_"
             self._ksp = make_ksp(self.operators, self._matrix, prefix, "preonly")
         if not set_up(self._ksp, self._matrix, self.comm):
-            self._ksp.destroy()  # it would fail for good
-            self._ksp = None
+            self.forget()
             return None
         self._ksp.solve(self._target, self.v)
         v = self.v.getArray().real
         self.v.setArray(v)
         self._matrix.mult(self.v, self._product)
         product = self._product.getArray(readonly=True).real
-        rounding = bounds.unit * bounds.rounding(self.v) + 16 * TINIEST
+        rounding = bounds.unit * bounds.rounding(self.v) + 16 * SMALLEST_NORMAL
         proven = bool(np.all((v > 0) & (v < np.inf) & (product - rounding >= residual)))
         return self.v if self.comm.allreduce(proven, MPI.LAND) else None
 
     def _compare(self):
-        """Set <S> for the present S; return 1^T <S> 1, which shows at once where it is no use."""
+        """Set <S>; return 1^T <S> 1, which shows at once where it is no use."""
         pointer, columns, values = self.operators.S.getValuesCSR()
         first, last = self.operators.S.getOwnershipRange()
         size = np.abs(values)
         on_diagonal = columns == np.repeat(np.arange(first, last), np.diff(pointer))
         size[~on_diagonal] *= -1.0
+        if self._matrix is None:
+            self._matrix = self.operators.S.duplicate()
         self._matrix.setValuesCSR(pointer, columns, size.astype(complex))
         self._matrix.assemble()
         self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)

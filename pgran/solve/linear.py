@@ -5,7 +5,8 @@ import math
 from mpi4py import MPI
 from petsc4py import PETSc
 
-TINY = 1e-300
+LEAST_NORM = 1e-300  # a residual of which is none
+NO_NUMBER = int(PETSc.KSP.ConvergedReason.DIVERGED_NANORINF)
 NO_PRECONDITIONER = int(PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
 # Larger lattices go to MUMPS: it factors faster, but each of its solves is dearer.
 PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
@@ -14,18 +15,29 @@ MINIMUM_DEGREE = {1: 10**7, 2: 2500, 3: 0}
 
 
 class System:
-    """One right-hand side of S with its solution and true residual."""
+    """One right-hand side of S with its solution and true residual.
+
+    Attributes
+    ----------
+    rhs, solution, residual : petsc4py.PETSc.Vec
+    norm : float
+        Of the residual.
+    last, before_last : petsc4py.PETSc.Vec
+        The solutions of the two s before this one.
+    """
 
     def __init__(self, rhs):
         """Share `rhs`; own the rest."""
         self.rhs = rhs
-        self.solution, self.residual, self.earlier = (rhs.duplicate() for _ in range(3))
+        self.solution, self.residual, self.last, self.before_last = (
+            rhs.duplicate() for _ in range(4)
+        )
         self.norm = math.inf
 
     @property
     def owned(self):
         """The vectors that are this system's own."""
-        return self.solution, self.residual, self.earlier
+        return self.solution, self.residual, self.last, self.before_last
 
     def destroy(self):
         """Free what is owned. Collective."""
@@ -33,8 +45,12 @@ class System:
             vector.destroy()
 
     def advance(self):
-        """Make room for the next solution; this one becomes the earlier one. Not collective."""
-        self.solution, self.earlier = self.earlier, self.solution
+        """Keep the solution as the last one; a start then gives `solution` its new values.
+
+        Not collective.
+        """
+        free = self.before_last
+        self.solution, self.last, self.before_last = free, self.solution, self.last
 
     def start_from_zero(self):
         """Guess nothing. Collective."""
@@ -57,8 +73,9 @@ class System:
 
         Collective.
         """
+        self.before_last.copy(self.solution)
         self.solution.scale(-step)
-        self.solution.axpy(1.0 + step, self.earlier)
+        self.solution.axpy(1.0 + step, self.last)
         self.update_residual(matrix)
 
     def update_residual(self, matrix):
@@ -66,6 +83,112 @@ class System:
         matrix.mult(self.solution, self.residual)
         self.residual.aypx(-1.0, self.rhs)
         self.norm = self.residual.norm()
+
+
+class Krylov:
+    """The KSP of S, and what it took at the present s; destroy with `destroy`.
+
+    Collective.
+
+    Parameters
+    ----------
+    operators : pgran.solve.operators.Operators
+    correction : petsc4py.PETSc.Vec
+        To work with.
+
+    Attributes
+    ----------
+    ksp : petsc4py.PETSc.KSP
+    iterations : int
+        Since the last `begin`.
+    reason : int
+        PETSc's, of the last solve since then; 0 if there was none.
+    """
+
+    def __init__(self, operators, correction):
+        """Make the KSP from its options."""
+        self.operators, self._correction = operators, correction
+        self.ksp = make_ksp(operators, operators.S)
+        self._rtol, _, _, self._longest = self.ksp.getTolerances()
+        self.begin()
+
+    @property
+    def pc(self):
+        """The preconditioner. Not collective."""
+        return self.ksp.getPC()
+
+    def destroy(self):
+        """Free the KSP. Collective."""
+        self.ksp.destroy()
+
+    def begin(self):
+        """Count from zero. Not collective."""
+        self.iterations, self.reason = 0, 0
+
+    def limit(self, iterations=None):
+        """Give up a solve after so many iterations; by default as its options say.
+
+        Not collective.
+        """
+        self.ksp.setTolerances(max_it=iterations or self._longest)
+
+    def factor(self):
+        """Set up the preconditioner for the present S; later solves keep it. Return if it works.
+
+        Collective.
+        """
+        self.pc.setReusePreconditioner(False)
+        works = set_up(self.ksp, self.operators.S, self.operators.comm)
+        if works:
+            self.pc.setReusePreconditioner(True)
+        return works
+
+    def improve(self, system, target):
+        """Reduce a residual to the target, or as far as the KSP gets. Collective."""
+        if system.norm <= target:
+            return
+        before, correction = system.norm, self._correction
+        # Relative, because a KSP may measure preconditioned residuals, which have another unit.
+        self._solve(system.residual, max(self._rtol, target / before))
+        self.reason = self.ksp.getConvergedReason()
+        system.solution.axpy(1.0, correction)
+        system.update_residual(self.operators.S)
+        if not math.isfinite(system.norm):
+            self.reason = min(self.reason, NO_NUMBER)
+            system.start_from_zero()
+        elif system.norm > before:
+            system.solution.axpy(-1.0, correction)
+            system.update_residual(self.operators.S)
+
+    def roughly_solved(self, rhs):
+        """Return S^-1 of a right-hand side to two digits, or None; the next solve overwrites it.
+
+        Collective.
+        """
+        self._solve(rhs, 0.01)
+        return self._correction if self.ksp.getConvergedReason() > 0 else None
+
+    def _solve(self, rhs, rtol):
+        """Solve for a right-hand side."""
+        self.ksp.setTolerances(rtol=rtol)
+        self.ksp.solve(rhs, self._correction)
+        self.iterations += self.ksp.getIterationNumber()
+
+
+def release(vectors, forget):
+    """Free vectors that an error inside PETSc may have left locked.
+
+    Collective. PETSc may have taken some for its own, and free them with the solver that it was
+    interrupted in: so they are held until `forget`, which frees the solvers, is done.
+    """
+    for vector in vectors:
+        vector.incRef()
+        vector.incRef()
+    forget()
+    for vector in vectors:
+        while vector.refcount > 1:
+            vector.decRef()
+        vector.destroy()
 
 
 def factor_package(shape, ranks):
@@ -93,7 +216,7 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
     ksp.setOptionsPrefix(prefix)
     ksp.setOperators(matrix)
     ksp.setType(kind)
-    ksp.setTolerances(rtol=1e-13, atol=TINY, max_it=1000)
+    ksp.setTolerances(rtol=1e-13, atol=LEAST_NORM, max_it=1000)
     pc = ksp.getPC()
     pc.setType("cholesky")
     if factor_package(operators.shape, operators.comm.size) != "petsc":

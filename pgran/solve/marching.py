@@ -6,7 +6,7 @@ from pgran.physics.accuracy import is_accurate
 from pgran.solve.windows import Windows
 
 
-def march_windows(network, solver, omega, changes, window):
+def march_windows(changing, solver, s, changes, window):
     """Return the amplitudes before and after each change, their bounds, and how windows drift.
 
     Collective. Each window starts from a state solved for afresh, which is compared with what the
@@ -14,9 +14,9 @@ def march_windows(network, solver, omega, changes, window):
 
     Parameters
     ----------
-    network : pgran.physics.changes.Network
+    changing : pgran.solve.changing.ChangingBonds
     solver : pgran.solve.steady.SteadySolver
-    omega : float
+    s : complex
     changes : pgran.physics.changes.Changes
     window : int
         Steps to a window, at most.
@@ -25,7 +25,7 @@ def march_windows(network, solver, omega, changes, window):
     bound = np.empty(found.shape)
     drift = np.zeros(len(found))
     done, known, reach = 0, 0, window
-    with Windows(network, solver, omega) as windows:
+    with Windows(changing, solver, s) as windows:
         while True:
             start, start_bound = as_asked(windows.start())
             if done and known == done:
@@ -40,22 +40,22 @@ def march_windows(network, solver, omega, changes, window):
             known = done + len(after)
             found[done + 1 : known + 1], bound[done + 1 : known + 1] = after, after_bound
             steps = max(1, len(after))
-            network.apply(changes[done : done + steps])
+            changing.apply(changes[done : done + steps])
             done += steps
             reach = min(window, 2 * steps)  # after an early end not much more may be reached
 
 
-def march_steps(network, solver, omega, changes, direct):
+def march_steps(changing, solver, s, changes, direct):
     """Return the amplitudes before and after each change, solved for one by one; their bounds.
 
     Collective. Parameters are those of `march_windows`; `direct` says to factor at each step.
     """
-    states = [as_asked(solver.solve(omega))]
+    states = [as_asked(solver.solve(s))]
     for step in range(len(changes)):
-        network.apply(changes[step : step + 1])
+        changing.apply(changes[step : step + 1])
         if direct:
             solver.restart()
-        states.append(as_asked(solver.solve(omega)))
+        states.append(as_asked(solver.solve(s)))
     found, bound = zip(*states, strict=True)
     return np.stack(found), np.stack(bound), np.zeros(len(found))
 

@@ -1,17 +1,21 @@
-"""The matrices of a lattice on a PETSc DMDA: K, C, S(omega) and the drive f(omega).
+"""One system for everything: S(s) = K + s beta C + s^2 M, with K = B^T diag(k) B and C = B^T B.
 
-K = B^T diag(k) B and C = B^T B are sums over all bonds, wall bonds included, B the incidence matrix
-of bonds and balls. Both and S = K + i omega beta C - m omega^2 share one nonzero pattern, so that S
-is combined anew for each frequency without assembly, and factored symbolically only once.
+B has a row for each bond: what lengthens it. Walls are no unknowns; the driven one's bonds give the
+drive f(s), the sum of k + s beta at their balls. All matrices share one nonzero pattern, so that S
+is combined anew for each s without assembly, and factored symbolically only once.
+
+A PETSc DMDA numbers the balls, shares them out over the ranks and gathers fields; nothing else here
+knows that they form a lattice: K is assembled from the table of bonds' ends.
 """
 
 from functools import cached_property
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from pgran.errors import InputError
-from pgran.physics.lattice import bond_count, bond_shape
+from pgran.physics.lattice import SIGNS, bond_ends, driven_bonds
 
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 
@@ -46,9 +50,16 @@ class Operators(Owner):
     K : petsc4py.PETSc.Mat
         Stiffness: the graph Laplacian weighted by the bond constants.
     C : petsc4py.PETSc.Mat or None
-        Damping: the same with every constant 1. None for an undamped lattice.
+        The same with every constant 1; damping is beta C. None for an undamped lattice.
+    M : petsc4py.PETSc.Vec
+        The masses.
     S, f : petsc4py.PETSc.Mat, petsc4py.PETSc.Vec
-        The driven system at the frequency of the last `combine`.
+        The driven system at the s of the last `combine`.
+    ends : numpy.ndarray of int, shape (bonds, 2)
+        The balls that each bond joins: PETSc's numbers, -1 for a wall. Bonds are numbered axis
+        after axis, each array in C order; the end below comes first.
+    driven : numpy.ndarray of bool, shape (bonds,)
+        Which bonds end at the driven wall.
     """
 
     def __init__(self, lattice, comm):
@@ -64,12 +75,21 @@ class Operators(Owner):
             raise InputError(
                 f"-ranks_per_lattice: {shape} balls cannot be cut among {comm.size} ranks"
             ) from error
-        pattern = self._pattern()
-        self.K, self.f_stiffness = self._assemble(lattice.stiffness, pattern)
+        self.f_stiffness = self.da.createGlobalVec()
+        self.first, self.last = self.f_stiffness.getOwnershipRange()
+        numbers = self.numbers(np.indices(self.shape).reshape(len(self.shape), -1).T)
+        self.ends, self.driven = bond_ends(numbers.reshape(self.shape)), driven_bonds(self.shape)
+        self._make_pattern()
+        constants = lattice.constants
+        self.K = self._assemble(constants)
+        self.f_stiffness.setArray(self._drive(constants))
         self.C = self.f_damping = None
         if self.damping > 0:
-            ones = [np.broadcast_to(1.0, k.shape) for k in lattice.stiffness]
-            self.C, self.f_damping = self._assemble(ones, pattern)
+            ones = np.ones(len(constants))
+            self.C, self.f_damping = self._assemble(ones), self.f_stiffness.duplicate()
+            self.f_damping.setArray(self._drive(ones))
+        self.M, self._inertia = self.f_stiffness.duplicate(), self.f_stiffness.duplicate()
+        self.M.set(self.mass)
 
     @cached_property
     def S(self):  # noqa: N802
@@ -84,7 +104,7 @@ class Operators(Owner):
     def destroy(self):
         """Free all PETSc objects. Collective."""
         made = vars(self)  # S and f only where they were asked for
-        for name in ("K", "C", "S", "f", "f_stiffness", "f_damping", "da"):
+        for name in ("K", "C", "S", "f", "f_stiffness", "f_damping", "M", "_inertia", "da"):
             if made.get(name) is not None:
                 made[name].destroy()
 
@@ -97,58 +117,94 @@ class Operators(Owner):
             getattr(self, name).destroy()
             delattr(self, name)
 
-    def combine(self, omega):
-        """Set S = K + i omega beta C - m omega^2 and the drive f (paper: ampeq).
+    def combine(self, s):
+        """Set S(s) = K + s beta C + s^2 M and the drive f(s) (paper: ampeq, s = i omega).
 
         Collective.
+
+        Parameters
+        ----------
+        s : complex
+            sigma + i omega, sigma >= 0.
+
+        Raises
+        ------
+        ValueError
+            If sigma is negative: what bounds the error holds on the other half of the plane.
         """
+        s = complex(s)
+        if not s.real >= 0:
+            raise ValueError(f"the real part of s must be 0 or more, not {s.real}")
         self.K.copy(self.S, structure=SAME)
         self.f_stiffness.copy(self.f)
         if self.C is not None:
-            self.S.axpy(1j * omega * self.damping, self.C, structure=SAME)
-            self.f.axpy(1j * omega * self.damping, self.f_damping)
-        self.S.shift(-self.mass * omega * omega)  # omega^2 alone could underflow
+            self.S.axpy(s * self.damping, self.C, structure=SAME)
+            self.f.axpy(s * self.damping, self.f_damping)
+        self.M.copy(self._inertia)
+        for _ in range(2):
+            self._inertia.scale(s)  # s^2 alone could underflow
+        self.S.setDiagonal(self._inertia, addv=True)
         # Complex symmetric, not Hermitian: what an LDL^T factorization needs to know.
         self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
 
-    @cached_property
-    def bond_ends(self):
-        """The balls that each bond joins: PETSc's numbers, -1 for a wall, shape (bonds, 2).
+    def stretch(self, columns, bonds):
+        """Return b^T x for some bonds and each column x, walls at rest: shape (n, columns).
 
-        Collective when first asked for. Bonds are numbered axis after axis, each array in C order;
-        the end below comes first.
+        Collective; the same on every rank.
+
+        Parameters
+        ----------
+        columns : numpy.ndarray, shape (own, columns)
+            This rank's rows.
+        bonds : numpy.ndarray of int, shape (n,)
         """
-        below, above = [], []
-        for axis in range(len(self.shape)):
-            sites = np.indices(bond_shape(self.shape, axis)).reshape(len(self.shape), -1)
-            for ends, step in ((below, -1), (above, 0)):
-                ball = sites.copy()
-                ball[axis] += step
-                inside = (ball[axis] >= 0) & (ball[axis] < self.shape[axis])
-                number = np.full(ball.shape[1], -1, dtype=PETSc.IntType)
-                number[inside] = self.numbers(ball[:, inside].T)
-                ends.append(number)
-        return np.stack([np.concatenate(below), np.concatenate(above)], axis=1)
+        found = np.zeros((len(bonds), columns.shape[1]), dtype=complex)
+        for sign, balls, mine in self._own_ends(bonds):
+            found[mine] += sign * columns[balls]
+        if self.comm.size > 1:
+            self.comm.Allreduce(MPI.IN_PLACE, found)
+        return found
 
-    @cached_property
-    def driven_bonds(self):
-        """Which bonds end at the driven wall, shape (bonds,). Not collective."""
-        along = np.zeros(bond_shape(self.shape, 0), dtype=bool)
-        along[-1] = True
-        return np.pad(along.ravel(), (0, bond_count(self.shape) - along.size))
+    def spread(self, bonds, columns):
+        """Set each column to b = B^T e of a bond, as far as it lies in this rank's rows.
 
-    @cached_property
-    def _bonds_of_balls(self):
-        """The bonds of each ball, in PETSc's numbering, shape (balls, 2 dim)."""
-        ends = self.bond_ends.ravel()
-        order = np.argsort(ends, kind="stable")[np.count_nonzero(ends < 0) :]
-        return (order // 2).reshape(self.balls, -1)
+        Not collective.
+
+        Parameters
+        ----------
+        bonds : numpy.ndarray of int, shape (n,)
+        columns : numpy.ndarray, shape (own, n or more)
+            Columns beyond n become zero.
+        """
+        columns[:] = 0.0
+        for sign, balls, mine in self._own_ends(bonds):
+            columns[balls, mine] = sign
+
+    def _own_ends(self, bonds):
+        """Yield, side by side, B's entry, this rank's rows it is in, and which bonds those are."""
+        for sign, balls in zip(SIGNS, self.ends[bonds].T, strict=True):
+            mine = np.flatnonzero(self._is_own(balls))
+            yield sign, balls[mine] - self.first, mine
+
+    def _is_own(self, balls):
+        """Return which balls are rows of this rank."""
+        return (balls >= self.first) & (balls < self.last)
+
+    def set_stiffness(self, constants):
+        """Replace all bond constants, in K and in the drive; S waits for `combine`.
+
+        Collective; `constants` has the shape (bonds,).
+        """
+        self.K.setValuesCSR(self._pointer, self._columns, self._values(constants))
+        self.K.assemble()
+        self.f_stiffness.setArray(self._drive(constants))
 
     def change_bonds(self, bonds, constants):
         """Set some bond constants anew, in K and in the drive; S waits for `combine`.
 
-        Collective. What K was before leaves no rounding behind.
+        Collective. What K was before leaves no rounding behind: an entry is summed up anew from all
+        its bonds.
 
         Parameters
         ----------
@@ -157,33 +213,40 @@ class Operators(Owner):
         constants : numpy.ndarray, shape (bonds,)
             The constants of all bonds after the change.
         """
-        first, last = self.K.getOwnershipRange()
-        ends = self.bond_ends[bonds]
-        rows, columns = ends.ravel(), ends[:, ::-1].ravel()
-        joined = (rows >= first) & (rows < last) & (columns >= 0)
-        self._insert(rows[joined], columns[joined], -np.repeat(constants[bonds], 2)[joined])
-        balls = np.unique(rows[(rows >= first) & (rows < last)])
-        self._insert(balls, balls, constants[self._bonds_of_balls[balls]].sum(axis=1))
+        if self.comm.size > 1:
+            mine = bonds[self._is_own(self.ends[bonds]).any(axis=1)]
+            bonds_here = np.searchsorted(self._bonds, mine)
+        else:
+            bonds_here = bonds
+        entries = self._place[bonds_here].ravel()
+        entries = entries[entries < len(self._columns)]
+        if len(entries):  # petsc4py divides by zero otherwise
+            rows, summed, signs = self._terms
+            values = (constants[summed[entries]] * signs[entries]).cumsum(axis=1)[:, -1:]
+            self.K.setValuesRCV(
+                rows[entries, None], self._columns[entries, None], values.astype(PETSc.ScalarType)
+            )
         self.K.assemble()
-        driven = bonds[self.driven_bonds[bonds]]
-        if len(driven):
-            balls = self.bond_ends[driven, 0]
-            mine = (balls >= first) & (balls < last)
-            self.f_stiffness.setValues(balls[mine], constants[driven[mine]])
-            self.f_stiffness.assemble()
+        if self.driven[bonds].any():
+            self.f_stiffness.setArray(self._drive(constants))
 
-    def _insert(self, rows, columns, values):
-        """Insert single entries of K, all of this rank's rows."""
-        if len(rows):  # petsc4py divides by zero otherwise
-            self.K.setValuesRCV(rows[:, None], columns[:, None], values[:, None].astype(complex))
+    @cached_property
+    def _terms(self):
+        """What each nonzero is summed of: its row, the bonds in their order, and the signs.
 
-    def set_stiffness(self, stiffness):
-        """Replace all bond constants, in K and in the drive; S waits for `combine`. Collective."""
-        pattern = self._pattern()
-        values, drive = self._values(stiffness, pattern)
-        self.K.setValuesCSR(*pattern[:2], values)
-        self.K.assemble()
-        self.f_stiffness.setArray(drive)
+        Bonds and signs have a row for each nonzero, with signs of 0 where there is no bond more.
+        """
+        count, signs = len(self._columns), np.outer(SIGNS, SIGNS).ravel()
+        places = self._place.ravel()
+        order = np.argsort(places, kind="stable")[: np.count_nonzero(places < count)]
+        places, sizes = places[order], np.bincount(places, minlength=count)[:count]
+        column = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        summed = np.zeros((count, sizes.max()), dtype=PETSc.IntType)
+        summed[places, column] = self._bonds[order // len(signs)]
+        weights = np.zeros(summed.shape, dtype=np.int8)
+        weights[places, column] = signs[order % len(signs)]
+        rows = np.repeat(np.arange(self.first, self.last), np.diff(self._pointer))
+        return rows.astype(PETSc.IntType), summed, weights
 
     def numbers(self, sites):
         """Return PETSc's global numbers of balls given by their indices, shape (count, dim).
@@ -218,70 +281,44 @@ class Operators(Owner):
             held.destroy()
         return values
 
-    def _pattern(self):
-        """Return the row pointers, the columns, and which slots of a row exist.
+    def _make_pattern(self):
+        """Lay down this rank's nonzeros, and where in them each bond's contributions go.
 
-        The slots of a ball's row are its neighbours below along each axis, itself, and its
-        neighbours above. PETSc numbers a rank's balls with the first axis fastest.
+        A bond adds k times the product of B's entries at two of its ends to the row of one and the
+        column of the other. `_place` says which nonzero that is, shape (bonds of this rank, 2, 2);
+        what belongs to a wall or to another rank goes to one place more at the end.
         """
-        axes = len(self.shape)
-        own, ghosted = self.da.getRanges(), self.da.getGhostRanges()
-        number = self.da.getLGMap().getIndices()
-        number = number.reshape([stop - start for start, stop in ghosted], order="F")
-        local = [
-            np.arange(start - ghosts[0], stop - ghosts[0])
-            for (start, stop), ghosts in zip(own, ghosted, strict=True)
-        ]
-        columns = np.empty((*map(len, local), 2 * axes + 1), dtype=PETSc.IntType)
-        exists = np.ones(columns.shape, dtype=bool)
-        columns[..., axes] = number[np.ix_(*local)]
-        for axis in range(axes):
-            for slot, step in ((axes - 1 - axis, -1), (axes + 1 + axis, 1)):
-                ball = local[axis] + step
-                inside = (ball >= 0) & (ball < number.shape[axis])
-                exists[..., slot] = inside.reshape(_replaced([1] * axes, axis, -1))
-                ball = np.where(inside, ball, 0)
-                columns[..., slot] = number[np.ix_(*_replaced(local, axis, ball))]
-        columns, exists = _rows(columns), _rows(exists)
-        pointer = np.zeros(len(exists) + 1, dtype=PETSc.IntType)
-        np.cumsum(exists.sum(axis=1), out=pointer[1:])
-        return pointer, columns[exists], exists
+        self._bonds = np.flatnonzero(self._is_own(self.ends).any(axis=1))
+        ends, own = self.ends[self._bonds].astype(np.int64), self.last - self.first
+        rows, columns = ends[:, :, None], ends[:, None, :]
+        keys = (rows - self.first) * self.balls + columns
+        keys[~(self._is_own(rows) & (columns >= 0))] = own * self.balls
+        order = np.argsort(keys, axis=None, kind="stable")  # much quicker than the default
+        sorted_keys = keys.ravel()[order]
+        another = np.append(False, sorted_keys[1:] > sorted_keys[:-1])
+        self._place = np.empty(keys.shape, dtype=np.int64)
+        self._place.ravel()[order] = np.cumsum(another)
+        another[0] = True
+        rows, columns = np.divmod(sorted_keys[another], self.balls)
+        self._columns = columns[rows < own].astype(PETSc.IntType)
+        sizes = np.bincount(rows, minlength=own)[:own]
+        self._pointer = np.append(0, np.cumsum(sizes)).astype(PETSc.IntType)
 
-    def _values(self, stiffness, pattern):
-        """Return the nonzeros of the Laplacian weighted by `stiffness`, and its drive."""
-        axes = len(self.shape)
-        here = [np.arange(start, stop) for start, stop in self.da.getRanges()]
-        values = np.zeros((*map(len, here), 2 * axes + 1))
-        for axis, k in enumerate(stiffness):
-            for slot, step in ((axes - 1 - axis, 0), (axes + 1 + axis, 1)):
-                constants = k[np.ix_(*_replaced(here, axis, here[axis] + step))]
-                values[..., slot] = -constants
-                values[..., axes] += constants
-        drive = np.zeros(values.shape[:-1])
-        if here[0][-1] == self.shape[0] - 1:
-            drive[-1] = stiffness[0][np.ix_([self.shape[0]], *here[1:])][0]
-        exists = pattern[2]
-        return _rows(values)[exists].astype(PETSc.ScalarType), drive.ravel(order="F")
+    def _values(self, constants):
+        """Return the nonzeros of B^T diag(k) B, each summed up bond after bond."""
+        products = constants[self._bonds, None, None] * np.outer(SIGNS, SIGNS)
+        count = len(self._columns)
+        sums = np.bincount(self._place.ravel(), products.ravel(), count + 1)
+        return sums[:count].astype(PETSc.ScalarType)
 
-    def _assemble(self, stiffness, pattern):
-        """Return the Laplacian weighted by `stiffness`, and its drive: the driven wall's bonds."""
-        values, forces = self._values(stiffness, pattern)
-        drive = self.da.createGlobalVec()
-        drive.setArray(forces)
-        matrix = PETSc.Mat().createAIJ(
-            (drive.getSizes(), drive.getSizes()), csr=(*pattern[:2], values), comm=self.comm
-        )
-        return matrix, drive
+    def _drive(self, constants):
+        """Return this rank's rows of the drive: the constants of the driven wall's bonds."""
+        (bonds,) = np.nonzero(self.driven & self._is_own(self.ends[:, 0]))
+        balls = self.ends[bonds, 0] - self.first
+        return np.bincount(balls, constants[bonds], self.last - self.first)
 
-
-def _rows(slots):
-    """Return an array over balls and slots with a row a ball, the first axis fastest."""
-    axes = slots.ndim - 1
-    return slots.transpose(*reversed(range(axes)), axes).reshape(-1, slots.shape[-1])
-
-
-def _replaced(sequence, position, item):
-    """Return a copy of a sequence with one item replaced."""
-    copy = list(sequence)
-    copy[position] = item
-    return copy
+    def _assemble(self, constants):
+        """Return the matrix B^T diag(k) B."""
+        csr = self._pointer, self._columns, self._values(constants)
+        size = self.f_stiffness.getSizes()
+        return PETSc.Mat().createAIJ((size, size), csr=csr, comm=self.comm)

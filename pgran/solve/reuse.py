@@ -78,15 +78,24 @@ class ReusePolicy:
             self._first = math.inf
 
 
-def expected_iterations(before, omega, lattice_axes, mass, damping):
-    """Return the iterations that a solve takes with the factorization of another frequency.
+def expected_iterations(before, s, axes, mass, damping):
+    """Return the iterations that a solve takes with the factorization of another s.
 
-    Not collective. A resonance of the lattice is about 2 d omega beta / m wide in omega^2, 2 d the
-    mean eigenvalue of C; by how much less omega^2 has moved is what an application of the old
-    factorization gains.
+    Not collective. A resonance of the lattice is about |s| (2 d beta + sigma m) wide in m s^2, 2 d
+    the mean eigenvalue of C. Each application of the old factorization reduces the residual by the
+    part of that width which m s^2 has moved.
+
+    Parameters
+    ----------
+    before, s : complex
+        Where the factorization was made, and where it is used: sigma + i omega.
+    axes : int
+        d, of the lattice.
+    mass, damping : float
+        m and beta.
     """
-    width = 2 * lattice_axes * omega * damping
-    moved = mass * abs(omega**2 - before**2)
+    width = 2 * axes * abs(s) * damping + abs(s) * s.real * mass
+    moved = mass * abs(s * s - before * before)
     if moved == 0:
         return 1.0
     if moved >= width:

@@ -1,0 +1,178 @@
+"""The algebra of a window of changes among its bonds alone, with what rounding does to it.
+
+NumPy only; the formulas are those of `pgran.solve.windows`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL
+
+BOND = 2**0.5  # |b|_2 of a bond between balls
+
+
+def march(G, delta):
+    """Change one bond after the other; return how each then deforms the lattice.
+
+    Not collective. This is the inverse, column by column, of the factor L^T in the L D L^T
+    factorization of diag(1/delta) + G, whose leading blocks are the networks after each step.
+
+    Parameters
+    ----------
+    G : numpy.ndarray, shape (s, s)
+        b^T S0^-1 b' of the changing bonds before any change.
+    delta : numpy.ndarray, shape (s,)
+        By how much each changes.
+
+    Returns
+    -------
+    T : numpy.ndarray, shape (s, s)
+        S^-1 b_t = S0^-1 B T[:, t] once the bonds before t have changed.
+    c : numpy.ndarray, shape (s,)
+        delta / (1 + delta b^T S^-1 b).
+    """
+    steps = len(delta)
+    T, (c, row) = np.eye(steps, dtype=complex), np.zeros((2, steps), dtype=complex)
+    with np.errstate(all="ignore"):  # what is not finite has no bound
+        for t in range(steps):
+            before = T[:t, :t]
+            row[:t] = G[t, :t] @ before
+            along = -c * row
+            T[:t, t] = before @ along[:t]
+            c[t] = delta[t] / (1.0 + delta[t] * (G[t, t] + row @ along))
+    return T, c
+
+
+@dataclass(frozen=True)
+class Deformation:
+    """How a field x, of amplitudes or an adjoint, follows the changes: x = x0 + Y a.
+
+    A row of an array (s, s) is a bond, a column a step.
+
+    Attributes
+    ----------
+    start : numpy.ndarray, shape (s,)
+        b^T x0 of each bond, a moving wall counted.
+    coefficients, coefficient_sizes : numpy.ndarray, shape (s, s)
+        a (gamma of the amplitudes, eta of an adjoint), and its magnitudes.
+    stretch : numpy.ndarray, shape (s, s)
+        t = b^T x = b^T x0 + G a.
+    missed, missed_sizes : numpy.ndarray, shape (s, s)
+        a + Delta t (h of the amplitudes, g of an adjoint), which is zero but for the errors of the
+        algebra, and its magnitudes.
+    changes : numpy.ndarray, shape (s, s)
+        |Delta|: by how much each bond has changed so far.
+    norm : numpy.ndarray, shape (s,)
+        |a|_2 after each step.
+    rounding, rounding_of_start : numpy.ndarray, shape (s,)
+        A stretch t is wrong by at most `rounding` times |a|_2, plus `rounding_of_start`.
+    """
+
+    start: np.ndarray
+    coefficients: np.ndarray
+    coefficient_sizes: np.ndarray
+    stretch: np.ndarray
+    missed: np.ndarray
+    missed_sizes: np.ndarray
+    changes: np.ndarray
+    norm: np.ndarray
+    rounding: np.ndarray
+    rounding_of_start: np.ndarray
+
+    @classmethod
+    def of(cls, T, c, G, delta, start, wall=0.0):
+        """Return what changes make of a field.
+
+        Not collective.
+
+        Parameters
+        ----------
+        T, c : numpy.ndarray
+            From `march`.
+        G : numpy.ndarray, shape (s, s)
+        delta : numpy.ndarray, shape (s,)
+        start : numpy.ndarray, shape (s,)
+            b^T x0 with all walls at rest.
+        wall : numpy.ndarray or float, optional
+            How far the wall at the upper end of each bond moves.
+        """
+        start, steps = start + wall, len(delta)
+        coefficients = np.cumsum(T * (-c * (start @ T)), axis=1)
+        stretch = start[:, None] + G @ coefficients
+        upper = np.tri(steps).T  # bonds change one after the other
+        missed = upper * (coefficients + delta[:, None] * stretch)
+        return cls(
+            start=start,
+            coefficients=coefficients,
+            coefficient_sizes=np.abs(coefficients),
+            stretch=stretch,
+            missed=missed,
+            missed_sizes=np.abs(missed),
+            changes=np.abs(delta)[:, None] * upper,
+            norm=np.sqrt(squares(coefficients)) + np.sqrt(2 * steps * SMALLEST_NORMAL),
+            # Displacements of bonds are differences, rounded once; then come s products and sums.
+            rounding=(steps + 8) * EPSILON * np.sqrt(squares(G.T)),
+            rounding_of_start=EPSILON * (4 * np.abs(start) + wall),
+        )
+
+    def stretch_rounding(self, weights):
+        """Return bounds, step by step, of what rounding does to a sum of weights times stretches.
+
+        Not collective; `weights` of shape (s, s) are not negative.
+        """
+        return (self.rounding @ weights) * self.norm + self.rounding_of_start @ weights
+
+    def missed_rounding(self, weights):
+        """Return the same for weights times `missed`. Not collective."""
+        changed = self.stretch_rounding(self.changes * weights)
+        return changed + 2 * EPSILON * _column_sums(weights, self.coefficient_sizes)
+
+    def residual(self, start, columns):
+        """Return bounds of |f - S x|_2, or of |e_d - S x|_2, after each step.
+
+        Not collective.
+
+        Parameters
+        ----------
+        start : float
+            A bound of it before any change.
+        columns : numpy.ndarray, shape (s,)
+            Bounds of the residuals of the columns of Y.
+        """
+        rounding = self.missed_rounding(np.ones(self.missed.shape))
+        missed = np.sum(self.missed_sizes, axis=0) + rounding
+        return start + columns @ self.coefficient_sizes + BOND * missed
+
+
+def amplitudes(before, primal, adjoint):
+    """Return A_d + q^T gamma - (q + G eta)^T h after each step, and bounds of its rounding.
+
+    Not collective.
+
+    Parameters
+    ----------
+    before : complex
+        A_d, the amplitude at a detector before any change.
+    primal, adjoint : Deformation
+        Of the amplitudes, and of the detector's adjoint.
+    """
+    missed = np.sum(adjoint.stretch * primal.missed, axis=0)
+    amplitude = before + adjoint.start @ primal.coefficients - missed
+    sizes = np.abs(adjoint.stretch)
+    products = np.abs(adjoint.start) @ primal.coefficient_sizes
+    products = products + _column_sums(sizes, primal.missed_sizes)
+    rounding = EPSILON * (len(products) + 6) * products
+    rounding += primal.missed_rounding(sizes) + adjoint.stretch_rounding(primal.missed_sizes)
+    return amplitude, rounding + 4 * EPSILON * np.abs(amplitude)
+
+
+def squares(columns):
+    """Return the sum of squares of each column of this rank's part of a block. Not collective."""
+    rows = np.ascontiguousarray(columns.T).view(float)
+    return np.einsum("ij,ij->i", rows, rows)
+
+
+def _column_sums(a, b):
+    """Return the sum of products down each column."""
+    return np.einsum("it,it->t", a, b)

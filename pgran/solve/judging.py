@@ -1,0 +1,175 @@
+"""How good a solution is: its bounds, and whether they meet what is asked."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from petsc4py import PETSc
+
+from pgran.physics.accuracy import is_accurate
+from pgran.physics.rounding import SMALLEST_NORMAL
+from pgran.solve.bounds import ErrorBounds
+from pgran.solve.comparison import Comparison
+from pgran.solve.linear import LEAST_NORM
+
+# Where no bound is known the residual must be of the size of rounding, and so must be what this
+# many times as much rounding does to the amplitudes.
+BACKWARD_ERROR, ROUNDING_TRIED = 1e-12, 10.0
+GOOD = int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL)  # where no KSP had to iterate
+
+
+@dataclass(frozen=True)
+class SteadyState:
+    """The lattice driven at one s.
+
+    Attributes
+    ----------
+    s : complex
+        sigma + i omega, omega the angular driving frequency.
+    displacement : numpy.ndarray, shape (nd,)
+        Complex amplitudes at the detectors, relative to the driven wall's; NaN where PETSc fails.
+    error_bound : numpy.ndarray, shape (nd,)
+        The error of each is at most this; NaN where no bound is known (an undamped lattice that
+        ranks share, at sigma = 0, where rounding is tried instead).
+    backward_error : float
+        |f - S A| / (|S| |A| + |f|).
+    iterations : int
+        Krylov iterations, those of the adjoints included.
+    converged_reason : int
+        Positive if every amplitude is as accurate as asked, or is below the floor with its bound;
+        else 0 or PETSc's negative KSP reason.
+    field_bound : float
+        The error of the whole field, in the 2-norm, is at most this; NaN where no bound is known,
+        or none was asked for.
+    """
+
+    s: complex
+    displacement: np.ndarray
+    error_bound: np.ndarray
+    backward_error: float
+    iterations: int
+    converged_reason: int
+    field_bound: float
+
+
+class Judge:
+    """Bounds the errors of solutions and judges them; destroy with `destroy`.
+
+    Collective.
+
+    Parameters
+    ----------
+    operators : pgran.solve.operators.Operators
+    detectors : pgran.solve.detectors.Detectors
+    tolerance, floor : float
+    whole_field : bool
+        See `pgran.solve.steady.SteadySolver`.
+    """
+
+    def __init__(self, operators, detectors, tolerance, floor, whole_field):
+        """Make what bounds by norms; what bounds ball by ball waits until it is needed."""
+        self.operators, self.detectors = operators, detectors
+        self.tolerance, self.floor, self.whole_field = tolerance, floor, whole_field
+        self.bounds, self._comparison = ErrorBounds(operators), None
+
+    @property
+    def owned(self):
+        """The vectors to work with."""
+        compared = self._comparison.owned if self._comparison is not None else ()
+        return (*self.bounds.owned, *compared)
+
+    def forget(self):
+        """Free what PETSc may have marked as failed for good. Collective."""
+        if self._comparison is not None:
+            self._comparison.forget()
+
+    def destroy(self):
+        """Free all PETSc objects. Collective."""
+        self.bounds.destroy()
+        if self._comparison is not None:
+            self._comparison.destroy()
+
+    def assess(self, s, primal, adjoints, krylov):
+        """Return the state reached, its bounds, and whether they meet the tolerance.
+
+        Collective.
+
+        Parameters
+        ----------
+        s : complex
+            Of the last `combine`, for which the bounds are prepared.
+        primal : pgran.solve.linear.System
+        adjoints : list of pgran.solve.linear.System
+            One for each detector; not used where no bound is known.
+        krylov : pgran.solve.linear.Krylov
+            What has solved them.
+        """
+        bounds, displacement = self.bounds, self.detectors.read(primal.solution)
+        bound = np.full(len(displacement), math.nan)
+        size, field_bound = primal.solution.norm(), math.nan
+        backward_error = primal.norm / max(bounds.scale * size + primal.rhs.norm(), LEAST_NORM)
+        terms = bounds.rounding(primal.solution)
+        if not bounds.proven:
+            good = backward_error <= BACKWARD_ERROR
+            good = good and self._withstands_rounding(displacement, terms, size, krylov)
+        else:
+            residual = bounds.primal_residual(primal, terms)
+            for d, adjoint in enumerate(adjoints):
+                displacement[d] += adjoint.solution.tDot(primal.residual)
+                bound[d] = bounds.amplitude(residual, terms, adjoint, displacement[d])
+            good = np.all(is_accurate(bound, displacement, self.tolerance))
+            if self.whole_field:
+                field_bound = bounds.field(residual)
+                good = good and is_accurate(field_bound, size, self.tolerance)
+        reason = _reason(good and np.all(np.isfinite(displacement)), krylov.reason)
+        return SteadyState(
+            s, displacement, bound, backward_error, krylov.iterations, reason, field_bound
+        )
+
+    def compared(self, state, primal, krylov):
+        """Return a state that misses its accuracy with bounds ball by ball; judge by the floor.
+
+        Collective.
+
+        Parameters
+        ----------
+        state : SteadyState
+            As assessed.
+        primal : pgran.solve.linear.System
+        krylov : pgran.solve.linear.Krylov
+        """
+        if not math.isfinite(state.backward_error) or not np.all(np.isfinite(state.displacement)):
+            return state
+        if self._comparison is None:
+            self._comparison = Comparison(self.operators)
+        bounds, bound, field_bound = self.bounds, state.error_bound, state.field_bound
+        errors = self._comparison.errors(bounds.residuals(primal), bounds)
+        if errors is not None:
+            corrected = np.abs(state.displacement - self.detectors.read(primal.solution))
+            bound = np.fmin(bound, 1.01 * (np.abs(self.detectors.read(errors)) + corrected))
+            if self.whole_field:
+                field_bound = np.fmin(field_bound, 1.01 * errors.norm() + bounds.lost)
+        good = is_accurate(bound, state.displacement, self.tolerance) | (bound <= self.floor)
+        good = np.all(good)
+        if self.whole_field:
+            good = good and is_accurate(field_bound, primal.solution.norm(), self.tolerance)
+        reason = _reason(good, krylov.reason)
+        return replace(state, error_bound=bound, field_bound=field_bound, converged_reason=reason)
+
+    def _withstands_rounding(self, displacement, terms, size, krylov):
+        """Return whether rounding of random signs leaves the amplitudes as they are."""
+        moved = krylov.roughly_solved(self.bounds.random_rounding(terms))
+        if moved is None:
+            return False
+        allowed = self.tolerance / ROUNDING_TRIED
+        # an amplitude may have vanished
+        differences = np.abs(self.detectors.read(moved)) + SMALLEST_NORMAL
+        good = np.all(differences <= allowed * np.abs(displacement))
+        return bool(good and (not self.whole_field or moved.norm() <= allowed * size))
+
+
+def _reason(good, reason):
+    """Return the reason to give for a state that is good, or is not, after a KSP's last reason."""
+    if good:
+        return reason if reason > 0 else GOOD
+    return min(reason, 0)
