@@ -68,12 +68,12 @@ def test_policy_gives_up_what_did_not_work():
 def test_what_to_expect_of_an_old_factorization():
     """Nothing beyond a resonance's width in omega^2, 2 d omega beta / m; within, each application
     gains what is left of it; in whatever units."""
-    assert expected_iterations(math.sqrt(1 - 0.041), 1.0, 2, 1.0, 0.01) == math.inf
-    assert expected_iterations(1.0, 1.0, 2, 1.0, 0.01) == 1
+    assert expected_iterations(1j * math.sqrt(1 - 0.041), 1j, 2, 1.0, 0.01) == math.inf
+    assert expected_iterations(1j, 1j, 2, 1.0, 0.01) == 1
     for part, count in ((1e-1, 3), (1e-2, 1.5), (1e-3, 1)):
         for m, w in ((1.0, 1.0), (7.0, 1.0), (1.0, 3.0)):
             before = w * math.sqrt(1 - 0.04 * part)
-            found = expected_iterations(before, w, 2, m, m * w * 0.01)
+            found = expected_iterations(1j * before, 1j * w, 2, m, m * w * 0.01)
             assert found == pytest.approx(count, rel=1e-9)
 
 
