@@ -27,17 +27,7 @@ from pgran.physics.accuracy import (
 )
 from pgran.physics.modes import RESIDUAL
 from pgran.results import Accuracy, LatticeRecord
-from pgran.scenes import modes, relaxation, response
-from pgran.scenes.common import (
-    DETECTORS,
-    LATTICE,
-    REUSE,
-    SWEEP,
-    driving_frequencies,
-    make_lattice,
-    make_law,
-    ranks_per_lattice,
-)
+from pgran.scenes import common, modes, relaxation, response
 from pgran.scenes.scene import Scene
 
 log = logging.getLogger(__name__)
@@ -97,9 +87,9 @@ def run(options, world, crew):
     from pgran.parallel.crew import AgreeingCrew
 
     configurations = on_root(world, lambda: read_configurations(options))
-    lattice = make_lattice(options, world)
+    lattice = common.make_lattice(options, world)
     shared = EXPERIMENTS[options.accuracy_of].SCENE.shares_lattice
-    ranks = ranks_per_lattice(options, lattice, world) if shared else 1
+    ranks = common.ranks_per_lattice(options, lattice, world) if shared else 1
     with crew(world.size) as whole, AgreeingCrew(world, ranks) as workers:
         study = make_study(options, lattice)
         numbers = carry_out(Reference(study, workers), whole)
@@ -174,13 +164,13 @@ def make_study(options, lattice):
         solve = partial(modes.find_modes, lattice, **modes.chosen(options))
         return Study("modes", solve, partial(read_modes, lattice, RESIDUAL), {}, MODES_REFERENCE)
     if options.accuracy_of == "response":
-        omegas = driving_frequencies(options)
+        omegas = common.driving_frequencies(options)
         solve = partial(response.sweep, lattice, omegas, options.detectors, error_floor=0.0)
         return Study("response", solve, read_response, exact, smallest)
     solve = partial(
         relaxation.relax,
         lattice,
-        make_law(options),
+        common.make_law(options),
         options.relax_omega,
         options.detectors,
         steps=options.relax_steps,
@@ -395,8 +385,8 @@ def _timed(study, configuration, crew, say):
 SCENE = Scene(
     # Of the experiments' options, a study takes those of the one that it repeats.
     options=(
-        *(*STUDY, *LATTICE, *DETECTORS, *SWEEP, *REUSE),
-        *(*relaxation.RELAXATION, *modes.WHICH),
+        *(*STUDY, *common.LATTICE, *common.DETECTORS, *common.SWEEP),
+        *(common.STEADY["refresh_iterations"], *relaxation.RELAXATION, *modes.WHICH),
     ),
     run=run,
     summary=summary,

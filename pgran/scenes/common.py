@@ -43,28 +43,23 @@ SWEEP = (
         "sweep_omega", REALS, None, "driving frequencies, instead of a grid", "angular", above=0
     ),
 )
-TOLERANCE = (
-    Option(
+# What a user may ask of the driven steady states, by the keywords of `SteadySolver`.
+STEADY = {
+    "error_tolerance": Option(
         "error_tolerance", REAL, 1e-4, "relative accuracy asked of each amplitude",
         above=0, high=0.5
     ),
-)  # fmt: skip
-FLOOR = (
-    Option(
+    "error_floor": Option(
         "error_floor", REAL, 1e-20,
         "an amplitude whose error bound is below this part of the wall's amplitude is good without "
         "relative accuracy",
         low=0
     ),
-)  # fmt: skip
-REUSE = (
-    Option(
+    "refresh_iterations": Option(
         "steady_refresh_iterations", INTEGER, 0,
         "factor anew after a frequency that took more Krylov iterations; 0 = when it pays", low=0
     ),
-)  # fmt: skip
-
-
+}  # fmt: skip
 # Beyond this many balls all ranks share one lattice, unless options say otherwise.
 LARGE = {1: 10**7, 2: 100_000, 3: 20_000}
 
@@ -133,6 +128,24 @@ def check_values(options, **values):
     for option in options:
         if option.name in values:
             option.check(values[option.name])
+
+
+def steady_choices(given):
+    """Return all keywords of `STEADY`, those given checked like options. Not collective.
+
+    Raises
+    ------
+    TypeError, InputError
+        For a keyword or a value that is impossible.
+    """
+    if unknown := given.keys() - STEADY.keys():
+        raise TypeError(f"unexpected keywords {unknown}; of the solver there are {[*STEADY]}")
+    return {name: o.check(given.get(name, o.default)) for name, o in STEADY.items()}
+
+
+def steady_of(options):
+    """Return those keywords of `STEADY` that the options of a run have. Not collective."""
+    return {k: getattr(options, o.name) for k, o in STEADY.items() if hasattr(options, o.name)}
 
 
 def check_ends(name, values):

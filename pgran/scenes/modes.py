@@ -13,7 +13,7 @@ from pgran.parallel.task import Task, carry_out
 from pgran.physics.lattice import check_frequency
 from pgran.physics.modes import RESIDUAL, participation
 from pgran.results import LatticeRecord, Modes
-from pgran.scenes.common import LATTICE, alternatives, check_lattice, make_lattice
+from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
 
@@ -32,7 +32,7 @@ SHAPES = Option("output_fields", FLAG, False, "store the shapes of the modes")
 
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
-    check_lattice(values, given)
+    common.check_lattice(values, given)
     check_modes(values, given)
     if values["modes_count"] is not None and values["modes_target"] is None:
         raise InputError("-modes_count: -modes_target must say where")
@@ -40,7 +40,7 @@ def check(values, given):
 
 def check_modes(values, given):
     """Raise where the options that choose modes contradict each other. Not collective."""
-    alternatives(
+    common.alternatives(
         ("modes_omega_min", "modes_omega_max"), ("modes_target", "modes_count"), values, given
     )
     low, high, target, count = (
@@ -59,7 +59,7 @@ def run(options, world, crew):
 
     Collective. Parameters are those of `pgran.scenes.scene.Scene`.
     """
-    lattice = make_lattice(options, world)
+    lattice = common.make_lattice(options, world)
     with crew(1) as workers:
         modes = find_modes(
             lattice,
@@ -300,4 +300,4 @@ class Slices(Task):
         )
 
 
-SCENE = Scene(options=(*LATTICE, *WHICH, SHAPES), run=run, summary=summary, check=check)
+SCENE = Scene(options=(*common.LATTICE, *WHICH, SHAPES), run=run, summary=summary, check=check)

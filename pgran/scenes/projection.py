@@ -6,22 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pgran.machine import check_memory
 from pgran.parallel.task import carry_out
 from pgran.physics.lattice import check_frequency
 from pgran.physics.phase import fit_line
 from pgran.results import LatticeRecord, Projection
-from pgran.scenes.common import (
-    LATTICE,
-    REUSE,
-    SWEEP,
-    TOLERANCE,
-    check_lattice,
-    check_sweep,
-    check_values,
-    driving_frequencies,
-    make_lattice,
-)
+from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.modes import WHICH, certificate, check_modes, chosen, find_modes
 from pgran.scenes.scene import Scene
@@ -33,8 +22,8 @@ NEAR = 60  # so many
 
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
-    check_lattice(values, given)
-    check_sweep(values, given)
+    common.check_lattice(values, given)
+    common.check_sweep(values, given)
     check_modes(values, given)
 
 
@@ -43,17 +32,16 @@ def run(options, world, crew):
 
     Collective. Parameters are those of `pgran.scenes.scene.Scene`.
     """
-    lattice = make_lattice(options, world)
-    omegas = driving_frequencies(options)
+    lattice = common.make_lattice(options, world)
+    omegas = common.driving_frequencies(options)
     with crew(1) as workers:
         projection = project(
             lattice,
             omegas,
             workers,
             which_modes(options, lattice.balls, omegas),
-            error_tolerance=options.error_tolerance,
-            refresh_iterations=options.steady_refresh_iterations,
             progress=options.output_progress,
+            **common.steady_of(options),
         )
     return projection and [LatticeRecord.of(lattice), projection]
 
@@ -95,16 +83,7 @@ def summary(result):
 
 
 @in_parallel()
-def project(
-    lattice,
-    omegas,
-    crew=None,
-    which=None,
-    *,
-    error_tolerance=1e-4,
-    refresh_iterations=0,
-    progress="none",
-):
+def project(lattice, omegas, crew=None, which=None, *, progress="none", **steady):
     """Project driven steady states on normal modes: c_i = sum_p A_p f_i(p) (paper: cidef).
 
     Collective. The modes are computed once; a field lives until it is projected.
@@ -112,38 +91,29 @@ def project(
     Parameters
     ----------
     lattice : pgran.physics.lattice.Lattice
-    omegas : numpy.ndarray, shape (nw,)
+    omegas : array_like of float, shape (nw,)
         Driving frequencies, angular, increasing.
     crew : pgran.parallel.crew.Crew, optional
         All ranks unless given; of groups of one rank.
     which : dict, optional
         Which modes: arguments of `pgran.scenes.modes.find_modes`; all by default.
-    error_tolerance : float
-        Relative accuracy asked of each field, in the 2-norm; a coefficient is no more in error than
-        the field.
-    refresh_iterations : int
-        See `pgran.solve.steady.SteadySolver`.
     progress : str
         Style of `pgran.parallel.progress.Progress`.
+    **steady
+        `error_tolerance` (1e-4) asked of each field, in the 2-norm; a coefficient is no more in
+        error than the field. `refresh_iterations` of `pgran.solve.steady.SteadySolver`.
 
     Returns
     -------
     pgran.results.Projection or None
         With a crew of the caller's None on all ranks but rank 0.
     """
-    check_values(
-        SCENE.options,
-        error_tolerance=error_tolerance,
-        steady_refresh_iterations=refresh_iterations,
-    )
-    started, world = time.perf_counter(), crew.world
+    started, choices = time.perf_counter(), common.steady_choices(steady)
     scaled, _ = lattice.in_own_unit()
     check_frequency(scaled, checked_frequencies(omegas)[-1])  # before any work
     modes = find_modes(lattice, crew, **(which or {}), shapes=True, progress=progress)
-    vectors = _on_all_ranks(modes.vector if modes else None, world)
-    choices = {"error_tolerance": error_tolerance, "refresh_iterations": refresh_iterations}
-    task = ProjectedSweep(lattice, omegas, vectors, choices)
-    projection = carry_out(task, crew, progress)
+    vectors = _on_all_ranks(modes.vector if modes else None, crew.world)
+    projection = carry_out(ProjectedSweep(lattice, omegas, vectors, choices), crew, progress)
     return projection and replace(
         projection,
         count_expected=modes.count_expected,
@@ -154,12 +124,12 @@ def project(
 
 
 class ProjectedSweep(FrequencySweep):
-    """The projection of each field on mode shapes; a field lives until it is projected.
+    """The projection of each field on mode shapes.
 
     Parameters
     ----------
-    lattice : pgran.physics.lattice.Lattice
-    omegas : array_like of float, shape (nw,)
+    lattice, omegas
+        As in `project`.
     vectors : numpy.ndarray, shape (nm, balls)
         The shapes of the modes, a row a mode, orthonormal.
     choices : dict
@@ -168,28 +138,20 @@ class ProjectedSweep(FrequencySweep):
 
     def __init__(self, lattice, omegas, vectors, choices):
         """Say what a frequency's results travel in."""
+        self.vectors, kept = vectors, [
+            ("coefficient", complex, (len(vectors),)),
+            ("field_bound", float),
+            ("converged_reason", np.int64),
+        ]  # fmt: skip
         nowhere = np.empty((0, len(lattice.shape)), dtype=np.int64)
-        super().__init__(lattice, omegas, nowhere, choices | {"whole_field": True})
-        self.vectors = vectors
-        self.row = np.dtype(
-            [
-                ("coefficient", complex, (len(vectors),)),
-                ("field_bound", float),
-                ("converged_reason", np.int64),
-                ("factorizations", np.int64),
-            ]
+        super().__init__(lattice, omegas, nowhere, kept, choices | {"whole_field": True})
+
+    def keep(self, point, field):
+        """Project: c_i = sum over balls p of A_p f_i(p) (paper: cidef)."""
+        amplitudes = field().ravel()
+        point["coefficient"] = self.vectors @ amplitudes.real + 1j * (
+            self.vectors @ amplitudes.imag
         )
-        check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
-
-    def keep(self, point, state, solver):
-        """Project: c_i = sum over balls p of A_p f_i(p) (paper: cidef).
-
-        Parameters are those of `FrequencySweep.keep`.
-        """
-        field = solver.operators.field(solver.field).ravel()
-        point["coefficient"] = self.vectors @ field.real + 1j * (self.vectors @ field.imag)
-        point["field_bound"] = state.field_bound
-        point["converged_reason"] = state.converged_reason
 
     def collect(self, rows, seconds):
         """See `Task`; what belongs to the modes is added by `project`."""
@@ -225,5 +187,11 @@ def _on_all_ranks(vectors, world):
 
 
 SCENE = Scene(
-    options=(*LATTICE, *SWEEP, *TOLERANCE, *REUSE, *WHICH), run=run, summary=summary, check=check
+    options=(
+        *(*common.LATTICE, *common.SWEEP, *WHICH),
+        *(common.STEADY["error_tolerance"], common.STEADY["refresh_iterations"]),
+    ),
+    run=run,
+    summary=summary,
+    check=check,
 )

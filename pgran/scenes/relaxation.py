@@ -13,20 +13,7 @@ from pgran.physics.accuracy import below_relative_accuracy
 from pgran.physics.changes import draw_changes
 from pgran.physics.lattice import bond_count, bond_places, check_frequency, detector_sites
 from pgran.results import LatticeRecord, Relaxation
-from pgran.scenes.common import (
-    DETECTORS,
-    FLOOR,
-    LATTICE,
-    REUSE,
-    TOLERANCE,
-    check_ends,
-    check_lattice,
-    check_values,
-    make_lattice,
-    make_law,
-    ranks_per_lattice,
-    reached_accuracy,
-)
+from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
 
@@ -56,12 +43,12 @@ STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windo
 
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
-    check_lattice(values, given)
+    common.check_lattice(values, given)
     if values["bonds_law"] == "file":
         raise InputError(
             "-bonds_law file: a relaxation draws new constants and needs a law for them"
         )
-    check_ends("spectrum_fit", values)
+    common.check_ends("spectrum_fit", values)
 
 
 def run(options, world, crew):
@@ -73,11 +60,11 @@ def run(options, world, crew):
 
     window = options.spectrum_fit_min, options.spectrum_fit_max
     check_window(*window)  # before any work; too short a series only has no spectrum
-    lattice = make_lattice(options, world)
-    with crew(ranks_per_lattice(options, lattice, world)) as workers:
+    lattice = common.make_lattice(options, world)
+    with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
         relaxation = relax(
             lattice,
-            make_law(options),
+            common.make_law(options),
             options.relax_omega,
             options.detectors,
             workers,
@@ -86,10 +73,8 @@ def run(options, world, crew):
             seed=options.relax_seed,
             method=options.relax_method,
             window=options.relax_window,
-            error_tolerance=options.error_tolerance,
-            error_floor=options.error_floor,
-            refresh_iterations=options.steady_refresh_iterations,
             progress=options.output_progress,
+            **common.steady_of(options),
         )
     if relaxation is None:
         return None
@@ -133,7 +118,7 @@ def summary(result):
         f"{steps} steps with {relaxation.factorizations} factorizations in "
         f"{relaxation.solve_seconds:.2f} s"
     )
-    yield from reached_accuracy(relaxation, ~np.isnan(relaxation.displacement).any(axis=2))
+    yield from common.reached_accuracy(relaxation, ~np.isnan(relaxation.displacement).any(axis=2))
     if relaxation.drift > 0:
         yield (
             f"largest relative difference between a window's end and the next one's start: "
@@ -161,10 +146,8 @@ def relax(
     seed=1,
     method="window",
     window=0,
-    error_tolerance=1e-4,
-    error_floor=1e-20,
-    refresh_iterations=0,
     progress="none",
+    **steady,
 ):
     """Redraw one bond a step and solve the steady state each time (paper: section 5, timeres).
 
@@ -189,35 +172,27 @@ def relax(
         earlier factorization as preconditioner; or a factorization a step.
     window : int
         Steps to a window; 0 decides by the size of the lattice.
-    error_tolerance, refresh_iterations, error_floor
-        See `pgran.solve.steady.SteadySolver`.
     progress : str
         Style of `pgran.parallel.progress.Progress`.
+    **steady
+        `error_tolerance` (1e-4), `error_floor` and `refresh_iterations` of
+        `pgran.solve.steady.SteadySolver`.
 
     Returns
     -------
     pgran.results.Relaxation or None
         With a crew of the caller's None on all ranks but rank 0.
     """
-    check_values(
-        SCENE.options,
-        relax_omega=omega,
-        relax_steps=steps,
-        relax_trajectories=trajectories,
-        relax_seed=seed,
-        relax_method=method,
-        relax_window=window,
-        error_tolerance=error_tolerance,
-        error_floor=error_floor,
-        steady_refresh_iterations=refresh_iterations,
-    )
-    choices = {
-        "error_tolerance": error_tolerance,
-        "error_floor": error_floor,
-        "refresh_iterations": refresh_iterations,
+    chosen = {
+        "relax_omega": omega,
+        "relax_steps": steps,
+        "relax_trajectories": trajectories,
+        "relax_seed": seed,
+        "relax_method": method,
+        "relax_window": window,
     }
-    sites = detector_sites(lattice.shape, detectors)
-    task = Steps(lattice, law, omega, sites, (trajectories, steps, seed), method, window, choices)
+    common.check_values(RELAXATION, **chosen)
+    task = Steps(lattice, law, detectors, chosen, common.steady_choices(steady))
     return carry_out(task, crew, progress)
 
 
@@ -226,32 +201,34 @@ class Steps(Task):
 
     Parameters
     ----------
-    lattice, law, omega, method, window
+    lattice, law, detectors
         As in `relax`.
-    sites : numpy.ndarray of int, shape (nd, dim)
-        The detectors.
-    extent : tuple of int
-        Trajectories, steps of each, and their seed.
+    chosen : dict
+        Values of the options in RELAXATION.
     choices : dict
         Keywords of `pgran.solve.steady.SteadySolver`.
     """
 
     items = "states"
 
-    def __init__(self, lattice, law, omega, sites, extent, method, window, choices):
+    def __init__(self, lattice, law, detectors, chosen, choices):
         """Cut the trajectories into stretches of whole windows."""
-        self.lattice, self.law, self.omega, self.sites = lattice, law, omega, sites
-        self.trajectories, self.steps, self.seed = extent
-        self.method, self.choices = method, choices
+        self.lattice, self.law, self.choices = lattice, law, choices
+        self.sites = detector_sites(lattice.shape, detectors)
+        self.omega, self.steps, self.trajectories, self.seed, self.method, self.window = (
+            chosen[f"relax_{name}"]
+            for name in ("omega", "steps", "trajectories", "seed", "method", "window")
+        )
+        # Measured: the factorization's price a step falls like 1/s, that of the algebra grows
+        # like s^2.
+        self.window = self.window or (64 if lattice.balls < 5000 else 128)
         self.scaled, self.unit = lattice.in_own_unit()
-        check_frequency(self.scaled, omega)
-        self.window = window or window_length(lattice.balls)
+        check_frequency(self.scaled, self.omega)
+        nd = len(self.sites)
         self.row = np.dtype(
             [
-                ("displacement", complex, (len(sites),)),
-                ("error_bound", float, (len(sites),)),
-                ("drift", float),
-                ("factorizations", np.int64),
+                *[("displacement", complex, (nd,)), ("error_bound", float, (nd,))],
+                *[("drift", float), ("factorizations", np.int64)],
             ]
         )
         check_memory("relax_steps", self.trajectories * (self.steps + 1) * self.row.itemsize)
@@ -262,11 +239,6 @@ class Steps(Task):
             for first in range(0, self.steps, length)
         ]
 
-    def _draw(self, trajectory, first, count, unit=1.0):
-        """Return the changes of some steps, constants in a unit. Not collective."""
-        shape = self.lattice.shape
-        return draw_changes(self.law, shape, self.seed, trajectory, first, count, unit)
-
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`."""
@@ -275,32 +247,35 @@ class Steps(Task):
         from pgran.solve.operators import Operators
         from pgran.solve.steady import SteadySolver
 
+        def draw(trajectory, first, count):
+            return self._draw(trajectory, first, count, self.unit)
+
         with (
             Operators(self.scaled, group) as operators,
             SteadySolver(operators, self.sites, **self.choices) as solver,
         ):
-            changing = ChangingBonds(
-                self.scaled, operators, lambda *which: self._draw(*which, self.unit)
-            )
-            s = 1j * self.omega
+            changing, s = ChangingBonds(self.scaled, operators, draw), 1j * self.omega
 
             def work(unit):
                 trajectory, first, count = unit
-                before = solver.factorizations
+                before, changes = solver.factorizations, draw(*unit)
                 changing.move_to(trajectory, first)
                 solver.restart()
-                changes = self._draw(trajectory, first, count, self.unit)
                 if self.method == "window":
                     states = march_windows(changing, solver, s, changes, self.window)
                 else:
-                    direct = self.method == "direct"
-                    states = march_steps(changing, solver, s, changes, direct)
+                    states = march_steps(changing, solver, s, changes, self.method == "direct")
                 rows = np.zeros(count + 1, self.row)
                 rows["displacement"], rows["error_bound"], rows["drift"] = states
                 rows[-1]["factorizations"] = solver.factorizations - before
                 return rows[int(first > 0) :]  # a state between units is the earlier one's
 
             yield work
+
+    def _draw(self, trajectory, first, count, unit=1.0):
+        """Return the changes of some steps, constants in a unit. Not collective."""
+        shape = self.lattice.shape
+        return draw_changes(self.law, shape, self.seed, trajectory, first, count, unit)
 
     def length(self, unit):
         """See `Task`."""
@@ -335,17 +310,11 @@ class Steps(Task):
         )
 
 
-def window_length(balls):
-    """Return how many steps a factorization should serve.
-
-    Not collective. Measured: the factorization's price a step falls like 1/s, that of the algebra
-    grows like s^2.
-    """
-    return 64 if balls < 5000 else 128
-
-
 SCENE = Scene(
-    options=(*LATTICE, *DETECTORS, *RELAXATION, *SPECTRUM, *TOLERANCE, *FLOOR, *REUSE),
+    options=(
+        *(*common.LATTICE, *common.DETECTORS, *RELAXATION, *SPECTRUM),
+        *common.STEADY.values(),
+    ),
     run=run,
     summary=summary,
     check=check,

@@ -3,28 +3,12 @@
 import numpy as np
 
 from pgran.files.options import FLAG, REAL, Option
-from pgran.machine import check_memory
 from pgran.parallel.task import carry_out
 from pgran.physics.accuracy import below_relative_accuracy
 from pgran.physics.lattice import detector_sites
 from pgran.physics.phase import fit_phase, phase_of_sign, phase_velocity, unwrap
 from pgran.results import LatticeRecord, Response
-from pgran.scenes.common import (
-    DETECTORS,
-    FLOOR,
-    LATTICE,
-    REUSE,
-    SWEEP,
-    TOLERANCE,
-    check_ends,
-    check_lattice,
-    check_sweep,
-    check_values,
-    driving_frequencies,
-    make_lattice,
-    ranks_per_lattice,
-    reached_accuracy,
-)
+from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
 from pgran.scenes.sweeping import FrequencySweep
@@ -38,9 +22,9 @@ FIELDS = Option("output_fields", FLAG, False, "store the whole field at every fr
 
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
-    check_lattice(values, given)
-    check_sweep(values, given)
-    check_ends("phase_fit", values)
+    common.check_lattice(values, given)
+    common.check_sweep(values, given)
+    common.check_ends("phase_fit", values)
 
 
 def run(options, world, crew):
@@ -48,19 +32,17 @@ def run(options, world, crew):
 
     Collective. Parameters are those of `pgran.scenes.scene.Scene`.
     """
-    lattice = make_lattice(options, world)
-    with crew(ranks_per_lattice(options, lattice, world)) as workers:
+    lattice = common.make_lattice(options, world)
+    with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
         response = sweep(
             lattice,
-            driving_frequencies(options),
+            common.driving_frequencies(options),
             options.detectors,
             workers,
-            error_tolerance=options.error_tolerance,
-            error_floor=options.error_floor,
-            refresh_iterations=options.steady_refresh_iterations,
             fields=options.output_fields,
             phase_window=(options.phase_fit_min, options.phase_fit_max),
             progress=options.output_progress,
+            **common.steady_of(options),
         )
     return response and [LatticeRecord.of(lattice), response]
 
@@ -73,7 +55,7 @@ def summary(result):
         f"{nw} frequencies with {response.factorizations} factorizations in "
         f"{response.solve_seconds:.2f} s"
     )
-    yield from reached_accuracy(response, response.converged_reason > 0)
+    yield from common.reached_accuracy(response, response.converged_reason > 0)
     if lattice.damping == 0:
         yield "no phase velocity: without damping amplitudes are real, and their phase is 0 or pi"
         return
@@ -100,12 +82,10 @@ def sweep(
     detectors,
     crew=None,
     *,
-    error_tolerance=1e-4,
-    error_floor=1e-20,
-    refresh_iterations=0,
     fields=False,
     phase_window=(0.3, 1.0),
     progress="none",
+    **steady,
 ):
     """Solve the driven steady state over a sweep of frequencies (paper: ampeq, freqres).
 
@@ -114,24 +94,21 @@ def sweep(
     Parameters
     ----------
     lattice : pgran.physics.lattice.Lattice
-    omegas : numpy.ndarray, shape (nw,)
+    omegas : array_like of float, shape (nw,)
         Driving frequencies, angular, increasing.
     detectors : array_like of int
         Ball indices, flat or one row a detector.
     crew : pgran.parallel.crew.Crew, optional
         All ranks unless given.
-    error_tolerance : float
-        Relative accuracy asked of each amplitude, and of each field if they are kept.
-    error_floor : float
-        See `pgran.solve.steady.SteadySolver`.
-    refresh_iterations : int
-        See `pgran.solve.steady.SteadySolver`.
     fields : bool
-        Keep the amplitudes of all balls.
+        Keep the amplitudes of all balls, too.
     phase_window : tuple of float
         Where the phase is fitted, in units of omega_mx.
     progress : str
         Style of `pgran.parallel.progress.Progress`.
+    **steady
+        `error_tolerance` (1e-4) asked of each amplitude, and of each field if they are kept;
+        `error_floor` and `refresh_iterations` of `pgran.solve.steady.SteadySolver`.
 
     Returns
     -------
@@ -141,57 +118,38 @@ def sweep(
     Raises
     ------
     InputError
-        If a detector lies outside the lattice.
+        If a detector lies outside the lattice, or a value is impossible.
     """
-    check_values(
-        SCENE.options,
-        error_tolerance=error_tolerance,
-        error_floor=error_floor,
-        steady_refresh_iterations=refresh_iterations,
-    )
-    choices = {
-        "error_tolerance": error_tolerance,
-        "error_floor": error_floor,
-        "refresh_iterations": refresh_iterations,
-        "whole_field": fields,
-    }
-    sites = detector_sites(lattice.shape, detectors)
-    task = ResponseSweep(lattice, omegas, sites, choices)
-    task.phase_window = phase_window
+    task = ResponseSweep(lattice, omegas, detectors, fields, phase_window, steady)
     return carry_out(task, crew, progress)
 
 
 class ResponseSweep(FrequencySweep):
     """The amplitudes at the detectors, with their bounds, and the whole field if it is wanted.
 
-    Parameters are those of `FrequencySweep`.
+    Parameters are those of `sweep`.
     """
 
-    phase_window = (0.3, 1.0)
-
-    def __init__(self, lattice, omegas, sites, choices):
+    def __init__(self, lattice, omegas, detectors, fields, phase_window, steady):
         """Say what a frequency's results travel in."""
-        super().__init__(lattice, omegas, sites, choices)
-        self.fields, nd = choices["whole_field"], len(sites)
+        self.fields, self.phase_window = fields, phase_window
+        sites = detector_sites(lattice.shape, detectors)
         kept = [
-            ("displacement", complex, (nd,)),
-            ("error_bound", float, (nd,)),
+            ("displacement", complex, (len(sites),)),
+            ("error_bound", float, (len(sites),)),
             ("backward_error", float),
             ("iterations", np.int64),
             ("converged_reason", np.int64),
+            *([("field", complex, lattice.shape)] if fields else []),
         ]
-        self.kept = [name for name, *_ in kept]
-        field = [("field", complex, lattice.shape)] if self.fields else []
-        self.row = np.dtype([*kept, ("factorizations", np.int64), *field])
-        check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
+        choices = common.steady_choices(steady) | {"whole_field": fields}
+        super().__init__(lattice, omegas, sites, kept, choices)
 
-    def keep(self, point, state, solver):
-        """See `FrequencySweep`; parameters are those of its `keep`."""
-        for name in self.kept:
-            point[name] = getattr(state, name)
+    def keep(self, point, field):
+        """See `FrequencySweep`."""
         if self.fields:
-            field = solver.operators.field(solver.field)
-            point["field"] = 0.0 if field is None else field
+            found = field()
+            point["field"] = 0.0 if found is None else found
 
     def collect(self, rows, seconds):
         """See `Task`."""
@@ -230,7 +188,10 @@ class ResponseSweep(FrequencySweep):
 
 
 SCENE = Scene(
-    options=(*LATTICE, *DETECTORS, *SWEEP, *TOLERANCE, *FLOOR, *REUSE, *PHASE, FIELDS),
+    options=(
+        *(*common.LATTICE, *common.DETECTORS, *common.SWEEP),
+        *(*common.STEADY.values(), *PHASE, FIELDS),
+    ),
     run=run,
     summary=summary,
     check=check,

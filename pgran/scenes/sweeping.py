@@ -5,6 +5,7 @@ import contextlib
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.machine import check_memory
 from pgran.parallel.task import Task
 from pgran.physics.lattice import check_frequency
 
@@ -21,30 +22,32 @@ class FrequencySweep(Task):
         Driving frequencies, angular, increasing.
     sites : numpy.ndarray of int, shape (nd, dim)
         The detectors.
+    kept : sequence of tuple
+        Fields of a row, named like those of `SteadyState` where they hold the same.
     choices : dict
         Keywords of `pgran.solve.steady.SteadySolver`.
     """
 
     items = "frequencies"
 
-    def __init__(self, lattice, omegas, sites, choices):
+    def __init__(self, lattice, omegas, sites, kept, choices):
         """Cut the sweep into ranges of frequencies."""
         self.lattice, self.omegas, self.sites = lattice, checked_frequencies(omegas), sites
-        self.choices = choices
+        self.row, self.choices = np.dtype([*kept, ("factorizations", np.int64)]), choices
+        check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
         self.scaled, _ = lattice.in_own_unit()
         check_frequency(self.scaled, self.omegas[-1])
         self.units = ranges(len(self.omegas))
 
-    def keep(self, point, state, solver):
-        """Put into a row what is wanted of a steady state. Collective over a group.
+    def keep(self, point, field):
+        """Put into a row what is wanted of the whole field. Collective over a group.
 
         Parameters
         ----------
         point : numpy.void of `row`
-        state : pgran.solve.steady.SteadyState
-        solver : pgran.solve.steady.SteadySolver
+        field : callable
+            Returns the field on the first rank of the group, None on the others. Collective.
         """
-        raise NotImplementedError
 
     @contextlib.contextmanager
     def open(self, group):
@@ -64,7 +67,10 @@ class FrequencySweep(Task):
                     before = solver.factorizations
                     state = solver.solve(1j * self.omegas[index])
                     point["factorizations"] = solver.factorizations - before
-                    self.keep(point, state, solver)
+                    for name in self.row.names:
+                        if hasattr(state, name):
+                            point[name] = getattr(state, name)
+                    self.keep(point, lambda: operators.field(solver.field))
                 return points
 
             yield work
