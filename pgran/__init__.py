@@ -4,7 +4,7 @@ __version__ = "0.1.0"
 
 
 def load(path):
-    """Return a result file as attributes that hold NumPy arrays. See `pgran.files.store.load`."""
+    """Return the records of a result file, `load(path).response`. See `pgran.files.store.load`."""
     from pgran.files import store
 
     return store.load(path)

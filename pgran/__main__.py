@@ -14,6 +14,7 @@ from pathlib import Path
 import pgran
 from pgran import errors
 from pgran.command.run import name_rank, run
+from pgran.command.verify import verify
 from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
 from pgran.files import streams
 from pgran.parallel import agreement, launch
@@ -27,6 +28,7 @@ pgran: sound in a granular material, a lattice of balls and random springs
   pgran plot RESULT [OTHER] [-o FIGURE]
                                     draw the figures of a result; of a response and of modes of the
                                     same lattice: the response, with the modes marked
+  pgran verify RESULT               say whether a result is as it was written, by its checksum
   pgran options [SCENE]             list every option: type, unit, default, range, meaning
   pgran doctor                      say what is installed, and what is wrong with it
   pgran --help, pgran --version
@@ -43,10 +45,16 @@ def main(words):
     if words[0] == "--version":
         print(f"pgran {pgran.__version__}")
         return errors.DONE
-    commands = {"run": run, "plot": plot, "options": list_options, "doctor": doctor}
+    commands = {
+        "run": run,
+        "plot": plot,
+        "verify": verify,
+        "options": list_options,
+        "doctor": doctor,
+    }
     if words[0] not in commands:
         raise InputError(f"{words[0]}: no such command; pgran --help lists them")
-    if words[0] != "plot" and {"-h", "--help", "-help"} & set(words):
+    if words[0] not in ("plot", "verify") and {"-h", "--help", "-help"} & set(words):
         if launch.rank() == 0:
             print(USAGE + more_help(words[1]), end="")
         return errors.DONE
