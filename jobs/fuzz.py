@@ -27,6 +27,7 @@ from pgran.files import store
 from pgran.files.reading import read_file, resolve
 from pgran.physics.lattice import Lattice, bond_shape
 from pgran.results import LatticeRecord, Modes
+from pgran.scenes.common import read_bonds
 
 SECONDS = 30  # for one case; a real run is given twice as long
 MEMORY, ADDRESSES = 500 * 10**6, 2 * 2**30  # bytes: what may be used, and where a worker ends
@@ -471,11 +472,11 @@ STRUCTURES = (
 def check_hdf5(path, kind, shape):
     """Read a file as a result and as bonds; say what is wrong with what was accepted.
 
-    Of a result nothing may be accepted that changed, unless its seal was made anew. Damage to the
-    numbers of a bonds file cannot be told from other numbers, but they are still possible ones.
+    A result that changed is never as it was written; what is read of it is still possible. So are
+    the numbers of a damaged bonds file, which cannot be told from other numbers.
     """
     refused = []
-    for read in (store.load, store.read_stiffness):
+    for read in (store.check_seal, store.load, read_bonds):
         try:
             found = read(path)
         except PgranError as error:
@@ -483,17 +484,15 @@ def check_hdf5(path, kind, shape):
             if not tidy(str(error)):
                 raise
             continue
-        if kind == "result":
-            return f"{read.__name__} accepted a changed result"
-        if read is store.load:
-            if kind != "resealed":
-                return "load accepted what is no result"
-            continue
-        wrong = impossible(*found, shape if kind == "bonds" else None)
+        if read is store.check_seal and kind != "resealed":
+            return "a changed file is taken for one as it was written"
+        if read is store.load and kind in ("bonds", "structure"):
+            return "load accepted what is no result"
+        wrong = read is read_bonds and impossible(*found, shape if kind == "bonds" else None)
         if wrong:
             return wrong
-    if len(refused) == 2:
-        raise refused[1]
+    if len(refused) == 3:
+        raise refused[-1]
 
 
 def impossible(stiffness, kmax, expected):

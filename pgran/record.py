@@ -145,8 +145,8 @@ class Record:
             known = zip(names, value.shape, strict=False)
             shape = tuple(lengths.setdefault(name, size) for name, size in known)
             if value.ndim != len(names) or value.shape != shape:
-                declared = " x ".join(f"{n} ({lengths.get(n, 'any')})" for n in names)
-                raise MisfitError(f"{item.name}: shape {value.shape} is not {declared}")
+                declared = ", ".join(f"{n}: {lengths.get(n, 'any')}" for n in names)
+                raise MisfitError(f"{item.name}: shape {value.shape} is not ({declared})")
 
     def to_xarray(self):
         """Return the record as an xarray.Dataset: coordinates, units and long names.

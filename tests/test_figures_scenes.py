@@ -523,6 +523,6 @@ def test_two_results_that_are_no_pair(tmp_path):
         with pytest.raises(FileError, match=f"not {scene} and {scene}"):
             command_line.main(["plot", *pair])
     result = store.load(other)
-    del result.bonds_sha256
+    del result.attributes["bonds_sha256"]
     with pytest.raises(FileError, match="different lattices"):
         figures.pair(store.load(one), result)
