@@ -10,7 +10,7 @@ def verify(words):
     parser = argparse.ArgumentParser("pgran verify", description=verify.__doc__.split(". ")[0])
     parser.add_argument("result", help="HDF5 file that pgran run has written")
     given = parser.parse_args(words)
-    from pgran.files.store import check_seal
+    from pgran.files.seal import check_seal
 
     check_seal(given.result)
     print(f"{given.result}: as it was written")

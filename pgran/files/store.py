@@ -2,15 +2,11 @@
 
 The fields of the records in `pgran.results` say what a file holds: it is written and checked by
 them. A group is one of netCDF-4, too: each axis of an array has a dimension scale of one axis.
-
-The last 512 bytes, which HDF5 does not look at, are a seal: what the file is, and the SHA-256 of
-all bytes before. Who opens the file for writing loses it; in format version 1 it comes first.
 """
 
 import contextlib
 import dataclasses
 import datetime
-import hashlib
 import io
 import os
 from pathlib import Path
@@ -20,13 +16,11 @@ import numpy as np
 
 from pgran.errors import FileError, reason_of
 from pgran.files import hdf5
-from pgran.files.paths import open_regular
+from pgran.files.seal import check_seal, has_seal, seal_of
 from pgran.record import MisfitError, Result, axes_of, dimensions_of, plain_value
 from pgran.results import RECORDS
 
 FORMAT, FORMAT_VERSION = "pgran", 2
-SEAL_SIZE, SEAL = 512, b"pgran result "
-PIECE = 2**20  # bytes read at a time
 CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
 
 
@@ -92,7 +86,7 @@ def write(path, attributes, records):
                 for record in records:
                     _write_record(file, record)
             size = stream.seek(0, os.SEEK_END)
-            stream.write(_seal(stream, FORMAT_VERSION, 0, size))
+            stream.write(seal_of(stream, FORMAT_VERSION, 0, size))
             if stream.failure:
                 raise stream.failure
             os.fsync(stream.fileno())
@@ -179,60 +173,11 @@ def _attach(group, data, number, scale):
         data.dims[number].attach_scale(group[scale])
 
 
-def _seal(stream, version, start, stop):
-    """Return the seal of a part of a file, which is read through."""
-    stream.seek(start)
-    digest, left = hashlib.sha256(), stop - start
-    while piece := stream.read(min(left, PIECE)):
-        digest.update(piece)
-        left -= len(piece)
-    seal = SEAL + f"{version}\nsha256 {digest.hexdigest()}\n".encode()
-    return seal.ljust(SEAL_SIZE, b"\0")
-
-
-def _read_seal(stream):
-    """Return a file's seal, the version that has it there, and which bytes it is of.
-
-    The seal is empty where there is none.
-    """
-    size = stream.seek(0, os.SEEK_END)
-    end = max(0, size - SEAL_SIZE)
-    for version, place, content in ((2, end, (0, end)), (1, 0, (SEAL_SIZE, size))):
-        stream.seek(place)
-        seal = stream.read(SEAL_SIZE)
-        if seal.startswith(SEAL):
-            return seal, version, content
-    return b"", None, None
-
-
-def _has_seal(path):
-    """Return whether a file has a seal, right or wrong."""
-    with open_regular(path) as stream:
-        return bool(_read_seal(stream)[0])
-
-
-def check_seal(path):
-    """Raise unless a file is a result of pgran, unchanged since it was written.
-
-    Not collective.
-
-    Raises
-    ------
-    FileError
-    """
-    with open_regular(path) as stream:
-        seal, version, content = _read_seal(stream)
-        if not seal:
-            raise FileError(f"{path}: not a result of pgran, or damaged or changed since (no seal)")
-        if seal != _seal(stream, version, *content):
-            raise FileError(f"{path}: damaged or changed since it was written (checksum differs)")
-
-
 def is_result(path):
     """Return whether a file is a result, whatever became of it since. Not collective."""
     if not Path(path).is_file():
         return False
-    if _has_seal(path):
+    if has_seal(path):
         return True
     with contextlib.suppress(FileError), hdf5.opened(path) as file:
         return str(file.attributes("/").get("format")) == FORMAT
@@ -316,7 +261,7 @@ def read_stiffness(path):
     FileError
         If they are missing, of another type or elsewhere, or the file is damaged.
     """
-    if _has_seal(path):
+    if has_seal(path):
         check_seal(path)
     else:
         hdf5.try_apart(path)
