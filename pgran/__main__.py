@@ -26,6 +26,7 @@ pgran: sound in a granular material, a lattice of balls and random springs
   pgran plot RESULT [OTHER] [-o FIGURE]
                                     draw the figures of a result; of a response and of modes of the
                                     same lattice: the response, with the modes marked
+  pgran verify RESULT               say whether a result is as it was written, by its checksum
   pgran options [SCENE]             list every option: type, unit, default, range, meaning
   pgran doctor                      say what is installed, and what is wrong with it
   pgran --help, pgran --version

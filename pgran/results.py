@@ -1,62 +1,72 @@
-"""What scenes return: frozen dataclasses of plain values and NumPy arrays.
+"""What scenes return and results hold, group by group: every array and value is declared here.
 
-The metadata of a field say what it is, its unit, and its axes. `pgran.files.store` writes arrays as
-datasets with these, and plain values as attributes. An axis is named after the array that holds its
-coordinates, an array of one axis, or counts from 0; `balls` stands for the axes of the lattice. An
-array without axes is a coordinate itself.
+`pgran.record` says what the declarations mean. `pgran.files.store` writes and reads by them: arrays
+as datasets, plain values as attributes.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-
-def array(long_name, units, *axes):
-    """Declare an array: a dataset of the result."""
-    return field(metadata={"long_name": long_name, "units": units, "axes": axes})
+from pgran.record import SPACE, MisfitError, Record, array, attribute_array, run_fact
+from pgran.record import Result as Result
 
 
-def optional_array(long_name, units, *axes):
-    """Declare an array that may be missing."""
-    return field(default=None, metadata={"long_name": long_name, "units": units, "axes": axes})
-
-
-def run_fact():
-    """Declare a plain value that is an attribute of the whole file."""
-    return field(metadata={"of_run": True})
-
-
-@dataclass(frozen=True)
-class LatticeRecord:
+@dataclass(frozen=True, eq=False, repr=False)
+class LatticeRecord(Record):
     """The lattice a result belongs to."""
 
     group = "lattice"
-    shape: tuple
+    shape: tuple[int, ...]
     mass: float
     damping: float
     omega_mx: float
     bonds_sha256: str = run_fact()
-    stiffness_x: np.ndarray = array("constants of the bonds along x", "k")
-    stiffness_y: np.ndarray | None = optional_array("constants of the bonds along y", "k")
-    stiffness_z: np.ndarray | None = optional_array("constants of the bonds along z", "k")
+    stiffness_x: np.ndarray = array("constants of the bonds along x", "k", "bonds_x")
+    stiffness_y: np.ndarray | None = array(
+        "constants of the bonds along y", "k", "bonds_y", optional=True
+    )
+    stiffness_z: np.ndarray | None = array(
+        "constants of the bonds along z", "k", "bonds_z", optional=True
+    )
+
+    def __post_init__(self):
+        """Hold one array of bonds for each axis."""
+        there = [k is not None for k in (self.stiffness_x, self.stiffness_y, self.stiffness_z)]
+        axes = len(self.shape)
+        if there != [True] * axes + [False] * (3 - axes) or min(self.shape) < 1:
+            raise MisfitError(f"shape: {self.shape} does not fit {sum(there)} arrays stiffness_*")
+
+    @property
+    def stiffness(self):
+        """The constants of the bonds, an array for each axis, as `Lattice` takes them."""
+        arrays = self.stiffness_x, self.stiffness_y, self.stiffness_z
+        return arrays[: len(self.shape)]
+
+    @property
+    def axes(self):
+        """How long the axes of the lattice and of its bonds are, by name."""
+        balls = dict(zip(SPACE, self.shape, strict=False))
+        return {"axis": len(balls)} | balls | {f"bond_{name}": n + 1 for name, n in balls.items()}
 
     @classmethod
     def of(cls, lattice):
         """Return the record of a `pgran.physics.lattice.Lattice`."""
-        names = ("stiffness_x", "stiffness_y", "stiffness_z")
-        stiffness = dict(zip(names, lattice.stiffness, strict=False))
+        x, y, z = (*lattice.stiffness, None, None)[:3]
         return cls(
             lattice.shape,
             lattice.mass,
             lattice.damping,
             lattice.omega_mx,
             lattice.bonds_sha256,
-            **stiffness,
+            x,
+            y,
+            z,
         )
 
 
-@dataclass(frozen=True)
-class Response:
+@dataclass(frozen=True, eq=False, repr=False)
+class Response(Record):
     """The frequency response of single balls (paper: freqres, phaseres).
 
     `nw` frequencies, `nd` detectors. A point whose `converged_reason` is not positive failed or
@@ -66,16 +76,18 @@ class Response:
     group = "response"
     factorizations: int
     solve_seconds: float
-    phase_slope: np.ndarray
-    phase_velocity: np.ndarray
-    phase_intercept: np.ndarray
+    phase_slope: np.ndarray = attribute_array("detector_number")
+    phase_velocity: np.ndarray = attribute_array("detector_number")
+    phase_intercept: np.ndarray = attribute_array("detector_number")
     phase_fit_min: float
     phase_fit_max: float
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
-    detector: np.ndarray = array("indices of the detecting balls", "1", "detector_number", "axis")
+    detector: np.ndarray = array(
+        "indices of the detecting balls", "1", "detector_number", "axis", dtype=int
+    )
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, convention exp(+i omega t)",
-        "1", "omega", "detector_number",
+        "1", "omega", "detector_number", dtype=complex,
     )  # fmt: skip
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega", "detector_number")
     phase: np.ndarray = array(
@@ -88,13 +100,14 @@ class Response:
     )  # fmt: skip
     at_floor: np.ndarray = array(
         "1: the bound is below error_floor, but not small against the amplitude",
-        "1", "omega", "detector_number",
+        "1", "omega", "detector_number", dtype=np.int8, since=2,
     )  # fmt: skip
-    iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega")
-    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega")
-    field: np.ndarray | None = optional_array(
-        "amplitudes of all balls relative to the driven wall", "1", "omega", "balls"
-    )
+    iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega", dtype=int)
+    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
+    field: np.ndarray | None = array(
+        "amplitudes of all balls relative to the driven wall",
+        "1", "omega", "balls", dtype=complex, optional=True,
+    )  # fmt: skip
 
     @property
     def failures(self):
@@ -102,8 +115,8 @@ class Response:
         return int(np.count_nonzero(self.converged_reason <= 0))
 
 
-@dataclass(frozen=True)
-class Modes:
+@dataclass(frozen=True, eq=False, repr=False)
+class Modes(Record):
     """Normal modes K f = m omega^2 f (paper: modepic), `nm` of them.
 
     `count_expected` says how many there are, `count_certified` whether all of these were found,
@@ -117,9 +130,10 @@ class Modes:
     omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
     residual: np.ndarray = array("|K f - m omega^2 f| / |K|", "1", "omega")
     participation: np.ndarray = array("how many balls take part, 1 / sum f^4", "1", "omega")
-    vector: np.ndarray | None = optional_array(
-        "shape of the mode, orthonormal, its largest entry positive", "1", "omega", "balls"
-    )
+    vector: np.ndarray | None = array(
+        "shape of the mode, orthonormal, its largest entry positive",
+        "1", "omega", "balls", optional=True,
+    )  # fmt: skip
 
     @property
     def failures(self):
@@ -128,8 +142,8 @@ class Modes:
         return 0 if self.count_certified else max(1, missing)
 
 
-@dataclass(frozen=True)
-class Projection:
+@dataclass(frozen=True, eq=False, repr=False)
+class Projection(Record):
     """The driven lattice in terms of its normal modes (paper: cidef, onefreq, maxci, cifreq).
 
     `nw` driving frequencies, `nm` modes. A frequency whose `converged_reason` is not positive
@@ -144,13 +158,15 @@ class Projection:
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
     mode_omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
     coefficient: np.ndarray = array(
-        "sum over balls of amplitude times mode shape", "1", "omega", "mode_omega"
+        "sum over balls of amplitude times mode shape", "1", "omega", "mode_omega", dtype=complex
     )
-    dominant: np.ndarray = array("mode of the largest coefficient; -1: none", "1", "omega")
+    dominant: np.ndarray = array(
+        "mode of the largest coefficient; -1: none", "1", "omega", dtype=int
+    )
     error_bound: np.ndarray = array(
         "bound of the field's part in each coefficient's error; NaN: none is known", "1", "omega"
     )
-    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega")
+    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
 
     @property
     def failures(self):
@@ -160,8 +176,8 @@ class Projection:
         return failed + (0 if self.count_certified else max(1, missing))
 
 
-@dataclass(frozen=True)
-class Relaxation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Relaxation(Record):
     """The amplitude at the detectors while one bond a step is redrawn (paper: timeres).
 
     R trajectories of T steps, all from the bonds of the lattice. `drift` is the largest relative
@@ -174,23 +190,27 @@ class Relaxation:
     factorizations: int
     solve_seconds: float
     drift: float
-    bond_axis: np.ndarray = array("axis of the bond that changes", "1", "trajectory", "step")
+    bond_axis: np.ndarray = array(
+        "axis of the bond that changes", "1", "trajectory", "step", dtype=int
+    )
     bond_index: np.ndarray = array(
-        "its index into that axis's stiffness", "1", "trajectory", "step", "axis"
+        "its index into that axis's stiffness", "1", "trajectory", "step", "axis", dtype=int
     )
     stiffness: np.ndarray = array("its new constant", "k", "trajectory", "step")
-    detector: np.ndarray = array("indices of the detecting balls", "1", "detector_number", "axis")
+    detector: np.ndarray = array(
+        "indices of the detecting balls", "1", "detector_number", "axis", dtype=int
+    )
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, entry 0 before any change",
-        "1", "trajectory", "state", "detector_number",
+        "1", "trajectory", "state", "detector_number", dtype=complex,
     )  # fmt: skip
     error_bound: np.ndarray = array(
         "bound of the error of the displacement; NaN: none is known",
-        "1", "trajectory", "state", "detector_number",
+        "1", "trajectory", "state", "detector_number", since=2,
     )  # fmt: skip
     at_floor: np.ndarray = array(
         "1: the bound is below error_floor, but not small against the amplitude",
-        "1", "trajectory", "state", "detector_number",
+        "1", "trajectory", "state", "detector_number", dtype=np.int8, since=2,
     )  # fmt: skip
 
     @property
@@ -204,8 +224,8 @@ class Relaxation:
         return int(np.count_nonzero(np.isnan(self.displacement).any(axis=2)))
 
 
-@dataclass(frozen=True)
-class Spectrum:
+@dataclass(frozen=True, eq=False, repr=False)
+class Spectrum(Record):
     """The power spectrum of amplitude series, and the power law fitted to it (paper: timeres).
 
     Attributes
@@ -241,20 +261,21 @@ class Spectrum:
         return self.scale / (2 * np.sin(np.pi * np.asarray(frequency))) ** self.exponent
 
 
-@dataclass(frozen=True)
-class ContinuumResponse:
+@dataclass(frozen=True, eq=False, repr=False)
+class ContinuumResponse(Record):
     """The exact response of the homogeneous box at one point (paper: axysol, exactpl)."""
 
     group = "continuum"
-    point: tuple
-    size: tuple
+    point: tuple[float, ...]
+    size: tuple[float, ...]
     mass: float
     stiffness: float
     damping: float
     omega: np.ndarray = array("driving frequency, angular", "sqrt(K0/m)/length")
     displacement: np.ndarray = array(
-        "amplitude relative to the driven wall, convention exp(+i omega t)", "1", "omega"
-    )
+        "amplitude relative to the driven wall, convention exp(+i omega t)",
+        "1", "omega", dtype=complex,
+    )  # fmt: skip
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega")
     phase: np.ndarray = array(
         "phase, unwrapped along omega; without damping 0 or pi", "rad", "omega"
@@ -262,8 +283,8 @@ class ContinuumResponse:
     resonance: np.ndarray = array("driven resonances, angular", "sqrt(K0/m)/length")
 
 
-@dataclass(frozen=True)
-class Accuracy:
+@dataclass(frozen=True, eq=False, repr=False)
+class Accuracy(Record):
     """Error against run time: one experiment by several solvers, each at several tolerances.
 
     A row a configuration. Errors are relative and true, against a reference with a bound of its
@@ -287,8 +308,8 @@ class Accuracy:
     values: int
     compared: int
     reference_bound: float
-    label: np.ndarray = array("configuration: solver and tolerance", "1")
-    solver: np.ndarray = array("solver, after its options file", "1", "label")
+    label: np.ndarray = array("configuration: solver and tolerance", "1", dtype=str)
+    solver: np.ndarray = array("solver, after its options file", "1", "label", dtype=str)
     tolerance: np.ndarray = array("accuracy asked for", "1", "label")
     seconds: np.ndarray = array("run time, median of the repeats", "s", "label")
     seconds_min: np.ndarray = array("shortest run time", "s", "label")
@@ -299,21 +320,16 @@ class Accuracy:
         "largest bound of the relative error that the solver gives itself; NaN: none",
         "1", "label",
     )  # fmt: skip
-    iterations: np.ndarray = array("Krylov iterations; -1: not counted", "1", "label")
+    iterations: np.ndarray = array("Krylov iterations; -1: not counted", "1", "label", dtype=int)
     failures: np.ndarray = array(
         "amplitudes that miss the accuracy asked for, or modes that are missing or inaccurate",
-        "1", "label",
+        "1", "label", dtype=int,
     )  # fmt: skip
     on_front: np.ndarray = array(
-        "no other configuration without failures is faster and as accurate", "1", "label"
-    )
+        "no other configuration without failures is faster and as accurate",
+        "1", "label", dtype=bool,
+    )  # fmt: skip
 
 
-class Result:
-    """Records by group."""
-
-    def __init__(self, records, **attributes):
-        """Keep them."""
-        self.__dict__.update(attributes)
-        for record in records:
-            setattr(self, record.group, record)
+# Every record by the name of its group; the lattice, whose axes the others share, comes first.
+RECORDS = {kind.group: kind for kind in Record.__subclasses__()}

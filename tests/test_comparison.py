@@ -15,7 +15,8 @@ from samples import drive, random_lattice, reference_of, steady, swept
 from pgran.parallel.crew import Crew
 from pgran.physics.bondlaw import BondLaw
 from pgran.physics.lattice import Lattice
-from pgran.results import LatticeRecord, Result
+from pgran.record import Result
+from pgran.results import LatticeRecord
 from pgran.scenes.relaxation import relax
 from pgran.scenes.response import summary
 from pgran.solve.comparison import Comparison

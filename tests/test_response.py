@@ -8,7 +8,8 @@ from reference import Reference
 from samples import paper_lattice, random_lattice, reference_of, swept
 
 from pgran.errors import InputError
-from pgran.results import LatticeRecord, Result
+from pgran.record import Result
+from pgran.results import LatticeRecord
 from pgran.scenes.response import fit_phase, summary, unwrap
 
 PAPER = np.linspace(0.01, 1.3, 1291)

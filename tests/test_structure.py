@@ -5,11 +5,11 @@ import graphlib
 from pathlib import Path
 
 BELOW = {  # of each package and module at the top: what it may import
-    "errors": "", "results": "errors", "machine": "errors", "physics": "errors results",
-    "parallel": "errors", "solve": "errors physics parallel", "files": "errors results machine",
-    "figures": "errors results",
+    "errors": "", "record": "errors", "results": "errors record", "machine": "errors",
+    "physics": "errors results", "parallel": "errors", "solve": "errors physics parallel",
+    "files": "errors record results machine", "figures": "errors record results",
     "scenes": "errors results machine physics solve parallel files",
-    "command": "errors results machine physics solve parallel files figures scenes",
+    "command": "errors record results machine physics solve parallel files figures scenes",
     "__main__": "errors parallel files command", "__init__": "",
 }  # fmt: skip
 

@@ -75,7 +75,7 @@ def _compute(scene, options, words, world, started):
     from pgran.files import store
     from pgran.parallel.crew import Crew
     from pgran.parallel.journal import Journal
-    from pgran.results import Result
+    from pgran.record import Result
 
     output, overwrite = options.output_file, options.output_overwrite
     on_root(world, lambda: store.check_output(output, overwrite))

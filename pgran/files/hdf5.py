@@ -1,34 +1,31 @@
 """HDF5 files read with care: nothing outside the file, and no more than it holds.
 
 HDF5 can point outside itself, can declare far more data than it holds, and the library can crash or
-hang on files that are not what they seem. Files that are not pgran's own are read by a process of
-their own, of bounded memory and time: `python -m pgran.files.hdf5 FILE`, which writes the bonds to
-its standard output as NumPy arrays.
+hang on files that are not what they seem. Bonds of a file that nobody vouches for are read first by
+a process of its own, of bounded memory and time: `python -m pgran.files.hdf5 FILE`.
 """
 
 import contextlib
-import io
+import dataclasses
 import os
 import resource
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
 
 from pgran.errors import BAD_FILE, DONE, FileError, reason_of
 from pgran.files.paths import open_regular
-from pgran.machine import total_memory
-from pgran.physics.lattice import AXES, bond_shape
+from pgran.record import KINDS
+from pgran.results import LatticeRecord
 
-FORMAT = "pgran"  # what results say they are
 MODEST = 64 * 2**20  # bytes that the data of a smaller file may be when they are decompressed
-# What a process that reads a file may use, apart from what grows with the file.
+# What a process that tries a file may use, apart from what grows with the file.
 MEMORY, SECONDS = 512 * 2**20, 60
-# Variables that would make the reading process take part in this MPI job.
+# Variables that would make that process take part in this MPI job.
 LAUNCHERS = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL", "SLURM_")
 TROUBLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
 
@@ -58,7 +55,7 @@ class CarefulFile:
     Raises
     ------
     FileError
-        By every method, for what is missing, lies elsewhere or is too large.
+        By every method, for what is missing, lies elsewhere, is too large or of another type.
     """
 
     def __init__(self, file, path):
@@ -84,9 +81,10 @@ class CarefulFile:
             self.refuse(name, f"is no {kind.__name__.lower()}")
         return member
 
-    def names(self, group):
-        """Return the names of a group's members."""
-        return list(self._member(group, h5py.Group))
+    def members(self, group, names):
+        """Return which names a group has members of. HDF5 can crash on listing a damaged group."""
+        member = self._member(group, h5py.Group)
+        return [name for name in names if member.id.links.exists(name.encode())]
 
     def attributes(self, group):
         """Return a group's attributes that are texts, numbers or short lists of numbers."""
@@ -96,40 +94,47 @@ class CarefulFile:
             declared = member.attrs.get_id(name)
             if declared.dtype.kind in "fiub" or declared.shape == ():
                 value = member.attrs[name]
+                if isinstance(value, np.bytes_):  # a text of fixed length
+                    value = value.decode()
                 if isinstance(value, str | np.generic | np.ndarray):
-                    found[name] = value
+                    found[name] = value.item() if isinstance(value, np.generic) else value
         return found
 
-    def dataset(self, name):
-        """Return a dataset of the file itself, of numbers or a list of texts, not yet read."""
+    def array(self, name, dtype):
+        """Return a dataset of the file itself, as the type that a record declares.
+
+        Not collective.
+
+        Parameters
+        ----------
+        name : str
+        dtype : type
+            Numbers of the same kind become this one; integers become real numbers.
+        """
         data = self._member(name, h5py.Dataset)
         # Asking for the shape of data that lie elsewhere would open the other file.
         if data.external or data.is_virtual:
             self.refuse(name, "lies in another file; such data are not read")
         texts = data.dtype.kind == "S" and data.ndim == 1
-        if data.dtype.kind not in "fiucb" and not texts:
-            self.refuse(name, f"holds no numbers but {data.dtype}")
+        kinds, called = KINDS[np.dtype(dtype).kind]
+        if ("U" if texts else data.dtype.kind) not in kinds:
+            self.refuse(name, f"holds no {called}s but {data.dtype}")
         if data.shape is None:
             self.refuse(name, "is empty")
-        return data
-
-    def array(self, name):
-        """Return a dataset's values."""
-        data = self.dataset(name)
         declared = data.size * data.dtype.itemsize
         self._left -= declared
         if self._left < 0:
             self.refuse(name, f"declares {declared} bytes, far more than the file holds")
-        if data.dtype.kind == "S":
+        if texts:
             return np.char.decode(data[()], "utf-8")
-        truth = data.dtype == np.int8 and data.attrs.get("dtype") == "bool"
-        return data[()].astype(bool) if truth else data[()]
+        with np.errstate(over="ignore"):  # a number too large for its type becomes infinite
+            return np.asarray(data[()]).astype(dtype, copy=False)
 
 
 def bonds(file):
-    """Return the bond constants in `/lattice`, checked, and the stiffness that sets their unit.
+    """Return the bond constants in `/lattice`, and the stiffness that sets their unit of frequency.
 
-    Not collective.
+    Not collective. Whether they make a lattice is for `pgran.physics.lattice.Lattice` to say.
 
     Parameters
     ----------
@@ -138,58 +143,33 @@ def bonds(file):
     Returns
     -------
     stiffness : tuple of numpy.ndarray
-        As `pgran.physics.lattice.Lattice` takes them.
+        An array for each axis.
     kmax : float or None
         What the unit of frequency belongs to, if the file says.
     """
-    names = [f"stiffness_{axis}" for axis in AXES]
-    there = [name for name in names if name in file.names("lattice")]
+    names = [f.name for f in dataclasses.fields(LatticeRecord) if "axes" in f.metadata]
+    there = file.members("lattice", names)
     if not there or there != names[: len(there)]:
-        file.refuse("lattice", "needs stiffness_x, and _y, _z without a gap")
-    members = {f"lattice/{name}": file.dataset(f"lattice/{name}") for name in there}
-    shape = next(iter(members.values())).shape
-    shape = tuple(n - (axis == 0) for axis, n in enumerate(shape))
-    for axis, (name, data) in enumerate(members.items()):
-        fits = data.ndim == len(members) and min(shape) > 0
-        if not fits or data.shape != bond_shape(shape, axis):
-            file.refuse(
-                name,
-                f"has shape {data.shape}, which fits no lattice with {len(members)} stiffness_*",
-            )
-        if data.dtype.kind not in "fiu":
-            file.refuse(name, f"holds no real numbers but {data.dtype}")
-    stiffness = []
-    for name in members:
-        with np.errstate(all="ignore"):  # what overflows is refused below
-            k = file.array(name).astype(float, copy=False)
-        impossible = ~(np.isfinite(k) & (k >= 0))
-        if impossible.any():
-            place = np.unravel_index(np.argmax(impossible), k.shape)
-            file.refuse(
-                name,
-                f"holds {k[place]} at {tuple(map(int, place))}; "
-                "a bond constant is finite and not negative",
-            )
-        stiffness.append(k)
+        file.refuse("lattice", f"needs {names[0]}, and the others of {', '.join(names)} in order")
+    stiffness = tuple(file.array(f"lattice/{name}", float) for name in there)
     said = file.attributes("lattice")
     mass, unit = (np.asarray(said.get(name, np.nan)) for name in ("mass", "omega_mx"))
     if any(value.shape or value.dtype.kind not in "fiu" for value in (mass, unit)):
-        return tuple(stiffness), None
+        return stiffness, None
     with np.errstate(all="ignore"):
-        kmax = float(mass * unit.astype(float) ** 2 / (2 * len(shape)))
-    return tuple(stiffness), kmax if 0 < kmax < np.inf else None
+        kmax = float(mass * unit.astype(float) ** 2 / (2 * len(stiffness)))
+    return stiffness, kmax if 0 < kmax < np.inf else None
 
 
-def read_apart(path):
-    """Return `bonds` of a file as a process of its own reads them. Not collective.
+def try_apart(path):
+    """Raise unless a process of its own can read the bonds of a file. Not collective.
 
     Raises
     ------
     FileError
         If that process refuses the file, crashes, or needs too much time or memory.
     """
-    with open_regular(path) as stream:
-        seconds = SECONDS + os.fstat(stream.fileno()).st_size / 2**25
+    seconds = SECONDS + os.path.getsize(path) / 2**25
     kept = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHERS)}
     home = str(Path(__file__).parents[2])
     kept["PYTHONPATH"] = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
@@ -209,35 +189,24 @@ def read_apart(path):
     if done.returncode:
         crash = signal.Signals(-done.returncode).name if done.returncode < 0 else said
         raise FileError(f"{path}: damaged: reading it crashed ({crash})")
-    stream = io.BytesIO(done.stdout)
-    kmax, *stiffness = (np.load(stream, allow_pickle=False) for _ in range(1 + int(said)))
-    return tuple(stiffness), None if np.isnan(kmax) else float(kmax)
 
 
 def main(path):
-    """Read a file and write its bonds to standard output, their number to standard error."""
+    """Read the bonds of a file within limits, and return the exit code."""
     size = os.path.getsize(path)
-    seconds = int(2 * SECONDS + size / 2**25)  # ends it where nobody is left to do so
     for limit, most in (
         (resource.RLIMIT_CORE, 0),
-        (resource.RLIMIT_CPU, seconds),
-        (resource.RLIMIT_AS, min(MEMORY + 4 * size, total_memory() // 4)),
+        (resource.RLIMIT_CPU, int(2 * SECONDS + size / 2**25)),  # where nobody is left to end it
+        (resource.RLIMIT_AS, MEMORY + 4 * size),
     ):
         with contextlib.suppress(ValueError, OSError):  # a limit that is lower already
             resource.setrlimit(limit, (most, most))
     try:
         with opened(path) as file:
-            if file.attributes("/").get("format") == FORMAT:
-                raise FileError(f"{path}: a result of pgran that was damaged or changed (no seal)")
-            stiffness, kmax = bonds(file)
+            bonds(file)
     except FileError as error:
         print(error, file=sys.stderr)
         return BAD_FILE
-    pipe = SimpleNamespace(write=sys.stdout.buffer.write)
-    for values in (np.nan if kmax is None else kmax, *stiffness):
-        np.save(pipe, values, allow_pickle=False)
-    sys.stdout.flush()
-    print(len(stiffness), file=sys.stderr)
     return DONE
 
 

@@ -1,33 +1,27 @@
 """Results on disk: one HDF5 file a run, written whole by rank 0, and read back.
 
-The last 512 bytes, which HDF5 does not look at, are a seal: what the file is, and the SHA-256 of
-all bytes before. No result with a broken seal reaches the HDF5 library, which can crash on damaged
-files. In format version 1 the seal came first, where it hid the file from netCDF.
-
-A group is one of netCDF-4, too: each axis of an array has a dimension scale of one axis.
+The fields of the records in `pgran.results` say what a file holds: it is written and checked by
+them. A group is one of netCDF-4, too: each axis of an array has a dimension scale of one axis.
 """
 
 import contextlib
 import dataclasses
 import datetime
-import hashlib
 import io
 import os
 from pathlib import Path
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
 
 from pgran.errors import FileError, reason_of
-from pgran.files import hdf5 as foreign
-from pgran.files.paths import open_regular
-from pgran.physics.lattice import AXES
+from pgran.files import hdf5
+from pgran.files.seal import check_seal, has_seal, seal_of
+from pgran.record import MisfitError, Result, axes_of, dimensions_of, plain_value
+from pgran.results import RECORDS
 
-FORMAT_VERSION = 2
-SEAL_SIZE, SEAL = 512, b"pgran result "
-PIECE = 2**20  # bytes read at a time
-BOND_AXES = {f"stiffness_{name}": axis for axis, name in enumerate(AXES)}
+FORMAT, FORMAT_VERSION = "pgran", 2
+CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
 
 
 def check_output(path, overwrite, make=True):
@@ -72,8 +66,7 @@ def write(path, attributes, records):
     path : str or os.PathLike
     attributes : dict
         What the run says of itself; `format`, `format_version` and `created` are added.
-    records : sequence
-        Dataclasses of `pgran.results`, a group each.
+    records : sequence of pgran.record.Record
 
     Raises
     ------
@@ -82,18 +75,18 @@ def write(path, attributes, records):
     """
     path = Path(path)
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    known = {"format": foreign.FORMAT, "format_version": FORMAT_VERSION, "created": now}
+    known = {"format": FORMAT, "format_version": FORMAT_VERSION, "created": now}
     temporary = path.with_name(f".{path.name}.part")  # of the one run that holds the journal
     try:
         path.parent.mkdir(parents=True, exist_ok=True)  # it may have been removed meanwhile
         with _Stream(temporary, "w+") as stream:
-            with h5py.File(stream, "w") as file:
-                file.attrs.update(known | attributes)
-                axes = next((len(r.shape) for r in records if r.group == "lattice"), 0)
+            with h5py.File(stream, "w", libver=CHECKED) as file:
+                for name, value in (known | attributes).items():
+                    file.attrs[name] = _stored(value)
                 for record in records:
-                    _write_record(file, record, axes)
+                    _write_record(file, record)
             size = stream.seek(0, os.SEEK_END)
-            stream.write(_seal(stream, FORMAT_VERSION, 0, size))
+            stream.write(seal_of(stream, FORMAT_VERSION, 0, size))
             if stream.failure:
                 raise stream.failure
             os.fsync(stream.fileno())
@@ -132,46 +125,40 @@ class _Stream(io.FileIO):
             return size
 
 
-def _write_record(file, record, axes):
-    """Write a dataclass: arrays that it declares as datasets, the rest as attributes."""
+def _write_record(file, record):
+    """Write a record: datasets and attributes as its fields declare them."""
     group = file.create_group(record.group)
     for item in dataclasses.fields(record):
         value = getattr(record, item.name)
         if value is None:
             continue
         if "axes" not in item.metadata:
-            (file if item.metadata else group).attrs[item.name] = _stored(value)
+            (file if "of_run" in item.metadata else group).attrs[item.name] = _stored(value)
             continue
         data = group.create_dataset(item.name, data=_stored(value))
         data.attrs["units"] = item.metadata["units"]
         data.attrs["long_name"] = item.metadata["long_name"]
-        if np.asarray(value).dtype == bool:
+        if item.metadata["dtype"] is bool:
             data.attrs["dtype"] = "bool"  # as xarray writes and reads it
     for item in dataclasses.fields(record):
         if item.name in group:
-            for number, scale in enumerate(_axis_names(item, axes)):
-                _attach(group, group[item.name], number, scale)
+            data = group[item.name]
+            for number, scale in enumerate(axes_of(item, dimensions_of(item, data))):
+                _attach(group, data, number, scale)
 
 
 def _stored(value):
-    """Return a value as HDF5 and netCDF take it: text as UTF-8, truth as an integer."""
-    kind = np.asarray(value).dtype.kind
-    if kind == "b":
-        return np.int8(value)
-    if kind != "U" or isinstance(value, str):
+    """Return a value as HDF5 and netCDF take it: truth as an integer, text as UTF-8 in place.
+
+    Texts of variable length lie in a heap without checksum, and HDF5 can crash on damage there.
+    """
+    value = np.asarray(value)
+    if value.dtype.kind == "b":
+        return value.astype(np.int8)
+    if value.dtype.kind != "U":
         return value
     encoded = np.char.encode(value, "utf-8")
-    return encoded.astype(h5py.string_dtype("utf-8", encoded.itemsize))
-
-
-def _axis_names(item, axes):
-    """Return the names of the coordinates along each axis of a declared array."""
-    names = list(AXES[:axes])
-    if item.name in BOND_AXES:
-        axis = BOND_AXES[item.name]
-        return [f"bond_{n}" if a == axis else n for a, n in enumerate(names)]
-    declared = item.metadata["axes"] or (item.name,)  # coordinates lie along themselves
-    return [n for name in declared for n in (names if name == "balls" else [name])]
+    return encoded.astype(h5py.string_dtype("utf-8", max(encoded.itemsize, 1)))
 
 
 def _attach(group, data, number, scale):
@@ -186,60 +173,22 @@ def _attach(group, data, number, scale):
         data.dims[number].attach_scale(group[scale])
 
 
-def _seal(stream, version, start, stop):
-    """Return the seal of a part of a file, which is read through."""
-    stream.seek(start)
-    digest, left = hashlib.sha256(), stop - start
-    while piece := stream.read(min(left, PIECE)):
-        digest.update(piece)
-        left -= len(piece)
-    seal = SEAL + f"{version}\nsha256 {digest.hexdigest()}\n".encode()
-    return seal.ljust(SEAL_SIZE, b"\0")
-
-
-def _read_seal(stream):
-    """Return a file's seal, the version that has it there, and which bytes it is of.
-
-    The seal is empty where there is none.
-    """
-    size = stream.seek(0, os.SEEK_END)
-    end = max(0, size - SEAL_SIZE)
-    for version, place, content in ((2, end, (0, end)), (1, 0, (SEAL_SIZE, size))):
-        stream.seek(place)
-        seal = stream.read(SEAL_SIZE)
-        if seal.startswith(SEAL):
-            return seal, version, content
-    return b"", None, None
-
-
 def is_result(path):
-    """Return whether a file has the seal of a result, broken or not. Not collective."""
+    """Return whether a file is a result, whatever became of it since. Not collective."""
     if not Path(path).is_file():
         return False
-    with open_regular(path) as stream:
-        return bool(_read_seal(stream)[0])
-
-
-def check_seal(path):
-    """Raise unless a file is a result of pgran, unchanged since it was written. Not collective."""
-    with open_regular(path) as stream:
-        seal, version, content = _read_seal(stream)
-        if not seal:
-            raise FileError(f"{path}: not a result of pgran, or damaged or changed since (no seal)")
-        said = seal[len(SEAL) :].split(b"\n")[0]
-        if said != b"%d" % version:
-            said = said[:20].decode(errors="replace")
-            raise FileError(
-                f"{path}: format version {said}; this pgran reads 1 to {FORMAT_VERSION}"
-            )
-        if seal != _seal(stream, version, *content):
-            raise FileError(f"{path}: damaged or changed since it was written (checksum differs)")
+    if has_seal(path):
+        return True
+    with contextlib.suppress(FileError), hdf5.opened(path) as file:
+        return str(file.attributes("/").get("format")) == FORMAT
+    return False
 
 
 def load(path):
-    """Return a result as attributes that hold NumPy arrays: `load(path).response.omega`.
+    """Return a result: `load(path).response.omega`. Not collective.
 
-    Not collective.
+    The structure of the file is checked, its checksum is not: see `check_seal`. Groups that pgran
+    does not know are left out.
 
     Parameters
     ----------
@@ -247,27 +196,59 @@ def load(path):
 
     Returns
     -------
-    types.SimpleNamespace
-        Groups as namespaces; datasets and attributes under their names (see the README).
+    pgran.record.Result
+        Each group as the record that declares it, and the attributes of the file.
 
     Raises
     ------
     FileError
-        If the file is not pgran's, or is damaged or changed.
+        If the file is no result, is damaged, or lacks what its records declare.
     """
-    check_seal(path)
-    with foreign.opened(path) as file:
-        result = SimpleNamespace(**file.attributes("/"))
-        for name in file.names("/"):
-            arrays = {item: file.array(f"{name}/{item}") for item in file.names(name)}
-            setattr(result, name, SimpleNamespace(**file.attributes(name), **arrays))
-        return result
+    with hdf5.opened(path) as file:
+        facts = file.attributes("/")
+        if str(facts.get("format")) != FORMAT:
+            raise FileError(f"{path}: not a result of pgran")
+        if facts.get("format_version") not in range(1, FORMAT_VERSION + 1):
+            said = facts.get("format_version")
+            raise FileError(
+                f"{path}: format version {said}; this pgran reads 1 to {FORMAT_VERSION}"
+            )
+        records, axes = [], {}
+        for group in file.members("/", RECORDS):
+            try:
+                record = _read_record(file, group, facts)
+                axes = record.axes if group == "lattice" else axes
+                record.check(axes)
+            except MisfitError as error:
+                raise FileError(f"{path}: /{group}/{error}") from None
+            records.append(record)
+        return Result(records, **facts)
+
+
+def _read_record(file, group, facts):
+    """Return a group as the record that declares it; `facts` are the attributes of the file."""
+    fields = dataclasses.fields(RECORDS[group])
+    there = file.members(group, [item.name for item in fields])
+    values, said = {}, file.attributes(group)
+    for item in fields:
+        name, meta = item.name, item.metadata
+        if "axes" in meta:
+            may_lack = meta["optional"] or meta["since"] > facts["format_version"]
+            lacks = may_lack and name not in there
+            values[name] = None if lacks else file.array(f"{group}/{name}", meta["dtype"])
+            continue
+        source = facts if "of_run" in meta else said
+        if name not in source:
+            file.refuse(f"{group}/{name}", "is missing")
+        values[name] = plain_value(item, source[name])
+    return RECORDS[group](**values)
 
 
 def read_stiffness(path):
     """Return the bond constants in `/lattice/stiffness_x` and so on. Not collective.
 
-    A result is read as it is; any other HDF5 file by a process of its own.
+    A result that is as it was written is read directly; any other HDF5 file is tried first by a
+    process of its own.
 
     Returns
     -------
@@ -278,10 +259,11 @@ def read_stiffness(path):
     Raises
     ------
     FileError
-        If they are missing, impossible, or of shapes that fit no lattice.
+        If they are missing, of another type or elsewhere, or the file is damaged.
     """
-    if not is_result(path):
-        return foreign.read_apart(path)
-    check_seal(path)
-    with foreign.opened(path) as file:
-        return foreign.bonds(file)
+    if has_seal(path):
+        check_seal(path)
+    else:
+        hdf5.try_apart(path)
+    with hdf5.opened(path) as file:
+        return hdf5.bonds(file)

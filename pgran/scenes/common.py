@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from pgran.errors import InputError, PgranError
+from pgran.errors import FileError, InputError, PgranError
 from pgran.files.options import INTEGER, INTEGERS, REAL, REALS, TEXT, Option
 from pgran.machine import check_memory
 from pgran.parallel.agreement import on_root
@@ -168,9 +168,7 @@ def make_lattice(options, world):
         If the ranks disagree on the bonds.
     """
     if options.bonds_law == "file":
-        from pgran.files.store import read_stiffness
-
-        stiffness, kmax = on_root(world, lambda: read_stiffness(options.bonds_file))
+        stiffness, kmax = on_root(world, lambda: read_bonds(options.bonds_file))
     else:
         law, shape = make_law(options), options.lattice_shape
         check_memory("lattice_shape", 8 * bond_count(shape))
@@ -179,6 +177,32 @@ def make_lattice(options, world):
     if len(set(world.allgather(lattice.bonds_sha256))) > 1:
         raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
     return lattice
+
+
+def read_bonds(path):
+    """Return the bond constants in a file, which make a lattice, and what sets their unit.
+
+    Not collective.
+
+    Returns
+    -------
+    stiffness : tuple of numpy.ndarray
+    kmax : float or None
+        As `pgran.files.store.read_stiffness` returns them.
+
+    Raises
+    ------
+    FileError
+        If the file is no good, or no lattice has such bonds.
+    """
+    from pgran.files.store import read_stiffness
+
+    stiffness, kmax = read_stiffness(path)
+    try:
+        Lattice(stiffness)
+    except InputError as error:
+        raise FileError(f"{path}: /lattice/{error}") from None
+    return stiffness, kmax
 
 
 def make_law(options):

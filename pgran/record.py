@@ -1,0 +1,236 @@
+"""What every record is: a frozen dataclass whose fields declare what they hold.
+
+The declaration of an array says what it is, its unit, its type and its axes. Files, checks and
+xarray follow from it. An axis is named after the array that holds its coordinates, an array of one
+axis, or counts from 0. `balls` stands for the axes of the lattice, `bonds_x` for those of the bonds
+along x. An array without axes is a coordinate itself.
+"""
+
+import dataclasses
+import reprlib
+from typing import get_args
+
+import numpy as np
+
+from pgran.errors import FileError, PgranError
+
+SPACE = "xyz"
+# Kinds of NumPy's types, what a file may hold instead of each, and what to call it.
+KINDS = {
+    "f": ("fiu", "real number"),
+    "c": ("c", "complex number"),
+    "i": ("iu", "integer"),
+    "b": ("biu", "truth value"),
+    "U": ("U", "text"),
+}
+
+
+def array(long_name, units, *axes, dtype=float, since=1, optional=False):
+    """Declare an array: a dataset of a file.
+
+    Parameters
+    ----------
+    long_name, units : str
+    *axes : str
+        None for a coordinate.
+    dtype : type
+        Of its entries.
+    since : int
+        The first version of the file format that has it; None in a record of an older file.
+    optional : bool
+        Whether it may be missing in any file.
+    """
+    said = {"long_name": long_name, "units": units, "axes": axes, "dtype": dtype, "since": since}
+    return dataclasses.field(
+        metadata=said | {"optional": optional},
+        default=None if optional else dataclasses.MISSING,
+    )
+
+
+def attribute_array(*along):
+    """Declare a short array of real numbers: an attribute of its group."""
+    return dataclasses.field(metadata={"along": along, "dtype": float})
+
+
+def run_fact():
+    """Declare a plain value that is an attribute of the whole file."""
+    return dataclasses.field(metadata={"of_run": True})
+
+
+def axes_of(item, dimensions):
+    """Return the name of each axis of an array that a field declares. Not collective.
+
+    Parameters
+    ----------
+    item : dataclasses.Field
+    dimensions : int
+        Axes of the lattice.
+
+    Returns
+    -------
+    list of str
+    """
+    names, space = [], SPACE[:dimensions]
+    for axis in item.metadata.get("along") or item.metadata["axes"] or (item.name,):
+        if axis == "balls":
+            names += space
+        elif axis.startswith("bonds_"):
+            names += [f"bond_{name}" if axis == f"bonds_{name}" else name for name in space]
+        else:
+            names.append(axis)
+    return names
+
+
+def dimensions_of(item, value):
+    """Return how many axes the lattice has by the shape of an array. Not collective."""
+    return np.ndim(value) - max(len(item.metadata["axes"]), 1) + 1
+
+
+def plain_value(item, value):
+    """Return an attribute of a file as the type that a field declares.
+
+    Not collective.
+
+    Raises
+    ------
+    MisfitError
+        If it is none.
+    """
+    many = item.type not in (int, float, bool, str)
+    dtype = item.metadata.get("dtype") or (*get_args(item.type), item.type)[0]
+    kinds, called = KINDS[np.dtype(dtype).kind]
+    found = np.asarray(value)
+    if found.ndim != many or found.dtype.kind not in kinds:
+        wanted = f"a list of {called}s" if many else f"a single {called}"
+        raise MisfitError(f"{item.name}: {reprlib.repr(value)} is not {wanted}")
+    found = found.astype(dtype)
+    if item.type is np.ndarray:
+        return found
+    return tuple(found.tolist()) if many else found.item()
+
+
+class MisfitError(ValueError):
+    """What a record was given does not fit its declaration."""
+
+
+class Record:
+    """One group of a result; each subclass names it and declares what it holds."""
+
+    group = None
+
+    def arrays(self):
+        """Yield each array that is declared and there, and the field that declares it."""
+        for item in dataclasses.fields(self):
+            value = getattr(self, item.name)
+            if {"axes", "along"} & set(item.metadata) and value is not None:
+                yield item, value
+
+    def check(self, lattice_axes):
+        """Raise unless every array has the axes declared for it, each as long everywhere.
+
+        Not collective.
+
+        Parameters
+        ----------
+        lattice_axes : dict
+            How long the axes of the lattice are, by name; empty without a lattice.
+
+        Raises
+        ------
+        MisfitError
+        """
+        lengths = dict(lattice_axes)
+        for item, value in self.arrays():
+            names = axes_of(item, lengths.get("axis", 0))
+            known = zip(names, value.shape, strict=False)
+            shape = tuple(lengths.setdefault(name, size) for name, size in known)
+            if value.ndim != len(names) or value.shape != shape:
+                declared = ", ".join(f"{n}: {lengths.get(n, 'any')}" for n in names)
+                raise MisfitError(f"{item.name}: shape {value.shape} is not ({declared})")
+
+    def to_xarray(self):
+        """Return the record as an xarray.Dataset: coordinates, units and long names.
+
+        Not collective. Plain values are its attributes.
+
+        Raises
+        ------
+        PgranError
+            If there is no xarray.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise PgranError(
+                f"to_xarray needs xarray, which cannot be imported ({error}): "
+                "pip install xarray, or apt install python3-xarray"
+            ) from None
+        variables, attributes = {}, {}
+        for item in dataclasses.fields(self):
+            value = getattr(self, item.name)
+            if value is None:
+                continue
+            if "axes" not in item.metadata:
+                attributes[item.name] = value
+                continue
+            names = axes_of(item, dimensions_of(item, value))
+            said = {key: item.metadata[key] for key in ("units", "long_name")}
+            variables[item.name] = xarray.Variable(names, value, said)
+        return xarray.Dataset(variables, attrs=attributes)
+
+    def __repr__(self):
+        """Show plain values and the shapes of arrays."""
+        parts = []
+        for item in dataclasses.fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray):
+                parts.append(f"{item.name}: {value.dtype} {value.shape}")
+            elif value is not None:
+                parts.append(f"{item.name}={reprlib.repr(value)}")
+        return f"{type(self).__name__}({', '.join(parts)})"
+
+
+class MissingError(FileError, AttributeError):
+    """A result lacks a group or an attribute that was asked for."""
+
+
+class Result:
+    """The records of a run by the names of their groups, and what the run says of itself.
+
+    `result.response` is a `pgran.results.Response`, `result.scene` a text. What is missing raises
+    an AttributeError, so `getattr(result, "spectrum", None)` asks for a group that may be missing.
+
+    Parameters
+    ----------
+    records : iterable of Record
+    **attributes
+        Texts and numbers.
+
+    Attributes
+    ----------
+    records : dict
+        The records by group.
+    attributes : dict
+    """
+
+    def __init__(self, records, /, **attributes):
+        """Keep both."""
+        self.records = {record.group: record for record in records}
+        self.attributes = attributes
+
+    def __getattr__(self, name):
+        """Return a record or an attribute of the run."""
+        for held in vars(self).values():
+            if name in held:
+                return held[name]
+        there = ", ".join(vars(self).get("records", ()))
+        raise MissingError(f"the result holds no {name}; its groups are: {there or 'none'}")
+
+    def __dir__(self):
+        """List what there is, for completion."""
+        return [*super().__dir__(), *self.records, *self.attributes]
+
+    def __repr__(self):
+        """Name the scene, the status and the records."""
+        said = [f"{name}={self.attributes.get(name)!r}" for name in ("scene", "status")]
+        return f"Result({', '.join([*said, *self.records])})"
