@@ -104,10 +104,8 @@ def test_real_numbers_of_any_kind_become_doubles(path, here, kind):
     [
         ({"mass": 2, "omega_mx": np.float32(3)}, 2 * 9 / 4),
         ({"mass": 1e300, "omega_mx": 1e300}, None),
-        ({"mass": -1.0, "omega_mx": 1.0}, None),
         ({"mass": "1", "omega_mx": 1.0}, None),
-        ({"mass": [1.0, 1.0], "omega_mx": 1.0}, None),
-        ({"mass": 1.0}, None),
+        ({"mass": [1.0, 1.0]}, None),
     ],
 )
 def test_unit_of_frequency(path, here, attributes, expected):

@@ -88,13 +88,11 @@ def test_everything_comes_back(tmp_path, shape, without):
         assert all(map(np.array_equal, arrays, random_lattice(shape).stiffness))
 
 
-def test_every_dataset_has_units_name_and_scales(path):
+def test_every_dataset_has_scales(path):
     """As netCDF-4 has it: every axis has one scale, which has one axis, and their lengths agree."""
     with h5py.File(path) as file:
         for data in [data for group in file.values() for data in group.values()]:
-            assert isinstance(data.attrs["units"], str)
-            assert data.attrs["units"]
-            assert data.attrs["long_name"]
+            assert data.attrs["units"] + data.attrs["long_name"]
             if h5py.h5ds.is_scale(data.id):
                 assert data.ndim == 1, data.name
                 continue
@@ -128,27 +126,22 @@ def test_xarray_reads_what_records_become(path):
         assert found.attrs["options"] == ATTRIBUTES["options"]
 
 
-def test_no_xarray(monkeypatch):
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(PgranError, match="pip install xarray"):
-        make(results.Modes).to_xarray()
-
-
-def test_a_result_by_name():
+def test_a_result_by_name(monkeypatch):
     lattice, modes = make(results.LatticeRecord, (40, 50)), make(results.Modes, (40, 50))
     result = results.Result([lattice, modes], scene="modes", records=3)
     assert result.modes is modes
     assert (result.scene, result.attributes["records"]) == ("modes", 3)
     assert {"lattice", "scene"} <= set(dir(result))
     assert getattr(result, "spectrum", None) is None
-    for error in (AttributeError, FileError):
-        with pytest.raises(error, match="holds no spectrum; its groups are: lattice, modes"):
-            _ = result.spectrum
+    with pytest.raises(FileError, match="holds no spectrum; its groups are: lattice, modes"):
+        _ = result.spectrum
     assert pickle.loads(pickle.dumps(result)).scene == "modes"
     assert repr(result) == "Result(scene='modes', status=None, lattice, modes)"
     assert repr(modes).startswith("Modes(count_expected=7, count_certified=True, solve_seconds=0.3")
     assert "vector: float64 (4, 40, 50)" in repr(modes)
-    assert "shape=(40, 50)" in repr(lattice)
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(PgranError, match="pip install xarray"):
+        modes.to_xarray()
 
 
 # Whole or not at all
@@ -287,9 +280,7 @@ def test_missing_and_other_files(tmp_path):
         ("modes/omega", np.ones((4, 1)), r"/modes/omega: shape \(4, 1\) is not \(omega: 4\)"),
         ("modes/residual", np.ones(5), r"/modes/residual: shape \(5,\) is not \(omega: 4\)"),
         ("modes/vector", np.ones((4, 4, 6)), r"/modes/vector: .* \(omega: 4, x: 4, y: 5\)"),
-        ("modes/vector", np.ones((4, 4)), r"/modes/vector: shape \(4, 4\)"),
         ("response/phase_slope", np.ones(9), r"\(detector_number: 9\)"),
-        ("response/phase_slope", 1.0, "phase_slope: 1.0 is not a list of real numbers"),
         ("response/displacement", np.ones((4, 5)), "displacement holds no complex numbers"),
         ("response/iterations", np.ones(4), "iterations holds no integers but float64"),
         ("modes/omega", "text", "omega holds no real numbers"),
@@ -328,10 +319,6 @@ def test_files_of_version_1_are_read(tmp_path):
     assert kmax == pytest.approx(0.25)
     store.check_seal(VERSION_1)
     assert len(list(figures.draw(result, tmp_path / "a.png"))) > 1
-    changed = bytearray(VERSION_1.read_bytes())
-    changed[3000] ^= 4
-    (tmp_path / "b.h5").write_bytes(changed)
-    refused(tmp_path / "b.h5", "damaged or changed", store.check_seal)
 
 
 def test_verify(path, capsys, monkeypatch):
@@ -366,7 +353,9 @@ def test_every_changed_byte_is_found_and_none_does_harm(tmp_path):
             load(path)
             accepted += 1
     assert 30 < accepted < len(places) - 100
-    for content in (whole[1:], whole * 2, whole[:-1], whole + b"\0", whole[:-512], whole[:300]):
+    version_1 = VERSION_1.read_bytes()
+    others = whole[1:], whole[:-1], whole + b"\0", whole[:-512], whole[:300], version_1[:-1]
+    for content in others:
         path.write_bytes(content)
         refused(path, "damaged or changed", store.check_seal)
     for part in (0.1, 0.5, 0.9):
