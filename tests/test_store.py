@@ -17,7 +17,7 @@ import pytest
 from samples import random_lattice
 
 from pgran import __main__ as command_line
-from pgran import figures, load, results
+from pgran import load, results
 from pgran.errors import DONE, FileError, PgranError
 from pgran.files import store
 
@@ -308,7 +308,7 @@ def test_what_users_add_does_no_harm(path):
     assert not hasattr(result, "own")
 
 
-def test_files_of_version_1_are_read(tmp_path):
+def test_files_of_version_1_are_read():
     """Its seal comes first, and some arrays came later."""
     result = load(VERSION_1)
     assert (result.format_version, result.pgran_version) == (1, "0.1.0")
@@ -318,7 +318,6 @@ def test_files_of_version_1_are_read(tmp_path):
     assert np.array_equal(stiffness[0], result.lattice.stiffness_x)
     assert kmax == pytest.approx(0.25)
     store.check_seal(VERSION_1)
-    assert len(list(figures.draw(result, tmp_path / "a.png"))) > 1
 
 
 def test_verify(path, capsys, monkeypatch):
@@ -337,7 +336,7 @@ def test_verify(path, capsys, monkeypatch):
 
 
 def test_every_changed_byte_is_found_and_none_does_harm(tmp_path):
-    """One bit anywhere, bytes more or less: `load` reads or refuses, `check_seal` knows."""
+    """One bit anywhere, bytes more or less: `load` reads what only lost its seal."""
     path = tmp_path / "a.h5"
     kinds = results.LatticeRecord, results.Response
     store.write(path, ATTRIBUTES, [make(kind, (1, 1)) for kind in kinds])
@@ -350,9 +349,9 @@ def test_every_changed_byte_is_found_and_none_does_harm(tmp_path):
         path.write_bytes(changed)
         refused(path, "damaged or changed", store.check_seal)
         with contextlib.suppress(FileError):
-            load(path)
+            assert load(path).response.omega.size
             accepted += 1
-    assert 30 < accepted < len(places) - 100
+    assert accepted <= sum(place >= size - 512 for place in places)
     version_1 = VERSION_1.read_bytes()
     others = whole[1:], whole[:-1], whole + b"\0", whole[:-512], whole[:300], version_1[:-1]
     for content in others:

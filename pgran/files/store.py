@@ -16,6 +16,7 @@ import numpy as np
 
 from pgran.errors import FileError, reason_of
 from pgran.files import hdf5
+from pgran.files.paths import open_regular
 from pgran.files.seal import check_seal, has_seal, seal_of
 from pgran.record import MisfitError, Result, axes_of, dimensions_of, plain_value
 from pgran.results import RECORDS
@@ -148,10 +149,9 @@ def _write_record(file, record):
 
 
 def _stored(value):
-    """Return a value as HDF5 and netCDF take it: truth as an integer, text as UTF-8 in place.
-
-    Texts of variable length lie in a heap without checksum, and HDF5 can crash on damage there.
-    """
+    """Return a value as HDF5 and netCDF take it: truth as an integer, texts of a list in place."""
+    if isinstance(value, str):
+        return value
     value = np.asarray(value)
     if value.dtype.kind == "b":
         return value.astype(np.int8)
@@ -187,8 +187,9 @@ def is_result(path):
 def load(path):
     """Return a result: `load(path).response.omega`. Not collective.
 
-    The structure of the file is checked, its checksum is not: see `check_seal`. Groups that pgran
-    does not know are left out.
+    The structure of the file is checked; its checksum only where that costs nothing, in a small
+    file that still has its seal, because HDF5 can crash on damage. Groups that pgran does not know
+    are left out.
 
     Parameters
     ----------
@@ -204,6 +205,9 @@ def load(path):
     FileError
         If the file is no result, is damaged, or lacks what its records declare.
     """
+    open_regular(path).close()
+    if os.path.getsize(path) <= hdf5.MODEST and has_seal(path):
+        check_seal(path)
     with hdf5.opened(path) as file:
         facts = file.attributes("/")
         if str(facts.get("format")) != FORMAT:
