@@ -146,12 +146,10 @@ class ProjectedSweep(FrequencySweep):
         nowhere = np.empty((0, len(lattice.shape)), dtype=np.int64)
         super().__init__(lattice, omegas, nowhere, kept, choices | {"whole_field": True})
 
-    def keep(self, point, field):
+    def keep(self, point, solver):
         """Project: c_i = sum over balls p of A_p f_i(p) (paper: cidef)."""
-        amplitudes = field().ravel()
-        point["coefficient"] = self.vectors @ amplitudes.real + 1j * (
-            self.vectors @ amplitudes.imag
-        )
+        field = solver.operators.field(solver.field).ravel()
+        point["coefficient"] = self.vectors @ field.real + 1j * (self.vectors @ field.imag)
 
     def collect(self, rows, seconds):
         """See `Task`; what belongs to the modes is added by `project`."""

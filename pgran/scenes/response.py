@@ -145,11 +145,11 @@ class ResponseSweep(FrequencySweep):
         choices = common.steady_choices(steady) | {"whole_field": fields}
         super().__init__(lattice, omegas, sites, kept, choices)
 
-    def keep(self, point, field):
-        """See `FrequencySweep`."""
+    def keep(self, point, solver):
+        """See `FrequencySweep`; the field comes to the first rank of a group."""
         if self.fields:
-            found = field()
-            point["field"] = 0.0 if found is None else found
+            field = solver.operators.field(solver.field)
+            point["field"] = 0.0 if field is None else field
 
     def collect(self, rows, seconds):
         """See `Task`."""

@@ -39,14 +39,10 @@ class FrequencySweep(Task):
         check_frequency(self.scaled, self.omegas[-1])
         self.units = ranges(len(self.omegas))
 
-    def keep(self, point, field):
-        """Put into a row what is wanted of the whole field. Collective over a group.
+    def keep(self, point, solver):
+        """Put into a row, besides what a `SteadyState` has, what is wanted of the solver.
 
-        Parameters
-        ----------
-        point : numpy.void of `row`
-        field : callable
-            Returns the field on the first rank of the group, None on the others. Collective.
+        Collective over a group.
         """
 
     @contextlib.contextmanager
@@ -70,7 +66,7 @@ class FrequencySweep(Task):
                     for name in self.row.names:
                         if hasattr(state, name):
                             point[name] = getattr(state, name)
-                    self.keep(point, lambda: operators.field(solver.field))
+                    self.keep(point, solver)
                 return points
 
             yield work
