@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 
+from pgran.parallel.agreement import on_root
 from pgran.parallel.progress import Progress
 
 
@@ -83,9 +84,8 @@ def carry_out(task, crew, progress="none"):
             counter.advance(len(rows))
 
         crew.share(task, work, deliver)
-    if not root:
-        return None
-    return task.collect(_joined(parts, task.row), time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    return on_root(crew.world, lambda: task.collect(_joined(parts, task.row), seconds), keep=True)
 
 
 def _joined(parts, row):

@@ -18,7 +18,7 @@ def in_parallel(shares_lattice=False):
     Parameters
     ----------
     shares_lattice : bool
-        Whether several ranks may share the function's first argument, if it is large.
+        Whether several ranks may share the function's lattice, if it is large.
     """
 
     def decorate(function):
@@ -32,11 +32,11 @@ def in_parallel(shares_lattice=False):
                 return function(*arguments, **choices)
             from mpi4py import MPI
 
-            from pgran.parallel.crew import Crew
+            from pgran.parallel.crew import AgreeingCrew
 
             world = MPI.COMM_WORLD
-            ranks = automatic_ranks(arguments[0].shape, world.size) if shares_lattice else 1
-            with solver_options(solver), Crew(world, ranks) as crew:
+            ranks = automatic_ranks(given["lattice"].shape, world.size) if shares_lattice else 1
+            with solver_options(solver), AgreeingCrew(world, ranks) as crew:
                 return world.bcast(function(*arguments, **choices | {"crew": crew}))
 
         return wrapped
