@@ -56,8 +56,10 @@ def read_file(path):
         raise FileError(f"{path}: not a text file (line {line})")
     given = []
     for number, line in enumerate(text.splitlines(), 1):
-        where = f" ({path}, line {number})"
         words = UNQUOTED.findall(line.partition("#")[0])
+        if not words:
+            continue
+        where = f" ({path}, line {number})"
         try:
             if QUOTES.search("".join(words)):  # seldom: shlex is slow
                 words = shlex.split(line, comments=True)
