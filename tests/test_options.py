@@ -29,9 +29,6 @@ def refusal(text, key):
     return str(caught.value)
 
 
-# One option
-
-
 def test_defaults_of_the_paper():
     found = options("-scene response")
     assert (found.lattice_shape, found.detectors) == ((20, 20), (8, 10))
@@ -54,37 +51,29 @@ def test_range(option):
             assert str(caught.value).endswith(f" is not {option.range()}")
 
 
-WRONG = {
-    "integer": ["1.5", "x", "", "1,2", "1e3", "nan", "9" * 30, "9" * 5000],
-    "real": ["x", "", "1,2", "nan", "inf", "-inf", "1e999"],
-    "integers": ["x", "", "1,,2", "1.5,2", "1,", "9" * 30],
-    "reals": ["x", "", "1,,2", "1,nan", "inf", ","],
-    "flag": ["maybe", "2", "tru"],
-    "text": [""],
-    "texts": ["", ",", "a,,b", "a,"],
-}
-WRONG_IN_PYTHON = {
-    "integer": ["3", 3.0, None, True, (3,), [3]],
-    "real": ["1.0", None, np.nan, float("inf"), 1j, True, (1.0,)],
-    "integers": ["8,10", 8, None, (1.5, 2), (), (8, None)],
-    "reals": ["0.5", 0.5, None, (0.5, np.inf), ()],
-    "flag": ["true", None, 2, 0.5],
-    "text": [5, None, ("window",), ""],
-    "texts": [5, None, "a.opts,b.opts", ("a,b",), ()],
+WRONG = {  # as a text, and as a value given in Python
+    "integer": (["1.5", "x", "", "1,2", "9" * 30, "9" * 5000], ["3", 3.0, None, True, (3,)]),
+    "real": (["x", "", "1,2", "nan", "-inf", "1e999"], ["1.0", None, np.nan, 1j, True, (1.0,)]),
+    "integers": (["x", "", "1,,2", "1.5,2", "1,"], ["8,10", 8, None, (1.5, 2), (), (8, None)]),
+    "reals": (["x", "", "1,,2", "1,nan", ","], ["0.5", 0.5, None, (0.5, np.inf), ()]),
+    "flag": (["maybe", "2", "tru"], ["true", None, 2, 0.5]),
+    "text": ([""], [5, None, ("window",), ""]),
+    "texts": (["", ",", "a,,b", "a,"], [5, None, "a.opts,b.opts", ("a,b",), ()]),
 }
 
 
 @each_option
 def test_wrong_types_are_refused(option):
     """A text, and a value given in Python, which is never read as if it were a text."""
-    for text in WRONG[option.kind.name]:
+    texts, values = WRONG[option.kind.name]
+    for text in texts:
         with pytest.raises(InputError) as caught:
             option.read(text, " (here)")
         message = str(caught.value)
         assert message.startswith(f"-{option.name} {text[:99]}")
         assert message.endswith(f" (here): needs a value of the type `{option.kind.name}`")
         assert len(message) < 1100
-    for value in WRONG_IN_PYTHON[option.kind.name]:
+    for value in values:
         with pytest.raises(InputError, match=f"^-{option.name} "):
             option.check(value)
     if option.choices:
@@ -121,9 +110,6 @@ def test_more_than_fits_into_memory():
         driving_frequencies(asked)
 
 
-# Keys
-
-
 @pytest.mark.parametrize(
     ("key", "meant"),
     [
@@ -151,9 +137,6 @@ def test_keys_of_other_scenes(scene):
     for name in foreign.keys() - options_of(scene).keys():
         message = refusal(f"-scene {scene} -{name} 1", name)
         assert re.search(rf"does not use it, but .*\b{foreign[name]}\b", message)
-
-
-# Several options
 
 
 def test_later_keys_win(written, monkeypatch):
@@ -205,9 +188,6 @@ def test_contradictions(text, key):
     refusal(f"-scene response {text}", key)
 
 
-# The resolved text
-
-
 @pytest.mark.parametrize(
     "words",
     [
@@ -240,9 +220,6 @@ def test_a_run_is_what_decides_its_numbers():
         other = options(f"-scene response {what}").identity()
         assert {k for k in other if other[k] != run.get(k)} == {key}
         assert other[key] == (value or "true").replace("1e-3", "0.001")
-
-
-# The list of options
 
 
 @pytest.mark.parametrize("scene", [None, *SCENES])

@@ -19,14 +19,6 @@ class Kind:
     read: Callable
 
 
-def _flag(text):
-    """Read a flag; a key without a value is true."""
-    word = text.lower()
-    if word not in ("", "true", "yes", "1", "on", "false", "no", "0", "off"):
-        raise ValueError
-    return word in ("", "true", "yes", "1", "on")
-
-
 def _only(possible, read):
     """Return what reads a value, and raises ValueError unless it is possible."""
 
@@ -43,9 +35,12 @@ def _several(kind):
     return Kind(f"{kind.name}s", lambda text: tuple(map(kind.read, text.split(","))))
 
 
+# A key without a value is true.
+FLAGS = dict.fromkeys(("", "true", "yes", "1", "on"), True)
+FLAGS |= dict.fromkeys(("false", "no", "0", "off"), False)
 INTEGER = Kind("integer", _only(lambda value: abs(value) < 2**64, int))
 REAL = Kind("real", _only(math.isfinite, float))
-FLAG = Kind("flag", _flag)
+FLAG = Kind("flag", lambda text: FLAGS[text.lower()])
 TEXT = Kind("text", _only(len, str))
 INTEGERS, REALS, TEXTS = _several(INTEGER), _several(REAL), _several(TEXT)
 
@@ -94,7 +89,7 @@ class Option:
         """
         try:
             value = self.kind.read(text.strip())
-        except ValueError:
+        except (ValueError, KeyError):
             raise self._wrong_type(text, where) from None
         if self.choices and value not in self.choices:
             near = nearest(value, self.choices)
@@ -112,12 +107,9 @@ class Option:
 
     def _bounds(self):
         """Return the sign of each bound that there is, what it means, and the bound."""
-        bounds = (
-            (">", operator.gt, self.above),
-            (">=", operator.ge, self.low),
-            ("<=", operator.le, self.high),
-        )
-        return [known for known in bounds if known[2] is not None]
+        above, low = (">", operator.gt, self.above), (">=", operator.ge, self.low)
+        bounds = (above, low, ("<=", operator.le, self.high))
+        return [(sign, holds, bound) for sign, holds, bound in bounds if bound is not None]
 
     def write(self, value):
         """Return the line of an options file that sets this value."""
@@ -190,9 +182,8 @@ class Options:
         Not collective. Without what was meant for this run alone: to replace a result, to be dry.
         """
         lines = [f"-scene {self.scene}"]
-        for option in self._declared:
-            value = self._values[option.name]
-            if value is not None and option.name not in ("output_overwrite", "dry_run"):
+        for option, value in self._known():
+            if option.name not in ("output_overwrite", "dry_run"):
                 lines.append(option.write(value))
         for key, text in self.solver.items():
             lines.append(f"-{key} {shlex.quote(text)}" if text else f"-{key}")
@@ -200,9 +191,11 @@ class Options:
 
     def identity(self):
         """Return what decides the run's numbers, {option: text}; how it is carried out does not."""
-        found = {"scene": self.scene}
-        for option in self._declared:
-            value = self._values[option.name]
-            if value is not None and option not in RUN:
-                found[option.name] = text_of(value)
-        return found | {k: text for k, text in self.solver.items() if is_solver_key(k)}
+        found = {option.name: text_of(v) for option, v in self._known() if option not in RUN}
+        solver = {key: text for key, text in self.solver.items() if is_solver_key(key)}
+        return {"scene": self.scene} | found | solver
+
+    def _known(self):
+        """Return pairs of the options that have a value, and it."""
+        pairs = [(option, self._values[option.name]) for option in self._declared]
+        return [(option, value) for option, value in pairs if value is not None]

@@ -21,7 +21,7 @@ NO_TEXT = re.compile(r"[^\t\n\r -~\u00a0-\ud7ff\ue000-\U0010ffff]")
 KEY = re.compile(r"--?[A-Za-z][\w.-]*", re.ASCII)
 UNQUOTED, QUOTES = re.compile(r"[^ \t]+"), re.compile(r"['\"\\]")
 # What other programs' files begin a comment with, and what others write instead of a dash.
-COMMENTS, DASHES = ("//", "/*", "%", ";", "!"), ("\u2010", "\u2011", "\u2013", "\u2014", "\u2212")
+COMMENTS, DASHES = ("//", "/*", "%", ";", "!"), tuple("\u2010\u2011\u2013\u2014\u2212")
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,8 @@ def read_words(words, where=""):
 def check_word(word, where=""):
     """Raise where a word could not be read again from an options file. Not collective."""
     if NO_TEXT.search(word) or "".join(word.splitlines()) != word:
-        raise InputError(
-            f"{word}{where}: holds a line break, a control character, or a byte that is no UTF-8"
-        )
+        odd = "a line break, a control character, or a byte that is no UTF-8"
+        raise InputError(f"{word}{where}: holds {odd}")
 
 
 def _hint(word, given=()):

@@ -4,6 +4,7 @@ A file can choose solvers and set numbers; it cannot make PETSc load code, start
 files. What is not on the list is taken from the command line only, from who means it.
 """
 
+import contextlib
 import re
 
 from pgran.errors import InputError
@@ -171,13 +172,10 @@ def check_pivot_shifts(keys):
         # what a preconditioner inside another one shifts by default depends on both
         plain = pc == "steady_pc_" and keys.get("steady_pc_type", "lu") in ("lu", "cholesky", "ilu")
         shift = keys.get(f"{pc}factor_shift_type", "none" if plain else "unknown").lower()
-        try:
-            small = float(text) < SMALLEST_SHIFT
-        except ValueError:
-            continue  # PETSc says so itself
-        if small and shift not in ("none", "nonzero"):
-            raise InputError(
-                f"-{key} {text}: PETSc may shift the pivots of a singular matrix by as little, and "
-                f"never end; leave it out, give {SMALLEST_SHIFT:g} or more, or say "
-                f"-{pc}factor_shift_type none"
-            )
+        with contextlib.suppress(ValueError):  # PETSc says itself what is no number
+            if float(text) < SMALLEST_SHIFT and shift not in ("none", "nonzero"):
+                raise InputError(
+                    f"-{key} {text}: PETSc may shift the pivots of a singular matrix by as little, "
+                    f"and never end; leave it out, give {SMALLEST_SHIFT:g} or more, or say "
+                    f"-{pc}factor_shift_type none"
+                )
