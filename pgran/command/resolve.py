@@ -5,14 +5,8 @@ import pkgutil
 
 from pgran import scenes
 from pgran.errors import DONE, InputError
+from pgran.files import solver_keys
 from pgran.files.options import RUN, TEXT, Option, Options, nearest
-from pgran.files.solver_keys import (
-    SOLVER_PREFIXES,
-    check_in_file,
-    check_pivot_shifts,
-    is_petsc_key,
-    is_solver_key,
-)
 
 # Every module of `pgran.scenes` that has the facts of a scene is one.
 SCENES = {
@@ -58,7 +52,7 @@ def resolve(given, output_file=None):
         elif key != "scene":
             _check_foreign(key, item, scene)
             solver[key] = item.text
-    check_pivot_shifts(solver)
+    solver_keys.check_pivot_shifts(solver)
     if not SCENES[scene].shares_lattice and values["ranks_per_lattice"] > 1:
         raise InputError(f"-ranks_per_lattice: scene {scene} has one rank for each lattice only")
     SCENES[scene].check(values, last)
@@ -72,30 +66,21 @@ def _check_foreign(key, item, scene):
         raise InputError(
             f"-{key}{item.where}: scene {scene} does not use it, but {', '.join(users)} does"
         )
-    if is_solver_key(key) or is_petsc_key(key):
-        check_in_file(key, item)
+    if solver_keys.is_solver_key(key) or solver_keys.is_petsc_key(key):
+        solver_keys.check_in_file(key, item)
         return
     near = nearest(key, ["scene", *options_of(scene)])
     if key.startswith(("ksp_", "pc_")):
         near = f"steady_{key}"
     elif key.startswith(("eps_", "st_")):
         near = f"normal_{key}"
-    raise InputError(
-        f"-{key}{item.where}: unknown option"
-        + (f"; did you mean -{near}?" if near else "")
-        + f" (pgran options {scene} lists all)"
-    )
+    hint = f"; did you mean -{near}?" if near else ""
+    raise InputError(f"-{key}{item.where}: unknown option{hint} (pgran options {scene} lists all)")
 
 
 def list_options(words):
     """Carry out `pgran options [SCENE]`: list every option of one scene, or of all."""
-    if words and words[0] not in SCENES:
-        near = nearest(words[0], SCENES)
-        raise InputError(
-            f"{words[0]}: no scene; choose {', '.join(SCENES)}"
-            + (f"; did you mean {near}?" if near else "")
-        )
-    print(describe_options(words[0] if words else None), end="")
+    print(describe_options(SCENE_OPTION.read(words[0]) if words else None), end="")
     return DONE
 
 
@@ -104,7 +89,6 @@ def describe_options(scene=None):
     names = [scene] if scene else SCENES
     all_options = (option for name in names for option in options_of(name).values())
     lines = [option.describe() for option in dict.fromkeys([SCENE_OPTION, *all_options])]
-    lines += [
-        f"-{prefix}*\n    PETSc options of {what}\n" for prefix, what in SOLVER_PREFIXES.items()
-    ]
+    prefixes = solver_keys.SOLVER_PREFIXES.items()
+    lines += [f"-{prefix}*\n    PETSc options of {what}\n" for prefix, what in prefixes]
     return "".join(lines)

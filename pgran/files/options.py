@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import operator
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,44 +19,30 @@ class Kind:
     read: Callable
 
 
-def _flag(text):
-    """Read a flag; a key without a value is true."""
-    words = {"": True, "true": True, "yes": True, "1": True, "on": True}
-    words |= {"false": False, "no": False, "0": False, "off": False}
-    return words[text.lower()]
+def _only(possible, read):
+    """Return what reads a value, and raises ValueError unless it is possible."""
+
+    def checked(text):
+        value = read(text)
+        if not possible(value):
+            raise ValueError
+        return value
+
+    return checked
 
 
-def _text(text):
-    if not text:
-        raise ValueError
-    return text
+def _several(kind):
+    return Kind(f"{kind.name}s", lambda text: tuple(map(kind.read, text.split(","))))
 
 
-def _integer(text):
-    value = int(text)
-    if abs(value) >= 2**64:
-        raise ValueError
-    return value
-
-
-def _real(text):
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError
-    return value
-
-
-def _several(read):
-    return lambda text: tuple(read(part) for part in text.split(","))
-
-
-INTEGER = Kind("integer", _integer)
-REAL = Kind("real", _real)
-INTEGERS = Kind("integers", _several(_integer))
-REALS = Kind("reals", _several(_real))
-FLAG = Kind("flag", _flag)
-TEXT = Kind("text", _text)
-TEXTS = Kind("texts", _several(_text))
+# A key without a value is true.
+FLAGS = dict.fromkeys(("", "true", "yes", "1", "on"), True)
+FLAGS |= dict.fromkeys(("false", "no", "0", "off"), False)
+INTEGER = Kind("integer", _only(lambda value: abs(value) < 2**64, int))
+REAL = Kind("real", _only(math.isfinite, float))
+FLAG = Kind("flag", lambda text: FLAGS[text.lower()])
+TEXT = Kind("text", _only(len, str))
+INTEGERS, REALS, TEXTS = _several(INTEGER), _several(REAL), _several(TEXT)
 
 
 def text_of(value):
@@ -104,32 +91,25 @@ class Option:
             value = self.kind.read(text.strip())
         except (ValueError, KeyError):
             raise self._wrong_type(text, where) from None
-        numbers = value if isinstance(value, tuple) else (value,)
         if self.choices and value not in self.choices:
             near = nearest(value, self.choices)
-            raise InputError(
-                f"-{self.name} {text}{where}: choose {', '.join(self.choices)}"
-                + (f"; did you mean {near}?" if near else "")
-            )
-        for number in numbers:
-            if (
-                (self.low is not None and number < self.low)
-                or (self.above is not None and number <= self.above)
-                or (self.high is not None and number > self.high)
-            ):
+            hint = f"; did you mean {near}?" if near else ""
+            choices = ", ".join(self.choices)
+            raise InputError(f"-{self.name} {text}{where}: choose {choices}{hint}")
+        for number in value if isinstance(value, tuple) else (value,):
+            if not all(holds(number, bound) for _, holds, bound in self._bounds()):
                 raise InputError(f"-{self.name} {text}{where}: {number} is not {self.range()}")
         return value
 
     def range(self):
         """Return the range in words."""
-        words = []
-        if self.above is not None:
-            words.append(f"> {self.above:g}")
-        if self.low is not None:
-            words.append(f">= {self.low:g}")
-        if self.high is not None:
-            words.append(f"<= {self.high:g}")
-        return " and ".join(words)
+        return " and ".join(f"{sign} {bound:g}" for sign, _, bound in self._bounds())
+
+    def _bounds(self):
+        """Return the sign of each bound that there is, what it means, and the bound."""
+        above, low = (">", operator.gt, self.above), (">=", operator.ge, self.low)
+        bounds = (above, low, ("<=", operator.le, self.high))
+        return [(sign, holds, bound) for sign, holds, bound in bounds if bound is not None]
 
     def write(self, value):
         """Return the line of an options file that sets this value."""
@@ -138,10 +118,9 @@ class Option:
     def check(self, value):
         """Return a value given in Python as the command line would read it; raise as it does."""
         plain = _without_numpy(value)
-        text = text_of(plain)
-        read = self.read(text)
+        read = self.read(text_of(plain))
         if read != plain:
-            raise self._wrong_type(text)
+            raise self._wrong_type(text_of(plain))
         return read
 
     def describe(self):
@@ -182,9 +161,9 @@ RUN = (
 
 
 class Options:
-    """The resolved options of a run: every physics option by name, and the solver keys given.
+    """The resolved options of a run: `options.lattice_shape` is the value of `-lattice_shape`.
 
-    `options.lattice_shape` is the value of `-lattice_shape`. `solver` holds what goes to PETSc.
+    `solver` holds the keys that go to PETSc.
     """
 
     def __init__(self, scene, declared, values, solver):
@@ -193,21 +172,18 @@ class Options:
 
     def __getattr__(self, name):
         """Return the value of an option of this scene."""
-        try:
-            return self.__dict__["_values"][name]
-        except KeyError:
-            raise AttributeError(f"scene {self.scene} has no option -{name}") from None
+        if name not in self.__dict__["_values"]:
+            raise AttributeError(f"scene {self.scene} has no option -{name}")
+        return self._values[name]
 
     def text(self):
         """Return a complete options file that reproduces the run.
 
-        Not collective. Without those that were meant for this run alone: to replace a result, and
-        to say only what the run will need.
+        Not collective. Without what was meant for this run alone: to replace a result, to be dry.
         """
         lines = [f"-scene {self.scene}"]
-        for option in self._declared:
-            value = self._values[option.name]
-            if value is not None and option.name not in ("output_overwrite", "dry_run"):
+        for option, value in self._known():
+            if option.name not in ("output_overwrite", "dry_run"):
                 lines.append(option.write(value))
         for key, text in self.solver.items():
             lines.append(f"-{key} {shlex.quote(text)}" if text else f"-{key}")
@@ -215,9 +191,11 @@ class Options:
 
     def identity(self):
         """Return what decides the run's numbers, {option: text}; how it is carried out does not."""
-        found = {"scene": self.scene}
-        for option in self._declared:
-            value = self._values[option.name]
-            if value is not None and option not in RUN:
-                found[option.name] = text_of(value)
-        return found | {k: text for k, text in self.solver.items() if is_solver_key(k)}
+        found = {option.name: text_of(v) for option, v in self._known() if option not in RUN}
+        solver = {key: text for key, text in self.solver.items() if is_solver_key(key)}
+        return {"scene": self.scene} | found | solver
+
+    def _known(self):
+        """Return pairs of the options that have a value, and it."""
+        pairs = [(option, self._values[option.name]) for option in self._declared]
+        return [(option, value) for option, value in pairs if value is not None]

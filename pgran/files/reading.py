@@ -2,8 +2,7 @@
 
 Options files have PETSc's syntax (`-key value`, `#` starts a comment) but are read and checked
 here, before PETSc starts: an unknown key, a wrong type or an impossible value is an error that
-names the key. A file can choose solvers and set numbers; it cannot make PETSc load code, start
-programs or write files. Who gives such keys on the command line means them.
+names the key.
 """
 
 import os
@@ -12,20 +11,17 @@ import shlex
 from dataclasses import dataclass
 
 from pgran.errors import FileError, InputError
+from pgran.files import solver_keys
 from pgran.files.paths import open_regular
-from pgran.files.solver_keys import (
-    SOLVER_PREFIXES,
-    check_in_file,
-    check_pivot_shifts,
-    is_solver_key,
-)
 
 ENVIRONMENT = " (PETSC_OPTIONS)"
 LONGEST_FILE = 2**20  # bytes of an options file
-NO_TEXT = re.compile(r"[^\t\n\r -~\u00a0-\ud7ff\ue000-\U0010ffff]")  # control characters, no UTF-8
+# Control characters and surrogates, which stand for bytes that are no UTF-8.
+NO_TEXT = re.compile(r"[^\t\n\r -~\u00a0-\ud7ff\ue000-\U0010ffff]")
 KEY = re.compile(r"--?[A-Za-z][\w.-]*", re.ASCII)
+UNQUOTED, QUOTES = re.compile(r"[^ \t]+"), re.compile(r"['\"\\]")
 # What other programs' files begin a comment with, and what others write instead of a dash.
-COMMENTS, DASHES = ("//", "/*", "%", ";", "!"), ("\u2010", "\u2011", "\u2013", "\u2014", "\u2212")
+COMMENTS, DASHES = ("//", "/*", "%", ";", "!"), tuple("\u2010\u2011\u2013\u2014\u2212")
 
 
 @dataclass(frozen=True)
@@ -60,9 +56,13 @@ def read_file(path):
         raise FileError(f"{path}: not a text file (line {line})")
     given = []
     for number, line in enumerate(text.splitlines(), 1):
+        words = UNQUOTED.findall(line.partition("#")[0])
+        if not words:
+            continue
         where = f" ({path}, line {number})"
         try:
-            words = shlex.split(line, comments=True)
+            if QUOTES.search("".join(words)):  # seldom: shlex is slow
+                words = shlex.split(line, comments=True)
         except ValueError as error:
             hint = next((hint for word in line.split() if (hint := _hint(word))), error)
             raise InputError(f"{line.strip()}{where}: {hint}") from None
@@ -92,9 +92,8 @@ def read_words(words, where=""):
 def check_word(word, where=""):
     """Raise where a word could not be read again from an options file. Not collective."""
     if NO_TEXT.search(word) or "".join(word.splitlines()) != word:
-        raise InputError(
-            f"{word}{where}: holds a line break, a control character, or a byte that is no UTF-8"
-        )
+        odd = "a line break, a control character, or a byte that is no UTF-8"
+        raise InputError(f"{word}{where}: holds {odd}")
 
 
 def _hint(word, given=()):
@@ -102,33 +101,19 @@ def _hint(word, given=()):
     if word.startswith(COMMENTS):
         return "a comment begins with #"
     if word.startswith(DASHES):
-        return "begins with a long dash; keys begin with -, as in -key"
+        return "begins with a long dash; keys begin with -"
     if re.fullmatch("[a-z]+(_[a-z]+)*", word.lower()):
         return f"a value without a key; did you mean -{word.lower()}?"
     if given:
-        last = given[-1]
-        both = f"{last.text.strip(',')},{word.strip(',')}"
-        return f"a value without a key; a list has no blanks: -{last.key} {both}"
+        both = f"{given[-1].text.strip(',')},{word.strip(',')}"
+        return f"a value without a key; a list has no blanks: -{given[-1].key} {both}"
     return None
 
 
 def read_solver(path, own):
-    """Return what the options file of a solver sets.
+    """Return what the options file of a solver sets: values of options, and keys for PETSc.
 
-    Not collective.
-
-    Parameters
-    ----------
-    path : str
-    own : dict of Option
-        By name: what it may set besides keys of PETSc's solvers.
-
-    Returns
-    -------
-    values : dict
-        Of options in `own`.
-    keys : dict of str
-        For PETSc's option database.
+    Not collective. `own` are the options by name that it may set besides keys of PETSc's solvers.
 
     Raises
     ------
@@ -140,15 +125,13 @@ def read_solver(path, own):
         key = item.key.lower()
         if key in own:
             values[key] = own[key].read(item.text, item.where)
-        elif is_solver_key(key):
-            check_in_file(key, item)
+        elif solver_keys.is_solver_key(key):
+            solver_keys.check_in_file(key, item)
             keys[key] = item.text
         else:
-            allowed = [f"-{name}" for name in (*own, *(f"{p}*" for p in SOLVER_PREFIXES))]
-            raise InputError(
-                f"-{key}{item.where}: the file of a solver holds {', '.join(allowed)} only"
-            )
-    check_pivot_shifts(keys)
+            allowed = ", -".join([*own, *(f"{prefix}*" for prefix in solver_keys.SOLVER_PREFIXES)])
+            raise InputError(f"-{key}{item.where}: the file of a solver holds -{allowed} only")
+    solver_keys.check_pivot_shifts(keys)
     return values, keys
 
 

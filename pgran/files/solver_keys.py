@@ -1,21 +1,19 @@
 """Keys that belong to PETSc and SLEPc, and which of them a file may set.
 
 A file can choose solvers and set numbers; it cannot make PETSc load code, start programs or write
-files. So there is a list of what it may set; what is not on the list is taken from the command line
-only, from who means it.
+files. What is not on the list is taken from the command line only, from who means it.
 """
 
+import contextlib
 import re
 
 from pgran.errors import InputError
 
 SMALLEST_SHIFT = 1e-14  # of pivots, against bond constants of about 1
-
 SOLVER_PREFIXES = {
     "steady_": "every driven steady state (KSP, PC)",
     "normal_": "normal modes (EPS, ST; count_pc for the factorizations that count them)",
 }
-
 
 # What values a file may give, in letters of either case. Long numbers need an exponent, which PETSc
 # takes for no integer: no file asks for absurd work.
@@ -49,82 +47,67 @@ EPS_TYPE = _one_of(
     "krylovschur lanczos arnoldi power subspace lapack gd jd rqcg lobpcg ciss arpack primme blopex "
     "trlan feast evsl elpa elemental scalapack chase"
 )
-ST_TYPE = _one_of("shift sinvert cayley precond filter")
 
 # The keys of each object that a file may set, by the values that they take.
 KSP = {
     KSP_TYPE: "type",
-    NUMBERS: "rtol atol divtol max_it min_it check_norm_iteration gmres_haptol "
-    "gmres_breakdown_tolerance bcgsl_xres richardson_scale chebyshev_eigenvalues chebyshev_esteig",
-    COUNT: "gmres_restart gcr_restart lgmres_augment bcgsl_ell fcg_mmax pipefcg_mmax pipegcr_mmax "
+    NUMBERS: "rtol atol divtol max_it min_it check_norm_iteration richardson_scale bcgsl_xres "
+    "gmres_(haptol|breakdown_tolerance) chebyshev_(eigenvalues|esteig)",
+    COUNT: "(gmres|gcr)_restart lgmres_augment bcgsl_ell (fcg|pipefcg|pipegcr)_mmax "
     "chebyshev_esteig_steps",
-    FLAG: "initial_guess_nonzero knoll lag_norm diagonal_scale diagonal_scale_fix "
-    "gmres_modifiedgramschmidt gmres_classicalgramschmidt gmres_preallocate lgmres_constant "
-    "bcgsl_cxpoly bcgsl_mrpoly bcgsl_pinv richardson_self_scale cg_single_reduction",
+    FLAG: "initial_guess_nonzero knoll lag_norm diagonal_scale(_fix)? lgmres_constant "
+    "gmres_(modifiedgramschmidt|classicalgramschmidt|preallocate) bcgsl_(cxpoly|mrpoly|pinv) "
+    "richardson_self_scale cg_single_reduction",
     WORD: "norm_type pc_side cg_type chebyshev_kind fcg_truncation_type gmres_cgs_refinement_type",
-    ALONE: "view converged_reason converged_rate monitor monitor_true_residual monitor_short "
-    "monitor_singular_value monitor_max",
+    ALONE: "view converged_(reason|rate) monitor(_true_residual|_short|_singular_value|_max)?",
 }
 PC = {
     PC_TYPE: "type",
     f"{PC_TYPE}(,{PC_TYPE})*": "composite_pcs",
     PACKAGE: "factor_mat_solver_type",
-    NUMBERS: "factor_fill factor_zeropivot factor_shift_amount factor_column_pivot "
-    "factor_nonzeros_along_diagonal sor_omega sor_diagonal_shift eisenstat_omega gamg_threshold "
-    "gamg_threshold_scale gamg_coarse_eq_limit gamg_process_eq_limit svd_zero_sing",
-    COUNT: "factor_levels asm_overlap asm_blocks asm_local_blocks gasm_overlap "
-    "gasm_total_subdomains bjacobi_blocks bjacobi_local_blocks sor_its sor_lits mg_levels "
-    "mg_multiplicative_cycles gamg_agg_nsmooths gamg_aggressive_coarsening gamg_square_graph "
-    "redundant_number telescope_reduction_factor",
-    FLAG: "factor_diagonal_fill factor_in_place factor_pivot_in_blocks factor_reuse_fill "
-    "factor_reuse_ordering sor_symmetric sor_forward sor_backward sor_local_symmetric "
-    "sor_local_forward sor_local_backward jacobi_abs jacobi_fixdiagonal mg_distinct_smoothup "
-    "gamg_repartition gamg_reuse_interpolation gamg_use_sa_esteig",
-    WORD: "factor_mat_ordering_type factor_shift_type asm_type asm_local_type gasm_type "
-    "composite_type jacobi_type mg_type mg_cycle_type gamg_type",
+    NUMBERS: "factor_(fill|zeropivot|shift_amount|column_pivot|nonzeros_along_diagonal) "
+    "sor_(omega|diagonal_shift) eisenstat_omega svd_zero_sing "
+    "gamg_(threshold|threshold_scale|coarse_eq_limit|process_eq_limit)",
+    COUNT: "factor_levels (asm|gasm)_overlap (asm|bjacobi)_(local_)?blocks gasm_total_subdomains "
+    "sor_l?its mg_levels mg_multiplicative_cycles redundant_number telescope_reduction_factor "
+    "gamg_(agg_nsmooths|aggressive_coarsening|square_graph)",
+    FLAG: "factor_(diagonal_fill|in_place|pivot_in_blocks|reuse_fill|reuse_ordering) "
+    "sor_(local_)?(symmetric|forward|backward) jacobi_(abs|fixdiagonal) mg_distinct_smoothup "
+    "gamg_(repartition|reuse_interpolation|use_sa_esteig)",
+    WORD: "factor_(mat_ordering|shift)_type asm_(local_)?type mg_cycle_type "
+    "(gasm|composite|jacobi|mg|gamg)_type",
     ALONE: "view",
 }
 # No unit of Fortran that MUMPS prints to (icntl 1 to 3, files fort.N), no factors on disk (22).
 FACTOR = {
     NUMBERS: "mumps_icntl_([46-8]|1[0-5]|2[0347-9]|3[135-8]|4[89]|58) mumps_cntl_[1-57]",
-    COUNT: "superlu_dist_r superlu_dist_c",
-    FLAG: "superlu_dist_equil superlu_dist_parsymbfact superlu_dist_replacetinypivot "
-    "superlu_dist_iterrefine",
-    WORD: "superlu_dist_rowperm superlu_dist_colperm superlu_dist_fact",
-    ALONE: "superlu_dist_statprint superlu_dist_printstat",
+    COUNT: "superlu_dist_[rc]",
+    FLAG: "superlu_dist_(equil|parsymbfact|replacetinypivot|iterrefine)",
+    WORD: "superlu_dist_(rowperm|colperm|fact)",
+    ALONE: "superlu_dist_(statprint|printstat)",
 }
+# With what eigensolvers stand on: bases (bv), dense problems (ds), regions (rg).
 EPS = {
-    EPS_TYPE: "type",
-    NUMBERS: "tol max_it nev ncv mpd target interval balance_cutoff krylovschur_restart "
-    "krylovschur_nev krylovschur_ncv krylovschur_mpd lobpcg_restart jd_fix ciss_delta "
-    "ciss_spurious_threshold",
-    COUNT: "balance_its krylovschur_partitions gd_blocksize gd_minv gd_plusk gd_initial_size "
-    "jd_blocksize jd_minv jd_plusk jd_initial_size lobpcg_blocksize rqcg_reset "
-    "ciss_integration_points ciss_moments ciss_blocksize ciss_maxblocksize ciss_partitions "
-    "ciss_refine_inner ciss_refine_blocksize",
-    FLAG: "all hermitian true_residual purify ritz harmonic refined largest_magnitude "
-    "largest_real smallest_magnitude smallest_real target_magnitude target_real conv_abs conv_rel "
-    "conv_norm krylovschur_locking krylovschur_detect_zeros lobpcg_locking arnoldi_delayed "
-    "gd_krylov_start gd_double_expansion jd_krylov_start jd_const_correction_tol ciss_realmats "
-    "ciss_usest",
-    WORD: "balance lanczos_reorthog power_shift_type ciss_extraction ciss_quadrule",
-    ALONE: "view view_values converged_reason monitor monitor_all monitor_conv error_absolute "
-    "error_backward error_relative",
-}
-ST = {
-    ST_TYPE: "type",
-    NUMBERS: "shift cayley_antishift filter_interval filter_range",
-    COUNT: "filter_degree",
-    FLAG: "transform",
-    WORD: "matmode matstructure filter_type filter_damping",
-}
-# What eigensolvers stand on: bases, dense problems, regions.
-BASES = {
-    NUMBERS: "bv_definite_tol bv_orthog_eta rg_scale rg_interval_endpoints rg_ellipse_center "
-    "rg_ellipse_radius rg_ellipse_vscale",
-    COUNT: "ds_method ds_block_size",
-    FLAG: "rg_complement",
-    WORD: "bv_type bv_matmult bv_orthog_type bv_orthog_block bv_orthog_refine ds_parallel rg_type",
+    EPS_TYPE: "eps_type",
+    "shift|sinvert|cayley|precond|filter": "st_type",
+    NUMBERS: "eps_(tol|max_it|nev|ncv|mpd|target|interval|balance_cutoff|lobpcg_restart|jd_fix) "
+    "eps_krylovschur_(restart|nev|ncv|mpd) eps_ciss_(delta|spurious_threshold) st_shift "
+    "st_cayley_antishift st_filter_(interval|range) bv_(definite_tol|orthog_eta) "
+    "rg_(scale|interval_endpoints|ellipse_center|ellipse_radius|ellipse_vscale)",
+    COUNT: "eps_balance_its eps_krylovschur_partitions eps_rqcg_reset eps_lobpcg_blocksize "
+    "eps_[gj]d_(blocksize|minv|plusk|initial_size) ds_method ds_block_size st_filter_degree "
+    "eps_ciss_(integration_points|moments|blocksize|maxblocksize|partitions) "
+    "eps_ciss_refine_(inner|blocksize)",
+    FLAG: "eps_(all|hermitian|true_residual|purify|ritz|harmonic|refined|arnoldi_delayed) "
+    "eps_(largest|smallest)_(magnitude|real) eps_target_(magnitude|real) eps_conv_(abs|rel|norm) "
+    "eps_(krylovschur|lobpcg)_locking eps_krylovschur_detect_zeros eps_[gj]d_krylov_start "
+    "eps_gd_double_expansion eps_jd_const_correction_tol eps_ciss_(realmats|usest) st_transform "
+    "rg_complement",
+    WORD: "eps_(balance|lanczos_reorthog|power_shift_type|ciss_extraction|ciss_quadrule) "
+    "st_(matmode|matstructure|filter_type|filter_damping) ds_parallel rg_type "
+    "bv_(type|matmult|orthog_type|orthog_block|orthog_refine)",
+    ALONE: "eps_view(_values)? eps_converged_reason eps_monitor(_all|_conv)? "
+    "eps_error_(absolute|backward|relative)",
 }
 # PETSc's own keys at run time: those that only print, and all others, which no file may set.
 PRINTING = _one_of(
@@ -153,9 +136,7 @@ IN_FILES = [
     *_under(rf"{LINEAR}ksp_", KSP),
     *_under(rf"({LINEAR}|normal_count_)pc_", PC),
     *_under(rf"({LINEAR}|normal_count_)mat_", FACTOR),
-    *_under("normal_eps_", EPS),
-    *_under("normal_st_", ST),
-    *_under("normal_", BASES),
+    *_under("normal_", EPS),
     *_under("", {ALONE: PRINTING}),
 ]
 
@@ -191,13 +172,10 @@ def check_pivot_shifts(keys):
         # what a preconditioner inside another one shifts by default depends on both
         plain = pc == "steady_pc_" and keys.get("steady_pc_type", "lu") in ("lu", "cholesky", "ilu")
         shift = keys.get(f"{pc}factor_shift_type", "none" if plain else "unknown").lower()
-        try:
-            small = float(text) < SMALLEST_SHIFT
-        except ValueError:
-            continue  # PETSc says so itself
-        if small and shift not in ("none", "nonzero"):
-            raise InputError(
-                f"-{key} {text}: PETSc may shift the pivots of a singular matrix by as little, and "
-                f"never end; leave it out, give {SMALLEST_SHIFT:g} or more, or say "
-                f"-{pc}factor_shift_type none"
-            )
+        with contextlib.suppress(ValueError):  # PETSc says itself what is no number
+            if float(text) < SMALLEST_SHIFT and shift not in ("none", "nonzero"):
+                raise InputError(
+                    f"-{key} {text}: PETSc may shift the pivots of a singular matrix by as little, "
+                    f"and never end; leave it out, give {SMALLEST_SHIFT:g} or more, or say "
+                    f"-{pc}factor_shift_type none"
+                )
