@@ -29,6 +29,7 @@ from functools import cached_property
 import numpy as np
 from mpi4py import MPI
 
+from pgran.physics.bondlaw import unit_numbers
 from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL, residual_rounding
 from pgran.solve.counting import ModeCounter
 from pgran.solve.operators import Owner
@@ -78,8 +79,8 @@ class ErrorBounds(Owner):
     @cached_property
     def _signs(self):
         """A random sign for each ball. Collective when first asked for."""
-        odd = np.random.Philox(key=0).random_raw(self.operators.balls) % np.uint64(2)
-        return self.operators.vector(np.where(odd, 1.0, -1.0).reshape(self.operators.shape))
+        signs = np.where(unit_numbers(0, 0, self.operators.balls) < 0.5, -1.0, 1.0)
+        return self.operators.vector(signs.reshape(self.operators.shape))
 
     def stability(self, s):
         """Return a c with |S x|_2 >= c |x|_2 for every x and all bonds. Not collective."""
