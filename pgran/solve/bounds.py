@@ -24,12 +24,15 @@ Where the product of norms says too little, `pgran.solve.comparison` bounds the 
 """
 
 import math
+from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
 
+from pgran.physics.bondlaw import unit_numbers
 from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL, residual_rounding
 from pgran.solve.counting import ModeCounter
+from pgran.solve.operators import Owner
 
 
 def smallest_damping_eigenvalue(shape):
@@ -37,14 +40,10 @@ def smallest_damping_eigenvalue(shape):
     return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in shape)
 
 
-class ErrorBounds:
+class ErrorBounds(Owner):
     """Bounds for the steady states of one lattice; destroy with `destroy`.
 
     Collective.
-
-    Parameters
-    ----------
-    operators : pgran.solve.operators.Operators
 
     Attributes
     ----------
@@ -59,6 +58,8 @@ class ErrorBounds:
         No less than |S|_inf there.
     """
 
+    owns = ("_product", "_work", "_counter", "_signs")
+
     def __init__(self, operators):
         """Make the work vectors."""
         self.operators = operators
@@ -69,27 +70,20 @@ class ErrorBounds:
         # What a 2-norm may miss because the squares of small numbers are lost.
         self.lost = 2 * math.sqrt(2 * operators.balls * SMALLEST_NORMAL)
         self._product, self._work = operators.f.duplicate(), operators.f.duplicate()
-        self._counter = self._signs = None
-        if not self._always:
-            odd = np.random.Philox(key=0).random_raw(operators.balls) % np.uint64(2)
-            self._signs = operators.vector(np.where(odd, 1.0, -1.0).reshape(operators.shape))
 
-    @property
-    def owned(self):
-        """The vectors to work with."""
-        return self._product, self._work
+    @cached_property
+    def _counter(self):
+        """What counts eigenvalues of K. Not collective."""
+        return ModeCounter(self.operators.K)
 
-    def destroy(self):
-        """Free the work vectors. Collective."""
-        for held in (*self.owned, self._counter, self._signs):
-            if held is not None:
-                held.destroy()
+    @cached_property
+    def _signs(self):
+        """A random sign for each ball. Collective when first asked for."""
+        signs = np.where(unit_numbers(0, 0, self.operators.balls) < 0.5, -1.0, 1.0)
+        return self.operators.vector(signs.reshape(self.operators.shape))
 
     def stability(self, s):
-        """Return the c with |S x|_2 >= c |x|_2 for every x that holds whatever the bonds.
-
-        Not collective.
-        """
+        """Return a c with |S x|_2 >= c |x|_2 for every x and all bonds. Not collective."""
         damping = self.lambda_min * abs(s) * self.operators.damping
         return damping + abs(s) * s.real * self.operators.mass
 
@@ -133,8 +127,6 @@ class ErrorBounds:
         least = max(EPSILON / tolerance, 10 * self.unit) * self.scale + 10 * spread
         delta = 0.1 * self.scale / self.operators.balls
         while least <= delta < math.inf:
-            if self._counter is None:
-                self._counter = ModeCounter(self.operators.K)
             if self._counter.below(shift, delta) is not None:
                 # Each count is of a matrix nearer to K - shift than delta / 10; K is rounded, too.
                 return 0.8 * delta
@@ -156,9 +148,9 @@ class ErrorBounds:
         return self._force + self._weights * a - product.real - self._imaginary * product.imag
 
     def random_rounding(self, terms):
-        """Return a residual as rounding leaves it, of random signs; the next call overwrites it.
+        """Return a residual as rounding leaves it, of random signs, from the `rounding` of A~.
 
-        Not collective; `terms` is the `rounding` of the primal solution.
+        Collective; the next call overwrites it.
         """
         self._work.setArray(self.unit * terms * self._signs.getArray(readonly=True))
         return self._work
@@ -168,10 +160,7 @@ class ErrorBounds:
         return primal.norm + self.unit * math.sqrt(self._total(terms @ terms)) + self.lost
 
     def residuals(self, primal):
-        """Return a bound of |f - S A~| at each of this rank's balls, rounding included. Collective.
-
-        It is positive.
-        """
+        """Return a positive bound of |f - S A~| at each of this rank's balls. Collective."""
         size = np.abs(primal.residual.getArray(readonly=True))
         return size + self.unit * self.rounding(primal.solution) + 64 * SMALLEST_NORMAL
 
@@ -187,10 +176,8 @@ class ErrorBounds:
 
         Parameters
         ----------
-        residual : float
-            The `primal_residual` of A~.
-        terms : numpy.ndarray
-            The `rounding` of A~.
+        residual, terms : float, numpy.ndarray
+            `primal_residual` and `rounding` of A~.
         adjoint : pgran.solve.linear.System
             z~.
         value : complex

@@ -14,6 +14,8 @@ one sublattice turns S of an undamped lattice into -<S> when m omega^2 exceeds e
 its own comparison matrix.) Where it is not, v has negative entries.
 """
 
+from functools import cached_property
+
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -29,35 +31,28 @@ class Comparison(Owner):
     """Finds and verifies v for one s after the other; destroy with `destroy` or `with`.
 
     Collective. Its factorization has the option prefix `steady_comparison_`.
-
-    Parameters
-    ----------
-    operators : pgran.solve.operators.Operators
     """
+
+    owns = ("v", "_target", "_product", "_ksp", "_matrix")
 
     def __init__(self, operators):
         """Make the work vectors."""
         self.operators, self.comm = operators, operators.comm
         self.v, self._target, self._product = (operators.f.duplicate() for _ in range(3))
-        self._matrix = self._ksp = None  # until they are needed
 
-    @property
-    def owned(self):
-        """The vectors to work with."""
-        return self.v, self._target, self._product
+    @cached_property
+    def _matrix(self):
+        """<S>. Collective when first asked for."""
+        return self.operators.S.duplicate()
 
-    def forget(self):
+    @cached_property
+    def _ksp(self):
+        """What solves with it. Collective when first asked for."""
+        return make_ksp(self.operators, self._matrix, "steady_comparison_", "preonly")
+
+    def forget_factor(self):
         """Free what PETSc may have marked as failed for good. Collective."""
-        for held in (self._ksp, self._matrix):
-            if held is not None:
-                held.destroy()
-        self._matrix = self._ksp = None
-
-    def destroy(self):
-        """Free all PETSc objects. Collective."""
-        self.forget()
-        for vector in self.owned:
-            vector.destroy()
+        self.forget("_ksp", "_matrix")
 
     def errors(self, residual, bounds):
         """Return a vector that no error of an amplitude exceeds, or None where there is none.
@@ -75,11 +70,8 @@ class Comparison(Owner):
             return None
         # Room for the rounding of the product below; and no v so small that it vanishes.
         self._target.setArray(4 * residual + LEAST_PROVEN * bounds.scale)
-        if self._ksp is None:
-            prefix = "steady_comparison_"
-            self._ksp = make_ksp(self.operators, self._matrix, prefix, "preonly")
         if not set_up(self._ksp, self._matrix, self.comm):
-            self.forget()
+            self.forget_factor()
             return None
         self._ksp.solve(self._target, self.v)
         v = self.v.getArray().real
@@ -97,8 +89,6 @@ class Comparison(Owner):
         size = np.abs(values)
         on_diagonal = columns == np.repeat(np.arange(first, last), np.diff(pointer))
         size[~on_diagonal] *= -1.0
-        if self._matrix is None:
-            self._matrix = self.operators.S.duplicate()
         self._matrix.setValuesCSR(pointer, columns, size.astype(complex))
         self._matrix.assemble()
         self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)

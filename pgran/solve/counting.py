@@ -37,6 +37,8 @@ class ModeCounter(Owner):
         |K|_inf, which no eigenvalue exceeds; 1 if K is zero.
     """
 
+    owns = ("_pc", "_shifted", "_x", "_rhs", "_residual")
+
     def __init__(self, K):
         """Set up the factorization from its options, prefix `normal_count_`."""
         self.K, self.norm = K, K.norm(PETSc.NormType.INFINITY) or 1.0
@@ -54,17 +56,9 @@ class ModeCounter(Owner):
         self._pc.setFromOptions()
         accept_small_pivots(self._pc)
 
-    def destroy(self):
-        """Free all PETSc objects. Not collective."""
-        for held in (self._pc, self._shifted, self._x, self._rhs, self._residual):
-            held.destroy()
-
     @property
     def clearance(self):
-        """How far a cut stays from all eigenvalues, so that slices are orthogonal to rounding.
-
-        Not collective.
-        """
+        """How far cuts stay from all eigenvalues: slices are then orthogonal to rounding."""
         return self.norm * min(max(0.1 / self.order, 2e-6), 0.5 / self.order)
 
     def below(self, shift, clearance):
@@ -134,7 +128,7 @@ class ModeCounter(Owner):
         Parameters
         ----------
         low, high : float
-            Values of lambda; both belong to the interval.
+            Values of lambda.
         comm : mpi4py.MPI.Comm
         """
         ends = shared(comm, [(low, -1), (high, 1)], lambda end: self.end(*end))
@@ -147,9 +141,8 @@ class ModeCounter(Owner):
 
         Parameters
         ----------
-        omega : float
-        mass : float
-            m in lambda = m omega^2.
+        omega, mass : float
+            lambda = mass omega^2.
         wanted : int
 
         Returns
@@ -190,8 +183,8 @@ def cut(counter, ends, comm):
     Returns
     -------
     list of (low, high, count)
-        The largest first, without gaps but for slices that are empty. All cuts between keep clear
-        of eigenvalues; a cluster of equal ones stays in one slice however many they are.
+        The largest first; the empty ones are left out. All cuts keep clear of eigenvalues, and a
+        cluster of equal ones stays in one slice however many they are.
     """
     below = dict(ends)
     for attempt in range(ATTEMPTS):
@@ -203,13 +196,8 @@ def cut(counter, ends, comm):
                 shifts += np.linspace(low, high, count // SLICE + 2 + attempt)[1:-1].tolist()
         if not shifts:
             break
-        below |= {
-            shift: count
-            for shift, count in shared(
-                comm, shifts, lambda shift: counter.below(shift, counter.clearance)
-            )
-            if count is not None
-        }
+        found = shared(comm, shifts, lambda shift: counter.below(shift, counter.clearance))
+        below |= {shift: count for shift, count in found if count is not None}
     return _merged(below)
 
 
@@ -224,7 +212,7 @@ def shared(comm, items, work):
     items : list
         The same on every rank.
     work : callable
-        Takes an item; not collective.
+        Not collective.
     """
     mine, failure = [], None
     try:
@@ -243,9 +231,5 @@ def _merged(below):
     for shift, following in pairwise([*middle, last]):
         if below[following] - below[kept[-1]] > SLICE:
             kept.append(shift)
-    slices = [
-        (low, high, below[high] - below[low])
-        for low, high in pairwise([*kept, last])
-        if below[high] > below[low]
-    ]
-    return sorted(slices, key=lambda piece: -piece[2])
+    slices = [(low, high, below[high] - below[low]) for low, high in pairwise([*kept, last])]
+    return sorted((piece for piece in slices if piece[2] > 0), key=lambda piece: -piece[2])

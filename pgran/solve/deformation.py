@@ -3,8 +3,6 @@
 NumPy only; the formulas are those of `pgran.solve.windows`.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL
@@ -27,10 +25,9 @@ def march(G, delta):
 
     Returns
     -------
-    T : numpy.ndarray, shape (s, s)
-        S^-1 b_t = S0^-1 B T[:, t] once the bonds before t have changed.
-    c : numpy.ndarray, shape (s,)
-        delta / (1 + delta b^T S^-1 b).
+    T, c : numpy.ndarray, shapes (s, s) and (s,)
+        S^-1 b_t = S0^-1 B T[:, t] once the bonds before t have changed; delta / (1 + delta b^T S^-1
+        b).
     """
     steps = len(delta)
     T, (c, row) = np.eye(steps, dtype=complex), np.zeros((2, steps), dtype=complex)
@@ -44,101 +41,64 @@ def march(G, delta):
     return T, c
 
 
-@dataclass(frozen=True)
 class Deformation:
     """How a field x, of amplitudes or an adjoint, follows the changes: x = x0 + Y a.
 
-    A row of an array (s, s) is a bond, a column a step.
+    Parameters
+    ----------
+    T, c : numpy.ndarray
+        From `march`.
+    G, delta : numpy.ndarray
+        As there.
+    start : numpy.ndarray, shape (s,)
+        b^T x0 with all walls at rest.
+    wall : numpy.ndarray or float, optional
+        How far the wall at the upper end of each bond moves.
 
     Attributes
     ----------
     start : numpy.ndarray, shape (s,)
         b^T x0 of each bond, a moving wall counted.
     coefficients, coefficient_sizes : numpy.ndarray, shape (s, s)
-        a (gamma of the amplitudes, eta of an adjoint), and its magnitudes.
+        a (gamma of the amplitudes, eta of an adjoint) for each bond after each step; its magnitude.
     stretch : numpy.ndarray, shape (s, s)
         t = b^T x = b^T x0 + G a.
     missed, missed_sizes : numpy.ndarray, shape (s, s)
         a + Delta t (h of the amplitudes, g of an adjoint), which is zero but for the errors of the
-        algebra, and its magnitudes.
-    changes : numpy.ndarray, shape (s, s)
-        |Delta|: by how much each bond has changed so far.
-    norm : numpy.ndarray, shape (s,)
-        |a|_2 after each step.
-    rounding, rounding_of_start : numpy.ndarray, shape (s,)
-        A stretch t is wrong by at most `rounding` times |a|_2, plus `rounding_of_start`.
+        algebra, and its magnitude.
     """
 
-    start: np.ndarray
-    coefficients: np.ndarray
-    coefficient_sizes: np.ndarray
-    stretch: np.ndarray
-    missed: np.ndarray
-    missed_sizes: np.ndarray
-    changes: np.ndarray
-    norm: np.ndarray
-    rounding: np.ndarray
-    rounding_of_start: np.ndarray
-
-    @classmethod
-    def of(cls, T, c, G, delta, start, wall=0.0):
-        """Return what changes make of a field.
-
-        Not collective.
-
-        Parameters
-        ----------
-        T, c : numpy.ndarray
-            From `march`.
-        G : numpy.ndarray, shape (s, s)
-        delta : numpy.ndarray, shape (s,)
-        start : numpy.ndarray, shape (s,)
-            b^T x0 with all walls at rest.
-        wall : numpy.ndarray or float, optional
-            How far the wall at the upper end of each bond moves.
-        """
-        start, steps = start + wall, len(delta)
-        coefficients = np.cumsum(T * (-c * (start @ T)), axis=1)
-        stretch = start[:, None] + G @ coefficients
+    def __init__(self, T, c, G, delta, start, wall=0.0):
+        """Carry out the algebra; a stretch t is wrong by _rounding |a|_2 + _rounding_of_start."""
+        self.start, steps = start + wall, len(delta)
         upper = np.tri(steps).T  # bonds change one after the other
-        missed = upper * (coefficients + delta[:, None] * stretch)
-        return cls(
-            start=start,
-            coefficients=coefficients,
-            coefficient_sizes=np.abs(coefficients),
-            stretch=stretch,
-            missed=missed,
-            missed_sizes=np.abs(missed),
-            changes=np.abs(delta)[:, None] * upper,
-            norm=np.sqrt(squares(coefficients)) + np.sqrt(2 * steps * SMALLEST_NORMAL),
-            # Displacements of bonds are differences, rounded once; then come s products and sums.
-            rounding=(steps + 8) * EPSILON * np.sqrt(squares(G.T)),
-            rounding_of_start=EPSILON * (4 * np.abs(start) + wall),
-        )
+        self.coefficients = np.cumsum(T * (-c * (self.start @ T)), axis=1)
+        self.coefficient_sizes = np.abs(self.coefficients)
+        self.stretch = self.start[:, None] + G @ self.coefficients
+        self.missed = upper * (self.coefficients + delta[:, None] * self.stretch)
+        self.missed_sizes = np.abs(self.missed)
+        self._changes = np.abs(delta)[:, None] * upper
+        self._norm = np.sqrt(squares(self.coefficients)) + np.sqrt(2 * steps * SMALLEST_NORMAL)
+        # Displacements of bonds are differences, rounded once; then come s products and sums.
+        self._rounding = (steps + 8) * EPSILON * np.sqrt(squares(G.T))
+        self._rounding_of_start = EPSILON * (4 * np.abs(self.start) + wall)
 
     def stretch_rounding(self, weights):
         """Return bounds, step by step, of what rounding does to a sum of weights times stretches.
 
         Not collective; `weights` of shape (s, s) are not negative.
         """
-        return (self.rounding @ weights) * self.norm + self.rounding_of_start @ weights
+        return (self._rounding @ weights) * self._norm + self._rounding_of_start @ weights
 
     def missed_rounding(self, weights):
         """Return the same for weights times `missed`. Not collective."""
-        changed = self.stretch_rounding(self.changes * weights)
+        changed = self.stretch_rounding(self._changes * weights)
         return changed + 2 * EPSILON * _column_sums(weights, self.coefficient_sizes)
 
     def residual(self, start, columns):
         """Return bounds of |f - S x|_2, or of |e_d - S x|_2, after each step.
 
-        Not collective.
-
-        Parameters
-        ----------
-        start : float
-            A bound of it before any change.
-        columns : numpy.ndarray, shape (s,)
-            Bounds of the residuals of the columns of Y.
+        Not collective; `start` bounds it before any change, `columns` the residuals of Y's columns.
         """
         rounding = self.missed_rounding(np.ones(self.missed.shape))
         missed = np.sum(self.missed_sizes, axis=0) + rounding

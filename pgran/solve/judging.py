@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from petsc4py import PETSc
@@ -11,6 +12,7 @@ from pgran.physics.rounding import SMALLEST_NORMAL
 from pgran.solve.bounds import ErrorBounds
 from pgran.solve.comparison import Comparison
 from pgran.solve.linear import LEAST_NORM
+from pgran.solve.operators import Owner
 
 # Where no bound is known the residual must be of the size of rounding, and so must be what this
 # many times as much rounding does to the amplitudes.
@@ -52,44 +54,64 @@ class SteadyState:
     field_bound: float
 
 
-class Judge:
-    """Bounds the errors of solutions and judges them; destroy with `destroy`.
+class Detectors(Owner):
+    """Balls whose entries are read out of distributed vectors; destroy with `destroy`.
 
-    Collective.
-
-    Parameters
-    ----------
-    operators : pgran.solve.operators.Operators
-    detectors : pgran.solve.detectors.Detectors
-    tolerance, floor : float
-    whole_field : bool
-        See `pgran.solve.steady.SteadySolver`.
+    Collective; `sites` has the shape (nd, dim).
     """
 
-    def __init__(self, operators, detectors, tolerance, floor, whole_field):
-        """Make what bounds by norms; what bounds ball by ball waits until it is needed."""
-        self.operators, self.detectors = operators, detectors
+    owns = ("_scatter", "_readings")
+
+    def __init__(self, operators, sites):
+        """Make what copies the entries to every rank."""
+        self._like, self._numbers = operators.f_stiffness, operators.numbers(sites)
+        self._readings = PETSc.Vec().createSeq(len(self), comm=PETSc.COMM_SELF)
+        where = PETSc.IS().createGeneral(self._numbers, comm=PETSc.COMM_SELF)
+        self._scatter = PETSc.Scatter().create(self._like, where, self._readings, None)
+        where.destroy()
+
+    def __len__(self):
+        """Return how many there are."""
+        return len(self._numbers)
+
+    def read(self, x):
+        """Return the entries of a vector, on every rank. Collective."""
+        self._scatter.scatter(x, self._readings)
+        return self._readings.getArray().copy()
+
+    def unit_vectors(self):
+        """Return e_d for each detector; the caller destroys them. Collective."""
+        vectors = [self._like.duplicate() for _ in self._numbers]
+        for vector, number in zip(vectors, self._numbers, strict=True):
+            vector.setArray(np.arange(*vector.getOwnershipRange()) == number)
+        return vectors
+
+
+class Judge(Owner):
+    """Bounds the errors of solutions and judges them; destroy with `destroy`.
+
+    Collective. Parameters are those of `pgran.solve.steady.SteadySolver`.
+    """
+
+    owns = ("bounds", "detectors", "_comparison")
+
+    def __init__(self, operators, sites, tolerance, floor, whole_field):
+        """Make what reads and what bounds by norms."""
+        self.operators, self.detectors = operators, Detectors(operators, sites)
         self.tolerance, self.floor, self.whole_field = tolerance, floor, whole_field
-        self.bounds, self._comparison = ErrorBounds(operators), None
+        self.bounds = ErrorBounds(operators)
 
-    @property
-    def owned(self):
-        """The vectors to work with."""
-        compared = self._comparison.owned if self._comparison is not None else ()
-        return (*self.bounds.owned, *compared)
+    @cached_property
+    def _comparison(self):
+        """What bounds ball by ball. Collective when first asked for."""
+        return Comparison(self.operators)
 
-    def forget(self):
+    def forget_factors(self):
         """Free what PETSc may have marked as failed for good. Collective."""
-        if self._comparison is not None:
-            self._comparison.forget()
+        if "_comparison" in vars(self):
+            self._comparison.forget_factor()
 
-    def destroy(self):
-        """Free all PETSc objects. Collective."""
-        self.bounds.destroy()
-        if self._comparison is not None:
-            self._comparison.destroy()
-
-    def assess(self, s, primal, adjoints, krylov):
+    def assess(self, s, systems, krylov):
         """Return the state reached, its bounds, and whether they meet the tolerance.
 
         Collective.
@@ -98,13 +120,13 @@ class Judge:
         ----------
         s : complex
             Of the last `combine`, for which the bounds are prepared.
-        primal : pgran.solve.linear.System
-        adjoints : list of pgran.solve.linear.System
-            One for each detector; not used where no bound is known.
+        systems : list of pgran.solve.linear.System
+            That of the amplitudes, then each detector's adjoint; none where no bound is known.
         krylov : pgran.solve.linear.Krylov
             What has solved them.
         """
-        bounds, displacement = self.bounds, self.detectors.read(primal.solution)
+        bounds, (primal, *adjoints) = self.bounds, systems
+        displacement = self.detectors.read(primal.solution)
         bound = np.full(len(displacement), math.nan)
         size, field_bound = primal.solution.norm(), math.nan
         backward_error = primal.norm / max(bounds.scale * size + primal.rhs.norm(), LEAST_NORM)
@@ -140,8 +162,6 @@ class Judge:
         """
         if not math.isfinite(state.backward_error) or not np.all(np.isfinite(state.displacement)):
             return state
-        if self._comparison is None:
-            self._comparison = Comparison(self.operators)
         bounds, bound, field_bound = self.bounds, state.error_bound, state.field_bound
         errors = self._comparison.errors(bounds.residuals(primal), bounds)
         if errors is not None:

@@ -5,6 +5,8 @@ import math
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from pgran.solve.operators import Owner
+
 LEAST_NORM = 1e-300  # a residual of which is none
 NO_NUMBER = int(PETSc.KSP.ConvergedReason.DIVERGED_NANORINF)
 NO_PRECONDITIONER = int(PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
@@ -14,8 +16,8 @@ PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
 MINIMUM_DEGREE = {1: 10**7, 2: 2500, 3: 0}
 
 
-class System:
-    """One right-hand side of S with its solution and true residual.
+class System(Owner):
+    """One right-hand side of S, which is not its own, with its solution and true residual.
 
     Attributes
     ----------
@@ -26,31 +28,19 @@ class System:
         The solutions of the two s before this one.
     """
 
+    owns = ("solution", "residual", "last", "before_last")
+
     def __init__(self, rhs):
-        """Share `rhs`; own the rest."""
+        """Make the vectors."""
         self.rhs = rhs
         self.solution, self.residual, self.last, self.before_last = (
             rhs.duplicate() for _ in range(4)
         )
         self.norm = math.inf
 
-    @property
-    def owned(self):
-        """The vectors that are this system's own."""
-        return self.solution, self.residual, self.last, self.before_last
-
-    def destroy(self):
-        """Free what is owned. Collective."""
-        for vector in self.owned:
-            vector.destroy()
-
     def advance(self):
-        """Keep the solution as the last one; a start then gives `solution` its new values.
-
-        Not collective.
-        """
-        free = self.before_last
-        self.solution, self.last, self.before_last = free, self.solution, self.last
+        """Keep the solution as the last one; a start then fills `solution`. Not collective."""
+        self.solution, self.last, self.before_last = self.before_last, self.solution, self.last
 
     def start_from_zero(self):
         """Guess nothing. Collective."""
@@ -85,28 +75,23 @@ class System:
         self.norm = self.residual.norm()
 
 
-class Krylov:
+class Krylov(Owner):
     """The KSP of S, and what it took at the present s; destroy with `destroy`.
 
     Collective.
 
-    Parameters
-    ----------
-    operators : pgran.solve.operators.Operators
-    correction : petsc4py.PETSc.Vec
-        To work with.
-
     Attributes
     ----------
-    ksp : petsc4py.PETSc.KSP
     iterations : int
         Since the last `begin`.
     reason : int
         PETSc's, of the last solve since then; 0 if there was none.
     """
 
+    owns = ("ksp",)
+
     def __init__(self, operators, correction):
-        """Make the KSP from its options."""
+        """Make the KSP from its options; `correction` is a vector to work with."""
         self.operators, self._correction = operators, correction
         self.ksp = make_ksp(operators, operators.S)
         self._rtol, _, _, self._longest = self.ksp.getTolerances()
@@ -117,26 +102,16 @@ class Krylov:
         """The preconditioner. Not collective."""
         return self.ksp.getPC()
 
-    def destroy(self):
-        """Free the KSP. Collective."""
-        self.ksp.destroy()
-
     def begin(self):
         """Count from zero. Not collective."""
         self.iterations, self.reason = 0, 0
 
     def limit(self, iterations=None):
-        """Give up a solve after so many iterations; by default as its options say.
-
-        Not collective.
-        """
+        """Give up a solve after so many iterations, or as its options say. Not collective."""
         self.ksp.setTolerances(max_it=iterations or self._longest)
 
     def factor(self):
-        """Set up the preconditioner for the present S; later solves keep it. Return if it works.
-
-        Collective.
-        """
+        """Set up the preconditioner for this S and later solves; say if it works. Collective."""
         self.pc.setReusePreconditioner(False)
         works = set_up(self.ksp, self.operators.S, self.operators.comm)
         if works:
@@ -161,10 +136,7 @@ class Krylov:
             system.update_residual(self.operators.S)
 
     def roughly_solved(self, rhs):
-        """Return S^-1 of a right-hand side to two digits, or None; the next solve overwrites it.
-
-        Collective.
-        """
+        """Return S^-1 rhs to two digits, or None; the next solve overwrites it. Collective."""
         self._solve(rhs, 0.01)
         return self._correction if self.ksp.getConvergedReason() > 0 else None
 
@@ -173,22 +145,6 @@ class Krylov:
         self.ksp.setTolerances(rtol=rtol)
         self.ksp.solve(rhs, self._correction)
         self.iterations += self.ksp.getIterationNumber()
-
-
-def release(vectors, forget):
-    """Free vectors that an error inside PETSc may have left locked.
-
-    Collective. PETSc may have taken some for its own, and free them with the solver that it was
-    interrupted in: so they are held until `forget`, which frees the solvers, is done.
-    """
-    for vector in vectors:
-        vector.incRef()
-        vector.incRef()
-    forget()
-    for vector in vectors:
-        while vector.refcount > 1:
-            vector.decRef()
-        vector.destroy()
 
 
 def factor_package(shape, ranks):
@@ -207,10 +163,8 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
     operators : pgran.solve.operators.Operators
     matrix : petsc4py.PETSc.Mat
         S, or another one of its pattern.
-    prefix : str
-        Of the options.
-    kind : str
-        The type of KSP by default.
+    prefix, kind : str
+        Of the options; the type of KSP by default.
     """
     ksp = PETSc.KSP().create(operators.comm)
     ksp.setOptionsPrefix(prefix)
@@ -242,7 +196,6 @@ def set_up(ksp, matrix, comm):
     ksp : petsc4py.PETSc.KSP
     matrix : petsc4py.PETSc.Mat
     comm : mpi4py.MPI.Comm
-        Its ranks.
     """
     ksp.setOperators(matrix)  # without it a KSP overlooks new values
     ksp.setUp()
@@ -257,11 +210,6 @@ def ignore_values_in_analysis(pc):
 
     Not collective. Else MUMPS permutes by the values of the first matrix, and the last digits of
     all later solutions depend on which frequency a rank happened to factor first.
-
-    Parameters
-    ----------
-    pc : petsc4py.PETSc.PC
-        Of its final type, with its matrix.
     """
     if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
         pc.setFactorSetUpSolverType()
@@ -274,11 +222,6 @@ def accept_small_pivots(pc):
     PETSc's threshold is absolute, 2e-14, and constants of one lattice may differ by more. A pivot
     that is zero but for rounding shows in the residuals. But the threshold is the least that a
     shift to positive definite pivots adds to them, and without one PETSc never ends on a zero S.
-
-    Parameters
-    ----------
-    pc : petsc4py.PETSc.PC
-        Of its final type.
     """
     usual = "positive_definite" if pc.getType() == "icc" else "none"
     options = PETSc.Options(pc.getOptionsPrefix())

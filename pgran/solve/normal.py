@@ -64,25 +64,17 @@ class ModeSolver(Owner):
         Its stiffness, flagged symmetric and Hermitian, of this rank alone.
     """
 
+    owns = ("_eps",)
+
     def __init__(self, lattice, K):
         """Keep what the slices share."""
-        self.lattice, self.K = lattice, K
-        self.comm = MPI.COMM_SELF
+        self.lattice, self.K, self.comm = lattice, K, MPI.COMM_SELF
         self.norm = K.norm(PETSc.NormType.INFINITY) or 1.0
         self._eps = None
 
-    def destroy(self):
-        """Free the EPS. Not collective."""
-        if self._eps is not None:
-            self._eps.destroy()
-            self._eps = None
-
     @staticmethod
     def whole():
-        """Return whether the EPS of the options finds all modes at once, slices being no use.
-
-        Not collective.
-        """
+        """Return whether the EPS finds all modes at once, without slices. Not collective."""
         return _eps_type() == "lapack"
 
     def solve(self, low, high, count):
@@ -108,15 +100,14 @@ class ModeSolver(Owner):
         best, self._failure = None, "the EPS did not converge"
         for part in SHIFTS:
             first = part == SHIFTS[0]
-            eta = ETA if first and self.lattice.balls >= ETA_BALLS else None
-            eps = self._eps = self._eps or self._make_eps(eta)
+            eps = self._eps = self._eps or self._make_eps(first)
             found = self._search(eps, low, high, count, part)
             modes = self._real_modes(found, low, high)
             if _defects(modes, count) > (0, REFINE) and eps.getST().getType() == "sinvert":
-                found = self._refined(eps.getST(), found)
-                modes = self._real_modes(found, low, high)
+                modes = self._real_modes(self._refined(eps.getST(), found), low, high)
             if self._deflated or not first or _defects(modes, count) > (0, SEARCH_AGAIN):
-                self.destroy()  # an EPS never forgets what it was to deflate
+                eps.destroy()  # it never forgets what it was to deflate
+                self._eps = None
             if best is None or _defects(modes, count) < _defects(best, count):
                 best = modes
             if _defects(best, count) <= (0, SEARCH_AGAIN):
@@ -130,16 +121,18 @@ class ModeSolver(Owner):
 
     def _real_modes(self, found, low, high):
         """Return values, shapes and residuals of the slice's real modes that vectors span."""
-        stiffness = self.lattice.stiffness
-        values, vectors = rayleigh_ritz(stiffness, self._fields(found))
+        stiffness, shape = self.lattice.stiffness, self.lattice.shape
+        # PETSc numbers the balls with the first axis fastest
+        fields = found.reshape(-1, *shape[::-1]).transpose(0, *range(len(shape), 0, -1))
+        values, vectors = rayleigh_ritz(stiffness, fields)
         inside = (values > low) & (values < high)
         values, vectors = values[inside], vectors[inside]
         missed = residuals(stiffness, values, vectors) / self.norm
         return values, with_fixed_sign(vectors), missed
 
     @plain_errors()
-    def _make_eps(self, eta):
-        """Create an EPS, first with the defaults, then as its options say; eta None: SLEPc's."""
+    def _make_eps(self, first):
+        """Create an EPS with the defaults of a first search or a later one, then its options."""
         eps = SLEPc.EPS().create(PETSc.COMM_SELF)
         eps.setOptionsPrefix("normal_")
         eps.setOperators(self.K)
@@ -152,11 +145,10 @@ class ModeSolver(Owner):
             eps.setWhichEigenpairs(SLEPc.EPS.Which.ALL)
         else:
             eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
-            if eta is not None:
-                eps.getBV().setOrthogonalization(eta=eta)
-            st = eps.getST()
-            st.setType("sinvert")
-            ksp = st.getKSP()
+            if first and self.lattice.balls >= ETA_BALLS:
+                eps.getBV().setOrthogonalization(eta=ETA)
+            eps.getST().setType("sinvert")
+            ksp = eps.getST().getKSP()
             ksp.setType("preonly")
             ksp.getPC().setType("cholesky")
         eps.setFromOptions()
@@ -190,8 +182,7 @@ class ModeSolver(Owner):
     def _start(self, eps, seen):
         """Start from a random vector that depends on nothing but how many modes were seen.
 
-        Another one for each search: what the last search left out of a degenerate eigenspace is
-        orthogonal to its own.
+        Another search needs another one: what the last one left out is orthogonal to its own.
         """
         vector = self.K.createVecLeft()
         numbers = np.random.Generator(np.random.Philox(seen)).standard_normal(self.lattice.balls)
@@ -247,12 +238,6 @@ class ModeSolver(Owner):
             eps.setTarget(low + part * width)
             room = self.lattice.balls - seen
             eps.setDimensions(missing, min(room, missing + missing // 3 + 12))
-
-    def _fields(self, vectors):
-        """Return vectors in PETSc's numbering, the first axis fastest, as arrays over the balls."""
-        axes = len(self.lattice.shape)
-        fields = vectors.reshape(len(vectors), *self.lattice.shape[::-1])
-        return fields.transpose(0, *range(axes, 0, -1))
 
 
 def _defects(modes, count):

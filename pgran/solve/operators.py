@@ -1,11 +1,11 @@
-"""One system for everything: S(s) = K + s beta C + s^2 M, with K = B^T diag(k) B and C = B^T B.
+"""One system for everything: S(s) = K + s beta C + s^2 m, with K = B^T diag(k) B and C = B^T B.
 
 B has a row for each bond: what lengthens it. Walls are no unknowns; the driven one's bonds give the
 drive f(s), the sum of k + s beta at their balls. All matrices share one nonzero pattern, so that S
 is combined anew for each s without assembly, and factored symbolically only once.
 
-A PETSc DMDA numbers the balls, shares them out over the ranks and gathers fields; nothing else here
-knows that they form a lattice: K is assembled from the table of bonds' ends.
+A PETSc DMDA numbers the balls, shares them out over the ranks and gathers fields. K is assembled
+from the table of bonds' ends; all that it knows of the lattice is that each ball has 2 d bonds.
 """
 
 from functools import cached_property
@@ -21,7 +21,13 @@ SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 
 
 class Owner:
-    """Owns PETSc objects on the ranks `comm`: `destroy` or the end of a `with` frees them."""
+    """Owns what its attributes `owns` hold: PETSc objects, other owners, or lists of them.
+
+    `destroy` or the end of a `with` frees it on the ranks `comm`. An attribute that is a
+    `cached_property` is made when it is first asked for, and anew after `forget`.
+    """
+
+    owns = ()
 
     def __enter__(self):
         """Return the owner."""
@@ -31,6 +37,32 @@ class Owner:
         """Destroy, but with an error on its way only alone: other ranks may not share it."""
         if error[0] is None or self.comm.size == 1:
             self.destroy()
+
+    def destroy(self):
+        """Free all PETSc objects. Collective."""
+        for held in self._held(self.owns):
+            held.destroy()
+
+    def forget(self, *names):
+        """Free what some attributes hold, which nothing else may use any more. Collective."""
+        for held in self._held(names):
+            held.destroy()
+        for name in names:
+            vars(self).pop(name, None)
+
+    def vectors(self):
+        """Yield all vectors, those of other owners too. Not collective."""
+        for held in self._held(self.owns):
+            if isinstance(held, Owner):
+                yield from held.vectors()
+            elif isinstance(held, PETSc.Vec):
+                yield held
+
+    def _held(self, names):
+        """Return what some attributes hold, as far as it is made."""
+        found = [vars(self).get(name) for name in names]
+        lists = [item if isinstance(item, list) else [item] for item in found]
+        return [held for several in lists for held in several if held is not None]
 
 
 class Operators(Owner):
@@ -51,8 +83,6 @@ class Operators(Owner):
         Stiffness: the graph Laplacian weighted by the bond constants.
     C : petsc4py.PETSc.Mat or None
         The same with every constant 1; damping is beta C. None for an undamped lattice.
-    M : petsc4py.PETSc.Vec
-        The masses.
     S, f : petsc4py.PETSc.Mat, petsc4py.PETSc.Vec
         The driven system at the s of the last `combine`.
     ends : numpy.ndarray of int, shape (bonds, 2)
@@ -61,6 +91,8 @@ class Operators(Owner):
     driven : numpy.ndarray of bool, shape (bonds,)
         Which bonds end at the driven wall.
     """
+
+    owns = ("K", "C", "S", "f", "f_stiffness", "f_damping", "da")
 
     def __init__(self, lattice, comm):
         """Assemble K, and C where there is damping."""
@@ -79,7 +111,7 @@ class Operators(Owner):
         self.first, self.last = self.f_stiffness.getOwnershipRange()
         numbers = self.numbers(np.indices(self.shape).reshape(len(self.shape), -1).T)
         self.ends, self.driven = bond_ends(numbers.reshape(self.shape)), driven_bonds(self.shape)
-        self._make_pattern()
+        self._find_rows()
         constants = lattice.constants
         self.K = self._assemble(constants)
         self.f_stiffness.setArray(self._drive(constants))
@@ -88,8 +120,6 @@ class Operators(Owner):
             ones = np.ones(len(constants))
             self.C, self.f_damping = self._assemble(ones), self.f_stiffness.duplicate()
             self.f_damping.setArray(self._drive(ones))
-        self.M, self._inertia = self.f_stiffness.duplicate(), self.f_stiffness.duplicate()
-        self.M.set(self.mass)
 
     @cached_property
     def S(self):  # noqa: N802
@@ -101,24 +131,8 @@ class Operators(Owner):
         """The drive. Collective when first asked for."""
         return self.f_stiffness.duplicate()
 
-    def destroy(self):
-        """Free all PETSc objects. Collective."""
-        made = vars(self)  # S and f only where they were asked for
-        for name in ("K", "C", "S", "f", "f_stiffness", "f_damping", "M", "_inertia", "da"):
-            if made.get(name) is not None:
-                made[name].destroy()
-
-    def forget(self, name):
-        """Free S or f, after an error that PETSc would keep; `combine` makes it anew. Collective.
-
-        Nothing may hold on to it.
-        """
-        if name in vars(self):
-            getattr(self, name).destroy()
-            delattr(self, name)
-
     def combine(self, s):
-        """Set S(s) = K + s beta C + s^2 M and the drive f(s) (paper: ampeq, s = i omega).
+        """Set S(s) = K + s beta C + s^2 m and the drive f(s) (paper: ampeq, s = i omega).
 
         Collective.
 
@@ -140,10 +154,7 @@ class Operators(Owner):
         if self.C is not None:
             self.S.axpy(s * self.damping, self.C, structure=SAME)
             self.f.axpy(s * self.damping, self.f_damping)
-        self.M.copy(self._inertia)
-        for _ in range(2):
-            self._inertia.scale(s)  # s^2 alone could underflow
-        self.S.setDiagonal(self._inertia, addv=True)
+        self.S.shift(self.mass * s * s)  # s^2 alone could underflow
         # Complex symmetric, not Hermitian: what an LDL^T factorization needs to know.
         self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
@@ -196,15 +207,15 @@ class Operators(Owner):
 
         Collective; `constants` has the shape (bonds,).
         """
-        self.K.setValuesCSR(self._pointer, self._columns, self._values(constants))
+        self.K.setValuesCSR(*self._csr(constants))
         self.K.assemble()
         self.f_stiffness.setArray(self._drive(constants))
 
     def change_bonds(self, bonds, constants):
         """Set some bond constants anew, in K and in the drive; S waits for `combine`.
 
-        Collective. What K was before leaves no rounding behind: an entry is summed up anew from all
-        its bonds.
+        Collective. What K was before leaves no rounding behind: the rows of all balls at these
+        bonds are summed up anew.
 
         Parameters
         ----------
@@ -213,40 +224,14 @@ class Operators(Owner):
         constants : numpy.ndarray, shape (bonds,)
             The constants of all bonds after the change.
         """
-        if self.comm.size > 1:
-            mine = bonds[self._is_own(self.ends[bonds]).any(axis=1)]
-            bonds_here = np.searchsorted(self._bonds, mine)
-        else:
-            bonds_here = bonds
-        entries = self._place[bonds_here].ravel()
-        entries = entries[entries < len(self._columns)]
-        if len(entries):  # petsc4py divides by zero otherwise
-            rows, summed, signs = self._terms
-            values = (constants[summed[entries]] * signs[entries]).cumsum(axis=1)[:, -1:]
-            self.K.setValuesRCV(
-                rows[entries, None], self._columns[entries, None], values.astype(PETSc.ScalarType)
-            )
+        balls = self.ends[bonds].ravel()
+        balls = balls[self._is_own(balls)]
+        if len(balls):  # petsc4py divides by zero otherwise
+            rows = balls - self.first
+            self.K.setValuesRCV(balls[:, None], self._columns[rows], self._values(constants, rows))
         self.K.assemble()
         if self.driven[bonds].any():
             self.f_stiffness.setArray(self._drive(constants))
-
-    @cached_property
-    def _terms(self):
-        """What each nonzero is summed of: its row, the bonds in their order, and the signs.
-
-        Bonds and signs have a row for each nonzero, with signs of 0 where there is no bond more.
-        """
-        count, signs = len(self._columns), np.outer(SIGNS, SIGNS).ravel()
-        places = self._place.ravel()
-        order = np.argsort(places, kind="stable")[: np.count_nonzero(places < count)]
-        places, sizes = places[order], np.bincount(places, minlength=count)[:count]
-        column = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-        summed = np.zeros((count, sizes.max()), dtype=PETSc.IntType)
-        summed[places, column] = self._bonds[order // len(signs)]
-        weights = np.zeros(summed.shape, dtype=np.int8)
-        weights[places, column] = signs[order % len(signs)]
-        rows = np.repeat(np.arange(self.first, self.last), np.diff(self._pointer))
-        return rows.astype(PETSc.IntType), summed, weights
 
     def numbers(self, sites):
         """Return PETSc's global numbers of balls given by their indices, shape (count, dim).
@@ -272,53 +257,42 @@ class Operators(Owner):
         self.da.globalToNatural(x, natural)
         scatter, gathered = PETSc.Scatter.toZero(natural)
         scatter.scatter(natural, gathered)
-        values = (
-            gathered.getArray().reshape(self.shape, order="F").copy()
-            if self.comm.rank == 0
-            else None
-        )
+        values = gathered.getArray().copy()
         for held in (scatter, gathered, natural):
             held.destroy()
-        return values
+        return values.reshape(self.shape, order="F") if self.comm.rank == 0 else None
 
-    def _make_pattern(self):
-        """Lay down this rank's nonzeros, and where in them each bond's contributions go.
+    def _find_rows(self):
+        """Find the bonds of each of this rank's balls, and its row's columns: itself, the others.
 
-        A bond adds k times the product of B's entries at two of its ends to the row of one and the
-        column of the other. `_place` says which nonzero that is, shape (bonds of this rank, 2, 2);
-        what belongs to a wall or to another rank goes to one place more at the end.
+        Shapes (own, 2 d) and (own, 2 d + 1). The column of a wall is -1, which PETSc ignores.
         """
-        self._bonds = np.flatnonzero(self._is_own(self.ends).any(axis=1))
-        ends, own = self.ends[self._bonds].astype(np.int64), self.last - self.first
-        rows, columns = ends[:, :, None], ends[:, None, :]
-        keys = (rows - self.first) * self.balls + columns
-        keys[~(self._is_own(rows) & (columns >= 0))] = own * self.balls
-        order = np.argsort(keys, axis=None, kind="stable")  # much quicker than the default
-        sorted_keys = keys.ravel()[order]
-        another = np.append(False, sorted_keys[1:] > sorted_keys[:-1])
-        self._place = np.empty(keys.shape, dtype=np.int64)
-        self._place.ravel()[order] = np.cumsum(another)
-        another[0] = True
-        rows, columns = np.divmod(sorted_keys[another], self.balls)
-        self._columns = columns[rows < own].astype(PETSc.IntType)
-        sizes = np.bincount(rows, minlength=own)[:own]
-        self._pointer = np.append(0, np.cumsum(sizes)).astype(PETSc.IntType)
+        ends = self.ends.ravel()
+        order = np.argsort(ends, kind="stable")  # much quicker than the default
+        order = order[np.count_nonzero(ends < self.first) : np.count_nonzero(ends < self.last)]
+        order = order.reshape(self.last - self.first, -1)
+        own = np.arange(self.first, self.last, dtype=PETSc.IntType)
+        self._bonds, self._columns = order // 2, np.column_stack([own, ends[order ^ 1]])
+        self._exists = self._columns >= 0
 
-    def _values(self, constants):
-        """Return the nonzeros of B^T diag(k) B, each summed up bond after bond."""
-        products = constants[self._bonds, None, None] * np.outer(SIGNS, SIGNS)
-        count = len(self._columns)
-        sums = np.bincount(self._place.ravel(), products.ravel(), count + 1)
-        return sums[:count].astype(PETSc.ScalarType)
+    def _values(self, constants, rows=...):
+        """Return what belongs into the columns of some rows of B^T diag(k) B."""
+        k = constants[self._bonds[rows]]
+        return np.column_stack([k.sum(axis=1), -k]).astype(PETSc.ScalarType)
 
-    def _drive(self, constants):
-        """Return this rank's rows of the drive: the constants of the driven wall's bonds."""
-        (bonds,) = np.nonzero(self.driven & self._is_own(self.ends[:, 0]))
-        balls = self.ends[bonds, 0] - self.first
-        return np.bincount(balls, constants[bonds], self.last - self.first)
+    def _csr(self, constants):
+        """Return row pointers, columns and nonzeros of B^T diag(k) B."""
+        pointer = np.append(0, np.cumsum(np.count_nonzero(self._exists, axis=1)))
+        columns, values = self._columns[self._exists], self._values(constants)[self._exists]
+        return pointer.astype(PETSc.IntType), columns, values
 
     def _assemble(self, constants):
         """Return the matrix B^T diag(k) B."""
-        csr = self._pointer, self._columns, self._values(constants)
         size = self.f_stiffness.getSizes()
-        return PETSc.Mat().createAIJ((size, size), csr=csr, comm=self.comm)
+        return PETSc.Mat().createAIJ((size, size), csr=self._csr(constants), comm=self.comm)
+
+    def _drive(self, constants):
+        """Return this rank's rows of the drive: the constants of the driven wall's bonds."""
+        bonds = np.flatnonzero(self.driven & self._is_own(self.ends[:, 0]))
+        balls = self.ends[bonds, 0] - self.first
+        return np.bincount(balls, constants[bonds], self.last - self.first)

@@ -8,15 +8,15 @@ give the amplitude at the detector with a rigorous bound (`pgran.solve.bounds`).
 
 import logging
 import math
+from functools import cached_property
 
 import numpy as np
 from petsc4py import PETSc
 
 from pgran.errors import is_bad_input, petsc_message
 from pgran.parallel.agreement import met_by_all
-from pgran.solve.detectors import Detectors
 from pgran.solve.judging import Judge, SteadyState
-from pgran.solve.linear import LEAST_NORM, NO_PRECONDITIONER, Krylov, System, release
+from pgran.solve.linear import LEAST_NORM, NO_PRECONDITIONER, Krylov, System
 from pgran.solve.operators import Owner
 from pgran.solve.reuse import FACTORIZATIONS, ReusePolicy, expected_iterations, factor_price
 
@@ -49,13 +49,11 @@ class SteadySolver(Owner):
     ----------
     factorizations : int
         How many there were so far.
-    primal, adjoints : pgran.solve.linear.System, list of pgran.solve.linear.System
-        The amplitudes of all balls at the last s, and the adjoint of each detector; no adjoints
-        where they would prove nothing.
-    bounds : pgran.solve.bounds.ErrorBounds
-    field : petsc4py.PETSc.Vec
-        All amplitudes at the s of the last `solve`.
+    primal : pgran.solve.linear.System
+        The amplitudes of all balls at the last s.
     """
+
+    owns = ("_krylov", "_judge", "_correction", "primal", "_units", "adjoints")
 
     def __init__(
         self,
@@ -71,11 +69,31 @@ class SteadySolver(Owner):
         self.tolerance, self.floor = error_tolerance, error_floor
         self.whole_field = whole_field
         self.factorizations = 0
-        self._krylov, self._spoilt, self._works, self._said = None, False, False, set()
-        self._detectors = Detectors(operators, sites)
+        self._sites, self._spoilt, self._works, self._said = sites, False, False, set()
         self._make_systems()
         self._policy = ReusePolicy(refresh_iterations)
         self.restart()
+
+    def _make_systems(self):
+        """Make what is solved and what judges it."""
+        choices = self.tolerance, self.floor, self.whole_field
+        self._judge = Judge(self.operators, self._sites, *choices)
+        self._correction, self.primal = self.operators.f.duplicate(), System(self.operators.f)
+
+    @cached_property
+    def _units(self):
+        """The adjoints' right-hand sides. Collective when first asked for."""
+        return self._judge.detectors.unit_vectors()
+
+    @cached_property
+    def adjoints(self):
+        """The adjoint of each detector. Collective when first asked for."""
+        return [System(unit) for unit in self._units]
+
+    @cached_property
+    def _krylov(self):
+        """The KSP, made only for use: SuperLU_DIST cannot free what it never factored."""
+        return Krylov(self.operators, self._correction)
 
     @property
     def bounds(self):
@@ -84,77 +102,43 @@ class SteadySolver(Owner):
 
     @property
     def field(self):
-        """The amplitudes of all balls. Not collective."""
+        """The amplitudes of all balls at the last s. Not collective."""
         return self.primal.solution
 
     @property
     def factor(self):
-        """The factorization of S, or None if the preconditioner is none. Not collective."""
-        self._need_krylov()
+        """The factorization of S, or None if the preconditioner is none. Collective."""
         pc = self._krylov.pc
         return pc.getFactorMatrix() if pc.getType() in FACTORIZATIONS else None
 
     @property
     def _systems(self):
-        """What is solved at the present s."""
+        """What is solved at the present s: no adjoints where they would prove nothing."""
         return [self.primal, *self.adjoints] if self.bounds.proven else [self.primal]
 
-    def destroy(self):
-        """Free all PETSc objects. Collective."""
-        self._forget()
-        self._judge.destroy()
-        for vector in self._owned:
-            vector.destroy()
-        self._detectors.destroy()
-
-    @property
-    def _owned(self):
-        """The vectors to work with, but those of bounds."""
-        rhs = [adjoint.rhs for adjoint in self.adjoints]
-        systems = (self.primal, *self.adjoints)
-        return [self._correction, *rhs, *(vector for item in systems for vector in item.owned)]
-
-    def _make_systems(self):
-        """Make what is solved, and for which right-hand sides."""
-        self._judge = Judge(
-            self.operators, self._detectors, self.tolerance, self.floor, self.whole_field
-        )
-        self._correction = self.operators.f.duplicate()
-        self.primal, self.adjoints = System(self.operators.f), []
-        self._need_adjoints()
-
-    def _need_adjoints(self):
-        """Make the adjoints where they prove something for the first time."""
-        if self.bounds.proven and not self.adjoints:
-            numbers = range(len(self._detectors))
-            self.adjoints = [System(self._detectors.unit_vector(d)) for d in numbers]
-
-    def _need_krylov(self):
-        """Make the KSP where there is none: SuperLU_DIST cannot free what it never factored."""
-        if self._krylov is None:
-            self._krylov = Krylov(self.operators, self._correction)
-
-    def _forget(self):
-        """Free what PETSc may have marked as failed for good: its solvers and S. Collective."""
-        if self._krylov is not None:
-            self._krylov.destroy()
-        self._krylov = None
-        self._judge.forget()
+    def _forget_factors(self):
+        """Free what PETSc may have marked as failed for good: its solvers and S."""
+        self.forget("_krylov")
+        self._judge.forget_factors()
         self.operators.forget("S")
 
-    def _renew_systems(self):
-        """Make all anew that an error inside PETSc may have left unfit for use. Collective."""
-        release([self.operators.f, *self._judge.owned, *self._owned], self._forget)
-        self._judge.destroy()
+    def _renew(self):
+        """Make all anew that an error inside PETSc may have left unfit for use.
+
+        PETSc may have locked vectors, or taken some for its own, to be freed with the solver that
+        it was interrupted in: so they are held until the solvers are gone.
+        """
+        vectors = [self.operators.f, *self.vectors()]
+        for vector in vectors:
+            vector.incRef()
+            vector.incRef()
+        self._forget_factors()
+        for vector in vectors:
+            while vector.refcount > 1:
+                vector.decRef()
+        self.forget(*self.owns)
         self.operators.forget("f")
         self._make_systems()
-
-    def _prepare(self, s):
-        """Combine S and f, and make the KSP where there is none, or none to rely on."""
-        if self._spoilt:
-            self._forget()
-        self.operators.combine(s)
-        self._need_krylov()
 
     def restart(self):
         """Forget what was solved before: what follows depends on nothing that came before.
@@ -191,7 +175,7 @@ class SteadySolver(Owner):
         except PETSc.Error as error:
             self._tell(s, error)
         if state is None:  # the error is gone, and with it what it kept alive
-            self._renew_systems()
+            self._renew()
             state = self._nothing(s)
         self._spoilt = state.converged_reason <= 0
         if self._spoilt:
@@ -200,17 +184,19 @@ class SteadySolver(Owner):
 
     def _solve(self, s):
         """Solve for one s by what may help, the cheapest first."""
-        self._prepare(s)
+        if self._spoilt:
+            self._forget_factors()
+        self.operators.combine(s)
         self.bounds.prepare(s, self.tolerance)
-        self._need_adjoints()
         for system in self._systems:
             system.advance()
         fresh = self._krylov.ksp.getType() == "preonly" or self._policy.due(self._expected(s))
         state = self._attempt(s, fresh)
         if state.converged_reason <= 0 and not fresh:
             self._policy.count_failure()
-            self._spoilt = state.converged_reason == NO_PRECONDITIONER
-            self._prepare(s)
+            if state.converged_reason == NO_PRECONDITIONER:
+                self._forget_factors()
+                self.operators.combine(s)
             fresh = True
             state = self._attempt(s, fresh)
         if state.converged_reason <= 0:
@@ -239,7 +225,7 @@ class SteadySolver(Owner):
     def _nothing(self, s):
         """Return the state of an s without a solution."""
         self.primal.solution.set(math.nan)
-        missing = np.full(len(self._detectors), math.nan)
+        missing = np.full(len(self._judge.detectors), math.nan)
         unknown = math.inf if self.bounds.proven else math.nan
         bound = np.full(missing.shape, unknown)
         return SteadyState(s, missing + 0j, bound, math.nan, 0, NO_PRECONDITIONER, unknown)
@@ -257,7 +243,7 @@ class SteadySolver(Owner):
             previous = state
             if attempt or not fresh:
                 self._improve_all(size)
-            state = self._judge.assess(s, self.primal, self.adjoints, krylov)
+            state = self._judge.assess(s, self._systems, krylov)
             size = np.abs(state.displacement)
             if state.converged_reason > 0 or not np.all(np.isfinite(size)):
                 break

@@ -23,8 +23,6 @@ h and g being what the algebra misses. As in `pgran.solve.bounds`, x_d + z^T r i
 with Y that sum is the amplitude at the start plus q^T gamma - (q + G eta)^T h, which is reported.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -45,23 +43,6 @@ LONGEST_REACH = 1e-8
 SHORTEST = 4
 
 
-@dataclass(frozen=True)
-class Flexibility:
-    """What the bonds of a window do to the lattice at its start: Y = S0^-1 B.
-
-    Attributes
-    ----------
-    G : numpy.ndarray, shape (s, s)
-        B^T Y.
-    norms, residuals : numpy.ndarray, shape (s,)
-        Bounds of the 2-norms of the columns of Y, and of those of B - S0 Y.
-    """
-
-    G: np.ndarray
-    norms: np.ndarray
-    residuals: np.ndarray
-
-
 class Windows(Owner):
     """Solves windows of steps; destroy with `destroy` or `with`.
 
@@ -71,7 +52,7 @@ class Windows(Owner):
     ----------
     changing : pgran.solve.changing.ChangingBonds
     solver : pgran.solve.steady.SteadySolver
-        Of the same operators, with adjoints.
+        Of the same operators.
     s : complex
         i omega.
 
@@ -80,6 +61,8 @@ class Windows(Owner):
     InputError
         If the solver's preconditioner is no factorization, or there is no damping.
     """
+
+    owns = ("_rhs", "_found", "_residual")
 
     def __init__(self, changing, solver, s):
         """Make the blocks of right-hand sides and solutions."""
@@ -104,30 +87,16 @@ class Windows(Owner):
             block.setUp()
             block.assemble()
 
-    def destroy(self):
-        """Free the blocks. Collective."""
-        for block in (self._rhs, self._found, self._residual):
-            block.destroy()
-
     def start(self):
-        """Return the steady state of the bonds as they are, from a fresh factorization. Collective.
-
-        Returns
-        -------
-        pgran.solve.judging.SteadyState
-        """
+        """Return the steady state of the bonds as they are, factored afresh. Collective."""
         self.solver.restart()
         self.state = self.solver.solve(self.s)
         return self.state
 
     def follow(self, changes):
-        """Return the amplitudes after each of some changes, `start` being the state before them.
+        """Return the amplitudes after each of some Changes, `start` being the state before them.
 
         Collective. The bonds stay as they are.
-
-        Parameters
-        ----------
-        changes : pgran.physics.changes.Changes
 
         Returns
         -------
@@ -138,17 +107,16 @@ class Windows(Owner):
             nothing = np.empty((0, len(self.state.displacement)))
             return nothing + 0j, nothing
         wanted, changes = len(changes), changes.extended(SHORTEST)
-        flexibility = self._flexibility(changes.bond)
+        G, *columns = self._flexibility(changes.bond)
         with np.errstate(all="ignore"):
-            primal, adjoints = self._deformations(changes, flexibility.G)
-            found = self._amplitudes(flexibility, primal, adjoints)
+            found = self._amplitudes(*columns, *self._deformations(changes, G))
             after, error_bound = (np.stack(columns, axis=1) for columns in zip(*found, strict=True))
             kept = self._are_kept(after[:wanted], error_bound[:wanted])
         count = wanted if np.all(kept) else np.argmin(kept)
         return after[:count], error_bound[:count]
 
     def _flexibility(self, bonds):
-        """Solve for blocks of bonds with the factorization.
+        """Return G, and bounds of the norms of Y's columns and of their residuals.
 
         A KSP may make up for an inexact factorization; here its residual shows.
         """
@@ -173,28 +141,24 @@ class Windows(Owner):
         norms, residuals = 1.01 * np.sqrt(total)
         norms += bounds.lost
         residuals += bounds.unit * (BOND + bounds.scale * norms) + bounds.lost
-        return Flexibility(np.concatenate(columns, axis=1), norms, residuals)
+        return np.concatenate(columns, axis=1), norms, residuals
 
     def _deformations(self, changes, G):
-        """Return how the amplitudes, and the adjoint of each detector, follow the changes."""
+        """Return how the amplitudes, and the adjoints of detectors, follow the changes."""
         systems = [self.solver.primal, *self.solver.adjoints]
         fields = np.stack([system.solution.getArray(readonly=True) for system in systems], axis=1)
         # rows of their own: see SHORTEST
         starts = np.ascontiguousarray(self.operators.stretch(fields, changes.bond).T)
         delta, driven = self.changing.differences(changes), self.operators.driven[changes.bond]
-        algebra = (*march(G, delta), G, delta)
-        primal, *adjoints = (
-            Deformation.of(*algebra, start, wall)
-            for start, wall in zip(starts, [driven, *[0.0] * (len(starts) - 1)], strict=True)
-        )
-        return primal, adjoints
+        algebra, (primal, *adjoints) = (*march(G, delta), G, delta), starts
+        return Deformation(*algebra, primal, driven), [Deformation(*algebra, z) for z in adjoints]
 
-    def _amplitudes(self, flexibility, primal, adjoints):
+    def _amplitudes(self, norms, residuals, primal, adjoints):
         """Yield the amplitudes at each detector after each step, and their bounds."""
-        solver, bounds, residuals = self.solver, self.solver.bounds, flexibility.residuals
+        solver, bounds = self.solver, self.solver.bounds
         terms = bounds.rounding(solver.primal.solution)
         r0 = bounds.primal_residual(solver.primal, terms)
-        moved, r = flexibility.norms @ primal.coefficient_sizes, primal.residual(r0, residuals)
+        moved, r = norms @ primal.coefficient_sizes, primal.residual(r0, residuals)
         for system, adjoint, before in zip(
             solver.adjoints, adjoints, self.state.displacement, strict=True
         ):
@@ -202,7 +166,7 @@ class Windows(Owner):
             amplitude, rounding = amplitudes(before, primal, adjoint)
             theory = r * adjoint.residual(q0, residuals) / bounds.stability(self.s)
             # products of residuals with Y, which the amplitude leaves out
-            left_out = q0 * moved + (flexibility.norms @ adjoint.coefficient_sizes) * (
+            left_out = q0 * moved + (norms @ adjoint.coefficient_sizes) * (
                 r0 + residuals @ primal.coefficient_sizes
             )
             bound = 1.01 * (theory + left_out + rounding)
