@@ -76,7 +76,7 @@ class Rehearsal(Crew):
             self.world.Barrier()
             started = time.perf_counter()
             found = work(part)
-            took = self.world.allreduce(time.perf_counter() - started) / self.world.size
+            took = self.world.allreduce(time.perf_counter() - started, MPI.MAX)
             seconds.append(took)
             rows.append(task.length(part))
             if self.world.rank == 0:
@@ -131,12 +131,12 @@ def forecast(scene, options, world, started):
         lines.append(f"unknowns  {lattice.balls} ({balls} balls, {bond_count(shape)} bonds)")
         factored = options.solver.get("steady_pc_type", "lu") in ("lu", "cholesky")
         ranks = ranks_per_lattice(options, lattice, world) if scene.shares_lattice else 1
-        needed = lattice_memory(shape, ranks, factored) * ranks_here(world)
-        free = world.bcast(free_memory())
-        if free and needed > free:
+        needed = _machine_total(world, lattice_memory(shape, ranks, factored))
+        free = free_memory()
+        if any(world.allgather(free and needed > free)):  # on one machine of several
             lines.append(
-                f"WARNING   matrices and factors take about {in_bytes(needed)} on this machine, "
-                f"more than the {in_bytes(free)} that are free: nothing was tried"
+                f"WARNING   matrices and factors take about {in_bytes(needed)} of memory on this "
+                f"machine, where {in_bytes(free or 0)} are free: nothing was tried"
             )
             return lines if world.rank == 0 else []
     crews = []
@@ -238,14 +238,6 @@ def stored_bytes(records):
     """Return the size of records in a file. Not collective."""
     values = (getattr(record, f.name) for record in records for f in dataclasses.fields(record))
     return FILE_BYTES + sum(value.nbytes for value in values if isinstance(value, np.ndarray))
-
-
-def ranks_here(world):
-    """Return how many ranks run on this machine. Collective."""
-    machine = world.Split_type(MPI.COMM_TYPE_SHARED)
-    size = machine.size
-    machine.Free()
-    return size
 
 
 def _machine_total(world, size):

@@ -38,7 +38,8 @@ def run(words):
     path, *rest = words
     check_word(path)
     world = start_mpi()
-    given = read_environment() + on_root(world, lambda: read_file(path)) + read_words(rest)
+    environment = world.bcast(read_environment())  # each rank's own is not to be read by PETSc
+    given = environment + on_root(world, lambda: read_file(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
     if options.output_log:
         _start_log(options, words, world)
@@ -59,6 +60,8 @@ def _foresee(scene, options, world, started):
     """Say what a run will need. Collective."""
     from pgran.command.forecast import forecast
     from pgran.files.store import check_output
+
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, launch.SIGNALS)  # there is nothing to keep
 
     on_root(world, lambda: check_output(options.output_file, options.output_overwrite, make=False))
     for line in forecast(scene, options, world, started):
@@ -106,11 +109,14 @@ def _compute(scene, options, words, world, started):
 
 def _run_identity(options):
     """Return what decides a run's numbers, {option: text}. Not collective."""
+    from pgran.files.paths import open_regular
+
     identity = {"pgran": pgran.__version__} | options.identity()
     for name in ("bonds_file", "accuracy_solvers"):
         paths = getattr(options, name, None) or ()
         for path in [paths] if isinstance(paths, str) else paths:
-            contents = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+            with open_regular(path) as stream:
+                contents = hashlib.file_digest(stream, "sha256").hexdigest()
             identity[name] += f" ({path} holds {contents[:16]})"
     return identity
 
@@ -204,12 +210,10 @@ def _warn_of_unused(options):
     from pgran.files.solver_keys import is_solver_key
 
     keys = [key for key in options.solver if is_solver_key(key)]
-    if "petsc4py.PETSc" in sys.modules:
-        from pgran.solve.database import unused
+    if keys:
+        from pgran.solve.database import warn_of_unused
 
-        keys = unused(keys)
-    for key in keys:
-        log.warning("-%s was not used: no solver of this run has such an option", key)
+        warn_of_unused(keys)
 
 
 def name_rank(world):

@@ -7,7 +7,14 @@ or ends the whole job in `pgran.__main__`.
 
 import time
 
-from pgran.errors import FileError, PgranError, reason_of
+from pgran.errors import (
+    FileError,
+    InputError,
+    PgranError,
+    is_bad_input,
+    petsc_message,
+    reason_of,
+)
 
 SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail alike
 SECONDS_FOR_MPIRUN = 0.1  # to hand on a message: MPICH's loses some that an abort follows at once
@@ -61,12 +68,17 @@ def agree(comm, failure):
     Raises
     ------
     PgranError
-        With the last line of that error's message.
+        Of that error's kind, or with what PETSc said.
     """
-    met = comm.allgather(failure and (str(failure).splitlines() or [repr(failure)])[-1])
-    message = next(filter(None, met), None)
-    if message:
-        raise PgranError(message)
+    told = None
+    if isinstance(failure, PgranError):
+        told = type(failure), str(failure)
+    elif failure is not None:  # of PETSc
+        told = InputError if is_bad_input(failure) else PgranError, petsc_message(failure)
+    met = next(filter(None, comm.allgather(told)), None)
+    if met:
+        kind, message = met
+        raise kind(message)
 
 
 def met_by_all(comm):

@@ -102,7 +102,10 @@ def check_lattice(values, given):
     if from_file != (values["bonds_file"] is not None):
         raise InputError("-bonds_file and -bonds_law file belong together: give both or neither")
     if from_file:
-        alternatives(("bonds_file",), ("lattice_shape", "bonds_kmin", "bonds_kmax"), values, given)
+        for name in ("lattice_shape", "bonds_kmin", "bonds_kmax"):
+            if name in given and given[name].rank >= given["bonds_file"].rank:
+                raise InputError(f"-{name}{given[name].where}: contradicts -bonds_file")
+            values[name] = None
 
 
 def check_sweep(values, given):

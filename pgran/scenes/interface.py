@@ -4,8 +4,8 @@ import functools
 import inspect
 
 from pgran.errors import InputError
-from pgran.files.options import nearest
-from pgran.files.solver_keys import SOLVER_PREFIXES, is_solver_key
+from pgran.files.options import nearest, text_of
+from pgran.files.solver_keys import SOLVER_PREFIXES, check_pivot_shifts, is_solver_key
 from pgran.scenes.common import automatic_ranks
 
 
@@ -26,47 +26,44 @@ def in_parallel(shares_lattice=False):
 
         @functools.wraps(function)
         def wrapped(*arguments, **choices):
-            solver = choices.pop("solver", None)
-            given = signature.bind_partial(*arguments, **choices).arguments
-            if given.get("crew") is not None:
-                return function(*arguments, **choices)
+            solver = solver_keys(choices.pop("solver", None))
+            given = signature.bind(*arguments, **choices).arguments
             from mpi4py import MPI
 
             from pgran.parallel.crew import AgreeingCrew
+            from pgran.solve.database import holding, warn_of_unused
 
-            world = MPI.COMM_WORLD
-            ranks = automatic_ranks(given["lattice"].shape, world.size) if shares_lattice else 1
-            with solver_options(solver), AgreeingCrew(world, ranks) as crew:
-                return world.bcast(function(*arguments, **choices | {"crew": crew}))
+            with holding(solver):
+                if given.get("crew") is not None:
+                    return function(*arguments, **choices)
+                world = MPI.COMM_WORLD
+                ranks = automatic_ranks(given["lattice"].shape, world.size) if shares_lattice else 1
+                with AgreeingCrew(world, ranks) as crew:
+                    record = function(*arguments, **choices | {"crew": crew})
+                if world.rank == 0:
+                    warn_of_unused(solver)
+            return world.bcast(record)
 
         return wrapped
 
     return decorate
 
 
-def solver_options(solver):
-    """Return a context in which keys of a dict hold for all solvers that are made. Not collective.
+def solver_keys(solver):
+    """Return a dict of solver keys as texts, checked. Not collective.
 
     Raises
     ------
     InputError
-        For a key that belongs to no solver.
+        For a key that belongs to no solver, or pivots that PETSc might shift for ever.
     """
-    from pgran.solve.database import holding
-
-    solver = {str(key).lower(): _text(value) for key, value in (solver or {}).items()}
-    for key in solver:
+    keys = {}
+    for key, value in (solver or {}).items():
+        key = str(key).lower()
         if not is_solver_key(key):
             near = nearest(key, [prefix + key for prefix in SOLVER_PREFIXES])
-            raise InputError(
-                f"solver: {key!r} belongs to no solver"
-                + (f"; did you mean {near!r}?" if near else "")
-            )
-    return holding(solver, warn=True)
-
-
-def _text(value):
-    """Return a value as an options file has it: None and True stand for a key alone."""
-    if value is None or value is True:
-        return ""
-    return "false" if value is False else str(value)
+            hint = f"; did you mean {near!r}?" if near else ""
+            raise InputError(f"solver: {key!r} belongs to no solver{hint}")
+        keys[key] = "" if value is None or value is True else text_of(value)
+    check_pivot_shifts(keys)
+    return keys

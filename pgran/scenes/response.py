@@ -133,6 +133,9 @@ class ResponseSweep(FrequencySweep):
     def __init__(self, lattice, omegas, detectors, fields, phase_window, steady):
         """Say what a frequency's results travel in."""
         self.fields, self.phase_window = fields, phase_window
+        ends = dict(zip(("phase_fit_min", "phase_fit_max"), phase_window, strict=True))
+        common.check_values(PHASE, **ends)
+        common.check_ends("phase_fit", ends)
         sites = detector_sites(lattice.shape, detectors)
         kept = [
             ("displacement", complex, (len(sites),)),
@@ -157,12 +160,13 @@ class ResponseSweep(FrequencySweep):
         displacement = rows["displacement"].copy()
         tolerance = self.choices["error_tolerance"]
         at_floor = below_relative_accuracy(rows["error_bound"], displacement, tolerance)
-        at_floor[rows["converged_reason"] <= 0] = 0
-        known = np.where(at_floor, np.nan, displacement)
+        failed = rows["converged_reason"] <= 0
+        at_floor[failed] = 0
+        known = np.where(failed[:, None] | (at_floor > 0), np.nan, displacement)
         phase = unwrap(known) if lattice.damping else phase_of_sign(known)
         low, high = self.phase_window
         inside = (omegas > low * lattice.omega_mx) & (omegas < high * lattice.omega_mx)
-        inside &= (rows["converged_reason"] > 0) & (lattice.damping > 0)
+        inside &= ~failed & (lattice.damping > 0)
         slope, intercept = fit_phase(omegas[inside] / lattice.omega_mx, phase[inside])
         distance = lattice.shape[0] - sites[:, 0]
         return Response(

@@ -98,7 +98,10 @@ def checked_frequencies(omegas):
     ------
     InputError
     """
-    omegas = np.atleast_1d(np.asarray(omegas, dtype=float))
+    try:
+        omegas = np.atleast_1d(np.asarray(omegas, dtype=float))
+    except (TypeError, ValueError):
+        raise InputError("-sweep_omega: the frequencies must be numbers") from None
     if omegas.ndim != 1 or not omegas.size or not np.all(np.isfinite(omegas) & (omegas > 0)):
         raise InputError("-sweep_omega: the frequencies must be positive and finite, in a list")
     if np.any(np.diff(omegas) <= 0):

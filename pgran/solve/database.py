@@ -10,7 +10,7 @@ log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
-def holding(keys, warn=False):
+def holding(keys):
     """Let solver keys hold for the objects that are made meanwhile, on top of those there are.
 
     Not collective, but every rank must hold the same.
@@ -19,8 +19,6 @@ def holding(keys, warn=False):
     ----------
     keys : dict of str
         Names without the leading dash.
-    warn : bool
-        Warn of keys that no object has asked for meanwhile.
     """
     database = PETSc.Options()
     before = database.getAll()
@@ -28,8 +26,6 @@ def holding(keys, warn=False):
         database.setValue(key, text)
     try:
         yield
-        for key in unused(keys) if warn else ():
-            log.warning("%s was not used: no solver of this run has such an option", key)
     finally:
         for key in keys:
             if key in before:
@@ -42,6 +38,12 @@ def unused(keys):
     """Return those of some keys in the database that no object has asked for. Not collective."""
     used = _whether_used()
     return [key for key in keys if not used(key)]
+
+
+def warn_of_unused(keys):
+    """Warn of those of some keys in the database that no object has asked for. Not collective."""
+    for key in unused(keys):
+        log.warning("-%s was not used: no solver of this run has such an option", key)
 
 
 def _whether_used():
