@@ -8,9 +8,12 @@ import pytest
 from reference import bonds
 from scipy.stats import kstest
 
+from pgran.command.resolve import resolve
 from pgran.errors import InputError
+from pgran.files.reading import read_words
 from pgran.physics.bondlaw import LAWS, BondLaw, unit_numbers
 from pgran.physics.lattice import Lattice
+from pgran.scenes.common import make_lattice
 
 MASK = 2**64 - 1
 PARAMETERS = {"kmin": 0.05, "kmax": 0.25, "fraction": 0.3, "force": 2.0, "hertz": 3.0}
@@ -91,16 +94,41 @@ def test_elementary_functions_are_rounded_once():
         assert np.count_nonzero(found != [float(value) for value in values]) <= 1
 
 
-@pytest.mark.parametrize("shape", [(9,), (4, 5), (2, 3, 4), (1, 1)])
 @pytest.mark.parametrize("name", LAWS)
-def test_bond_b_has_the_bth_number_on_all_ranks(shape, name, world):
+def test_bond_b_of_a_random_lattice_has_the_bth_number_on_all_ranks(name, world):
     """Axis after axis, each in C order, for every law."""
-    law = BondLaw(name, **PARAMETERS)
-    arrays = law.draw(shape, 7)
+    law, shape = BondLaw(name, **PARAMETERS), [4, 1, 3]
+    lattice = Lattice.random(shape, 7, name, mass=2.0, damping=0.1, **PARAMETERS)
     for number, (axis, index, *_) in enumerate(bonds(shape)):
-        assert arrays[axis][index] == law(unit_numbers(7, number, 1))[0]
-    assert Lattice(arrays).shape == shape
-    assert len(set(world.allgather(Lattice(arrays).bonds_sha256))) == 1
+        assert lattice.stiffness[axis][index] == law(unit_numbers(7, number, 1))[0]
+    assert len(set(world.allgather(lattice.bonds_sha256))) == 1
+    assert (lattice.mass, lattice.damping) == (2.0, 0.1)
+    assert lattice.kmax == (lattice.constants.max() if name == "hertz" else 0.25)
+    again = Lattice.random(tuple(shape), np.int64(7), law)
+    assert again.bonds_sha256 == lattice.bonds_sha256
+
+
+@pytest.mark.parametrize("text", ["", "-bonds_law hertz -bonds_force 2 -bonds_seed 5"])
+def test_a_random_lattice_is_that_of_the_options(text, world):
+    found = make_lattice(resolve(read_words(f"-scene response {text}".split())), world)
+    choices = {"seed": 5, "law": "hertz", "force": 2.0} if text else {}
+    lattice = Lattice.random((20, 20), **choices)
+    for name in ("bonds_sha256", "mass", "damping", "kmax"):
+        assert getattr(found, name) == getattr(lattice, name)
+
+
+@pytest.mark.parametrize(
+    ("choices", "key"),
+    [
+        *(({"shape": bad}, "lattice_shape") for bad in ((), (2, 0), (2,) * 4, 5, (2.5,), "ab")),
+        *(({"seed": bad}, "bonds_seed") for bad in (-1, 2**64, 1.5)),
+        ({"law": "normal"}, "bonds_law"), ({"law": BondLaw("uniform"), "kmax": 1.0}, "bonds_law"),
+        ({"kmin": 2.0}, "bonds_kmin"), ({"mass": 0.0}, "lattice_mass"),
+    ],
+)  # fmt: skip
+def test_impossible_random_lattices(choices, key):
+    with pytest.raises(InputError, match=key):
+        Lattice.random(**{"shape": (3, 2)} | choices)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ import math
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.physics.lattice import bond_arrays, bond_count
 
 
 def unit_numbers(seed, first, count, generation=0):
@@ -122,21 +121,3 @@ class BondLaw:
     def __call__(self, u):
         """Return the constants that belong to numbers uniform on [0, 1)."""
         return self.function(u, *self.parameters)
-
-    def draw(self, shape, seed):
-        """Return the bond constants of a lattice.
-
-        Not collective; the same on every rank.
-
-        Parameters
-        ----------
-        shape : sequence of int
-            Balls along each axis.
-        seed : int
-
-        Returns
-        -------
-        tuple of numpy.ndarray
-            One array for each axis, as `Lattice` takes them.
-        """
-        return bond_arrays(shape, self(unit_numbers(seed, 0, bond_count(shape))))

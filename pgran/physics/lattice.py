@@ -8,12 +8,14 @@ and its entry `i` joins the balls `i - 1` and `i`.
 
 import hashlib
 import math
+import operator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.physics.bondlaw import BondLaw, unit_numbers
 
 AXES = "xyz"
 SIGNS = np.array([-1.0, 1.0])  # in a row of B, of the ball below a bond and of that above
@@ -72,6 +74,45 @@ class Lattice:
                 "lattice_mass, bonds: the frequencies, up to sqrt(4 d kmax / m), are too large to "
                 "compute with; choose other units"
             )
+
+    @classmethod
+    def random(cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=0.003, **parameters):
+        """Return the lattice that the options of a run describe, the same on every rank.
+
+        Not collective.
+
+        Parameters
+        ----------
+        shape : sequence of int
+            Balls along each of 1 to 3 axes.
+        seed : int
+            Which sample, 0 to 2^64 - 1.
+        law : str or BondLaw
+            What bond constants are drawn from; its kmax, where it has one, is the lattice's.
+        mass, damping : float
+            m of a ball, beta of every bond.
+        **parameters : float
+            Of a law given by its name: kmin, kmax, fraction, force, hertz.
+
+        Raises
+        ------
+        InputError
+            If a value is impossible.
+        """
+        if not isinstance(law, BondLaw):
+            law = BondLaw(law, **parameters)
+        elif parameters:
+            raise InputError(f"bonds_law: this law has its parameters, and takes no {parameters}")
+        try:
+            shape, seed = tuple(map(operator.index, shape)), operator.index(seed)
+        except TypeError:
+            raise InputError("lattice_shape, bonds_seed: whole numbers are needed") from None
+        if not 1 <= len(shape) <= 3 or min(shape) < 1:
+            raise InputError(f"lattice_shape: 1 to 3 positive numbers are needed, not {shape}")
+        if not 0 <= seed < 2**64:
+            raise InputError(f"bonds_seed: must lie between 0 and 2^64 - 1, not {seed}")
+        bonds = law(unit_numbers(seed, 0, bond_count(shape)))
+        return cls(bond_arrays(shape, bonds), mass, damping, law.kmax)
 
     @property
     def shape(self):
