@@ -15,7 +15,7 @@ from pgran.errors import InputError
 
 
 def unit_numbers(seed, first, count, generation=0):
-    """Return `count` numbers uniform on [0, 1), those of the bonds from `first` on.
+    """Return numbers uniform on [0, 1), multiples of 2**-53, those of the bonds from `first` on.
 
     Not collective.
 
@@ -27,11 +27,6 @@ def unit_numbers(seed, first, count, generation=0):
         Which part of the stream.
     generation : int
         Independent streams of the same seed.
-
-    Returns
-    -------
-    numpy.ndarray, shape (count,)
-        Multiples of 2**-53.
     """
     block, skip = divmod(first, 4)  # Philox makes four numbers for each value of its counter
     stream = np.random.Philox(key=seed, counter=[block, 0, generation, 0])

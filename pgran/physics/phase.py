@@ -42,33 +42,18 @@ def fit_line(x, y):
 
 
 def fit_phase(x, phase):
-    """Fit a straight line to the phase of each detector; NaN where there are too few points.
+    """Return slope and intercept of the phase (n, nd) of each detector over x, by `fit_line`.
 
     Not collective.
-
-    Parameters
-    ----------
-    x : numpy.ndarray, shape (n,)
-        Frequency in units of omega_mx.
-    phase : numpy.ndarray, shape (n, nd)
-
-    Returns
-    -------
-    slope, intercept : numpy.ndarray, shape (nd,)
-        In rad per omega_mx, and rad.
     """
     return np.transpose([fit_line(x, column) for column in phase.T])
 
 
 def phase_velocity(slope, distance):
-    """Return the velocity in spacings times omega_mx (paper: phsvel). Not collective.
+    """Return the velocity in spacings times omega_mx (paper: phsvel).
 
-    Parameters
-    ----------
-    slope : numpy.ndarray, shape (nd,)
-        Of the phase, in rad per omega_mx.
-    distance : numpy.ndarray, shape (nd,)
-        From the driven wall, in spacings.
+    Not collective. The slope of the phase is in rad per omega_mx, the distance from the driven wall
+    in spacings.
     """
     with np.errstate(divide="ignore"):
         return distance / np.abs(slope)
