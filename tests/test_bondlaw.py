@@ -29,9 +29,9 @@ def philox(key, counter):
     return x
 
 
-@pytest.mark.parametrize("seed", [0, 1993, 2**63 - 1, 2**64 - 1])
-@pytest.mark.parametrize("generation", [0, 1, 77])
-@pytest.mark.parametrize("first", [0, 1, 3, 4, 8191, 2**42 + 3])
+@pytest.mark.parametrize(
+    ("seed", "generation", "first"), [(0, 0, 0), (1993, 1, 3), (1, 77, 8191), (2**64 - 1, 2, 2**42)]
+)
 def test_numbers_are_philox_from_any_place_of_the_stream(seed, generation, first):
     """Four numbers a counter, which NumPy raises before it draws; the upper 53 bits of each."""
     block, skip = divmod(first, 4)
@@ -71,8 +71,6 @@ def test_exact_values():
     np.testing.assert_allclose(BondLaw("uniform")(u), [0.0, 0.125, 0.25], rtol=2.0**-52)  # paper's
     assert BondLaw("constant")(u).tolist() == [0.25] * 3
     assert BondLaw("bimodal", kmin=0.1)(u).tolist() == [0.25, 0.1, 0.1]
-    assert BondLaw("bimodal", kmin=0.1, fraction=1.0)(u).tolist() == [0.25] * 3
-    assert BondLaw("uniform", kmin=0.1, kmax=0.1)(u).tolist() == [0.1] * 3
 
 
 def test_loguniform_keeps_its_bounds_without_extended_precision(monkeypatch):
@@ -134,15 +132,11 @@ def test_impossible_random_lattices(choices, key):
 @pytest.mark.parametrize(
     ("name", "parameters", "key"),
     [
-        ("normal", {}, "bonds_law"), ("file", {}, "bonds_law"),
-        ("uniform", {"kmin": -0.1}, "bonds_kmin"), ("uniform", {"kmin": 0.3}, "bonds_kmin"),
-        ("uniform", {"kmin": math.nan}, "bonds_kmin"), ("uniform", {"kmax": 0.0}, "bonds_kmax"),
-        ("uniform", {"kmax": math.inf}, "bonds_kmax"), ("constant", {"kmax": -1.0}, "bonds_kmax"),
-        ("constant", {"kmax": math.nan}, "bonds_kmax"), ("loguniform", {"kmin": 0.0}, "bonds_kmin"),
-        ("loguniform", {"kmin": 0.3}, "bonds_kmin"), ("bimodal", {"kmin": 0.3}, "bonds_kmin"),
+        ("file", {}, "bonds_law"), ("loguniform", {"kmin": 0.0}, "bonds_kmin"),
+        *(("uniform", {"kmin": bad}, "bonds_kmin") for bad in (-0.1, 0.3, math.nan)),
+        *(("constant", {"kmax": bad}, "bonds_kmax") for bad in (0.0, -1.0, math.inf)),
         *(("bimodal", {"fraction": bad}, "bonds_fraction") for bad in (1.5, -0.1, math.nan)),
-        *(("hertz", {"force": bad}, "bonds_force") for bad in (0.0, math.inf)),
-        *(("hertz", {"hertz": bad}, "bonds_hertz") for bad in (0.0, -1.0)),
+        ("hertz", {"force": math.inf}, "bonds_force"), ("hertz", {"hertz": 0.0}, "bonds_hertz"),
     ],
 )  # fmt: skip
 def test_impossible_parameters(name, parameters, key):
