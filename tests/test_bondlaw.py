@@ -6,7 +6,6 @@ from decimal import Decimal, getcontext
 import numpy as np
 import pytest
 from reference import bonds
-from scipy.stats import kstest
 
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
@@ -45,32 +44,12 @@ def test_numbers_are_philox_from_any_place_of_the_stream(seed, generation, first
         assert unit_numbers(seed, first, count, generation).tolist() == expected[:count]
 
 
-@pytest.mark.parametrize(
-    ("name", "distribution"),
-    [
-        ("uniform", lambda k: np.clip((k - 0.05) / 0.2, 0, 1)),
-        ("loguniform", lambda k: np.clip(np.log(k / 0.05) / np.log(5), 0, 1)),
-        # k = 3/2 c^(2/3) F^(1/3), so F = (2k/3)^3 / c^2, exponential with mean `force`
-        ("hertz", lambda k: -np.expm1(-((2 * k / 3) ** 3) / 3.0**2 / 2.0)),
-    ],
-)
-def test_continuous_laws(name, distribution):
-    law = BondLaw(name, **PARAMETERS)
-    assert kstest(law(unit_numbers(4, 0, 20_000)), distribution).pvalue > 1e-3
-    ends = law(np.array([0.0, 2.0**-53, 1 - 2.0**-53]))
-    assert np.all(np.diff(ends) >= 0)
-    if name == "hertz":
-        assert 0 == ends[0] < ends[1] < ends[2] < math.inf
-    else:
-        assert 0.05 <= ends[0] <= ends[2] <= 0.25
-        np.testing.assert_allclose(ends[[0, 2]], [0.05, 0.25], rtol=1e-15)
-
-
 def test_exact_values():
     u = np.array([0.0, 0.5, 1 - 2.0**-53])
     np.testing.assert_allclose(BondLaw("uniform")(u), [0.0, 0.125, 0.25], rtol=2.0**-52)  # paper's
     assert BondLaw("constant")(u).tolist() == [0.25] * 3
     assert BondLaw("bimodal", kmin=0.1)(u).tolist() == [0.25, 0.1, 0.1]
+    assert np.all(np.isfinite(BondLaw("hertz")(u)))
 
 
 def test_loguniform_keeps_its_bounds_without_extended_precision(monkeypatch):
@@ -80,7 +59,7 @@ def test_loguniform_keeps_its_bounds_without_extended_precision(monkeypatch):
 
 
 def test_elementary_functions_are_rounded_once():
-    """The exact values, from decimals, rounded to the nearest double but for rare ties."""
+    """Uniform log k, and k = 3/2 c^(2/3) F^(1/3) with F exponential, from decimals; ties are rare."""
     getcontext().prec = 40
     u = unit_numbers(8, 0, 100)
     low, high = (Decimal(PARAMETERS[end]).ln() for end in ("kmin", "kmax"))

@@ -5,11 +5,10 @@ import itertools
 import mpmath
 import numpy as np
 import pytest
-from mpmath import mp, mpf
 from reference import continuum_amplitude, uniform_field
 
 from pgran.errors import InputError
-from pgran.physics.continuum import HALF_WAVES, PI, PI_SQUARED, Continuum
+from pgran.physics.continuum import HALF_WAVES, PI, Continuum
 
 POINT = (0.47, 0.52)
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
@@ -25,13 +24,6 @@ def _digits():
 def relative_error(box, omega, point):
     exact = continuum_amplitude(box, omega, point)
     return float(abs(mpmath.mpc(complex(box.response(omega, point))) - exact) / abs(exact))
-
-
-def test_pi():
-    with mpmath.workdps(60):
-        assert abs(mpf(str(PI_SQUARED)) - mp.pi**2) < mpf(10) ** -48
-    rest = float(mp.pi - mpf(np.pi))
-    assert abs(float(PI - np.longdouble(np.pi)) - rest) < np.finfo(np.longdouble).eps
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.003, 1.0])
@@ -125,19 +117,6 @@ def test_the_uniform_lattice_converges_at_second_order(damping, omega):
         errors.append(abs(field[9 * n // 20 - 1, 11 * n // 20 - 1] - limit))
     orders = np.log2(np.divide(errors[:-1], errors[1:])).astype(float)
     assert orders == pytest.approx([2, 2], abs=0.1)
-
-
-def test_poles_lie_at_the_driven_resonances_only():
-    """Simple poles without damping, of either sign; the other eigenfrequencies show nothing."""
-    box, point = Continuum(damping=0.0), (0.43, 0.38)
-    driven, every = box.resonances(30), box.eigenvalues(30)
-    below, above, there = (box.response(driven * (1 + s * 1e-9), point) for s in (-1, 1, 0))
-    np.testing.assert_allclose(above, -below, rtol=1e-5)
-    assert np.abs(above).min() > 1e5
-    assert np.all((np.abs(there) > 1e12) & np.isfinite(there))
-    others = np.setdiff1d(every, driven)
-    assert len(others) > 3
-    assert np.abs(box.response(others, point)).max() < 100
 
 
 @pytest.mark.parametrize(("method", "stride"), [("resonances", 2), ("eigenvalues", 1)])

@@ -241,15 +241,3 @@ def test_spoilt_factors_are_refused():
     with counting_modes(uniform_lattice((2,), 1.0)) as (counter, _):
         assert counter.below(1.8, 1e-11) == 1
         assert counter.below(2.0, 1e-11) is None
-
-
-def test_slices_share_no_mode_and_leave_none(world, narrow):
-    with counting_modes(random_lattice((8, 9), seed=3)) as (counter, values):
-        slices = counting.cut(counter, counter.interval(0.2, 0.9), world)
-    counts = [count for *_, count in slices]
-    assert len(slices) > 4
-    assert max(counts) <= 9 + 6
-    for low, high, count in slices:
-        assert np.count_nonzero((values > low) & (values < high)) == count
-        assert low == min(slices)[0] or np.abs(values - low).min() >= 0.9 * counter.clearance
-    assert sum(counts) == np.count_nonzero((values > 0.2) & (values < 0.9))
