@@ -1,6 +1,5 @@
 """Error against run time: true errors, the front, solvers that do not work, solver files."""
 
-import logging
 import time
 
 import numpy as np
@@ -51,9 +50,6 @@ def study(options, world, journal=None):
     """The comparison, on every rank."""
     records = run_scene(options, world, journal) or []
     return world.bcast(next((r for r in records if r.group == "accuracy"), None))
-
-
-# True errors
 
 
 def test_errors_of_a_sweep_are_the_true_ones(world, ask):
@@ -164,29 +160,21 @@ def test_front_by_brute_force(seed):
         assert found == (good and not beaten.any())
 
 
-# Solvers that do not work, solver files and the option database
-
-
 def test_solvers_that_do_not_work_are_marked_rows(world, ask, solver_options, caplog):
     """On some ranks or on all: one frequency only, so that other ranks have nothing to do."""
     solver_options("-steady_ksp_type gmres -steady_ksp_max_it 50")
     before = PETSc.Options().getAll()
-    poor, idle = (
-        f"{ITERATIVE}\n-steady_ksp_max_it 3",
-        "-steady_ksp_type bcgs\n-steady_ksp_gcr_restart 9",
-    )
+    poor, idle = f"{ITERATIVE}\n-steady_ksp_max_it 3", "-steady_ksp_gcr_restart 9"
     text = f"{RESPONSE} .6 -accuracy_repeats 2"
-    with caplog.at_level(logging.WARNING, logger="pgran"):
-        found = study(ask(text, missing=MISSING, default="", poor=poor, idle=idle), world)
+    found = study(ask(text, missing=MISSING, default="", poor=poor, idle=idle), world)
     assert PETSc.Options().getAll() == before
     assert found.failures.tolist() == [2, 0, 2, 0]
     assert np.isnan(found.seconds).tolist() == [True, False, False, False]
     assert np.isnan(found.error_max).tolist() == [True, False, True, False]
     assert found.on_front[[1, 3]].any()
     assert not found.on_front[[0, 2]].any()
-    said = [r.getMessage() for r in caplog.records]
     for beginning in ("missing does not work: ", "-steady_ksp_gcr_restart of idle was not used"):
-        assert sum(line.startswith(beginning) for line in said) == (world.rank == 0)
+        assert sum(m.startswith(beginning) for m in caplog.messages) == (world.rank == 0)
 
 
 def test_no_reference_no_study(world, ask, solver_options):
@@ -226,9 +214,6 @@ def test_missing_files_and_options_that_the_experiment_does_not_use(world, text,
         study(resolve(read_words(f"-scene accuracy {text}".split())), world)
 
 
-# Ranks, files
-
-
 def test_a_study_goes_on_where_it_stopped(world, ask, shared_path, monkeypatch):
     """No run is repeated, but for a solver that has changed meanwhile."""
     make, runs = ModeSolver.__init__, []
@@ -244,7 +229,5 @@ def test_a_study_goes_on_where_it_stopped(world, ask, shared_path, monkeypatch):
     for vectors, left in ((50, 3), (40, 6)):
         with pytest.raises(StoppedError):
             go(50, 1 + 3)  # the reference, and three runs
-        assert len(runs) == 1 + 3
-        found = go(vectors)
+        assert np.all(go(vectors).failures == 0)
         assert len(runs) == left
-        assert np.all(np.isfinite(found.seconds) & (found.failures == 0))

