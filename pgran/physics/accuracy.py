@@ -7,8 +7,7 @@ import numpy as np
 
 from pgran.physics.rounding import residual_rounding
 
-# The numbers of an experiment: each with a bound of its error, absolute, and whether it is `good`:
-# as accurate as was asked for.
+# A number of an experiment, a bound of its absolute error, and whether that is what was asked for.
 ENTRY = np.dtype([("value", complex), ("bound", float), ("good", bool)])
 
 
@@ -77,9 +76,8 @@ def entries(values, bounds, good):
         Columns of ENTRY.
     """
     found = np.zeros(np.size(values), ENTRY)
-    found["value"] = np.ravel(values)
-    found["bound"] = np.ravel(bounds)
-    found["good"] = np.ravel(good)
+    for name, column in zip(ENTRY.names, (values, bounds, good), strict=True):
+        found[name] = np.ravel(column)
     return found
 
 

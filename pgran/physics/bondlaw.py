@@ -99,7 +99,7 @@ class BondLaw:
         self.function, names = LAWS[name]
         self.parameters = [given[key] for key in names]
         for key, value in zip(names, self.parameters, strict=True):
-            positive = key != "kmin" and key != "fraction"
+            positive = key not in ("kmin", "fraction")
             if not math.isfinite(value) or value < 0 or (positive and value == 0):
                 raise InputError(
                     f"bonds_{key}: must be {'positive' if positive else '0 or more'} "

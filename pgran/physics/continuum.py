@@ -37,10 +37,8 @@ NEGLECTED = 50.0
 # least: a trapezoidal rule of step STEP is wrong by about exp(-2 pi .68 / STEP) = 3e-19.
 ANGLE = PI / 4
 STEP = np.longdouble(0.1)
-# Frequencies treated at once, and half-waves along a side of the box at most: these bound memory,
-# and integers below 2^11 times a double are exact in extended precision.
-PART = 64
-HALF_WAVES = 2000
+PART = 64  # frequencies treated at once, which bounds memory
+HALF_WAVES = 2000  # along a side: integers below 2^11 times a double are exact in long doubles
 LARGEST = 1e100  # of parameters, and of their inverses, so that no square overflows
 
 
@@ -112,8 +110,6 @@ class Continuum:
         lines of the resonant mode.
         """
         omega = np.asarray(omega, dtype=float)
-        if not np.all(np.isfinite(omega) & (omega >= 0)):
-            raise InputError("omega: every frequency must be 0 or more and finite")
         if len(point) != 2:
             raise InputError(f"continuum_point: x and y are needed, not {len(point)} numbers")
         for name, value, length in zip("xy", point, self.size, strict=True):
@@ -137,17 +133,14 @@ class Continuum:
         """Return all eigenfrequencies up to `omega_max`, walls at rest, ascending.
 
         Not collective. omega^2 = (K0/m) pi^2 (q1^2/Lx^2 + q2^2/Ly^2) with q1, q2 >= 1
-        (paper: eigvalues), damping left aside. What several pairs share is repeated. Raises
-        InputError as `response` does.
+        (paper: eigvalues), damping left aside; degenerate ones repeated. Raises as `response` does.
         """
         return self._modes(omega_max, 1)
 
     def _modes(self, omega_max, stride):
         """Return the frequencies of all q1 >= 1 and every `stride`-th q2 >= 1."""
-        if not 0 <= omega_max < math.inf:
-            raise InputError(f"omega: must be 0 or more and finite, not {omega_max}")
+        self._half_waves(*self._wavenumber(np.array([omega_max], dtype=float), 0.0)[0])
         unit = math.pi * math.sqrt(self.stiffness / self.mass)
-        self._half_waves(*self._wavenumber(np.array([omega_max]), 0.0)[0])
         q1, q2 = (np.arange(1, int(omega_max / unit * length) + 2) for length in self.size)
         omega = unit * np.hypot(q1[:, None] / self.size[0], q2[::stride] / self.size[1]).ravel()
         return np.sort(omega[omega <= omega_max])
@@ -176,6 +169,8 @@ class Continuum:
 
     def _wavenumber(self, omega, damping):
         """Return Re z and -Im z of z = m omega^2 / (K0 + i omega beta), as decimals."""
+        if not np.all(np.isfinite(omega) & (omega >= 0)):
+            raise InputError("omega: every frequency must be 0 or more and finite")
         m, k, beta = (Decimal(float(v)) for v in (self.mass, self.stiffness, damping))
         real, loss = [], []
         for w in map(Decimal, omega.tolist()):

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-CLOSE = 1e-10  # relative distance
-
 
 def phase_of_sign(displacement):
     """Return the phase of amplitudes that are real, as without damping: 0 or pi; NaN where unknown.
@@ -30,11 +28,11 @@ def fit_line(x, y):
     """Return slope and intercept of the straight line through some points; y may hold NaN.
 
     Not collective. NaN where less than three points are known, or where these are too close
-    together to tell a slope from rounding.
+    together, by 1e-10, to tell a slope from rounding.
     """
     known = np.isfinite(y)
     x, y = x[known], y[known]
-    if len(x) < 3 or np.ptp(x) < CLOSE * np.abs(x).max():
+    if len(x) < 3 or np.ptp(x) < 1e-10 * np.abs(x).max():
         return np.nan, np.nan
     middle = x.mean()
     slope, height = np.polyfit(x - middle, y, 1)

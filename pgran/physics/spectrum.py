@@ -69,7 +69,7 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
         If the window is impossible, or the series too short for it, not finite or constant.
     """
     series = _checked(series)
-    segment = segment_length(*series.shape, fit_min, fit_max)
+    segment = _segment_length(*series.shape, fit_min, fit_max)
     frequency, parts, segments = _powers(series, segment)
     power = parts.sum(axis=0) / segments
 
@@ -101,12 +101,11 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     )
 
 
-def segment_length(trajectories, steps, fit_min=0.01, fit_max=0.3):
+def _segment_length(trajectories, steps, fit_min, fit_max):
     """Return how many steps a segment of Welch's method takes; segments overlap by half.
 
-    Not collective. They are as long as `LOWEST_WANTED` periods of `fit_min`, or shorter, down to
-    `LOWEST_USED`, where there would be fewer than `GROUPS`. Parameters are those of
-    `power_spectrum`; raises InputError if the window is impossible, or the series too short.
+    As long as `LOWEST_WANTED` periods of `fit_min`, or shorter, down to `LOWEST_USED`, where there
+    would be fewer than `GROUPS`.
     """
     check_window(fit_min, fit_max)
     shortest, longest = (math.ceil(n / (2 * fit_min)) for n in (LOWEST_USED, LOWEST_WANTED))
