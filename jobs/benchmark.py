@@ -130,7 +130,7 @@ def say(*words):
 
 def lattice_of(side, damping=0.003):
     """Return a square lattice at the paper's parameters, and a detector inside."""
-    lattice = Lattice(UNIFORM.draw((side, side), 1993), damping=damping, kmax=0.25)
+    lattice = Lattice.random((side, side), damping=damping)
     return lattice, (side * 2 // 5, side // 2)
 
 

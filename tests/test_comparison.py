@@ -136,10 +136,10 @@ def test_what_vanishes_is_counted(case, damping, solver, solver_options):
     """Constants and amplitudes down to 1e-300: no bound is broken, nothing wrong passes."""
     solver_options(solver)
     law, kmin, kmax, shape, mass, omegas, site = case
-    law, marked = BondLaw(law, kmin=kmin, kmax=kmax), []
+    marked = []
     beta = damping * math.sqrt(kmax) * math.sqrt(mass)
     for seed in range(4):
-        lattice = Lattice(law.draw(shape, seed), mass, beta, kmax=kmax)
+        lattice = Lattice.random(shape, seed, law, mass=mass, damping=beta, kmin=kmin, kmax=kmax)
         found, wrong, size = compared(lattice, omegas, site, 700)
         good, known = found.converged_reason > 0, ~np.isnan(found.error_bound)
         assert np.all(wrong[known] <= found.error_bound[known])

@@ -1,6 +1,6 @@
 """Normal modes against dense linear algebra, closed forms and identities."""
 
-from itertools import pairwise
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -38,11 +38,9 @@ def modes_of(lattice, crew, **which):
 
 
 def make(kind, shape, seed=5):
-    """A lattice of random bonds, of equal ones, or where many bonds and some balls are loose."""
+    """A lattice of random bonds, of equal ones, or of many missing ones and two loose balls."""
     if kind == "equal":
         return uniform_lattice(shape, mass=0.8)
-    if kind == "none":
-        return Lattice(bond_arrays(shape, np.zeros), 1.0, 0.0, kmax=0.25)
     if kind != "islands":
         return random_lattice(shape, seed, mass=1.7, law=kind)
     rng = np.random.default_rng(seed)
@@ -58,12 +56,11 @@ def check(lattice, modes, interval=(0.0, np.inf)):
     """Assert that `modes` are all those of an interval of omega, by dense linear algebra."""
     K = Reference(lattice.stiffness).K.astype(float)
     values = np.linalg.eigvalsh(K)
-    scale = max(values[-1], 1e-300)
+    scale = values[-1]
     low, high = (lattice.mass * omega**2 for omega in interval)
     values = values[(values >= low - 1e-13 * scale) & (values <= high + 1e-13 * scale)]
     assert modes.count_expected == len(values) == len(modes.omega)
     assert modes.count_certified
-    assert modes.failures == 0
     F = modes.vector.reshape(-1, lattice.balls)
     assert F.dtype == float
     squares = lattice.mass * modes.omega**2
@@ -76,18 +73,15 @@ def check(lattice, modes, interval=(0.0, np.inf)):
     np.testing.assert_allclose(modes.participation, 1 / np.sum(F**4, axis=1), rtol=1e-12)
 
 
-CASES = [
-    ("uniform", (30,)), ("uniform", (1, 1)), ("uniform", (13, 9)), ("uniform", (5, 4, 3)),
-    ("bimodal", (6, 7)), ("bimodal", (1, 8)), ("bimodal", (5, 4, 3)),
-    ("wide", (30,)), ("wide", (13, 9)), ("wide", (5, 4, 3)),
-    ("equal", (9, 9)), ("equal", (5, 5, 5)), ("equal", (40,)), ("equal", (7, 11)),
-    ("islands", (9, 8)), ("islands", (5, 5, 5)), ("islands", (25,)), ("none", (3, 4)),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("kind", "shape"), CASES)
+@pytest.mark.parametrize(
+    ("kind", "shape"),
+    [
+        ("uniform", (30,)), ("uniform", (1, 1)), ("uniform", (5, 4, 3)), ("bimodal", (6, 7)),
+        ("wide", (13, 9)), ("equal", (9, 9)), ("equal", (5, 5, 5)), ("islands", (9, 8)),
+    ],
+)  # fmt: skip
 def test_all_modes(kind, shape, crew, narrow):
-    """On any ranks; also their traces; sine waves on equal bonds, zero modes of loose balls."""
+    """On any ranks; the closed form for equal bonds, zero modes of loose balls."""
     lattice = make(kind, shape)
     modes = modes_of(lattice, crew, shapes=True)
     check(lattice, modes)
@@ -95,41 +89,24 @@ def test_all_modes(kind, shape, crew, narrow):
         alone = find_modes(lattice, single, shapes=True)
     np.testing.assert_array_equal(modes.omega, alone.omega)
     np.testing.assert_array_equal(modes.vector, alone.vector)
-    K = Reference(lattice.stiffness).K.astype(float)
-    squares = lattice.mass * modes.omega**2
-    np.testing.assert_allclose(squares.sum(), np.trace(K), rtol=1e-12)
-    np.testing.assert_allclose(np.sum(squares**2), np.sum(K**2), rtol=1e-12)
     if kind == "equal":
         np.testing.assert_allclose(modes.omega, uniform_frequencies(shape, 0.25, 0.8), rtol=1e-12)
-        wave = np.ones(())
-        for n in shape:
-            wave = np.multiply.outer(wave, np.sin(np.pi * np.arange(1, n + 1) / (n + 1)))
-        np.testing.assert_allclose(modes.vector[0], wave / np.linalg.norm(wave), atol=1e-12)
     if kind == "islands":
         assert np.count_nonzero(modes.omega < 1e-6) >= 2
         check(lattice, modes_of(lattice, crew, interval=(0, 1e-4), shapes=True), (0, 1e-4))
-    if kind == "none":
-        np.testing.assert_array_equal(modes.omega, 0)
 
 
 @pytest.mark.parametrize(
-    ("kind", "shape"),
-    [
-        ("uniform", (11, 9)), ("bimodal", (10, 9)), ("islands", (11, 8)), ("equal", (9, 9)),
-        ("uniform", (5, 4, 4)), ("bimodal", (4, 4, 4)), ("islands", (5, 4, 4)),
-    ],
-)  # fmt: skip
+    ("kind", "shape"), [("bimodal", (10, 9)), ("equal", (9, 9)), ("islands", (5, 4, 4))]
+)
 def test_random_intervals_miss_no_mode(kind, shape, crew, narrow):
-    """Some intervals are empty, a quarter of the others' ends lie on a mode."""
+    """Some intervals are empty, some begin and end on a mode."""
     lattice = make(kind, shape, 1)
     omegas = np.sqrt(np.maximum(Reference(lattice.stiffness).eigenvalues(), 0) / lattice.mass)
     rng = np.random.default_rng([1, *shape])
-    ends = np.where(
-        rng.uniform(size=(9, 2)) < 0.25,
-        rng.choice(omegas, (9, 2)),
-        rng.uniform(0, 1.05 * omegas[-1], (9, 2)),
-    )
-    for interval in [*np.sort(ends).tolist(), (0.0, 1e-3), (1.5, 1.6), (5.0, 6.0)]:
+    ends = rng.uniform(0, 1.05 * omegas[-1], (9, 2))
+    ends[::4] = rng.choice(omegas, (3, 2))
+    for interval in [*np.sort(ends).tolist(), (0.0, 1e-3), (5.0, 6.0)]:
         check(lattice, modes_of(lattice, crew, interval=interval, shapes=True), interval)
 
 
@@ -175,12 +152,8 @@ def test_errors_of_petsc_are_not_hidden():
     """A slepc4py from PyPI raises a SystemError, PETSc's own error being its cause."""
     with pytest.raises(PETSc.Error, match="71"), normal.plain_errors():
         raise SystemError("returned a result with an exception set") from PETSc.Error(71)
-    with pytest.raises(SystemError, match="another") as info, normal.plain_errors():
+    with pytest.raises(SystemError, match="another"), normal.plain_errors():
         raise SystemError("another") from ValueError("cause")
-    assert isinstance(info.value.__cause__, ValueError)
-
-
-# Searches that fail
 
 
 def test_a_search_that_failed_is_repeated_elsewhere(crew, monkeypatch, narrow):
@@ -197,92 +170,56 @@ def test_a_search_that_failed_is_repeated_elsewhere(crew, monkeypatch, narrow):
     check(lattice, modes_of(lattice, crew, shapes=True))
 
 
-def test_missing_modes_are_never_certified(crew, monkeypatch, caplog):
-    search = normal.ModeSolver._search
-    monkeypatch.setattr(normal.ModeSolver, "_search", lambda *arguments: search(*arguments)[:-1])
-    for which in ({"interval": (0.3, 0.6)}, {"targets": [0.5], "count": 4}):
-        modes = modes_of(random_lattice((7, 7)), crew, **which)
-        assert not modes.count_certified
-        assert modes.failures == modes.count_expected - len(modes.omega) > 0
-        assert "NOT ALL" in certificate(modes, len(modes.omega))
-    assert crew.world.allreduce("modes found for omega^2 m from" in caplog.text, MPI.LOR)
-
-
-@pytest.mark.parametrize("fault", ["twice", "inaccurate"])
-def test_the_right_number_of_wrong_modes_is_never_certified(fault, crew, monkeypatch, narrow):
+@pytest.mark.parametrize("fault", ["missing", "twice", "inaccurate"])
+def test_wrong_modes_are_never_certified(fault, crew, monkeypatch, caplog, narrow):
     """One found twice makes up for none that is missing in another slice."""
-    solve = normal.ModeSolver.solve
+    solve, search = normal.ModeSolver.solve, normal.ModeSolver._search
 
     def spoilt(self, low, high, count):
         values, vectors, residuals = solve(self, low, high, count)
-        chosen = np.arange(count)
+        chosen = np.arange(len(values))
         if fault == "inaccurate":
             residuals = residuals + 2e-12
-        elif low < 0:  # the lowest slice
+        elif fault == "twice" and low < 0:  # the lowest slice
             chosen = chosen[1:]
-        elif high > self.norm:  # the highest
+        elif fault == "twice" and high > self.norm:  # the highest
             chosen = np.append(chosen, count - 1)
         return values[chosen], vectors[chosen], residuals[chosen]
 
     monkeypatch.setattr(normal.ModeSolver, "solve", spoilt)
+    if fault == "missing":
+        monkeypatch.setattr(normal.ModeSolver, "_search", lambda *given: search(*given)[:-1])
     modes = modes_of(random_lattice((7, 7)), crew)
-    assert len(modes.omega) == modes.count_expected
     assert not modes.count_certified
     assert modes.failures > 0
-    assert "NOT CERTIFIED" in certificate(modes, len(modes.omega))
+    assert (len(modes.omega) < modes.count_expected) == (fault == "missing")
+    said = {"missing": "NOT ALL"}.get(fault, "NOT CERTIFIED")
+    assert said in certificate(modes, len(modes.omega))
+    warned = crew.world.allreduce("modes found for omega^2 m from" in caplog.text, MPI.LOR)
+    assert warned or fault != "missing"
 
 
-# Counts
-
-
-@pytest.fixture(params=[random_lattice((8, 9), seed=3)], ids=["random"])
-def counter(request):
+@contextlib.contextmanager
+def counting_modes(lattice):
     """A counter for a lattice, with its eigenvalues."""
-    with Operators(request.param, MPI.COMM_SELF) as operators:
+    with Operators(lattice, MPI.COMM_SELF) as operators:
         for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
             operators.K.setOption(flag, True)
         with counting.ModeCounter(operators.K) as counter:
-            yield counter, Reference(request.param.stiffness).eigenvalues()
+            yield counter, Reference(lattice.stiffness).eigenvalues()
 
 
-def test_counts_equal_dense_ones_but_next_to_a_mode(counter):
-    counter, values = counter
-    for shift in np.random.default_rng(0).uniform(-0.1, 1.5, 100):
-        assert counter.below(shift, 1e-9) == np.count_nonzero(values < shift)
-    for value in values:
-        for off in (0.0, 0.4e-6, -0.9e-6):
-            assert counter.below(value + off, 1e-6) is None
+def test_counts_equal_dense_ones_but_next_to_a_mode():
+    with counting_modes(random_lattice((8, 9), seed=3)) as (counter, values):
+        for shift in np.random.default_rng(0).uniform(-0.1, 1.5, 100):
+            assert counter.below(shift, 1e-9) == np.count_nonzero(values < shift)
+        for value in values:
+            for off in (0.0, 0.4e-6, -0.9e-6):
+                assert counter.below(value + off, 1e-6) is None
 
 
-@pytest.mark.parametrize("counter", [uniform_lattice((2,), 1.0)], indirect=True, ids=["chain"])
-def test_spoilt_factors_are_refused(counter):
+def test_spoilt_factors_are_refused():
     """The eigenvalues are 1 and 3; at 2 the first pivot is tiny, though no eigenvalue is near."""
-    counter, _ = counter
-    assert counter.below(1.8, 1e-11) == 1
-    assert counter.below(2.0, 1e-11) is None
-
-
-@pytest.mark.parametrize("wanted", [1, 7, 30])
-@pytest.mark.parametrize("omega", [0.0, 0.41, 0.9])
-def test_an_interval_around_a_frequency_has_few_more_modes_than_wanted(counter, omega, wanted):
-    counter, values = counter
-    (low, below), (high, above) = counter.around(omega, 1.0, wanted).items()
-    assert wanted <= above - below <= wanted + max(4, wanted // 4)
-    assert above - below == np.count_nonzero((values > low) & (values < high))
-    nearest = np.sort(np.abs(np.sqrt(values) - omega))[:wanted]
-    assert nearest[-1] <= np.sqrt(high) - omega
-
-
-def test_slices_share_no_mode_and_leave_none(counter, world, narrow):
-    counter, values = counter
-    slices = counting.cut(counter, counter.interval(0.2, 0.9), world)
-    assert len(slices) > 4
-    counts = [count for *_, count in slices]
-    assert counts == sorted(counts, reverse=True)  # so that ranks end together
-    assert all(a[2] + b[2] > 6 for a, b in pairwise(sorted(slices)))
-    for low, high, count in slices:
-        assert np.count_nonzero((values > low) & (values < high)) == count
-        assert count <= 9 + 6
-    for low, *_ in slices[1:]:
-        assert np.abs(values - low).min() >= 0.9 * counter.clearance
-    assert sum(counts) == np.count_nonzero((values > 0.2) & (values < 0.9))
+    with counting_modes(uniform_lattice((2,), 1.0)) as (counter, _):
+        assert counter.below(1.8, 1e-11) == 1
+        assert counter.below(2.0, 1e-11) is None

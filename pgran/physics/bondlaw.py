@@ -12,11 +12,10 @@ import math
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.physics.lattice import bond_arrays, bond_count
 
 
 def unit_numbers(seed, first, count, generation=0):
-    """Return `count` numbers uniform on [0, 1), those of the bonds from `first` on.
+    """Return numbers uniform on [0, 1), multiples of 2**-53, those of the bonds from `first` on.
 
     Not collective.
 
@@ -28,11 +27,6 @@ def unit_numbers(seed, first, count, generation=0):
         Which part of the stream.
     generation : int
         Independent streams of the same seed.
-
-    Returns
-    -------
-    numpy.ndarray, shape (count,)
-        Multiples of 2**-53.
     """
     block, skip = divmod(first, 4)  # Philox makes four numbers for each value of its counter
     stream = np.random.Philox(key=seed, counter=[block, 0, generation, 0])
@@ -105,7 +99,7 @@ class BondLaw:
         self.function, names = LAWS[name]
         self.parameters = [given[key] for key in names]
         for key, value in zip(names, self.parameters, strict=True):
-            positive = key != "kmin" and key != "fraction"
+            positive = key not in ("kmin", "fraction")
             if not math.isfinite(value) or value < 0 or (positive and value == 0):
                 raise InputError(
                     f"bonds_{key}: must be {'positive' if positive else '0 or more'} "
@@ -122,21 +116,3 @@ class BondLaw:
     def __call__(self, u):
         """Return the constants that belong to numbers uniform on [0, 1)."""
         return self.function(u, *self.parameters)
-
-    def draw(self, shape, seed):
-        """Return the bond constants of a lattice.
-
-        Not collective; the same on every rank.
-
-        Parameters
-        ----------
-        shape : sequence of int
-            Balls along each axis.
-        seed : int
-
-        Returns
-        -------
-        tuple of numpy.ndarray
-            One array for each axis, as `Lattice` takes them.
-        """
-        return bond_arrays(shape, self(unit_numbers(seed, 0, bond_count(shape))))

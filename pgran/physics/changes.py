@@ -14,18 +14,10 @@ from pgran.physics.lattice import bond_count
 
 @dataclass(frozen=True)
 class Changes:
-    """Which bonds change, and to what.
+    """Which bonds change, and to what."""
 
-    Attributes
-    ----------
-    bond : numpy.ndarray of int, shape (n,)
-        Numbers of bonds, axis after axis, each array in C order.
-    stiffness : numpy.ndarray, shape (n,)
-        Their new constants.
-    """
-
-    bond: np.ndarray
-    stiffness: np.ndarray
+    bond: np.ndarray  # numbers of bonds, axis after axis, each array in C order
+    stiffness: np.ndarray  # their new constants
 
     def __getitem__(self, part):
         """Return some of the changes."""
@@ -36,16 +28,8 @@ class Changes:
         return len(self.bond)
 
     def extended(self, count):
-        """Return at least `count` changes, the last one repeated, which changes nothing more.
-
-        Not collective.
-        """
-        if len(self) >= count:
-            return self
-        more = (0, count - len(self))
-        return Changes(
-            *(np.pad(values, more, mode="edge") for values in (self.bond, self.stiffness))
-        )
+        """Return at least `count` changes, the last one repeated, which changes nothing more."""
+        return self[np.minimum(np.arange(max(count, len(self))), len(self) - 1)]
 
 
 def draw_changes(law, shape, seed, trajectory, first, count, unit=1.0):

@@ -15,8 +15,7 @@ Three things stand between these formulas and numbers that are right to 1e-12 al
 - Slow convergence next to the driven wall: from some nu on, the sum is a contour integral, which
   the trapezoidal rule takes to full precision with a few hundred nodes.
 
-Elementary functions are evaluated in extended precision, where the machine has it, because the
-terms cancel where the amplitude passes through zero.
+Extended precision, where the machine has it, because terms cancel where the amplitude is 0.
 """
 
 import math
@@ -38,12 +37,9 @@ NEGLECTED = 50.0
 # least: a trapezoidal rule of step STEP is wrong by about exp(-2 pi .68 / STEP) = 3e-19.
 ANGLE = PI / 4
 STEP = np.longdouble(0.1)
-# Frequencies treated at once, and half-waves along a side of the box at most: these bound memory,
-# and integers below 2^11 times a double are exact in extended precision.
-PART = 64
-HALF_WAVES = 2000
-# What parameters may be, so that no square overflows.
-SMALLEST, LARGEST = 1e-100, 1e100
+PART = 64  # frequencies treated at once, which bounds memory
+HALF_WAVES = 2000  # along a side: integers below 2^11 times a double are exact in long doubles
+LARGEST = 1e100  # of parameters, and of their inverses, so that no square overflows
 
 
 @dataclass(frozen=True)
@@ -58,11 +54,6 @@ class Continuum:
         m and K0, positive.
     damping : float
         beta, not negative.
-
-    Raises
-    ------
-    InputError
-        If a value is impossible.
     """
 
     size: tuple = (1.0, 1.0)
@@ -71,17 +62,16 @@ class Continuum:
     damping: float = 0.003
 
     def __post_init__(self):
-        """Check the values."""
+        """Raise InputError if a value is impossible."""
         if len(self.size) != 2:
             raise InputError(f"continuum_size: two lengths are needed, not {len(self.size)}")
         object.__setattr__(self, "size", tuple(float(length) for length in self.size))
         positive = [("size", length) for length in self.size]
         positive += [("mass", self.mass), ("stiffness", self.stiffness)]
         for name, value in positive:
-            if not SMALLEST <= value <= LARGEST:
+            if not 1 / LARGEST <= value <= LARGEST:
                 raise InputError(
-                    f"continuum_{name}: must be positive and finite ({SMALLEST} to {LARGEST}), "
-                    f"not {value}"
+                    f"continuum_{name}: must be positive and finite (1e-100 to 1e100), not {value}"
                 )
         if not 0 <= self.damping <= LARGEST:
             raise InputError(f"continuum_damping: must be 0 or more and finite, not {self.damping}")
@@ -96,15 +86,13 @@ class Continuum:
         omega : array_like of float
             Angular frequencies, 0 or more.
         point : tuple of float
-            x and y in the box. A point on a wall has the amplitude of that wall; the corners
-            belong to the walls at rest.
+            x and y in the box; the corners belong to the walls at rest.
 
         Returns
         -------
         numpy.ndarray of complex, the shape of `omega`
-            Relative to the driven wall, for exp(+i omega t). Without damping the amplitude grows
-            without bound towards a resonance; no double falls on one exactly, pi being
-            irrational, so that the result is huge there but finite.
+            Relative to the driven wall, for exp(+i omega t). No double falls on an undamped
+            resonance exactly.
 
         Raises
         ------
@@ -114,17 +102,20 @@ class Continuum:
 
         Notes
         -----
-        The result is the exact amplitude for the given doubles, to 1e-12 of itself and in general
-        to rounding, next to every wall and next to every resonance. Exceptions: within about 1e-10
-        of omega of a zero of the undamped response, where A is more than 1e6 times smaller than
-        the terms that cancel (there the error is below 1e-18 of these terms); below 1e-308, where
-        A becomes 0; and next to resonances where long double is no more than double (not on Linux
-        on x86 or ARM): 1e-9 then, and more on the nodal lines of the resonant mode.
+        The result is exact for the given doubles to 1e-12 of itself, next to every wall and every
+        resonance too. Exceptions: within about 1e-10 of omega of a zero of the undamped response,
+        where A is more than 1e6 times smaller than the terms that cancel (there the error is below
+        1e-18 of these terms); below 1e-308, where A becomes 0; and next to resonances where long
+        double is no more than double (not on Linux on x86 or ARM): 1e-9 then, and more on the nodal
+        lines of the resonant mode.
         """
         omega = np.asarray(omega, dtype=float)
-        if not np.all(np.isfinite(omega) & (omega >= 0)):
-            raise InputError("omega: every frequency must be 0 or more and finite")
-        x, y = self._inside(point)
+        if len(point) != 2:
+            raise InputError(f"continuum_point: x and y are needed, not {len(point)} numbers")
+        for name, value, length in zip("xy", point, self.size, strict=True):
+            if not 0 <= value <= length:
+                raise InputError(f"continuum_point: {name} = {value} is outside [0, {length}]")
+        x, y = (np.longdouble(float(value)) for value in point)
         amplitude = np.empty(omega.size, dtype=complex)
         for first in range(0, omega.size, PART):
             part = slice(first, first + PART)
@@ -134,9 +125,7 @@ class Continuum:
     def resonances(self, omega_max):
         """Return the frequencies up to `omega_max` of the modes that the wall drives, ascending.
 
-        Not collective. omega^2 = (K0/m) pi^2 (n1^2/Lx^2 + (2 n2 + 1)^2/Ly^2) with n1 >= 1 and
-        n2 >= 0 (paper: simpfreq), damping left aside. What several pairs share is repeated. Raises
-        InputError as `response` does.
+        Not collective. The eigenvalues with odd q2 (paper: simpfreq). Raises as `response` does.
         """
         return self._modes(omega_max, 2)
 
@@ -144,33 +133,20 @@ class Continuum:
         """Return all eigenfrequencies up to `omega_max`, walls at rest, ascending.
 
         Not collective. omega^2 = (K0/m) pi^2 (q1^2/Lx^2 + q2^2/Ly^2) with q1, q2 >= 1
-        (paper: eigvalues), damping left aside. What several pairs share is repeated. Raises
-        InputError as `response` does.
+        (paper: eigvalues), damping left aside; degenerate ones repeated. Raises as `response` does.
         """
         return self._modes(omega_max, 1)
 
     def _modes(self, omega_max, stride):
-        """Return the frequencies of all n1 >= 1 and every `stride`-th n2 >= 1. Not collective."""
-        if not 0 <= omega_max < math.inf:
-            raise InputError(f"omega: must be 0 or more and finite, not {omega_max}")
+        """Return the frequencies of all q1 >= 1 and every `stride`-th q2 >= 1."""
+        self._half_waves(*self._wavenumber(np.array([omega_max], dtype=float), 0.0)[0])
         unit = math.pi * math.sqrt(self.stiffness / self.mass)
-        self._half_waves(*self._wavenumber(np.array([omega_max]), 0.0)[0])
-        n1, n2 = (np.arange(1, int(omega_max / unit * length) + 2) for length in self.size)
-        n2 = n2[::stride]
-        omega = unit * np.hypot(n1[:, None] / self.size[0], n2 / self.size[1]).ravel()
+        q1, q2 = (np.arange(1, int(omega_max / unit * length) + 2) for length in self.size)
+        omega = unit * np.hypot(q1[:, None] / self.size[0], q2[::stride] / self.size[1]).ravel()
         return np.sort(omega[omega <= omega_max])
 
-    def _inside(self, point):
-        """Return x and y, checked, as long doubles. Not collective."""
-        if len(point) != 2:
-            raise InputError(f"continuum_point: x and y are needed, not {len(point)} numbers")
-        for name, value, length in zip("xy", point, self.size, strict=True):
-            if not 0 <= value <= length:
-                raise InputError(f"continuum_point: {name} = {value} is outside [0, {length}]")
-        return tuple(np.longdouble(float(value)) for value in point)
-
     def _series(self, omega, x, y):
-        """Return the sum of axysol for a few frequencies. Not collective."""
+        """Return the sum of axysol for a few frequencies."""
         lx, ly = (np.longdouble(length) for length in self.size)
         y = min(y, ly - y)  # the sum is symmetric, and its terms are most accurate for small y
         real, loss = self._wavenumber(omega, self.damping)
@@ -183,17 +159,18 @@ class Continuum:
         if enough <= count + nodes.size:
             count, nodes = enough, nodes[:0]
         nu = np.arange(1, 2 * count, 2)
-        amplitude = self._head(nu, z, loss, x) @ (_sine(nu, y, ly) / nu)
+        whole, rest = _turn(nu, y, ly)
+        sine = (1 - 2 * (whole % 2)) * np.sin(PI * rest)  # accurate also next to its zeros
+        amplitude = self._head(nu, z, loss, x) @ (sine / nu)
         if nodes.size:
             gamma = np.sqrt((PI * nodes / ly) ** 2 - (wave**2)[:, None])
             amplitude += _ratio(gamma, lx - x, gamma * x, gamma * lx) @ weights
         return 4 / PI * amplitude
 
     def _wavenumber(self, omega, damping):
-        """Return the real parts of z, and minus the imaginary ones, as decimals. Not collective.
-
-        z = m omega^2 / (K0 + i omega beta).
-        """
+        """Return Re z and -Im z of z = m omega^2 / (K0 + i omega beta), as decimals."""
+        if not np.all(np.isfinite(omega) & (omega >= 0)):
+            raise InputError("omega: every frequency must be 0 or more and finite")
         m, k, beta = (Decimal(float(v)) for v in (self.mass, self.stiffness, damping))
         real, loss = [], []
         for w in map(Decimal, omega.tolist()):
@@ -204,7 +181,7 @@ class Continuum:
         return real, loss
 
     def _half_waves(self, z):
-        """Return sqrt(z)/pi, half-waves to a unit of length, unless too many. Not collective."""
+        """Return sqrt(z)/pi, half-waves to a unit of length, unless too many."""
         half_waves = float(EXACT.sqrt(z)) / math.pi
         if half_waves * max(self.size) > HALF_WAVES:
             raise InputError(
@@ -213,7 +190,7 @@ class Continuum:
         return half_waves
 
     def _head(self, nu, z, loss, x):
-        """Return R (nw, terms) of axysol for the first odd numbers nu. Not collective.
+        """Return R (nw, terms) of axysol for the first odd numbers nu.
 
         Let w be the whole number next to Im(gamma) Lx/pi, p = w pi/Lx and
         theta = gamma Lx - i pi w. Then theta = Lx (gamma^2 + p^2) / (gamma + i p) and
@@ -231,21 +208,15 @@ class Continuum:
 
 
 def _ratio(gamma, distance, phase, theta):
-    """Return sinh(gamma x)/sinh(gamma Lx), whatever gamma; distance = Lx - x. Not collective.
+    """Return sinh(gamma x)/sinh(gamma Lx), whatever gamma; distance = Lx - x.
 
     phase and theta are gamma x and gamma Lx, up to multiples of i pi.
     """
     return np.exp(-gamma * distance) * np.expm1(-2 * phase) / np.expm1(-2 * theta)
 
 
-def _sine(nu, y, length):
-    """Return sin(nu pi y/length), accurate also next to its zeros. Not collective."""
-    whole, rest = _turn(nu, y, length)
-    return (1 - 2 * (whole % 2)) * np.sin(PI * rest)
-
-
 def _turn(n, s, length):
-    """Return n s/length as a whole number and a rest of at most 1/2, exact. Not collective.
+    """Return n s/length as a whole number and a rest of at most 1/2, exact.
 
     A product of a double and an integer below 2^11 is exact in extended precision, and so is the
     difference of two such products that nearly agree.
@@ -255,20 +226,20 @@ def _turn(n, s, length):
 
 
 def _squares(n, length):
-    """Return (n pi/length)^2 as pairs of doubles, shape (2, len(n)). Not collective."""
+    """Return (n pi/length)^2 as pairs of doubles, shape (2, len(n))."""
     unit = EXACT.divide(PI_SQUARED, EXACT.power(Decimal(length), 2))
     return _pairs([EXACT.multiply(unit, int(i) ** 2) for i in n])
 
 
 def _pairs(numbers):
-    """Return decimals as pairs of doubles, high and low, shape (2, len). Not collective."""
+    """Return decimals as pairs of doubles, high and low, shape (2, len)."""
     high = [float(number) for number in numbers]
     low = [float(EXACT.subtract(n, Decimal(h))) for n, h in zip(numbers, high, strict=True)]
     return np.array([high, low])
 
 
 def _sum(*pairs):
-    """Return the sum of pairs of doubles, rounded only once. Not collective."""
+    """Return the sum of pairs of doubles, rounded only once."""
     high, low = 0.0, 0.0
     for more, lower in pairs:
         total = high + more
@@ -280,7 +251,7 @@ def _sum(*pairs):
 
 
 def _enough(wave, distance, ly):
-    """Return how many terms axysol needs. Not collective.
+    """Return how many terms axysol needs.
 
     |sin(nu t)|/nu <= sin t, and Re gamma >= sqrt((nu pi/Ly)^2 - Re z), which grows by more than
     2 pi/Ly from term to term. So from where exp(-(Lx - x) Re gamma) is exp(-NEGLECTED) of that of
@@ -296,7 +267,7 @@ def _enough(wave, distance, ly):
 def _contour(start, distance, height):
     """Return nodes nu and weights for the terms of axysol with odd nu > start, start even.
 
-    Not collective. With t = `height` = pi y/Ly <= pi/2 and `distance` = pi (Lx - x)/Ly,
+    With t = `height` = pi y/Ly <= pi/2 and `distance` = pi (Lx - x)/Ly,
 
         sum sin(nu t)/nu R(nu) = 1/(4i) integral kernel(nu)/nu R(nu) dnu,
         kernel = cos(nu (pi/2 - t)) / cos(nu pi/2)   or   sin(nu t) tan(nu pi/2),

@@ -8,12 +8,14 @@ and its entry `i` joins the balls `i - 1` and `i`.
 
 import hashlib
 import math
+import operator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.physics.bondlaw import BondLaw, unit_numbers
 
 AXES = "xyz"
 SIGNS = np.array([-1.0, 1.0])  # in a row of B, of the ball below a bond and of that above
@@ -61,17 +63,55 @@ class Lattice:
             k.flags.writeable = False
         object.__setattr__(self, "stiffness", arrays)
         if self.kmax is None:
-            object.__setattr__(self, "kmax", max(float(k.max()) for k in arrays))
+            object.__setattr__(self, "kmax", self.stiffest)
         if not (math.isfinite(self.mass) and self.mass > 0):
             raise InputError(f"lattice_mass: must be positive and finite, not {self.mass}")
         if not (math.isfinite(self.damping) and self.damping >= 0):
             raise InputError(f"lattice_damping: must be 0 or more and finite, not {self.damping}")
-        largest = max(self.kmax, *(float(k.max()) for k in arrays))
-        if not math.isfinite(4 * len(arrays) * largest / self.mass):
+        if not math.isfinite(4 * len(arrays) * max(self.kmax, self.stiffest) / self.mass):
             raise InputError(
                 "lattice_mass, bonds: the frequencies, up to sqrt(4 d kmax / m), are too large to "
                 "compute with; choose other units"
             )
+
+    @classmethod
+    def random(cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=0.003, **parameters):
+        """Return the lattice that the options of a run describe, the same on every rank.
+
+        Not collective.
+
+        Parameters
+        ----------
+        shape : sequence of int
+            Balls along each of 1 to 3 axes.
+        seed : int
+            Which sample, 0 to 2^64 - 1.
+        law : str or BondLaw
+            What bond constants are drawn from; its kmax, where it has one, is the lattice's.
+        mass, damping : float
+            m of a ball, beta of every bond.
+        **parameters : float
+            Of a law given by its name: kmin, kmax, fraction, force, hertz.
+
+        Raises
+        ------
+        InputError
+            If a value is impossible.
+        """
+        if not isinstance(law, BondLaw):
+            law = BondLaw(law, **parameters)
+        elif parameters:
+            raise InputError(f"bonds_law: this law has its parameters, and takes no {parameters}")
+        try:
+            shape, seed = tuple(map(operator.index, shape)), operator.index(seed)
+        except TypeError:
+            raise InputError("lattice_shape, bonds_seed: whole numbers are needed") from None
+        if not 1 <= len(shape) <= 3 or min(shape) < 1:
+            raise InputError(f"lattice_shape: 1 to 3 positive numbers are needed, not {shape}")
+        if not 0 <= seed < 2**64:
+            raise InputError(f"bonds_seed: must lie between 0 and 2^64 - 1, not {seed}")
+        bonds = law(unit_numbers(seed, 0, bond_count(shape)))
+        return cls(bond_arrays(shape, bonds), mass, damping, law.kmax)
 
     @property
     def shape(self):
@@ -90,6 +130,11 @@ class Lattice:
         return np.concatenate([k.ravel() for k in self.stiffness])
 
     @property
+    def stiffest(self):
+        """The largest bond constant."""
+        return max(float(k.max()) for k in self.stiffness)
+
+    @property
     def omega_mx(self):
         """The Einstein frequency of a ball on springs kmax, unit of frequency (paper: omxdef)."""
         return math.sqrt(2 * len(self.shape) * self.kmax / self.mass)
@@ -100,19 +145,10 @@ class Lattice:
         Not collective. Stiffness, mass and damping lose the same factor, so amplitudes and
         frequencies stay as they are; it is a power of two, which rounds nothing but bonds 1e-308
         times softer than the stiffest. PETSc and SLEPc take small pivots for zero by absolute
-        thresholds, and squares of small numbers vanish.
-
-        Returns
-        -------
-        lattice : Lattice
-        unit : float
-
-        Raises
-        ------
-        InputError
-            If mass or damping do not fit into doubles in that unit.
+        thresholds, and squares of small numbers vanish. Raises InputError if mass or damping do not
+        fit into doubles in that unit.
         """
-        unit = 2.0 ** (math.frexp(max(float(k.max()) for k in self.stiffness))[1] - 1)
+        unit = 2.0 ** (math.frexp(self.stiffest)[1] - 1)
         mass, damping = self.mass / unit, self.damping / unit
         for name, value, scaled in (("mass", self.mass, mass), ("damping", self.damping, damping)):
             if scaled * unit != value:
@@ -125,10 +161,7 @@ class Lattice:
     @cached_property
     def bonds_sha256(self):
         """Checksum of all bond constants, as little-endian doubles, axis after axis."""
-        digest = hashlib.sha256()
-        for k in self.stiffness:
-            digest.update(k.astype("<f8", copy=False).tobytes())
-        return digest.hexdigest()
+        return hashlib.sha256(self.constants.astype("<f8", copy=False)).hexdigest()
 
 
 def bond_shape(shape, axis):
@@ -136,25 +169,27 @@ def bond_shape(shape, axis):
     return tuple(n + (a == axis) for a, n in enumerate(shape))
 
 
+def _bond_counts(shape):
+    """Return the number of bonds along each axis."""
+    return [math.prod(bond_shape(shape, axis)) for axis in range(len(shape))]
+
+
 def bond_count(shape):
     """Return the number of bonds, wall bonds included. Not collective."""
-    return sum(math.prod(bond_shape(shape, axis)) for axis in range(len(shape)))
+    return sum(_bond_counts(shape))
 
 
 def bond_arrays(shape, bonds):
-    """Return numbers a bond, axis after axis in C order, as one array for each axis.
-
-    Not collective.
-    """
-    sizes = [math.prod(bond_shape(shape, axis)) for axis in range(len(shape))]
-    parts = np.split(bonds, np.cumsum(sizes)[:-1])
+    """Return numbers a bond, in order, as one array for each axis. Not collective."""
+    parts = np.split(bonds, np.cumsum(_bond_counts(shape))[:-1])
     return tuple(part.reshape(bond_shape(shape, axis)) for axis, part in enumerate(parts))
 
 
 def bond_sides(values, axis, wall):
     """Return what the balls below and above each bond along an axis hold, walls included.
 
-    Not collective. This is the topology of the lattice: all else follows from it.
+    Not collective. This is the topology of the lattice: all else follows from it. Both arrays are
+    one longer than `values` along the axis.
 
     Parameters
     ----------
@@ -164,11 +199,6 @@ def bond_sides(values, axis, wall):
         Of the array.
     wall : number
         What both walls hold.
-
-    Returns
-    -------
-    below, above : numpy.ndarray
-        One longer than `values` along the axis.
     """
     axis %= values.ndim
     before = (slice(None),) * axis
@@ -182,11 +212,7 @@ def bond_ends(numbers):
     """Return the numbers of the balls that each bond joins, -1 for a wall, shape (bonds, 2).
 
     Not collective. These are the columns of B in each of its rows; its entries there are `SIGNS`.
-
-    Parameters
-    ----------
-    numbers : numpy.ndarray of int
-        The number of each ball, an array over the lattice.
+    The balls have the given numbers, an array over the lattice.
     """
     sides = [bond_sides(numbers, axis, -1) for axis in range(numbers.ndim)]
     return np.concatenate([np.stack([end.ravel() for end in pair], axis=1) for pair in sides])
@@ -200,15 +226,9 @@ def driven_bonds(shape):
 
 
 def stretch(fields, axes):
-    """Yield B x for the bonds along each axis: how far fields of displacements lengthen them.
+    """Yield B x for the bonds along each axis: how far displacements lengthen them, walls at rest.
 
-    Not collective. All walls are at rest.
-
-    Parameters
-    ----------
-    fields : numpy.ndarray, shape (..., *shape)
-    axes : int
-        How many axes the lattice has: the last ones.
+    Not collective. The lattice has so many axes, the last ones of `fields`.
     """
     for axis in range(-axes, 0):
         below, above = bond_sides(fields, axis, 0.0)
@@ -218,12 +238,7 @@ def stretch(fields, axes):
 def spread(tensions):
     """Return B^T t, the adjoint of `stretch`: the sum, ball by ball, of what its bonds hold.
 
-    Not collective.
-
-    Parameters
-    ----------
-    tensions : iterable of numpy.ndarray
-        For each axis an array over its bonds, (..., *bond_shape(shape, axis)).
+    Not collective. `tensions` are arrays over the bonds, as `stretch` yields them.
     """
     total, tensions = 0.0, list(tensions)
     for axis, t in enumerate(tensions, -len(tensions)):
@@ -232,24 +247,11 @@ def spread(tensions):
 
 
 def bond_places(shape, bonds):
-    """Return the axis of each bond and its index into that axis's array.
+    """Return the axis of each numbered bond, and its index into that axis's array.
 
-    Not collective.
-
-    Parameters
-    ----------
-    shape : sequence of int
-        Balls along each axis.
-    bonds : numpy.ndarray of int
-        Numbers of bonds, axis after axis in C order.
-
-    Returns
-    -------
-    axis : numpy.ndarray of int, the shape of `bonds`
-    index : numpy.ndarray of int, one axis more, of the length of `shape`
+    Not collective. The indices are an array with one axis more, of the length of `shape`.
     """
-    sizes = [math.prod(bond_shape(shape, axis)) for axis in range(len(shape))]
-    first = np.cumsum([0, *sizes[:-1]])
+    first = np.cumsum([0, *_bond_counts(shape)[:-1]])
     axis = np.searchsorted(first, bonds, side="right") - 1
     index = np.empty((*bonds.shape, len(shape)), dtype=np.int64)
     for a in range(len(shape)):
@@ -260,25 +262,9 @@ def bond_places(shape, bonds):
 
 
 def detector_sites(shape, detectors):
-    """Return detectors as an array of ball indices, checked against the lattice.
+    """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
 
-    Not collective.
-
-    Parameters
-    ----------
-    shape : sequence of int
-        Balls along each axis.
-    detectors : array_like of int
-        Ball indices, flat (`8, 10, 3, 4`) or one row a detector.
-
-    Returns
-    -------
-    numpy.ndarray, shape (nd, dim)
-
-    Raises
-    ------
-    InputError
-        If an index is missing or a ball lies outside the lattice.
+    Not collective. Raises InputError if an index is missing or a ball lies outside the lattice.
     """
     axes = len(shape)
     flat = np.asarray(detectors, dtype=np.int64).ravel()
@@ -298,23 +284,12 @@ def detector_sites(shape, detectors):
 
 
 def check_frequency(lattice, omega):
-    """Raise unless the driven lattice's numbers and their squares fit into doubles.
+    """Raise InputError unless the driven lattice's numbers and their squares fit into doubles.
 
-    Not collective.
-
-    Parameters
-    ----------
-    lattice : Lattice
-    omega : float
-        The highest driving frequency, angular.
-
-    Raises
-    ------
-    InputError
-        If 4 d (k + omega beta) + m omega^2, which no entry of S exceeds, is too large.
+    Not collective. No entry of S exceeds 4 d (k + omega beta) + m omega^2 up to the frequency.
     """
-    omega, stiffness = float(omega), max(float(k.max()) for k in lattice.stiffness)
-    springs = 4 * len(lattice.shape) * (stiffness + omega * lattice.damping)
+    omega = float(omega)
+    springs = 4 * len(lattice.shape) * (lattice.stiffest + omega * lattice.damping)
     largest = springs + lattice.mass * omega * omega
     if not math.isfinite(largest * largest):
         raise InputError(

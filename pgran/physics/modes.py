@@ -23,11 +23,6 @@ def rayleigh_ritz(stiffness, vectors):
     of [Re X; Im X] are 1, as often as there are rows, and 0: a real orthonormal basis comes without
     loss of accuracy, and no cluster of equal eigenvalues needs to be told from its neighbours.
 
-    Parameters
-    ----------
-    stiffness : tuple of numpy.ndarray
-    vectors : numpy.ndarray of complex, shape (count, *shape)
-
     Returns
     -------
     values : numpy.ndarray, shape (count,)

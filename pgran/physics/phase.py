@@ -2,8 +2,6 @@
 
 import numpy as np
 
-CLOSE = 1e-10  # relative distance
-
 
 def phase_of_sign(displacement):
     """Return the phase of amplitudes that are real, as without damping: 0 or pi; NaN where unknown.
@@ -30,11 +28,11 @@ def fit_line(x, y):
     """Return slope and intercept of the straight line through some points; y may hold NaN.
 
     Not collective. NaN where less than three points are known, or where these are too close
-    together to tell a slope from rounding.
+    together, by 1e-10, to tell a slope from rounding.
     """
     known = np.isfinite(y)
     x, y = x[known], y[known]
-    if len(x) < 3 or np.ptp(x) < CLOSE * np.abs(x).max():
+    if len(x) < 3 or np.ptp(x) < 1e-10 * np.abs(x).max():
         return np.nan, np.nan
     middle = x.mean()
     slope, height = np.polyfit(x - middle, y, 1)
@@ -42,33 +40,18 @@ def fit_line(x, y):
 
 
 def fit_phase(x, phase):
-    """Fit a straight line to the phase of each detector; NaN where there are too few points.
+    """Return slope and intercept of the phase (n, nd) of each detector over x, by `fit_line`.
 
     Not collective.
-
-    Parameters
-    ----------
-    x : numpy.ndarray, shape (n,)
-        Frequency in units of omega_mx.
-    phase : numpy.ndarray, shape (n, nd)
-
-    Returns
-    -------
-    slope, intercept : numpy.ndarray, shape (nd,)
-        In rad per omega_mx, and rad.
     """
     return np.transpose([fit_line(x, column) for column in phase.T])
 
 
 def phase_velocity(slope, distance):
-    """Return the velocity in spacings times omega_mx (paper: phsvel). Not collective.
+    """Return the velocity in spacings times omega_mx (paper: phsvel).
 
-    Parameters
-    ----------
-    slope : numpy.ndarray, shape (nd,)
-        Of the phase, in rad per omega_mx.
-    distance : numpy.ndarray, shape (nd,)
-        From the driven wall, in spacings.
+    Not collective. The slope of the phase is in rad per omega_mx, the distance from the driven wall
+    in spacings.
     """
     with np.errstate(divide="ignore"):
         return distance / np.abs(slope)

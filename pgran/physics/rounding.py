@@ -20,10 +20,5 @@ def residual_rounding(axes):
 
     So 4d + 7, and one more for what is of second order and for evaluating the bound. A residual
     K x - lambda x, stretch by stretch, has fewer: two differences, three products and d sums.
-
-    Parameters
-    ----------
-    axes : int
-        d, of a lattice: a ball has 2d bonds.
     """
     return (2 * axes + 4) * EPSILON

@@ -40,12 +40,12 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     Not collective.
 
     The fit is by least squares through the means of log S and log sin(pi f) in bins evenly spaced
-    in log f, all of one weight. Powers are averaged over segments before logarithms are taken, and
-    logarithms before bins: so their bias is the same at all frequencies and spares the slope. The
-    standard error is a jackknife over successive parts of the trajectories, or over whole ones
-    where there are many. It holds for noise that is not Gaussian, too, as long as the memory is
-    shorter than a part. At the paper's parameters seeds differ from their mean by .9 error bars
-    (rms) for 10^5 steps, by 1.2 for 2 10^4.
+    in log f, all of one weight. Powers are averaged over segments before logarithms are taken: so
+    their bias is the same at all frequencies and spares the slope. The standard error is a
+    jackknife over successive parts of the trajectories, or over whole ones where there are many. It
+    holds for noise that is not Gaussian, too, as long as the memory is shorter than a part. At the
+    paper's parameters seeds differ from their mean by .9 error bars (rms) for 10^5 steps, by 1.2
+    for 2 10^4.
 
     Parameters
     ----------
@@ -54,15 +54,14 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     fit_min, fit_max : float
         Window of the fit, cycles per step.
     memory : float, optional
-        Longest correlation time of the series, in steps. With one of n bonds redrawn a step a bond
-        keeps its value with a chance of exp(-t/n), so n is the longest memory of a lattice. What
-        depends on m bonds at once forgets m times faster, so the true corner lies higher: the
-        paper's amplitude, n = 840, is down to 1/e after 130 steps.
+        Longest correlation time of the series, in steps: n, if one of n bonds is redrawn a step.
+        What depends on m bonds at once forgets m times faster: the paper's amplitude, n = 840, is
+        down to 1/e after 130 steps.
 
     Returns
     -------
     pgran.results.Spectrum
-        With warnings through `logging` if the window reaches where the series is flat or aliased.
+        Warns, through `logging`, of a window that reaches where the series is flat or aliased.
 
     Raises
     ------
@@ -70,7 +69,7 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
         If the window is impossible, or the series too short for it, not finite or constant.
     """
     series = _checked(series)
-    segment = segment_length(*series.shape, fit_min, fit_max)
+    segment = _segment_length(*series.shape, fit_min, fit_max)
     frequency, parts, segments = _powers(series, segment)
     power = parts.sum(axis=0) / segments
 
@@ -81,12 +80,14 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
             "relax_steps: the amplitude changes in one part of the series only, so the exponent "
             "has no error bar; more steps are needed"
         )
-    weights = _slope_weights(f, fit_min, fit_max)
+    means = _bin_means(f, fit_min, fit_max)
+    weights = _slope_weights(f, means)
     exponent, plain, flatter = -np.log(power[window]) @ weights
-    error, _, flatter_error = _jackknife(-np.log(others) @ weights)
+    replicas = -np.log(others) @ weights  # the jackknife's: each leaves out one part
+    error, _, flatter_error = math.sqrt(len(replicas) - 1) * np.std(replicas, axis=0)
     _warn(fit_min, fit_max, memory, flatter, flatter_error)
-    mean = _bin_means(f, fit_min, fit_max).mean(axis=0)
-    scale = math.exp(mean @ (np.log(power[window]) + exponent * np.log(2 * np.sin(np.pi * f))))
+    law = np.log(power[window]) + exponent * np.log(2 * np.sin(np.pi * f))
+    scale = math.exp(means.mean(axis=0) @ law)
     return Spectrum(
         exponent=float(exponent),
         exponent_error=float(error),
@@ -100,54 +101,27 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     )
 
 
-def segment_length(trajectories, steps, fit_min=0.01, fit_max=0.3):
-    """Return how many steps a segment of Welch's method takes.
+def _segment_length(trajectories, steps, fit_min, fit_max):
+    """Return how many steps a segment of Welch's method takes; segments overlap by half.
 
-    Not collective. Segments overlap by half. They are as long as `LOWEST_WANTED` periods of
-    `fit_min`, or shorter, down to `LOWEST_USED`, where there would be fewer than `GROUPS`.
-
-    Parameters
-    ----------
-    trajectories, steps : int
-        The shape (R, T) of the series.
-    fit_min, fit_max : float
-        Window of the fit, cycles per step.
-
-    Raises
-    ------
-    InputError
-        If the window is impossible, or the trajectories are too short for it.
+    As long as `LOWEST_WANTED` periods of `fit_min`, or shorter, down to `LOWEST_USED`, where there
+    would be fewer than `GROUPS`.
     """
     check_window(fit_min, fit_max)
-    needed = fewest_steps(trajectories, fit_min)
+    shortest, longest = (math.ceil(n / (2 * fit_min)) for n in (LOWEST_USED, LOWEST_WANTED))
+    needed = (math.ceil(FEWEST / trajectories) + 1) * shortest
     if steps < needed:
         raise InputError(
             f"relax_steps: {steps} amplitudes (trajectories: {trajectories}) are too few for a "
             f"spectrum from spectrum_fit_min = {fit_min} cycles per step on; at least "
             f"{needed:.9g} are needed"
         )
-    shortest, longest = (_half(periods, fit_min) for periods in (LOWEST_USED, LOWEST_WANTED))
     half = steps // (math.ceil(GROUPS / trajectories) + 1)
     return 2 * min(max(half, shortest), longest)
 
 
-def fewest_steps(trajectories, fit_min=0.01):
-    """Return how many steps a trajectory must have for a spectrum. Not collective."""
-    return (math.ceil(FEWEST / trajectories) + 1) * _half(LOWEST_USED, fit_min)
-
-
-def _half(periods, fit_min):
-    """Return half the length of a segment of so many periods of the lowest frequency."""
-    return math.ceil(periods / (2 * fit_min))
-
-
 def check_window(fit_min, fit_max):
-    """Raise unless an exponent can be fitted in a window. Not collective.
-
-    Raises
-    ------
-    InputError
-    """
+    """Raise InputError unless an exponent can be fitted in a window. Not collective."""
     if not 1e-300 < fit_min < 0.5:
         raise InputError(f"spectrum_fit_min: must lie between 1e-300 and .5, not {fit_min}")
     if not 2 * fit_min <= fit_max <= 0.5:
@@ -195,13 +169,11 @@ def _bin_means(f, fit_min, fit_max):
     return member / member.sum(axis=1, keepdims=True)
 
 
-def _slope_weights(f, fit_min, fit_max):
+def _slope_weights(f, means):
     """Return weights (nf, 3) of log S: slopes over log sin(pi f), log f, and what the first misses.
 
     The third is by how much the slope in the lowest third of the bins is smaller than in all.
     """
-    means = _bin_means(f, fit_min, fit_max)
-    low = means[: max(2, len(means) // 3)]
 
     def weights(means, abscissa):
         x = means @ abscissa
@@ -210,13 +182,8 @@ def _slope_weights(f, fit_min, fit_max):
 
     sine = np.log(np.sin(np.pi * f))
     slope = weights(means, sine)
-    return np.stack([slope, weights(means, np.log(f)), slope - weights(low, sine)], axis=1)
-
-
-def _jackknife(replicas):
-    """Return the standard errors of estimates, each row of which leaves out one part."""
-    spread = replicas - replicas.mean(axis=0)
-    return np.sqrt((len(replicas) - 1) / len(replicas) * (spread**2).sum(axis=0))
+    low = weights(means[: max(2, len(means) // 3)], sine)
+    return np.stack([slope, weights(means, np.log(f)), slope - low], axis=1)
 
 
 def _warn(fit_min, fit_max, memory, flatter, flatter_error):

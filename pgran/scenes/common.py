@@ -172,11 +172,16 @@ def make_lattice(options, world):
     """
     if options.bonds_law == "file":
         stiffness, kmax = on_root(world, lambda: read_bonds(options.bonds_file))
+        lattice = Lattice(stiffness, options.lattice_mass, options.lattice_damping, kmax)
     else:
-        law, shape = make_law(options), options.lattice_shape
-        check_memory("lattice_shape", 8 * bond_count(shape))
-        stiffness, kmax = law.draw(shape, options.bonds_seed), law.kmax
-    lattice = Lattice(stiffness, options.lattice_mass, options.lattice_damping, kmax)
+        check_memory("lattice_shape", 8 * bond_count(options.lattice_shape))
+        lattice = Lattice.random(
+            options.lattice_shape,
+            options.bonds_seed,
+            make_law(options),
+            mass=options.lattice_mass,
+            damping=options.lattice_damping,
+        )
     if len(set(world.allgather(lattice.bonds_sha256))) > 1:
         raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
     return lattice

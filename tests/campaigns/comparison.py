@@ -15,13 +15,12 @@ from mpmath import mp
 from reference import refined_field
 from samples import swept
 
-from pgran.physics.bondlaw import BondLaw
 from pgran.physics.lattice import Lattice
 
 
 def report(shape, site, stride):
     """Print how many bounds are broken, and how sharp the others are."""
-    lattice = Lattice(BondLaw("uniform").draw(shape, 1993), kmax=0.25)
+    lattice = Lattice.random(shape)
     found = swept(lattice, np.linspace(0.01, 1.3, 1291), site)
     some = slice(None, None, stride)
     bound, wrong, size = found.error_bound[some, 0], [], []

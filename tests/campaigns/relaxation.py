@@ -51,7 +51,7 @@ def report(steps):
     for shape, sites in (((30,), [[14]]), ((7, 6), [[3, 2]]), ((4, 3, 4), [[1, 1, 2]])):
         for beta in (1e-4, 1e-2, 1.0):
             for name, law in (("uniform", UNIFORM), ("bonds of 0", zeros)):
-                lattice = Lattice(law.draw(shape, 5), damping=beta, kmax=0.25)
+                lattice = Lattice.random(shape, 5, law, damping=beta)
                 run = relaxed(lattice, sites, law=law, omega=0.6, steps=steps)
                 good = np.flatnonzero(np.isfinite(run.displacement[0, :, 0]))
                 chosen = np.random.default_rng(1).choice(good, 200, replace=False)
