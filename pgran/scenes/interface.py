@@ -1,5 +1,6 @@
 """What makes the functions of the scenes a Python interface, in a notebook and under mpirun."""
 
+import contextlib
 import functools
 import inspect
 
@@ -26,31 +27,28 @@ def in_parallel(shares_lattice=False):
 
         @functools.wraps(function)
         def wrapped(*arguments, **choices):
-            solver = solver_keys(choices.pop("solver", None))
-            given = signature.bind(*arguments, **choices).arguments
-            from mpi4py import MPI
-
-            from pgran.parallel.crew import AgreeingCrew
-            from pgran.solve.database import holding, warn_of_unused
-
-            with holding(solver):
+            with holding_solver(choices.pop("solver", None)):
+                given = signature.bind(*arguments, **choices).arguments
                 if given.get("crew") is not None:
                     return function(*arguments, **choices)
+                from mpi4py import MPI
+
+                from pgran.parallel.crew import AgreeingCrew
+
                 world = MPI.COMM_WORLD
                 ranks = automatic_ranks(given["lattice"].shape, world.size) if shares_lattice else 1
                 with AgreeingCrew(world, ranks) as crew:
                     record = function(*arguments, **choices | {"crew": crew})
-                if world.rank == 0:
-                    warn_of_unused(solver)
-            return world.bcast(record)
+                return world.bcast(record)
 
         return wrapped
 
     return decorate
 
 
-def solver_keys(solver):
-    """Return a dict of solver keys as texts, checked. Not collective.
+@contextlib.contextmanager
+def holding_solver(solver):
+    """Let the keys of a dict hold for all solvers that are made meanwhile. Not collective.
 
     Raises
     ------
@@ -66,4 +64,14 @@ def solver_keys(solver):
             raise InputError(f"solver: {key!r} belongs to no solver{hint}")
         keys[key] = "" if value is None or value is True else text_of(value)
     check_pivot_shifts(keys)
-    return keys
+    if not keys:
+        yield  # what needs no PETSc does without
+        return
+    from mpi4py import MPI
+
+    from pgran.solve.database import holding, warn_of_unused
+
+    with holding(keys):
+        yield
+        if MPI.COMM_WORLD.rank == 0:
+            warn_of_unused(keys)
