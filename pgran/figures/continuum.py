@@ -10,7 +10,6 @@ from pgran.figures import style
 def figures(result, modes=None):
     """Yield the amplitude of the box above its phase."""
     box = result.continuum
-    style.check_any(box.omega, "frequencies")
     figure, (upper, lower) = style.page(style.PAGE, 4.4, nrows=2, sharex=True)
     amplitude(upper, box)
     phase(lower, box)

@@ -15,8 +15,9 @@ def figures(result, modes=None):
         made["shapes"] = _shapes_page(record, lattice)
     many = len(record.omega) >= 20 and np.ptp(record.omega) > 0
     for panel in (participation, density) if many else (participation,):
-        made[panel.__name__], (ax,) = style.page(style.COLUMN, 2.5)
+        figure, (ax,) = style.page(style.COLUMN, 2.5)
         panel(ax, record, lattice)
+        made[panel.__name__] = figure
     for name, figure in made.items():
         style.note_missing(figure, record)
         yield name, figure

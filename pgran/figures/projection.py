@@ -16,7 +16,6 @@ def figures(result, modes=None):
     sweep on a handful of modes: these alone.
     """
     projection = result.projection
-    style.check_any(projection.omega, "frequencies")
     style.check_any(projection.mode_omega, "modes")
     sweep, many = len(projection.omega) > HANDFUL, len(projection.mode_omega) > HANDFUL
     panels = [

@@ -8,7 +8,6 @@ from pgran.figures import style
 def figures(result, modes=None):
     """Yield the beginning of the series above its power spectrum, if there is one."""
     relaxation, power = result.relaxation, getattr(result, "spectrum", None)
-    style.check_any(relaxation.displacement, "amplitudes")
     rows = 2 if power else 1
     figure, (ax, *below) = style.page(style.COLUMN, 0.2 + 2.3 * rows, nrows=rows)
     series(ax, relaxation)
