@@ -1,6 +1,10 @@
 """What tests read off the axes of a figure."""
 
 import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
 from matplotlib.figure import Figure
 
 

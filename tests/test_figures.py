@@ -8,22 +8,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from figure_reading import curves, draw, gaps, labels, lines, marks, note
 from figure_results import SWEEP, UNIT, find_modes, respond, result_of
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 from samples import random_lattice
 
 import pgran
 from pgran import errors, figures
 from pgran.command.plot import run as plot
 from pgran.errors import FileError, PgranError
-from pgran.results import LatticeRecord
-
-pytest.importorskip("matplotlib")
-
-import matplotlib
-from figure_reading import curves, draw, gaps, labels, lines, marks, note
-from matplotlib.figure import Figure
-
 from pgran.figures import bonds, response
+from pgran.results import LatticeRecord
 
 
 def test_the_regimes_hold_every_point_of_every_detector():
@@ -91,7 +87,7 @@ def test_phase_and_its_fit():
 )
 def test_every_bond_is_a_segment_of_its_grey(shape, detector, count):
     lattice = LatticeRecord.of(random_lattice(shape))
-    figure = bonds.page(lattice, [detector])
+    figure = bonds.page(lattice, [detector, (0,) * len(shape)])
     figure.draw_without_rendering()
     (drawn,) = (c for c in figure.axes[0].collections if c.get_array() is not None)
     seen = set()
@@ -103,16 +99,9 @@ def test_every_bond_is_a_segment_of_its_grey(shape, detector, count):
         assert grey[:3] == pytest.approx(np.full(3, 1 - k[where] / 0.25), abs=1 / 256)
         seen.add((y0 == y1, where))
     assert len(seen) == len(drawn.get_segments()) == count
+    dots = [(*dot.get_xdata(), *dot.get_ydata()) for dot in lines(figure.axes[0], marker="o")]
+    assert dots == [(*detector, 0)[:2]] + [(0, 0)] * (len(shape) < 3)  # those in the plane
     assert ("z = 2" in note(figure)) == (len(shape) == 3)
-
-
-def test_detectors_and_walls():
-    lattice = LatticeRecord.of(random_lattice((4, 3, 5)))
-    ax = draw(bonds.bonds, lattice, [(1, 2, 2), (3, 0, 2), (0, 0, 4)])
-    dots = lines(ax, marker="o")
-    assert [(*line.get_xdata(), *line.get_ydata()) for line in dots] == [(1, 2), (3, 0)]
-    assert labels(ax) == ["ball (1, 2, 2)", "ball (3, 0, 2)", "driven wall"]
-    assert np.array_equal(lines(ax, marker="None")[0].get_xdata(), [4, 4])
 
 
 @pytest.mark.parametrize("shape", [(70, 70, 2), (9000,)])
@@ -172,7 +161,7 @@ assert "matplotlib.pyplot" not in sys.modules
 
 def test_panels_take_the_user_s_style_and_leave_the_rest_of_a_figure_alone():
     result = respond([0.5, 0.6])
-    with matplotlib.rc_context({"xtick.labelsize": 32}):
+    with rc_context({"xtick.labelsize": 32}):
         page = figures.make(result)["phase"]
         page.draw_without_rendering()
         assert {label.get_fontsize() for label in page.axes[0].get_xticklabels()} == {7}

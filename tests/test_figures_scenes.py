@@ -4,17 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from figure_reading import curves, draw, gaps, labels, lines, marks, note
 from figure_results import UNIT, compare, find_modes, project, relax, respond_box, result_of
 
 from pgran import figures
 from pgran.errors import FileError
-from pgran.physics.spectrum import power_spectrum
-
-pytest.importorskip("matplotlib")
-
-from figure_reading import curves, draw, gaps, labels, lines, marks, note
-
 from pgran.figures import accuracy, continuum, modes, projection, relaxation
+from pgran.physics.spectrum import power_spectrum
 
 FINE = np.linspace(0.1, 1.1, 401)
 

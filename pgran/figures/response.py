@@ -63,8 +63,7 @@ def phase(ax, response, lattice, modes=None):
     modes : array_like, optional
         Angular frequencies of normal modes, marked by pluses.
     """
-    x = response.omega / lattice.omega_mx
-    low, high = response.phase_fit_min, response.phase_fit_max
+    x, low, high = response.omega / lattice.omega_mx, response.phase_fit_min, response.phase_fit_max
     good = (response.converged_reason > 0)[:, None] & np.isfinite(response.phase)
     window = good & ((low < x) & (x < high))[:, None]
     fitted = np.flatnonzero(np.isfinite(response.phase_slope) & window.any(axis=0))

@@ -33,14 +33,10 @@ RC = {
     "lines.markersize": 4,
     "pdf.fonttype": 42,
     "savefig.dpi": 300,
-    "xtick.labelsize": 7,
-    "xtick.major.size": 3,
-    "xtick.major.width": 0.6,
-    "ytick.labelsize": 7,
-    "ytick.major.size": 3,
-    "ytick.major.width": 0.6,
     "ytick.minor.size": 1.5,
 }
+for _tick in ("xtick", "ytick"):
+    RC |= {f"{_tick}.labelsize": 7, f"{_tick}.major.size": 3, f"{_tick}.major.width": 0.6}
 
 
 @contextlib.contextmanager
@@ -145,7 +141,7 @@ def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
     shades, drawn = colours(y.shape[1]), []
     dots = len(x) <= 100 if dots is None else dots
     for n, shade in enumerate(shades):
-        padded = np.concatenate(([False], good[:, n], [False]))
+        padded = np.pad(good[:, n], 1)
         lone = good[:, n] & ~padded[:-2] & ~padded[2:]
         look = {"color": shade, "label": labels[n] if labels else None}
         dotted = np.flatnonzero(good[:, n] if dots else lone).tolist()
