@@ -55,7 +55,7 @@ def run(words):
     path, shown, modes = given.result, pgran.load(given.result), None
     if given.other:
         other = pgran.load(given.other)
-        response, marked = pair(shown, other)
+        response, marked = _pair(shown, other)
         path, shown = given.other if response is other else path, response
         modes = marked.modes.omega
         if not marked.modes.count_certified:
@@ -66,14 +66,8 @@ def run(words):
     return DONE
 
 
-def pair(one, other):
-    """Return which of two results of one lattice is a response, and which holds its modes.
-
-    Raises
-    ------
-    FileError
-        If they are not a response and modes, or belong to different lattices.
-    """
+def _pair(one, other):
+    """Return which of two results of one lattice is a response, and which holds its modes."""
     import numpy as np  # late: `pgran --help` loads nothing
 
     response, modes = (one, other) if hasattr(one, "response") else (other, one)

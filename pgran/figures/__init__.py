@@ -1,24 +1,16 @@
 """The figures of a result. The only part of pgran that imports matplotlib.
 
 The module named after a group of the result, `pgran.figures.response` say, has a function for each
-kind of panel, which draws into axes of the user's and returns what it drew, with labels for a
-legend:
-
-    from pgran.figures import response
-    response.amplitude(ax, result.response, result.lattice)
-
-Its generator `figures(result, modes)` makes pages of them, the figures that `pgran plot` saves, and
-yields the name and the figure of each. `pgran.figures.style.applied()` is the style of the pages.
+kind of panel, which draws into axes of the user's, with labels for a legend, and returns what it
+drew: `response.amplitude(ax, result.response, result.lattice)`. Its `figures(result, modes)` yields
+the names and the pages that `pgran plot` saves. `pgran.figures.style.applied()` is their style.
 """
 
 import importlib
 import pkgutil
 from pathlib import Path
 
-from pgran.errors import FileError, PgranError, reason_of
-
-# What matplotlib can write and nobody calls a figure, or what needs a LaTeX installation.
-NO_FIGURES = {"pgf", "raw", "rgba"}
+from pgran.errors import FileError, PgranError
 
 
 def make(result, modes=None):
@@ -44,16 +36,14 @@ def make(result, modes=None):
 
 
 def save(made, output):
-    """Save what `make` returns, and return the paths. See `pgran.plot`. Not collective.
-
-    `output` results/a.png gives results/a-amplitude.png and so on. A missing folder is made.
-    """
+    """Save what `make` returns, and return the paths. See `pgran.plot`. Not collective."""
     from matplotlib.backend_bases import FigureCanvasBase
 
     from pgran.figures import style
 
     output, written = Path(output), []
-    endings = sorted(set(FigureCanvasBase.get_supported_filetypes()) - NO_FIGURES)
+    # Not what nobody calls a figure, or what needs a LaTeX installation.
+    endings = sorted(set(FigureCanvasBase.get_supported_filetypes()) - {"pgf", "raw", "rgba"})
     if output.suffix[1:].lower() not in endings:
         raise FileError(f"{output}: a figure's name ends in one of .{', .'.join(endings)}")
     for name, figure in made.items():
@@ -63,7 +53,6 @@ def save(made, output):
             with style.applied():
                 figure.savefig(path)
         except OSError as error:
-            reason = error.strerror or reason_of(error)
-            raise FileError(f"{path}: cannot be written: {reason}") from None
+            raise FileError(f"{path}: cannot be written: {error.strerror or error}") from None
         written.append(path)
     return written

@@ -31,54 +31,49 @@ def front(ax, accuracy):
     that the solver itself gives. Configurations with failures are hollow. No error below the
     reference's own can be seen. Returns the lines of the solvers.
     """
-    ax.set(xscale="log", yscale="log")
-    drawn = np.isfinite(accuracy.error_max)
-    lines = []
+    ax.set(xscale="log", yscale="log", ylabel="largest relative error")
+    ax.set_xlabel(f"run time (s), median of {accuracy.repeats}")
+    drawn, lines = np.isfinite(accuracy.error_max), []
     for number, solver in enumerate(dict.fromkeys(accuracy.solver[drawn])):
         rows = np.flatnonzero(drawn & (accuracy.solver == solver))
         colour, mark = (kinds[number % len(kinds)] for kinds in (style.COLOURS, MARKS))
         lines.append(_solver(ax, accuracy, rows, color=colour, marker=mark))
+    alone = {"linestyle": "none"}
     if np.any(accuracy.failures[drawn]):
-        hollow = {"marker": "o", "markerfacecolor": "white", "linestyle": "none"}
-        ax.plot([], [], color="#777777", label="hollow: some failed", **hollow)
-    dash = {"marker": "_", "linestyle": "none", "label": "bound by the solver"}
-    ax.plot([], [], color="#aaaaaa", **dash)
+        hollow = {"marker": "o", "markerfacecolor": "white", "label": "hollow: some failed"}
+        ax.plot([], [], color="#777777", **hollow, **alone)
+    ax.plot([], [], color="#aaaaaa", marker="_", label="bound by the solver", **alone)
     dotted = {"linewidth": 0.6, "linestyle": ":", "label": "bound of the reference"}
     ax.axhline(accuracy.reference_bound, color="#777777", **dotted)
     low, high = ax.get_ylim()
     ax.set_ylim(low / 2, max(high, 1000 * low))
     _staircase(ax, accuracy)
-    times = ax.get_xlim()
-    if times[1] < 1000 * times[0]:  # else powers of ten are enough
+    low, high = ax.get_xlim()
+    if high < 1000 * low:  # else powers of ten are enough
         ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_formatter(NullFormatter())
-    ax.set_xlabel(f"run time (s), median of {accuracy.repeats}")
-    ax.set_ylabel("largest relative error")
     return lines
 
 
-def _solver(ax, accuracy, rows, color, marker):
+def _solver(ax, accuracy, rows, **look):
     """Draw the configurations of one solver; return its line."""
-    x, y = accuracy.seconds[rows], accuracy.error_max[rows]
-    failed, pale = accuracy.failures[rows] > 0, style.pale(color)
+    x, y, failed = accuracy.seconds[rows], accuracy.error_max[rows], accuracy.failures[rows] > 0
+    pale, bound = style.pale(look["color"]), accuracy.error_bound_max[rows]
     ax.hlines(y, accuracy.seconds_min[rows], accuracy.seconds_max[rows], color=pale, linewidth=2)
-    bound = accuracy.error_bound_max[rows]
     ax.plot(x, bound, linestyle="none", marker="_", color=pale, zorder=1)
-    look = {"color": color, "marker": marker}
     (line,) = ax.plot(x, y, linewidth=0.5, label=accuracy.solver[rows[0]], **look)
     ax.plot(x[failed], y[failed], linestyle="none", markerfacecolor="white", **look)
     return line
 
 
 def _staircase(ax, accuracy):
-    """Draw the front."""
+    """Draw the front, from the upper edge to the right one."""
     front = np.flatnonzero(accuracy.on_front)
-    if not front.size:
-        return
-    front = front[np.argsort(accuracy.seconds[front])]
-    right, top = ax.get_xlim()[1], ax.get_ylim()[1]
-    ax.set(xlim=ax.get_xlim(), ylim=ax.get_ylim())
-    x = [accuracy.seconds[front[0]], *accuracy.seconds[front], right]
-    y = [top, *accuracy.error_max[front], accuracy.error_max[front[-1]]]
-    ax.step(x, y, where="post", color="#cccccc", linewidth=2.5, zorder=0, label="front")
+    if front.size:
+        front = front[np.argsort(accuracy.seconds[front])]
+        seconds, error = accuracy.seconds[front], accuracy.error_max[front]
+        x = [seconds[0], *seconds, ax.get_xlim()[1]]
+        y = [ax.get_ylim()[1], *error, error[-1]]
+        ax.set(xlim=ax.get_xlim(), ylim=ax.get_ylim())
+        ax.step(x, y, where="post", color="#cccccc", linewidth=2.5, zorder=0, label="front")

@@ -7,28 +7,21 @@ from matplotlib.ticker import MaxNLocator
 
 from pgran.figures import style
 
-MOST_LINES = 8000  # bonds; a lattice with more is drawn as an image of its balls
-
 
 def page(lattice, detectors):
     """Return the figure of the bonds in a plane, with its scale of grey."""
-    axes, (nx, ny) = len(lattice.shape), (*lattice.shape, 1)[:2]
+    chain, (nx, ny) = len(lattice.shape) == 1, (*lattice.shape, 1)[:2]
     ratio, plane = (ny + 1) / (nx + 1), tuple(detectors[0][2:])
-    width = style.PAGE if axes == 1 or nx > 40 or ratio < 0.5 else style.COLUMN
-    height = 0.35 if axes == 1 else min(max((width - 0.8) * ratio, 0.8), 6.5)
+    width = style.PAGE if chain or nx > 40 or ratio < 0.5 else style.COLUMN
+    height = 0.35 if chain else min(max((width - 0.8) * ratio, 0.8), 6.5)
     columns = 3 if width == style.COLUMN else 6
     height += 1.1 + 0.13 * (len(detectors) // columns) + 0.2 * len(plane)
     figure, (ax,) = style.page(width, height)
     drawn = bonds(ax, lattice, detectors)
-    bar = figure.colorbar(
-        drawn,
-        ax=ax,
-        label="bond constant $K$" + (", mean of each ball" if ax.images else ""),
-        orientation="horizontal",
-        aspect=9 * width,
-        pad=0.05,
-        extend="max" if np.max(drawn.get_array()) > drawn.norm.vmax * (1 + 1e-9) else "neither",
-    )
+    beyond = np.max(drawn.get_array()) > drawn.norm.vmax * (1 + 1e-9)
+    look = {"aspect": 9 * width, "pad": 0.05, "extend": "max" if beyond else "neither"}
+    bar = figure.colorbar(drawn, ax=ax, orientation="horizontal", **look)
+    bar.set_label("bond constant $K$" + (", mean of each ball" if ax.images else ""))
     bar.outline.set_linewidth(0.6)
     style.legend_above([ax], columns)
     if plane:
@@ -53,16 +46,16 @@ def bonds(ax, lattice, detectors):
     plane, kmax = tuple(detectors[0][2:]), lattice.mass * lattice.omega_mx**2 / (2 * axes)
     grey = {"cmap": "gray_r", "norm": Normalize(0.0, kmax)}
     spacing = 72 * ax.bbox.width / ax.figure.dpi / (nx + 1)  # points from ball to ball
-    segments, constants = bond_segments([k[(..., *plane)] for k in stiffness[:2]])
-    if len(segments) <= MOST_LINES:
+    segments, constants = _segments([k[(..., *plane)] for k in stiffness[:2]])
+    if len(segments) <= 8000:
         thick = 8.0 if axes == 1 else min(max(0.3 * spacing, 0.5), 4.0)
         order = np.argsort(constants, kind="stable")  # stiff bonds over soft ones
         drawn = LineCollection(segments[order], array=constants[order], linewidths=thick, **grey)
         ax.add_collection(drawn)
     else:
-        constants = mean_of_bonds(stiffness)[(..., *plane)].reshape(nx, ny)
-        extent = (-0.5, nx - 0.5, -0.5, ny - 0.5)
-        drawn = ax.imshow(constants.T, origin="lower", extent=extent, **grey)
+        both = [np.delete(k, 0, axis) + np.delete(k, -1, axis) for axis, k in enumerate(stiffness)]
+        mean = (sum(both) / (2 * axes))[(..., *plane)].reshape(nx, ny)
+        drawn = ax.imshow(mean.T, origin="lower", extent=(-0.5, nx - 0.5, -0.5, ny - 0.5), **grey)
     equal = axes > 1 and 1 / 8 <= (ny + 1) / (nx + 1) <= 8
     ax.set(xlim=(-1, nx), ylim=(-1, ny), aspect="equal" if equal else "auto")
     names, shades = style.ball_names(detectors), style.colours(len(detectors))
@@ -75,55 +68,31 @@ def bonds(ax, lattice, detectors):
     return drawn
 
 
-def bond_segments(stiffness):
-    """Return each bond of one or two axes as a line from site to site, and its constant.
-
-    Returns
-    -------
-    segments : numpy.ndarray, shape (bonds, 2, 2)
-        Both ends, x and y of each; walls count as sites.
-    constants : numpy.ndarray, shape (bonds,)
-    """
+def _segments(stiffness):
+    """Return each bond of one or two axes as a line between sites or walls, and its constant."""
     segments = []
     for axis, k in enumerate(stiffness):
-        upper = np.stack(np.meshgrid(*map(np.arange, k.shape), indexing="ij"), axis=-1)
-        upper = upper.reshape(k.size, k.ndim)
-        ends = np.zeros((k.size, 2, 2))
-        ends[:, :, : k.ndim] = upper[:, None, :]
+        ends = np.zeros((k.size, 2, 2))  # lower and upper end, x and y of each
+        ends[:, :, : k.ndim] = np.argwhere(np.ones(k.shape))[:, None, :]
         ends[:, 0, axis] -= 1
         segments.append(ends)
     return np.concatenate(segments), np.concatenate([k.ravel() for k in stiffness])
 
 
-def mean_of_bonds(stiffness):
-    """Return the mean constant of the bonds at each ball."""
-    total = 0.0
-    for axis, k in enumerate(stiffness):
-        count = k.shape[axis] - 1
-        total = total + k.take(range(count), axis) + k.take(range(1, count + 1), axis)
-    return total / (2 * len(stiffness))
-
-
 def _walls(ax, nx, ny, axes):
     """Draw the walls, the driven one with a double arrow, and number the balls."""
     ax.spines[:].set_visible(False)
-    rest = [[(-1, -1), (-1, ny)]]
-    if axes > 1:
-        rest += [[(-1, -1), (nx, -1)], [(-1, ny), (nx, ny)]]
-    ax.add_collection(LineCollection(rest, colors="black", linewidths=1.5, clip_on=False))
+    rest = [[(-1, -1), (-1, ny)], [(-1, -1), (nx, -1)], [(-1, ny), (nx, ny)]]
+    rest = LineCollection(rest[: 2 * axes - 1], colors="black", linewidths=1.5, clip_on=False)
+    ax.add_collection(rest)
     driven = {"color": style.ACCENT, "linewidth": 3, "label": "driven wall"}
     ax.plot([nx, nx], [-1, ny], clip_on=False, **driven)
-    ax.annotate(
-        "",
-        xy=(nx, (ny - 1) / 2),
-        xytext=(22, 0),
-        textcoords="offset points",
-        arrowprops={"arrowstyle": "<->", "color": style.ACCENT, "shrinkA": 0, "shrinkB": 4},
-    )
+    arrow = {"arrowstyle": "<->", "color": style.ACCENT, "shrinkA": 0, "shrinkB": 4}
+    place = {"xytext": (22, 0), "textcoords": "offset points"}
+    ax.annotate("", xy=(nx, (ny - 1) / 2), arrowprops=arrow, **place)
     for axis, count, name in ((ax.xaxis, nx, "i"), (ax.yaxis, ny, "j")):
-        ticks = MaxNLocator(nbins=6, steps=[1, 2, 5, 10], integer=True).tick_values(
-            0, max(count - 1, 1)
-        )
-        axis.set_ticks([int(tick) for tick in ticks if 0 <= tick < count])
+        locator = MaxNLocator(nbins=6, steps=[1, 2, 5, 10], integer=True)
+        ticks = locator.tick_values(0, max(count - 1, 1))
+        axis.set_ticks([tick for tick in ticks if 0 <= tick < count])
         axis.set_label_text(f"ball ${name}$")
     ax.yaxis.set_visible(axes > 1)

@@ -6,18 +6,19 @@ import numpy as np
 
 from pgran.figures import style
 
-FREQUENCY = r"driving frequency $\omega L_x/\sqrt{K_0/m}$"
-
 
 def figures(result, modes=None):
     """Yield the amplitude of the box above its phase."""
-    continuum = result.continuum
-    style.check_any(continuum.omega, "frequencies")
+    box = result.continuum
     figure, (upper, lower) = style.page(style.PAGE, 4.4, nrows=2, sharex=True)
-    amplitude(upper, continuum)
-    phase(lower, continuum)
+    amplitude(upper, box)
+    phase(lower, box)
     upper.set_xlabel("")
-    upper.set_title(describe(continuum))
+    (x, y), (lx, ly) = box.point, box.size
+    upper.set_title(
+        rf"$x$ = {x:g}, $y$ = {y:g}, $L_x$ = {lx:g}, $L_y$ = {ly:g}, "
+        rf"$K_0$ = {box.stiffness:g}, $m$ = {box.mass:g}, $\beta$ = {box.damping:g}"
+    )
     style.legend_above([upper], columns=1)
     figure.align_ylabels()
     yield "exactpl", figure
@@ -28,8 +29,7 @@ def amplitude(ax, continuum):
 
     Amplitudes of zero, on a wall at rest, are gaps.
     """
-    ax.set_yscale("log")
-    ax.set_ylabel(style.AMPLITUDE)
+    ax.set(yscale="log", ylabel=style.AMPLITUDE)
     return _curve(ax, continuum, continuum.amplitude)
 
 
@@ -51,19 +51,8 @@ def _curve(ax, continuum, values, **line):
     """Draw values against frequency, where there is an amplitude; mark the resonances."""
     unit = math.sqrt(continuum.stiffness / continuum.mass) / continuum.size[0]
     x = continuum.omega / unit
-    ax.set_xlim(style.limits(x, 0.0, math.inf))
     good = np.isfinite(continuum.amplitude) & (continuum.amplitude > 0)
+    ax.set(xlim=style.limits(x), xlabel=r"driving frequency $\omega L_x/\sqrt{K_0/m}$")
     (curve,) = style.curves(ax, x, values, good, **line)
     style.mark_modes(ax, continuum.resonance / unit, "driven resonances")
-    ax.set_xlabel(FREQUENCY)
     return curve
-
-
-def describe(continuum):
-    """Return the parameters in words."""
-    (x, y), (lx, ly) = continuum.point, continuum.size
-    return (
-        rf"$x$ = {x:g}, $y$ = {y:g}, $L_x$ = {lx:g}, $L_y$ = {ly:g}, "
-        rf"$K_0$ = {continuum.stiffness:g}, $m$ = {continuum.mass:g}, "
-        rf"$\beta$ = {continuum.damping:g}"
-    )

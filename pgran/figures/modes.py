@@ -6,25 +6,18 @@ import numpy as np
 
 from pgran.figures import style
 
-PICTURED = (0.6053, 1.0)  # the second and third mode of the paper's figure, in units of omega_mx
-NEXT_LINE = "\n     "
-FEWEST = 20  # modes that a histogram is drawn of
-
 
 def figures(result, modes=None):
     """Yield three shapes if they are stored, participation ratios, the density of many modes."""
-    record, lattice = result.modes, result.lattice
+    record, lattice, made = result.modes, result.lattice, {}
     style.check_any(record.omega, "modes")
-    made = {}
     if record.vector is not None:
         made["shapes"] = _shapes_page(record, lattice)
-    figure, (ax,) = style.page(style.COLUMN, 2.5)
-    participation(ax, record, lattice)
-    made["participation"] = figure
-    if len(record.omega) >= FEWEST and np.ptp(record.omega) > 0:
+    many = len(record.omega) >= 20 and np.ptp(record.omega) > 0
+    for panel in (participation, density) if many else (participation,):
         figure, (ax,) = style.page(style.COLUMN, 2.5)
-        density(ax, record, lattice)
-        made["density"] = figure
+        panel(ax, record, lattice)
+        made[panel.__name__] = figure
     for name, figure in made.items():
         style.note_missing(figure, record)
         yield name, figure
@@ -45,9 +38,10 @@ def shape(ax, modes, lattice, mode):
     mode : int
         Which one, the lowest is 0.
     """
-    largest = _largest(modes, mode)
-    values = modes.vector[mode] / np.abs(modes.vector[mode][largest])
-    (nx, ny), chain = _extent(lattice), len(lattice.shape) == 1
+    values = modes.vector[mode]
+    largest = np.unravel_index(np.abs(values).argmax(), values.shape)
+    values, (nx, ny) = values / np.abs(values[largest]), (*lattice.shape, 1)[:2]
+    chain = len(lattice.shape) == 1
     if chain:
         ax.axhline(0.0, color=style.MODE, linewidth=0.5)
         (drawn,) = ax.plot(np.arange(-1, nx + 1), np.pad(values, 1), color="black")
@@ -56,10 +50,11 @@ def shape(ax, modes, lattice, mode):
         place = {"origin": "lower", "extent": (-0.5, nx - 0.5, -0.5, ny - 0.5)}
         colours = {"cmap": "RdBu_r", "vmin": -1.0, "vmax": 1.0, "interpolation": "nearest"}
         drawn = ax.imshow(values[(..., *largest[2:])].T, **place, **colours)
-        ax.set_aspect("equal" if 1 / 8 <= ny / nx <= 3 else "auto")
-        ax.set_ylabel("ball $j$")
+        ax.set(aspect="equal" if 1 / 8 <= ny / nx <= 3 else "auto", ylabel="ball $j$")
     ax.set_xlabel("ball $i$")
-    ax.set_title(", ".join(_describe(modes, lattice, mode)))
+    omega = rf"$\omega_i$ = {modes.omega[mode] / lattice.omega_mx:.4f} $\omega_{{mx}}$"
+    plane = "".join(f", plane $z$ = {z}" for z in largest[2:])
+    ax.set_title(f"{omega}, $P_i$ = {modes.participation[mode]:.3g} balls{plane}")
     ax.locator_params("x" if chain else "both", nbins=6, steps=[1, 2, 5, 10], integer=True)
     return drawn
 
@@ -76,8 +71,7 @@ def participation(ax, modes, lattice):
     x, balls = modes.omega / lattice.omega_mx, math.prod(lattice.shape)
     look = {"linestyle": "none", "marker": ".", "markeredgewidth": 0, "color": "black"}
     (points,) = ax.plot(x, modes.participation, clip_on=False, **look)
-    ax.set(yscale="log", ylim=(1, max(balls, 10)))
-    ax.set_xlabel(style.MODE_FREQUENCY)
+    ax.set(yscale="log", ylim=(1, max(balls, 10)), xlabel=style.MODE_FREQUENCY)
     ax.set_ylabel(f"participation ratio $P_i$ (of {balls} balls)")
     return points
 
@@ -96,46 +90,24 @@ def density(ax, modes, lattice):
     ax.stairs(counts / np.diff(edges), edges, fill=True, color=style.pale(style.ACCENT))
     outline = ax.stairs(counts / np.diff(edges), edges, color=style.ACCENT)
     ax.set_ylim(bottom=0)
-    ax.set_xlabel(style.MODE_FREQUENCY)
-    ax.set_ylabel(r"density of modes (modes per $\omega_{mx}$)")
+    ax.set(xlabel=style.MODE_FREQUENCY, ylabel=r"density of modes (modes per $\omega_{mx}$)")
     return outline
 
 
 def pick(x):
     """Return the indices of the modes to picture, ascending, each once; all if there are three.
 
-    The second lowest mode and those nearest to .6053 and 1, `x` in units of omega_mx.
+    The second lowest mode and those nearest to .6053 and 1, as the paper; `x` in units of omega_mx.
     """
     if len(x) <= 3:
         return list(range(len(x)))
-    nearest = [int(np.abs(x - wanted).argmin()) for wanted in PICTURED]
-    return sorted({1, *nearest})
-
-
-def _describe(modes, lattice, mode):
-    """Return the frequency of a mode, its participation ratio and the plane pictured, in words."""
-    return [
-        rf"$\omega_i$ = {modes.omega[mode] / lattice.omega_mx:.4f} $\omega_{{mx}}$",
-        f"$P_i$ = {modes.participation[mode]:.3g} balls",
-        *(f"plane $z$ = {z}" for z in _largest(modes, mode)[2:]),
-    ]
-
-
-def _largest(modes, mode):
-    """Return the index of the ball that moves most."""
-    values = np.abs(modes.vector[mode])
-    return np.unravel_index(values.argmax(), values.shape)
-
-
-def _extent(lattice):
-    """Return how many balls a picture is wide and high."""
-    return (*lattice.shape, 1)[:2]
+    return sorted({1, *(int(np.abs(x - wanted).argmin()) for wanted in (0.6053, 1.0))})
 
 
 def _shapes_page(modes, lattice):
     """Return the figure of up to three modes, next to each other or long ones one below another."""
     picked = pick(modes.omega / lattice.omega_mx)
-    (nx, ny), chain = _extent(lattice), len(lattice.shape) == 1
+    (nx, ny), chain = (*lattice.shape, 1)[:2], len(lattice.shape) == 1
     flat = chain or nx > 1.5 * ny
     rows, columns = (len(picked), 1) if flat else (1, len(picked))
     width = style.PAGE - 1.2 if flat else 1.9
@@ -145,8 +117,8 @@ def _shapes_page(modes, lattice):
     figure.set_layout_engine("compressed")  # as many panels as fit, next to each other
     for letter, mode, ax in zip("abc", picked, panels, strict=False):
         drawn = shape(ax, modes, lattice, mode)
-        first, *rest = _describe(modes, lattice, mode)
-        ax.set_title(f"({letter}) {first}{', ' if flat else NEXT_LINE}{', '.join(rest)}")
+        title = f"({letter}) {ax.get_title(loc='left')}"
+        ax.set_title(title if flat else title.replace(", ", "\n     ", 1))
         ax.label_outer()
     displacement = "displacement / largest"
     if chain:

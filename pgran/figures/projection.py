@@ -7,7 +7,6 @@ from pgran.figures import style
 COEFFICIENT = "coefficient $|c_i|$ (driven wall = 1)"
 SHOWN = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes of cifreq lie
 HANDFUL = 10  # frequencies or modes that make no curve
-AROUND = 0.05  # omega_mx to either side of the modes of cifreq
 
 
 def figures(result, modes=None):
@@ -17,7 +16,6 @@ def figures(result, modes=None):
     sweep on a handful of modes: these alone.
     """
     projection = result.projection
-    style.check_any(projection.omega, "frequencies")
     style.check_any(projection.mode_omega, "modes")
     sweep, many = len(projection.omega) > HANDFUL, len(projection.mode_omega) > HANDFUL
     panels = [
@@ -49,20 +47,16 @@ def coefficients(ax, projection, lattice, drive=SHOWN):
         is drawn; if none is, only a cross at the nearest of all.
     """
     x, modes, accurate = _in_units(projection, lattice)
-    distance = np.abs(x - drive)
-    shown = np.where(accurate == accurate.any(), distance, np.inf).argmin()
+    shown = np.where(accurate == accurate.any(), np.abs(x - drive), np.inf).argmin()
     values = np.abs(projection.coefficient[shown])
     good = accurate[shown] & np.isfinite(values) & (values > 0)
-    ax.set_yscale("log")
-    ax.set_xlim(style.limits(modes, 0.0, np.inf))
+    ax.set(xlim=style.limits(modes), xlabel=style.MODE_FREQUENCY, yscale="log", ylabel=COEFFICIENT)
     label = rf"driving frequency {x[shown]:.4g} $\omega_{{mx}}$"
     ax.axvline(x[shown], color=style.ACCENT, zorder=1, label=label)
     look = {"color": "#999999", "markerfacecolor": "black", "linewidth": 0.5}
     (curve,) = style.curves(ax, modes, values, good, dots=True, **look)
     if not accurate[shown]:
         style.mark_failed(ax, x[[shown]])
-    ax.set_xlabel(style.MODE_FREQUENCY)
-    ax.set_ylabel(COEFFICIENT)
     return curve
 
 
@@ -79,15 +73,14 @@ def dominant(ax, projection, lattice):
     """
     x, modes, accurate = _in_units(projection, lattice)
     good = accurate & (projection.dominant >= 0)
-    ax.set_xlim(style.limits(x, 0.0, np.inf))
+    ylabel = r"dominant mode $\omega_i/\omega_{mx}$"
+    ax.set(xlim=style.limits(x), xlabel=style.FREQUENCY, ylabel=ylabel)
     ends = [max(x[0], modes[0]), min(x[-1], modes[-1])]
     if ends[0] < ends[1]:
         ax.plot(ends, ends, color=style.pale(style.ACCENT), linewidth=2.5, label="slope 1")
     look = {"color": "black", "linestyle": "none", "markersize": 2.5}
     (points,) = style.curves(ax, x, modes[projection.dominant], good, dots=True, **look)
     style.mark_failed(ax, x[~good])
-    ax.set_xlabel(style.FREQUENCY)
-    ax.set_ylabel(r"dominant mode $\omega_i/\omega_{mx}$")
     return points
 
 
@@ -105,22 +98,18 @@ def single_modes(ax, projection, lattice):
     lattice : pgran.results.LatticeRecord
     """
     x, modes, accurate = _in_units(projection, lattice)
-    centre = SHOWN if x[0] <= SHOWN <= x[-1] else (x[0] + x[-1]) / 2
-    chosen = successive(modes, centre)
-    near = (x >= modes[chosen[0]] - AROUND) & (x <= modes[chosen[-1]] + AROUND)
+    chosen = successive(modes, SHOWN if x[0] <= SHOWN <= x[-1] else (x[0] + x[-1]) / 2)
+    near = (x >= modes[chosen[0]] - 0.05) & (x <= modes[chosen[-1]] + 0.05)
     if np.count_nonzero(near) <= HANDFUL:
         near[:] = True
     values = np.abs(projection.coefficient[near][:, chosen])
     good = accurate[near, None] & np.isfinite(values) & (values > 0)
-    ax.set_xlim(x[near][[0, -1]])
-    ax.set_yscale("log")
+    ax.set(xlim=x[near][[0, -1]], xlabel=style.FREQUENCY, yscale="log", ylabel=COEFFICIENT)
     labels = [rf"$\omega_i$ = {modes[mode]:.5f} $\omega_{{mx}}$" for mode in chosen]
     drawn = style.curves(ax, x[near], values, good, labels)
     for mode, curve in zip(chosen, drawn, strict=True):
         ax.axvline(modes[mode], color=curve.get_color(), linestyle=":", zorder=1)
     style.mark_failed(ax, x[near & ~accurate])
-    ax.set_xlabel(style.FREQUENCY)
-    ax.set_ylabel(COEFFICIENT)
     return drawn
 
 

@@ -4,14 +4,10 @@ import numpy as np
 
 from pgran.figures import style
 
-STRETCH = 2000  # steps of the series that are drawn
-APART = 6.0  # factor between the spectrum and the line of slope -2
-
 
 def figures(result, modes=None):
     """Yield the beginning of the series above its power spectrum, if there is one."""
     relaxation, power = result.relaxation, getattr(result, "spectrum", None)
-    style.check_any(relaxation.displacement, "amplitudes")
     rows = 2 if power else 1
     figure, (ax, *below) = style.page(style.COLUMN, 0.2 + 2.3 * rows, nrows=rows)
     series(ax, relaxation)
@@ -30,7 +26,7 @@ def figures(result, modes=None):
     yield "timeres", figure
 
 
-def series(ax, relaxation, steps=STRETCH):
+def series(ax, relaxation, steps=2000):
     """Draw the amplitudes of the first trajectory against time (paper: timeres).
 
     Steps that missed the accuracy asked for are gaps, and crosses on the upper edge; of amplitudes
@@ -46,28 +42,25 @@ def series(ax, relaxation, steps=STRETCH):
     amplitude = np.abs(relaxation.displacement[0, : steps + 1])
     limit = style.upper_limits(relaxation)[0, : steps + 1]
     time, good = np.arange(len(amplitude)), np.isfinite(amplitude) & np.isnan(limit)
+    ax.set(xlabel="time (steps of one bond)", ylabel=style.AMPLITUDE)
     ax.set_xlim(0, max(len(time) - 1, 1))
     ax.locator_params("x", nbins=5)
-    names = style.ball_names(relaxation.detector)
-    drawn = style.curves(ax, time, amplitude, good, names, limit)
+    drawn = style.curves(ax, time, amplitude, good, style.ball_names(relaxation.detector), limit)
     if np.isfinite(amplitude).any():
         ax.set_ylim(bottom=0)
     style.mark_failed(ax, time[np.isnan(amplitude).any(axis=1)])
-    ax.set_xlabel("time (steps of one bond)")
-    ax.set_ylabel(style.AMPLITUDE)
     return drawn
 
 
 def spectrum(ax, spectrum):
     """Draw a power spectrum, the law fitted to it, and a line of slope -2; return the lines."""
-    ax.set(xscale="log", yscale="log")
+    ax.set(xscale="log", xlabel="frequency $f$ (cycles per step)")
+    ax.set(yscale="log", ylabel="power density $S$ (steps per cycle)")
     window = np.geomspace(spectrum.fit_min, spectrum.fit_max, 100)
     law, middle = spectrum.power_law(window), len(window) // 2
-    parallel = APART * law[middle] * (window / window[middle]) ** -2.0
+    parallel = 6.0 * law[middle] * (window / window[middle]) ** -2.0  # well above the spectrum
     value = rf"$\psi = {spectrum.exponent:.3f} \pm {spectrum.exponent_error:.3f}$"
     label = rf"$S \propto (2\sin\pi f)^{{-\psi}}$, {value}"
-    ax.set_xlabel("frequency $f$ (cycles per step)")
-    ax.set_ylabel("power density $S$ (steps per cycle)")
     return [
         *ax.plot(spectrum.frequency, spectrum.power, color="#777777", linewidth=0.5),
         *ax.plot(window, law, color=style.ACCENT, linewidth=1.5, label=label),

@@ -13,9 +13,11 @@ REGIMES = ("low frequencies", "intermediate frequencies", "high frequencies")
 def figures(result, modes=None):
     """Yield the amplitudes, a panel a regime, the phases, and the bonds."""
     response, lattice = result.response, result.lattice
-    style.check_any(response.omega, "frequencies")
     yield "amplitude", _amplitude_page(response, lattice, modes)
-    yield "phase", _phase_page(response, lattice, modes)
+    figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.13 * len(response.detector))
+    phase(ax, response, lattice, modes)
+    style.legend_above([ax], columns=1)
+    yield "phase", figure
     yield "bonds", bonds.page(lattice, response.detector)
 
 
@@ -35,17 +37,14 @@ def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf)):
     within : tuple of float
         Range of the driving frequencies that are drawn, in units of omega_mx.
     """
-    x = response.omega / lattice.omega_mx
+    x, values = response.omega / lattice.omega_mx, response.amplitude
     inside = (within[0] <= x) & (x <= within[1])
     limit = np.where(inside[:, None], style.upper_limits(response), np.nan)
-    values = response.amplitude
-    good = (_accurate(response, values) & inside[:, None]) & (values > 0) & np.isnan(limit)
-    ax.set_yscale("log")
-    ax.set_xlim(style.limits(x[inside], *within))
+    good = (inside & (response.converged_reason > 0))[:, None] & (values > 0) & np.isnan(limit)
+    ax.set(yscale="log", ylabel=style.AMPLITUDE, xlim=style.limits(x[inside], within))
     names = style.ball_names(response.detector)
-    drawn = style.curves(ax, x, values, good, names, limit)
+    drawn = style.curves(ax, x, values, good & np.isfinite(values), names, limit)
     _finish(ax, response, lattice, modes)
-    ax.set_ylabel(style.AMPLITUDE)
     return drawn
 
 
@@ -64,43 +63,29 @@ def phase(ax, response, lattice, modes=None):
     modes : array_like, optional
         Angular frequencies of normal modes, marked by pluses.
     """
-    x = response.omega / lattice.omega_mx
-    low, high = response.phase_fit_min, response.phase_fit_max
-    good = _accurate(response, response.phase)
+    x, low, high = response.omega / lattice.omega_mx, response.phase_fit_min, response.phase_fit_max
+    good = (response.converged_reason > 0)[:, None] & np.isfinite(response.phase)
     window = good & ((low < x) & (x < high))[:, None]
-    fitted = np.isfinite(response.phase_slope) & window.any(axis=0)
+    fitted = np.flatnonzero(np.isfinite(response.phase_slope) & window.any(axis=0))
     labels = style.ball_names(response.detector)
-    for d in np.flatnonzero(fitted):
+    for d in fitted:
         labels[d] += (
             rf": $s$ = ${response.phase_slope[d]:.4g}$ rad/$\omega_{{mx}}$, "
             rf"$v$ = {response.phase_velocity[d]:.3g} $d\,\omega_{{mx}}$"
         )
-    ax.set_xlim(style.limits(x, 0.0, math.inf))
+    ax.set(ylabel=style.PHASE, xlim=style.limits(x))
     ax.locator_params("x", nbins=7)
     drawn = style.curves(ax, x, response.phase, good, labels)
     meaning = "slope $s$, phase velocity $v$ ($d$: spacing)"
     label = rf"fit, {low:g} to {high:g} $\omega_{{mx}}$: {meaning}"
-    for d in np.flatnonzero(fitted):
+    for d in fitted:
         ends = x[window[:, d]][[0, -1]]
         line = response.phase_slope[d] * ends + response.phase_intercept[d]
         shade = style.pale(drawn[d].get_color())
         ax.plot(ends, line, color=shade, linewidth=3, zorder=1, label=label)
         label = None
     _finish(ax, response, lattice, modes)
-    ax.set_ylabel(style.PHASE)
     return drawn
-
-
-def regimes(x):
-    """Return the regime of each frequency; an edge belongs below, the first point of all above."""
-    home = np.searchsorted(EDGES[1:-1], x)
-    home[0] = np.searchsorted(EDGES[1:-1], x[0], side="right")
-    return home
-
-
-def _accurate(response, values):
-    """Return which points are as accurate as asked, and finite."""
-    return (response.converged_reason > 0)[:, None] & np.isfinite(values)
 
 
 def _finish(ax, response, lattice, modes):
@@ -113,7 +98,10 @@ def _finish(ax, response, lattice, modes):
 
 def _amplitude_page(response, lattice, modes):
     """Return the figure of the amplitudes, a panel a regime that the sweep reaches."""
-    present = np.unique(regimes(response.omega / lattice.omega_mx))
+    x = response.omega / lattice.omega_mx
+    # An edge belongs to the regime below, the first point of all to the one above.
+    regimes = np.searchsorted(EDGES[1:-1], [np.nextafter(x[0], math.inf), *x[1:]])
+    present = np.unique(regimes)
     entries = len(response.detector) + np.isfinite(style.upper_limits(response)).any()
     height = 0.4 + 1.75 * len(present) + 0.13 * math.ceil(entries / 4)
     figure, panels = style.page(style.PAGE, height, nrows=len(present))
@@ -126,12 +114,4 @@ def _amplitude_page(response, lattice, modes):
     style.legend_above(panels, columns=4)
     panels[-1].set_xlabel(style.FREQUENCY)
     figure.supylabel(style.AMPLITUDE, fontsize="medium")
-    return figure
-
-
-def _phase_page(response, lattice, modes):
-    """Return the figure of the phases, with its legend above."""
-    figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.13 * len(response.detector))
-    phase(ax, response, lattice, modes)
-    style.legend_above([ax], columns=1)
     return figure

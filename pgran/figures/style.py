@@ -12,7 +12,6 @@ from pgran.errors import FileError
 COLUMN, PAGE = 3.4, 7.0  # widths in inches: one column of a journal, and two
 ACCENT, FAILED, MODE = "#0072B2", "#D00000", "#555555"
 COLOURS = ("black", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")
-FEW = 100  # points of a curve that is drawn with dots
 
 AMPLITUDE = r"amplitude $|A|$ (driven wall = 1)"
 PHASE = "phase (rad)"
@@ -24,8 +23,6 @@ RC = {
     "axes.titlelocation": "left",
     "axes.titlesize": 8,
     "figure.constrained_layout.use": True,
-    "figure.dpi": 100,
-    "font.family": "sans-serif",
     "font.size": 8,
     "legend.borderaxespad": 0.3,
     "legend.borderpad": 0.0,
@@ -36,14 +33,10 @@ RC = {
     "lines.markersize": 4,
     "pdf.fonttype": 42,
     "savefig.dpi": 300,
-    "xtick.labelsize": 7,
-    "xtick.major.size": 3,
-    "xtick.major.width": 0.6,
-    "ytick.labelsize": 7,
-    "ytick.major.size": 3,
-    "ytick.major.width": 0.6,
     "ytick.minor.size": 1.5,
 }
+for _tick in ("xtick", "ytick"):
+    RC |= {f"{_tick}.labelsize": 7, f"{_tick}.major.size": 3, f"{_tick}.major.width": 0.6}
 
 
 @contextlib.contextmanager
@@ -93,10 +86,10 @@ def ball_names(detectors):
     return [f"ball ({', '.join(map(str, site))})" for site in np.asarray(detectors)]
 
 
-def limits(x, low, high):
-    """Return the range of an axis for the points `x`, within `low` and `high`."""
+def limits(x, within=(0.0, np.inf)):
+    """Return the range of an axis for the points `x`, cut off at the ends of `within`."""
     margin = 0.05 * np.ptp(x) or 0.02
-    return max(low, x.min() - margin), min(high, x.max() + margin)
+    return max(within[0], x.min() - margin), min(within[1], x.max() + margin)
 
 
 def legend_above(panels, columns):
@@ -125,11 +118,10 @@ def note_missing(figure, record):
 
 
 def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
-    """Draw curves with gaps where points are missing, and upper limits in some of the gaps.
+    """Draw curves with gaps where points are not good; return them, masked there.
 
     A good point that stands alone is a dot, upper limits are triangles that point down. Where
-    nothing is good the axis of `y` is hidden. Returns the curves: `x` and `y`, masked where they
-    are not good.
+    nothing is good the axis of `y` is hidden.
 
     Parameters
     ----------
@@ -141,15 +133,15 @@ def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
     limit : numpy.ndarray, shape of `y`, optional
         Upper limits; NaN: none.
     dots : bool, optional
-        Mark every good point by a dot. By default those of few points.
+        Mark every good point by a dot. By default those of at most 100.
     **line
         For `Axes.plot`.
     """
     y, good = np.reshape(y, (len(x), -1)), np.reshape(good, (len(x), -1))
     shades, drawn = colours(y.shape[1]), []
-    dots = len(x) <= FEW if dots is None else dots
+    dots = len(x) <= 100 if dots is None else dots
     for n, shade in enumerate(shades):
-        padded = np.concatenate(([False], good[:, n], [False]))
+        padded = np.pad(good[:, n], 1)
         lone = good[:, n] & ~padded[:-2] & ~padded[2:]
         look = {"color": shade, "label": labels[n] if labels else None}
         dotted = np.flatnonzero(good[:, n] if dots else lone).tolist()
@@ -167,13 +159,10 @@ def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
 
 
 def upper_limits(record):
-    """Return the upper limits of amplitudes that are at the floor, NaN for all others.
-
-    Files of version 0.1 hold none.
-    """
+    """Return the upper limits of amplitudes that are at the floor, NaN for all others."""
     amplitude = np.abs(record.displacement)
     at_floor = getattr(record, "at_floor", None)
-    if at_floor is None:
+    if at_floor is None:  # a file of version 0.1
         return np.full(amplitude.shape, np.nan)
     return np.where(at_floor > 0, amplitude + record.error_bound, np.nan)
 

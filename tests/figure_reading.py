@@ -1,0 +1,46 @@
+"""What tests read off the axes of a figure."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from matplotlib.figure import Figure
+
+
+def draw(panel, *shown, **wanted):
+    """One panel in axes of their own."""
+    ax = Figure().subplots()
+    panel(ax, *shown, **wanted)
+    return ax
+
+
+def lines(ax, **wanted):
+    """The lines of one panel that have these properties."""
+    chosen = ax.get_lines()
+    for name, value in wanted.items():
+        chosen = [line for line in chosen if getattr(line, f"get_{name}")() == value]
+    return chosen
+
+
+def curves(ax):
+    """The lines that are data: not the fits, not the marks."""
+    return [line for line in ax.get_lines() if np.ma.isMaskedArray(line.get_ydata(orig=True))]
+
+
+def gaps(line):
+    return list(np.flatnonzero(np.ma.getmaskarray(line.get_ydata(orig=True))))
+
+
+def marks(ax, marker):
+    """Where on the frequency axis there are marks of one kind."""
+    return [x for line in lines(ax, marker=marker) for x in line.get_xdata()]
+
+
+def labels(ax):
+    """What a legend of the panel lists."""
+    return ax.get_legend_handles_labels()[1]
+
+
+def note(figure):
+    return figure._suptitle.get_text() if figure._suptitle else ""
