@@ -11,16 +11,10 @@ log = logging.getLogger(__name__)
 
 @contextlib.contextmanager
 def holding(keys, warn=False):
-    """Let solver keys hold for the objects that are made meanwhile, on top of those there are.
+    """Let solver keys, without their dash, hold for the objects that are made meanwhile.
 
-    Not collective, but every rank must hold the same.
-
-    Parameters
-    ----------
-    keys : dict of str
-        Names without the leading dash.
-    warn : bool
-        Warn of keys that no object has asked for meanwhile.
+    Not collective, but every rank must hold the same. If asked to, warns of keys that no object has
+    asked for meanwhile.
     """
     database = PETSc.Options()
     before = database.getAll()
