@@ -88,15 +88,9 @@ class ErrorBounds(Owner):
         return damping + abs(s) * s.real * self.operators.mass
 
     def prepare(self, s, tolerance):
-        """Bound the sizes of S(s) and of its inverse.
+        """Bound the sizes of S(s), which must be combined, and of its inverse.
 
-        Collective; S and f must be combined.
-
-        Parameters
-        ----------
-        s : complex
-        tolerance : float
-            Relative accuracy that will be asked of amplitudes.
+        Collective; `tolerance` is the relative accuracy that will be asked of amplitudes.
         """
         operators, size = self.operators, abs(s)
         self.proven = self._always or s.real > 0
@@ -196,11 +190,6 @@ class ErrorBounds(Owner):
         theory = 1.01 * residual * self.adjoint_residual(adjoint) * self.inverse_norm
         return theory + self.evaluation(residual, terms, adjoint, value)
 
-    def field(self, residual):
-        """Return a bound of the error of the whole field, in the 2-norm. Not collective."""
-        return 1.01 * residual * self.inverse_norm
-
     def _total(self, number):
         """Return the sum of a number over the ranks of the lattice. Collective."""
-        comm = self.operators.comm
-        return number if comm.size == 1 else comm.allreduce(number)
+        return number if self._alone else self.operators.comm.allreduce(number)

@@ -6,8 +6,6 @@ import numpy as np
 class ChangingBonds:
     """All bond constants as an array, and the operators that follow them.
 
-    Collective.
-
     Parameters
     ----------
     lattice : pgran.physics.lattice.Lattice
@@ -40,10 +38,7 @@ class ChangingBonds:
         self.operators.set_stiffness(self.constants)
 
     def differences(self, changes):
-        """Return by how much each change moves its bond, repeated bonds included.
-
-        Not collective.
-        """
+        """Return how far each change moves its bond, which may repeat. Not collective."""
         before = self.constants[changes.bond]
         order = np.argsort(changes.bond, kind="stable")
         again = changes.bond[order][1:] == changes.bond[order][:-1]

@@ -4,6 +4,7 @@ By Sylvester's law the factorization K - sigma = L D L^T has as many negative en
 eigenvalues below sigma. It costs a factorization and makes no vectors.
 """
 
+import contextlib
 from itertools import pairwise
 
 import numpy as np
@@ -79,31 +80,23 @@ class ModeCounter(Owner):
         self.K.copy(self._shifted, structure=SAME)
         self._shifted.shift(-shift)
         self._pc.setOperators(self._shifted)
-        try:
+        with contextlib.suppress(PETSc.Error):
             self._pc.setUp()
             negative, zero, _ = self._pc.getFactorMatrix().getInertia()
             self._pc.apply(self._rhs, self._x)
-        except PETSc.Error:
-            self._pc.reset()  # else its failure would stay
-            return None
-        self._shifted.mult(self._x, self._residual)
-        self._residual.axpy(-1.0, self._rhs)
-        spoilt = not self._residual.norm() <= allowed * self._x.norm()  # NaN too
-        if zero or spoilt:
-            self._pc.reset()
-            return None
-        return negative
+            self._shifted.mult(self._x, self._residual)
+            self._residual.axpy(-1.0, self._rhs)
+            if not zero and self._residual.norm() <= allowed * self._x.norm():  # false for NaN
+                return negative
+        self._pc.reset()  # else its failure would stay
+        return None
 
     def end(self, shift, side):
         """Return an end of an interval, moved outward by MARGIN |K|, and the count below it.
 
         Not collective. So a mode at the end belongs to the interval. Where another mode is too
-        close to the moved end for a certain count, it is moved on.
-
-        Raises
-        ------
-        PgranError
-            If no reliable count is found.
+        close to the moved end for a certain count, it is moved on. Raises PgranError if no reliable
+        count is found.
         """
         if side < 0 and shift <= 0:
             return -MARGIN * self.norm, 0

@@ -11,14 +11,9 @@ log = logging.getLogger(__name__)
 
 @contextlib.contextmanager
 def holding(keys):
-    """Let solver keys hold for the objects that are made meanwhile, on top of those there are.
+    """Let solver keys, without their dash, hold for the objects that are made meanwhile.
 
     Not collective, but every rank must hold the same.
-
-    Parameters
-    ----------
-    keys : dict of str
-        Names without the leading dash.
     """
     database = PETSc.Options()
     before = database.getAll()

@@ -141,7 +141,7 @@ class Judge(Owner):
                 bound[d] = bounds.amplitude(residual, terms, adjoint, displacement[d])
             good = np.all(is_accurate(bound, displacement, self.tolerance))
             if self.whole_field:
-                field_bound = bounds.field(residual)
+                field_bound = 1.01 * residual * bounds.inverse_norm
                 good = good and is_accurate(field_bound, size, self.tolerance)
         reason = _reason(good and np.all(np.isfinite(displacement)), krylov.reason)
         return SteadyState(
@@ -156,7 +156,6 @@ class Judge(Owner):
         Parameters
         ----------
         state : SteadyState
-            As assessed.
         primal : pgran.solve.linear.System
         krylov : pgran.solve.linear.Krylov
         """

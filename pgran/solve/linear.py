@@ -49,20 +49,14 @@ class System(Owner):
         self.norm = self.residual.norm()
 
     def start_from_preconditioner(self, pc, matrix):
-        """Guess the preconditioned right-hand side: the solution, if `pc` is a factorization.
-
-        Collective.
-        """
+        """Guess the preconditioned right-hand side, which may be the solution. Collective."""
         pc.apply(self.rhs, self.solution)
         self.update_residual(matrix)
         if not self.norm <= self.rhs.norm():  # NaN too
             self.start_from_zero()
 
     def start_from_line(self, step, matrix):
-        """Guess by a straight line through the last two solutions, `step` of their distance on.
-
-        Collective.
-        """
+        """Guess by the line through the last two solutions, `step` of it farther. Collective."""
         self.before_last.copy(self.solution)
         self.solution.scale(-step)
         self.solution.axpy(1.0 + step, self.last)
@@ -76,16 +70,12 @@ class System(Owner):
 
 
 class Krylov(Owner):
-    """The KSP of S, and what it took at the present s; destroy with `destroy`.
-
-    Collective.
+    """The KSP of S; destroy with `destroy`. Collective.
 
     Attributes
     ----------
-    iterations : int
-        Since the last `begin`.
-    reason : int
-        PETSc's, of the last solve since then; 0 if there was none.
+    iterations, reason : int
+        Since the last `begin`; PETSc's reason of the last solve since then, 0 if there was none.
     """
 
     owns = ("ksp",)
@@ -102,20 +92,16 @@ class Krylov(Owner):
         """The preconditioner. Not collective."""
         return self.ksp.getPC()
 
-    def begin(self):
-        """Count from zero. Not collective."""
+    def begin(self, longest=None):
+        """Count from zero; give up a solve after so many iterations, or as its options say."""
         self.iterations, self.reason = 0, 0
-
-    def limit(self, iterations=None):
-        """Give up a solve after so many iterations, or as its options say. Not collective."""
-        self.ksp.setTolerances(max_it=iterations or self._longest)
+        self.ksp.setTolerances(max_it=longest or self._longest)
 
     def factor(self):
         """Set up the preconditioner for this S and later solves; say if it works. Collective."""
         self.pc.setReusePreconditioner(False)
         works = set_up(self.ksp, self.operators.S, self.operators.comm)
-        if works:
-            self.pc.setReusePreconditioner(True)
+        self.pc.setReusePreconditioner(works)
         return works
 
     def improve(self, system, target):

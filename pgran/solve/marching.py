@@ -61,10 +61,7 @@ def march_steps(changing, solver, s, changes, direct):
 
 
 def as_asked(state):
-    """Return a state's amplitudes and their bounds, NaN where they miss their accuracy.
-
-    Not collective.
-    """
+    """Return a state's amplitudes and bounds, NaN if they miss their accuracy. Not collective."""
     if state.converged_reason > 0:
         return state.displacement, state.error_bound
     missing = np.full(state.displacement.shape, np.nan)

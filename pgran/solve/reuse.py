@@ -17,18 +17,13 @@ class ReusePolicy:
 
     A cycle is a factorization and the frequencies it serves. It ends when the next frequency is
     expected to take more than the cycle's price for each frequency so far. What to expect: what the
-    last one took, or, right after factoring, what the first reuse took in an earlier cycle.
-
-    Parameters
-    ----------
-    limit : int
-        Refresh when the last frequency took more iterations than this; 0 decides by price.
+    last one took, or, right after factoring, what the first reuse took in an earlier cycle. With a
+    limit it ends when the last frequency took more iterations than that.
     """
 
     def __init__(self, limit=0):
         """Start without a factorization."""
-        self.limit = limit
-        self.price = 0.0
+        self.limit, self.price = limit, 0.0
         self.restart()
 
     def restart(self):
@@ -38,12 +33,7 @@ class ReusePolicy:
     def due(self, guess=0.0):
         """Return whether to factor before the next frequency.
 
-        Not collective.
-
-        Parameters
-        ----------
-        guess : float
-            Iterations to expect of a first reuse while there is no experience.
+        Not collective; `guess` is what to expect of a first reuse while there is no experience.
         """
         if self._served == 0:
             return True
@@ -55,19 +45,15 @@ class ReusePolicy:
         return expected * self._served >= self.price + self._spent
 
     def patience(self):
-        """Return after how many iterations of one solve a reused factorization is given up.
-
-        Not collective.
-        """
+        """Return after how many iterations a reused factorization is given up. Not collective."""
         return None if self.limit or not self.price else max(4, math.ceil(2 * self.price))
 
     def count(self, fresh, iterations):
         """Note what a frequency took. Not collective."""
         if fresh:
-            self._served, self._spent = 1, iterations
-        else:
-            self._served += 1
-            self._spent += iterations
+            self._served = self._spent = 0
+        self._served += 1
+        self._spent += iterations
         self._last = iterations
         if self._served == 2:
             self._first = iterations
@@ -88,9 +74,9 @@ def expected_iterations(before, s, axes, mass, damping):
     Parameters
     ----------
     before, s : complex
-        Where the factorization was made, and where it is used: sigma + i omega.
+        Where the factorization was made, and where it is used.
     axes : int
-        d, of the lattice.
+        d.
     mass, damping : float
         m and beta.
     """
@@ -104,10 +90,7 @@ def expected_iterations(before, s, axes, mass, damping):
 
 
 def factor_price(pc, balls):
-    """Return what a factorization costs in Krylov iterations, from the size of the factor.
-
-    Collective.
-    """
+    """Return what a factorization costs in Krylov iterations, from its size. Collective."""
     if pc.getType() not in FACTORIZATIONS:
         return 0.0
     info = pc.getFactorMatrix().getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)

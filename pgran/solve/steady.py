@@ -35,7 +35,7 @@ class SteadySolver(Owner):
     ----------
     operators : pgran.solve.operators.Operators
     sites : array_like of int, shape (nd, dim)
-        The detectors; none (nd = 0) where only the whole field is wanted.
+        The detectors; none where only the whole field is wanted.
     error_tolerance : float
         Relative accuracy asked of each amplitude.
     refresh_iterations : int
@@ -76,8 +76,8 @@ class SteadySolver(Owner):
 
     def _make_systems(self):
         """Make what is solved and what judges it."""
-        choices = self.tolerance, self.floor, self.whole_field
-        self._judge = Judge(self.operators, self._sites, *choices)
+        asked = self.tolerance, self.floor, self.whole_field
+        self._judge = Judge(self.operators, self._sites, *asked)
         self._correction, self.primal = self.operators.f.duplicate(), System(self.operators.f)
 
     @cached_property
@@ -141,10 +141,7 @@ class SteadySolver(Owner):
         self._make_systems()
 
     def restart(self):
-        """Forget what was solved before: what follows depends on nothing that came before.
-
-        Not collective.
-        """
+        """Let nothing that follows depend on what was solved before. Not collective."""
         self._policy.restart()
         self._earlier, self._size = [], None
 
@@ -162,11 +159,6 @@ class SteadySolver(Owner):
         Returns
         -------
         pgran.solve.judging.SteadyState
-
-        Raises
-        ------
-        ValueError
-            If sigma is negative.
         """
         state, s = None, complex(s)
         try:
@@ -206,12 +198,9 @@ class SteadySolver(Owner):
         return state
 
     def _tell(self, s, error):
-        """Say why PETSc fails at an s, each reason once.
+        """Say why PETSc fails at an s, each reason once; raise what ends the run.
 
-        Raises
-        ------
-        PETSc.Error
-            Where an option or a callback is to blame, or not all ranks of the lattice have met it.
+        That is the fault of an option or a callback, or not met by all ranks of the lattice.
         """
         wrong = is_bad_input(error) and not self._works
         if error.__cause__ or wrong or not met_by_all(self.comm):
@@ -233,11 +222,10 @@ class SteadySolver(Owner):
     def _attempt(self, s, fresh):
         """Solve with a fresh or the present factorization."""
         krylov = self._krylov
-        krylov.begin()
+        krylov.begin(None if fresh else self._policy.patience())
         if fresh and not self._factor():
             return self._nothing(s)
         self._guess(s, fresh)
-        krylov.limit(None if fresh else self._policy.patience())
         state, size = None, self._size
         for attempt in range(PASSES):
             previous = state
@@ -245,14 +233,12 @@ class SteadySolver(Owner):
                 self._improve_all(size)
             state = self._judge.assess(s, self._systems, krylov)
             size = np.abs(state.displacement)
-            if state.converged_reason > 0 or not np.all(np.isfinite(size)):
-                break
-            if krylov.reason < 0 and not fresh:
-                break
-            if previous and not (
+            better = previous is None or (
                 np.any(state.error_bound < 0.5 * previous.error_bound)
                 or state.field_bound < 0.5 * previous.field_bound
-            ):
+            )
+            given_up = (krylov.reason < 0 and not fresh) or not np.all(np.isfinite(size))
+            if state.converged_reason > 0 or given_up or not better:
                 break
         return state
 
@@ -268,12 +254,11 @@ class SteadySolver(Owner):
     def _factor(self):
         """Set up the preconditioner for the present S; return whether that works."""
         self.factorizations += 1
-        if not self._krylov.factor():
-            return False
-        self._works = True
-        if not self._policy.price:
+        works = self._krylov.factor()
+        if works and not self._policy.price:
             self._policy.price = factor_price(self._krylov.pc, self.operators.balls)
-        return True
+        self._works |= works
+        return works
 
     def _guess(self, s, fresh):
         """Start from one application of a fresh preconditioner, else from the last states."""
