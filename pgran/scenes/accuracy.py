@@ -92,11 +92,9 @@ def run(options, world, crew):
     ranks = common.ranks_per_lattice(options, lattice, world) if shared else 1
     with crew(world.size) as whole, AgreeingCrew(world, ranks) as workers:
         study = make_study(options, lattice)
-        numbers = carry_out(Reference(study, workers), whole)
-        reference = on_root(world, lambda: certified(numbers, study.certified), keep=True)
-        repeats, progress = options.accuracy_repeats, options.output_progress
-        task = Comparison(study, configurations, repeats, reference, workers)
-        accuracy = carry_out(task, whole, progress)
+        reference = carry_out(Reference(study, workers), whole)
+        task = Comparison(study, configurations, options.accuracy_repeats, reference, workers)
+        accuracy = carry_out(task, whole, options.output_progress)
     return accuracy and [LatticeRecord.of(lattice), accuracy]
 
 
@@ -209,45 +207,32 @@ class Reference(Task):
         yield work
 
     def length(self, unit):
-        """See `Task`; unknown, and not asked for in a journal."""
+        """See `Task`; how many numbers there are is not known before."""
         return 1
 
     def collect(self, rows, seconds):
-        """See `Task`."""
-        return rows
+        """Return the numbers; those are good whose relative error bounds are small enough.
 
-
-def certified(numbers, allowed):
-    """Return the numbers of a reference; those are good whose error bounds are small enough.
-
-    Not collective.
-
-    Parameters
-    ----------
-    numbers : numpy.ndarray of pgran.physics.accuracy.ENTRY
-    allowed : float
-        Relative error bound.
-
-    Raises
-    ------
-    PgranError
-        If none is.
-    """
-    reference = numbers.copy()
-    reference["good"] = relative_bounds(reference) <= allowed
-    good = np.count_nonzero(reference["good"])
-    if good == 0:
-        raise PgranError(
-            f"no reference to compare with: of its {len(reference)} numbers none has an error "
-            f"certified to be below {allowed:g}; the experiment's own solver keys, or larger "
-            "-accuracy_tolerances, may help"
-        )
-    if good < len(reference):
-        log.warning(
-            "%d of %d numbers are not compared: the reference's own error is not certified to "
-            "be below %g there", len(reference) - good, len(reference), allowed,
-        )  # fmt: skip
-    return reference
+        Raises
+        ------
+        PgranError
+            If none is.
+        """
+        reference, allowed = rows.copy(), self.study.certified
+        reference["good"] = relative_bounds(reference) <= allowed
+        good = np.count_nonzero(reference["good"])
+        if good == 0:
+            raise PgranError(
+                f"no reference to compare with: of its {len(reference)} numbers none has an error "
+                f"certified to be below {allowed:g}; the experiment's own solver keys, or larger "
+                "-accuracy_tolerances, may help"
+            )
+        if good < len(reference):
+            log.warning(
+                "%d of %d numbers are not compared: the reference's own error is not certified to "
+                "be below %g there", len(reference) - good, len(reference), allowed,
+            )  # fmt: skip
+        return reference
 
 
 class Comparison(Task):
@@ -266,14 +251,8 @@ class Comparison(Task):
 
     items = "runs"
     row = np.dtype(
-        [
-            ("seconds", float),
-            ("error_max", float),
-            ("error_median", float),
-            ("error_bound_max", float),
-            ("iterations", np.int64),
-            ("failures", np.int64),
-        ]
+        [(name, float) for name in ("seconds", "error_max", "error_median", "error_bound_max")]
+        + [(name, np.int64) for name in ("iterations", "failures")]
     )
 
     def __init__(self, study, configurations, repeats, reference, workers):
@@ -331,12 +310,11 @@ class Comparison(Task):
         compared = good & self.reference["good"]
         errors = relative_errors(found[compared], self.reference[compared])
         row = np.zeros(1, self.row)
-        row["seconds"] = seconds
+        row["seconds"], row["failures"] = seconds, np.count_nonzero(~good)
         row["error_max"] = errors.max() if len(errors) else np.nan
         row["error_median"] = np.median(errors) if len(errors) else np.nan
         row["error_bound_max"] = bounds.max() if len(bounds) else np.nan
         row["iterations"] = result.iterations.sum() if hasattr(result, "iterations") else -1
-        row["failures"] = np.count_nonzero(~good)
         return row
 
     def collect(self, rows, seconds):
@@ -345,7 +323,6 @@ class Comparison(Task):
         times, first = rows["seconds"], rows[0]  # what is not time is the same in all repeats
         compared = self.reference[self.reference["good"]]
         median = np.median(times, axis=0)
-        errors = ("error_max", "error_median", "error_bound_max", "iterations", "failures")
         return Accuracy(
             experiment=self.study.name,
             repeats=self.repeats,
@@ -358,7 +335,7 @@ class Comparison(Task):
             seconds=median,
             seconds_min=times.min(axis=0),
             seconds_max=times.max(axis=0),
-            **{name: first[name] for name in errors},
+            **{name: first[name] for name in self.row.names if name != "seconds"},
             on_front=front(median, first["error_max"], first["failures"]),
         )
 

@@ -128,10 +128,6 @@ class Series(Task):
 
         yield work
 
-    def length(self, unit):
-        """See `Task`."""
-        return len(unit)
-
     def collect(self, rows, seconds):
         """See `Task`."""
         displacement, box = rows["displacement"], self.box

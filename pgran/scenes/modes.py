@@ -48,8 +48,7 @@ def check_modes(values, given):
     )
     if (low is None) != (high is None):
         raise InputError("-modes_omega_min and -modes_omega_max belong together: give both")
-    if low is not None and low >= high:
-        raise InputError(f"-modes_omega_min: {low:g} is not below -modes_omega_max, {high:g}")
+    common.check_ends("modes_omega", values)
     if target is not None and count is None:
         raise InputError("-modes_target: -modes_count must say how many modes")
 
@@ -140,6 +139,12 @@ def find_modes(
     PgranError
         If the modes cannot be counted.
     """
+    if interval is not None:
+        ends = dict(zip(("modes_omega_min", "modes_omega_max"), interval, strict=True))
+        common.check_values(WHICH, **ends)
+        common.check_ends("modes_omega", ends)
+    for target in () if targets is None else targets:
+        common.check_values(WHICH, modes_target=target, modes_count=count)
     started = time.perf_counter()
     lattice, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
     check_frequency(lattice, max(targets if targets is not None else interval or (0.0,)))

@@ -71,10 +71,6 @@ class FrequencySweep(Task):
 
             yield work
 
-    def length(self, unit):
-        """See `Task`."""
-        return len(unit)
-
     def sample(self, unit):
         """See `Task`."""
         return unit[:2]
