@@ -17,7 +17,7 @@ FAILED = 0  # tag of the message in which it tells them
 def on_root(comm, action, keep=False):
     """Return `action()`, called on rank 0 alone; raise its error on every rank.
 
-    Collective.
+    Collective. Raises the PgranError that `action` raised; an OSError becomes a FileError.
 
     Parameters
     ----------
@@ -26,11 +26,6 @@ def on_root(comm, action, keep=False):
         Called without arguments.
     keep : bool
         Keep what it returns on rank 0, None on the others, instead of broadcasting it.
-
-    Raises
-    ------
-    PgranError
-        The error that `action` raised on rank 0; an OSError becomes a FileError.
     """
     value, failure = None, None
     if comm.rank == 0:

@@ -136,7 +136,13 @@ class Journal:
             return
         if self._kept:
             if not overwrite:
-                raise InputError(self._difference(found, identity))
+                key = next(k for k in identity | found if found.get(k) != identity.get(k))
+                was, now = (run.get(key, "not given") for run in (found, identity))
+                raise InputError(
+                    f"-{key}: {self.path} holds an unfinished run with {was}, and now it is {now}; "
+                    "give what was given then to go on, take another -output_file, or begin anew "
+                    "with -output_overwrite"
+                )
             log.info("%s: another run; discarded as -output_overwrite asks", self.path)
         self._kept.clear()
         with self._writing():
@@ -218,13 +224,3 @@ class Journal:
             yield
         except OSError as error:
             raise FileError(f"{self.path}: cannot be written: {reason_of(error)}") from None
-
-    def _difference(self, found, identity):
-        """Say which option differs from the unfinished run."""
-        key = next(k for k in identity | found if found.get(k) != identity.get(k))
-        was, now = (run.get(key, "not given") for run in (found, identity))
-        return (
-            f"-{key}: {self.path} holds an unfinished run with {was}, and now it is {now}; give "
-            "what was given then to go on, take another -output_file, or begin anew with "
-            "-output_overwrite"
-        )

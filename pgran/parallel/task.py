@@ -67,14 +67,9 @@ def carry_out(task, crew, progress="none"):
         crew.share(task, work, deliver)
     if not root:
         return None
-    return task.collect(_joined(parts, task.row), time.perf_counter() - started)
-
-
-def _joined(parts, row):
-    """Return the rows of all units in one array; each part is freed once it is copied."""
-    rows, start = np.empty(sum(map(len, parts.values())), row), 0
+    rows, start = np.empty(sum(map(len, parts.values())), task.row), 0
     for position in sorted(parts):
-        part = parts.pop(position)
+        part = parts.pop(position)  # which is freed once it is copied
         rows[start : start + len(part)] = part
         start += len(part)
-    return rows
+    return task.collect(rows, time.perf_counter() - started)
