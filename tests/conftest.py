@@ -37,24 +37,16 @@ from samples import option_values
 
 import pgran.__main__ as program
 from pgran.command import run as running
-from pgran.parallel.agreement import SECONDS_FOR_MPIRUN
 from pgran.solve.database import holding
 
 WORLD = MPI.COMM_WORLD
-# These know nothing of ranks, and run on one only.
-ALIKE = {
-    "test_continuum.py",
-    "test_figures.py",
-    "test_figures_scenes.py",
-    "test_options.py",
-    "test_reference.py",
-    "test_spectrum.py",
-}
+# Files that know nothing of ranks, and run on one only.
+ALIKE = {"continuum", "figures", "figures_scenes", "options", "reference", "spectrum"}
 SECONDS_PER_TEST = 120  # the slowest takes about ten
 SECONDS_FOR_OTHERS = 15  # that a rank whose test has failed waits for the others to finish theirs
 
 _outcomes = WORLD.Dup() if WORLD.size > 1 else None  # apart from the tests' own messages
-_reports = {}
+_reports = []
 
 
 @pytest.hookimpl(trylast=True)
@@ -79,38 +71,29 @@ class Share:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item):
         """Pass over the tests of a file that another process has taken."""
-        if item.path.name not in self.mine:
-            try:
-                (self.folder / item.path.name).mkdir()
-                self.mine[item.path.name] = True
-            except FileExistsError:
-                self.mine[item.path.name] = False
-        return None if self.mine[item.path.name] else True
+        name = item.path.name
+        if name not in self.mine:
+            with contextlib.suppress(FileExistsError):
+                (self.folder / name).mkdir()
+                self.mine[name] = None
+        return self.mine.setdefault(name, True)  # None: go on
 
 
 def pytest_sessionstart(session):
     """Say what is tested, with `-q` too."""
-    reporter = session.config.pluginmanager.getplugin("terminalreporter")
-    versions = {
-        "PETSc": ".".join(map(str, PETSc.Sys.getVersion())),
-        "MPI": launch.library(MPI),
-        "NumPy": np.__version__,
-        "Python": sys.version.split()[0],
-        "ranks": WORLD.size,
-    }
-    reporter.write_line(", ".join(f"{name} {version}" for name, version in versions.items()))
-
-
-def pytest_collection_modifyitems(items):
-    """Leave out, on several ranks, what would do the same on each of them."""
-    for item in items:
-        if WORLD.size > 1 and item.path.name in ALIKE:
-            item.add_marker(pytest.mark.skip(reason="runs alike on every rank"))
+    petsc, python = ".".join(map(str, PETSc.Sys.getVersion())), sys.version.split()[0]
+    session.config.pluginmanager.getplugin("terminalreporter").write_line(
+        f"PETSc {petsc}, {launch.library(MPI)}, NumPy {np.__version__}, Python {python}, "
+        f"ranks {WORLD.size}"
+    )
 
 
 def pytest_collection_finish(session):
-    """End unless all ranks found the same tests."""
+    """Leave out what would do the same on each rank; end unless all ranks found the same tests."""
     if _outcomes is not None:
+        for item in session.items:
+            if item.path.stem.removeprefix("test_") in ALIKE:
+                item.add_marker(pytest.mark.skip(reason="runs alike on every rank"))
         tests = [item.nodeid for item in session.items]
         if any(found != tests for found in _outcomes.allgather(tests)):
             _end("the ranks found different tests (an import failed on some?)")
@@ -118,50 +101,33 @@ def pytest_collection_finish(session):
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_protocol(item):
-    """Guard a test by a watchdog, and compare its outcome over the ranks."""
+    """Guard a test by a watchdog, and end the run unless it goes alike on all ranks."""
     faulthandler.dump_traceback_later(SECONDS_PER_TEST, exit=True, file=_stderr)
     _reports.clear()
     yield
     if _outcomes is not None:
-        _compare(item.nodeid)
+        failures = [report.longreprtext for report in _reports if report.failed]
+        went = 2 if failures else int(any(report.skipped for report in _reports))
+        everyone = np.empty(WORLD.size, dtype=np.int64)
+        request = _outcomes.Iallgather(np.array([went], dtype=np.int64), everyone)
+        deadline = time.monotonic() + SECONDS_FOR_OTHERS
+        while not request.Test() and (not failures or time.monotonic() < deadline):
+            time.sleep(0.0005)
+        if not request.Test() or len(set(everyone)) > 1:
+            said = "\n".join([*failures, "skipped" if went == 1 else ""])
+            _end(f"{item.nodeid} went differently on the ranks; on rank {WORLD.rank}:\n{said}")
     faulthandler.cancel_dump_traceback_later()
 
 
 def pytest_runtest_logreport(report):
     """Note how a phase of the present test went."""
-    _reports[report.when] = report
-
-
-def _compare(test):
-    """End the run unless the test went alike on all ranks."""
-    order = ("passed", "skipped", "failed")
-    worst = max((order.index(report.outcome) for report in _reports.values()), default=0)
-    everyone = np.empty(WORLD.size, dtype=np.int64)
-    request = _outcomes.Iallgather(np.array([worst], dtype=np.int64), everyone)
-    deadline = time.monotonic() + SECONDS_FOR_OTHERS
-    while not request.Test():
-        if order[worst] == "failed" and time.monotonic() > deadline:
-            _end(f"{test} failed on rank {WORLD.rank} only, and the others wait\n{_failures()}")
-        time.sleep(0.0005)
-    if len(set(everyone)) > 1:
-        if order[worst] == "failed":
-            _say(f"{test} failed on rank {WORLD.rank}, but not on all\n{_failures()}")
-        time.sleep(1.0)  # all ranks have their say
-        _end(f"{test} went differently on the ranks: {[order[i] for i in everyone]}")
-
-
-def _failures():
-    return "\n".join(report.longreprtext for report in _reports.values() if report.failed)
-
-
-def _say(message):
-    print(f"\n{message}", file=_stderr, flush=True)
+    _reports.append(report)
 
 
 def _end(message):
-    _say(message)
+    print(f"\n{message}", file=_stderr, flush=True)
     sys.stdout.flush()
-    time.sleep(SECONDS_FOR_MPIRUN)
+    time.sleep(1.0)  # all ranks have their say
     WORLD.Abort(1)
 
 
@@ -199,15 +165,11 @@ def written(tmp_path):
 @pytest.fixture(autouse=True)
 def option_database():
     """Hold every test to leaving PETSc's options as it has found them."""
-    database = PETSc.Options()
-    before = database.getAll()
+    before = PETSc.Options().getAll()
     yield
-    left = database.getAll()
+    left = PETSc.Options().getAll()
     for key in left.keys() - before.keys():
-        database.delValue(key)
-    for key in before:
-        if left.get(key) != before[key]:
-            database.setValue(key, before[key])
+        PETSc.Options().delValue(key)  # the next test must not have it
     assert left == before
 
 
@@ -235,10 +197,8 @@ def place(shared_path, world):
 @pytest.fixture
 def experiment(place):
     """A small experiment, `a.opts`."""
-    place(
-        "a.opts",
-        "-scene response -lattice_shape 6,5 -detectors 2,3 -sweep_points 70 -output_progress none",
-    )
+    text = "-scene response -lattice_shape 6,5 -detectors 2,3 -sweep_points 70"
+    place("a.opts", f"{text} -output_progress none")
 
 
 @pytest.fixture
@@ -251,25 +211,24 @@ def call(experiment, shared_path, monkeypatch, capsys):
     monkeypatch.chdir(shared_path)
     monkeypatch.setattr(faulthandler, "enable", lambda: None)
     log = logging.getLogger("pgran")
-    held = contextlib.ExitStack()  # PETSc has started: what it would be started with is set
-    keys_of = lambda options: held.enter_context(holding(options.solver))  # noqa: E731
-    monkeypatch.setattr(running, "start_petsc", keys_of)
 
     def call(*words):
         said, mask = io.StringIO(), signal.pthread_sigmask(signal.SIG_BLOCK, ())
         log.handlers, level = [logging.StreamHandler(said)], log.level
         log.handlers[0].setFormatter(logging.Formatter("pgran: %(message)s"))
         log.setLevel(logging.INFO)
-        try:
-            code = program.main([*words])
-        except Exception as error:
-            code, text = program.explain(error)
-            log.error("%s", text)
-        finally:
-            held.close()
-            log.handlers = []
-            log.setLevel(level)
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        with contextlib.ExitStack() as held:
+            held.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
+            held.callback(log.setLevel, level)
+            held.callback(log.handlers.clear)
+            # PETSc has started: what it would be started with is set
+            keys_of = lambda options: held.enter_context(holding(options.solver))  # noqa: E731
+            monkeypatch.setattr(running, "start_petsc", keys_of)
+            try:
+                code = program.main([*words])
+            except Exception as error:
+                code, text = program.explain(error)
+                log.error("%s", text)
         out, err = WORLD.bcast((capsys.readouterr().out, said.getvalue()))
         return SimpleNamespace(returncode=code, stdout=out, stderr=err)
 
@@ -284,14 +243,10 @@ def clean_environment():
     foreign = ("OMPI_COMM", "OMPI_UNIVERSE", "OMPI_APP", "OMPI_FILE", "PMIX_", "PMI_", "PRTE_")
     environment = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}
     here = os.path.dirname(sys.executable)  # with the mpirun of this stack, if it is a wheel's
-    environment |= {
-        "PATH": f"{here}{os.pathsep}{environment['PATH']}",
-        "OMP_NUM_THREADS": "1",
-        "OMPI_ALLOW_RUN_AS_ROOT": "1",
-        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-        "OMPI_MCA_rmaps_base_oversubscribe": "1",
-    }
-    return environment
+    environment["PATH"] = f"{here}{os.pathsep}{environment['PATH']}"
+    root = ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM")
+    one = ("OMP_NUM_THREADS", *root, "OMPI_MCA_rmaps_base_oversubscribe")
+    return environment | dict.fromkeys(one, "1")
 
 
 @pytest.fixture

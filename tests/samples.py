@@ -13,7 +13,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 from reference import Reference
 
-from pgran.command.doctor import has_solver
 from pgran.command.resolve import SCENES
 from pgran.parallel.crew import Crew
 from pgran.physics.lattice import Lattice
@@ -21,7 +20,7 @@ from pgran.scenes.response import sweep
 from pgran.solve.operators import Operators
 from pgran.solve.steady import SteadySolver
 
-HAS_KLU = has_solver(PETSc, "klu")
+HAS_KLU = PETSc.Sys.hasExternalPackage("suitesparse")
 needs_klu = pytest.mark.skipif(not HAS_KLU, reason="this PETSc has no KLU")
 
 

@@ -29,16 +29,13 @@ def test_nothing_is_wrong_here(monkeypatch, capsys):
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     assert doctor.examine() == 0
     assert "WRONG" not in capsys.readouterr().out
-    assert doctor.guarded(doctor.libraries) == []
-    assert "libmpi" in doctor.memory_map() or not Path("/proc/self/maps").exists()
 
 
-NO_MUMPS = {"pgran.command.doctor.has_solver": lambda PETSc, package: False}
-OTHER_SLEPC = {"slepc4py.SLEPc.Sys": SimpleNamespace(getVersion=lambda: (3, 2, 1))}
+OLD = SimpleNamespace(getVersion=lambda: (3, 2, 1), hasExternalPackage=lambda package: False)
+NO_MUMPS, OTHER_SLEPC = {"petsc4py.PETSc.Sys": OLD}, {"slepc4py.SLEPc.Sys": OLD}
 OPEN_MPI = "Open MPI v4.1.4, package: Debian OpenMPI, ident: 4.1.4, repo rev: v4.1.4"
 MPICH = "MPICH Version:      5.0.2\nMPICH Release date: Fri Sep 25 20:45:26 UTC 2026\n"
 MAP = """
-7f0-7f1 r-xp 00000000 08:01 1  /usr/lib/libmpi.so.40.30.4
 7f1-7f2 rw-p 00000000 08:01 1  /usr/lib/libmpi.so.40.30.4
 7f2-7f3 r-xp 00000000 08:01 1  /usr/lib/libmpi_mpifh.so.40.30.0
 7f2-7f3 r-xp 00000000 08:01 1  /usr/lib/libpetsc_complex.so.3.18.5
@@ -57,7 +54,7 @@ def mpirun_of(library, said):
 
 def loaded(path):
     """A fake of the libraries in memory."""
-    return {"pgran.command.doctor.memory_map": lambda: MAP + path}
+    return {"pathlib.Path.read_text": lambda file: MAP + path}
 
 
 def ranks(ranks, **variables):
@@ -70,22 +67,18 @@ def ranks(ranks, **variables):
     [
         (doctor.python, {"sys.version_info": (3, 10, 4)}, "Python 3.10.4", False, "3.11 or later"),
         (doctor.packages, {"numpy.__version__": "1.23.5"}, "numpy 1.23.5", False, "1.24 or later"),
-        (doctor.packages, {"numpy.__version__": "2.4"}, "numpy 2.4", True, ""),
         (doctor.petsc, {"petsc4py.PETSc.ScalarType": np.float64}, "real sc", False, "complex"),
         (doctor.petsc, NO_MUMPS, "MUMPS: not found", None, "--download-mumps"),
         (doctor.slepc, OTHER_SLEPC, "slepc4py 3.2.1 on PETSc", False, "SLEPC_DIR"),
         (doctor.mpi, {"shutil.which": lambda program: None}, "not on PATH", None, "one rank only"),
         (doctor.mpi, mpirun_of(OPEN_MPI, "HYDRA"), "not belong to Open MPI", False, "on PATH"),
-        (doctor.mpi, mpirun_of(OPEN_MPI, "(Open MPI) 4"), "belongs to Open MPI", True, ""),
         (doctor.mpi, mpirun_of(MPICH, "(Open MPI) 4"), "not belong to MPICH", False, "on PATH"),
-        (doctor.mpi, mpirun_of(MPICH, "HYDRA"), "mpi4py with MPICH 5.0.2,", True, ""),
         (doctor.mpi, mpirun_of(MPICH, "HYDRA"), "belongs to MPICH", True, ""),
         (doctor.libraries, loaded("/a/libmpi.so.12.1"), "2 different MPI", False, "one source"),
         (doctor.libraries, loaded("/a/libmpich.so.12"), "2 different MPI", False, "one source"),
         (doctor.libraries, loaded("/a/libpetsc.so.3"), "2 different PETSc", False, "one source"),
         (doctor.threads, ranks(4, OMP_NUM_THREADS="1"), "threads", True, ""),
         (doctor.threads, ranks(5, OMP_NUM_THREADS="1"), "threads", None, "fewer ranks"),
-        (doctor.threads, ranks(2, OMP_NUM_THREADS="2"), "threads", True, ""),
         (doctor.threads, ranks(3, OMP_NUM_THREADS="2"), "threads", None, "OMP_NUM_THREADS=1"),
         (doctor.threads, ranks(2, OMP_NUM_THREADS="1", MKL_NUM_THREADS="4"), "threads", None, "=1"),
         (doctor.threads, ranks(1), "threads", None, "OMP_NUM_THREADS=1"),
@@ -104,20 +97,18 @@ def test_findings(monkeypatch, check, fakes, text, good, cure):
 
 
 @pytest.mark.parametrize(
-    ("check", "module"),
+    ("check", "module", "good"),
     [
-        (doctor.mpi, "mpi4py"),
-        (doctor.petsc, "petsc4py"),
-        (doctor.slepc, "slepc4py"),
-        *((doctor.packages, name) for name in doctor.NEEDED + doctor.EXTRAS),
+        (doctor.mpi, "mpi4py", False), (doctor.petsc, "petsc4py", False),
+        (doctor.slepc, "slepc4py", False), (doctor.packages, "scipy", False),
+        (doctor.packages, "matplotlib", None),
     ],
-)
-def test_missing_modules(monkeypatch, check, module):
-    extra = module in doctor.EXTRAS
+)  # fmt: skip
+def test_missing_modules(monkeypatch, check, module, good):
     monkeypatch.setitem(sys.modules, module, None)
-    good, cure = verdict(check, f"{module} cannot be imported")
-    assert good is (None if extra else False)
-    assert f"pip install {module}" in cure if extra else "setup.sh" in cure or "activate" in cure
+    found, cure = verdict(check, f"{module} cannot be imported")
+    assert found is good
+    assert re.search("pip install" if good is None else "setup.sh|activate", cure)
 
 
 def test_a_python_that_has_what_this_one_lacks(monkeypatch, tmp_path):
@@ -133,47 +124,33 @@ def test_a_python_that_has_what_this_one_lacks(monkeypatch, tmp_path):
 
 
 def test_open_mpi_looks_for_no_network_where_a_process_is_alone(monkeypatch):
-    environment = {"PMIX_RANK": "0"}
-    monkeypatch.setattr(os, "environ", environment)
-    launch.hasten()
-    assert environment == {"PMIX_RANK": "0"}
-    environment.clear()
-    launch.hasten()
-    assert environment["OMPI_MCA_pml"] == "ob1"
-
-
-def test_solvers_and_cores(world):
-    """Ranks that mpirun ties to a core each have as many together."""
-    from petsc4py import PETSc
-
-    assert doctor.has_solver(PETSc, "petsc")
-    assert not doctor.has_solver(PETSc, "nonsense")
-    ranks, cores = doctor.ranks_and_cores()
-    assert ranks == world.size
-    assert cores >= len(os.sched_getaffinity(0))
+    for environment, alone in (({"PMIX_RANK": "0"}, False), ({}, True)):
+        monkeypatch.setattr(os, "environ", environment)
+        launch.hasten()
+        assert (environment.get("OMPI_MCA_pml") == "ob1") is alone
 
 
 @pytest.mark.parametrize("variable", launch.RANKS)
 def test_what_is_wrong_with_another_rank(monkeypatch, capsys, world, variable):
-    """Only the first rank speaks, for the others as well; no error goes unnoticed."""
+    """Only the first rank speaks, for the others as well; no error goes unnoticed.
+
+    Ranks that mpirun ties to a core each have as many together.
+    """
 
     def uneven():
         yield (world.rank < 1, "a disk", "mend it")
-
-    def broken():
         raise OSError("no such luck")
-        yield
 
+    ranks, cores = doctor.ranks_and_cores()
+    assert ranks == world.size
+    assert cores >= len(os.sched_getaffinity(0))
     monkeypatch.setenv(variable, str(world.rank))
     monkeypatch.setattr(doctor, "CHECKS", (uneven,))
-    assert doctor.examine() == (world.size > 1)
-    lines = [f"WRONG on rank {rank}: a disk" for rank in range(1, world.size)]
-    lines = ["ok    a disk", *(words for line in lines for words in (line, "      -> mend it"))]
-    assert capsys.readouterr().out.splitlines() == (lines if world.rank == 0 else [])
-    monkeypatch.setattr(doctor, "CHECKS", (broken,))
     assert doctor.examine() == 1
-    said = "WRONG looking for broken failed: OSError: no such luck"
-    assert (said in capsys.readouterr().out) == (world.rank == 0)
+    failed = "WRONG looking for uneven failed: OSError: no such luck"
+    lines = [f"WRONG on rank {rank}: a disk" for rank in range(1, world.size)]
+    said = [line for line in capsys.readouterr().out.splitlines() if "      -> " not in line]
+    assert said == (["ok    a disk", failed, *lines] if world.rank == 0 else [])
 
 
 # Programs
@@ -193,14 +170,10 @@ def test_without_any_package(start):
     assert "Traceback" not in done.stdout + done.stderr + run.stderr
 
 
-@pytest.mark.parametrize(
-    ("word", "code", "beginning"), [("doctor", 0, "ok    Python"), ("rnu", 2, "pgran: rnu")]
-)
-def test_ranks_speak_with_one_voice(start, word, code, beginning):
-    done = start(word, ranks=2)
-    assert done.returncode == code
-    lines = (done.stdout + done.stderr).splitlines()
-    assert sum(line.startswith(beginning) for line in lines) == 1
+def test_ranks_speak_with_one_voice(start):
+    done = start("doctor", ranks=2)
+    assert done.returncode == 0
+    assert done.stdout.count("ok    Python") == 1
 
 
 def test_ranks_that_do_not_know_of_each_other(start, call, monkeypatch):

@@ -1,6 +1,7 @@
 """Runs that stop and go on: what is finished is kept, whatever cuts the run off."""
 
 import contextlib
+import fcntl
 import os
 import resource
 import signal
@@ -61,71 +62,48 @@ def unfinished(result):
     return result.with_name("a.h5.unfinished")
 
 
-@pytest.fixture
-def leave(world, result, unfinished):
-    """Return what leaves the journal of a run that was stopped, and returns its bytes."""
-
-    def leave(positions):
-        with ended_by(StoppedError, "the same command"), Journal(world, result, RUN) as journal:
-            fill(journal, positions)
-            journal.stop("SIGTERM")
-        world.Barrier()
-        return unfinished.read_bytes()
-
-    return leave
+def left_by(world, result, positions):
+    """Leave the journal of a run that was stopped, and return its bytes."""
+    with ended_by(StoppedError, "the same command"), Journal(world, result, RUN) as journal:
+        fill(journal, positions)
+        journal.stop("SIGTERM")
+    world.Barrier()
+    return journal.path.read_bytes()
 
 
-@pytest.fixture
-def kept_of(world, result, unfinished):
-    """Return what finds the units in the bytes of a journal, none of them another than written."""
-
-    def kept_of(content):
-        world.Barrier()
-        if world.rank == 0:
-            unfinished.write_bytes(content)
-        with Journal(world, result, RUN) as journal:
-            stage = journal.stage(0, UNITS, ROW)
-            kept = journal.kept(stage)
-            for position in kept:
-                assert np.array_equal(journal.read(stage, position, ROW), rows_of(position))
-            fill(journal, [3])
-        return world.bcast(kept)
-
-    return kept_of
+def kept_of(world, result, content, run=RUN):
+    """The positions of the units in the bytes of a journal, none of them other than written."""
+    world.Barrier()
+    if world.rank == 0:
+        result.with_name("a.h5.unfinished").write_bytes(content)
+    with Journal(world, result, run) as journal:
+        kept = journal.kept(journal.stage(0, UNITS, ROW), ROW)
+        assert all(np.array_equal(rows, rows_of(position)) for position, rows in kept.items())
+        fill(journal, [3])
+    return world.bcast(list(kept))
 
 
-def test_units_are_kept_until_the_run_is_complete(world, result, unfinished, leave, kept_of):
-    content = leave([4, 1, 9])
+def test_what_is_left_of_a_journal(world, result, unfinished):
+    """Cut off anywhere, by a kill, it keeps all whole records; damage never passes as results."""
+    whole, ends, rng = left_by(world, result, UNITS), [len(MAGIC)], np.random.default_rng(5)
     with Journal(world, result, RUN) as journal:
         others = [(1, UNITS, ROW), (0, UNITS[1:], ROW), (0, UNITS, np.dtype(float))]
-        assert not any(journal.kept(journal.stage(*other)) for other in others)
+        assert not any(journal.kept(journal.stage(*other), other[-1]) for other in others)
     world.Barrier()
-    assert not unfinished.exists()
-    assert kept_of(content) == [1, 4, 9]
-
-
-def test_a_journal_cut_off_anywhere_keeps_all_whole_records(leave, kept_of):
-    """What a kill or a power failure leaves: any part of the file."""
-    whole = leave(UNITS)
-    ends = [len(MAGIC)]
+    assert not unfinished.exists()  # once the run is complete
     while ends[-1] < len(whole):
         ends.append(ends[-1] + RECORD.size + RECORD.unpack_from(whole, ends[-1])[2])
-    cuts = np.random.default_rng(0).integers(0, len(whole), 60).tolist()
-    for cut in {0, 1, ends[1] - 1, ends[1], *cuts}:
-        assert len(kept_of(whole[:cut])) == sum(end <= cut for end in ends[2:])
-
-
-def test_damage_never_passes_as_results(leave, kept_of):
-    whole = leave(UNITS)
-    rng = np.random.default_rng(5)
+    for cut in {0, 1, ends[1] - 1, ends[1], *rng.integers(0, len(whole), 60).tolist()}:
+        kept = kept_of(world, result, whole[:cut])
+        assert len(kept) == sum(end <= cut for end in ends[2:])
     for place in rng.integers(len(MAGIC), len(whole), 40).tolist():
         damaged = bytearray(whole)
         damaged[place] ^= 1 << int(rng.integers(8))
-        assert len(kept_of(damaged)) < len(UNITS)
+        assert len(kept_of(world, result, damaged)) < len(UNITS)
 
 
-def test_another_run_is_refused_by_name(world, result, unfinished, leave):
-    before = leave([1])
+def test_another_run_is_refused_by_name(world, result, unfinished):
+    before = left_by(world, result, [1])
     for identity, said in (
         (OTHER, r"-bonds_seed: .* with 7, and now it is 8.*overwrite"),
         (RUN | {"relax_seed": "8"}, r"-relax_seed: .*not given"),
@@ -137,7 +115,7 @@ def test_another_run_is_refused_by_name(world, result, unfinished, leave):
     assert unfinished.read_bytes() == before
     world.Barrier()
     with Journal(world, result, OTHER, overwrite=True) as journal:
-        assert journal.kept(journal.stage(0, UNITS, ROW)) == []
+        assert not journal.kept(journal.stage(0, UNITS, ROW), ROW)
 
 
 def test_a_run_that_finished_nothing_is_no_obstacle(world, result, unfinished):
@@ -148,15 +126,7 @@ def test_a_run_that_finished_nothing_is_no_obstacle(world, result, unfinished):
         journal.stop("SIGTERM")
     world.Barrier()
     assert not unfinished.exists()
-    world.Barrier()
-    if world.rank == 0:
-        unfinished.write_bytes(empty)
-    with Journal(world, result, OTHER) as journal:
-        fill(journal, [2])
-        found = unfinished.read_bytes()
-        assert b'"bonds_seed": "8"' in found
-        assert b'"bonds_seed": "7"' not in found
-        world.Barrier()
+    assert kept_of(world, result, empty, OTHER) == []
 
 
 def test_signals_wait_until_the_journal_listens(world, result):
@@ -186,25 +156,38 @@ def test_a_second_run_and_a_foreign_file_are_refused(world, result, unfinished):
     assert unfinished.read_bytes() == b"my thesis"
 
 
-@pytest.mark.parametrize("before", [False, True])
-def test_bad_input_that_turns_up_late(world, result, unfinished, leave, before):
+def test_a_file_system_without_locks(world, result, monkeypatch, caplog):
+    """The run goes on, unguarded, which is said."""
+
+    def fail(file, how):
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr(fcntl, "flock", fail)
+    with Journal(world, result, RUN) as journal:
+        fill(journal, [1])
+    assert ("this file system has no locks (Function not imp" in caplog.text) == (world.rank == 0)
+
+
+def test_bad_input_that_turns_up_late(world, result, unfinished):
     """Leaves nothing of a new run, and all of one that went on."""
-    if before:
-        leave([1])
-    with ended_by(InputError, "late"), Journal(world, result, RUN) as journal:
-        fill(journal, [2])
-        raise InputError("late")
-    world.Barrier()
-    assert unfinished.exists() == before
+    for before in (False, True):
+        with ended_by(InputError, "late"), Journal(world, result, RUN) as journal:
+            fill(journal, [2])
+            raise InputError("late")
+        world.Barrier()
+        assert unfinished.exists() == before
+        world.Barrier()
+        left_by(world, result, [1])
 
 
 @contextlib.contextmanager
-def no_more_than(size):
-    """Let no file grow beyond some bytes."""
+def no_room_beyond(size):
+    """Let no file grow beyond some bytes, and expect the error."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
     try:
-        yield
+        with pytest.raises(FileError, match=r"a\.h5\.unfinished: cannot be written"):
+            yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
@@ -215,19 +198,18 @@ def test_no_room(world, result, monkeypatch):
     def fail(number):
         raise OSError(5, "Input/output error")
 
-    said = r"a\.h5\.unfinished: cannot be written"
-    with no_more_than(0), pytest.raises(FileError, match=said):
+    with no_room_beyond(0):
         Journal(world, result, RUN)
     with Journal(world, result, RUN) as journal:
         stage = fill(journal, [0, 1])
         if world.rank == 0:
-            room = os.stat(journal.path).st_size + 40
-            with no_more_than(room), pytest.raises(FileError, match=said):
+            with no_room_beyond(os.stat(journal.path).st_size + 40):
                 journal.write(stage, 2, rows_of(2))
-            assert journal.kept(stage) == [0, 1]
-            assert np.array_equal(journal.read(stage, 1, ROW), rows_of(1))
+            assert list(journal.kept(stage, ROW)) == [0, 1]
             journal.write(stage, 2, rows_of(2))
-            assert journal.kept(stage) == [0, 1, 2]
+            kept = journal.kept(stage, ROW)
+            assert list(kept) == [0, 1, 2]
+            assert np.array_equal(kept[2], rows_of(2))
         monkeypatch.setattr(os, "fsync", fail)
         with pytest.raises(FileError, match=r"a\.h5\.unfinished: .*Input/output error"):
             journal.stop("SIGTERM")
@@ -255,30 +237,29 @@ def stop_at(journal, writes, rank):
 def test_share_stops_within_a_unit_and_goes_on(world, result, whom, together):
     """A signal to any one rank stops all; other groups go on, and no unit is done twice."""
     size = world.size if together else 1
-    done, delivered = [], []
+    task, done, delivered = SimpleNamespace(units=UNITS, row=ROW), [], []
 
     def work(unit):
         done.append(unit)
         return rows_of(unit)
 
-    def deliver(*arguments):
-        rows = arguments[-1]
-        delivered.append((int(rows["unit"][0]), rows.tobytes()))
+    def deliver(position, rows):
+        delivered.append((position, rows.tobytes()))
 
     with (
         ended_by(StoppedError, r"SIG(USR1|TERM)"),
         Journal(world, result, RUN) as journal,
         Crew(world, size, journal) as crew,
     ):
-        stop_at(journal, 3, whom % world.size)
+        stop_at(journal, 2, whom % world.size)  # of three ranks, each has three units at least
         world.Barrier()
-        crew.share(SimpleNamespace(units=UNITS, row=ROW), work, deliver)
+        crew.share(task, work, deliver)
     first = world.allreduce(len(done)) // size
     assert first < len(UNITS)
     delivered.clear()
     done.clear()
     with Journal(world, result, RUN) as journal, Crew(world, 1, journal) as crew:
-        crew.share(SimpleNamespace(units=UNITS, row=ROW), work, deliver)
+        crew.share(task, work, deliver)
     assert first + world.allreduce(len(done)) == len(UNITS)
     if world.rank == 0:
         assert len(delivered) == len(UNITS)

@@ -8,24 +8,14 @@ from pgran.parallel import progress
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="rank 0's own affair")
 
 
-@pytest.fixture
-def clock(monkeypatch):
-    """A clock that stands still until it is moved."""
-    now = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    return now
-
-
-def test_time_left_by_the_pace_of_now(clock, capsys):
+def test_time_left_by_the_pace_of_now(monkeypatch, capsys):
     """What an earlier run had finished arrives at once, and says nothing about the pace."""
+    now = 0.0
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now)
     with progress.Progress(1000, "steps", "lines") as counter:
-        clock[0] = 1.0
-        counter.advance(500)
-        for _ in range(30):
-            clock[0] += 1.0
-            counter.advance(1)
-        clock[0] += 100.0
-        counter.advance(0)  # nothing done says nothing
+        for seconds, count in [(1, 500), *[(1, 1)] * 30, (100, 0)]:  # nothing done says nothing
+            now += seconds
+            counter.advance(count)
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 3
     assert said[-1] == "pgran: 529 of 1000 steps, about 8 min left"

@@ -13,16 +13,16 @@ PROJECT = Path(__file__).parents[1]
 @pytest.fixture
 def setup(clean_environment, tmp_path):
     """Return what starts jobs/setup.sh in a copy, without a package index."""
-    for name in ("jobs", "pgran"):  # another process may be at work in a __pycache__
-        ignore = shutil.ignore_patterns("__pycache__")
+    ignore = shutil.ignore_patterns("__pycache__")  # another process may be at work in one
+    for name in ("jobs", "pgran"):
         shutil.copytree(PROJECT / name, tmp_path / name, ignore=ignore)
     for name in ("pyproject.toml", "README.md"):
         shutil.copy(PROJECT / name, tmp_path / name)
 
     def start(**variables):
-        environment = clean_environment | {"PIP_NO_INDEX": "1"} | variables
-        for name in ("PYTHONPATH", "PGRAN_STACK"):
-            environment.pop(name, None) if name not in variables else None
+        kept = clean_environment.keys() - {"PYTHONPATH", "PGRAN_STACK"}
+        environment = {name: clean_environment[name] for name in kept} | variables
+        environment["PIP_NO_INDEX"] = "1"
         return subprocess.run(
             ["bash", tmp_path / "jobs" / "setup.sh"],
             env=environment, capture_output=True, text=True,
@@ -42,8 +42,8 @@ def test_in_an_active_venv(setup, tmp_path):
     found = subprocess.run(words, cwd=tmp_path, env=bare, capture_output=True, text=True)
     assert found.returncode == 0, found.stdout
     assert str(python) in found.stdout
-    paths = (*tmp_path.glob(".venv/lib/python*/site-packages/pgran_petsc.pth"),)
-    assert "/lib/python3/dist-packages" not in paths[0].read_text().splitlines()
+    (paths,) = tmp_path.glob(".venv/lib/python*/site-packages/pgran_petsc.pth")
+    assert "/lib/python3/dist-packages" not in paths.read_text().splitlines()
 
 
 @pytest.mark.parametrize(

@@ -19,14 +19,9 @@ OURS = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4} pgran[ :]")
 
 
 def check(path, make=True):
-    """Raise unless a log can be appended to `path`; make its folder unless told not to.
+    """Raise a FileError unless a log can be appended to `path`. Not collective.
 
-    Not collective.
-
-    Raises
-    ------
-    FileError
-        If it is a folder, a file that is no log of pgran, or cannot be written.
+    Its folder is made if `make` says so.
     """
     path = Path(path)
     if path.is_dir():
@@ -47,14 +42,7 @@ def check(path, make=True):
 
 
 class LogFile(logging.Handler):
-    """Appends messages to a file, which is opened with the first one. Not collective.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-    rank : int
-        Named in the lines of all ranks but 0.
-    """
+    """Appends messages to a file; all ranks but 0 are named in their lines. Not collective."""
 
     def __init__(self, path, rank):
         """Keep the path."""

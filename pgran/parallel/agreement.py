@@ -24,7 +24,7 @@ FAILED = 0  # tag of the message in which it tells them
 def on_root(comm, action, keep=False):
     """Return `action()`, called on rank 0 alone; raise its error on every rank.
 
-    Collective.
+    Collective. Raises the PgranError that `action` raised; an OSError becomes a FileError.
 
     Parameters
     ----------
@@ -33,11 +33,6 @@ def on_root(comm, action, keep=False):
         Called without arguments.
     keep : bool
         Keep what it returns on rank 0, None on the others, instead of broadcasting it.
-
-    Raises
-    ------
-    PgranError
-        The error that `action` raised on rank 0; an OSError becomes a FileError.
     """
     value, failure = None, None
     if comm.rank == 0:
@@ -55,20 +50,9 @@ def on_root(comm, action, keep=False):
 
 
 def agree(comm, failure):
-    """Raise, on every rank, the error that the first of the ranks has met, if any has.
+    """Raise a PgranError on every rank if `failure`, what one has met, is not None on some rank.
 
-    Collective.
-
-    Parameters
-    ----------
-    comm : mpi4py.MPI.Comm
-    failure : Exception or None
-        What this rank has met.
-
-    Raises
-    ------
-    PgranError
-        Of that error's kind, or with what PETSc said.
+    Collective. It is of the kind that the first of these ranks has met, or says what PETSc did.
     """
     told = None
     if isinstance(failure, PgranError):
@@ -98,18 +82,12 @@ def who_reports(comm, failure):
     """Return which rank is to report a failure, and whether all ranks have met it alike.
 
     Not collective: the other ranks may be at work, or wait for this one for ever. The first rank
-    to fail reports; of those that failed before they heard of another, the lowest.
-
-    Parameters
-    ----------
-    comm : mpi4py.MPI.Comm
-    failure : object
-        Says what has happened on this rank.
+    to fail reports; of those that failed before they heard of another, the lowest. `failure` says
+    what has happened on this rank.
     """
     others = [rank for rank in range(comm.size) if rank != comm.rank]
     late = any(comm.Iprobe(rank, FAILED) for rank in others)
     failures = {comm.rank: (failure, late)}
-    # never waited for: who does not fail does not receive
     requests = [comm.isend((failure, late), rank, tag=FAILED) for rank in others]
     deadline = time.monotonic() + SECONDS_FOR_OTHERS
     while len(failures) < comm.size and time.monotonic() < deadline:
@@ -117,7 +95,7 @@ def who_reports(comm, failure):
             if comm.Iprobe(rank, FAILED):
                 failures[rank] = comm.recv(source=rank, tag=FAILED)
         time.sleep(0.01)
-    del requests
+    del requests  # not waited for: who does not fail does not receive
     first = min((rank for rank, (_, late) in failures.items() if not late), default=0)
     alike = len(failures) == comm.size and len({failure for failure, _ in failures.values()}) == 1
     return first, alike

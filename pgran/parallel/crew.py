@@ -12,13 +12,10 @@ from pgran.errors import InputError, is_foreseen
 from pgran.parallel.agreement import agree
 
 WORD, FIRST_TAG = 1, 2  # tags of messages: a word to stop; results, a tag for each call of `share`
-NO_MORE = -1  # in place of a unit's position
 
 
 class Crew:
-    """All ranks of a run, cut into groups; free with `free` or `with`.
-
-    Collective.
+    """All ranks of a run, cut into groups. Collective; use with `with`.
 
     Parameters
     ----------
@@ -52,13 +49,11 @@ class Crew:
                 f"-ranks_per_lattice {ranks_per_lattice}: {world.size} ranks cannot be cut into "
                 "groups of that size"
             )
-        self.world = world
+        self.world, self.journal = world, journal
         self.groups = world.size // ranks_per_lattice
         self.number = world.rank // ranks_per_lattice
         self.group = world.Split(self.number, world.rank)
-        self.journal = journal
-        self._shared = 0
-        self._stopped, self._told, self._heard, self._words = None, False, set(), []
+        self._shared, self._told, self._words = 0, None, []
 
     def __enter__(self):
         """Return the crew."""
@@ -94,14 +89,15 @@ class Crew:
         results = _Results(self, FIRST_TAG + self._shared, task, deliver)
         left = self.world.bcast(results.left)
         for position in (p for turn, p in enumerate(left) if self._takes(turn)):
-            if self._stop_asked():
+            if self.journal is not None and self._stop_asked():
                 break
             rows = work(task.units[position])
             if self.group.rank == 0:
-                results.put(position, rows)
+                results.put((position, rows))
         if self.group.rank == 0:
-            results.end()
-        self._agree_to_stop()
+            results.put(None)
+        if self.journal is not None:
+            self._agree_to_stop()
 
     def _takes(self, turn):
         """Return whether a unit is this group's.
@@ -113,43 +109,28 @@ class Crew:
         return self.number == (place if cycle % 2 == 0 else self.groups - 1 - place)
 
     def _stop_asked(self):
-        """Return whether a signal asks to stop, here or on another rank. Collective over a group.
+        """Return whether a signal asks to stop, here or in another group. Collective over a group.
 
         Groups do not wait for each other, so the one that gets a signal sends word.
         """
-        if self.journal is None:
-            return False
-        here, first = self.journal.stop_asked, self.group.rank == 0
-        while first and self.world.Iprobe(tag=WORD):
-            status = MPI.Status()
-            self._stopped = self.world.recv(tag=WORD, status=status)
-            self._heard.add(status.source)
-        if self.group.size > 1:
-            names = self.group.allgather((here, self._stopped))
-            here, self._stopped = (_first(column) for column in zip(*names, strict=True))
-        if here and not self._told:
-            self._told = True
-            if first:
-                others = range(0, self.world.size, self.group.size)
-                self._words = [
-                    self.world.isend(here, rank, tag=WORD)
-                    for rank in others
-                    if rank != self.world.rank
-                ]
-        self._stopped = self._stopped or here
-        return bool(self._stopped)
+        first = self.group.rank == 0
+        heard = first and self.world.Iprobe(tag=WORD)
+        names, heard = zip(*self.group.allgather((self.journal.stop_asked, heard)), strict=True)
+        name = next(filter(None, names), None)
+        if name and first:
+            others = set(range(0, self.world.size, self.group.size)) - {self.world.rank}
+            self._told = name
+            self._words = [self.world.isend(name, rank, tag=WORD) for rank in others]
+        return name or any(heard)
 
     def _agree_to_stop(self):
         """Raise StoppedError on all ranks if one of them has stopped; leave no word unheard."""
-        if self.journal is None:
-            return
-        everyone = self.world.allgather((self._stopped, self._told))
-        if self.group.rank == 0:
-            for rank in range(0, self.world.size, self.group.size):
-                if everyone[rank][1] and rank != self.world.rank and rank not in self._heard:
-                    self.world.recv(source=rank, tag=WORD)
+        told = self.world.allgather(self._told)
+        for rank, name in enumerate(told):
+            if name and self.group.rank == 0 and rank != self.world.rank:
+                self.world.recv(source=rank, tag=WORD)
         MPI.Request.waitall(self._words)
-        stopped = _first(name for name, _ in everyone)
+        stopped = next(filter(None, told), None)
         if stopped:
             self.journal.stop(stopped)
 
@@ -180,58 +161,32 @@ class _Results:
 
     def __init__(self, crew, tag, task, deliver):
         """Deliver what the journal holds; `left` are the positions of the other units."""
-        self.world, self.groups, self.tag = crew.world, crew.groups, tag
-        self.deliver, self.row, self.journal = deliver, task.row, crew.journal
-        self.left, self._sent, self._working = list(range(len(task.units))), [], crew.groups - 1
+        self.world, self.tag, self.deliver, self.journal = crew.world, tag, deliver, crew.journal
+        self.left, self._sent, self._working = list(range(len(task.units))), [], crew.groups
         if self.journal is not None and self.world.rank == 0:
             self.stage = self.journal.stage(tag, task.units, task.row)
-            kept = self.journal.kept(self.stage)
-            for position in kept:
-                deliver(position, self.journal.read(self.stage, position, task.row))
+            kept = self.journal.kept(self.stage, task.row)
+            for position, rows in kept.items():
+                deliver(position, rows)
             self.left = sorted(set(self.left).difference(kept))
 
-    def put(self, position, rows):
-        """Hand in the rows of a unit, on the first rank of a group."""
+    def put(self, message):
+        """Hand in a unit's position and rows, or None after the last, on a group's first rank."""
         if self.world.rank == 0:
-            self._take(position, rows)
-            while self._working and self.world.Iprobe(tag=self.tag):
-                self._receive()
+            self._take(message)
+            while self._working and (message is None or self.world.Iprobe(tag=self.tag)):
+                self._take(self.world.recv(tag=self.tag))
         else:
-            self._sent = [request for request in self._sent if not request[0].Test()]
-            for message in (np.array([position], dtype=np.int64), rows.view(np.uint8)):
-                request = self.world.Isend([message, MPI.BYTE], dest=0, tag=self.tag)
-                self._sent.append((request, message))
+            self._sent = [request for request in self._sent if not request.Test()]
+            self._sent.append(self.world.isend(message, 0, tag=self.tag))
+            if message is None:
+                MPI.Request.waitall(self._sent)
 
-    def end(self):
-        """Hand in nothing more; on rank 0, wait for the other groups' results."""
-        if self.world.rank == 0:
-            while self._working:
-                self._receive()
-        else:
-            self.world.Send([np.array([NO_MORE], dtype=np.int64), MPI.BYTE], dest=0, tag=self.tag)
-            for request, _ in self._sent:
-                request.Wait()
-
-    def _take(self, position, rows):
-        """Keep and deliver the rows of a unit, on rank 0."""
-        if self.journal is not None:
-            self.journal.write(self.stage, position, rows)
-        self.deliver(position, rows)
-
-    def _receive(self):
-        """Receive a unit's rows, or that a group has no more, from any."""
-        status, position = MPI.Status(), np.empty(1, dtype=np.int64)
-        self.world.Recv([position, MPI.BYTE], tag=self.tag, status=status)
-        if position[0] == NO_MORE:
+    def _take(self, message):
+        """Keep and deliver the rows of a unit, or note that a group has no more, on rank 0."""
+        if message is None:
             self._working -= 1
             return
-        source = status.source
-        self.world.Probe(source=source, tag=self.tag, status=status)
-        rows = np.empty(status.Get_count(MPI.BYTE) // self.row.itemsize, self.row)
-        self.world.Recv([rows.view(np.uint8), MPI.BYTE], source=source, tag=self.tag)
-        self._take(int(position[0]), rows)
-
-
-def _first(names):
-    """Return the first name that is not None, if there is one."""
-    return next(filter(None, names), None)
+        if self.journal is not None:
+            self.journal.write(self.stage, *message)
+        self.deliver(*message)

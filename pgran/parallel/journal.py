@@ -19,14 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pgran.errors import (
-    FileError,
-    InputError,
-    PgranError,
-    StoppedError,
-    is_bad_input,
-    reason_of,
-)
+from pgran.errors import FileError, InputError, PgranError, StoppedError, is_bad_input, reason_of
 from pgran.parallel.agreement import on_root
 from pgran.parallel.launch import SIGNALS
 
@@ -47,7 +40,7 @@ class Journal:
     ----------
     comm : mpi4py.MPI.Comm
     path : str or os.PathLike
-        The result's path; the journal stands beside it.
+        The result's path.
     identity : dict of str
         What the run is, as options; an earlier journal goes on only if it says the same.
     overwrite : bool
@@ -64,8 +57,7 @@ class Journal:
     def __init__(self, comm, path, identity, overwrite=False):
         """Open the journal, find what it holds, and listen to signals."""
         self.comm, self.path = comm, Path(f"{path}.unfinished")
-        self._file, self._kept, self._synced = None, {}, time.monotonic()
-        self._signal = None
+        self._file, self._kept, self._synced, self._signal = None, {}, time.monotonic(), None
         try:
             on_root(comm, lambda: self._open(identity, overwrite))
         except PgranError:
@@ -101,48 +93,32 @@ class Journal:
         return self._signal and signal.Signals(self._signal).name
 
     def stage(self, number, units, row):
-        """Return what tells the units of a stage of the run from those of another one.
-
-        Not collective.
-        """
+        """Return what tells a stage's units from those of another one. Not collective."""
         return zlib.crc32(f"{number} {units!r} {row!r}".encode()) or 1
 
-    def kept(self, stage):
-        """Return the positions of the units of a stage that are finished. Not collective."""
-        return sorted(position for name, position in self._kept if name == stage)
-
-    def read(self, stage, position, row):
-        """Return the rows of a finished unit. Not collective: rank 0."""
-        start, size = self._kept[stage, position]
-        return np.frombuffer(os.pread(self._file.fileno(), size, start), row)
+    def kept(self, stage, row):
+        """Return the finished units of a stage, {position: rows}. Not collective: rank 0."""
+        return {
+            position: np.frombuffer(os.pread(self._file.fileno(), size, start), row)
+            for (name, position), (start, size) in sorted(self._kept.items())
+            if name == stage
+        }
 
     def write(self, stage, position, rows):
-        """Append the rows of a finished unit. Not collective: rank 0.
-
-        Raises
-        ------
-        FileError
-            If there is no room; what was kept before stays.
-        """
+        """Append the rows of a finished unit, or raise FileError. Not collective: rank 0."""
         self._append((stage, position), rows.tobytes())
         if time.monotonic() - self._synced > SECONDS_BETWEEN_SYNCS:
-            self.sync()
+            self._sync()
 
-    def sync(self):
-        """Make sure that what was written is on the disk. Not collective: rank 0.
-
-        Raises
-        ------
-        FileError
-            If it is not.
-        """
+    def _sync(self):
+        """Make sure that what was written is on the disk, on rank 0."""
         with self._writing():
             os.fsync(self._file.fileno())
         self._synced = time.monotonic()
 
     def stop(self, name):
         """Raise StoppedError, all work so far being kept. Collective."""
-        on_root(self.comm, self.sync)
+        on_root(self.comm, self._sync)
         if self.comm.bcast(bool(self._kept)):
             raise StoppedError(f"stopped by {name}; the same command goes on from {self.path}")
         raise StoppedError(f"stopped by {name} before any work was finished")
@@ -151,25 +127,29 @@ class Journal:
         self._signal = number
 
     def _open(self, identity, overwrite):
+        """Open the file, and begin anew where it holds no units of this run."""
         self._file = self._locked()
         found = self._scan()
-        if found is None:
-            if os.fstat(self._file.fileno()).st_size > len(MAGIC) + RECORD.size:
-                log.warning("%s: damaged; the run begins anew", self.path)
-        elif found != identity and self._kept:
-            if not overwrite:
-                raise InputError(self._difference(found, identity))
-            log.info("%s: another run; discarded as -output_overwrite asks", self.path)
         self._new = found != identity
-        if self._new:
-            self._kept.clear()
-            with self._writing():
-                self._file.truncate(0)
-                self._file.write(MAGIC)
-            self._append(IDENTITY, json.dumps(identity).encode())
-            del self._kept[IDENTITY]
-        else:
+        if not self._new:
             log.info("%s: going on from there, %d units are finished", self.path, len(self._kept))
+            return
+        if self._kept:
+            if not overwrite:
+                key = next(k for k in identity | found if found.get(k) != identity.get(k))
+                was, now = (run.get(key, "not given") for run in (found, identity))
+                raise InputError(
+                    f"-{key}: {self.path} holds an unfinished run with {was}, and now it is {now}; "
+                    "give what was given then to go on, take another -output_file, or begin anew "
+                    "with -output_overwrite"
+                )
+            log.info("%s: another run; discarded as -output_overwrite asks", self.path)
+        self._kept.clear()
+        with self._writing():
+            self._file.truncate(0)
+            self._file.write(MAGIC)
+        self._append(IDENTITY, json.dumps(identity).encode())
+        del self._kept[IDENTITY]
 
     def _locked(self):
         """Return the journal's file, opened and locked."""
@@ -186,11 +166,9 @@ class Journal:
             except OSError as error:
                 log.warning("%s: this file system has no locks (%s)", self.path, error.strerror)
                 return file
-            try:
+            with contextlib.suppress(FileNotFoundError):  # removed by a run that was just done
                 if os.path.samestat(os.fstat(file.fileno()), os.stat(self.path)):
                     return file
-            except FileNotFoundError:
-                pass  # the other run was done, and has removed it
             file.close()
 
     def _scan(self):
@@ -217,7 +195,9 @@ class Journal:
             else:
                 self._kept[tuple(place)] = content, length
             position = content + length
-        if found is not None and position < size:
+        if found is None and size > len(MAGIC) + RECORD.size:
+            log.warning("%s: damaged; the run begins anew", self.path)
+        elif found is not None and position < size:
             log.info("%s: its end was cut off; that work is done again", self.path)
             file.truncate(position)
         return found
@@ -227,8 +207,7 @@ class Journal:
         file = self._file
         start = file.seek(0, os.SEEK_END)
         head = RECORD.pack(*place, len(payload), 0)[:-4]
-        checksum = zlib.crc32(payload, zlib.crc32(head))
-        record = head + struct.pack("<I", checksum) + payload
+        record = head + struct.pack("<I", zlib.crc32(payload, zlib.crc32(head))) + payload
         with self._writing():
             try:
                 if file.write(record) < len(record):
@@ -245,13 +224,3 @@ class Journal:
             yield
         except OSError as error:
             raise FileError(f"{self.path}: cannot be written: {reason_of(error)}") from None
-
-    def _difference(self, found, identity):
-        """Say which option differs from the unfinished run."""
-        key = next(k for k in [*identity, *found] if found.get(k) != identity.get(k))
-        was, now = (run.get(key, "not given") for run in (found, identity))
-        return (
-            f"-{key}: {self.path} holds an unfinished run with {was}, and now it is {now}; give "
-            "what was given then to go on, take another -output_file, or begin anew with "
-            "-output_overwrite"
-        )

@@ -23,18 +23,17 @@ class Progress:
     def __init__(self, total, what, style="auto"):
         """Start the clock."""
         self.total, self.what, self.done = total, what, 0
-        self.said, self.said_done = time.monotonic(), 0
-        self.bar = None
+        self.said, self.said_done, self.bar = time.monotonic(), 0, None
         if style == "auto":
             style = "bar" if sys.stderr.isatty() else "lines"
         self.lines = style == "lines"
         if style == "bar":
             try:
                 from tqdm import tqdm
+
+                self.bar = tqdm(total=total, unit=f" {what}", leave=False)
             except ImportError:
                 self.lines = True
-            else:
-                self.bar = tqdm(total=total, unit=f" {what}", leave=False)
 
     def __enter__(self):
         """Return the counter."""
@@ -55,11 +54,8 @@ class Progress:
             # by the pace since the last line: what an earlier run had finished came at once
             left = (now - self.said) * (self.total - self.done) / (self.done - self.said_done)
             self.said, self.said_done = now, self.done
-            print(
-                f"pgran: {self.done} of {self.total} {self.what}, about {_duration(left)} left",
-                file=sys.stderr,
-                flush=True,
-            )
+            text = f"{self.done} of {self.total} {self.what}, about {_duration(left)} left"
+            print(f"pgran: {text}", file=sys.stderr, flush=True)
 
 
 def _duration(seconds):

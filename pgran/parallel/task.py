@@ -22,12 +22,9 @@ class Task:
     """
 
     def open(self, group):
-        """Return a context whose value works on one unit and returns its rows. Collective.
+        """Return a context whose value works on one unit and returns its rows.
 
-        Parameters
-        ----------
-        group : mpi4py.MPI.Comm
-            The ranks that work on a unit together. The rows count on its first rank alone.
+        Collective over `group`, the ranks that work on a unit together; the first one's rows count.
         """
         raise NotImplementedError
 
@@ -40,15 +37,9 @@ class Task:
         return unit
 
     def collect(self, rows, seconds):
-        """Return the record that all rows make up, those of the first unit first.
+        """Return the record that all rows, an array of `row`, make up in the order of the units.
 
-        Not collective: called on rank 0.
-
-        Parameters
-        ----------
-        rows : numpy.ndarray of `row`
-        seconds : float
-            What the task took.
+        Not collective: called on rank 0. `seconds` is what the task took.
         """
         raise NotImplementedError
 
@@ -56,28 +47,19 @@ class Task:
 def carry_out(task, crew, progress="none"):
     """Return the record of a task on rank 0, None on the others.
 
-    Collective.
+    Collective. Raises what `Crew.share` raises.
 
     Parameters
     ----------
     task : Task
     crew : pgran.parallel.crew.Crew
-        Shares out the units, keeps the journal, and knows when to stop.
     progress : str
         Style of `pgran.parallel.progress.Progress`.
-
-    Raises
-    ------
-    StoppedError
-        If a signal asked for it; on every rank.
     """
     started, root = time.perf_counter(), crew.world.rank == 0
     style = progress if root and not crew.dry else "none"
     total, parts = sum(map(task.length, task.units)), {}
-    with (
-        task.open(crew.group) as work,
-        Progress(total, task.items, style) as counter,
-    ):
+    with task.open(crew.group) as work, Progress(total, task.items, style) as counter:
 
         def deliver(position, rows):
             parts[position] = rows
@@ -89,11 +71,10 @@ def carry_out(task, crew, progress="none"):
 
 
 def _joined(parts, row):
-    """Return the rows of all units in one array; each part is freed once it is copied."""
-    rows = np.empty(sum(map(len, parts.values())), row)
-    start = 0
+    """Return the rows of all units in one array."""
+    rows, start = np.empty(sum(map(len, parts.values())), row), 0
     for position in sorted(parts):
-        part = parts.pop(position)
+        part = parts.pop(position)  # which is freed once it is copied
         rows[start : start + len(part)] = part
         start += len(part)
     return rows
