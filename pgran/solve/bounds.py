@@ -114,9 +114,8 @@ class ErrorBounds(Owner):
     def _distance(self, shift, spread, tolerance):
         """Return how far all eigenvalues of K are from a shift, at least; 0 if it is no use.
 
-        The first guess is a tenth of their mean distance from each other. It is no use where
-        damping spreads eigenvalues as far, or where rounding S moves amplitudes by more than the
-        tolerance.
+        The first guess is a tenth of their mean distance. It is no use where damping spreads
+        eigenvalues as far, or rounding S moves amplitudes by more than the tolerance.
         """
         least = max(EPSILON / tolerance, 10 * self.unit) * self.scale + 10 * spread
         delta = 0.1 * self.scale / self.operators.balls

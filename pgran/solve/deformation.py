@@ -84,14 +84,11 @@ class Deformation:
         self._rounding_of_start = EPSILON * (4 * np.abs(self.start) + wall)
 
     def stretch_rounding(self, weights):
-        """Return bounds, step by step, of what rounding does to a sum of weights times stretches.
-
-        Not collective; `weights` of shape (s, s) are not negative.
-        """
+        """Bound, step by step, the rounding of a sum of weights times stretches. Not collective."""
         return (self._rounding @ weights) * self._norm + self._rounding_of_start @ weights
 
     def missed_rounding(self, weights):
-        """Return the same for weights times `missed`. Not collective."""
+        """Bound the same for weights times `missed`. Not collective."""
         changed = self.stretch_rounding(self._changes * weights)
         return changed + 2 * EPSILON * _column_sums(weights, self.coefficient_sizes)
 
@@ -113,7 +110,7 @@ def amplitudes(before, primal, adjoint):
     Parameters
     ----------
     before : complex
-        A_d, the amplitude at a detector before any change.
+        A_d.
     primal, adjoint : Deformation
         Of the amplitudes, and of the detector's adjoint.
     """

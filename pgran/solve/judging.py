@@ -119,7 +119,7 @@ class Judge(Owner):
         Parameters
         ----------
         s : complex
-            Of the last `combine`, for which the bounds are prepared.
+            For which the bounds are prepared.
         systems : list of pgran.solve.linear.System
             That of the amplitudes, then each detector's adjoint; none where no bound is known.
         krylov : pgran.solve.linear.Krylov

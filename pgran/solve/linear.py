@@ -185,10 +185,8 @@ def set_up(ksp, matrix, comm):
     """
     ksp.setOperators(matrix)  # without it a KSP overlooks new values
     ksp.setUp()
-    failed = ksp.getConvergedReason() < 0  # says it of this rank alone
-    if comm.size > 1:
-        failed = comm.allreduce(failed, MPI.LOR)
-    return not failed
+    works = ksp.getConvergedReason() >= 0  # says it of this rank alone
+    return works if comm.size == 1 else comm.allreduce(works, MPI.LAND)
 
 
 def ignore_values_in_analysis(pc):

@@ -162,12 +162,12 @@ class ModeSolver(Owner):
         try:
             with plain_errors():
                 for _ in range(1 if once else SEARCHES):
-                    self._aim(eps, low, high, count - len(inside), len(seen), part)
+                    before = len(seen)
+                    self._aim(eps, low, high, count - len(inside), before, part)
                     if seen:
                         eps.setDeflationSpace(seen)
                         self._deflated = True
-                    self._start(eps, len(seen))
-                    before = len(seen)
+                    self._start(eps, before)
                     eps.solve()
                     self._collect(eps, low, high, inside, seen)
                     if len(inside) >= count or len(seen) == before:
@@ -208,13 +208,13 @@ class ModeSolver(Owner):
         rest.
         """
         x, residual = self.K.createVecs()
-        refined = np.empty_like(found)
-        for row, vector in zip(refined, found, strict=True):
+        refined = found.copy()
+        for vector in refined:
             x.setArray(vector)
             self.K.mult(x, residual)
             residual.axpy(-residual.dot(x) / x.dot(x), x)
             st.apply(residual, x)
-            row[:] = vector - x.getArray()
+            vector -= x.getArray()
         x.destroy()
         residual.destroy()
         return refined

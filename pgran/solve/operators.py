@@ -136,15 +136,10 @@ class Operators(Owner):
 
         Collective.
 
-        Parameters
-        ----------
-        s : complex
-            sigma + i omega, sigma >= 0.
-
         Raises
         ------
         ValueError
-            If sigma is negative: what bounds the error holds on the other half of the plane.
+            If the real part of s is negative: no error is bounded there.
         """
         s = complex(s)
         if not s.real >= 0:
@@ -160,15 +155,9 @@ class Operators(Owner):
         self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
 
     def stretch(self, columns, bonds):
-        """Return b^T x for some bonds and each column x, walls at rest: shape (n, columns).
+        """Return b^T x for some bonds and each column x, walls at rest: shape (bonds, columns).
 
-        Collective; the same on every rank.
-
-        Parameters
-        ----------
-        columns : numpy.ndarray, shape (own, columns)
-            This rank's rows.
-        bonds : numpy.ndarray of int, shape (n,)
+        Collective; `columns` holds this rank's rows, the result is the same on every rank.
         """
         found = np.zeros((len(bonds), columns.shape[1]), dtype=complex)
         for sign, balls, mine in self._own_ends(bonds):
@@ -178,15 +167,9 @@ class Operators(Owner):
         return found
 
     def spread(self, bonds, columns):
-        """Set each column to b = B^T e of a bond, as far as it lies in this rank's rows.
+        """Set columns to b = B^T e of some bonds, as far as it lies in this rank's rows.
 
-        Not collective.
-
-        Parameters
-        ----------
-        bonds : numpy.ndarray of int, shape (n,)
-        columns : numpy.ndarray, shape (own, n or more)
-            Columns beyond n become zero.
+        Not collective. Columns beyond those of the bonds become zero.
         """
         columns[:] = 0.0
         for sign, balls, mine in self._own_ends(bonds):
@@ -214,15 +197,8 @@ class Operators(Owner):
     def change_bonds(self, bonds, constants):
         """Set some bond constants anew, in K and in the drive; S waits for `combine`.
 
-        Collective. What K was before leaves no rounding behind: the rows of all balls at these
-        bonds are summed up anew.
-
-        Parameters
-        ----------
-        bonds : numpy.ndarray of int, shape (n,)
-            Numbers of the bonds that change.
-        constants : numpy.ndarray, shape (bonds,)
-            The constants of all bonds after the change.
+        Collective; `constants` are those of all bonds after the change. What K was before leaves no
+        rounding behind: the rows of all balls at these bonds are summed up anew.
         """
         balls = self.ends[bonds].ravel()
         balls = balls[self._is_own(balls)]
@@ -249,10 +225,7 @@ class Operators(Owner):
         return x
 
     def field(self, x):
-        """Return a vector as an array over the lattice on rank 0, None on the others.
-
-        Collective.
-        """
+        """Return a vector as an array over the lattice on rank 0, else None. Collective."""
         natural = self.da.createNaturalVec()
         self.da.globalToNatural(x, natural)
         scatter, gathered = PETSc.Scatter.toZero(natural)

@@ -52,7 +52,6 @@ class Windows(Owner):
     ----------
     changing : pgran.solve.changing.ChangingBonds
     solver : pgran.solve.steady.SteadySolver
-        Of the same operators.
     s : complex
         i omega.
 
