@@ -7,30 +7,25 @@ import math
 
 import numpy as np
 import pytest
-from mpi4py import MPI
+from campaigns.relaxation import relaxed
 from mpmath import mp
 from reference import exact_amplitudes
-from samples import drive, random_lattice, reference_of, steady, swept
+from samples import bond_arrays, random_lattice, reference_of, steady, swept
 
-from pgran.parallel.crew import Crew
 from pgran.physics.bondlaw import BondLaw
 from pgran.physics.lattice import Lattice
 from pgran.results import LatticeRecord, Result
-from pgran.scenes.relaxation import relax
 from pgran.scenes.response import summary
 from pgran.solve.comparison import Comparison
 
 
 def compared(lattice, omegas, site, digits=60, **choices):
     """The response, its amplitudes' errors and true sizes, by elimination with many digits."""
-    found, errors, sizes = swept(lattice, omegas, site, **choices), [], []
-    constants = lattice.stiffness, lattice.mass, lattice.damping
+    found, constants = swept(lattice, omegas, site, **choices), (lattice.mass, lattice.damping)
     with mp.workdps(digits):
-        for omega, (amplitude,) in zip(omegas, found.displacement, strict=True):
-            (exact,) = exact_amplitudes(*constants, omega, [site])
-            errors.append([float(abs(mp.mpmathify(complex(amplitude)) - exact))])
-            sizes.append([float(abs(exact))])
-    return found, np.array(errors), np.array(sizes)
+        exact = [exact_amplitudes(lattice.stiffness, *constants, w, [site]) for w in omegas]
+        missed = np.vectorize(mp.mpmathify, otypes=[object])(found.displacement) - exact
+        return found, np.abs(missed).astype(float), np.abs(exact).astype(float)
 
 
 @pytest.mark.parametrize("damping", [0.003, 0.0, 1e-9])
@@ -57,11 +52,11 @@ def test_no_error_of_the_field_exceeds_its_bound(comm, damping):
     reference = reference_of(lattice)
     highest = math.sqrt(reference.eigenvalues()[-1])
     with (
-        steady(lattice, [[1, 1]], comm, 1e-3) as (operators, solver),
+        steady(lattice, [1, 1], comm, 1e-3) as (operators, solver),
         Comparison(operators) as comparison,
     ):
         for omega, known in ((1.2 * highest, True), (0.5 * highest, False), (0.9 * highest, False)):
-            drive(solver, omega)
+            solver.solve(1j * omega)
             v = comparison.errors(solver.bounds.residuals(solver.primal), solver.bounds)
             assert (v is not None) == known
             if known:
@@ -78,7 +73,7 @@ def test_amplitudes_that_vanish_are_not_good(comm):
         lattice = random_lattice((12, 12), 3, damping=0.0)
         with steady(lattice, [[1, 5]], comm, error_floor=floor) as (_, solver):
             for omega in (1e15, 1e20):
-                state = drive(solver, omega)
+                state = solver.solve(1j * omega)
                 assert (state.converged_reason > 0) == (floor > 0)
                 assert not floor or 0 < state.error_bound[0] <= floor
 
@@ -103,17 +98,15 @@ def test_the_floor():
 @pytest.mark.parametrize("method", ["window", "krylov", "direct"])
 def test_the_floor_of_a_relaxation(method):
     """By every method; and above the highest mode windows are as accurate as their start."""
-    with Crew(MPI.COMM_SELF, 1) as crew:
-        arguments = random_lattice((120,), 4, damping=0.3), BondLaw("uniform"), 0.6, (1,), crew
-        found = relax(*arguments, steps=20, method=method)
-        without = relax(*arguments, steps=20, method=method, error_floor=0.0)
-        above = random_lattice((12, 12), 2), BondLaw("uniform"), 6.0, (1, 5), crew
-        relative = relax(*above, steps=40, method=method)
+    choices = {"steps": 20, "method": method}
+    chain, square = random_lattice((120,), 4, damping=0.3), random_lattice((12, 12), 2)
+    found = relaxed(chain, (1,), omega=0.6, **choices)
     assert np.all(found.at_floor == 1)
     assert found.failures == 0
-    assert without.failures == 21
-    assert not relative.at_floor.any()
-    assert np.all(relative.error_bound <= 1e-4 * np.abs(relative.displacement))
+    assert relaxed(chain, (1,), omega=0.6, error_floor=0.0, **choices).failures == 21
+    above = relaxed(square, (1, 5), omega=6.0, **choices)
+    assert not above.at_floor.any()
+    assert np.all(above.error_bound <= 1e-4 * above.amplitude)
 
 
 CASES = [
@@ -135,10 +128,11 @@ def test_what_vanishes_is_counted(case, damping, solver, solver_options):
     """Constants and amplitudes down to 1e-300: no bound is broken, nothing wrong passes."""
     solver_options(solver)
     law, kmin, kmax, shape, mass, omegas, site = case
-    law, marked = BondLaw(law, kmin=kmin, kmax=kmax), []
+    law, rng, marked = BondLaw(law, kmin=kmin, kmax=kmax), np.random.default_rng(1), []
     beta = damping * math.sqrt(kmax) * math.sqrt(mass)
-    for seed in range(4):
-        lattice = Lattice(law.draw(shape, seed), mass, beta, kmax=kmax)
+    for _ in range(4):
+        stiffness = bond_arrays(shape, lambda size: law(rng.random(size)))
+        lattice = Lattice(stiffness, mass, beta, kmax=kmax)
         found, wrong, size = compared(lattice, omegas, site, 700)
         good, known = found.converged_reason > 0, ~np.isnan(found.error_bound)
         assert np.all(wrong[known] <= found.error_bound[known])

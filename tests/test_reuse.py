@@ -4,22 +4,16 @@ import math
 
 import numpy as np
 import pytest
-from samples import drive, random_lattice, reference_of, steady
+from samples import random_lattice, reference_of, steady
 
 from pgran.solve.linear import factor_package
 from pgran.solve.reuse import ReusePolicy, expected_iterations
 
 
-def policy_of(price, limit=0):
-    """A policy that has seen what a factorization costs."""
-    policy = ReusePolicy(limit)
+def serve(price, iterations, limit=0):
+    """For which frequencies a policy factors that would take these iterations when reusing."""
+    policy, fresh = ReusePolicy(limit), []
     policy.price = price
-    return policy
-
-
-def serve(policy, iterations):
-    """Let the policy decide for frequencies that would take these iterations when reusing."""
-    fresh = []
     for count in iterations:
         fresh.append(policy.due())
         policy.count(fresh[-1], 1 if fresh[-1] else count)
@@ -28,13 +22,10 @@ def serve(policy, iterations):
 
 def test_policy_factors_at_the_start_and_where_it_is_cheaper():
     """After the first frequency beyond a limit, or once reuse has shown to be dearer."""
-    fresh = serve(policy_of(0.0, limit=4), [9, 4, 4, 5, 9, 3])
+    fresh = serve(0.0, [9, 4, 4, 5, 9, 3], limit=4)
     assert fresh == [True, False, False, False, True, False]
-    assert all(serve(policy_of(1.0), [10] * 40)[3:])
-    policy = policy_of(50.0)
-    assert serve(policy, [3] * 200).count(True) == 1
-    policy.restart()
-    assert serve(policy, [3] * 2) == [True, False]
+    assert all(serve(1.0, [10] * 40)[3:])
+    assert serve(50.0, [3] * 200).count(True) == 1
 
 
 def test_policy_comes_near_the_cheapest_constant_cycle():
@@ -44,7 +35,8 @@ def test_policy_comes_near_the_cheapest_constant_cycle():
     def cost(ages):
         return sum(price + 1 if age == 0 else growth * age for age in ages)
 
-    policy, ages, age = policy_of(price), [], 0
+    policy, ages, age = ReusePolicy(), [], 0
+    policy.price = price
     for _ in range(points):
         due = policy.due()
         age = 0 if due else age + 1
@@ -56,7 +48,8 @@ def test_policy_comes_near_the_cheapest_constant_cycle():
 
 def test_policy_gives_up_what_did_not_work():
     """In time, and after a failure for good."""
-    policy = policy_of(50.0)
+    policy = ReusePolicy()
+    policy.price = 50.0
     assert (policy.patience(), ReusePolicy(limit=3).patience()) == (100, None)
     policy.count(True, 1)
     assert not policy.due()
@@ -85,37 +78,36 @@ def test_what_factors_by_default(solver_options):
     for options in ("", "-steady_pc_factor_mat_ordering_type nd"):
         solver_options(options)
         with steady(random_lattice((30, 30)), (5, 5)) as (_, solver):
-            drive(solver, 0.6)
+            solver.solve(0.6j)
             entries.append(solver.factor.getInfo()["nz_used"])
     assert entries[0] < entries[1]
 
 
-def test_a_factorization_is_reused(comm):
+@pytest.mark.parametrize(
+    ("options", "limit", "step", "factorizations", "iterates"),
+    [
+        ("", 0, 5e-5, range(1, 31), True),
+        ("", 1000, 5e-5, [1], True),
+        ("", 1000, 1e-6, [1], False),  # the line through two solutions meets the third
+        ("-steady_ksp_type preonly", 1000, 5e-5, [31], False),
+    ],
+)
+def test_a_factorization_is_reused(
+    comm, options, limit, step, factorizations, iterates, solver_options
+):
     """As long as it is cheaper, or as iterations are allowed; amplitudes are as accurate.
 
-    The line through two solutions close together meets the third without an iteration.
+    A solver that makes no iterations factors at each frequency.
     """
-    lattice, far = random_lattice((15, 14), 9), np.linspace(0.6, 0.6015, 31)
-    close = 0.6 + 1e-4 * np.arange(5)
-    for limit, tolerance, omegas in ((0, 1e-6, far), (1000, 1e-6, far), (1000, 1e-4, close)):
-        with steady(lattice, (5, 5), comm, tolerance, refresh_iterations=limit) as (_, solver):
-            states = [drive(solver, omega) for omega in omegas]
-            if limit:
-                assert solver.factorizations == 1
-                assert (max(state.iterations for state in states) > 0) == (omegas is far)
-            elif comm.size == 1:  # shared factors are so cheap here that reuse need not pay
-                assert solver.factorizations < len(omegas)
-        for omega, state in zip(omegas[::5], states[::5], strict=True):
-            exact = reference_of(lattice).amplitudes(omega, (5, 5))
-            assert state.converged_reason > 0
-            assert np.abs(state.displacement - exact) <= state.error_bound
-            assert state.error_bound <= tolerance * np.abs(exact)
-
-
-def test_preonly_factors_at_each_frequency(comm, solver_options):
-    """Whatever is said of iterations, of which it makes none."""
-    solver_options("-steady_ksp_type preonly -steady_pc_type lu")
-    with steady(random_lattice((6, 7)), (2, 2), comm, refresh_iterations=1000) as (_, solver):
-        for omega in np.linspace(0.6, 0.61, 7):
-            drive(solver, omega)
-        assert solver.factorizations == 7
+    solver_options(options)
+    lattice, omegas = random_lattice((15, 14), 9), 0.6 + step * np.arange(31)
+    with steady(lattice, (5, 5), comm, 1e-6, refresh_iterations=limit) as (_, solver):
+        states = [solver.solve(1j * omega) for omega in omegas]
+        if limit or comm.size == 1:  # shared factors are so cheap here that reuse need not pay
+            assert solver.factorizations in factorizations
+            assert (max(state.iterations for state in states[1:]) > 0) == iterates
+    for omega, state in zip(omegas[::5], states[::5], strict=True):
+        exact = reference_of(lattice).amplitudes(omega, (5, 5))
+        assert state.converged_reason > 0
+        assert np.abs(state.displacement - exact) <= state.error_bound
+        assert state.error_bound <= 1e-6 * np.abs(exact)

@@ -19,8 +19,7 @@ LATTICE = random_lattice((9, 8), 12)
 
 
 def test_groups(world):
-    sizes = [size for size in range(1, world.size + 1) if world.size % size == 0]
-    for size in sizes:
+    for size in (size for size in range(1, world.size + 1) if world.size % size == 0):
         options = resolve(read_words(f"-scene response -ranks_per_lattice {size}".split()))
         with Crew(world, ranks_per_lattice(options, LATTICE, world)) as crew:
             assert crew.group.size == size
@@ -36,14 +35,13 @@ def test_groups(world):
 
 def test_automatic_ranks():
     """One rank a lattice, unless it is large."""
-    assert automatic_ranks((20, 20), 8) == 1
     for axes, balls in LARGE.items():
         assert automatic_ranks((balls,) + (1,) * (axes - 1), 8) == 1
         assert automatic_ranks((balls + 1,) + (1,) * (axes - 1), 8) == 8
     assert automatic_ranks((2**31, 2**31, 2**31), 2) == 2  # no overflow
 
 
-@pytest.mark.parametrize("count", [1, 2, 63, 64, 150, 1291, 5000])
+@pytest.mark.parametrize("count", [1, 63, 64, 150, 5000])
 def test_units_cover_a_sweep_once(count):
     cut = ranges(count)
     assert [index for unit in cut for index in unit] == list(range(count))
@@ -59,34 +57,34 @@ def test_units_share_no_factorization():
     assert response.factorizations == projection.factorizations == len(ranges(150)) == 75
 
 
-ROW = np.dtype([("unit", int), ("rank", int), ("value", complex, (3,))])
+ROW = np.dtype([("rank", int), ("value", complex, (3,))])
 
 
 @pytest.mark.parametrize(("count", "rows"), [(0, 1), (1, 1), (7, 11), (40, 11), (6, 50_000)])
 def test_share_delivers_every_unit_once(world, count, rows):
     """Of unequal sizes, more or fewer than there are groups, beyond MPI's eager limit too."""
-    sizes, delivered = [1 + number * 37 % rows for number in range(count)], []
-    task = SimpleNamespace(units=range(count), row=ROW)
+    delivered, task = {}, SimpleNamespace(units=range(count), row=ROW)
 
     def work(number):
-        found = np.zeros(sizes[number], ROW)
-        found["unit"], found["rank"] = number, world.rank
-        found["value"] = number + 1j * np.arange(3)
+        found = np.zeros(1 + number * 37 % rows, ROW)
+        found["rank"], found["value"] = world.rank, number + 1j * np.arange(3)
         return found
 
+    def deliver(number, rows):
+        assert number not in delivered
+        delivered[number] = rows.copy()
+
     with Crew(world, 1) as crew:
-        crew.share(task, work, lambda position, rows: delivered.append(rows.copy()))
+        crew.share(task, work, deliver)
     if world.rank > 0:
-        assert delivered == []
+        assert not delivered
         return
-    assert sorted(found["unit"][0] for found in delivered) == list(range(count))
-    for found in delivered:
-        number = found["unit"][0]
-        assert len(found) == sizes[number]
-        assert np.all(found["unit"] == number)
+    assert sorted(delivered) == list(range(count))
+    for number, found in delivered.items():
+        assert len(found) == 1 + number * 37 % rows
         assert len(set(found["rank"])) == 1
         assert np.all(found["value"] == number + 1j * np.arange(3))
-    ranks = [found["rank"][0] for found in delivered]
+    ranks = [found["rank"][0] for found in delivered.values()]
     shares = [ranks.count(rank) for rank in range(world.size)]
     assert max(shares) - min(shares) <= 1
 
@@ -114,8 +112,7 @@ def test_one_lattice_on_all_ranks(world):
 
 def test_an_error_leaves_the_crew_without_waiting(world):
     """Free is collective: it must not be called while other ranks may be elsewhere."""
-    crew = Crew(world, 1)
-    with pytest.raises(ZeroDivisionError), crew:
+    with pytest.raises(ZeroDivisionError), Crew(world, 1) as crew:
         raise ZeroDivisionError
     assert crew.group != MPI.COMM_NULL
     crew.group.Free()
