@@ -6,7 +6,7 @@ from petsc4py import PETSc
 from reference import balls
 from samples import random_lattice, reference_of
 
-from pgran.physics.lattice import Lattice, bond_arrays, stretch
+from pgran.physics.lattice import Lattice, bond_arrays
 from pgran.solve.operators import Operators
 
 SHAPES = [(7,), (1,), (2,), (5, 6), (6, 1), (1, 6), (1, 1), (2, 3), (4, 3, 5), (1, 4, 3), (5, 1, 2)]
@@ -89,26 +89,6 @@ def test_pattern_and_symmetry_do_not_change(comm):
             assert matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] == entries
 
 
-def test_stretch_and_spread(comm, shape):
-    """B x is the stretch of each bond, and spread gives its rows, which are what K is made of."""
-    lattice, rng = random_lattice(shape, 3), np.random.default_rng(2)
-    fields = rng.standard_normal((2, *shape))
-    with Operators(lattice, comm) as operators:
-        vectors = [operators.vector(field) for field in fields]
-        columns = np.stack([vector.getArray() for vector in vectors], axis=1)
-        chosen = rng.permutation(len(operators.ends))
-        found = operators.stretch(columns, chosen)
-        lengths = np.concatenate([t.reshape(2, -1) for t in stretch(fields, len(shape))], axis=1)
-        assert np.array_equal(found, lengths.T[chosen])
-        rows = np.full((len(columns), len(chosen) + 1), 7.0)
-        operators.spread(chosen, rows)
-        assert not rows[:, -1].any()
-        rows = np.concatenate(comm.allgather(rows[:, :-1]))[operators.numbers(balls(shape))]
-        assert_close((rows * lattice.constants[chosen]) @ rows.T, dense(operators.K, operators))
-        for vector in vectors:
-            vector.destroy()
-
-
 @pytest.mark.parametrize("law", ["uniform", "wide"])
 def test_changed_bonds_leave_nothing_behind(comm, shape, law):
     """One bond after the other, many at once, and all: as assembled anew, bit for bit."""
@@ -135,15 +115,3 @@ def test_an_error_on_its_way_destroys_nothing_that_needs_other_ranks(comm):
     assert (operators.K.handle == 0) == (comm.size == 1)
     operators.destroy()
     assert operators.K.handle == 0
-
-
-def test_field_is_in_natural_order(comm, shape):
-    """Ball (i, j, k) holds 100 i + 10 j + k."""
-    names = np.array(balls(shape)) @ (10.0 ** np.arange(len(shape))[::-1])
-    with Operators(random_lattice(shape), comm) as operators:
-        vector = operators.vector(names.reshape(shape))
-        assert np.array_equal(dense(vector, operators), names)
-        field = operators.field(vector)
-        vector.destroy()
-    assert (field is None) == (comm.rank > 0)
-    assert field is None or np.array_equal(field, names.reshape(shape))

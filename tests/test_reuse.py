@@ -10,40 +10,32 @@ from pgran.solve.linear import factor_package
 from pgran.solve.reuse import ReusePolicy, expected_iterations
 
 
-def serve(price, iterations, limit=0):
-    """For which frequencies a policy factors that would take these iterations when reusing."""
-    policy, fresh = ReusePolicy(limit), []
+def serve(price, points, iterations, limit=0):
+    """How old a factorization is at each point, if reusing takes `iterations(age)`."""
+    policy, ages = ReusePolicy(limit), []
     policy.price = price
-    for count in iterations:
-        fresh.append(policy.due())
-        policy.count(fresh[-1], 1 if fresh[-1] else count)
-    return fresh
+    for _ in range(points):
+        due = policy.due()
+        ages.append(0 if due else ages[-1] + 1)
+        policy.count(due, 1 if due else iterations(ages[-1]))
+    return ages
 
 
 def test_policy_factors_at_the_start_and_where_it_is_cheaper():
     """After the first frequency beyond a limit, or once reuse has shown to be dearer."""
-    fresh = serve(0.0, [9, 4, 4, 5, 9, 3], limit=4)
-    assert fresh == [True, False, False, False, True, False]
-    assert all(serve(1.0, [10] * 40)[3:])
-    assert serve(50.0, [3] * 200).count(True) == 1
+    assert serve(0.0, 7, lambda age: 3 * age, limit=5) == [0, 1, 2, 0, 1, 2, 0]
+    assert not any(serve(1.0, 40, lambda age: 10)[3:])
+    assert serve(50.0, 200, lambda age: 3).count(0) == 1
 
 
 def test_policy_comes_near_the_cheapest_constant_cycle():
     """Iterations that grow with the age of the factorization: at most 1.3 of the best price."""
-    price, growth, points = 60.0, 2, 300
 
     def cost(ages):
-        return sum(price + 1 if age == 0 else growth * age for age in ages)
+        return sum(2 * age if age else 61 for age in ages)
 
-    policy, ages, age = ReusePolicy(), [], 0
-    policy.price = price
-    for _ in range(points):
-        due = policy.due()
-        age = 0 if due else age + 1
-        policy.count(due, 1 if due else growth * age)
-        ages.append(age)
-    best = min(cost([i % cycle for i in range(points)]) for cycle in range(1, 60))
-    assert cost(ages) <= 1.3 * best
+    best = min(cost([i % cycle for i in range(300)]) for cycle in range(1, 60))
+    assert cost(serve(60.0, 300, lambda age: 2 * age)) <= 1.3 * best
 
 
 def test_policy_gives_up_what_did_not_work():

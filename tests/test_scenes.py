@@ -10,7 +10,6 @@ from samples import run_scene
 from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.files.reading import read_words
 from pgran.physics.continuum import Continuum
-from pgran.scenes.common import driving_frequencies
 from pgran.solve.database import holding
 
 BASE = {
@@ -83,16 +82,6 @@ def result(scene, text, world):
         if record.group != "lattice" and item.name != "solve_seconds"
     }
     return {name: (v.dtype, v.shape, v.tobytes()) for name, v in values.items()}
-
-
-def test_frequencies_of_a_sweep():
-    """A grid holds both its ends; frequencies given one by one are taken as they are."""
-    for words, expected in (
-        ("-sweep_min .2 -sweep_max .8 -sweep_points 4", [0.2, 0.4, 0.6, 0.8]),
-        ("-sweep_omega 1,3", [1, 3]),
-    ):
-        options = resolve(read_words(["-scene", "response", *words.split()]))
-        assert driving_frequencies(options) == pytest.approx(expected, rel=1e-15)
 
 
 @pytest.mark.parametrize("damping", ["0", ".003"])

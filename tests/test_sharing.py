@@ -12,8 +12,6 @@ from pgran.errors import InputError
 from pgran.files.reading import read_words
 from pgran.parallel.crew import Crew
 from pgran.scenes.common import LARGE, automatic_ranks, ranks_per_lattice
-from pgran.scenes.projection import project
-from pgran.scenes.sweeping import ranges
 
 LATTICE = random_lattice((9, 8), 12)
 
@@ -39,22 +37,6 @@ def test_automatic_ranks():
         assert automatic_ranks((balls,) + (1,) * (axes - 1), 8) == 1
         assert automatic_ranks((balls + 1,) + (1,) * (axes - 1), 8) == 8
     assert automatic_ranks((2**31, 2**31, 2**31), 2) == 2  # no overflow
-
-
-@pytest.mark.parametrize("count", [1, 63, 64, 150, 5000])
-def test_units_cover_a_sweep_once(count):
-    cut = ranges(count)
-    assert [index for unit in cut for index in unit] == list(range(count))
-    assert max(map(len, cut)) <= 16
-
-
-def test_units_share_no_factorization():
-    """So that it does not matter which of them a group has done before."""
-    omegas, choices = np.linspace(0.6, 0.6001, 150), {"refresh_iterations": 1000}
-    with Crew(MPI.COMM_SELF, 1) as crew:
-        projection = project(LATTICE, omegas, crew, **choices)
-    response = swept(LATTICE, omegas, (4, 3), **choices)
-    assert response.factorizations == projection.factorizations == len(ranges(150)) == 75
 
 
 ROW = np.dtype([("rank", int), ("value", complex, (3,))])
@@ -91,8 +73,10 @@ def test_share_delivers_every_unit_once(world, count, rows):
 
 def test_results_do_not_depend_on_the_number_of_ranks(world):
     """Bit for bit, as long as every lattice belongs to one rank."""
-    omegas, sites = np.linspace(0.05, 1.3, 150), (4, 3, 0, 7)
-    alone, shared = (swept(LATTICE, omegas, sites, c, fields=True) for c in (MPI.COMM_SELF, world))
+    choices = {"fields": True, "refresh_iterations": 1000}
+    arguments = LATTICE, np.linspace(0.6, 0.601, 150), (4, 3, 0, 7)
+    alone, shared = (swept(*arguments, comm, **choices) for comm in (MPI.COMM_SELF, world))
+    assert shared.factorizations == 75  # units share none
     for name in vars(shared):
         if name != "solve_seconds":
             assert np.array_equal(getattr(shared, name), getattr(alone, name)), name
