@@ -11,7 +11,6 @@ from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.files.reading import read_words
 from pgran.parallel.agreement import met_by_all
-from pgran.solve.counting import ModeCounter
 
 # m omega^2 = 2 k is an eigenvalue of these lattices exactly, in doubles too.
 SINGULAR = [((1,), 0.5, 1.0), ((2, 2), 0.5, 1.0), ((5, 5, 5), 1.5, 3.0)]
@@ -42,16 +41,6 @@ def test_a_singular_frequency_spoils_no_other_one(case, solver, whole_field, sol
             assert not good
         elif solver in ("default", "preonly, lu", "mumps", "superlu_dist"):
             assert good
-
-
-def test_a_count_at_an_eigenvalue_spoils_no_other_one():
-    """A pivot is zero there; the next count is what it is alone."""
-    with steady(uniform_lattice((3, 3), 0.5, damping=0.0), []) as (operators, _):
-        with ModeCounter(operators.K) as counter:
-            alone = counter.below(2.3, 1e-3)
-        with ModeCounter(operators.K) as counter:
-            assert counter.below(2.0, 1e-3) is None
-            assert counter.below(2.3, 1e-3) == alone is not None
 
 
 @pytest.mark.parametrize("options", ["", "-steady_ksp_type preonly"])

@@ -34,13 +34,11 @@ def test_every_mode_obeys_its_equation(shape, damping, world):
     assert found.failures == 0
     assert found.count_expected == lattice.balls
     for omega, c in zip(OMEGAS, found.coefficient, strict=True):
-        A = F.T @ c
-        _, f = reference.system(omega)
+        A, exact, (_, f) = F.T @ c, reference.solve(omega), reference.system(omega)
+        assert np.linalg.norm(A - exact) <= 1e-8 * np.linalg.norm(exact)
         left = lattice.mass * (found.mode_omega**2 - omega**2) * c
         left += 1j * omega * damping * F @ (reference.C @ A)
-        np.testing.assert_allclose(left, F @ f, rtol=0, atol=1e-10 * np.linalg.norm(c))
-        exact = reference.solve(omega)
-        assert np.linalg.norm(A - exact) <= 1e-8 * np.linalg.norm(exact)
+        assert np.abs(left - F @ f).max() <= 1e-10 * np.linalg.norm(c)
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-6])
@@ -73,23 +71,19 @@ def test_frequencies_that_miss_their_accuracy_are_marked(world, solver_options):
         assert shown.failures == len(OMEGAS) + more
 
 
-SOME = [{"interval": (0.4, 0.7)}, {"targets": OMEGAS, "count": 4}, {"interval": (7.0, 8.0)}]
-
-
-@pytest.mark.parametrize("which", SOME)
+@pytest.mark.parametrize("which", [{"interval": (0.4, 0.7)}, {"targets": OMEGAS, "count": 4}])
 def test_part_of_the_modes_is_part_of_the_projection(which, world):
     """The dominant one is that of the largest coefficient; of none there is none."""
     lattice = random_lattice((9, 9), seed=1)
     (part, _), (whole, _) = (projected(lattice, world, modes) for modes in (which, None))
+    none, _ = projected(lattice, world, {"interval": (7.0, 8.0)})
+    assert none.coefficient.shape == (len(OMEGAS), 0)
+    assert np.all(none.dominant == -1)
     assert len(part.mode_omega) == part.count_expected < lattice.balls
-    if which == {"interval": (7.0, 8.0)}:
-        assert part.coefficient.shape == (len(OMEGAS), 0)
-        assert np.all(part.dominant == -1)
-        return
     place = np.argmin(np.abs(whole.mode_omega - part.mode_omega[:, None]), axis=1)
-    np.testing.assert_allclose(part.mode_omega, whole.mode_omega[place], rtol=1e-12)
+    assert np.abs(part.mode_omega - whole.mode_omega[place]).max() < 1e-12
     expected = whole.coefficient[:, place]
-    np.testing.assert_allclose(part.coefficient, expected, atol=1e-9 * np.abs(expected).max())
+    assert np.abs(part.coefficient - expected).max() <= 1e-9 * np.abs(expected).max()
     assert np.array_equal(part.dominant, np.argmax(np.abs(part.coefficient), axis=1))
 
 
@@ -110,5 +104,5 @@ def test_dominant_mode_follows_the_drive(world):
     """Slope 1.00 +- .03 between .1 and .9 omega_mx (the paper's figure maxci)."""
     omegas = np.linspace(0.1, 0.9, 201)
     found, _ = projected(random_lattice((20, 20)), world, omegas=omegas)
-    slope = np.polyfit(omegas, found.mode_omega[found.dominant], 1)[0]
+    slope, _ = np.polyfit(omegas, found.mode_omega[found.dominant], 1)
     assert abs(slope - 1) <= 0.03
