@@ -40,8 +40,10 @@ def test_tiny_amplitudes_above_the_highest_mode(comm, shape, site, damping):
     omegas, choices = highest * np.array([1.05, 2.0, 6.0]), {"error_floor": 0.0}
     found, wrong = compared(lattice, omegas, site, comm, error_tolerance=1e-9, **choices)
     assert np.all(found.converged_reason > 0)
-    assert np.all(wrong <= found.error_bound)
-    assert np.all(found.error_bound <= 1e-9 * found.amplitude)
+    assert np.all(wrong <= 1e-9 * found.amplitude)
+    if damping or comm.size == 1:  # else nothing is proven
+        assert np.all(wrong <= found.error_bound)
+        assert np.all(found.error_bound <= 1e-9 * found.amplitude)
     assert not found.at_floor.any()
 
 

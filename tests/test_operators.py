@@ -42,12 +42,9 @@ def assert_close(found, expected):
 
 @pytest.mark.parametrize("damping", [0.02, 0.0])
 def test_one_system_for_every_s(comm, shape, damping):
-    """S = K + s beta C + s^2 m, symmetric, S(conj s) = conj S(s); the drive alike; and for every x
-    Re(conj(s) x^H S x) = sigma x^H K x + |s|^2 (beta x^H C x + sigma m x^H x)."""
-    lattice, rng = random_lattice(shape, 7, damping, mass=1.7), np.random.default_rng(1)
-    reference, mass, found = reference_of(lattice), 1.7 * np.eye(lattice.balls), {}
-    x = rng.standard_normal(lattice.balls) + 1j * rng.standard_normal(lattice.balls)
-    forms = [(x.conj() @ part @ x).real for part in (reference.K, damping * reference.C, mass)]
+    """S = K + s beta C + s^2 m, symmetric, S(conj s) = conj S(s); the drive alike."""
+    lattice, found = random_lattice(shape, 7, damping, mass=1.7), {}
+    reference = reference_of(lattice)
     with Operators(lattice, comm) as operators:
         assert_close(dense(operators.K, operators), reference.K)
         assert (operators.C is None) == (damping == 0)
@@ -58,9 +55,6 @@ def test_one_system_for_every_s(comm, shape, damping):
             assert_close(S, expected)
             assert_close(dense(operators.f, operators), drive)
             assert np.array_equal(S, S.T)
-            weights = s.real, abs(s) ** 2, abs(s) ** 2 * s.real
-            missed = (s.conjugate() * (x.conj() @ S @ x)).real - np.dot(weights, forms)
-            assert abs(missed) <= 1e-13 * abs(s) * np.dot((1, abs(s), abs(s) ** 2), forms)
         assert np.array_equal(found[0.2 + 0.7j].conj(), found[0.2 - 0.7j])
         operators.combine(0.3j)  # nothing of another s is left
         assert np.array_equal(dense(operators.S, operators), found[0.3j])

@@ -16,7 +16,7 @@ SOLVERS = [
     f"{LU} {MUMPS}",
     f"-steady_pc_type cholesky {MUMPS}",
     "-steady_pc_type lu -steady_pc_factor_mat_solver_type superlu_dist",
-    "-steady_ksp_type gmres -steady_pc_type bjacobi -steady_ksp_max_it 3000",
+    "-steady_ksp_type gmres -steady_pc_type bjacobi -steady_ksp_gmres_restart 200",
 ]
 
 
@@ -50,13 +50,7 @@ def cases():
         yield lattice, omegas, sites, 10 ** rng.uniform(-8, -1), ""
     lattice, sites = random_lattice((9, 10), 8), [(3, 4), (8, 0)]
     for options in SOLVERS:
-        yield lattice, [0.5, 0.55, 0.9, 1.3], sites, 1e-4, options
-    # the line through the last two frequencies extrapolates backwards and from far away too
-    yield lattice, [0.9, 0.3, 0.301, 1.3, 0.02, 0.3, 0.3], sites, 1e-4, ""
-    # far above omega_mx, 1e-11 of the wall's amplitude is left
-    yield random_lattice((20, 20), 5), [1.25, 1.29, 1.33], [(8, 10)], 1e-4, ""
-    # a ball without springs still hangs on its dashpots
-    yield uniform_lattice((4, 5), 0.0, 0.01), [0.001, 0.01, 0.3], [(1, 2)], 1e-4, ""
+        yield lattice, [0.5, 0.55, 1.3, 0.9, 0.9], sites, 1e-4, options
 
 
 @pytest.mark.parametrize(("lattice", "omegas", "sites", "tolerance", "options"), list(cases()))
