@@ -1,9 +1,9 @@
 """An independent, naive reference: dense matrices summed bond by bond, solved to extra digits.
 
-Nothing here comes from pgran but the arrays of bond constants. Systems are formed and residuals
-computed in extended precision (where the machine has it), corrections by a dense LU in double: so
-solutions are right to rounding, component by component, also where amplitudes are 1e-11. Where
-matrices are nearly singular, or amplitudes smaller than any double, there is elimination in mpmath.
+Nothing here comes from pgran but the arrays of bond constants. Residuals are computed in extended
+precision (where the machine has it), corrections by a dense LU in double: so solutions are right to
+rounding, component by component. Where matrices are nearly singular, or amplitudes smaller than any
+double, there is elimination in mpmath.
 """
 
 import math
@@ -61,18 +61,16 @@ class Reference:
                         self.drive_C[p] += 1
 
     def system(self, omega):
-        """S and f at a frequency, in extended precision."""
-        omega = np.longdouble(omega)
+        """S and f at a frequency, complex where s = i omega is, in extended precision."""
+        omega = np.clongdouble(omega)
         loss = 1j * omega * np.longdouble(self.damping)
         S = self.K + loss * self.C
-        S[np.diag_indices_from(S)] -= np.longdouble(self.mass) * omega**2
+        S[np.diag_indices_from(S)] -= np.longdouble(self.mass) * omega * omega
         return S, self.drive_K + loss * self.drive_C
 
-    def solve(self, omega, rhs=None):
-        """A with S A = f, or another right-hand side, in C order."""
+    def solve(self, omega):
+        """A with S A = f, in C order."""
         S, f = self.system(omega)
-        if rhs is not None:
-            f = rhs.astype(np.clongdouble)
         factors = lu_factor(S.astype(complex))
         x = np.zeros_like(f)
         for _ in range(6):
@@ -94,10 +92,9 @@ class Reference:
 
 
 def equations(stiffness, mass, damping, omega):
-    """Number the balls; return the numbers, and each row of S and f as {column: entry}.
+    """Number the balls, the longest axis outermost; return the numbers, and each row of S and f.
 
-    Entries have the digits that mpmath works with; f is the column after the last. The longest axis
-    is outermost, so that a row's columns are near each other.
+    A row is {column: entry with the digits that mpmath works with}; f is the column after the last.
     """
     shape = tuple(n - (a == 0) for a, n in enumerate(stiffness[0].shape))
     axes = np.argsort(shape, kind="stable")[::-1]
@@ -119,10 +116,7 @@ def equations(stiffness, mass, damping, omega):
 
 
 def exact_amplitudes(stiffness, mass, damping, omega, sites):
-    """A at some balls for the given doubles, to the digits that mpmath works with.
-
-    Sparse elimination with pivoting. Infinite where S is singular.
-    """
+    """A at some balls, to mpmath's digits, by sparse elimination; infinite where S is singular."""
     number, rows = equations(stiffness, mass, damping, omega)
     size = len(rows)
     reach = max(abs(n - column) for n, row in enumerate(rows) for column in row if column < size)
@@ -146,10 +140,9 @@ def exact_amplitudes(stiffness, mass, damping, omega, sites):
 
 
 def refined_field(stiffness, mass, damping, omega, steps=6):
-    """A as an array over the lattice, of numbers with as many digits as mpmath works with.
+    """A as an array over the lattice, to mpmath's digits, where S is not nearly singular.
 
-    A sparse factorization in double precision, refined by residuals with all digits: each step adds
-    about twelve of them, if S is not nearly singular.
+    A sparse factorization in double precision, refined: each step adds about twelve digits.
     """
     number, rows = equations(stiffness, mass, damping, omega)
     size = len(rows)
@@ -174,7 +167,7 @@ def refined_field(stiffness, mass, damping, omega, steps=6):
 
 
 def uniform_field(shape, stiffness, mass, damping, omega):
-    """A of a lattice whose bonds are all alike (fact 1 of physics.md), for 1 to 3 axes.
+    """A of a lattice whose bonds are all alike, for 1 to 3 axes.
 
     Along every axis but the first, sine waves that vanish at the walls; along the first, a wave
     that is 0 at one wall and 1 at the other.
@@ -202,7 +195,7 @@ def uniform_field(shape, stiffness, mass, damping, omega):
 
 
 def uniform_frequencies(shape, stiffness, mass):
-    """All eigenfrequencies of a lattice whose bonds are all alike (fact 2)."""
+    """All eigenfrequencies of a lattice whose bonds are all alike."""
     squares = np.zeros(1)
     for n in shape:
         axis = 2 - 2 * np.cos(np.arange(1, n + 1) * math.pi / (n + 1))
@@ -212,8 +205,7 @@ def uniform_frequencies(shape, stiffness, mass):
 
 def wavenumber_squared(box, omega):
     omega = mpf(float(omega))
-    drag = omega * mpf(box.damping)
-    return mpf(box.mass) * omega**2 / mpmath.mpc(box.stiffness, drag)
+    return mpf(box.mass) * omega**2 / mpmath.mpc(box.stiffness, omega * mpf(box.damping))
 
 
 def series_along_y(box, omega, x, y):
@@ -222,10 +214,8 @@ def series_along_y(box, omega, x, y):
     z, total, nu, bound = wavenumber_squared(box, omega), mpf(0), 1, mpf(1)
     while bound > 1e-25 or nu * mp.pi / ly < 2 * abs(z) ** 0.5:
         gamma = mpmath.sqrt((nu * mp.pi / ly) ** 2 - z)
-        term = (
-            mpmath.sin(nu * mp.pi * y / ly) / nu * mpmath.sinh(gamma * x) / mpmath.sinh(gamma * lx)
-        )
-        total += term
+        along = mpmath.sinh(gamma * x) / mpmath.sinh(gamma * lx)
+        total += mpmath.sin(nu * mp.pi * y / ly) / nu * along
         bound = abs(mpmath.exp(-gamma * (lx - x))) * y * (ly - y) * x / abs(total)
         nu += 2
     return 4 / mp.pi * total

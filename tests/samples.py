@@ -5,6 +5,7 @@ Bonds come from NumPy's default generator, not from pgran's laws.
 
 import contextlib
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,32 +48,15 @@ def uniform_lattice(shape, stiffness=0.25, damping=0.003, mass=1.0):
     return Lattice(bond_arrays(shape, lambda size: np.full(size, stiffness)), mass, damping)
 
 
-def paper_lattice(seed=0):
-    """20 x 20 balls at the paper's parameters."""
-    return random_lattice((20, 20), seed)
-
-
 def reference_of(lattice):
     """The dense reference of a lattice."""
     return Reference(lattice.stiffness, lattice.mass, lattice.damping)
 
 
-def skip_unless_ranks_fit(shape, comm):
-    """Skip a test where PETSc cannot cut so few balls among the ranks."""
-    if max(shape) < comm.size:
-        pytest.skip("fewer balls along every axis than ranks")
-
-
 def option_values(text):
     """The PETSc options of a text, `-key value -flag ...`, as a dictionary."""
-    found = {}
-    for word in text.split():
-        if word.startswith("-") and word[1].isalpha():
-            key = word[1:]
-            found[key] = ""
-        else:
-            found[key] = word
-    return found
+    words = re.split(r"(?:^|\s)-(?=[a-z])", text)[1:]
+    return {key: value for key, _, value in (word.partition(" ") for word in words)}
 
 
 def run_scene(options, world, journal=None):
@@ -84,7 +68,6 @@ def run_scene(options, world, journal=None):
 @contextlib.contextmanager
 def steady(lattice, sites, comm=MPI.COMM_SELF, tolerance=1e-4, **choices):
     """Yield the operators of a lattice, and the solver of its driven states."""
-    skip_unless_ranks_fit(lattice.shape, comm)
     sites = np.reshape(sites, (-1, len(lattice.shape))).astype(int)
     with (
         Operators(lattice, comm) as operators,
@@ -93,17 +76,12 @@ def steady(lattice, sites, comm=MPI.COMM_SELF, tolerance=1e-4, **choices):
         yield operators, solver
 
 
-def drive(solver, omega):
-    """The driven state at a frequency."""
-    return solver.solve(1j * float(omega))
-
-
 def solve(lattice, omegas, sites, comm=MPI.COMM_SELF, tolerance=1e-4, **choices):
     """The driven states at some frequencies, and the whole fields on rank 0 of `comm`."""
     states, fields = [], []
     with steady(lattice, sites, comm, tolerance, **choices) as (operators, solver):
         for omega in np.atleast_1d(omegas):
-            states.append(drive(solver, omega))
+            states.append(solver.solve(1j * omega))
             fields.append(operators.field(solver.field))
     return states, fields
 

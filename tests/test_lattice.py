@@ -1,12 +1,11 @@
 """Sites, bonds, walls and detectors."""
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 from reference import balls, bonds
-from samples import bond_arrays, random_lattice, reference_of, uniform_lattice
+from samples import bond_arrays, random_lattice, uniform_lattice
 
 from pgran.errors import InputError
 from pgran.physics.lattice import (
@@ -18,10 +17,7 @@ from pgran.physics.lattice import (
     check_frequency,
     detector_sites,
     driven_bonds,
-    spread,
-    stretch,
 )
-from pgran.physics.modes import restoring_forces
 
 SHAPES = [(1,), (9,), (1, 4), (3, 1, 2), (4, 5, 6)]
 
@@ -44,57 +40,34 @@ def test_shapes_counts_and_numbers(shape):
     assert list(zip(axes, map(tuple, places), strict=True)) == [row[:2] for row in table]
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_stretch_and_spread_are_adjoint(shape):
-    """t^T (B x) = (B^T t)^T x, and B^T diag(k) B is the K that is summed bond by bond."""
-    lattice, rng = random_lattice(shape), np.random.default_rng(1)
-    x = rng.standard_normal((3, *shape))
-    t = [rng.standard_normal((3, *k.shape)) for k in lattice.stiffness]
-    lengths = list(stretch(x, len(shape)))
-    left = sum(np.sum(a * b) for a, b in zip(t, lengths, strict=True))
-    assert left == pytest.approx(np.sum(spread(t) * x), rel=1e-12)
-    expected = x.reshape(3, -1) @ reference_of(lattice).K.astype(float)
-    found = restoring_forces(lattice.stiffness, x).reshape(3, -1)
-    assert np.abs(found - expected).max() < 1e-14
-
-
 def test_unit_of_frequency():
     """Paper: sqrt(4 Kmax / m), a ball held by its 4 springs; Kmax is the law's where it is known,
     else the largest constant."""
-    assert bond_count((20, 20)) == 840
     assert uniform_lattice((20, 20)).omega_mx == 1.0
     assert uniform_lattice((20, 20), 0.5, mass=2.0).omega_mx == 1.0
-    assert uniform_lattice((3,), 0.5).omega_mx == 1.0
     assert uniform_lattice((3, 3, 3), 1 / 6).omega_mx == pytest.approx(1.0, rel=1e-15)
-    stiffness = random_lattice((4, 5)).stiffness
-    assert Lattice(stiffness).kmax == max(k.max() for k in stiffness)
-    assert Lattice(stiffness, kmax=0.25).omega_mx == 1.0
+    lattice = random_lattice((4, 5))
+    assert lattice.omega_mx == 1.0 != Lattice(lattice.stiffness).omega_mx
+    assert Lattice(lattice.stiffness).kmax == lattice.constants.max()
 
 
 def test_arrays_are_frozen_and_the_callers_stay_writable():
     arrays = bond_arrays((3, 4), np.ones)
-    lattice = Lattice(arrays)
-    for k in lattice.stiffness:
+    for k in Lattice(arrays).stiffness:
         with pytest.raises(ValueError, match="read-only"):
             k[0, 0] = 2.0
     arrays[0][0, 0] = 1.0
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        lattice.mass = 2.0
 
 
 def test_checksum(world):
     """Depends on every single bond, on nothing else, and neither on memory's layout nor ranks."""
     stiffness = random_lattice((3, 4)).stiffness
-    first = Lattice(stiffness).bonds_sha256
-    assert set(world.allgather(first)) == {first}
-    assert Lattice(stiffness, 2.0, 0.1, 7.0).bonds_sha256 == first
-    assert Lattice(tuple(np.asfortranarray(k) for k in stiffness)).bonds_sha256 == first
-    seen = {first}
-    for axis, k in enumerate(stiffness):
-        for index in np.ndindex(k.shape):
-            changed = [a.copy() for a in stiffness]
-            changed[axis][index] = np.nextafter(changed[axis][index], 1)
-            seen.add(Lattice(tuple(changed)).bonds_sha256)
+    other = Lattice(tuple(np.asfortranarray(k) for k in stiffness), 2.0, 0.1, 7.0)
+    seen = {*world.allgather(Lattice(stiffness).bonds_sha256), other.bonds_sha256}
+    for axis, index, *_ in bonds((3, 4)):
+        changed = [a.copy() for a in stiffness]
+        changed[axis][index] = np.nextafter(changed[axis][index], 1)
+        seen.add(Lattice(tuple(changed)).bonds_sha256)
     assert len(seen) == 1 + bond_count((3, 4))
 
 
@@ -107,28 +80,13 @@ def test_impossible_shapes(shapes):
 
 @pytest.mark.parametrize("value", [-1e-300, math.nan, math.inf])
 def test_impossible_values(value):
-    for axis in (0, 1):
-        arrays = bond_arrays((3, 4), np.ones)
-        arrays[axis][1, 2] = value
-        with pytest.raises(InputError, match=f"stiffness_{'xy'[axis]}"):
-            Lattice(arrays)
+    arrays = bond_arrays((3, 4), np.ones)
+    arrays[1][1, 2] = value
+    with pytest.raises(InputError, match="stiffness_y"):
+        Lattice(arrays)
     for name, wrong in (("mass", value), ("mass", 0.0), ("damping", value)):
         with pytest.raises(InputError, match=f"lattice_{name}"):
             Lattice(bond_arrays((3, 4), np.ones), **{name: wrong})
-
-
-@pytest.mark.parametrize("scale", [1e-250, 0.3, 1e200])
-def test_own_unit(scale):
-    """The largest bond constant lies between 1 and 2, and nothing is rounded."""
-    lattice = random_lattice((4, 5), 1)
-    lattice = Lattice(tuple(scale * k for k in lattice.stiffness), scale, 0.01 * scale)
-    own, unit = lattice.in_own_unit()
-    assert 1 <= max(k.max() for k in own.stiffness) < 2
-    assert own.mass * unit == lattice.mass
-    assert own.damping * unit == lattice.damping
-    for scaled, k in zip(own.stiffness, lattice.stiffness, strict=True):
-        assert np.array_equal(scaled * unit, k)
-    assert own.omega_mx == pytest.approx(lattice.omega_mx, rel=1e-14)
 
 
 def test_units_that_do_not_fit_together_are_refused():
@@ -139,40 +97,25 @@ def test_units_that_do_not_fit_together_are_refused():
             Lattice(stiffness, *values).in_own_unit()
 
 
-@pytest.mark.parametrize(
-    ("omega", "mass", "damping", "stiffness"),
-    [
-        (1e80, 1, 0, 1),
-        (1e10, 1e300, 0, 1),
-        (1e100, 1, 1e100, 1),
-        (1, 1, 0, 1e308),
-        (1, 1e-310, 0, 1),
-    ],
-)
+HUGE = [(1e80, 1, 0, 1), (1e100, 1, 1e100, 1), (1, 1, 0, 1e308), (1, 1e-310, 0, 1)]
+
+
+@pytest.mark.parametrize(("omega", "mass", "damping", "stiffness"), HUGE)
 def test_numbers_too_large_are_refused(omega, mass, damping, stiffness):
     with pytest.raises(InputError, match="too large"):
         check_frequency(uniform_lattice((3, 2), stiffness, damping, mass), omega)
     check_frequency(uniform_lattice((3, 2)), 1e30)
 
 
-@pytest.mark.parametrize(
-    ("shape", "detectors", "sites"),
-    [
-        ((20, 20), (8, 10), [[8, 10]]),
-        ((20, 20), (8, 10, 3, 4), [[8, 10], [3, 4]]),
-        ((20, 20), [[0, 19], [19, 0]], [[0, 19], [19, 0]]),
-        ((5,), (0, 4), [[0], [4]]),
-        ((20, 20), (), "no balls"),
-        ((20, 20), (8, 10, 3), "no balls"),
-        ((20, 20, 20), (8, 10), "no balls"),
-        ((20, 20), (20, 0), "outside"),
-        ((20, 20), (-1, 0), "outside"),
-        ((4, 6), (1, 1, 3, 9), r"ball \(3, 9\) is outside the lattice of 4 x 6"),
-    ],
-)
-def test_detectors(shape, detectors, sites):
-    if isinstance(sites, list):
-        assert detector_sites(shape, detectors).tolist() == sites
-    else:
-        with pytest.raises(InputError, match=f"detectors: .*{sites}"):
-            detector_sites(shape, detectors)
+def test_detectors():
+    """Flat or a row each; balls that are not there are refused."""
+    assert detector_sites((20, 20), (8, 10, 3, 4)).tolist() == [[8, 10], [3, 4]]
+    assert detector_sites((20, 20), [[0, 19], [19, 0]]).tolist() == [[0, 19], [19, 0]]
+    for detectors, said in (
+        ((), "no balls"),
+        ((3, 4, 3), "no balls"),
+        ((-1, 0), "outside"),
+        ((1, 1, 3, 6), r"ball \(3, 6\) is outside the lattice of 4 x 6"),
+    ):
+        with pytest.raises(InputError, match=f"detectors: .*{said}"):
+            detector_sites((4, 6), detectors)
