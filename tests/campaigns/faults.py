@@ -41,7 +41,7 @@ SCENES = {
     "modes": "-scene modes -lattice_shape 36,36 -output_fields",
     "projection": "-scene projection -lattice_shape 20,20 -sweep_points 600",
     "window": "-scene relaxation -lattice_shape 20,20 -lattice_damping .01 -relax_steps 15000",
-    "krylov": "-scene relaxation -lattice_shape 20,20 -lattice_damping .01 "
+    "krylov": "-scene relaxation -lattice_shape 9,8 -detectors 3,3 -lattice_damping .01 "
     "-relax_steps 1500 -relax_trajectories 3 -relax_method krylov -relax_window 16",
 }
 
