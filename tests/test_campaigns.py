@@ -33,9 +33,11 @@ def own_environment(clean_environment, monkeypatch):
 
 def test_faults_do_no_harm(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    planted = [list(faults.FAULTS).index(kind) for kind in ("kill", "result")]
-    failed = faults.carry_out(faults.plant, planted) + faults.carry_out(faults.stop, [3])
-    assert failed == 0, capsys.readouterr().out
+    failed = faults.carry_out(faults.plant, [7, 10]) + faults.carry_out(faults.stop, [11])
+    said = capsys.readouterr().out
+    assert failed == 0, said
+    assert "1 kill, 1 result" in said
+    assert "SIGTERM" in said
 
 
 def test_the_fault_campaign_notices_what_is_wrong(tmp_path, monkeypatch, capsys):
@@ -78,22 +80,22 @@ def test_no_file_does_harm(tmp_path):
 
 @pytest.mark.filterwarnings("ignore:.*fork")  # the child does not wait for MPI's threads
 @pytest.mark.parametrize(
-    ("read", "verdict"),
+    ("read", "verdict", "seconds"),
     [
-        (lambda path: os.kill(os.getpid(), 9), "ended"),
-        (lambda path: time.sleep(99), "ended"),
-        (lambda path: 1 / 0, "untidy"),
-        (lambda path: ([len(6 * 10**8 * b"x") * np.zeros(2)], None), "memory"),
-        (lambda path: ([np.array([1.0, -1.0])], None), "wrong"),
+        (lambda path: os.kill(os.getpid(), 9), "ended", 30),
+        (lambda path: time.sleep(99), "ended", 1),
+        (lambda path: 1 / 0, "untidy", 30),
+        (lambda path: ([len(6 * 10**8 * b"x") * np.zeros(2)], None), "memory", 30),
+        (lambda path: ([np.array([1.0, -1.0])], None), "wrong", 30),
     ],
 )
-def test_fuzzing_notices(tmp_path, monkeypatch, capsys, read, verdict):
+def test_fuzzing_notices(tmp_path, monkeypatch, capsys, read, verdict, seconds):
     def make(folder, rng):
         (folder / "case.h5").write_bytes(b"no HDF5")
         return folder / "case.h5", False, (1,)
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(fuzz, "SECONDS", 2)
+    monkeypatch.setattr(fuzz, "SECONDS", seconds)
     monkeypatch.setattr(store, "read_stiffness", read)
     assert fuzz.campaign("bonds", make, fuzz.check_bonds, 1, 3) == 1
     assert f" 1 {verdict}" in capsys.readouterr().out

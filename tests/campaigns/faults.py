@@ -234,8 +234,7 @@ def plant(number):
     if fault.place == WRITTEN:
         who = cause
     said = str(job)
-    if cause.startswith("exited on signal") and "YOUR APPLICATION" in said:
-        # MPICH names no rank, but a signal, perhaps one that it sent itself.
+    if "YOUR APPLICATION" in said:  # MPICH names no rank, but a signal, perhaps one that it sent
         codes, cause, who = [fault.code - 128, 9, 15], "(signal ", "(signal "
     speakers = ("pgran", "mpirun", "YOUR APPLICATION")
     messages = [line for line in said.splitlines() if line.startswith(speakers)]
