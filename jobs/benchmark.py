@@ -4,8 +4,8 @@ Started by jobs/benchmark.sh on 2 ranks. While one rank measures, the other wait
 """
 
 import statistics
-import sys
 import time
+from functools import partial
 
 import mpi4py.MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 import petsc4py
@@ -32,11 +32,7 @@ WORLD = MPI.COMM_WORLD
 REPEATS = 5
 UNIFORM = BondLaw("uniform")
 # No pivoting: with it SymmetricMode fills in completely on these matrices.
-SPLU = {
-    "permc_spec": "MMD_AT_PLUS_A",
-    "diag_pivot_thresh": 0.0,
-    "options": {"SymmetricMode": True},
-}
+SPLU = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
 
 def laplacian(stiffness):
@@ -54,78 +50,97 @@ def laplacian(stiffness):
     return sp.csc_matrix((values, (rows, columns)))
 
 
-def scipy_sweep(lattice, omegas, site):
-    """Return the amplitudes as a careful user of SciPy computes them, and the seconds it took."""
-    started = time.perf_counter()
+def sweep_systems(lattice, omegas):
+    """Yield S and f at each frequency, K and C being summed up once."""
     K, C = laplacian(lattice.stiffness), laplacian([np.ones_like(k) for k in lattice.stiffness])
     identity = sp.identity(lattice.balls, format="csc")
-    wall = np.zeros(lattice.shape, dtype=complex)
-    detector = np.ravel_multi_index(site, lattice.shape)
-    amplitudes = []
     for omega in omegas:
         S = K + (1j * omega * lattice.damping) * C - (lattice.mass * omega**2) * identity
-        wall[-1] = lattice.stiffness[0][-1] + 1j * omega * lattice.damping
-        factor = splu(S, **SPLU)
-        amplitudes.append(factor.solve(wall.ravel())[detector])
-    return np.array(amplitudes), time.perf_counter() - started
+        yield S, drive(lattice, lattice.stiffness, omega)
 
 
-def pgran_sweep(lattice, omegas, site, comm):
-    """Return the response and the seconds it took, on rank 0 of `comm`."""
-    with Crew(comm, 1) as crew:
-        started = time.perf_counter()
-        response = sweep(lattice, omegas, site, crew)
-        return response, time.perf_counter() - started
-
-
-def scipy_relaxation(lattice, omega, site, changes):
-    """Return the amplitudes after each change, a fresh splu a step, and the seconds it took."""
-    started = time.perf_counter()
+def relaxation_systems(lattice, omega, changes):
+    """Yield S and f after each change of a bond."""
     stiffness = [k.copy() for k in lattice.stiffness]
-    C = laplacian([np.ones_like(k) for k in stiffness])
-    constant = (1j * omega * lattice.damping) * C
+    constant = (1j * omega * lattice.damping) * laplacian([np.ones_like(k) for k in stiffness])
     constant -= (lattice.mass * omega**2) * sp.identity(lattice.balls, format="csc")
-    wall = np.zeros(lattice.shape, dtype=complex)
-    detector = np.ravel_multi_index(site, lattice.shape)
     axes, places = bond_places(lattice.shape, changes.bond)
-    amplitudes = []
     for axis, place, value in zip(axes, places, changes.stiffness, strict=True):
         stiffness[axis][tuple(place)] = value
-        wall[-1] = stiffness[0][-1] + 1j * omega * lattice.damping
-        factor = splu((laplacian(stiffness) + constant).tocsc(), **SPLU)
-        amplitudes.append(factor.solve(wall.ravel())[detector])
-    return np.array(amplitudes), time.perf_counter() - started
+        yield (laplacian(stiffness) + constant).tocsc(), drive(lattice, stiffness, omega)
 
 
-def pgran_relaxation(lattice, omega, site, comm, **choices):
-    """Return the relaxation and the seconds it took, on rank 0 of `comm`."""
-    with Crew(comm, 1) as crew:
-        started = time.perf_counter()
-        found = relax(lattice, UNIFORM, omega, site, crew, **choices)
-        return found, time.perf_counter() - started
+def drive(lattice, stiffness, omega):
+    """Return f, which acts on the balls next to the driven wall."""
+    wall = np.zeros(lattice.shape, dtype=complex)
+    wall[-1] = stiffness[0][-1] + 1j * omega * lattice.damping
+    return wall.ravel()
 
 
-def in_turns(work, repeats):
-    """Return the last result and the median seconds of each kind of work, measured in turns.
+def by_scipy(lattice, site, systems):
+    """Return the amplitudes as a careful user of SciPy computes them, by a splu a system."""
+    detector = np.ravel_multi_index(site, lattice.shape)
+    return np.array([splu(S, **SPLU).solve(f)[detector] for S, f in systems])
 
-    `work` maps labels to pairs: on all ranks or on rank 0 alone, and what returns a result and its
-    seconds.
+
+def by_pgran(scene, *arguments, ranks=MPI.COMM_SELF, **choices):
+    """Return the record that a scene computes, on rank 0 of `ranks`."""
+    with Crew(ranks, 1) as crew:
+        return scene(*arguments, crew=crew, **choices)
+
+
+def solve_only(operators, omegas, site):
+    """Return the amplitudes by one factorization and one solve each."""
+    ksp, field, amplitudes = make_ksp(operators, operators.S), operators.f.duplicate(), []
+    ksp.setType("preonly")
+    ksp.setInitialGuessKnoll(False)
+    number = operators.numbers([site])[0]
+    for omega in omegas:
+        operators.combine(1j * omega)
+        ksp.setOperators(operators.S)
+        ksp.solve(operators.f, field)
+        amplitudes.append(field.getArray(readonly=True)[number])
+    ksp.destroy()
+    field.destroy()
+    return amplitudes
+
+
+def solve_with_bounds(operators, omegas, site):
+    """Return the same amplitudes with their bounds."""
+    with SteadySolver(operators, [site]) as solver:
+        return [solver.solve(1j * omega) for omega in omegas]
+
+
+def in_turns(work, repeats=REPEATS):
+    """Do each kind of work in turns; what is labelled "all" on all ranks, the rest on rank 0.
+
+    Parameters
+    ----------
+    work : dict
+        Functions without arguments.
+    repeats : int
+
+    Returns
+    -------
+    results, seconds : dict
+        What each has returned last, and its median seconds.
     """
     seconds, results = {label: [] for label in work}, {}
     for _ in range(repeats):
-        for label, (together, measure) in work.items():
+        for label, function in work.items():
             WORLD.Barrier()
-            if together or WORLD.rank == 0:
-                results[label], took = measure()
-                seconds[label].append(took)
+            if label == "all" or WORLD.rank == 0:
+                started = time.perf_counter()
+                results[label] = function()
+                seconds[label].append(time.perf_counter() - started)
     WORLD.Barrier()
-    return results, {k: statistics.median(v) for k, v in seconds.items() if v}
+    return results, {label: statistics.median(took) for label, took in seconds.items() if took}
 
 
-def say(*words):
+def say(text):
     """Print a line on rank 0."""
     if WORLD.rank == 0:
-        print(*words, flush=True)
+        print(text, flush=True)
 
 
 def lattice_of(side, damping=0.003):
@@ -134,61 +149,78 @@ def lattice_of(side, damping=0.003):
     return lattice, (side * 2 // 5, side // 2)
 
 
-def compare_sweeps(label, side, omegas, repeats):
-    """Measure one sweep in turns: SciPy, one rank, all ranks."""
-    lattice, site = lattice_of(side)
-    work = {
-        "scipy": (False, lambda: scipy_sweep(lattice, omegas, site)),
-        "alone": (False, lambda: pgran_sweep(lattice, omegas, site, MPI.COMM_SELF)),
-        "all": (True, lambda: pgran_sweep(lattice, omegas, site, WORLD)),
-    }
-    results, seconds = in_turns(work, repeats)
+def row(label, peer, error_of, scene, *arguments, **choices):
+    """Measure a scene against its peer, alone and on all ranks, and print a row of the table.
+
+    Parameters
+    ----------
+    label : str
+    peer : callable
+        Takes no arguments.
+    error_of : callable
+        Takes what the peer returns, and the record.
+    scene : callable
+        Called with the further arguments.
+    """
+    alone = partial(by_pgran, scene, *arguments, **choices)
+    results, seconds = in_turns({"peer": peer, "alone": alone, "all": partial(alone, ranks=WORLD)})
     if WORLD.rank == 0:
-        reference, response = results["scipy"], results["alone"]
-        error = np.max(np.abs(response.displacement[:, 0] - reference) / np.abs(reference))
-        row(label, seconds["scipy"], seconds["alone"], seconds["all"], error, response.failures)
+        first, one, shared = seconds.values()
+        error = error_of(results["peer"], results["alone"])
+        say(
+            f"{label:36} {first:8.3f} {one:8.3f} {shared:8.3f}   {first / one:6.2f} "
+            f"{first / shared:7.2f} {one / shared:6.2f}   {error:.1e} {results['alone'].failures}"
+        )
 
 
-def solve_only(lattice, omegas, site):
-    """Return the amplitudes by one factorization and one solve each, and the seconds it took."""
-    with Operators(lattice, MPI.COMM_SELF) as operators:
-        ksp, field, amplitudes = make_ksp(operators, operators.S), operators.f.duplicate(), []
-        ksp.setType("preonly")
-        ksp.setInitialGuessKnoll(False)
-        number = operators.numbers([site])[0]
-        started = time.perf_counter()
-        for omega in omegas:
-            operators.combine(1j * omega)
-            ksp.setOperators(operators.S)
-            ksp.solve(operators.f, field)
-            amplitudes.append(field.getArray(readonly=True)[number])
-        seconds = time.perf_counter() - started
-        ksp.destroy()
-        field.destroy()
-    return np.array(amplitudes), seconds
+def compare_sweeps(label, side, omegas):
+    """Measure a sweep against a splu a frequency."""
+    lattice, site = lattice_of(side)
+
+    def error_of(peer, found):
+        return np.max(np.abs(found.displacement[:, 0] - peer) / np.abs(peer))
+
+    def peer():
+        return by_scipy(lattice, site, sweep_systems(lattice, omegas))
+
+    row(label, peer, error_of, sweep, lattice, omegas, site)
 
 
-def solve_with_bounds(lattice, omegas, site):
-    """Return the same amplitudes with their bounds, and the seconds it took."""
-    with (
-        Operators(lattice, MPI.COMM_SELF) as operators,
-        SteadySolver(operators, [site]) as solver,
-    ):
-        started = time.perf_counter()
-        states = [solver.solve(1j * omega) for omega in omegas]
-        return states, time.perf_counter() - started
+def compare_all_modes(side):
+    """Measure all modes against NumPy's real eigh."""
+    lattice, _ = lattice_of(side, damping=0.0)
+    dense = laplacian(lattice.stiffness).toarray()
+
+    def error_of(peer, found):
+        return np.max(np.abs(found.omega - np.sqrt(peer[0])))
+
+    label = f"all modes of {side} x {side} (peer: eigh)"
+    row(label, lambda: np.linalg.eigh(dense), error_of, find_modes, lattice, shapes=True)
+
+
+def compare_interval(side, low, high):
+    """Measure the modes of an interval against SciPy's eigsh with sigma in its middle."""
+    lattice, _ = lattice_of(side, damping=0.0)
+    K, sigma, interval = laplacian(lattice.stiffness), 0.5 * (low**2 + high**2), (low, high)
+    count = len(by_pgran(find_modes, lattice, interval=interval).omega)
+
+    def error_of(peer, found):
+        values = np.sqrt(peer[0])
+        return max(np.min(np.abs(values - omega)) for omega in found.omega[10:-10])
+
+    label, peer = f"{count} modes of {side} x {side} (peer: eigsh)", partial(eigsh, K, count)
+    row(label, partial(peer, sigma=sigma), error_of, find_modes, lattice, interval=interval)
 
 
 def compare_bounds(side, omegas, repeats):
     """Measure what adjoint, residuals and bound add to factoring and solving."""
     lattice, site = lattice_of(side)
-    work = {
-        "solve": (False, lambda: solve_only(lattice, omegas, site)),
-        "bound": (False, lambda: solve_with_bounds(lattice, omegas, site)),
-    }
-    results, seconds = in_turns(work, repeats)
+    with Operators(lattice, MPI.COMM_SELF) as operators:
+        functions = {"alone": solve_only, "bound": solve_with_bounds}
+        work = {label: partial(f, operators, omegas, site) for label, f in functions.items()}
+        results, seconds = in_turns(work, repeats)
     if WORLD.rank == 0:
-        plain, bound = (1e3 * seconds[label] / len(omegas) for label in work)
+        plain, bound = (1e3 * took / len(omegas) for took in seconds.values())
         proven = max(s.error_bound[0] / abs(s.displacement[0]) for s in results["bound"])
         say(
             f"{side} x {side}: {plain:.3f} ms a frequency alone, {bound:.3f} with a bound, "
@@ -196,107 +228,25 @@ def compare_bounds(side, omegas, repeats):
         )
 
 
-def compare_all_modes(side, repeats):
-    """Measure all modes against NumPy's real eigh."""
-    lattice, _ = lattice_of(side, damping=0.0)
-    dense = laplacian(lattice.stiffness).toarray()
-    work = {
-        "numpy": (False, lambda: timed(np.linalg.eigh, dense)),
-        "alone": (False, lambda: pgran_modes(lattice, MPI.COMM_SELF, shapes=True)),
-        "all": (True, lambda: pgran_modes(lattice, WORLD, shapes=True)),
-    }
-    results, seconds = in_turns(work, repeats)
-    if WORLD.rank == 0:
-        values, modes = results["numpy"][0], results["alone"]
-        error = np.max(np.abs(modes.omega - np.sqrt(values)))
-        label = f"all modes of {side} x {side} (peer: eigh)"
-        row(label, seconds["numpy"], seconds["alone"], seconds["all"], error, modes.failures)
-
-
-def compare_interval(side, low, high, repeats):
-    """Measure the modes of an interval against SciPy's eigsh with sigma in its middle."""
-    lattice, _ = lattice_of(side, damping=0.0)
-    K = laplacian(lattice.stiffness)
-    count = WORLD.bcast(len(pgran_modes(lattice, MPI.COMM_SELF, interval=(low, high))[0].omega))
-    sigma = 0.5 * (low**2 + high**2)
-    work = {
-        "scipy": (False, lambda: timed(eigsh, K, k=count, sigma=sigma)),
-        "alone": (False, lambda: pgran_modes(lattice, MPI.COMM_SELF, interval=(low, high))),
-        "all": (True, lambda: pgran_modes(lattice, WORLD, interval=(low, high))),
-    }
-    results, seconds = in_turns(work, repeats)
-    if WORLD.rank == 0:
-        values, modes = np.sqrt(results["scipy"][0]), results["alone"]
-        common = [np.min(np.abs(values - omega)) for omega in modes.omega[10:-10]]
-        label = f"{count} modes of {side} x {side} (peer: eigsh)"
-        row(label, seconds["scipy"], seconds["alone"], seconds["all"], max(common), modes.failures)
-
-
-def compare_relaxations(side, steps, peer_steps, methods, repeats):
-    """Measure the price of a step by each method against a splu a step."""
-    lattice, site = lattice_of(side, damping=0.01)
-    if side > 20:
-        site = (side - 10, side // 2)
-    omega = 0.6
+def compare_relaxations(side, steps, peer_steps, repeats):
+    """Measure the price of a step by each method on one rank against a splu a step."""
+    lattice, (x, y) = lattice_of(side, damping=0.01)
+    site = (x if side == 20 else side - 10, y)
     changes = draw_changes(UNIFORM, lattice.shape, 1, 0, 0, peer_steps)
-    work = {"scipy": (False, lambda: scipy_relaxation(lattice, omega, site, changes))}
-    for method in methods:
-        choices = {"steps": steps[method], "method": method}
-        work[method] = (
-            False,
-            lambda choices=choices: pgran_relaxation(
-                lattice, omega, site, MPI.COMM_SELF, **choices
-            ),
-        )
+    work = {"splu": lambda: by_scipy(lattice, site, relaxation_systems(lattice, 0.6, changes))}
+    for method, many in steps.items():
+        choices = {"steps": many, "method": method}
+        work[method] = partial(by_pgran, relax, lattice, UNIFORM, 0.6, site, **choices)
     results, seconds = in_turns(work, repeats)
-    if WORLD.rank == 0:
-        peer = seconds["scipy"] / peer_steps
-        for method in methods:
-            price = seconds[method] / steps[method]
-            found = results[method].displacement[0, 1 : peer_steps + 1, 0]
-            reference = results["scipy"][: len(found)]
-            error = np.max(np.abs(found - reference) / np.abs(reference))
-            print(
-                f"{side} x {side}, {method:8} {1e3 * peer:10.3f} {1e3 * price:10.4f}   "
-                f"{peer / price:7.1f}   {error:.1e}",
-                flush=True,
-            )
-
-
-def compare_trajectories(repeats):
-    """Measure four trajectories on one rank and on all."""
-    lattice, site = lattice_of(20, damping=0.01)
-    choices = {"steps": 5000, "trajectories": 4}
-    work = {
-        "alone": (False, lambda: pgran_relaxation(lattice, 0.6, site, MPI.COMM_SELF, **choices)),
-        "all": (True, lambda: pgran_relaxation(lattice, 0.6, site, WORLD, **choices)),
-    }
-    _, seconds = in_turns(work, repeats)
-    if WORLD.rank == 0:
-        ratio = seconds["alone"] / seconds["all"]
-        say(f"4 trajectories of 5000 steps: {WORLD.size} ranks {ratio:.2f} times faster than 1")
-
-
-def pgran_modes(lattice, comm, **choices):
-    """Return the modes and the seconds they took, on rank 0 of `comm`."""
-    with Crew(comm, 1) as crew:
-        return timed(find_modes, lattice, crew, **choices)
-
-
-def timed(function, *arguments, **choices):
-    """Return what a function returns, and the seconds it took."""
-    started = time.perf_counter()
-    found = function(*arguments, **choices)
-    return found, time.perf_counter() - started
-
-
-def row(label, peer, alone, shared, error, failures):
-    """Print a row of the table."""
-    print(
-        f"{label:36} {peer:8.3f} {alone:8.3f} {shared:8.3f}   {peer / alone:6.2f} "
-        f"{peer / shared:7.2f} {alone / shared:6.2f}   {error:.1e} {failures}",
-        flush=True,
-    )
+    for method, many in steps.items() if WORLD.rank == 0 else ():
+        peer, price = seconds["splu"] / peer_steps, seconds[method] / many
+        found = results[method].displacement[0, 1 : peer_steps + 1, 0]
+        reference = results["splu"][: len(found)]
+        error = np.max(np.abs(found - reference) / np.abs(reference))
+        say(
+            f"{side} x {side}, {method:8} {1e3 * peer:10.3f} {1e3 * price:10.4f}   "
+            f"{peer / price:7.1f}   {error:.1e}"
+        )
 
 
 def main():
@@ -308,25 +258,20 @@ def main():
         f"{'1/all':>6}   largest difference, failures"
     )
     paper = np.linspace(0.01, 1.3, 1291)
-    compare_sweeps("sweep 20 x 20, the paper's 1291", 20, paper, REPEATS)
-    compare_sweeps("sweep 60 x 60, 128 frequencies", 60, np.linspace(0.01, 1.0, 128), REPEATS)
-    compare_sweeps("sweep 200 x 200, 16 frequencies", 200, np.linspace(0.05, 0.5, 16), REPEATS)
+    compare_sweeps("sweep 20 x 20, the paper's 1291", 20, paper)
+    compare_sweeps("sweep 60 x 60, 128 frequencies", 60, np.linspace(0.01, 1.0, 128))
+    compare_sweeps("sweep 200 x 200, 16 frequencies", 200, np.linspace(0.05, 0.5, 16))
+    compare_all_modes(20)
+    compare_all_modes(40)
+    compare_interval(100, 0.5, 0.518)
     say("\nwhat error bounds cost, one rank")
     compare_bounds(20, paper[::4], 2 * REPEATS)
     compare_bounds(200, np.linspace(0.05, 0.5, 4), REPEATS)
-    say("")
-    compare_all_modes(20, REPEATS)
-    compare_all_modes(40, REPEATS)
-    compare_interval(100, 0.5, 0.518, REPEATS)
-    say("\nrelaxation, ms a step on one rank\n" + f"{'':18} {'splu':>12} {'pgran':>10}   ratio")
-    steps = {"window": 20000, "krylov": 2000, "direct": 2000}
-    compare_relaxations(20, steps, 500, list(steps), REPEATS)
-    steps = {"window": 4096, "krylov": 200, "direct": 200}
-    compare_relaxations(60, steps, 60, list(steps), 3)
-    steps = {"window": 512, "krylov": 16, "direct": 16}
-    compare_relaxations(200, steps, 8, list(steps), 3)
-    compare_trajectories(REPEATS)
+    say(f"\nrelaxation, ms a step on one rank\n{'':18} {'splu':>12} {'pgran':>10}   ratio")
+    compare_relaxations(20, {"window": 20000, "krylov": 2000, "direct": 2000}, 500, REPEATS)
+    compare_relaxations(60, {"window": 4096, "krylov": 200, "direct": 200}, 60, 3)
+    compare_relaxations(200, {"window": 512, "krylov": 16, "direct": 16}, 8, 3)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -41,33 +41,29 @@ def batch(clean_environment, tmp_path):
     return start
 
 
-def wait_for(path, size):
-    deadline = time.monotonic() + 30
-    while time.monotonic() < deadline:
-        if path.exists() and path.stat().st_size > size:
-            return
-        time.sleep(0.01)
-    pytest.fail(f"no {path}")
+def ended(job):
+    """What it said in all, once it has ended."""
+    return job.communicate(timeout=60)[0]
 
 
 def test_a_batch_job_goes_back_into_the_queue_and_goes_on(batch, tmp_path):
-    job = batch()
-    wait_for(tmp_path / "b.h5.unfinished", 5000)
+    job, journal, deadline = batch(), tmp_path / "b.h5.unfinished", time.monotonic() + 30
+    while not (journal.exists() and journal.stat().st_size > 5000):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
     job.send_signal(signal.SIGUSR1)
-    said = job.communicate(timeout=60)[0]
-    assert job.returncode == 75, said
-    assert "stopped by SIGUSR1" in said
+    assert "stopped by SIGUSR1" in ended(job)
+    assert job.returncode == 75
     assert (tmp_path / "requeued").read_text() == "requeue 17\n"
     assert not (tmp_path / "b.h5").exists()
 
     job = batch(PGRAN_LAUNCH="srun")
-    said = job.communicate(timeout=60)[0]
-    assert job.returncode == 0, said
-    assert "going on from there" in said
-    assert not (tmp_path / "b.h5.unfinished").exists()
+    assert "going on from there" in ended(job)
+    assert job.returncode == 0
+    assert not journal.exists()
 
     job = batch()
-    assert job.communicate(timeout=60)[0] == "b.h5 is there already: nothing to do\n"
+    assert ended(job) == "b.h5 is there already: nothing to do\n"
     assert job.returncode == 0
     assert (tmp_path / "requeued").read_text() == "requeue 17\n"
 
@@ -76,6 +72,6 @@ def test_a_batch_job_goes_back_into_the_queue_and_goes_on(batch, tmp_path):
 def test_a_batch_job_that_gets_nowhere_is_not_put_back(batch, tmp_path, code, said):
     (tmp_path / "bin" / "pgran").write_text(f"#!/usr/bin/env bash\nexit {code}\n")
     job = batch()
-    assert said in job.communicate(timeout=60)[0]
+    assert said in ended(job)
     assert job.returncode == code
     assert not (tmp_path / "requeued").exists()

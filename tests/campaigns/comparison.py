@@ -11,38 +11,28 @@ from pathlib import Path
 sys.path.append(str(Path(__file__).parents[1]))
 
 import numpy as np
-from mpmath import mp
+from campaigns.random_sweeps import points, report
 from reference import refined_field
-from samples import swept
+from samples import Case
 
+from pgran.physics.bondlaw import BondLaw
 from pgran.physics.lattice import Lattice
 
 
-def report(shape, site, stride):
-    """Print how many bounds are broken, and how sharp the others are."""
-    lattice = Lattice.random(shape)
-    found = swept(lattice, np.linspace(0.01, 1.3, 1291), site)
-    some = slice(None, None, stride)
-    bound, wrong, size = found.error_bound[some, 0], [], []
-    with mp.workdps(60):
-        for omega, amplitude in zip(found.omega[some], found.displacement[some, 0], strict=True):
-            exact = refined_field(lattice.stiffness, lattice.mass, lattice.damping, omega)[site]
-            wrong.append(float(abs(mp.mpmathify(complex(amplitude)) - exact)))
-            size.append(float(abs(exact)))
-    wrong, size = np.array(wrong), np.array(size)
-    relative = ~(found.at_floor[some, 0] > 0)
-    print(
-        f"{shape}, ball {site}: {found.failures} of {len(found.omega)} marked, "
-        f"{np.count_nonzero(found.at_floor)} at the floor; of {len(bound)} compared "
-        f"{np.count_nonzero(wrong > bound)} bounds are broken; smallest |A| {size.min():.1e}, "
-        f"largest relative error {np.max((wrong / size)[relative]):.1e}; "
-        f"bound / error: median {np.median(bound / wrong):.3g}",
-        flush=True,
-    )
+def refined(stiffness, mass, damping, omega, sites):
+    """The amplitudes at some balls, by a method for larger lattices."""
+    field = refined_field(stiffness, mass, damping, omega)
+    return [field[tuple(site)] for site in sites]
 
 
 if __name__ == "__main__":
-    report((31,), (8,), 1)
-    report((100,), (8,), 1)
-    for side in (40, 60):
-        report((side, side), (8, 10), int(sys.argv[1]))
+    for shape, stride in (
+        ((31,), 1),
+        ((100,), 1),
+        ((40, 40), sys.argv[1]),
+        ((60, 60), sys.argv[1]),
+    ):
+        lattice = Lattice(BondLaw("uniform").draw(shape, 1993), kmax=0.25)
+        site, omegas = np.array([(8, 10)[: len(shape)]]), np.linspace(0.01, 1.3, 1291)
+        case = Case(1993, lattice, omegas, site, "default", 1e-4, 1e-20, 60)
+        report(str(shape), points(case, refined, int(stride)))

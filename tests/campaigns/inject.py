@@ -3,7 +3,7 @@
     python tests/campaigns/inject.py PLACE STATEMENT RANK TURN run FILE [-key value ...]
 
 pgran itself knows nothing of this: on that rank a Python statement is executed at the TURN-th call
-of a function, whose `arguments` it may use. PLACE says when and which: `before` or `after`
+of a function, whose `arguments` it may use. PLACE says when and which: `before`
 `pgran.files.store:write`, or `within` what `Crew.share` is given to do. The file `fault` in the
 working directory tells when it happened. A name that pgran no longer has ends the run.
 """
@@ -17,7 +17,6 @@ from pgran import __main__ as program
 from pgran.parallel import launch
 
 UNIT = "within pgran.parallel.crew:Crew.share"
-SOLVE = "before pgran.solve.steady:SteadySolver.solve"
 LATTICE = "before pgran.physics.lattice:Lattice.__init__"
 RECORD = "before pgran.parallel.journal:Journal.write"
 RESULT = "before pgran.files.store:write"
@@ -25,15 +24,7 @@ OPENED = "before pgran.parallel.journal:Journal.__enter__"
 
 
 def words(place, statement, rank=0, turn=1):
-    """Return what takes the place of `-m pgran` in a command.
-
-    Parameters
-    ----------
-    place, statement : str
-        Where the fault is planted, and what is executed there.
-    rank, turn : int
-        On which rank, and at which of its calls.
-    """
+    """Return what takes the place of `-m pgran` in a command."""
     return [str(Path(__file__).resolve()), place, statement, str(rank), str(turn)]
 
 
@@ -41,24 +32,20 @@ def plant(place, strike):
     """Call `strike` with the arguments of each call of the function that a place names."""
     when, name = place.split()
     module, _, path = name.partition(":")
-    *owners, last = path.split(".")
-    owner = importlib.import_module(module)
-    for part in owners:
-        owner = getattr(owner, part)
-    original = getattr(owner, last)
+    owner, _, last = path.rpartition(".")
+    home = importlib.import_module(module)
+    home = getattr(home, owner) if owner else home
+    original = getattr(home, last)
 
     def struck(*arguments, **keywords):
         if when == "before":
             strike(arguments)
-        if when == "within":
-            crew, units, work, *rest = arguments
-            arguments = (crew, units, lambda unit: strike(unit) or work(unit), *rest)
-        value = original(*arguments, **keywords)
-        if when == "after":
-            strike(arguments)
-        return value
+        else:
+            crew, task, work, *rest = arguments
+            arguments = (crew, task, lambda unit: strike(unit) or work(unit), *rest)
+        return original(*arguments, **keywords)
 
-    setattr(owner, last, struck)
+    setattr(home, last, struck)
 
 
 def main(place, statement, rank, turn, *words):
