@@ -56,7 +56,7 @@ def reference_of(lattice):
 def option_values(text):
     """The PETSc options of a text, `-key value -flag ...`, as a dictionary."""
     words = re.split(r"(?:^|\s)-(?=[a-z])", text)[1:]
-    return {key: value for key, _, value in (word.partition(" ") for word in words)}
+    return {key: value.strip() for key, _, value in (word.partition(" ") for word in words)}
 
 
 def run_scene(options, world, journal=None):

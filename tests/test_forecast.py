@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from petsc4py import PETSc
-from samples import drive, random_lattice, steady
+from samples import random_lattice, steady
 
 from pgran import machine
 from pgran.command import forecast
@@ -38,7 +38,7 @@ def foreseen(world, options):
 @pytest.mark.parametrize("shape", [(100,), (10, 1000), (6, 6, 6)])
 def test_entries_of_a_factor(shape):
     with steady(random_lattice(shape), [[n // 2 for n in shape]]) as (_, solver):
-        drive(solver, 0.5)
+        solver.solve(0.5j)
         found = solver.factor.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
     assert found / 1.7 < forecast.dissection(shape) < found * 1.7
 

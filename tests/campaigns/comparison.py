@@ -15,7 +15,6 @@ from campaigns.random_sweeps import points, report
 from reference import refined_field
 from samples import Case
 
-from pgran.physics.bondlaw import BondLaw
 from pgran.physics.lattice import Lattice
 
 
@@ -32,7 +31,7 @@ if __name__ == "__main__":
         ((40, 40), sys.argv[1]),
         ((60, 60), sys.argv[1]),
     ):
-        lattice = Lattice(BondLaw("uniform").draw(shape, 1993), kmax=0.25)
+        lattice = Lattice.random(shape)
         site, omegas = np.array([(8, 10)[: len(shape)]]), np.linspace(0.01, 1.3, 1291)
         case = Case(1993, lattice, omegas, site, "default", 1e-4, 1e-20, 60)
         report(str(shape), points(case, refined, int(stride)))

@@ -272,7 +272,7 @@ def check_bonds(path, of_result, shape):
         store.load(path)
         if not of_result:
             return "load accepted what is no result"
-    stiffness, kmax = store.read_stiffness(path)
+    stiffness, kmax = read_bonds(path)
     found = tuple(n - (axis == 0) for axis, n in enumerate(np.shape(stiffness[0])))
     if found != (shape or found) or len(found) != len(stiffness) or min(found) < 1:
         return f"accepted {len(stiffness)} arrays for {found} balls"

@@ -51,7 +51,7 @@ def main(steps):
     places = ((30,), [[14]]), ((7, 6), [[3, 2]]), ((4, 3, 4), [[1, 1, 2]])
     print("largest relative error at 200 random steps, drift, steps that miss their accuracy")
     for (shape, sites), beta, name in product(places, (1e-4, 1e-2, 1.0), laws):
-        lattice = Lattice(laws[name].draw(shape, 5), damping=beta, kmax=0.25)
+        lattice = Lattice.random(shape, 5, laws[name], damping=beta)
         run = relaxed(lattice, sites, law=laws[name], omega=0.6, steps=steps)
         good = np.flatnonzero(np.isfinite(run.displacement[0, :, 0]))
         worst = largest_error(lattice, run, np.random.default_rng(1).choice(good, 200, False))
