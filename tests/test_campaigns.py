@@ -18,7 +18,6 @@ import pytest
 from campaigns import faults, fuzz, stability
 from mpi4py import MPI
 
-from pgran.files import store
 from pgran.parallel.journal import Journal
 
 
@@ -96,7 +95,7 @@ def test_fuzzing_notices(tmp_path, monkeypatch, capsys, read, verdict, seconds):
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(fuzz, "SECONDS", seconds)
-    monkeypatch.setattr(store, "read_stiffness", read)
+    monkeypatch.setattr(fuzz, "read_bonds", read)
     assert fuzz.campaign("bonds", make, fuzz.check_bonds, 1, 3) == 1
     assert f" 1 {verdict}" in capsys.readouterr().out
     assert (tmp_path / "results" / "fuzz" / "bonds-3-0.h5").read_bytes() == b"no HDF5"

@@ -31,6 +31,7 @@ from pgran.errors import PgranError
 from pgran.files import hdf5, store
 from pgran.files.reading import read_file
 from pgran.physics.lattice import bond_shape
+from pgran.scenes.common import read_bonds
 
 SECONDS = 30  # for one case; a real run is given twice as long
 MEMORY, ADDRESSES = 500 * 10**6, 2 * 2**30  # bytes: what may be used, and what there is
