@@ -11,6 +11,12 @@ import numpy as np
 from pgran.record import SPACE, MisfitError, Record, array, attribute_array
 from pgran.record import Result as Result
 
+# What more than one record holds.
+DETECTOR = "indices of the detecting balls"
+PHASE = "phase, unwrapped along omega; without damping 0 or pi"
+BOUND = "bound of the error of the displacement; NaN: none is known"
+FLOOR = "1: the bound is below error_floor, but not small against the amplitude"
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LatticeRecord(Record):
@@ -74,26 +80,16 @@ class Response(Record):
     phase_fit_min: float
     phase_fit_max: float
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
-    detector: np.ndarray = array(
-        "indices of the detecting balls", "1", "detector_number", "axis", dtype=int
-    )
+    detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, convention exp(+i omega t)",
         "1", "omega", "detector_number", dtype=complex,
     )  # fmt: skip
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega", "detector_number")
-    phase: np.ndarray = array(
-        "phase, unwrapped along omega; without damping 0 or pi", "rad", "omega", "detector_number"
-    )
+    phase: np.ndarray = array(PHASE, "rad", "omega", "detector_number")
     backward_error: np.ndarray = array("normwise backward error of the field", "1", "omega")
-    error_bound: np.ndarray = array(
-        "bound of the error of the displacement; NaN: none is known",
-        "1", "omega", "detector_number",
-    )  # fmt: skip
-    at_floor: np.ndarray = array(
-        "1: the bound is below error_floor, but not small against the amplitude",
-        "1", "omega", "detector_number", dtype=np.int8, since=2,
-    )  # fmt: skip
+    error_bound: np.ndarray = array(BOUND, "1", "omega", "detector_number")
+    at_floor: np.ndarray = array(FLOOR, "1", "omega", "detector_number", dtype=np.int8, since=2)
     iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega", dtype=int)
     converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
     field: np.ndarray | None = array(
@@ -192,21 +188,15 @@ class Relaxation(Record):
         "its index into that axis's stiffness", "1", "trajectory", "step", "axis", dtype=int
     )
     stiffness: np.ndarray = array("its new constant", "k", "trajectory", "step")
-    detector: np.ndarray = array(
-        "indices of the detecting balls", "1", "detector_number", "axis", dtype=int
-    )
+    detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, entry 0 before any change",
         "1", "trajectory", "state", "detector_number", dtype=complex,
     )  # fmt: skip
-    error_bound: np.ndarray = array(
-        "bound of the error of the displacement; NaN: none is known",
-        "1", "trajectory", "state", "detector_number", since=2,
-    )  # fmt: skip
+    error_bound: np.ndarray = array(BOUND, "1", "trajectory", "state", "detector_number", since=2)
     at_floor: np.ndarray = array(
-        "1: the bound is below error_floor, but not small against the amplitude",
-        "1", "trajectory", "state", "detector_number", dtype=np.int8, since=2,
-    )  # fmt: skip
+        FLOOR, "1", "trajectory", "state", "detector_number", dtype=np.int8, since=2
+    )
 
     @property
     def amplitude(self):
@@ -263,9 +253,7 @@ class ContinuumResponse(Record):
         "1", "omega", dtype=complex,
     )  # fmt: skip
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega")
-    phase: np.ndarray = array(
-        "phase, unwrapped along omega; without damping 0 or pi", "rad", "omega"
-    )
+    phase: np.ndarray = array(PHASE, "rad", "omega")
     resonance: np.ndarray = array("driven resonances, angular", "sqrt(K0/m)/length")
 
 
