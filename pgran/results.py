@@ -46,8 +46,7 @@ class LatticeRecord(Record):
     @property
     def stiffness(self):
         """The constants of the bonds, an array for each axis, as `Lattice` takes them."""
-        arrays = self.stiffness_x, self.stiffness_y, self.stiffness_z
-        return arrays[: len(self.shape)]
+        return (self.stiffness_x, self.stiffness_y, self.stiffness_z)[: len(self.shape)]
 
     @property
     def axes(self):
