@@ -52,24 +52,8 @@ def attribute_array(*along):
     return dataclasses.field(metadata={"along": along, "dtype": float})
 
 
-def run_fact():
-    """Declare a plain value that is an attribute of the whole file."""
-    return dataclasses.field(metadata={"of_run": True})
-
-
 def axes_of(item, dimensions):
-    """Return the name of each axis of an array that a field declares. Not collective.
-
-    Parameters
-    ----------
-    item : dataclasses.Field
-    dimensions : int
-        Axes of the lattice.
-
-    Returns
-    -------
-    list of str
-    """
+    """Return the name of each axis of a field's array in a lattice of so many. Not collective."""
     names, space = [], SPACE[:dimensions]
     for axis in item.metadata.get("along") or item.metadata["axes"] or (item.name,):
         if axis == "balls":
@@ -87,15 +71,7 @@ def dimensions_of(item, value):
 
 
 def plain_value(item, value):
-    """Return an attribute of a file as the type that a field declares.
-
-    Not collective.
-
-    Raises
-    ------
-    MisfitError
-        If it is none.
-    """
+    """Return an attribute of a file as its field's type, or raise a MisfitError. Not collective."""
     many = item.type not in (int, float, bool, str)
     dtype = item.metadata.get("dtype") or (*get_args(item.type), item.type)[0]
     kinds, called = KINDS[np.dtype(dtype).kind]
@@ -118,29 +94,16 @@ class Record:
 
     group = None
 
-    def arrays(self):
-        """Yield each array that is declared and there, and the field that declares it."""
-        for item in dataclasses.fields(self):
-            value = getattr(self, item.name)
-            if {"axes", "along"} & set(item.metadata) and value is not None:
-                yield item, value
-
     def check(self, lattice_axes):
-        """Raise unless every array has the axes declared for it, each as long everywhere.
+        """Raise a MisfitError unless every array has its declared axes, each as long everywhere.
 
-        Not collective.
-
-        Parameters
-        ----------
-        lattice_axes : dict
-            How long the axes of the lattice are, by name; empty without a lattice.
-
-        Raises
-        ------
-        MisfitError
+        Not collective. `lattice_axes` are the lengths of the lattice's axes by name.
         """
         lengths = dict(lattice_axes)
-        for item, value in self.arrays():
+        for item in dataclasses.fields(self):
+            value = getattr(self, item.name)
+            if value is None or not {"axes", "along"} & set(item.metadata):
+                continue
             names = axes_of(item, lengths.get("axis", 0))
             known = zip(names, value.shape, strict=False)
             shape = tuple(lengths.setdefault(name, size) for name, size in known)
@@ -151,12 +114,7 @@ class Record:
     def to_xarray(self):
         """Return the record as an xarray.Dataset: coordinates, units and long names.
 
-        Not collective. Plain values are its attributes.
-
-        Raises
-        ------
-        PgranError
-            If there is no xarray.
+        Not collective. Plain values are its attributes. A PgranError says if there is no xarray.
         """
         try:
             import xarray
@@ -168,14 +126,12 @@ class Record:
         variables, attributes = {}, {}
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
-            if value is None:
-                continue
             if "axes" not in item.metadata:
                 attributes[item.name] = value
-                continue
-            names = axes_of(item, dimensions_of(item, value))
-            said = {key: item.metadata[key] for key in ("units", "long_name")}
-            variables[item.name] = xarray.Variable(names, value, said)
+            elif value is not None:
+                names = axes_of(item, dimensions_of(item, value))
+                said = {key: item.metadata[key] for key in ("units", "long_name")}
+                variables[item.name] = xarray.Variable(names, value, said)
         return xarray.Dataset(variables, attrs=attributes)
 
     def __repr__(self):
@@ -203,14 +159,9 @@ class Result:
     Parameters
     ----------
     records : iterable of Record
+        Kept in the dictionary `records` by group.
     **attributes
-        Texts and numbers.
-
-    Attributes
-    ----------
-    records : dict
-        The records by group.
-    attributes : dict
+        Texts and numbers, kept in the dictionary `attributes`.
     """
 
     def __init__(self, records, /, **attributes):

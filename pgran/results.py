@@ -4,12 +4,18 @@
 as datasets, plain values as attributes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgran.record import SPACE, MisfitError, Record, array, attribute_array, run_fact
+from pgran.record import SPACE, MisfitError, Record, array, attribute_array
 from pgran.record import Result as Result
+
+# What more than one record holds.
+DETECTOR = "indices of the detecting balls"
+PHASE = "phase, unwrapped along omega; without damping 0 or pi"
+BOUND = "bound of the error of the displacement; NaN: none is known"
+FLOOR = "1: the bound is below error_floor, but not small against the amplitude"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -21,7 +27,7 @@ class LatticeRecord(Record):
     mass: float
     damping: float
     omega_mx: float
-    bonds_sha256: str = run_fact()
+    bonds_sha256: str = field(metadata={"of_run": True})  # an attribute of the whole file
     stiffness_x: np.ndarray = array("constants of the bonds along x", "k", "bonds_x")
     stiffness_y: np.ndarray | None = array(
         "constants of the bonds along y", "k", "bonds_y", optional=True
@@ -40,8 +46,7 @@ class LatticeRecord(Record):
     @property
     def stiffness(self):
         """The constants of the bonds, an array for each axis, as `Lattice` takes them."""
-        arrays = self.stiffness_x, self.stiffness_y, self.stiffness_z
-        return arrays[: len(self.shape)]
+        return (self.stiffness_x, self.stiffness_y, self.stiffness_z)[: len(self.shape)]
 
     @property
     def axes(self):
@@ -52,17 +57,9 @@ class LatticeRecord(Record):
     @classmethod
     def of(cls, lattice):
         """Return the record of a `pgran.physics.lattice.Lattice`."""
-        x, y, z = (*lattice.stiffness, None, None)[:3]
-        return cls(
-            lattice.shape,
-            lattice.mass,
-            lattice.damping,
-            lattice.omega_mx,
-            lattice.bonds_sha256,
-            x,
-            y,
-            z,
-        )
+        same = ("shape", "mass", "damping", "omega_mx", "bonds_sha256")
+        arrays = {f"stiffness_{x}": k for x, k in zip(SPACE, lattice.stiffness, strict=False)}
+        return cls(**{name: getattr(lattice, name) for name in same}, **arrays)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,26 +79,16 @@ class Response(Record):
     phase_fit_min: float
     phase_fit_max: float
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
-    detector: np.ndarray = array(
-        "indices of the detecting balls", "1", "detector_number", "axis", dtype=int
-    )
+    detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, convention exp(+i omega t)",
         "1", "omega", "detector_number", dtype=complex,
     )  # fmt: skip
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega", "detector_number")
-    phase: np.ndarray = array(
-        "phase, unwrapped along omega; without damping 0 or pi", "rad", "omega", "detector_number"
-    )
+    phase: np.ndarray = array(PHASE, "rad", "omega", "detector_number")
     backward_error: np.ndarray = array("normwise backward error of the field", "1", "omega")
-    error_bound: np.ndarray = array(
-        "bound of the error of the displacement; NaN: none is known",
-        "1", "omega", "detector_number",
-    )  # fmt: skip
-    at_floor: np.ndarray = array(
-        "1: the bound is below error_floor, but not small against the amplitude",
-        "1", "omega", "detector_number", dtype=np.int8, since=2,
-    )  # fmt: skip
+    error_bound: np.ndarray = array(BOUND, "1", "omega", "detector_number")
+    at_floor: np.ndarray = array(FLOOR, "1", "omega", "detector_number", dtype=np.int8, since=2)
     iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega", dtype=int)
     converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
     field: np.ndarray | None = array(
@@ -113,6 +100,11 @@ class Response(Record):
     def failures(self):
         """How many frequencies missed the accuracy asked for."""
         return int(np.count_nonzero(self.converged_reason <= 0))
+
+
+def _missing(record, found):
+    """Return how many modes are missing, at least 1 unless they are certified."""
+    return 0 if record.count_certified else max(1, abs(record.count_expected - found))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,8 +130,7 @@ class Modes(Record):
     @property
     def failures(self):
         """How many modes are missing or inaccurate."""
-        missing = abs(self.count_expected - len(self.omega))
-        return 0 if self.count_certified else max(1, missing)
+        return _missing(self, len(self.omega))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -172,8 +163,7 @@ class Projection(Record):
     def failures(self):
         """How many frequencies missed their accuracy, and how many modes are missing."""
         failed = int(np.count_nonzero(self.converged_reason <= 0))
-        missing = abs(self.count_expected - len(self.mode_omega))
-        return failed + (0 if self.count_certified else max(1, missing))
+        return failed + _missing(self, len(self.mode_omega))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -197,21 +187,15 @@ class Relaxation(Record):
         "its index into that axis's stiffness", "1", "trajectory", "step", "axis", dtype=int
     )
     stiffness: np.ndarray = array("its new constant", "k", "trajectory", "step")
-    detector: np.ndarray = array(
-        "indices of the detecting balls", "1", "detector_number", "axis", dtype=int
-    )
+    detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, entry 0 before any change",
         "1", "trajectory", "state", "detector_number", dtype=complex,
     )  # fmt: skip
-    error_bound: np.ndarray = array(
-        "bound of the error of the displacement; NaN: none is known",
-        "1", "trajectory", "state", "detector_number", since=2,
-    )  # fmt: skip
+    error_bound: np.ndarray = array(BOUND, "1", "trajectory", "state", "detector_number", since=2)
     at_floor: np.ndarray = array(
-        "1: the bound is below error_floor, but not small against the amplitude",
-        "1", "trajectory", "state", "detector_number", dtype=np.int8, since=2,
-    )  # fmt: skip
+        FLOOR, "1", "trajectory", "state", "detector_number", dtype=np.int8, since=2
+    )
 
     @property
     def amplitude(self):
@@ -228,18 +212,9 @@ class Relaxation(Record):
 class Spectrum(Record):
     """The power spectrum of amplitude series, and the power law fitted to it (paper: timeres).
 
-    Attributes
-    ----------
-    exponent, exponent_error : float
-        psi of S(f) = scale / (2 sin(pi f))^psi, and its standard error.
-    exponent_plain : float
-        Minus the slope of log S against log f, aliases and all, as the paper reads it.
-    scale : float
-        The prefactor, in the unit of `power`.
-    fit_min, fit_max : float
-        Window of the fit, cycles per step.
-    segment : int
-        Steps to a segment.
+    S(f) = scale / (2 sin(pi f))^exponent from `fit_min` to `fit_max` cycles per step, `scale` in
+    the unit of `power`, `exponent_error` the standard error; a segment has `segment` steps.
+    `exponent_plain` is minus the slope of log S against log f, aliases and all, as in the paper.
     """
 
     group = "spectrum"
@@ -277,9 +252,7 @@ class ContinuumResponse(Record):
         "1", "omega", dtype=complex,
     )  # fmt: skip
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega")
-    phase: np.ndarray = array(
-        "phase, unwrapped along omega; without damping 0 or pi", "rad", "omega"
-    )
+    phase: np.ndarray = array(PHASE, "rad", "omega")
     resonance: np.ndarray = array("driven resonances, angular", "sqrt(K0/m)/length")
 
 
@@ -287,19 +260,10 @@ class ContinuumResponse(Record):
 class Accuracy(Record):
     """Error against run time: one experiment by several solvers, each at several tolerances.
 
-    A row a configuration. Errors are relative and true, against a reference with a bound of its
-    own error; what is smaller than that is given as that bound.
-
-    Attributes
-    ----------
-    experiment : str
-        `response`, `modes` or `relaxation`.
-    repeats : int
-        Repeats of each timing.
-    values, compared : int
-        Amplitudes or modes of the experiment, and how many the reference is good enough for.
-    reference_bound : float
-        The relative error of the reference is at most this.
+    A row a configuration, each timed `repeats` times. Errors are relative and true, against a
+    reference whose own relative error is at most `reference_bound`; what is smaller than that is
+    given as that bound. The `experiment` (`response`, `modes` or `relaxation`) has `values`
+    amplitudes or modes; `compared` of them are those that the reference is good enough for.
     """
 
     group = "accuracy"

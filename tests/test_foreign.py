@@ -34,13 +34,13 @@ def here(monkeypatch):
 
 
 def write(path, **members):
-    """Write members of /lattice: arrays, or types of datasets, or None."""
+    """Write members of /lattice: arrays, or types of datasets."""
     with h5py.File(path, "w") as file:
         group = file.create_group("lattice")
         for name, value in members.items():
             if isinstance(value, np.dtype):
                 group.create_dataset(name, (3, 3), value)
-            elif value is not None:
+            else:
                 group[name] = value
     return path
 
@@ -62,24 +62,17 @@ def refusal(path, member=None, read=read_bonds):
 
 
 @serial
-def test_bonds_of_any_file_come_back(path):
-    """Tried by another process, which knows neither of MPI nor of the folder it runs in."""
-    shape = (30, 40)
-    with h5py.File(path, "w") as file:
-        for name, k in good(shape).items():
-            file.create_dataset(f"lattice/{name}", data=k, compression="gzip", shuffle=True)
-    found, kmax = read_bonds(path)
-    assert kmax is None
-    assert all(map(np.array_equal, found, good(shape).values()))
-
-
-@serial
-def test_a_result_that_was_touched_gives_its_bonds(path):
-    lattice = random_lattice((2, 3))
+def test_bonds_of_a_result_that_was_touched(path):
+    """Tried by another process."""
+    lattice = random_lattice((30, 40))
     store.write(path, {}, [LatticeRecord.of(lattice)])
     with h5py.File(path, "r+") as file:
-        file.attrs["note"] = "mine"
-    assert all(map(np.array_equal, read_bonds(path)[0], lattice.stiffness))
+        file["lattice"].attrs["mass"] = "mine"
+        del file["lattice/stiffness_x"]
+        file["lattice"].create_dataset("stiffness_x", data=lattice.stiffness[0], compression="gzip")
+    found, kmax = read_bonds(path)
+    assert kmax is None
+    assert all(map(np.array_equal, found, lattice.stiffness))
 
 
 def test_a_damaged_result_gives_no_bonds(path):
@@ -90,7 +83,7 @@ def test_a_damaged_result_gives_no_bonds(path):
     assert "damaged or changed" in refusal(path)
 
 
-@pytest.mark.parametrize("kind", ["f2", "f4", ">f8", "i2", "u8", np.longdouble])
+@pytest.mark.parametrize("kind", ["f2", ">f8", "u8", np.longdouble])
 def test_real_numbers_of_any_kind_become_doubles(path, here, kind):
     arrays = {name: (10 * k).astype(kind) for name, k in good((2, 3, 4)).items()}
     found, _ = read_bonds(write(path, **arrays))
@@ -100,20 +93,15 @@ def test_real_numbers_of_any_kind_become_doubles(path, here, kind):
 
 
 @pytest.mark.parametrize(
-    ("attributes", "expected"),
-    [
-        ({"mass": 2, "omega_mx": np.float32(3)}, 2 * 9 / 4),
-        ({"mass": 1e300, "omega_mx": 1e300}, None),
-        ({"mass": "1", "omega_mx": 1.0}, None),
-        ({"mass": [1.0, 1.0]}, None),
-    ],
+    ("mass", "omega_mx", "kmax"),
+    [(2, np.float32(3), 4.5), (1e300, 1e300, None), ("1", 1.0, None), ([1.0, 1.0], 1.0, None)],
 )
-def test_unit_of_frequency(path, here, attributes, expected):
+def test_unit_of_frequency(path, here, mass, omega_mx, kmax):
     """kmax = m omega_mx^2 / (2 d)."""
     write(path, **good())
     with h5py.File(path, "a") as file:
-        file["lattice"].attrs.update(attributes)
-    assert read_bonds(path)[1] == expected
+        file["lattice"].attrs.update({"mass": mass, "omega_mx": omega_mx})
+    assert read_bonds(path)[1] == kmax
 
 
 # What makes no lattice
@@ -123,33 +111,33 @@ def test_unit_of_frequency(path, here, attributes, expected):
     ("member", "said"),
     [
         (np.full((3, 3), np.nan), "/stiffness_x: every bond constant must be finite"),
-        (np.full((3, 3), -1e-300), "/stiffness_x: every bond constant must be finite"),
         (np.full((3, 3), np.longdouble(1e308) * 100), "/stiffness_x: every bond constant"),
         *((np.ones(shape), "/stiffness") for shape in
-          [(), (0,), (1,), (0, 3), (3, 0), (1, 3), (2, 3), (3, 3, 1), (3, 3, 3, 3)]),
+          [(), (0,), (0, 3), (1, 3), (2, 3), (3, 3, 1), (3, 3, 3, 3)]),
         *((np.dtype(kind), "/stiffness_x holds no real numbers") for kind in
           ["S4", complex, bool, [("a", float), ("b", int)], "V2", h5py.ref_dtype,
            h5py.string_dtype(), h5py.vlen_dtype(float), h5py.opaque_dtype(np.dtype("M8[s]"))]),
         (h5py.Empty(float), "/stiffness_x is empty"),
-        (None, " needs stiffness_x, and the others of stiffness_x, stiffness_y"),
     ],
 )  # fmt: skip
 def test_what_makes_no_bonds(path, here, member, said):
-    """Values, shapes, types; nothing at all."""
+    """Values, shapes, types."""
     arrays = good() | {"stiffness_x": member}
     assert f" /lattice{said}" in refusal(write(path, **arrays))
 
 
-def test_missing_members(path, here):
-    for members in ({}, {"stiffness_x": np.ones((2, 2, 2)), "stiffness_z": np.ones((1, 2, 3))}):
-        assert "/lattice needs stiffness_x" in refusal(write(path, **members))
-    for name, said in (("lattice", "/lattice is no group"), ("x", "/lattice is missing")):
-        with h5py.File(path, "w") as file:
-            file[name] = np.ones(3)
-        assert said in refusal(path)
+@pytest.mark.parametrize(
+    ("member", "said"),
+    [
+        ("lattice/x", "/lattice needs stiffness_x"), ("lattice", "/lattice is no group"),
+        ("x", "/lattice is missing"), ("lattice/stiffness_z", "/lattice needs stiffness_x"),
+        ("lattice/stiffness_x/x", "/lattice/stiffness_x is no dataset"),
+    ],
+)  # fmt: skip
+def test_missing_members(path, here, member, said):
     with h5py.File(path, "w") as file:
-        file["lattice/stiffness_x"] = file.create_group("lattice")  # which holds itself
-    assert "/lattice/stiffness_x is no dataset" in refusal(path)
+        file[member] = np.ones(3)
+    assert said in refusal(path)
 
 
 # Files that point outside themselves, or hold less than they say: as bonds and as results
@@ -165,10 +153,9 @@ def forged(path, make):
 
 
 def virtual(file):
-    """A dataset of as many rows as another file has."""
-    layout = h5py.VirtualLayout((3, 3), float, maxshape=(None, 3))
-    source = h5py.VirtualSource("other.h5", "lattice/x", (3, 3), maxshape=(None, 3))
-    layout[: h5py.h5s.UNLIMITED, :] = source[: h5py.h5s.UNLIMITED, :]
+    """The data of another file."""
+    layout = h5py.VirtualLayout((3, 3), float)
+    layout[:] = h5py.VirtualSource("other.h5", "lattice/x", (3, 3))
     file.create_virtual_dataset("lattice/stiffness_x", layout)
 
 
@@ -189,9 +176,9 @@ def no_group(file):
     file["lattice"] = h5py.ExternalLink("pipe", "/")
 
 
-def declared(**how):
+def large(file):
     """80 GB in a few kB."""
-    return lambda file: file.create_dataset("lattice/stiffness_x", (10**5, 10**5), float, **how)
+    file.create_dataset("lattice/stiffness_x", (10**5, 10**5), float, compression="gzip")
 
 
 @pytest.mark.parametrize(
@@ -202,9 +189,7 @@ def declared(**how):
         (no_group, "links are not read"),
         (external, "another file"),
         (virtual, "another file"),
-        (declared(), "far more than the file holds"),
-        (declared(chunks=(1000, 1000)), "far more than the file holds"),
-        (declared(compression="gzip"), "far more than the file holds"),
+        (large, "far more than the file holds"),
     ],
 )
 def test_data_that_are_elsewhere_or_nowhere(path, here, make, said):
@@ -228,22 +213,18 @@ def test_data_add_up(path, here):
 # What the library may die of happens to another process
 
 
-def zeros_deflated(megabytes):
-    """A valid zlib stream of zeros, without the work of compressing them."""
-    press = zlib.compressobj(9, wbits=-15)
-    block = press.compress(bytes(2**20)) + press.flush(zlib.Z_FULL_FLUSH)
-    adler = ((megabytes * 2**20 % 65521) << 16) | 1
-    return b"\x78\x9c" + megabytes * block + press.flush() + adler.to_bytes(4, "big")
-
-
 @serial
 def test_a_chunk_that_becomes_too_large(path):
     """8 MB of bonds in a single gzip chunk of 1 GB, which has to be decompressed whole."""
+    press = zlib.compressobj(9, wbits=-15)
+    block = press.compress(bytes(2**20)) + press.flush(zlib.Z_FULL_FLUSH)
+    checksum = ((2**30 % 65521) << 16) | 1
+    zeros = b"\x78\x9c" + 1024 * block + press.flush() + checksum.to_bytes(4, "big")
     with h5py.File(path, "w") as file:
         data = file.create_dataset(
             "lattice/stiffness_x", 10**6, float, chunks=2**27, maxshape=(None,), compression=1
         )
-        data.id.write_direct_chunk((0,), zeros_deflated(1024))
+        data.id.write_direct_chunk((0,), zeros)
     assert path.stat().st_size < 3_000_000
     assert "damaged" in refusal(path)
 
@@ -259,10 +240,7 @@ def test_a_chunk_that_becomes_too_large(path):
     ],
 )
 def test_a_process_that_fails(path, monkeypatch, program, said):
-    """A program in its place that dies as HDF5 does on a bad file, hangs, or is not there.
-
-    It knows nothing of MPI.
-    """
+    """In its place a program, kept from MPI, that dies as HDF5 can, hangs, or is not there."""
     monkeypatch.setenv("OMPI_X", "7")
     monkeypatch.setenv("PMIX_RANK", "3")
     reader = path.with_name("reader")

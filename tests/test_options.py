@@ -29,15 +29,6 @@ def refusal(text, key):
     return str(caught.value)
 
 
-def test_defaults_of_the_paper():
-    found = options("-scene response")
-    assert (found.lattice_shape, found.detectors) == ((20, 20), (8, 10))
-    assert (found.lattice_mass, found.lattice_damping, found.bonds_kmax) == (1.0, 0.003, 0.25)
-    assert (found.sweep_min, found.sweep_max, found.sweep_points) == (0.01, 1.3, 1291)
-    assert (found.error_tolerance, found.phase_fit_min, found.phase_fit_max) == (1e-4, 0.3, 1.0)
-    assert (options("-scene relaxation").relax_omega, found.solver) == (0.6, {})
-
-
 @each_option
 def test_range(option):
     """The bounds belong to it or not, as declared; what is refused is told the range."""
@@ -83,23 +74,19 @@ def test_wrong_types_are_refused(option):
 
 @each_option
 def test_default_is_possible(option):
-    """It comes back from the line that sets it, and from Python and NumPy, as its own type."""
+    """It comes back from the line that sets it, and from NumPy, as its own type."""
     if option.default is None:
         return
     numpy = {"integer": np.int64, "real": np.float64, "integers": np.array, "reals": list}
-    for found in (
-        option.read(option.write(option.default).partition(" ")[2]),
-        option.check(option.default),
-        option.check(numpy.get(option.kind.name, type(option.default))(option.default)),
-    ):
-        assert found == option.default
-        assert type(found) is type(option.default)
+    given = numpy.get(option.kind.name, type(option.default))(option.default)
+    for found in (option.read(text_of(option.default)), option.check(given)):
+        assert (found, type(found)) == (option.default, type(option.default))
 
 
 def test_flags():
-    for value, words in ((True, ("", "true", "YES", "1", "on")), (False, ("no", "0", "Off"))):
-        for word in words:
-            assert options(f"-scene response -output_fields {word}").output_fields is value
+    for word in ("", "true", "YES", "1", "on", "no", "0", "Off"):
+        wanted = word not in ("no", "0", "Off")
+        assert options(f"-scene response -output_fields {word}").output_fields is wanted
 
 
 def test_more_than_fits_into_memory():
@@ -169,8 +156,8 @@ def test_of_two_ways_to_say_the_same_the_later_source_wins(written, first, secon
     [
         ("-lattice_damping -1", "lattice_damping -1"), ("-sweep_min -.5", "sweep_min -.5"),
         ("-lattice_shape 2,2,2,2", "lattice_shape"), ("-phase_fit_min 1", "phase_fit_min"),
-        ("-sweep_min 1 -sweep_max 1", "sweep_min"), ("-sweep_omega 2,1", "sweep_omega"),
-        ("-sweep_omega 1,1", "sweep_omega"), ("-sweep_omega 1,2 -sweep_points 3", "sweep_points"),
+        ("-sweep_min 1 -sweep_max 1", "sweep_min"), ("-sweep_omega 1,1", "sweep_omega"),
+        ("-sweep_omega 1,2 -sweep_points 3", "sweep_points"),
         ("-bonds_law file", "bonds_file"), ("-bonds_file x.h5", "bonds_law"),
         ("-bonds_law file -bonds_file x.h5 -bonds_kmax 1", "bonds_kmax"),
         ("-scene relaxation -spectrum_fit_min .3", "spectrum_fit_min"),

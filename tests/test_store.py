@@ -6,7 +6,6 @@ import hashlib
 import os
 import pickle
 import resource
-import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -52,15 +51,10 @@ def make(kind, shape=(4, 5), without=()):
     return kind(**values)
 
 
-def records(shape=(4, 5), without=()):
-    """One record of every kind."""
-    return [make(kind, shape, without) for kind in results.RECORDS.values()]
-
-
 @pytest.fixture
 def path(tmp_path):
     """A result with a record of every kind; each rank has its own folder."""
-    store.write(tmp_path / "a.h5", ATTRIBUTES, records())
+    store.write(tmp_path / "a.h5", ATTRIBUTES, map(make, results.RECORDS.values()))
     return tmp_path / "a.h5"
 
 
@@ -68,7 +62,8 @@ def path(tmp_path):
 @pytest.mark.parametrize("without", [(), ("field", "vector")])
 def test_everything_comes_back(tmp_path, shape, without):
     """Field by field, types included; bonds as a lattice takes them."""
-    written, path = records(shape, without), tmp_path / "a.h5"
+    written = [make(kind, shape, without) for kind in results.RECORDS.values()]
+    path = tmp_path / "a.h5"
     store.write(path, ATTRIBUTES, written)
     result = load(path)
     for record in written:
@@ -86,21 +81,6 @@ def test_everything_comes_back(tmp_path, shape, without):
     for arrays in (stiffness, result.lattice.stiffness):
         assert len(arrays) == len(shape)
         assert all(map(np.array_equal, arrays, random_lattice(shape).stiffness))
-
-
-def test_every_dataset_has_scales(path):
-    """As netCDF-4 has it: every axis has one scale, which has one axis, and their lengths agree."""
-    with h5py.File(path) as file:
-        for data in [data for group in file.values() for data in group.values()]:
-            assert data.attrs["units"] + data.attrs["long_name"]
-            if h5py.h5ds.is_scale(data.id):
-                assert data.ndim == 1, data.name
-                continue
-            assert data.name.split("/")[2] not in [d[0].name.split("/")[2] for d in data.dims]
-            for number, dimension in enumerate(data.dims):
-                assert len(dimension) == 1, f"{data.name} axis {number}"
-                assert dimension[0].shape == data.shape[number : number + 1]
-                assert dimension[0].parent == data.parent
 
 
 def test_xarray_reads_what_records_become(path):
@@ -121,24 +101,23 @@ def test_xarray_reads_what_records_become(path):
             for name in set(made.attrs) - {"bonds_sha256"}:  # which belongs to the whole file
                 nan = isinstance(made.attrs[name], np.ndarray)
                 assert np.array_equal(found.attrs[name], made.attrs[name], equal_nan=nan)
-    assert load(path).response.to_xarray().field.dims == ("omega", "x", "y")
     with xarray.open_dataset(path, engine="h5netcdf") as found:
         assert found.attrs["options"] == ATTRIBUTES["options"]
+    assert load(path).response.to_xarray().field.dims == ("omega", "x", "y")
 
 
 def test_a_result_by_name(monkeypatch):
-    lattice, modes = make(results.LatticeRecord, (40, 50)), make(results.Modes, (40, 50))
-    result = results.Result([lattice, modes], scene="modes", records=3)
-    assert result.modes is modes
-    assert (result.scene, result.attributes["records"]) == ("modes", 3)
+    lattice, modes = make(results.LatticeRecord), make(results.Modes)
+    result = results.Result([lattice, modes], scene="modes")
+    assert (result.scene, result.modes) == ("modes", modes)
     assert {"lattice", "scene"} <= set(dir(result))
     assert getattr(result, "spectrum", None) is None
     with pytest.raises(FileError, match="holds no spectrum; its groups are: lattice, modes"):
         _ = result.spectrum
     assert pickle.loads(pickle.dumps(result)).scene == "modes"
     assert repr(result) == "Result(scene='modes', status=None, lattice, modes)"
-    assert repr(modes).startswith("Modes(count_expected=7, count_certified=True, solve_seconds=0.3")
-    assert "vector: float64 (4, 40, 50)" in repr(modes)
+    assert repr(modes).startswith("Modes(count_expected=7, count_certified=True, ")
+    assert "vector: float64 (4, 4, 5)" in repr(modes)
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(PgranError, match="pip install xarray"):
         modes.to_xarray()
@@ -148,26 +127,28 @@ def test_a_result_by_name(monkeypatch):
 
 
 def test_a_result_replaces_an_older_one_whole(path):
-    path.with_name(".a.h5.part").write_bytes(b"what a killed run left")
-    store.write(path, ATTRIBUTES | {"status": "unconverged"}, [make(results.LatticeRecord, (7,))])
-    assert load(path).status == "unconverged"
-    assert load(path).lattice.stiffness_y is None
-    assert os.listdir(path.parent) == ["a.h5"]
+    """What a killed run left is in nobody's way; a folder that was removed is made anew."""
+    path.with_name(".a.h5.part").write_bytes(b"half")
+    for place in (path, path.parent / "removed" / "a.h5"):
+        store.write(place, {"status": "new"}, [make(results.LatticeRecord, (7,))])
+        assert load(place).status == "new"
+        assert load(place).lattice.stiffness_y is None
+        assert os.listdir(place.parent) == ["a.h5"]
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-@pytest.mark.parametrize("where", ["_write_record", "_attach", "os.replace", "os.fsync"])
-def test_a_failing_write_leaves_the_old_file(path, monkeypatch, where, error):
-    before, disk = path.read_bytes(), isinstance(error, OSError)
-
+@pytest.mark.parametrize(
+    ("module", "name"), [(store, "_attach"), (store.os, "replace"), (store.os, "fsync")]
+)
+def test_a_failing_write_leaves_the_old_file(path, monkeypatch, module, name, error):
     def fail(*arguments):
         raise error
 
-    *module, name = where.split(".")
-    monkeypatch.setattr(os if module else store, name, fail)
+    before, disk = path.read_bytes(), isinstance(error, OSError)
+    monkeypatch.setattr(module, name, fail)
     words = r"a\.h5: cannot be written: No space left" if disk else None
     with pytest.raises(FileError if disk else KeyboardInterrupt, match=words):
-        store.write(path, ATTRIBUTES, records())
+        store.write(path, ATTRIBUTES, [make(results.Modes)])
     assert path.read_bytes() == before
     assert os.listdir(path.parent) == ["a.h5"]
 
@@ -188,27 +169,17 @@ def test_no_room(path, room, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_a_folder_that_was_removed_is_made_anew_and_the_umask_decides(tmp_path):
-    path, other = tmp_path / "results" / "a.h5", tmp_path / "other"
-    store.write(path, ATTRIBUTES, [])
-    other.touch()
-    assert load(path).status == ATTRIBUTES["status"]
-    assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(other.stat().st_mode)
-
-
 # What may be replaced
 
 
-def change(path, name="note", value="mine"):
+def change(path, name="/@note", value="mine"):
     """Change an attribute (`group@name`) or a dataset of a result by h5py, which drops the seal."""
-    group, _, name = name.rpartition("@" if "@" in name or "/" not in name else "/")
+    group, attribute, key = name.partition("@")
     with h5py.File(path, "r+") as file:
-        place = file[group or "/"]
-        members = place if name in place else place.attrs
-        if name in members:
-            del members[name]
+        members = file[group].attrs if attribute else file
+        members.pop(key or name, None)
         if value is not None:
-            members[name] = value
+            members[key or name] = value
     return path
 
 
@@ -216,16 +187,13 @@ def test_existing_output_needs_leave(path):
     with pytest.raises(FileError, match="exists already; -output_overwrite"):
         store.check_output(path, False)
     before = path.read_bytes()
-    store.check_output(path, True)
-    assert path.read_bytes() == before
+    store.check_output(change(path), True)
     path.write_bytes(before.replace(b"lattice", b"lettuce"))  # damaged, and still a result
     store.check_output(path, True)
-    path.write_bytes(before)
-    store.check_output(change(path), True)
-    store.check_output(VERSION_1, True)
+    assert path.exists()
 
 
-@pytest.mark.parametrize("content", [b"mine", b"", b"pgran", b"\x89HDF\r\n\x1a\n" + bytes(600)])
+@pytest.mark.parametrize("content", [b"mine", b"", b"\x89HDF\r\n\x1a\n" + bytes(600)])
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_only_results_are_replaced(tmp_path, content, overwrite):
     path, pipe = tmp_path / "a.h5", tmp_path / "pipe"
@@ -259,31 +227,27 @@ def refused(path, match, read=load):
 
 
 def test_missing_and_other_files(tmp_path):
-    pipe, text, foreign = (tmp_path / name for name in ("pipe", "text", "foreign"))
-    os.mkfifo(pipe)
-    text.write_text("hello")
-    h5py.File(foreign, "w").close()
+    os.mkfifo(tmp_path / "pipe")
+    h5py.File(tmp_path / "foreign", "w").close()
     refused(tmp_path / "none.h5", "No such file")
     refused(tmp_path, "directory")
-    refused(pipe, "pipe")
-    refused(text, "not an HDF5 file")
-    refused(foreign, "not a result of pgran")
+    refused(tmp_path / "pipe", "pipe")
+    refused(Path(__file__), "not an HDF5 file")
+    refused(tmp_path / "foreign", "not a result of pgran")
 
 
 @pytest.mark.parametrize(
     ("name", "value", "match"),
     [
-        ("format_version", 3, "format version 3; this pgran reads 1 to 2"),
-        ("format", "other", "not a result"),
+        ("/@format_version", 3, "format version 3; this pgran reads 1 to 2"),
+        ("/@format", "other", "not a result"),
         ("modes/omega", None, "/modes/omega is missing"),
         ("modes@count_expected", None, "/modes/count_expected is missing"),
         ("modes/omega", np.ones((4, 1)), r"/modes/omega: shape \(4, 1\) is not \(omega: 4\)"),
-        ("modes/residual", np.ones(5), r"/modes/residual: shape \(5,\) is not \(omega: 4\)"),
         ("modes/vector", np.ones((4, 4, 6)), r"/modes/vector: .* \(omega: 4, x: 4, y: 5\)"),
-        ("response/phase_slope", np.ones(9), r"\(detector_number: 9\)"),
+        ("response@phase_slope", np.ones(9), r"\(detector_number: 9\)"),
         ("response/displacement", np.ones((4, 5)), "displacement holds no complex numbers"),
         ("response/iterations", np.ones(4), "iterations holds no integers but float64"),
-        ("modes/omega", "text", "omega holds no real numbers"),
         ("modes@count_expected", 1.5, "count_expected: 1.5 is not a single integer"),
         ("modes@count_certified", "yes", "count_certified: 'yes' is not a single truth value"),
         ("lattice@shape", (5, 4), r"stiffness_x: .* \(bond_x: 6, y: 4\)"),
@@ -298,11 +262,9 @@ def test_what_does_not_fit_its_declaration(path, name, value, match):
 
 def test_what_users_add_does_no_harm(path):
     """Attributes, groups and datasets of their own; integers as frequencies."""
-    change(change(path), "records", np.ones(4))
-    change(path, "modes/omega", np.arange(4))
-    with h5py.File(path, "r+") as file:
-        file["own/data"] = file["modes/own"] = np.ones(2)
-    result = load(path)
+    for name in ("/@records", "modes/omega", "modes/own", "own/data"):
+        change(path, name, np.arange(4))
+    result = load(change(path))
     assert (result.note, len(result.attributes["records"])) == ("mine", 4)
     assert result.modes.omega.dtype == float
     assert not hasattr(result, "own")
@@ -328,7 +290,6 @@ def test_verify(path, capsys, monkeypatch):
     content, seal = path.read_bytes()[:-512], path.read_bytes()[-512:]
     digest = hashlib.sha256(content).hexdigest()
     assert seal.rstrip(b"\0") == f"pgran result 2\nsha256 {digest}\n".encode()
-    assert content.startswith(b"\x89HDF\r\n\x1a\n")
     with monkeypatch.context() as patch:
         patch.setattr(subprocess, "run", None)
         store.read_stiffness(path)
@@ -341,22 +302,17 @@ def test_every_changed_byte_is_found_and_none_does_harm(tmp_path):
     kinds = results.LatticeRecord, results.Response
     store.write(path, ATTRIBUTES, [make(kind, (1, 1)) for kind in kinds])
     whole = path.read_bytes()
-    rng, size, accepted = np.random.default_rng(3), len(whole), 0
-    places = [*range(0, 600, 7), *range(size - 600, size, 7), *rng.integers(0, size, 300)]
-    for place in places:
+    rng, size = np.random.default_rng(3), len(whole)
+    for place in [*range(0, 600, 7), *range(size - 600, size, 7), *rng.integers(0, size, 300)]:
         changed = bytearray(whole)
         changed[place] ^= 1 << rng.integers(8)
         path.write_bytes(changed)
         refused(path, "damaged or changed", store.check_seal)
         with contextlib.suppress(FileError):
             assert load(path).response.omega.size
-            accepted += 1
-    assert accepted <= sum(place >= size - 512 for place in places)
-    version_1 = VERSION_1.read_bytes()
-    others = whole[1:], whole[:-1], whole + b"\0", whole[:-512], whole[:300], version_1[:-1]
-    for content in others:
+            assert place >= size - 512
+    for content in (whole[1:], whole[:-1], whole + b"\0", whole[:300], VERSION_1.read_bytes()[:-1]):
         path.write_bytes(content)
         refused(path, "damaged or changed", store.check_seal)
-    for part in (0.1, 0.5, 0.9):
-        path.write_bytes(whole[: int(part * size)])
-        refused(path, "damaged")
+    path.write_bytes(whole[: size // 2])
+    refused(path, "damaged")

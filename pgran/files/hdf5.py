@@ -46,16 +46,7 @@ def opened(path):
 class CarefulFile:
     """An HDF5 file from which only what lies in it is read, and no more than it holds.
 
-    Parameters
-    ----------
-    file : h5py.File
-    path : str or os.PathLike
-        For messages.
-
-    Raises
-    ------
-    FileError
-        By every method, for what is missing, lies elsewhere, is too large or of another type.
+    Its methods refuse what is missing, lies elsewhere, is too large or of another type.
     """
 
     def __init__(self, file, path):
@@ -103,13 +94,7 @@ class CarefulFile:
     def array(self, name, dtype):
         """Return a dataset of the file itself, as the type that a record declares.
 
-        Not collective.
-
-        Parameters
-        ----------
-        name : str
-        dtype : type
-            Numbers of the same kind become this one; integers become real numbers.
+        Not collective. Numbers of the same kind become this one; integers become real numbers.
         """
         data = self._member(name, h5py.Dataset)
         # Asking for the shape of data that lie elsewhere would open the other file.
@@ -121,10 +106,9 @@ class CarefulFile:
             self.refuse(name, f"holds no {called}s but {data.dtype}")
         if data.shape is None:
             self.refuse(name, "is empty")
-        declared = data.size * data.dtype.itemsize
-        self._left -= declared
+        self._left -= data.size * data.dtype.itemsize
         if self._left < 0:
-            self.refuse(name, f"declares {declared} bytes, far more than the file holds")
+            self.refuse(name, f"of shape {data.shape} declares far more than the file holds")
         if texts:
             return np.char.decode(data[()], "utf-8")
         with np.errstate(over="ignore"):  # a number too large for its type becomes infinite
@@ -132,21 +116,7 @@ class CarefulFile:
 
 
 def bonds(file):
-    """Return the bond constants in `/lattice`, and the stiffness that sets their unit of frequency.
-
-    Not collective. Whether they make a lattice is for `pgran.physics.lattice.Lattice` to say.
-
-    Parameters
-    ----------
-    file : CarefulFile
-
-    Returns
-    -------
-    stiffness : tuple of numpy.ndarray
-        An array for each axis.
-    kmax : float or None
-        What the unit of frequency belongs to, if the file says.
-    """
+    """Return what `pgran.files.store.read_stiffness` does, from a `CarefulFile`. Not collective."""
     names = [f.name for f in dataclasses.fields(LatticeRecord) if "axes" in f.metadata]
     there = file.members("lattice", names)
     if not there or there != names[: len(there)]:
@@ -162,13 +132,7 @@ def bonds(file):
 
 
 def try_apart(path):
-    """Raise unless a process of its own can read the bonds of a file. Not collective.
-
-    Raises
-    ------
-    FileError
-        If that process refuses the file, crashes, or needs too much time or memory.
-    """
+    """Raise a FileError unless a process of its own can read a file's bonds. Not collective."""
     seconds = SECONDS + os.path.getsize(path) / 2**25
     kept = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHERS)}
     home = str(Path(__file__).parents[2])

@@ -25,7 +25,6 @@ def seal_of(stream, version, start, stop):
     version : int
         Of the format.
     start, stop : int
-        The bytes that are sealed.
     """
     stream.seek(start)
     digest, left = hashlib.sha256(), stop - start
@@ -37,10 +36,7 @@ def seal_of(stream, version, start, stop):
 
 
 def _read_seal(stream):
-    """Return a file's seal, the version that has it there, and which bytes it is of.
-
-    The seal is empty where there is none.
-    """
+    """Return a file's seal, empty if none, its version, and which bytes it is of."""
     size = stream.seek(0, os.SEEK_END)
     end = max(0, size - SEAL_SIZE)
     for version, place, content in ((2, end, (0, end)), (1, 0, (SEAL_SIZE, size))):
@@ -58,14 +54,7 @@ def has_seal(path):
 
 
 def check_seal(path):
-    """Raise unless a file is a result of pgran, unchanged since it was written.
-
-    Not collective.
-
-    Raises
-    ------
-    FileError
-    """
+    """Raise a FileError unless a file is a result, unchanged since written. Not collective."""
     with open_regular(path) as stream:
         seal, version, content = _read_seal(stream)
         if not seal:

@@ -26,28 +26,31 @@ CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with
 
 
 def check_output(path, overwrite, make=True):
-    """Raise unless a result can be written to `path`; make its folder unless told not to.
+    """Raise unless a result can be written.
 
     Not collective.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+    overwrite : bool
+        Whether a result that is there may be replaced; nothing else ever may.
+    make : bool
+        Whether to make its folder.
 
     Raises
     ------
     FileError
-        If something is there already that may not be replaced, or the folder cannot be written to.
     """
     path = Path(path)
     try:
         if path.exists():
             if not is_result(path):
-                raise FileError(
-                    f"{path}: exists and is no result of pgran: move it away yourself, or "
-                    "-output_file takes another"
-                )
+                why = "exists and is no result of pgran: move it away yourself, or"
+                raise FileError(f"{path}: {why} -output_file takes another")
             if not overwrite:
-                raise FileError(
-                    f"{path}: exists already; -output_overwrite replaces it, "
-                    "-output_file takes another"
-                )
+                why = "exists already; -output_overwrite replaces it,"
+                raise FileError(f"{path}: {why} -output_file takes another")
         if make:
             path.parent.mkdir(parents=True, exist_ok=True)
         folder = next(p for p in path.parents if p.exists())
@@ -72,7 +75,6 @@ def write(path, attributes, records):
     Raises
     ------
     FileError
-        If it cannot be written.
     """
     path = Path(path)
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
@@ -153,12 +155,10 @@ def _stored(value):
     if isinstance(value, str):
         return value
     value = np.asarray(value)
-    if value.dtype.kind == "b":
-        return value.astype(np.int8)
-    if value.dtype.kind != "U":
-        return value
-    encoded = np.char.encode(value, "utf-8")
-    return encoded.astype(h5py.string_dtype("utf-8", max(encoded.itemsize, 1)))
+    if value.dtype.kind == "U":
+        encoded = np.char.encode(value, "utf-8")
+        return encoded.astype(h5py.string_dtype("utf-8", max(encoded.itemsize, 1)))
+    return value.astype(np.int8) if value.dtype.kind == "b" else value
 
 
 def _attach(group, data, number, scale):
@@ -191,10 +191,6 @@ def load(path):
     file that still has its seal, because HDF5 can crash on damage. Groups that pgran does not know
     are left out.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-
     Returns
     -------
     pgran.record.Result
@@ -212,11 +208,9 @@ def load(path):
         facts = file.attributes("/")
         if str(facts.get("format")) != FORMAT:
             raise FileError(f"{path}: not a result of pgran")
-        if facts.get("format_version") not in range(1, FORMAT_VERSION + 1):
-            said = facts.get("format_version")
-            raise FileError(
-                f"{path}: format version {said}; this pgran reads 1 to {FORMAT_VERSION}"
-            )
+        version = facts.get("format_version")
+        if version not in range(1, FORMAT_VERSION + 1):
+            raise FileError(f"{path}: format version {version}; this pgran reads 1 to 2")
         records, axes = [], {}
         for group in file.members("/", RECORDS):
             try:
@@ -257,8 +251,9 @@ def read_stiffness(path):
     Returns
     -------
     stiffness : tuple of numpy.ndarray
+        An array for each axis; whether they make a lattice is for `Lattice` to say.
     kmax : float or None
-        What the file's unit of frequency belongs to, if it says.
+        The bond constant that the file's unit of frequency belongs to, if it says.
 
     Raises
     ------
