@@ -1,5 +1,7 @@
 """The Python interface, in a script and under mpirun, with the messages of the command line."""
 
+import sys
+
 import numpy as np
 import pytest
 from samples import random_lattice
@@ -88,3 +90,22 @@ def test_names():
         assert getattr(pgran, name).__doc__
     with pytest.raises(AttributeError, match="nothing"):
         pgran.nothing  # noqa: B018
+
+
+ALONE = """
+import pkgutil, sys
+from importlib import import_module
+import pgran
+names = [found.name for found in pkgutil.walk_packages(pgran.__path__, "pgran.")]
+for name in names:
+    for loaded in [module for module in sys.modules if module.split(".")[0] == "pgran"]:
+        del sys.modules[loaded]
+    import_module(name)
+print(len(names))
+"""
+
+
+def test_any_module_can_be_imported_first(start):
+    done = start(program=(sys.executable, "-c", ALONE))
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 40
