@@ -86,8 +86,7 @@ def test_solver_options(caplog):
 
 def test_names():
     assert set(pgran.__all__) <= set(dir(pgran))
-    for name in pgran.__all__:
-        assert getattr(pgran, name).__doc__
+    assert all(getattr(pgran, name).__doc__ for name in pgran.__all__)
     with pytest.raises(AttributeError, match="nothing"):
         pgran.nothing  # noqa: B018
 
