@@ -36,11 +36,8 @@ REPEATS = 5
 UNIFORM = BondLaw("uniform")
 PAPER = np.linspace(0.01, 1.3, 1291)
 # No pivoting: with it SymmetricMode fills in completely on these matrices.
-SPLU = {
-    "permc_spec": "MMD_AT_PLUS_A",
-    "diag_pivot_thresh": 0.0,
-    "options": {"SymmetricMode": True},
-}
+PIVOTS = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0}
+SPLU = PIVOTS | {"options": {"SymmetricMode": True}}
 
 
 @dataclass(frozen=True)

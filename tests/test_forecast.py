@@ -113,7 +113,6 @@ def test_work_and_disk_are_those_of_the_run(world, monkeypatch, name, words, wor
     ("words", "message"),
     [
         ("-detectors 20,0", "outside"),
-        ("-bonds_law loguniform", "bonds_kmin"),
         ("-ranks_per_lattice 7", "-ranks_per_lattice 7"),
         ("-sweep_points 100000000000", "-sweep_points: too much"),
         ("-lattice_shape 1000000,1000000", "-lattice_shape: too much"),
