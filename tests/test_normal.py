@@ -76,8 +76,8 @@ def check(lattice, modes, interval=(0.0, np.inf)):
 @pytest.mark.parametrize(
     ("kind", "shape"),
     [
-        ("uniform", (30,)), ("uniform", (1, 1)), ("uniform", (5, 4, 3)), ("bimodal", (6, 7)),
-        ("wide", (13, 9)), ("equal", (9, 9)), ("equal", (5, 5, 5)), ("islands", (9, 8)),
+        ("uniform", (30,)), ("uniform", (1, 1)), ("bimodal", (6, 7)), ("wide", (13, 9)),
+        ("equal", (5, 5, 5)), ("islands", (9, 8)),
     ],
 )  # fmt: skip
 def test_all_modes(kind, shape, crew, narrow):
@@ -96,9 +96,7 @@ def test_all_modes(kind, shape, crew, narrow):
         check(lattice, modes_of(lattice, crew, interval=(0, 1e-4), shapes=True), (0, 1e-4))
 
 
-@pytest.mark.parametrize(
-    ("kind", "shape"), [("bimodal", (10, 9)), ("equal", (9, 9)), ("islands", (5, 4, 4))]
-)
+@pytest.mark.parametrize(("kind", "shape"), [("equal", (9, 9)), ("islands", (5, 4, 4))])
 def test_random_intervals_miss_no_mode(kind, shape, crew, narrow):
     """Some intervals are empty, some begin and end on a mode."""
     lattice = make(kind, shape, 1)

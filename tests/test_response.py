@@ -7,8 +7,9 @@ import pytest
 from samples import random_lattice, reference_of, swept
 
 from pgran.physics.lattice import Lattice
-from pgran.results import LatticeRecord, Result
-from pgran.scenes.response import fit_phase, summary, unwrap
+from pgran.record import Result
+from pgran.results import LatticeRecord
+from pgran.scenes.response import ResponseSweep, fit_phase, summary, unwrap
 
 PAPER, LATTICE = np.linspace(0.01, 1.3, 1291), random_lattice((20, 20))
 
@@ -100,6 +101,24 @@ def test_unwrap_follows_a_fall_of_many_turns():
     phase[100] = np.nan
     found = unwrap(np.exp(1j * phase))
     assert np.allclose(found, phase, rtol=0, atol=1e-10, equal_nan=True)
+
+
+def test_the_phase_passes_over_failed_points():
+    """However wrong a finite amplitude is, later phases do not turn with it."""
+    omegas = np.linspace(0.1, 1.2, 40)
+    phase = -10 * omegas
+    task = ResponseSweep(random_lattice((6, 5)), omegas, (3, 2), False, (0.3, 1.0), {})
+    rows = np.zeros(40, task.row)
+    rows["converged_reason"] = 1
+    rows["converged_reason"][[19, 20, 30]] = 0, -3, -3
+    rows["displacement"][:, 0] = np.exp(1j * phase)
+    rows["displacement"][[19, 20, 30], 0] *= np.exp([2.0j, 4.0j, -3.0j])
+    found = task.collect(rows, 0.0)
+    good = rows["converged_reason"] > 0
+    assert found.failures == 3
+    assert np.all(np.isnan(found.phase[~good]))
+    np.testing.assert_allclose(found.phase[good, 0], phase[good], rtol=1e-12)
+    assert found.phase_slope == pytest.approx(-10, rel=1e-9)
 
 
 @pytest.mark.filterwarnings("error")

@@ -71,9 +71,8 @@ def entries(values, bounds, good):
 
     Parameters
     ----------
-    values : array_like of complex
-    bounds, good : array_like, the shape of `values` or a scalar
-        Columns of ENTRY.
+    values, bounds, good : array_like
+        Columns of ENTRY; the latter two may be scalars.
     """
     found = np.zeros(np.size(values), ENTRY)
     for name, column in zip(ENTRY.names, (values, bounds, good), strict=True):
@@ -130,11 +129,10 @@ def relative_errors(found, reference):
 
 
 def mode_bounds(lattice, omega, residual):
-    """Return how wrong frequencies of modes may be, by their residuals.
+    """Return how wrong frequencies of modes may be, by their residuals and these' roundings.
 
     Not collective. K is symmetric, so a residual |K f - lambda f| of a unit vector is no smaller
-    than the distance of lambda = m omega^2 from an eigenvalue. The roundings of the residual itself
-    are counted in.
+    than the distance of lambda = m omega^2 from an eigenvalue.
 
     Parameters
     ----------
@@ -182,6 +180,5 @@ def front(seconds, error, failures):
     """
     eligible = (failures == 0) & np.isfinite(error)
     faster, closer = seconds[:, None] < seconds, error[:, None] < error
-    as_fast, as_accurate = seconds[:, None] <= seconds, error[:, None] <= error
-    beats = as_fast & as_accurate & (faster | closer)
+    beats = (faster & (error[:, None] <= error)) | (closer & (seconds[:, None] <= seconds))
     return eligible & ~np.any(beats[eligible], axis=0)

@@ -40,12 +40,11 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     Not collective.
 
     The fit is by least squares through the means of log S and log sin(pi f) in bins evenly spaced
-    in log f, all of one weight. Powers are averaged over segments before logarithms are taken: so
-    their bias is the same at all frequencies and spares the slope. The standard error is a
-    jackknife over successive parts of the trajectories, or over whole ones where there are many. It
-    holds for noise that is not Gaussian, too, as long as the memory is shorter than a part. At the
-    paper's parameters seeds differ from their mean by .9 error bars (rms) for 10^5 steps, by 1.2
-    for 2 10^4.
+    in log f. Powers are averaged over segments before logarithms are taken, whose bias is then the
+    same at all frequencies and spares the slope. The standard error is a jackknife over successive
+    parts of the trajectories, or over whole ones; it holds as long as the memory is shorter than a
+    part. At the paper's parameters seeds differ from their mean by .9 error bars (rms) for 10^5
+    steps, by 1.2 for 2 10^4.
 
     Parameters
     ----------
@@ -55,8 +54,6 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
         Window of the fit, cycles per step.
     memory : float, optional
         Longest correlation time of the series, in steps: n, if one of n bonds is redrawn a step.
-        What depends on m bonds at once forgets m times faster: the paper's amplitude, n = 840, is
-        down to 1/e after 130 steps.
 
     Returns
     -------
@@ -80,7 +77,10 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
             "relax_steps: the amplitude changes in one part of the series only, so the exponent "
             "has no error bar; more steps are needed"
         )
-    means = _bin_means(f, fit_min, fit_max)
+    bins = max(3, round(BINS_PER_DECADE * math.log10(fit_max / fit_min)))
+    edges = np.geomspace(fit_min, fit_max, bins + 1)[1:-1]
+    member = np.searchsorted(edges, f, side="right") == np.arange(bins)[:, None]
+    means = member / member.sum(axis=1, keepdims=True)  # over bins evenly spaced in log f
     weights = _slope_weights(f, means)
     exponent, plain, flatter = -np.log(power[window]) @ weights
     replicas = -np.log(others) @ weights  # the jackknife's: each leaves out one part
@@ -102,10 +102,9 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
 
 
 def _segment_length(trajectories, steps, fit_min, fit_max):
-    """Return how many steps a segment of Welch's method takes; segments overlap by half.
+    """Return the steps of a segment: `LOWEST_WANTED` periods of `fit_min`, or down to LOWEST_USED.
 
-    As long as `LOWEST_WANTED` periods of `fit_min`, or shorter, down to `LOWEST_USED`, where there
-    would be fewer than `GROUPS`.
+    Shorter ones are taken where there would be fewer than `GROUPS`; they overlap by half.
     """
     check_window(fit_min, fit_max)
     shortest, longest = (math.ceil(n / (2 * fit_min)) for n in (LOWEST_USED, LOWEST_WANTED))
@@ -159,14 +158,6 @@ def _powers(series, segment):
         parts.append(np.add.reduceat(powers, starts, axis=0))
     # A line hides f = 0, and f = 1/2 is counted once where the others are counted twice.
     return frequency[1:-1], np.concatenate(parts)[:, 1:-1], trajectories * count
-
-
-def _bin_means(f, fit_min, fit_max):
-    """Return the matrix (bins, nf) that averages over bins evenly spaced in log f."""
-    bins = max(3, round(BINS_PER_DECADE * math.log10(fit_max / fit_min)))
-    edges = np.geomspace(fit_min, fit_max, bins + 1)[1:-1]
-    member = np.searchsorted(edges, f, side="right") == np.arange(bins)[:, None]
-    return member / member.sum(axis=1, keepdims=True)
 
 
 def _slope_weights(f, means):
