@@ -137,10 +137,10 @@ def world():
     return WORLD
 
 
-@pytest.fixture(params=["together", "alone"] if WORLD.size > 1 else ["alone"])
-def comm(request):
-    """The ranks that share a lattice: all of them, or each with its own copy."""
-    return WORLD if request.param == "together" else MPI.COMM_SELF
+@pytest.fixture
+def comm():
+    """The ranks that share a lattice: all of them."""
+    return WORLD
 
 
 @pytest.fixture
