@@ -83,6 +83,8 @@ class Operators(Owner):
         Stiffness: the graph Laplacian weighted by the bond constants.
     C : petsc4py.PETSc.Mat or None
         The same with every constant 1; damping is beta C. None for an undamped lattice.
+    M : petsc4py.PETSc.Vec
+        The masses, a diagonal.
     S, f : petsc4py.PETSc.Mat, petsc4py.PETSc.Vec
         The driven system at the s of the last `combine`.
     ends : numpy.ndarray of int, shape (bonds, 2)
@@ -92,7 +94,7 @@ class Operators(Owner):
         Which bonds end at the driven wall.
     """
 
-    owns = ("K", "C", "S", "f", "f_stiffness", "f_damping", "da")
+    owns = ("K", "C", "M", "_inertia", "S", "f", "f_stiffness", "f_damping", "da")
 
     def __init__(self, lattice, comm):
         """Assemble K, and C where there is damping."""
@@ -109,6 +111,8 @@ class Operators(Owner):
             ) from error
         self.f_stiffness = self.da.createGlobalVec()
         self.first, self.last = self.f_stiffness.getOwnershipRange()
+        self.M, self._inertia = self.f_stiffness.duplicate(), self.f_stiffness.duplicate()
+        self.M.set(self.mass)
         numbers = self.numbers(np.indices(self.shape).reshape(len(self.shape), -1).T)
         self.ends, self.driven = bond_ends(numbers.reshape(self.shape)), driven_bonds(self.shape)
         self._find_rows()
@@ -132,7 +136,7 @@ class Operators(Owner):
         return self.f_stiffness.duplicate()
 
     def combine(self, s):
-        """Set S(s) = K + s beta C + s^2 m and the drive f(s) (paper: ampeq, s = i omega).
+        """Set S(s) = K + s beta C + s^2 M and the drive f(s) (paper: ampeq, s = i omega).
 
         Collective.
 
@@ -149,7 +153,10 @@ class Operators(Owner):
         if self.C is not None:
             self.S.axpy(s * self.damping, self.C, structure=SAME)
             self.f.axpy(s * self.damping, self.f_damping)
-        self.S.shift(self.mass * s * s)  # s^2 alone could underflow
+        self.M.copy(self._inertia)
+        for _ in range(2):  # s^2 alone could underflow
+            self._inertia.scale(s)
+        self.S.setDiagonal(self._inertia, addv=PETSc.InsertMode.ADD_VALUES)  # faster than a shift
         # Complex symmetric, not Hermitian: what an LDL^T factorization needs to know.
         self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)

@@ -233,12 +233,14 @@ class SteadySolver(Owner):
                 self._improve_all(size)
             state = self._judge.assess(s, self._systems, krylov)
             size = np.abs(state.displacement)
-            better = previous is None or (
+            if state.converged_reason > 0 or not np.all(np.isfinite(size)):
+                break
+            if krylov.reason < 0 and not fresh:
+                break
+            if previous and not (
                 np.any(state.error_bound < 0.5 * previous.error_bound)
                 or state.field_bound < 0.5 * previous.field_bound
-            )
-            given_up = (krylov.reason < 0 and not fresh) or not np.all(np.isfinite(size))
-            if state.converged_reason > 0 or given_up or not better:
+            ):
                 break
         return state
 
