@@ -59,7 +59,10 @@ class Rehearsal(Crew):
         self.trials, self.spent = [], 0.0
 
     def share(self, task, work, deliver):
-        """Try some units, from all over the task; see `Crew.share`. Collective."""
+        """Try some units, from all over the task.
+
+        Collective. Parameters are those of `Crew.share`.
+        """
         began = time.perf_counter()
         tried = {} if not task.units else self._try(task, work)
         if self.world.rank == 0:

@@ -173,7 +173,7 @@ def mark_failed(ax, x):
 
 
 def mark_modes(ax, x, label="normal modes"):
-    """Mark frequencies of modes by pluses on the frequency axis (paper: freqres)."""
+    """Mark frequencies `x` of modes by pluses on the frequency axis (paper: freqres)."""
     _mark(ax, x, 0.0, marker="+", color=MODE, label=label)
 
 

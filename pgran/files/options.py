@@ -163,7 +163,14 @@ RUN = (
 class Options:
     """The resolved options of a run: `options.lattice_shape` is the value of `-lattice_shape`.
 
-    `solver` holds the keys that go to PETSc.
+    Parameters
+    ----------
+    scene : str
+    declared : iterable of Option
+    values : dict
+        By the names of the declared options.
+    solver : dict of str
+        The keys that go to PETSc.
     """
 
     def __init__(self, scene, declared, values, solver):

@@ -139,7 +139,10 @@ class AgreeingCrew(Crew):
     """Ranks of which all raise what one of them meets: where a study goes on, others end."""
 
     def share(self, task, work, deliver):
-        """Do as a Crew does; after an error a rank takes part without working. Collective."""
+        """Do as a Crew does; after an error a rank takes part without working.
+
+        Collective. Parameters are those of `Crew.share`.
+        """
         met = []
 
         def tried(unit):

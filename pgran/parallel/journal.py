@@ -93,7 +93,17 @@ class Journal:
         return self._signal and signal.Signals(self._signal).name
 
     def stage(self, number, units, row):
-        """Return what tells a stage's units from those of another one. Not collective."""
+        """Return what tells a stage's units from those of another one.
+
+        Not collective.
+
+        Parameters
+        ----------
+        number : int
+            Of the stage.
+        units : sequence
+        row : numpy.dtype
+        """
         return zlib.crc32(f"{number} {units!r} {row!r}".encode()) or 1
 
     def kept(self, stage, row):
@@ -105,7 +115,15 @@ class Journal:
         }
 
     def write(self, stage, position, rows):
-        """Append the rows of a finished unit, or raise FileError. Not collective: rank 0."""
+        """Append the rows of a finished unit, or raise FileError.
+
+        Not collective: rank 0.
+
+        Parameters
+        ----------
+        stage, position : int
+        rows : numpy.ndarray
+        """
         self._append((stage, position), rows.tobytes())
         if time.monotonic() - self._synced > SECONDS_BETWEEN_SYNCS:
             self._sync()

@@ -29,7 +29,10 @@ def is_accurate(bound, amplitude, tolerance):
 
 
 def below_relative_accuracy(error_bound, amplitude, tolerance):
-    """Return which amplitudes have a bound, but miss the relative accuracy. Not collective."""
+    """Return which amplitudes have a bound, but miss the relative accuracy.
+
+    Not collective. Parameters are those of `is_accurate`.
+    """
     missed = np.isfinite(error_bound) & ~is_accurate(error_bound, amplitude, tolerance)
     return missed.astype(np.int8)
 

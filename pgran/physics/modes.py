@@ -43,7 +43,17 @@ def rayleigh_ritz(stiffness, vectors):
 
 
 def residuals(stiffness, values, vectors):
-    """Return |K f - lambda f| of each mode. Not collective."""
+    """Return |K f - lambda f| of each mode.
+
+    Not collective.
+
+    Parameters
+    ----------
+    stiffness : tuple of numpy.ndarray
+    values : numpy.ndarray, shape (nm,)
+        lambda.
+    vectors : numpy.ndarray, shape (nm, *shape)
+    """
     missed = restoring_forces(stiffness, vectors)
     missed -= values.reshape(-1, *[1] * len(stiffness)) * vectors
     return np.sqrt(np.sum(missed**2, axis=tuple(range(1, missed.ndim))))

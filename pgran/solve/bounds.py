@@ -184,7 +184,10 @@ class ErrorBounds(Owner):
         return 1.01 * (known + product) + 4 * EPSILON * abs(value) + lost
 
     def amplitude(self, residual, terms, adjoint, value):
-        """Return the bound of a corrected amplitude; parameters as of `evaluation`. Collective."""
+        """Return the bound of a corrected amplitude.
+
+        Collective. Parameters are those of `evaluation`.
+        """
         # The last digits cover the rounding of this very formula.
         theory = 1.01 * residual * self.adjoint_residual(adjoint) * self.inverse_norm
         return theory + self.evaluation(residual, terms, adjoint, value)
