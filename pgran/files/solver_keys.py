@@ -5,6 +5,7 @@ files. What is not on the list is taken from the command line only, from who mea
 """
 
 import contextlib
+import functools
 import re
 
 from pgran.errors import InputError
@@ -132,13 +133,18 @@ def _under(prefix, table):
 # Solvers inside of preconditioners.
 INNER = r"((sub|mg_levels|mg_coarse|redundant|telescope|esteig)_(\d{1,3}_)?)*"
 LINEAR = rf"(steady_(comparison_)?|normal_st_|normal_eps_ciss_){INNER}"
-IN_FILES = [
-    *_under(rf"{LINEAR}ksp_", KSP),
-    *_under(rf"({LINEAR}|normal_count_)pc_", PC),
-    *_under(rf"({LINEAR}|normal_count_)mat_", FACTOR),
-    *_under("normal_", EPS),
-    *_under("", {ALONE: PRINTING}),
-]
+
+
+@functools.cache
+def _in_files():
+    """Return what a file may set; most runs have nothing to look up."""
+    return [
+        *_under(rf"{LINEAR}ksp_", KSP),
+        *_under(rf"({LINEAR}|normal_count_)pc_", PC),
+        *_under(rf"({LINEAR}|normal_count_)mat_", FACTOR),
+        *_under("normal_", EPS),
+        *_under("", {ALONE: PRINTING}),
+    ]
 
 
 def is_solver_key(key):
@@ -154,7 +160,7 @@ def is_petsc_key(key):
 def check_in_file(key, item):
     """Raise where a file sets a key of PETSc's that it may not; the command line may set all."""
     if item.where and not any(
-        keys.fullmatch(key) and values.fullmatch(item.text) for keys, values in IN_FILES
+        keys.fullmatch(key) and values.fullmatch(item.text) for keys, values in _in_files()
     ):
         raise InputError(
             f"-{key} {item.text}".rstrip() + f"{item.where}: not on the list of solvers, numbers "
