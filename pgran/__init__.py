@@ -5,7 +5,8 @@
     modes = pgran.find_modes(lattice)
 
 The functions take lattices and plain values, work alike in a notebook, a script and under mpirun,
-and return the records of `pgran.results`, on every rank.
+and return the records of `pgran.results`, on every rank. Keys of PETSc's and SLEPc's solvers come
+as a dict, solver={"steady_ksp_type": "gmres"}.
 """
 
 import importlib

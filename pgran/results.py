@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgran.record import SPACE, MisfitError, Record, array, attribute_array
-from pgran.record import Result as Result
 
 # What more than one record holds.
 DETECTOR = "indices of the detecting balls"

@@ -88,12 +88,17 @@ def pytest_sessionstart(session):
     )
 
 
+def pytest_collection_modifyitems(config, items):
+    """Select on one rank alone what would do the same on each."""
+    if WORLD.size > 1:
+        alike = [item for item in items if item.path.stem.removeprefix("test_") in ALIKE]
+        config.hook.pytest_deselected(items=alike)
+        items[:] = [item for item in items if item not in alike]
+
+
 def pytest_collection_finish(session):
-    """Leave out what would do the same on each rank; end unless all ranks found the same tests."""
+    """End unless all ranks found the same tests."""
     if _outcomes is not None:
-        for item in session.items:
-            if item.path.stem.removeprefix("test_") in ALIKE:
-                item.add_marker(pytest.mark.skip(reason="runs alike on every rank"))
         tests = [item.nodeid for item in session.items]
         if any(found != tests for found in _outcomes.allgather(tests)):
             _end("the ranks found different tests (an import failed on some?)")

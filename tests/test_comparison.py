@@ -13,7 +13,8 @@ from mpmath import mp
 from reference import exact_amplitudes
 from samples import random_lattice, reference_of, steady, swept
 
-from pgran.results import LatticeRecord, Result
+from pgran.record import Result
+from pgran.results import LatticeRecord
 from pgran.scenes.response import summary
 
 

@@ -19,6 +19,7 @@ from pgran import __main__ as command_line
 from pgran import load, results
 from pgran.errors import DONE, FileError, PgranError
 from pgran.files import store
+from pgran.record import Result
 
 ATTRIBUTES = {"scene": "modes", "status": "complete", "options": "# é\n", "slepc_version": "",
               "mpi_size": 2, "seconds": 1.5}  # fmt: skip
@@ -108,7 +109,7 @@ def test_xarray_reads_what_records_become(path):
 
 def test_a_result_by_name(monkeypatch):
     lattice, modes = make(results.LatticeRecord), make(results.Modes)
-    result = results.Result([lattice, modes], scene="modes")
+    result = Result([lattice, modes], scene="modes")
     assert (result.scene, result.modes) == ("modes", modes)
     assert {"lattice", "scene"} <= set(dir(result))
     assert getattr(result, "spectrum", None) is None

@@ -19,7 +19,7 @@ def plot(result, output=None, modes=None):
 
     Parameters
     ----------
-    result : pgran.results.Result, str or os.PathLike
+    result : pgran.record.Result, str or os.PathLike
         What `load` returns, or the path of its file.
     output : str or os.PathLike, optional
         Where to save: `results/a.png` gives `results/a-amplitude.png` and so on; the ending decides

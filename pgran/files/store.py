@@ -210,7 +210,9 @@ def load(path):
             raise FileError(f"{path}: not a result of pgran")
         version = facts.get("format_version")
         if version not in range(1, FORMAT_VERSION + 1):
-            raise FileError(f"{path}: format version {version}; this pgran reads 1 to 2")
+            raise FileError(
+                f"{path}: format version {version}; this pgran reads 1 to {FORMAT_VERSION}"
+            )
         records, axes = [], {}
         for group in file.members("/", RECORDS):
             try:

@@ -1,8 +1,5 @@
 """What is accurate enough; true errors against a reference with a bound. NumPy only."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 
 from pgran.physics.rounding import residual_rounding
@@ -35,36 +32,6 @@ def below_relative_accuracy(error_bound, amplitude, tolerance):
     """
     missed = np.isfinite(error_bound) & ~is_accurate(error_bound, amplitude, tolerance)
     return missed.astype(np.int8)
-
-
-@dataclass(frozen=True)
-class Study:
-    """The experiment that is repeated.
-
-    `solve` takes a crew and keywords and returns its result on rank 0; `read` returns the numbers
-    of that result as an array of ENTRY.
-    """
-
-    name: str
-    solve: Callable
-    read: Callable
-    exact: dict  # keywords for the reference
-    certified: float  # relative bound of the reference's numbers that others are compared with
-
-
-@dataclass(frozen=True)
-class Configuration:
-    """A solver and what is asked of it."""
-
-    solver: str
-    tolerance: float
-    choices: dict  # keywords of `Study.solve`
-    keys: dict  # for PETSc's option database
-
-    @property
-    def label(self):
-        """What to call it."""
-        return f"{self.solver} {self.tolerance:g}"
 
 
 def entries(values, bounds, good):

@@ -24,6 +24,9 @@ def in_parallel(shares_lattice=False):
 
     def decorate(function):
         signature = inspect.signature(function)
+        solver = inspect.Parameter("solver", inspect.Parameter.KEYWORD_ONLY, default=None)
+        # by kind, because **keywords come last
+        shown = sorted([*signature.parameters.values(), solver], key=lambda given: given.kind)
 
         @functools.wraps(function)
         def wrapped(*arguments, **choices):
@@ -41,6 +44,7 @@ def in_parallel(shares_lattice=False):
                     record = function(*arguments, **choices | {"crew": crew})
                 return world.bcast(record)
 
+        wrapped.__signature__ = signature.replace(parameters=shown)
         return wrapped
 
     return decorate

@@ -140,88 +140,25 @@ def find_modes(
         If the modes cannot be counted.
     """
     if interval is not None:
-        ends = dict(zip(("modes_omega_min", "modes_omega_max"), interval, strict=True))
-        common.check_values(WHICH, **ends)
-        common.check_ends("modes_omega", ends)
-    for target in () if targets is None else targets:
-        common.check_values(WHICH, modes_target=target, modes_count=count)
+        low, high = interval
+        common.check_values(WHICH, modes_omega_min=low, modes_omega_max=high)
+        common.check_ends("modes_omega", {"modes_omega_min": low, "modes_omega_max": high})
+    if targets is not None:
+        if not len(targets):
+            raise InputError("-modes_target: no target is given")
+        for target in targets:
+            common.check_values(WHICH, modes_target=target, modes_count=count)
     started = time.perf_counter()
     lattice, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
     check_frequency(lattice, max(targets if targets is not None else interval or (0.0,)))
+    from pgran.solve.slicing import find_slices, hermitian_stiffness
+
     with hermitian_stiffness(lattice) as K:
-        slices = find_slices(lattice, K, crew, interval, targets, count)
+        slices = find_slices(K, lattice.mass, crew, interval, targets, count)
         task = Slices(lattice, K, slices, shapes, targets, count)
         modes = carry_out(task, crew, progress)
     seconds = time.perf_counter() - started  # counts included
     return modes and dataclasses.replace(modes, solve_seconds=seconds)
-
-
-@contextlib.contextmanager
-def hermitian_stiffness(lattice):
-    """Return, for a `with`, the stiffness of a lattice on this rank, flagged as what it is.
-
-    Not collective.
-    """
-    from mpi4py import MPI
-    from petsc4py import PETSc
-
-    from pgran.solve.operators import Operators
-
-    with Operators(lattice, MPI.COMM_SELF) as operators:
-        for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
-            operators.K.setOption(flag, True)
-        yield operators.K
-
-
-def find_slices(lattice, K, crew, interval=None, targets=None, count=None):
-    """Return the slices of the spectrum (low, high, count) that hold the wanted modes.
-
-    Collective: the ranks share out the counts. In a dry run one slice amid the wanted modes stands
-    for all. Parameters are those of `find_modes` and `Slices`.
-    """
-    from pgran.solve.counting import SLICE, ModeCounter, cut, shared
-    from pgran.solve.normal import ModeSolver
-
-    mass, world = lattice.mass, crew.world
-    with ModeCounter(K) as counter:
-        if targets is None:
-            low, high = interval or (0.0, np.inf)
-            ends = [counter.interval(mass * low**2, mass * high**2, world)]
-        else:
-            wanted = targets[:: max(1, len(targets) // 3)] if crew.dry else targets
-            around = shared(world, list(wanted), lambda omega: counter.around(omega, mass, count))
-            ends = _united([found for _, found in around])
-        if ModeSolver.whole():
-            slices = [(*found, max(found.values()) - min(found.values())) for found in ends]
-            return [piece for piece in slices if piece[2] > 0]
-        if not crew.dry:
-            return [piece for found in ends for piece in cut(counter, found, world)]
-        return _like_one_slice(counter, ends, mass, SLICE)
-
-
-def _like_one_slice(counter, intervals, mass, size):
-    """Return as many slices as intervals need, all of them one that lies amid the first."""
-    total = sum(max(found.values()) - min(found.values()) for found in intervals)
-    low, high = (min(max(end, 0.0), counter.norm) for end in intervals[0])
-    omega = (0.5 * (low + high) / mass) ** 0.5
-    pieces = []
-    while total > 0:
-        found = counter.around(omega, mass, min(size, total))
-        count = max(found.values()) - min(found.values())
-        pieces += [(*found, count)] * max(1, total // count)
-        total -= count * max(1, total // count)
-    return pieces
-
-
-def _united(intervals):
-    """Return intervals with overlapping ones joined."""
-    joined = []
-    for low, high in sorted(list(ends.items()) for ends in intervals):
-        if joined and low <= joined[-1][1]:
-            joined[-1][1] = max(joined[-1][1], high)
-        else:
-            joined.append([low, high])
-    return [dict(ends) for ends in joined]
 
 
 class Slices(Task):

@@ -20,7 +20,7 @@ class Scene:
         Takes the options, all ranks, and what makes a crew of them: `run(options, world, crew)`.
         Returns the records of the result on rank 0, None on the others. Collective.
     summary : callable
-        Takes the `pgran.results.Result`; returns in words, line by line, what a run found.
+        Takes the `pgran.record.Result`; returns in words, line by line, what a run found.
     check : callable
         Takes the values of the options and what was given; raises InputError where values that are
         possible one by one contradict each other, and unsets what an alternative replaces.

@@ -1,6 +1,7 @@
 """Driven steady states over a sweep of frequencies; a scene says what it keeps of each."""
 
 import contextlib
+import dataclasses
 
 import numpy as np
 
@@ -48,9 +49,11 @@ class FrequencySweep(Task):
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`."""
+        from pgran.solve.judging import SteadyState
         from pgran.solve.operators import Operators
         from pgran.solve.steady import SteadySolver
 
+        same = [f.name for f in dataclasses.fields(SteadyState) if f.name in self.row.names]
         with (
             Operators(self.scaled, group) as operators,
             SteadySolver(operators, self.sites, **self.choices) as solver,
@@ -63,9 +66,8 @@ class FrequencySweep(Task):
                     before = solver.factorizations
                     state = solver.solve(1j * self.omegas[index])
                     point["factorizations"] = solver.factorizations - before
-                    for name in self.row.names:
-                        if hasattr(state, name):
-                            point[name] = getattr(state, name)
+                    for name in same:
+                        point[name] = getattr(state, name)
                     self.keep(point, solver)
                 return points
 

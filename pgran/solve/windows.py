@@ -7,7 +7,7 @@ driven wall; with w = b^T A, the driven wall counted as displacement 1, the ampl
 
 The changes of the next steps are known ahead (`pgran.physics.changes`). So the amplitudes of a
 window of steps follow exactly from one factorization at its start, one solve for each of its bonds,
-and algebra among those bonds alone (`pgran.solve.deformation`).
+and algebra among those bonds alone (`pgran.physics.deformation`).
 
 That algebra proves its own results. Let S0, x0, z0 be the matrix, the amplitudes and the adjoint
 at the start, with residuals r0 and q0; B the bonds b_1 .. b_s of a window, Y the solutions of
@@ -29,8 +29,8 @@ from petsc4py import PETSc
 
 from pgran.errors import InputError
 from pgran.physics.accuracy import is_accurate
+from pgran.physics.deformation import BOND, Deformation, amplitudes, march, squares
 from pgran.physics.rounding import SMALLEST_NORMAL
-from pgran.solve.deformation import BOND, Deformation, amplitudes, march, squares
 from pgran.solve.operators import SAME, Owner
 
 COLUMNS = 32  # right-hand sides solved for at once
