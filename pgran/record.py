@@ -47,9 +47,19 @@ def array(long_name, units, *axes, dtype=float, since=1, optional=False):
     )
 
 
-def attribute_array(*along):
+def attribute_array(*along, since=1):
     """Declare a short array of real numbers: an attribute of its group."""
-    return dataclasses.field(metadata={"along": along, "dtype": float})
+    return dataclasses.field(metadata={"along": along, "dtype": float, "since": since})
+
+
+def attribute(since):
+    """Declare a plain value that files have since some version of their format."""
+    return dataclasses.field(metadata={"since": since})
+
+
+def part(kind):
+    """Declare a record within a record, a group within its group, which may be missing."""
+    return dataclasses.field(default=None, metadata={"part": kind})
 
 
 def axes_of(item, dimensions):
@@ -90,9 +100,12 @@ class MisfitError(ValueError):
 
 
 class Record:
-    """One group of a result; each subclass names it and declares what it holds."""
+    """One group of a result; each subclass names it and declares what it holds.
 
-    group = None
+    A record with `within` is a part of that group's record.
+    """
+
+    group = within = None
 
     def check(self, lattice_axes):
         """Raise a MisfitError unless every array has its declared axes, each as long everywhere.
@@ -102,6 +115,8 @@ class Record:
         lengths = dict(lattice_axes)
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
+            if isinstance(value, Record):
+                value.check(lattice_axes)
             if value is None or not {"axes", "along"} & set(item.metadata):
                 continue
             names = axes_of(item, lengths.get("axis", 0))
@@ -126,6 +141,8 @@ class Record:
         variables, attributes = {}, {}
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
+            if "part" in item.metadata:
+                continue
             if "axes" not in item.metadata:
                 attributes[item.name] = value
             elif value is not None:
@@ -139,7 +156,9 @@ class Record:
         parts = []
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
-            if isinstance(value, np.ndarray):
+            if isinstance(value, Record):
+                parts.append(f"{item.name}: {type(value).__name__}")
+            elif isinstance(value, np.ndarray):
                 parts.append(f"{item.name}: {value.dtype} {value.shape}")
             elif value is not None:
                 parts.append(f"{item.name}={reprlib.repr(value)}")

@@ -89,6 +89,7 @@ def solve(lattice, omegas, sites, comm=MPI.COMM_SELF, tolerance=1e-4, **choices)
 def swept(lattice, omegas, sites, comm=MPI.COMM_SELF, ranks=1, **choices):
     """The response, on every rank of `comm`; so many of them share a lattice."""
     with Crew(comm, ranks) as crew:
+        choices = {"method": "points"} | choices
         return comm.bcast(sweep(lattice, np.asarray(omegas), sites, crew, **choices))
 
 

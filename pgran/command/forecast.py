@@ -18,6 +18,7 @@ from mpi4py import MPI
 from pgran.machine import free_memory, most_resident
 from pgran.parallel.crew import Crew
 from pgran.physics.lattice import bond_count
+from pgran.record import Record
 from pgran.scenes.common import make_lattice, ranks_per_lattice
 
 LAUNCH = 0.3  # seconds that mpirun and the interpreter take to start and to end
@@ -239,8 +240,10 @@ def lattice_memory(shape, ranks, factored=True):
 
 def stored_bytes(records):
     """Return the size of records in a file. Not collective."""
-    values = (getattr(record, f.name) for record in records for f in dataclasses.fields(record))
-    return FILE_BYTES + sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+    values = [getattr(record, f.name) for record in records for f in dataclasses.fields(record)]
+    parts = [value for value in values if isinstance(value, Record)]
+    size = sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+    return size + (stored_bytes(parts) if parts else FILE_BYTES)
 
 
 def _machine_total(world, size):

@@ -11,6 +11,7 @@ from pgran.errors import FileError
 from pgran.files.paths import open_regular
 
 SEAL_SIZE, SEAL = 512, b"pgran result "
+AT_END = 2  # the version of a seal in this place, that of the format which brought it
 PIECE = 2**20  # bytes read at a time
 
 
@@ -23,7 +24,7 @@ def seal_of(stream, version, start, stop):
     ----------
     stream : io.RawIOBase
     version : int
-        Of the format.
+        Of the seal.
     start, stop : int
     """
     stream.seek(start)
@@ -39,7 +40,7 @@ def _read_seal(stream):
     """Return a file's seal, empty if none, its version, and which bytes it is of."""
     size = stream.seek(0, os.SEEK_END)
     end = max(0, size - SEAL_SIZE)
-    for version, place, content in ((2, end, (0, end)), (1, 0, (SEAL_SIZE, size))):
+    for version, place, content in ((AT_END, end, (0, end)), (1, 0, (SEAL_SIZE, size))):
         stream.seek(place)
         seal = stream.read(SEAL_SIZE)
         if seal.startswith(SEAL):

@@ -17,11 +17,11 @@ import numpy as np
 from pgran.errors import FileError, reason_of
 from pgran.files import hdf5
 from pgran.files.paths import open_regular
-from pgran.files.seal import check_seal, has_seal, seal_of
+from pgran.files.seal import AT_END, check_seal, has_seal, seal_of
 from pgran.record import MisfitError, Result, axes_of, dimensions_of, plain_value
 from pgran.results import RECORDS
 
-FORMAT, FORMAT_VERSION = "pgran", 2
+FORMAT, FORMAT_VERSION = "pgran", 3
 CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
 
 
@@ -89,7 +89,7 @@ def write(path, attributes, records):
                 for record in records:
                     _write_record(file, record)
             size = stream.seek(0, os.SEEK_END)
-            stream.write(seal_of(stream, FORMAT_VERSION, 0, size))
+            stream.write(seal_of(stream, AT_END, 0, size))
             if stream.failure:
                 raise stream.failure
             os.fsync(stream.fileno())
@@ -128,15 +128,18 @@ class _Stream(io.FileIO):
             return size
 
 
-def _write_record(file, record):
-    """Write a record: datasets and attributes as its fields declare them."""
-    group = file.create_group(record.group)
+def _write_record(parent, record):
+    """Write a record: datasets and attributes as its fields declare them, and its parts."""
+    group = parent.create_group(record.group)
     for item in dataclasses.fields(record):
         value = getattr(record, item.name)
         if value is None:
             continue
+        if "part" in item.metadata:
+            _write_record(group, value)
+            continue
         if "axes" not in item.metadata:
-            (file if "of_run" in item.metadata else group).attrs[item.name] = _stored(value)
+            (group.file if "of_run" in item.metadata else group).attrs[item.name] = _stored(value)
             continue
         data = group.create_dataset(item.name, data=_stored(value))
         data.attrs["units"] = item.metadata["units"]
@@ -144,7 +147,7 @@ def _write_record(file, record):
         if item.metadata["dtype"] is bool:
             data.attrs["dtype"] = "bool"  # as xarray writes and reads it
     for item in dataclasses.fields(record):
-        if item.name in group:
+        if "axes" in item.metadata and item.name in group:
             data = group[item.name]
             for number, scale in enumerate(axes_of(item, dimensions_of(item, data))):
                 _attach(group, data, number, scale)
@@ -216,7 +219,7 @@ def load(path):
         records, axes = [], {}
         for group in file.members("/", RECORDS):
             try:
-                record = _read_record(file, group, facts)
+                record = _read_record(file, group, RECORDS[group], facts)
                 axes = record.axes if group == "lattice" else axes
                 record.check(axes)
             except MisfitError as error:
@@ -225,23 +228,29 @@ def load(path):
         return Result(records, **facts)
 
 
-def _read_record(file, group, facts):
+def _read_record(file, group, kind, facts):
     """Return a group as the record that declares it; `facts` are the attributes of the file."""
-    fields = dataclasses.fields(RECORDS[group])
+    fields = dataclasses.fields(kind)
     there = file.members(group, [item.name for item in fields])
     values, said = {}, file.attributes(group)
     for item in fields:
         name, meta = item.name, item.metadata
-        if "axes" in meta:
-            may_lack = meta["optional"] or meta["since"] > facts["format_version"]
-            lacks = may_lack and name not in there
-            values[name] = None if lacks else file.array(f"{group}/{name}", meta["dtype"])
-            continue
+        newer = meta.get("since", 1) > facts["format_version"]
         source = facts if "of_run" in meta else said
-        if name not in source:
+        if "part" in meta:
+            inner = f"{group}/{meta['part'].group}"
+            if meta["part"].group in there:
+                values[name] = _read_record(file, inner, meta["part"], facts)
+        elif "axes" in meta:
+            lacks = (newer or meta["optional"]) and name not in there
+            values[name] = None if lacks else file.array(f"{group}/{name}", meta["dtype"])
+        elif name in source:
+            values[name] = plain_value(item, source[name])
+        elif newer:
+            values[name] = None
+        else:
             file.refuse(f"{group}/{name}", "is missing")
-        values[name] = plain_value(item, source[name])
-    return RECORDS[group](**values)
+    return kind(**values)
 
 
 def read_stiffness(path):

@@ -1,6 +1,13 @@
 """Phases of amplitudes over a sweep, and the straight line that gives a phase velocity."""
 
+from dataclasses import dataclass
+
 import numpy as np
+
+# Where the curve stays within this part of the amplitude of the straight line between two points,
+# its phase turns as that line's does.
+CERTAIN = 0.25
+BLOCKS = 10  # of the window of a fit, each several resonances wide
 
 
 def phase_of_sign(displacement):
@@ -39,19 +46,106 @@ def fit_line(x, y):
     return slope, height - slope * middle
 
 
-def fit_phase(x, phase):
-    """Return slope and intercept of the phase (n, nd) of each detector over x, by `fit_line`.
+@dataclass(frozen=True)
+class PhaseLine:
+    """The straight line through a phase, or why there is none.
 
-    Not collective.
+    Attributes
+    ----------
+    slope, slope_error : float
+        Of the phase over x, with its standard error; NaN without a line.
+    intercept : float
+    low, high : float
+        The first and the last x that the line was fitted to.
+    why_not : str
+        Empty if there is a line.
     """
-    return np.transpose([fit_line(x, column) for column in phase.T])
+
+    slope: float = np.nan
+    slope_error: float = np.nan
+    intercept: float = np.nan
+    low: float = np.nan
+    high: float = np.nan
+    why_not: str = ""
 
 
-def phase_velocity(slope, distance):
-    """Return the velocity in spacings times omega_mx (paper: phsvel).
+def fit_phase(x, phase, line_error, low, high):
+    """Fit the straight line to a phase, if its turns are certain over the whole window.
 
-    Not collective. The slope of the phase is in rad per omega_mx, the distance from the driven wall
-    in spacings.
+    Not collective. The line is that of least squares along the curve, whose points may lie closer
+    here than there. What it misses is correlated over the width of a resonance; so the standard
+    error is that of `BLOCKS` parts of the window taken as independent.
+
+    Parameters
+    ----------
+    x, phase, line_error : numpy.ndarray, shape (n,)
+        Frequencies in units of omega_mx; the phase unwrapped, NaN where unknown; how far the curve
+        leaves the straight line from the point before (`pgran.physics.curve.deviation`).
+    low, high : float
+        The window.
+
+    Returns
+    -------
+    PhaseLine
     """
-    with np.errstate(divide="ignore"):
-        return distance / np.abs(slope)
+    if not len(x) or x[0] > low * (1 + 1e-9) or x[-1] < high * (1 - 1e-9):
+        why = f"the sweep does not cover the window of the fit, {low:g} to {high:g} omega_mx"
+        return PhaseLine(why_not=f"{why} (-phase_fit_min, -phase_fit_max)")
+    # Rounding of the window's ends leaves no point out.
+    inside = (low * (1 - 1e-9) <= x) & (x <= high * (1 + 1e-9))
+    x, phase = x[inside], phase[inside]
+    turns = line_error[inside][1:]
+    uncertain = np.flatnonzero(~(turns <= CERTAIN) | ~np.isfinite(phase[1:] - phase[:-1]))
+    if uncertain.size:
+        first = uncertain[0]
+        why = f"the phase is not certain between {x[first]:.6g} and {x[first + 1]:.6g} omega_mx"
+        return PhaseLine(why_not=why + and_more(uncertain.size - 1))
+    if len(x) < BLOCKS or np.ptp(x) < 1e-10 * x[-1]:
+        why = f"{len(x)} frequencies lie in the window of the fit, and {BLOCKS} apart are needed"
+        return PhaseLine(why_not=why)
+    weights = np.gradient(x)
+    middle = np.average(x, weights=weights)
+    along = weights * (x - middle)
+    slope = along @ phase / (along @ x)
+    intercept = np.average(phase, weights=weights) - slope * middle
+    missed = along * (phase - intercept - slope * x)
+    block = np.minimum((x - x[0]) / (x[-1] - x[0]) * BLOCKS, BLOCKS - 1).astype(int)
+    spread = np.sum(np.bincount(block, missed, BLOCKS) ** 2) * BLOCKS / (BLOCKS - 2)
+    return PhaseLine(slope, np.sqrt(spread) / (along @ x), intercept, x[0], x[-1])
+
+
+def and_more(count):
+    """Say in words that a place is not the only one. Not collective."""
+    return f", and in {count} more places" if count else ""
+
+
+def group_delay(amplitude, derivative, error_bound, derivative_bound):
+    """Return -d arg A / d omega, and a bound of its error.
+
+    Not collective. With A and its derivative A' wrong by at most a and b, A'/A is wrong by at most
+    (b + |A'/A| a) / (|A| - a); NaN and infinite where A may vanish.
+    """
+    with np.errstate(all="ignore"):
+        ratio = derivative / amplitude
+        room = np.abs(amplitude) - error_bound
+        bound = 1.01 * (derivative_bound + np.abs(ratio) * error_bound) / room
+    known = (room > 0) & np.isfinite(bound)
+    return np.where(known, -ratio.imag, np.nan), np.where(known, bound, np.inf)
+
+
+def phase_velocity(line, distance):
+    """Return the velocity in spacings times omega_mx, and its standard error (paper: phsvel).
+
+    Not collective. It is no speed of sound: absorbing diffusion makes the slope fall like
+    1 / sqrt(beta), and a pulse arrives far earlier.
+
+    Parameters
+    ----------
+    line : PhaseLine
+        With the slope in rad per omega_mx.
+    distance : int
+        From the driven wall, in spacings.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        velocity = np.float64(distance) / abs(line.slope)
+        return velocity, velocity * line.slope_error / abs(line.slope)

@@ -8,7 +8,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pgran.physics.accuracy import is_accurate
-from pgran.physics.rounding import SMALLEST_NORMAL
+from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL
 from pgran.solve.bounds import ErrorBounds
 from pgran.solve.comparison import Comparison
 from pgran.solve.linear import LEAST_NORM
@@ -43,6 +43,9 @@ class SteadyState:
     field_bound : float
         The error of the whole field, in the 2-norm, is at most this; NaN where no bound is known,
         or none was asked for.
+    derivative, derivative_bound : numpy.ndarray, shape (nd,), or None
+        d displacement / d omega and a bound of its error, if asked for; NaN where no bound is
+        known.
     """
 
     s: complex
@@ -52,6 +55,8 @@ class SteadyState:
     iterations: int
     converged_reason: int
     field_bound: float
+    derivative: np.ndarray | None = None
+    derivative_bound: np.ndarray | None = None
 
 
 class Detectors(Owner):
@@ -93,13 +98,14 @@ class Judge(Owner):
     Collective. Parameters are those of `pgran.solve.steady.SteadySolver`.
     """
 
-    owns = ("bounds", "detectors", "_comparison")
+    owns = ("bounds", "detectors", "_comparison", "_bent", "_inertia")
 
     def __init__(self, operators, sites, tolerance, floor, whole_field):
         """Make what reads and what bounds by norms."""
         self.operators, self.detectors = operators, Detectors(operators, sites)
         self.tolerance, self.floor, self.whole_field = tolerance, floor, whole_field
         self.bounds = ErrorBounds(operators)
+        self._bent, self._inertia = operators.f.duplicate(), operators.f.duplicate()
 
     @cached_property
     def _comparison(self):
@@ -174,6 +180,44 @@ class Judge(Owner):
             good = good and is_accurate(field_bound, primal.solution.norm(), self.tolerance)
         reason = _reason(good, krylov.reason)
         return replace(state, error_bound=bound, field_bound=field_bound, converged_reason=reason)
+
+    def with_derivatives(self, state, systems):
+        """Return a state with the derivatives dA_d/domega and their bounds.
+
+        Collective. With S' = C + 2 s M, all damping in C, and g = f' - S' A~ (derivatives along s),
+
+            dA_d/ds - z~^T g = q^T S^-1 g - z~^T S' S^-1 r - q^T S^-1 S' S^-1 r.
+
+        Parameters are those of `assess`.
+        """
+        unknown = np.full(state.displacement.shape, math.nan)
+        if not self.bounds.proven or not math.isfinite(state.backward_error):
+            return replace(state, derivative=unknown + 0j, derivative_bound=unknown)
+        bounds, operators, (primal, *adjoints) = self.bounds, self.operators, systems
+        s, bent, inertia = state.s, self._bent, self._inertia
+        inertia.pointwiseMult(operators.M, primal.solution)
+        bent.set(0.0)
+        force = 0.0
+        if operators.C is not None:
+            operators.C.mult(primal.solution, bent)
+            bent.aypx(-1.0, operators.f_damping)
+            bent.scale(operators.damping)
+            force = operators.damping * operators.f_damping.norm()
+        bent.axpy(-2 * s, inertia)
+        slope = 4 * len(operators.shape) * operators.damping + 2 * abs(s) * operators.mass
+        rounding = bounds.unit * (force + slope * primal.solution.norm())
+        g, r = (
+            bent.norm() + rounding,
+            bounds.primal_residual(primal, bounds.rounding(primal.solution)),
+        )
+        derivative, bound, inverse = unknown + 0j, unknown.copy(), bounds.inverse_norm
+        for d, adjoint in enumerate(adjoints):
+            q, z = bounds.adjoint_residual(adjoint), adjoint.solution.norm()
+            derivative[d] = 1j * adjoint.solution.tDot(bent)
+            theory = inverse * (q * g + slope * r * (z + q * inverse))
+            sums = z * (rounding + (operators.balls + 8) * EPSILON * g)
+            bound[d] = 1.01 * (theory + sums)
+        return replace(state, derivative=derivative, derivative_bound=bound)
 
     def _withstands_rounding(self, displacement, terms, size, krylov):
         """Return whether rounding of random signs leaves the amplitudes as they are."""

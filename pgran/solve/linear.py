@@ -6,6 +6,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from pgran.solve.operators import Owner
+from pgran.solve.reuse import FACTORIZATIONS
 
 LEAST_NORM = 1e-300  # a residual of which is none
 NO_NUMBER = int(PETSc.KSP.ConvergedReason.DIVERGED_NANORINF)
@@ -131,6 +132,11 @@ class Krylov(Owner):
         self.ksp.setTolerances(rtol=rtol)
         self.ksp.solve(rhs, self._correction)
         self.iterations += self.ksp.getIterationNumber()
+
+
+def is_factored():
+    """Return whether the options ask for a factorization of S. Not collective."""
+    return PETSc.Options("steady_").getString("pc_type", "cholesky") in FACTORIZATIONS
 
 
 def factor_package(shape, ranks):

@@ -44,6 +44,8 @@ class SteadySolver(Owner):
         Ask the same accuracy of the field, in the 2-norm.
     error_floor : float
         An amplitude whose bound is below this part of the wall's is good without it.
+    derivatives : bool
+        Derivatives along omega are wanted as well.
 
     Attributes
     ----------
@@ -63,11 +65,12 @@ class SteadySolver(Owner):
         refresh_iterations=0,
         whole_field=False,
         error_floor=0.0,
+        derivatives=False,
     ):
         """Make the systems and their bounds."""
         self.operators, self.comm = operators, operators.comm
         self.tolerance, self.floor = error_tolerance, error_floor
-        self.whole_field = whole_field
+        self.whole_field, self.derivatives = whole_field, derivatives
         self.factorizations = 0
         self._sites, self._spoilt, self._works, self._said = sites, False, False, set()
         self._make_systems()
@@ -164,6 +167,8 @@ class SteadySolver(Owner):
         try:
             with np.errstate(all="ignore"):  # what is not finite has no bound
                 state = self._solve(s)
+                if self.derivatives:
+                    state = self._judge.with_derivatives(state, self._systems)
         except PETSc.Error as error:
             self._tell(s, error)
         if state is None:  # the error is gone, and with it what it kept alive
@@ -217,7 +222,9 @@ class SteadySolver(Owner):
         missing = np.full(len(self._judge.detectors), math.nan)
         unknown = math.inf if self.bounds.proven else math.nan
         bound = np.full(missing.shape, unknown)
-        return SteadyState(s, missing + 0j, bound, math.nan, 0, NO_PRECONDITIONER, unknown)
+        return SteadyState(
+            *(s, missing + 0j, bound, math.nan, 0, NO_PRECONDITIONER, unknown, missing + 0j, bound)
+        )
 
     def _attempt(self, s, fresh):
         """Solve with a fresh or the present factorization."""

@@ -1,0 +1,70 @@
+"""The curve between computed frequencies: where straight lines are right, and points where not.
+
+With the derivatives at both ends the amplitude between two neighbours is a cubic (Hermite's). Where
+that cubic leaves the straight line between them, the line is wrong; where it does so by a large
+part of the amplitude, the phase may have turned unseen. NumPy only.
+"""
+
+import numpy as np
+
+PLACES = np.array([0.25, 0.5, 0.75])[:, None, None]  # between two neighbours
+SHARE = 0.8  # aim at this part of the deviation allowed, which the cubic only estimates
+MOST_ADDED = 7  # frequencies between two neighbours in one pass
+PASSES = 40
+
+
+def deviation(omega, amplitude, derivative):
+    """Return how far the curve leaves straight lines between neighbours, relative to itself.
+
+    Not collective.
+
+    Parameters
+    ----------
+    omega : numpy.ndarray, shape (n,)
+    amplitude, derivative : numpy.ndarray of complex, shape (n, nd)
+
+    Returns
+    -------
+    numpy.ndarray, shape (n - 1, nd)
+        Infinite where an end is unknown.
+    """
+    with np.errstate(all="ignore"):
+        chord = np.diff(amplitude, axis=0)
+        width = np.diff(omega)[:, None]
+        below, above = width * derivative[:-1] - chord, width * derivative[1:] - chord
+        bend = PLACES * (1 - PLACES) * ((1 - PLACES) * below - PLACES * above)
+        found = np.abs(bend) / np.abs(amplitude[:-1] + PLACES * chord + bend)
+    return np.where(np.isfinite(found), found, np.inf).max(axis=0)
+
+
+def resolve(evaluate, omegas, tolerance):
+    """Return a curve at frequencies so close that straight lines between them are right.
+
+    Not collective.
+
+    Parameters
+    ----------
+    evaluate : callable
+        Takes frequencies, returns an array of `pgran.physics.interval.point_dtype`.
+    omegas : numpy.ndarray
+        Frequencies to begin with, ascending.
+    tolerance : float
+        Of the lines, relative to the amplitude; 0 adds no frequency.
+    """
+    points = evaluate(omegas)
+    for _ in range(PASSES if tolerance else 0):
+        omega = points["omega"]
+        missed = deviation(omega, points["displacement"], points["derivative"]).max(axis=1)
+        missed /= SHARE * tolerance
+        missed[np.diff(omega) <= 1e-12 * omega[1:]] = 0.0
+        bad = np.flatnonzero((missed > 1) & np.isfinite(missed))
+        if not bad.size:
+            break
+        # the deviation falls with the square of the distance
+        count = np.minimum(np.ceil(np.sqrt(missed[bad])) - 1, MOST_ADDED).astype(int)
+        place = np.concatenate([np.arange(1, n + 1) / (n + 1) for n in count])
+        start, width = (np.repeat(x[bad], count) for x in (omega[:-1], np.diff(omega)))
+        added = evaluate(start + place * width)
+        points = np.concatenate([points, added])
+        points = points[np.argsort(points["omega"], kind="stable")]
+    return points

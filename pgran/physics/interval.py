@@ -1,0 +1,368 @@
+"""Small models that give an amplitude, with its bound, at any frequency of an interval.
+
+At a frequency the system is a polynomial in omega with fixed matrices,
+
+    S(omega) = B_0 + omega B_1 + omega^2 B_2,    B = (K, i C, -M),    f(omega) = g_0 + omega g_1,
+
+C being all damping. X spans the moments of A (scaled derivatives along omega) at both ends of an
+interval, Z those of a detector's adjoint z. The Galerkin solutions X y of S A = f and Z w of
+S z = e_d have the residuals
+
+    r = f - S X y = W c,    W = [g_0, g_1, B_0 X, B_1 X, B_2 X],    c = (1, omega, -omega^j y),
+
+and q alike, so that two small solves and the triangle R of W = Q R give |r|_2 = |R c|_2. (From the
+Gram matrix W^H W it would lose half its digits, which amplitudes above the highest mode need.) As
+in `pgran.solve.bounds`, e_d^T X y + (Z w)^T r misses A_d by q^T S^-1 r, at most |q| |r| |S^-1|.
+
+With y' and w' that solve the derivatives of the small systems, r' = W c' and q' are small as well,
+and the derivative of the corrected amplitude misses dA_d/domega by
+
+    q'^T S^-1 r + q^T S^-1 r' - q^T S^-1 S' S^-1 r.
+
+What a model holds, with p columns in X and in each Z, system 0 that of A, then one a detector:
+`own`, X^T W of each system with its own W; `cross`, Z^T W with the W of A; `triangle`, R of each;
+`reading`, e_d^T X; `sizes`, |Z|^T |W| summed up at the highest frequency, and `drive_sizes`, the
+same of f, by which rounding is bounded; `poles`, the frequencies above the poles of system 0.
+NumPy only.
+"""
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL
+
+MOMENTS = 8  # of each right-hand side at each end
+LOST = 2**10 * SMALLEST_NORMAL  # what sums of products too small for doubles may lose
+BLOCK = 400  # rows that are factored at once, and stay in the cache
+
+
+# The arrays of a model, and what a curve tells of a point.
+ARRAYS = ("low", "high", "own", "cross", "triangle", "reading", "sizes", "drive_sizes")
+POINT = ("omega", "displacement", "error_bound", "derivative", "derivative_bound")
+
+
+def model_dtype(columns, detectors, balls):
+    """Return the dtype of a model. Not collective.
+
+    Parameters
+    ----------
+    columns : int
+        p, those of X and of each Z.
+    detectors, balls : int
+    """
+    systems, width = 1 + detectors, 2 + 3 * columns
+    return np.dtype(
+        [
+            ("low", float),
+            ("high", float),
+            ("proven", np.int8),
+            ("factorizations", np.int64),
+            ("poles", float, (2 * columns,)),
+            ("own", complex, (systems, columns, width)),
+            ("cross", complex, (detectors, columns, width)),
+            ("triangle", complex, (systems, columns + min(2 + 2 * columns, balls), width)),
+            ("reading", complex, (detectors, columns)),
+            ("sizes", float, (detectors, columns, columns)),
+            ("drive_sizes", float, (detectors, columns)),
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What bounds the errors of all models of a lattice, in the lattice's unit.
+
+    Attributes
+    ----------
+    stability : float
+        |S x|_2 >= omega stability |x|_2.
+    stiffness, damping, mass : float
+        No less than the norms of |K|, |C| and |M|, entries taken by magnitude.
+    drive, drive_damping : float
+        |g_0|_2 and |g_1|_2.
+    rounding : float
+        What a residual's norm misses, relative to |f| + (|K| + omega |C| + omega^2 |M|) |x|.
+    sum_rounding : float
+        The same of a sum over all balls.
+    """
+
+    stability: float
+    stiffness: float
+    damping: float
+    mass: float
+    drive: float
+    drive_damping: float
+    rounding: float
+    sum_rounding: float
+
+
+def point_dtype(detectors):
+    """Return the dtype of what `evaluate` returns for each frequency. Not collective."""
+    return np.dtype(
+        [
+            ("omega", float),
+            ("displacement", complex, (detectors,)),
+            ("error_bound", float, (detectors,)),
+            ("rounding", float, (detectors,)),
+            ("derivative", complex, (detectors,)),
+            ("derivative_bound", float, (detectors,)),
+            ("backward_error", float),
+        ]
+    )
+
+
+def evaluate(model, omega, limits, derivatives=True):
+    """Return the amplitudes at some frequencies of an interval, their derivatives, and all bounds.
+
+    Not collective.
+
+    Parameters
+    ----------
+    model : numpy.void of `model_dtype`, or dict of its arrays
+    omega : numpy.ndarray, shape (n,)
+    limits : Limits
+    derivatives : bool
+        Whether they are wanted; else they are zero.
+
+    Returns
+    -------
+    numpy.ndarray of `point_dtype`, shape (n,)
+        What cannot be computed is not finite; `rounding` is the part of a bound that a shorter
+        interval would not reduce.
+    """
+    found = np.zeros(len(omega), point_dtype(len(model["reading"])))
+    found["omega"] = omega
+    with np.errstate(all="ignore"):
+        try:
+            solved = _Solved(model, limits, omega)
+            solved.amplitudes(found)
+            if derivatives:
+                solved.derivatives(found)
+        except np.linalg.LinAlgError:  # a small system is singular
+            for name in found.dtype.names[1:]:
+                found[name] = np.nan
+    return found
+
+
+def evaluate_all(models, omega):
+    """Return what models say at some frequencies: those, amplitudes, bounds, derivatives, bounds.
+
+    Not collective. NaN, with infinite bounds, where no model is proven.
+
+    Parameters
+    ----------
+    models : pgran.results.Models
+    omega : numpy.ndarray, shape (n,)
+    """
+    limits = Limits(**{f.name: getattr(models, f.name) for f in fields(Limits)})
+    found = np.zeros(omega.shape, point_dtype(models.reading.shape[1]))
+    found["omega"] = omega
+    for value, bound in (POINT[1:3], POINT[3:]):
+        found[value], found[bound] = np.nan, np.inf
+    place = np.searchsorted(models.low, omega, side="right") - 1
+    inside = (place >= 0) & (omega <= models.high[np.maximum(place, 0)])
+    for interval in np.unique(place[inside]):
+        here = inside & (place == interval)
+        model = {name: getattr(models, name)[interval] for name in ARRAYS}
+        found[here] = evaluate(model, omega[here], limits)
+    return tuple(found[name] for name in POINT)
+
+
+class _Solved:
+    """The small systems of an interval solved at n frequencies.
+
+    `y` (systems, p, n) holds the solutions, `c` (systems, 2 + 3p, n) what W is multiplied by, `r`
+    (systems, n) bounds of the residuals; `y1`, `c1`, `r1` belong to the derivatives. Powers of
+    omega are real: their products with complex numbers round alike wherever these lie in memory.
+    """
+
+    def __init__(self, model, limits, omega):
+        """Solve for y and w."""
+        self.model, self.limits, self.omega = model, limits, omega
+        own = model["own"]
+        systems, p, _ = own.shape
+        self.blocks = own[:, :, 2:].reshape(systems, p, 3, p)
+        self.loads = own[:, :, :2]
+        one = np.ones_like(omega)
+        self.powers = np.stack([one, omega, omega * omega])
+        self.slopes = np.stack([0 * one, one, 2 * omega])
+        self.T = np.tensordot(self.powers, self.blocks, (0, 2))  # (n, systems, p, p)
+        self.y = self._solved(np.tensordot(self.loads, self.powers[:2], (2, 0)))
+        self.c = self._combined(self.powers, [-power * self.y for power in self.powers])
+        self.size = _norms(self.y)
+        # of |S|, and of |f| or |e_d|
+        self.norm = limits.stiffness + omega * (limits.damping + omega * limits.mass)
+        drive = np.ones_like(self.size)
+        drive[0] = limits.drive + omega * limits.drive_damping
+        self.known = limits.rounding * (drive + 1.01 * self.norm * self.size)
+        self.r = self._residual(self.c) + self.known
+        self.backward_error = self.r[0] / (self.norm * self.size[0] + drive[0])
+        self.bound = 1.01 / (omega * limits.stability)  # of |S^-1|
+        self.theory = self.bound * self.r[0] * self.r[1:]
+        # of each ball's terms in Z^T r
+        self.sizes = np.abs(self.y)
+        self.into = self._into(self.sizes[0]) + model["drive_sizes"][:, :, None]
+
+    def _solved(self, load):
+        """Return T^-1 times a load (systems, p, n)."""
+        found = np.linalg.solve(self.T, load.transpose(2, 0, 1)[..., None])[..., 0]
+        return np.ascontiguousarray(found.transpose(1, 2, 0))
+
+    def _combined(self, powers, blocks):
+        """Return c from its parts."""
+        systems, p, n = self.y.shape
+        c = np.empty((systems, 2 + 3 * p, n), complex)
+        c[:, :2] = powers[:2]
+        for j, block in enumerate(blocks):
+            c[:, 2 + j * p : 2 + (j + 1) * p] = block
+        return c
+
+    def _residual(self, c):
+        """Return |W c|, but for rounding."""
+        return 1.01 * _norms(self.model["triangle"] @ c)
+
+    def _into(self, sizes):
+        """Return |Z|^T |S| |X| times sizes."""
+        return self.model["sizes"] @ sizes
+
+    def amplitudes(self, found):
+        """Fill in the corrected amplitudes and their bounds."""
+        model, limits = self.model, self.limits
+        self.missed = model["cross"] @ self.c[0]  # Z^T r
+        found["displacement"] = (model["reading"] @ self.y[0] + _sums(self.y[1:], self.missed)).T
+        terms = np.abs(model["reading"]) @ self.sizes[0] + _sums(self.sizes[1:], self.into)
+        evaluation = limits.sum_rounding * terms + LOST
+        found["error_bound"] = (self.theory + evaluation).T
+        found["rounding"] = (self.bound * self.known[0] * self.known[1:] + evaluation).T
+        found["backward_error"] = self.backward_error
+
+    def derivatives(self, found):
+        """Fill in their derivatives and the bounds of these."""
+        model, limits, omega = self.model, self.limits, self.omega
+        bent = self._bent()
+        y1 = self._solved(np.tensordot(self.loads, self.slopes[:2], (2, 0)) - bent)
+        pairs = zip(self.slopes, self.powers, strict=True)
+        c1 = self._combined(self.slopes, [-slope * self.y - power * y1 for slope, power in pairs])
+        missed = model["cross"] @ c1[0]
+        found["derivative"] = (
+            model["reading"] @ y1[0] + _sums(y1[1:], self.missed) + _sums(self.y[1:], missed)
+        ).T
+        slope = limits.damping + 2 * omega * limits.mass  # of |S'|
+        drive = np.zeros_like(self.size)
+        drive[0] = limits.drive_damping
+        rounding = drive + 1.01 * (slope * self.size + self.norm * _norms(y1))
+        r, r1 = self.r, self._residual(c1) + limits.rounding * rounding
+        theory = self.bound * (r[0] * r1[1:] + r1[0] * r[1:] + slope * self.theory)
+        # |S'| is at most 2 / omega of |K| + omega |C| + omega^2 |M|, ball by ball
+        sizes = np.abs(y1)
+        into = self._into(sizes[0]) + 2 / omega * self.into
+        terms = np.abs(model["reading"]) @ sizes[0]
+        terms = terms + _sums(sizes[1:], self.into) + _sums(self.sizes[1:], into)
+        found["derivative_bound"] = (theory + limits.sum_rounding * terms + LOST).T
+
+    def _bent(self):
+        """Return X^T S' X y of each system."""
+        parts = self.blocks.transpose(2, 0, 1, 3) @ self.y  # (3, systems, p, n)
+        return sum(slope * part for slope, part in zip(self.slopes, parts, strict=True))
+
+
+def _sums(a, b):
+    """Return the sums of products along the last axis but one."""
+    return np.einsum("...in,...in->...n", a, b)
+
+
+def _norms(vectors):
+    """Return the 2-norms along the last axis but one."""
+    return np.sqrt(_sums(vectors.real, vectors.real) + _sums(vectors.imag, vectors.imag))
+
+
+def poles(own, low, high):
+    """Return the frequencies above which the poles of small systems lie, (systems, 2p).
+
+    Not collective. NaN outside the interval. Each system is expanded around the interval's middle,
+    where it can be solved; 1 / (pole - middle) are the eigenvalues of its companion matrix.
+
+    Parameters
+    ----------
+    own : numpy.ndarray, shape (systems, p, 2 + 3p)
+        As in a model.
+    low, high : float
+    """
+    middle, p = 0.5 * (low + high), own.shape[1]
+    b = own[:, :, 2:].reshape(-1, p, 3, p).transpose(2, 0, 1, 3)
+    steps = np.concatenate([b[1] + 2 * middle * b[2], b[2]], axis=-1)
+    companion = np.zeros((len(own), 2 * p, 2 * p), complex)
+    companion[:, p:, :p] = np.eye(p)
+    try:
+        companion[:, :p] = -np.linalg.solve(b[0] + middle * (b[1] + middle * b[2]), steps)
+        inverse = np.linalg.eigvals(companion)
+    except np.linalg.LinAlgError:
+        return np.full((len(own), 2 * p), np.nan)
+    with np.errstate(all="ignore"):
+        found = middle + (1 / inverse).real
+    return np.where((low < found) & (found < high), found, np.nan)
+
+
+def tall_qr(columns, comm):
+    """Return Q, this rank's rows, and R of the QR factorizations of tall matrices, whole.
+
+    Collective over `comm`, whose ranks hold the rows, the last axis but one; R is the same on all.
+    """
+    q, r = _qr(columns)
+    if comm.size == 1:
+        return q, r
+    parts = comm.allgather(r)
+    q2, r = np.linalg.qr(np.concatenate(parts, axis=-2))
+    start = sum(part.shape[-2] for part in parts[: comm.rank])
+    return q @ q2[..., start : start + q.shape[-1], :], r
+
+
+def _qr(columns):
+    """Factor block by block, small enough for the cache, then the triangles of the blocks."""
+    *several, rows, width = columns.shape
+    blocks = rows // max(BLOCK, 4 * width)
+    if blocks < 2:
+        return np.linalg.qr(columns)
+    padding = [(0, 0)] * len(several) + [(0, -rows % blocks), (0, 0)]
+    q, r = np.linalg.qr(np.pad(columns, padding).reshape(*several, blocks, -1, width))
+    q2, r = _qr(r.reshape(*several, -1, width))
+    q = q @ q2.reshape(*several, blocks, width, width)
+    return q.reshape(*several, -1, width)[..., :rows, :], r
+
+
+def qr_rounding(width):
+    """Return a u: W - Q R can be computed but for u times the norms of R's columns, and is no more.
+
+    Not collective. Each entry is a sum of `width` products of complex numbers.
+    """
+    return 2 * EPSILON * (width + 4) * math.sqrt(width)
+
+
+def interval_length(lattice, omega):
+    """Return about how long an interval is at some frequencies, which is where a march begins.
+
+    Not collective. Where modes overlap it follows their width, beta / m near the bottom and about
+    four times that at omega_mx; where they do not, an interval holds some five modes. Measured on
+    lattices of 1 to 3 axes, 200 to 40,000 balls.
+    """
+    unit = lattice.omega_mx
+    overlapping = lattice.damping / lattice.mass * (1 + 3 * np.asarray(omega) / unit)
+    return np.maximum(overlapping, 5 * unit / lattice.balls)
+
+
+def expected_intervals(lattice, low, high):
+    """Return how many intervals a sweep is expected to need, and frequencies among them.
+
+    Not collective.
+
+    Returns
+    -------
+    counts, omega : numpy.ndarray, shape (n,)
+        How many intervals end below each frequency.
+    """
+    omega = np.linspace(low, high, 1001)
+    density = 1 / interval_length(lattice, omega)
+    steps = 0.5 * (density[1:] + density[:-1]) * np.diff(omega)
+    return np.append(0.0, np.cumsum(steps)), omega
