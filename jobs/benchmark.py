@@ -50,6 +50,7 @@ class Row:
     difference: Callable  # of the two results
     items: tuple = (1000, 1000)  # peer's and pgran's: milliseconds an item, or seconds
     ranks: tuple = (ALONE, WORLD)
+    repeats: int = REPEATS
 
 
 def laplacian(stiffness):
@@ -151,9 +152,39 @@ def sweeps():
         yield Row(
             f"sweep {side} x {side}, {len(omegas)} frequencies",
             partial(scipy_sweep, lattice, omegas, site),
-            by_pgran(sweep, lattice, omegas, site),
+            by_pgran(sweep, lattice, omegas, site, method="points"),
             lambda peer, own: relative(peer, own.displacement[:, 0]),
         )
+
+
+def curves():
+    """Yield curves, by models of intervals, against pgran's own points."""
+    plan = (
+        # side, frequencies, how many the points are timed at, resolved, repeats
+        (20, PAPER, 1, None, 5),
+        (20, np.linspace(0.01, 1.3, 10**5), 40, 0, 3),
+        (60, np.linspace(0.01, 1.1, 5000), 8, 0, 3),
+        (60, np.linspace(0.01, 1.1, 10**5), 160, 0, 1),
+        (200, np.linspace(0.3, 0.6, 1376), 16, 0, 1),  # as close as 5000 from .01 to 1.1
+    )
+    for side, omegas, part, resolve, repeats in plan:
+        lattice, site = lattice_of(side)
+        # stretches of neighbours, which may share factorizations
+        timed = omegas.reshape(-1, 16)[::part].ravel() if part > 1 else omegas
+        yield Row(
+            f"curve {side} x {side}, {len(omegas)} frequencies" + ", resolved" * (resolve is None),
+            partial(by_pgran(sweep, lattice, timed, site, method="points"), ALONE),
+            by_pgran(sweep, lattice, omegas, site, method="curve", resolve=resolve),
+            at_the_same,
+            (1000 * len(timed) / len(omegas), 1000),
+            repeats=repeats,
+        )
+
+
+def at_the_same(points, curve):
+    """Return the largest relative difference at the frequencies that both have."""
+    _, first, second = np.intersect1d(points.omega, curve.omega, return_indices=True)
+    return relative(points.displacement[first], curve.displacement[second])
 
 
 def bounds():
@@ -216,7 +247,7 @@ def measure(row):
     """Print a row of the table: medians of times that are taken in turns."""
     works = [(ALONE, row.peer), *((comm, partial(row.own, comm)) for comm in row.ranks)]
     found, seconds = [None] * len(works), [[] for _ in works]
-    for _ in range(REPEATS):
+    for _ in range(row.repeats):
         for number, (comm, work) in enumerate(works):
             WORLD.Barrier()
             if comm is WORLD or WORLD.rank == 0:
@@ -243,10 +274,11 @@ def say(text):
 def main():
     """Print the table."""
     ranks = f"{WORLD.size} ranks"
-    say(f"medians of {REPEATS} interleaved repeats; seconds, where nothing else is said")
+    say(f"medians of up to {REPEATS} interleaved repeats; seconds, where nothing else is said")
     titles = f"{'peer':>10}{'1 rank':>10}{ranks:>10}{'peer/1':>8}{'peer/all':>8}"
     say(f"{'':36}{titles}   difference, failures")
-    for rows in (sweeps, bounds, modes, relaxations):
+    chosen = [globals()[name] for name in sys.argv[1:]]
+    for rows in chosen or (sweeps, curves, bounds, modes, relaxations):
         for row in rows():
             measure(row)
 

@@ -12,6 +12,7 @@ import numpy as np
 from pgran.errors import PgranError
 from pgran.record import SPACE, MisfitError, Record, array, attribute, attribute_array, part
 
+LINES = 1e-2  # of the amplitude, that straight lines between neighbours should be right to
 # What more than one record holds.
 DETECTOR = "indices of the detecting balls"
 PHASE = "phase, unwrapped along omega; without damping 0 or pi"
@@ -173,6 +174,13 @@ class Response(Record):
     def failures(self):
         """How many frequencies missed the accuracy asked for."""
         return int(np.count_nonzero(self.converged_reason <= 0))
+
+    @property
+    def unresolved(self):
+        """Which straight lines to the next frequency are not the curve, shape (nw - 1,)."""
+        if self.line_error is None:
+            return np.zeros(len(self.omega) - 1, dtype=bool)
+        return ~np.all(self.line_error[1:] <= (self.resolve or LINES), axis=1)
 
     def at(self, omega):
         """Return the curve at any frequencies of the sweep, without PETSc.

@@ -1,4 +1,4 @@
-"""The figures of a sweep: amplitude and phase against frequency (paper: freqres, phaseres)."""
+"""The figures of a sweep: amplitude, phase and delay against frequency (freqres, phaseres)."""
 
 import math
 
@@ -11,13 +11,18 @@ REGIMES = ("low frequencies", "intermediate frequencies", "high frequencies")
 
 
 def figures(result, modes=None):
-    """Yield the amplitudes, a panel a regime, the phases, and the bonds."""
+    """Yield the amplitudes, a panel a regime, the phases, the group delay, and the bonds."""
     response, lattice = result.response, result.lattice
     yield "amplitude", _amplitude_page(response, lattice, modes)
     figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.13 * len(response.detector))
     phase(ax, response, lattice, modes)
     style.legend_above([ax], columns=1)
     yield "phase", figure
+    if response.delay is not None and np.isfinite(response.delay).any():
+        figure, (ax,) = style.page(style.COLUMN, 2.3 + 0.13 * len(response.detector))
+        delay(ax, response, lattice, modes)
+        style.legend_above([ax], columns=1)
+        yield "delay", figure
     yield "bonds", bonds.page(lattice, response.detector)
 
 
@@ -65,21 +70,21 @@ def phase(ax, response, lattice, modes=None):
     """
     x, low, high = response.omega / lattice.omega_mx, response.phase_fit_min, response.phase_fit_max
     good = (response.converged_reason > 0)[:, None] & np.isfinite(response.phase)
-    window = good & ((low < x) & (x < high))[:, None]
-    fitted = np.flatnonzero(np.isfinite(response.phase_slope) & window.any(axis=0))
+    fitted = np.flatnonzero(np.isfinite(response.phase_slope))
     labels = style.ball_names(response.detector)
     for d in fitted:
-        labels[d] += (
-            rf": $s$ = ${response.phase_slope[d]:.4g}$ rad/$\omega_{{mx}}$, "
-            rf"$v$ = {response.phase_velocity[d]:.3g} $d\,\omega_{{mx}}$"
-        )
+        slope, velocity = f"{response.phase_slope[d]:.4g}", f"{response.phase_velocity[d]:.3g}"
+        if response.phase_slope_error is not None:  # as it is in a file of version 0.1
+            slope += rf" \pm {response.phase_slope_error[d]:.2g}"
+            velocity += rf" \pm {response.phase_velocity_error[d]:.1g}"
+        labels[d] += f":\n$s = {slope}$ rad/$\\omega_{{mx}}$, $v = {velocity}\\;d\\,\\omega_{{mx}}$"
     ax.set(ylabel=style.PHASE, xlim=style.limits(x))
     ax.locator_params("x", nbins=7)
     drawn = style.curves(ax, x, response.phase, good, labels)
     meaning = "slope $s$, phase velocity $v$ ($d$: spacing)"
     label = rf"fit, {low:g} to {high:g} $\omega_{{mx}}$: {meaning}"
     for d in fitted:
-        ends = x[window[:, d]][[0, -1]]
+        ends = np.clip([low, high], x[0], x[-1])
         line = response.phase_slope[d] * ends + response.phase_intercept[d]
         shade = style.pale(drawn[d].get_color())
         ax.plot(ends, line, color=shade, linewidth=3, zorder=1, label=label)
@@ -88,9 +93,26 @@ def phase(ax, response, lattice, modes=None):
     return drawn
 
 
+def delay(ax, response, lattice, modes=None):
+    """Draw the group delay -d arg A / d omega; linear up to the median, logarithmic beyond.
+
+    Returns the curves. Parameters are those of `phase`.
+    """
+    x, values = response.omega / lattice.omega_mx, response.delay * lattice.omega_mx
+    good = (response.converged_reason > 0)[:, None] & np.isfinite(values)
+    ax.set_yscale("symlog", linthresh=float(f"{np.median(np.abs(values[good])):.1g}") or 1.0)
+    ax.set(ylabel=r"group delay ($1/\omega_{mx}$)", xlim=style.limits(x))
+    ax.locator_params("x", nbins=7)
+    drawn = style.curves(ax, x, values, good, style.ball_names(response.detector))
+    _finish(ax, response, lattice, modes)
+    return drawn
+
+
 def _finish(ax, response, lattice, modes):
-    """Mark failed frequencies and normal modes, and label the frequency axis."""
-    style.mark_failed(ax, response.omega[response.converged_reason <= 0] / lattice.omega_mx)
+    """Mark failed frequencies, unresolved ones and normal modes, and label the frequency axis."""
+    x = response.omega / lattice.omega_mx
+    style.mark_failed(ax, x[response.converged_reason <= 0])
+    style.mark_unresolved(ax, 0.5 * (x[1:] + x[:-1])[response.unresolved])
     if modes is not None:
         style.mark_modes(ax, np.asarray(modes) / lattice.omega_mx)
     ax.set_xlabel(style.FREQUENCY)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from pgran.errors import FileError
 
 COLUMN, PAGE = 3.4, 7.0  # widths in inches: one column of a journal, and two
-ACCENT, FAILED, MODE = "#0072B2", "#D00000", "#555555"
+ACCENT, FAILED, MODE, UNRESOLVED = "#0072B2", "#D00000", "#555555", "#D55E00"
 COLOURS = ("black", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")
 
 AMPLITUDE = r"amplitude $|A|$ (driven wall = 1)"
@@ -170,6 +170,11 @@ def upper_limits(record):
 def mark_failed(ax, x):
     """Mark where there is no good result, by crosses on the upper edge."""
     _mark(ax, x, 1.0, marker="x", color=FAILED, label="missed the accuracy asked for")
+
+
+def mark_unresolved(ax, x):
+    """Mark where straight lines between points are not the curve, by ticks on the lower edge."""
+    _mark(ax, x, 0.015, marker="|", color=UNRESOLVED, markersize=3, label="curve not resolved")
 
 
 def mark_modes(ax, x, label="normal modes"):

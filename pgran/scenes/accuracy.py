@@ -44,6 +44,7 @@ STUDY = (
 # call it.
 CHOICES = {
     "steady_refresh_iterations": "refresh_iterations",
+    "sweep_method": "method",
     "relax_method": "method",
     "relax_window": "window",
 }
@@ -155,8 +156,10 @@ def make_study(options, lattice):
         return Study("modes", solve, partial(read_modes, lattice, RESIDUAL), {}, MODES_REFERENCE)
     if options.accuracy_of == "response":
         omegas = common.driving_frequencies(options)
-        solve = partial(response.sweep, lattice, omegas, options.detectors, error_floor=0.0)
-        return Study("response", solve, read_response, exact, smallest)
+        solve = partial(
+            response.sweep, lattice, omegas, options.detectors, resolve=0.0, error_floor=0.0
+        )
+        return Study("response", solve, read_response, exact | {"method": "points"}, smallest)
     solve = partial(
         relaxation.relax,
         lattice,
@@ -174,7 +177,7 @@ def make_study(options, lattice):
 SCENE = Scene(
     # Of the experiments' options, a study takes those of the one that it repeats.
     options=(
-        *(*STUDY, *common.LATTICE, *common.DETECTORS, *common.SWEEP),
+        *(*STUDY, *common.LATTICE, *common.DETECTORS, *common.SWEEP, response.METHOD),
         *(common.STEADY["refresh_iterations"], *relaxation.RELAXATION, *modes.WHICH),
     ),
     run=run,

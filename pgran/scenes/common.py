@@ -60,7 +60,6 @@ STEADY = {
         "factor anew after a frequency that took more Krylov iterations; 0 = when it pays", low=0
     ),
 }  # fmt: skip
-LINES = 1e-2  # of the amplitude, that straight lines between neighbours should be right to
 # Beyond this many balls all ranks share one lattice, unless options say otherwise.
 LARGE = {1: 10**7, 2: 100_000, 3: 20_000}
 

@@ -20,7 +20,7 @@ from pgran.physics.phase import (
     phase_velocity,
     unwrap,
 )
-from pgran.results import LatticeRecord, Response
+from pgran.results import LINES, LatticeRecord, Response
 from pgran.scenes import common
 from pgran.scenes.curve import CurvePoints, IntervalSweep, choose_method, stored
 from pgran.scenes.interface import in_parallel
@@ -36,7 +36,7 @@ METHOD = Option(
 RESOLVE = Option(
     "sweep_resolve", REAL, None,
     "with models, frequencies are added until straight lines between them are right to this part "
-    f"of the amplitude; {common.LINES:g} unless given, 0 = those asked for alone",
+    f"of the amplitude; {LINES:g} unless given, 0 = those asked for alone",
     low=0, high=0.5
 )  # fmt: skip
 PHASE = (
@@ -116,8 +116,7 @@ def summary(result):
 
 def unresolved(response):
     """Yield in words where straight lines between the points are not the curve. Not collective."""
-    wrong = ~np.all(response.line_error[1:] <= (response.resolve or common.LINES), axis=1)
-    places, omega = np.flatnonzero(wrong), response.omega
+    places, omega = np.flatnonzero(response.unresolved), response.omega
     if places.size:
         first = places[0]
         hint = "" if response.method == "curve" else "; -sweep_method curve resolves it"
@@ -209,7 +208,7 @@ def sweep(
     if method == "points":
         resolve, points = 0.0, carry_out(task, crew, progress)
     else:
-        resolve = common.LINES if resolve is None else resolve
+        resolve = LINES if resolve is None else resolve
         points, models = _curve(task, crew, resolve, keep_models, progress)
 
     def respond():

@@ -31,7 +31,7 @@ from pgran.solve.linear import LEAST_NORM, make_ksp, set_up
 from pgran.solve.operators import Owner
 
 CHECKS = 9  # Chebyshev points of an interval where its bound is checked
-SHARE = 0.3  # of what is allowed, where it is checked; there is more in between
+SHARE = 0.3  # of what rounding leaves of the allowed, where it is checked; for what is between
 ORDER = 4 * MOMENTS  # a bound falls like this power of the interval's length
 
 
@@ -150,7 +150,7 @@ class IntervalModels(Owner):
             missed, in_vain = self._missed(model[0])
             reach = 0.9 * max(missed, 1e-300) ** (-1 / ORDER)
             reach = min(max(reach, 0.3), 3.0 if missed <= 1 else 0.8)
-            step = (end - start) * (3.0 if in_vain else reach)
+            step = (end - start) * (2.0 if in_vain else reach)
             shortest = max(self.length(start) / 16, 1e-9 * start)
             if missed <= 1 or in_vain or end - start <= shortest:
                 model["proven"] = missed <= 1
@@ -179,10 +179,12 @@ class IntervalModels(Owner):
         points = evaluate(model, checked, self.limits, derivatives=False)
         with np.errstate(all="ignore"):
             allowed = self.tolerance * np.abs(points["displacement"]) / (1 + self.tolerance)
-            missed = (points["error_bound"] / allowed).max(axis=1)
-            missed = np.where(np.isfinite(missed), missed, np.inf)
-            vain = ~np.all(points["rounding"] <= allowed, axis=1)
-        return missed.max() / SHARE, vain[0] and vain[np.argmax(missed)]
+            room = allowed - points["rounding"]
+            missed = (points["error_bound"] - points["rounding"]) / (SHARE * room)
+            in_vain = ~np.all(room > 0, axis=1)
+            missed = np.where(in_vain, np.inf, missed.max(axis=1))
+        missed[np.isnan(missed)] = np.inf
+        return missed.max(), np.any(in_vain)
 
     def moments(self, omega):
         """Return the moments of A and of the adjoints, shape (systems, own balls, MOMENTS).
