@@ -35,6 +35,7 @@ from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL
 
 MOMENTS = 8  # of each right-hand side at each end
 LOST = 2**10 * SMALLEST_NORMAL  # what sums of products too small for doubles may lose
+SHORTEST = 4  # frequencies: NumPy rounds products of fewer complex numbers in one way or another
 BLOCK = 400  # rows that are factored at once, and stay in the cache
 
 
@@ -132,6 +133,8 @@ def evaluate(model, omega, limits, derivatives=True):
         What cannot be computed is not finite; `rounding` is the part of a bound that a shorter
         interval would not reduce.
     """
+    if len(omega) < SHORTEST:
+        return evaluate(model, np.resize(omega, SHORTEST), limits, derivatives)[: len(omega)]
     found = np.zeros(len(omega), point_dtype(len(model["reading"])))
     found["omega"] = omega
     with np.errstate(all="ignore"):
