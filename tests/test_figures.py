@@ -61,7 +61,7 @@ def test_phase_and_its_fit():
     result = respond(detectors=[(1, 1), (3, 0)])
     shown = result.response
     ax = draw(response.phase, shown, result.lattice)
-    ends = SWEEP[(SWEEP > 0.3) & (SWEEP < 1.0)][[0, -1]]
+    ends = SWEEP[(SWEEP > 0.299) & (SWEEP < 1.001)][[0, -1]]
     for d, (curve, fit) in enumerate(zip(curves(ax), lines(ax, linewidth=3), strict=True)):
         assert np.array_equal(curve.get_ydata(), shown.phase[:, d])
         assert fit.get_xdata() == pytest.approx(ends)
@@ -70,6 +70,10 @@ def test_phase_and_its_fit():
         )
         assert f"${shown.phase_slope[d]:.4g}$ rad" in labels(ax)[d]
         assert f"= {shown.phase_velocity[d]:.3g} " in labels(ax)[d]
+    older = replace(shown, phase_used_min=None, phase_used_max=None)
+    ends = SWEEP[(SWEEP > 0.3) & (SWEEP < 1.0)][[0, -1]]
+    for fit in lines(draw(response.phase, older, result.lattice), linewidth=3):
+        assert fit.get_xdata() == pytest.approx(ends)
     shown.phase_slope[:] = np.nan
     assert labels(draw(response.phase, shown, result.lattice)) == ["ball (1, 1)", "ball (3, 0)"]
 

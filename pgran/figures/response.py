@@ -65,8 +65,8 @@ def phase(ax, response, lattice, modes=None):
     """
     x, low, high = response.omega / lattice.omega_mx, response.phase_fit_min, response.phase_fit_max
     good = (response.converged_reason > 0)[:, None] & np.isfinite(response.phase)
-    window = good & ((low < x) & (x < high))[:, None]
-    fitted = np.flatnonzero(np.isfinite(response.phase_slope) & window.any(axis=0))
+    ends = _fitted_ends(response, x, good)
+    fitted = np.flatnonzero(np.isfinite(response.phase_slope) & np.isfinite(ends[0]))
     labels = style.ball_names(response.detector)
     for d in fitted:
         labels[d] += (
@@ -79,13 +79,22 @@ def phase(ax, response, lattice, modes=None):
     meaning = "slope $s$, phase velocity $v$ ($d$: spacing)"
     label = rf"fit, {low:g} to {high:g} $\omega_{{mx}}$: {meaning}"
     for d in fitted:
-        ends = x[window[:, d]][[0, -1]]
-        line = response.phase_slope[d] * ends + response.phase_intercept[d]
+        line = response.phase_slope[d] * ends[:, d] + response.phase_intercept[d]
         shade = style.pale(drawn[d].get_color())
-        ax.plot(ends, line, color=shade, linewidth=3, zorder=1, label=label)
+        ax.plot(ends[:, d], line, color=shade, linewidth=3, zorder=1, label=label)
         label = None
     _finish(ax, response, lattice, modes)
     return drawn
+
+
+def _fitted_ends(response, x, good):
+    """Return the first and the last point that each line was fitted to; NaN where there is none."""
+    if response.phase_used_min is not None:
+        return np.array([response.phase_used_min, response.phase_used_max])
+    # before format version 3
+    window = (response.phase_fit_min < x) & (x < response.phase_fit_max)
+    columns = [x[window & known] for known in good.T]
+    return np.transpose([c[[0, -1]] if c.size else [np.nan] * 2 for c in columns])
 
 
 def _finish(ax, response, lattice, modes):

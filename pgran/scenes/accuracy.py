@@ -155,7 +155,8 @@ def make_study(options, lattice):
         return Study("modes", solve, partial(read_modes, lattice, RESIDUAL), {}, MODES_REFERENCE)
     if options.accuracy_of == "response":
         omegas = common.driving_frequencies(options)
-        solve = partial(response.sweep, lattice, omegas, options.detectors, error_floor=0.0)
+        how = {"method": "points", "error_floor": 0.0}  # all solve for the same frequencies
+        solve = partial(response.sweep, lattice, omegas, options.detectors, **how)
         return Study("response", solve, read_response, exact, smallest)
     solve = partial(
         relaxation.relax,
