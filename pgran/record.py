@@ -6,6 +6,7 @@ axis, or counts from 0. `balls` stands for the axes of the lattice, `bonds_x` fo
 along x. An array without axes is a coordinate itself.
 """
 
+import contextlib
 import dataclasses
 import reprlib
 from typing import get_args
@@ -99,6 +100,15 @@ class MisfitError(ValueError):
     """What a record was given does not fit its declaration."""
 
 
+@contextlib.contextmanager
+def in_part(name):
+    """Say of what does not fit that it is in this part of a record."""
+    try:
+        yield
+    except MisfitError as error:
+        raise MisfitError(f"{name}/{error}") from None
+
+
 class Record:
     """One group of a result; each subclass names it and declares what it holds.
 
@@ -116,7 +126,8 @@ class Record:
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
             if isinstance(value, Record):
-                value.check(lattice_axes)
+                with in_part(value.group):
+                    value.check(lattice_axes)
             if value is None or not {"axes", "along"} & set(item.metadata):
                 continue
             names = axes_of(item, lengths.get("axis", 0))

@@ -4,9 +4,9 @@ Bonds come from NumPy's default generator, not from pgran's laws.
 """
 
 import contextlib
+import dataclasses
 import math
 import re
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from reference import Reference
 from pgran.command.resolve import SCENES
 from pgran.parallel.crew import Crew
 from pgran.physics.lattice import Lattice
+from pgran.record import Record
 from pgran.scenes.response import sweep
 from pgran.solve.operators import Operators
 from pgran.solve.steady import SteadySolver
@@ -93,6 +94,20 @@ def swept(lattice, omegas, sites, comm=MPI.COMM_SELF, ranks=1, **choices):
         return comm.bcast(sweep(lattice, np.asarray(omegas), sites, crew, **choices))
 
 
+def assert_same(found, expected, but=("solve_seconds",)):
+    """Records of one kind hold the same, parts and types included; a NaN is one and the same."""
+    assert type(found) is type(expected)
+    for item in dataclasses.fields(expected):
+        one, other = (getattr(record, item.name) for record in (found, expected))
+        if isinstance(other, Record):
+            assert_same(one, other, but)
+        elif item.name not in but:
+            assert type(one) is type(other), item.name
+            one, other = np.asarray(one), np.asarray(other)
+            assert one.dtype == other.dtype, item.name
+            assert np.array_equal(one, other, equal_nan=other.dtype.kind in "fc"), item.name
+
+
 # Lattices of many kinds, and how they are driven and solved
 
 SHAPES = [
@@ -118,7 +133,7 @@ if not HAS_KLU:
     del SOLVERS["preonly, klu"]
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Case:
     """A lattice, how it is driven and solved, and with how many digits it is eliminated."""
 

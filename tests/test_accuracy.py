@@ -69,7 +69,8 @@ def test_errors_of_a_sweep_are_the_true_ones(world, ask):
     # the loosest one once more, against numbers that pgran has no part in
     lattice, omegas = make_lattice(options, world), driving_frequencies(options)
     with holding(option_values(ITERATIVE)), Crew(MPI.COMM_SELF, 1) as crew:
-        response = sweep(lattice, omegas, options.detectors, crew, error_tolerance=1e-2)
+        how = {"method": "points", "error_tolerance": 1e-2}
+        response = sweep(lattice, omegas, options.detectors, crew, **how)
     exact = Reference(lattice.stiffness)
     exact = np.array([exact.amplitudes(w, response.detector) for w in omegas])
     error = np.max(np.abs(response.displacement - exact) / np.abs(exact))

@@ -57,19 +57,40 @@ def test_failed_points_are_crosses_and_gaps(panel):
     assert not draw(panel, result.response, result.lattice).yaxis.get_visible()
 
 
+def test_where_the_curve_is_not_resolved():
+    """A tick at the middle of each straight line that is wrong; the delay as the record has it."""
+    result = respond()
+    result.response.line_error[[81, 120]] = [[0.02], [np.inf]]
+    for panel in (response.amplitude, response.phase, response.delay):
+        ax = draw(panel, result.response, result.lattice)
+        middle = 0.5 * (SWEEP[[80, 119]] + SWEEP[[81, 120]])
+        assert marks(ax, "|") == pytest.approx(middle)
+        assert labels(ax)[-1] == "curve not resolved"
+    (line,) = curves(ax)
+    assert line.get_ydata() == pytest.approx(UNIT * result.response.delay[:, 0])
+    undamped = respond(lattice=random_lattice((4, 3), damping=0.0))
+    assert set(figures.make(undamped)) == {"amplitude", "phase", "bonds"}
+
+
 def test_phase_and_its_fit():
     result = respond(detectors=[(1, 1), (3, 0)])
     shown = result.response
     ax = draw(response.phase, shown, result.lattice)
-    ends = SWEEP[(SWEEP > 0.3) & (SWEEP < 1.0)][[0, -1]]
+    ends = SWEEP[(SWEEP > 0.299) & (SWEEP < 1.001)][[0, -1]]
     for d, (curve, fit) in enumerate(zip(curves(ax), lines(ax, linewidth=3), strict=True)):
         assert np.array_equal(curve.get_ydata(), shown.phase[:, d])
         assert fit.get_xdata() == pytest.approx(ends)
         assert fit.get_ydata() == pytest.approx(
             shown.phase_slope[d] * ends + shown.phase_intercept[d]
         )
-        assert f"${shown.phase_slope[d]:.4g}$ rad" in labels(ax)[d]
-        assert f"= {shown.phase_velocity[d]:.3g} " in labels(ax)[d]
+        slope, velocity = (f"{shown.phase_slope[d]:.4g}", f"{shown.phase_velocity[d]:.3g}")
+        assert rf"s = {slope} \pm {shown.phase_slope_error[d]:.2g}$ rad" in labels(ax)[d]
+        assert rf"v = {velocity} \pm {shown.phase_velocity_error[d]:.1g}\;" in labels(ax)[d]
+    newer = ("phase_used_min", "phase_used_max", "phase_slope_error", "phase_velocity_error")
+    older = replace(shown, **dict.fromkeys(newer))
+    ends = SWEEP[(SWEEP > 0.3) & (SWEEP < 1.0)][[0, -1]]
+    for fit in lines(draw(response.phase, older, result.lattice), linewidth=3):
+        assert fit.get_xdata() == pytest.approx(ends)
     shown.phase_slope[:] = np.nan
     assert labels(draw(response.phase, shown, result.lattice)) == ["ball (1, 1)", "ball (3, 0)"]
 

@@ -1,15 +1,17 @@
 """The sweep of the paper, end to end, against the dense reference; phases and their fit."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 from samples import random_lattice, reference_of, swept
 
 from pgran.physics.lattice import Lattice
+from pgran.physics.phase import BLOCKS, CERTAIN, fit_phase, unwrap
 from pgran.record import Result
 from pgran.results import LatticeRecord
-from pgran.scenes.response import ResponseSweep, fit_phase, summary, unwrap
+from pgran.scenes.response import ResponseSweep, summary
 
 PAPER, LATTICE = np.linspace(0.01, 1.3, 1291), random_lattice((20, 20))
 
@@ -40,8 +42,8 @@ def test_paper_against_the_reference(world, response):
     worst = (response.error_bound / response.amplitude).max()
     text = said(response)
     assert f"1291 frequencies with {response.factorizations}" in text
-    assert f"{response.phase_slope[0]:.4g} rad" in text
-    assert "too coarse" not in text
+    slope, error = response.phase_slope[0], response.phase_slope_error[0]
+    assert f"phase slope {slope:.4g} +- {error:.1g} rad" in text
     assert f"every amplitude at most {worst:.1e} (error_bound)" in text
 
 
@@ -50,13 +52,19 @@ def test_phase_velocity_of_the_paper(response):
     assert -200 < response.phase_slope[0] < -130
     assert 0.025 < 0.5 * response.phase_velocity[0] < 0.045
     assert response.phase_velocity[0] == pytest.approx(12 / abs(response.phase_slope[0]))
-    inside = (PAPER > 0.3) & (PAPER < 1.0)
-    line = response.phase_intercept + response.phase_slope * PAPER[inside, None]
+    part = response.phase_slope_error / -response.phase_slope
+    assert 0 < part < 0.1
+    assert response.phase_velocity_error == pytest.approx(part * response.phase_velocity)
+    used = response.phase_used_min[0], response.phase_used_max[0]
+    assert used == pytest.approx((0.3, 1.0))  # whose rounding leaves no end out
+    omega = response.omega
+    inside = (omega >= used[0]) & (omega <= used[1])
+    line = response.phase_intercept + response.phase_slope * omega[inside, None]
     deviation = response.phase[inside] - line
     assert np.abs(deviation).max() < 0.1 * np.ptp(response.phase[inside])
     # a least-squares line: what is left is orthogonal to constants and to x
     assert abs(deviation.mean()) < 1e-9
-    assert abs((deviation[:, 0] * PAPER[inside]).mean()) < 1e-9
+    assert abs((deviation[:, 0] * omega[inside]).mean()) < 1e-9
 
 
 def test_phase_window_is_in_units_of_omega_mx(world, response):
@@ -86,13 +94,39 @@ def test_without_damping_there_is_no_phase_to_follow(world):
     assert np.all(np.isnan([found.phase_slope, found.phase_intercept, found.phase_velocity]))
     text = said(found, lattice)
     assert "no phase velocity: without damping" in text
-    assert "too coarse" not in text
+    assert "-sweep_method curve" not in text  # there is none
 
 
-@pytest.mark.parametrize("last", [0.2, np.nan])
-def test_a_coarse_grid_is_seen_beside_missing_points(response, last):
-    phase = np.array([[0.0], [0.1], [3.2], [last]])
-    assert "too coarse" in said(dataclasses.replace(response, phase=phase))
+@pytest.mark.parametrize("wrong", [0.02, np.inf, np.nan])
+def test_where_the_curve_is_not_resolved_is_said(response, wrong):
+    """Between which neighbours first, in how many places, and what helps."""
+    line_error = np.full(response.line_error.shape, 0.0099)
+    response = dataclasses.replace(response, line_error=line_error)
+    assert "not resolved" not in said(response)
+    line_error[40] = wrong
+    place = f"the curve is not resolved between {PAPER[39]:.6g} and {PAPER[40]:.6g}"
+    help_by = "; -sweep_method curve resolves it\n"
+    assert place + help_by in said(response)
+    line_error[50] = wrong
+    assert f"{place}, and in 1 more places{help_by}" in said(response)
+    curve = said(dataclasses.replace(response, method="curve", resolve=0.01))
+    assert f"{place}, and in 1 more places\n" in curve
+    asked = said(dataclasses.replace(response, resolve=0.1))
+    assert ("not resolved" in asked) == (not wrong <= 0.1)
+
+
+def test_a_phase_that_is_certain_turns_as_on_a_finer_grid(world, response):
+    """And where it is not, on a coarse one, it turns otherwise somewhere."""
+    missed = []
+    for step in (2, 4, 8, 16):
+        coarse = swept(LATTICE, PAPER[::step], (8, 10), world)
+        turned = np.diff(coarse.phase[:, 0])
+        wrong = np.abs(turned - np.diff(response.phase[::step, 0])) > 1e-6
+        certain = coarse.line_error[1:, 0] <= CERTAIN
+        assert certain.any()
+        assert not np.any(wrong & certain)
+        missed.append(np.count_nonzero(wrong))
+    assert missed[-1] > 0
 
 
 def test_unwrap_follows_a_fall_of_many_turns():
@@ -103,36 +137,100 @@ def test_unwrap_follows_a_fall_of_many_turns():
     assert np.allclose(found, phase, rtol=0, atol=1e-10, equal_nan=True)
 
 
-def test_the_phase_passes_over_failed_points():
-    """However wrong a finite amplitude is, later phases do not turn with it."""
-    omegas = np.linspace(0.1, 1.2, 40)
-    phase = -10 * omegas
-    task = ResponseSweep(random_lattice((6, 5)), omegas, (3, 2), False, (0.3, 1.0), {})
+@pytest.mark.parametrize("within", [False, True])
+def test_the_phase_passes_over_failed_points(within):
+    """However wrong a finite amplitude is, later phases do not turn with it; no line passes one."""
+    omegas, bad = np.linspace(0.1, 1.2, 40), [2, 3, 20 if within else 38]
+    lattice, phase = random_lattice((6, 5)), -10 * omegas
+    task = ResponseSweep(lattice, omegas, (3, 2), False, {})
     rows = np.zeros(40, task.row)
-    rows["converged_reason"] = 1
-    rows["converged_reason"][[19, 20, 30]] = 0, -3, -3
+    rows["omega"], rows["converged_reason"] = omegas, 1
+    rows["converged_reason"][bad] = 0, -3, -3
     rows["displacement"][:, 0] = np.exp(1j * phase)
-    rows["displacement"][[19, 20, 30], 0] *= np.exp([2.0j, 4.0j, -3.0j])
-    found = task.collect(rows, 0.0)
+    rows["derivative"] = -10j * rows["displacement"]
+    rows["displacement"][bad, 0] *= np.exp([2.0j, 4.0j, -3.0j])
+    found = task.response(rows, None, ("points", 0.0), (0.3, 1.0), 0.0)
     good = rows["converged_reason"] > 0
     assert found.failures == 3
     assert np.all(np.isnan(found.phase[~good]))
     np.testing.assert_allclose(found.phase[good, 0], phase[good], rtol=1e-12)
-    assert found.phase_slope == pytest.approx(-10, rel=1e-9)
+    np.testing.assert_allclose(found.delay[good], 10, rtol=1e-12)
+    assert ("no phase velocity: the phase is not certain" in said(found, lattice)) == within
+    slope = found.phase_slope
+    assert np.isnan(slope) if within else slope == pytest.approx(-10, rel=1e-9)
+
+
+# The straight line through a phase
+
+X = np.linspace(0.25, 1.1, 86)
+SURE = np.zeros(86)
+
+
+def wavy(x):
+    """A phase that no line fits: a resonance a unit of 0.05."""
+    return 2 - 160 * x + 3 * np.sin(2 * np.pi * x / 0.05) * x
+
+
+def test_a_line_is_found_as_it_is():
+    """Its error vanishes but for rounding; what is uncertain outside of the window is nothing."""
+    phase, line_error = 2 - 160 * X, SURE.copy()
+    phase[[0, -1]], line_error[[0, 3, -1]] = np.nan, (0.0, np.inf, 9.0)
+    line = fit_phase(X, phase, line_error, 0.3, 1.0)
+    assert (line.slope, line.intercept) == pytest.approx((-160, 2), rel=1e-11)
+    assert 0 <= line.slope_error < 1e-10
+    assert (line.low, line.high) == pytest.approx((0.3, 1.0), rel=1e-12)
+    assert line.why_not == ""
+
+
+def test_points_added_here_and_there_do_not_change_the_line():
+    """A plain fit would follow them."""
+    even = np.linspace(0.3, 1.0, 1401)
+    uneven = np.unique(np.concatenate([even, np.linspace(0.31, 0.32, 3000), even[700:705] + 1e-7]))
+    before, after = (fit_phase(x, wavy(x), 0 * x, 0.3, 1.0) for x in (even, uneven))
+    moved = np.polyfit(uneven, wavy(uneven), 1)[0] - before.slope
+    assert before.slope == pytest.approx(np.polyfit(even, wavy(even), 1)[0], abs=1e-2)
+    assert abs(after.slope - before.slope) < 1e-2 < 1 < abs(moved)
+    assert after.slope_error == pytest.approx(before.slope_error, rel=1e-2)
+
+
+def test_the_standard_error_is_that_of_correlated_points():
+    """Over many draws of noise as wide as a resonance the slopes scatter as their errors say."""
+    rng, x = np.random.default_rng(2), np.linspace(0.3, 1.0, 701)
+    noise = rng.normal(size=(400, 730))
+    noise = np.apply_along_axis(np.convolve, 1, noise, np.ones(30) / 30, "valid")
+    lines = [fit_phase(x, -160 * x + row, 0 * x, 0.3, 1.0) for row in noise]
+    scatter = np.sqrt(np.mean([(line.slope + 160) ** 2 for line in lines]))
+    told = np.sqrt(np.mean([line.slope_error**2 for line in lines]))
+    assert told == pytest.approx(scatter, rel=0.2)
 
 
 @pytest.mark.filterwarnings("error")
-def test_fit_of_a_line():
-    """None, and no warning, of few points or of points too close for a slope but rounding's."""
-    x = np.linspace(0.3, 1, 50)
-    phase = np.stack([2 - 160 * x, -1 - 20 * x], axis=1)
-    phase[7, 1] = np.nan
-    slope, intercept = fit_phase(x, phase)
-    assert slope == pytest.approx([-160, -20], rel=1e-12)
-    assert intercept == pytest.approx([2, -1], rel=1e-10)
-    for count in (0, 2):
-        assert np.isnan(fit_phase(x[:count], phase[:count])).tolist() == [[True, True]] * 2
-    x = 0.5 + np.arange(4) * 2.0**-53
-    assert np.all(np.isnan(fit_phase(x, np.random.default_rng(1).random((4, 1)))))
-    x = 0.5 + np.arange(4) * 2.0**-20
-    assert fit_phase(x, -3 * x[:, None])[0] == pytest.approx(-3, rel=1e-8)
+@pytest.mark.parametrize(
+    ("points", "uncertain", "phase", "reason"),
+    [
+        (X, {40: 0.26}, {}, f"not certain between {X[39]:.6g} and {X[40]:.6g} omega_mx"),
+        (X, {40: np.inf, 50: np.nan}, {}, f"and {X[40]:.6g} omega_mx, and in 1 more places"),
+        (X, {}, {40: np.nan}, f"between {X[39]:.6g} and {X[40]:.6g} omega_mx, and in 1 more"),
+        (X[X < 0.9], {}, {}, "does not cover the window of the fit, 0.3 to 1 omega_mx"),
+        (X[X > 0.4], {}, {}, "does not cover the window of the fit, 0.3 to 1 omega_mx"),
+        (X[:0], {}, {}, "does not cover the window"),
+        (np.linspace(0.3, 1.0, BLOCKS - 1), {}, {}, f"9 frequencies .* and {BLOCKS} apart"),
+    ],
+)
+def test_no_line_and_why(points, uncertain, phase, reason):
+    """Where the phase may have turned unseen anywhere in the window, or nothing tells a slope."""
+    line_error, values = 0 * points, wavy(points)
+    line_error[list(uncertain)], values[list(phase)] = list(uncertain.values()), np.nan
+    line = fit_phase(points, values, line_error, 0.3, 1.0)
+    assert re.search(reason, line.why_not)
+    numbers = line.slope, line.slope_error, line.intercept, line.low, line.high
+    assert np.all(np.isnan(numbers))
+
+
+@pytest.mark.filterwarnings("error")
+def test_points_too_close_for_a_slope_but_roundings():
+    x = 0.5 + np.arange(12) * 2.0**-53
+    noise = np.random.default_rng(1).random(12)
+    assert "12 frequencies" in fit_phase(x, noise, 0 * x, x[0], x[-1]).why_not
+    x = 0.5 + np.arange(12) * 2.0**-20
+    assert fit_phase(x, -3 * x, 0 * x, x[0], x[-1]).slope == pytest.approx(-3, rel=1e-8)

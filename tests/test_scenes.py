@@ -10,6 +10,7 @@ from samples import run_scene
 from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.files.reading import read_words
 from pgran.physics.continuum import Continuum
+from pgran.record import Record
 from pgran.solve.database import holding
 
 BASE = {
@@ -19,7 +20,8 @@ BASE = {
     "projection": "-lattice_shape 5,4 -sweep_points 9",
     "relaxation": "-lattice_shape 5,4 -detectors 2,2 -relax_steps 150 -spectrum_fit_min .14",
 }
-PAIRS = "-sweep_points 128 -relax_method krylov"  # units of two frequencies: the second differs
+# Units of two frequencies: the second differs.
+PAIRS = "-sweep_points 128 -sweep_method points -relax_method krylov"
 HERTZ, NEAREST = "-bonds_law hertz", "-modes_target .1 -modes_count 3"
 INTERVAL = "-modes_omega_min .2 -modes_omega_max .6"
 # Another value of each option, and what it is to be seen with. Keys a scene has not are left out.
@@ -39,12 +41,15 @@ CHANGES = {
     "sweep_max": ".9",
     "sweep_points": "8",
     "sweep_omega": (".3,.4", "-sweep_omega .3,.5"),
+    "sweep_method": "curve",
+    "sweep_resolve": (".1", "-sweep_method curve"),
     "error_tolerance": ("1e-12", f"{PAIRS} -steady_pc_type jacobi"),
     "error_floor": (".1", "-error_tolerance 1e-17"),
     "steady_refresh_iterations": ("50", PAIRS),
     "phase_fit_min": ".5",
     "phase_fit_max": ".8",
     "output_fields": "true",
+    "output_models": ("false", "-sweep_method curve"),
     "continuum_point": ".3,.4",
     "continuum_size": "1,2",
     "continuum_mass": "2",
@@ -75,13 +80,20 @@ def result(scene, text, world):
     options = resolve(read_words(["-scene", scene, "-output_progress", "none", *words]))
     with holding(options.solver):
         records = run_scene(options, world)
-    values = {
-        (record.group, item.name): np.asarray(getattr(record, item.name))
-        for record in records or []
-        for item in dataclasses.fields(record)
-        if record.group != "lattice" and item.name != "solve_seconds"
-    }
-    return {name: (v.dtype, v.shape, v.tobytes()) for name, v in values.items()}
+    return [bytes_of(record) for record in records or [] if record.group != "lattice"]
+
+
+def bytes_of(record):
+    """Each value of a record by its name, but for the time that it took."""
+    found = {}
+    for item in dataclasses.fields(record):
+        value = getattr(record, item.name)
+        if isinstance(value, Record):
+            found[item.name] = bytes_of(value)
+        elif item.name != "solve_seconds":
+            value = np.asarray(value)
+            found[item.name] = value.dtype, value.shape, value.tobytes()
+    return found
 
 
 @pytest.mark.parametrize("damping", ["0", ".003"])

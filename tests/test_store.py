@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from samples import random_lattice
+from samples import assert_same, random_lattice
 
 from pgran import __main__ as command_line
 from pgran import load, results
@@ -44,7 +44,9 @@ def make(kind, shape=(4, 5), without=()):
     lengths, values = {"axis": len(shape), "balls": shape}, {}
     for item in dataclasses.fields(kind):
         axes = item.metadata.get("axes", item.metadata.get("along"))
-        if axes is None or item.name in without:
+        if "part" in item.metadata and item.name not in without:
+            values[item.name] = make(item.metadata["part"], shape)
+        elif axes is None or item.name in without:
             values[item.name] = PLAIN.get(item.type)
         else:
             size = [lengths.setdefault(n, 2 + len(lengths)) for n in axes or [item.name]]
@@ -60,22 +62,16 @@ def path(tmp_path):
 
 
 @pytest.mark.parametrize("shape", [(7,), (4, 5), (2, 3, 4), (1, 1)])
-@pytest.mark.parametrize("without", [(), ("field", "vector")])
+@pytest.mark.parametrize("without", [(), ("field", "vector", "models")])
 def test_everything_comes_back(tmp_path, shape, without):
-    """Field by field, types included; bonds as a lattice takes them."""
+    """Field by field, types and parts included; bonds as a lattice takes them."""
     written = [make(kind, shape, without) for kind in results.RECORDS.values()]
     path = tmp_path / "a.h5"
     store.write(path, ATTRIBUTES, written)
     result = load(path)
     for record in written:
-        found = getattr(result, record.group)
-        assert type(found) is type(record)
-        for item in dataclasses.fields(record):
-            value, same = getattr(record, item.name), getattr(found, item.name)
-            assert type(same) is type(value), item.name
-            assert np.asarray(same).dtype == np.asarray(value).dtype, item.name
-            assert np.array_equal(same, value, equal_nan=np.asarray(value).dtype.kind in "fc")
-    for name, value in (ATTRIBUTES | {"format": "pgran", "format_version": 2}).items():
+        assert_same(getattr(result, record.group), record, but=())
+    for name, value in (ATTRIBUTES | {"format": "pgran", "format_version": 3}).items():
         assert (getattr(result, name), type(getattr(result, name))) == (value, type(value))
     stiffness, kmax = store.read_stiffness(path)
     assert kmax == pytest.approx(0.25)
@@ -240,7 +236,7 @@ def test_missing_and_other_files(tmp_path):
 @pytest.mark.parametrize(
     ("name", "value", "match"),
     [
-        ("/@format_version", 3, "format version 3; this pgran reads 1 to 2"),
+        ("/@format_version", 4, "format version 4; this pgran reads 1 to 3"),
         ("/@format", "other", "not a result"),
         ("modes/omega", None, "/modes/omega is missing"),
         ("modes@count_expected", None, "/modes/count_expected is missing"),
@@ -248,6 +244,9 @@ def test_missing_and_other_files(tmp_path):
         ("modes/vector", np.ones((4, 4, 6)), r"/modes/vector: .* \(omega: 4, x: 4, y: 5\)"),
         ("response@phase_slope", np.ones(9), r"\(detector_number: 9\)"),
         ("response/displacement", np.ones((4, 5)), "displacement holds no complex numbers"),
+        ("response/models/own", None, "/response/models/own is missing"),
+        ("response/models/low", np.ones((2, 2)), r"/response/models/low: .* \(interval: 2\)"),
+        ("response/models@mass", "1", "/response/models/mass: '1' is not a single real number"),
         ("response/iterations", np.ones(4), "iterations holds no integers but float64"),
         ("modes@count_expected", 1.5, "count_expected: 1.5 is not a single integer"),
         ("modes@count_certified", "yes", "count_certified: 'yes' is not a single truth value"),
@@ -281,6 +280,21 @@ def test_files_of_version_1_are_read():
     assert np.array_equal(stiffness[0], result.lattice.stiffness_x)
     assert kmax == pytest.approx(0.25)
     store.check_seal(VERSION_1)
+
+
+def test_responses_of_version_2_are_read(path):
+    """As they were then; what came with version 3 is None."""
+    written = load(path).response
+    fields = dataclasses.fields(written)
+    new = [f.name for f in fields if f.metadata.get("since") == 3 or "part" in f.metadata]
+    assert {"method", "phase_slope_error", "derivative", "line_error", "models"} <= set(new)
+    for name in new:
+        plain = "axes" not in next(f for f in fields if f.name == name).metadata
+        change(path, f"response@{name}" if plain and name != "models" else f"response/{name}", None)
+    found = load(change(path, "/@format_version", 2)).response
+    assert_same(found, dataclasses.replace(written, **dict.fromkeys(new)))
+    with pytest.raises(PgranError, match="holds no models"):
+        found.at([0.5])
 
 
 def test_verify(path, capsys, monkeypatch):

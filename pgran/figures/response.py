@@ -18,7 +18,7 @@ def figures(result, modes=None):
     phase(ax, response, lattice, modes)
     style.legend_above([ax], columns=1)
     yield "phase", figure
-    if response.delay is not None and np.isfinite(response.delay).any():
+    if lattice.damping and response.delay is not None and np.isfinite(response.delay).any():
         figure, (ax,) = style.page(style.COLUMN, 2.3 + 0.13 * len(response.detector))
         delay(ax, response, lattice, modes)
         style.legend_above([ax], columns=1)
@@ -70,7 +70,8 @@ def phase(ax, response, lattice, modes=None):
     """
     x, low, high = response.omega / lattice.omega_mx, response.phase_fit_min, response.phase_fit_max
     good = (response.converged_reason > 0)[:, None] & np.isfinite(response.phase)
-    fitted = np.flatnonzero(np.isfinite(response.phase_slope))
+    ends = _fitted_ends(response, x, good)
+    fitted = np.flatnonzero(np.isfinite(response.phase_slope) & np.isfinite(ends[0]))
     labels = style.ball_names(response.detector)
     for d in fitted:
         slope, velocity = f"{response.phase_slope[d]:.4g}", f"{response.phase_velocity[d]:.3g}"
@@ -84,10 +85,9 @@ def phase(ax, response, lattice, modes=None):
     meaning = "slope $s$, phase velocity $v$ ($d$: spacing)"
     label = rf"fit, {low:g} to {high:g} $\omega_{{mx}}$: {meaning}"
     for d in fitted:
-        ends = np.clip([low, high], x[0], x[-1])
-        line = response.phase_slope[d] * ends + response.phase_intercept[d]
+        line = response.phase_slope[d] * ends[:, d] + response.phase_intercept[d]
         shade = style.pale(drawn[d].get_color())
-        ax.plot(ends, line, color=shade, linewidth=3, zorder=1, label=label)
+        ax.plot(ends[:, d], line, color=shade, linewidth=3, zorder=1, label=label)
         label = None
     _finish(ax, response, lattice, modes)
     return drawn
@@ -106,6 +106,16 @@ def delay(ax, response, lattice, modes=None):
     drawn = style.curves(ax, x, values, good, style.ball_names(response.detector))
     _finish(ax, response, lattice, modes)
     return drawn
+
+
+def _fitted_ends(response, x, good):
+    """Return the first and the last point that each line was fitted to; NaN where there is none."""
+    if response.phase_used_min is not None:
+        return np.array([response.phase_used_min, response.phase_used_max])
+    # before format version 3
+    window = (response.phase_fit_min < x) & (x < response.phase_fit_max)
+    columns = [x[window & known] for known in good.T]
+    return np.transpose([c[[0, -1]] if c.size else [np.nan] * 2 for c in columns])
 
 
 def _finish(ax, response, lattice, modes):

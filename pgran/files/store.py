@@ -18,7 +18,7 @@ from pgran.errors import FileError, reason_of
 from pgran.files import hdf5
 from pgran.files.paths import open_regular
 from pgran.files.seal import AT_END, check_seal, has_seal, seal_of
-from pgran.record import MisfitError, Result, axes_of, dimensions_of, plain_value
+from pgran.record import MisfitError, Result, axes_of, dimensions_of, in_part, plain_value
 from pgran.results import RECORDS
 
 FORMAT, FORMAT_VERSION = "pgran", 3
@@ -238,9 +238,10 @@ def _read_record(file, group, kind, facts):
         newer = meta.get("since", 1) > facts["format_version"]
         source = facts if "of_run" in meta else said
         if "part" in meta:
-            inner = f"{group}/{meta['part'].group}"
-            if meta["part"].group in there:
-                values[name] = _read_record(file, inner, meta["part"], facts)
+            inner = meta["part"].group
+            if inner in there:
+                with in_part(inner):
+                    values[name] = _read_record(file, f"{group}/{inner}", meta["part"], facts)
         elif "axes" in meta:
             lacks = (newer or meta["optional"]) and name not in there
             values[name] = None if lacks else file.array(f"{group}/{name}", meta["dtype"])

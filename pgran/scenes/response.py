@@ -97,7 +97,7 @@ def summary(result):
         f"{response.solve_seconds:.2f} s"
     )
     yield from common.reached_accuracy(response, response.converged_reason > 0)
-    yield from unresolved(response)
+    yield from unresolved(response, lattice.damping > 0)
     for site, line, velocity, error in zip(
         response.detector.tolist(),
         phase_lines(lattice, response),
@@ -114,12 +114,13 @@ def summary(result):
             )
 
 
-def unresolved(response):
+def unresolved(response, damped):
     """Yield in words where straight lines between the points are not the curve. Not collective."""
     places, omega = np.flatnonzero(response.unresolved), response.omega
     if places.size:
         first = places[0]
-        hint = "" if response.method == "curve" else "; -sweep_method curve resolves it"
+        helps = damped and response.method == "points"
+        hint = "; -sweep_method curve resolves it" if helps else ""
         yield (
             f"the curve is not resolved between {omega[first]:.6g} and {omega[first + 1]:.6g}"
             f"{and_more(places.size - 1)}{hint}"
