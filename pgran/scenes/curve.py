@@ -8,9 +8,10 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.machine import check_memory
-from pgran.parallel.task import Task
+from pgran.parallel.task import Task, carry_out
 from pgran.physics.curve import resolve
 from pgran.physics.interval import (
+    ARRAYS,
     MOMENTS,
     evaluate,
     expected_intervals,
@@ -18,11 +19,13 @@ from pgran.physics.interval import (
     model_dtype,
     point_dtype,
 )
+from pgran.results import Models
 
 UNIT = 16  # intervals that a unit of work is expected to need; each begins with a base of its own
 MOST_UNITS = 64
 # A curve pays where so many frequencies are asked for in each interval that it is expected to need.
 PAYS = 4
+FEW_BYTES = 2**24  # of models that are few
 FEW = 8  # frequencies in an interval: with fewer asked for, others are looked at as well
 
 
@@ -89,7 +92,7 @@ class IntervalSweep(Task):
         Relative accuracy asked of each amplitude.
     """
 
-    items = "intervals, about"
+    items = "intervals"
 
     def __init__(self, lattice, omegas, sites, tolerance):
         """Cut the sweep where equal parts of the intervals are expected to end."""
@@ -187,17 +190,49 @@ class CurvePoints(Task):
         return rows
 
 
-def stored(models, limits):
-    """Return the record of the models that are proven. Not collective.
+def solve_curve(task, crew, resolve, keep_models, progress):
+    """Return the points of the curve, and the record of its models if they are kept, on rank 0.
+
+    Collective. Where no model is proven the frequencies asked for are solved for one by one.
 
     Parameters
     ----------
-    models : numpy.ndarray of `pgran.physics.interval.model_dtype`
-    limits : pgran.physics.interval.Limits
+    task : pgran.scenes.response.ResponseSweep
+        That solves for the frequencies one by one.
+    crew : pgran.parallel.crew.Crew
+    resolve : float
+        What straight lines between neighbours are to be right to, relative to the amplitude.
+    keep_models : bool or None
+        None: where they are few.
+    progress : str
+        Style of `pgran.parallel.progress.Progress`.
     """
-    from pgran.physics.interval import ARRAYS
-    from pgran.results import Models
+    intervals = IntervalSweep(task.scaled, task.omegas, task.sites, task.choices["error_tolerance"])
+    models = crew.world.bcast(carry_out(intervals, crew, progress))
+    if crew.dry:
+        found, models["proven"] = np.zeros(0, task.row), 1
+    else:
+        found = carry_out(CurvePoints(models, intervals.limits, task.omegas, resolve), crew)
+    kept, missing = None, None
+    if crew.world.rank == 0:
+        found = task.accurate(found)
+        missing = task.omegas[~np.isin(task.omegas, found["omega"])]
+        few = models.nbytes <= FEW_BYTES if keep_models is None else keep_models
+        kept = _stored(models, intervals.limits) if few else None
+        found["factorizations"][:1] = models["factorizations"].sum()
+    missing = crew.world.bcast(missing)
+    if crew.dry:
+        found = np.zeros(len(missing), task.row)
+    elif len(missing):
+        others = carry_out(task.at(missing), crew, progress)
+        if crew.world.rank == 0:
+            found = np.concatenate([found, others])
+            found = found[np.argsort(found["omega"], kind="stable")]
+    return found, kept
 
+
+def _stored(models, limits):
+    """Return the record of the models that are proven."""
     proven = models[models["proven"] > 0]
     arrays = {name: np.ascontiguousarray(proven[name]) for name in ARRAYS}
     return Models(**dataclasses.asdict(limits), **arrays)

@@ -22,7 +22,7 @@ from pgran.physics.phase import (
 )
 from pgran.results import LINES, LatticeRecord, Response
 from pgran.scenes import common
-from pgran.scenes.curve import CurvePoints, IntervalSweep, choose_method, stored
+from pgran.scenes.curve import choose_method, solve_curve
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
 from pgran.scenes.sweeping import FrequencySweep
@@ -48,7 +48,6 @@ MODELS = Option(
     "output_models", FLAG, None,
     "keep the models, so that response.at(omega) works later; by default where they are few"
 )  # fmt: skip
-FEW_BYTES = 2**24  # of models that are few
 # What is said of the line through a phase, in the order of `phase_velocity` and PhaseLine.
 LINE = (
     *("phase_velocity", "phase_velocity_error", "phase_slope", "phase_slope_error"),
@@ -210,42 +209,13 @@ def sweep(
         resolve, points = 0.0, carry_out(task, crew, progress)
     else:
         resolve = LINES if resolve is None else resolve
-        points, models = _curve(task, crew, resolve, keep_models, progress)
+        points, models = solve_curve(task, crew, resolve, keep_models, progress)
 
     def respond():
         seconds = time.perf_counter() - started
         return task.response(points, models, (method, resolve), phase_window, seconds)
 
     return on_root(crew.world, respond, keep=True)
-
-
-def _curve(task, crew, resolve, keep_models, progress):
-    """Return the points of the curve, and the record of its models if they are kept, on rank 0.
-
-    Where no model is proven the frequencies asked for are solved for one by one.
-    """
-    intervals = IntervalSweep(task.scaled, task.omegas, task.sites, task.choices["error_tolerance"])
-    models = crew.world.bcast(carry_out(intervals, crew, progress))
-    if crew.dry:
-        found, models["proven"] = np.zeros(0, task.row), 1
-    else:
-        found = carry_out(CurvePoints(models, intervals.limits, task.omegas, resolve), crew)
-    kept, missing = None, None
-    if crew.world.rank == 0:
-        found = task.accurate(found)
-        missing = task.omegas[~np.isin(task.omegas, found["omega"])]
-        few = models.nbytes <= FEW_BYTES if keep_models is None else keep_models
-        kept = stored(models, intervals.limits) if few else None
-        found["factorizations"][:1] = models["factorizations"].sum()
-    missing = crew.world.bcast(missing)
-    if crew.dry:
-        found = np.zeros(len(missing), task.row)
-    elif len(missing):
-        others = carry_out(task.at(missing), crew, progress)
-        if crew.world.rank == 0:
-            found = np.concatenate([found, others])
-            found = found[np.argsort(found["omega"], kind="stable")]
-    return found, kept
 
 
 class ResponseSweep(FrequencySweep):

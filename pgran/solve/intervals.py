@@ -21,14 +21,13 @@ from pgran.physics.interval import (
     evaluate,
     model_dtype,
     poles,
-    qr_rounding,
-    tall_qr,
 )
 from pgran.physics.rounding import EPSILON, residual_rounding
 from pgran.solve.bounds import smallest_damping_eigenvalue
 from pgran.solve.judging import Detectors
 from pgran.solve.linear import LEAST_NORM, make_ksp, set_up
 from pgran.solve.operators import Owner
+from pgran.solve.tall import qr_rounding, tall_qr
 
 CHECKS = 9  # Chebyshev points of an interval where its bound is checked
 SHARE = 0.3  # of what rounding leaves of the allowed, where it is checked; for what is between
