@@ -211,6 +211,8 @@ def test_the_standard_error_is_that_of_correlated_points():
         (X, {40: 0.26}, {}, f"not certain between {X[39]:.6g} and {X[40]:.6g} omega_mx"),
         (X, {40: np.inf, 50: np.nan}, {}, f"and {X[40]:.6g} omega_mx, and in 1 more places"),
         (X, {}, {40: np.nan}, f"between {X[39]:.6g} and {X[40]:.6g} omega_mx, and in 1 more"),
+        (np.delete(X, 5), {5: 1.0}, {}, f"not certain between {X[4]:.6g} and {X[6]:.6g} omega_mx$"),
+        (np.delete(X, 75), {75: 1.0}, {}, f"not certain between {X[74]:.6g} and {X[76]:.6g} om"),
         (X[X < 0.9], {}, {}, "does not cover the window of the fit, 0.3 to 1 omega_mx"),
         (X[X > 0.4], {}, {}, "does not cover the window of the fit, 0.3 to 1 omega_mx"),
         (X[:0], {}, {}, "does not cover the window"),

@@ -91,15 +91,16 @@ def fit_phase(x, phase, line_error, low, high):
     if not len(x) or x[0] > low * (1 + 1e-9) or x[-1] < high * (1 - 1e-9):
         why = f"the sweep does not cover the window of the fit, {low:g} to {high:g} omega_mx"
         return PhaseLine(why_not=f"{why} (-phase_fit_min, -phase_fit_max)")
-    # Rounding of the window's ends leaves no point out.
+    # Rounding of the window's ends leaves no point out. Neighbours across an end count as well.
     inside = (low * (1 - 1e-9) <= x) & (x <= high * (1 + 1e-9))
-    x, phase = x[inside], phase[inside]
-    turns = line_error[inside][1:]
-    uncertain = np.flatnonzero(~(turns <= CERTAIN) | ~np.isfinite(phase[1:] - phase[:-1]))
+    between = (x[1:] > low * (1 + 1e-9)) & (x[:-1] < high * (1 - 1e-9))
+    certain = (line_error[1:] <= CERTAIN) & np.isfinite(phase[1:] - phase[:-1])
+    uncertain = np.flatnonzero(between & ~certain)
     if uncertain.size:
         first = uncertain[0]
         why = f"the phase is not certain between {x[first]:.6g} and {x[first + 1]:.6g} omega_mx"
         return PhaseLine(why_not=why + and_more(uncertain.size - 1))
+    x, phase = x[inside], phase[inside]
     if len(x) < BLOCKS or np.ptp(x) < 1e-10 * x[-1]:
         why = f"{len(x)} frequencies lie in the window of the fit, and {BLOCKS} apart are needed"
         return PhaseLine(why_not=why)
