@@ -104,7 +104,8 @@ def fit_phase(x, phase, line_error, low, high):
     if len(x) < BLOCKS or np.ptp(x) < 1e-10 * x[-1]:
         why = f"{len(x)} frequencies lie in the window of the fit, and {BLOCKS} apart are needed"
         return PhaseLine(why_not=why)
-    weights = np.gradient(x)
+    gaps = np.diff(x)
+    weights = np.append(gaps, 0.0) + np.append(0.0, gaps)  # of the trapezoidal rule
     middle = np.average(x, weights=weights)
     along = weights * (x - middle)
     slope = along @ phase / (along @ x)
