@@ -71,11 +71,24 @@ class Reference:
     def solve(self, omega):
         """A with S A = f, in C order."""
         S, f = self.system(omega)
-        factors = lu_factor(S.astype(complex))
-        x = np.zeros_like(f)
-        for _ in range(6):
-            x = x + lu_solve(factors, (f - S @ x).astype(complex))
-        return x
+        return refined(S, lu_factor(S.astype(complex)), f)
+
+    def solve_both(self, omega):
+        """A and its derivative A' along omega, S A' = f' - S' A."""
+        S, f = self.system(omega)
+        factors, omega = lu_factor(S.astype(complex)), np.longdouble(omega)
+        A, damping = refined(S, factors, f), 1j * np.longdouble(self.damping)
+        bent = damping * (self.drive_C - self.C @ A) + 2 * np.longdouble(self.mass) * omega * A
+        return A, refined(S, factors, bent)
+
+    def poles(self):
+        """The complex omega with positive real parts where S is singular, in double precision."""
+        identity, zero = np.eye(len(self.K)), np.zeros(self.K.shape)
+        loss = self.damping * self.C.astype(float)
+        rates = np.block([[zero, identity], [-self.K.astype(float), -loss]])
+        rates[len(self.K) :] /= self.mass
+        omega = -1j * np.linalg.eigvals(rates)
+        return omega[omega.real > 0]
 
     def eigenvalues(self):
         """Those of K, ascending, in double precision."""
@@ -89,6 +102,14 @@ class Reference:
         """A at balls given by rows of indices."""
         field = self.field(omega)
         return np.array([field[tuple(site)] for site in np.atleast_2d(sites)])
+
+
+def refined(S, factors, f):
+    """The solution of S x = f from factors in double precision, to the digits of S."""
+    x = np.zeros_like(f)
+    for _ in range(6):
+        x = x + lu_solve(factors, (f - S @ x).astype(complex))
+    return x
 
 
 def equations(stiffness, mass, damping, omega):
