@@ -275,8 +275,9 @@ class IntervalModels(Owner):
         for matrix in (self.operators.K, self.operators.C):
             matrix.matMult(self._columns, self._products)
             product = self._products.getDenseArray(readonly=True)
-            found.append(product.reshape(-1, len(blocks), width).swapaxes(0, 1))
-            found[-1] = np.ascontiguousarray(found[-1])
+            # a copy, of one row too: the next product overwrites this one
+            product = product.reshape(-1, len(blocks), width).swapaxes(0, 1)
+            found.append(np.array(product, order="C"))
         return found[0], self.operators.damping * found[1]
 
 

@@ -2,16 +2,14 @@
 
     python tests/campaigns/curves.py [--samples 100]
 
-Each sample's curve is resolved to 1e-2 of the amplitude. At 2000 random frequencies, and at five
-across every mode narrower than their distance, the field is solved directly and refined in extended
-precision; what then looks false is judged by elimination with 50 digits. No bound may be exceeded,
-no line between proven points leave the curve. tests/test_curve.py has the short ones.
+Each sample's curve is resolved to 1e-2 of the amplitude. At 2000 random frequencies, at five across
+every mode narrower than ten times their distance and where straight lines come nearest to zero the
+field is solved directly and refined in extended precision; a bound that then looks false is judged
+by elimination with 50 digits. tests/test_curve.py has the short ones.
 """
 
 import argparse
 import sys
-import time
-from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[1]))
@@ -20,7 +18,6 @@ import mpmath
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
-from mpmath import mp
 from reference import exact_amplitudes
 from samples import bond_arrays, reference_of, swept
 
@@ -33,19 +30,18 @@ LAWS = {
     "wide": lambda rng, size: 10 ** rng.uniform(-3, 0, size),
     "constant": lambda rng, size: np.ones(size),
 }
-COLUMNS = ("sample", "law", "beta", "solved", "points", "unproven", "tests", "narrow")
+COLUMNS = ("solved", "points", "tests", "narrow", "unproven")
+# Bounds of A and of A' exceeded; proven, but inaccurate; lines that leave the curve where it is
+# proven; the same elsewhere, unless `line_error` says so. All but the last must not be.
 FAULTS = ("bounds", "slopes", "inexact", "lines", "unsaid")
 
 
-@dataclass
 class Sample:
-    """A lattice, its detectors, and where it is driven."""
+    """A lattice of 20 to 400 balls along 1 to 3 axes, its detectors, and where it is driven."""
 
-    seed: int
-
-    def __post_init__(self):
-        """Draw it: 20 to 400 balls along 1 to 3 axes."""
-        rng = self.rng = np.random.default_rng([29, self.seed])
+    def __init__(self, seed):
+        """Draw it."""
+        rng = self.rng = np.random.default_rng([29, seed])
         axes, balls = rng.integers(1, 4), 20 * 20 ** rng.uniform()
         stretch = np.exp(rng.uniform(-0.3, 0.3, axes))
         self.shape = tuple(np.ceil(stretch * balls ** (1 / axes)).astype(int).tolist())
@@ -57,98 +53,78 @@ class Sample:
         self.low, self.high = self.lattice.omega_mx * np.array([0.02, 1.5])
         self.reference = reference_of(self.lattice)
 
-    def frequencies(self):
+    def frequencies(self, response):
         """Return what to test at, and how many lie across narrow modes."""
-        omega = self.rng.uniform(self.low, self.high, FREQUENCIES)
         poles = self.reference.poles()
-        poles = poles[2 * np.abs(poles.imag) < (self.high - self.low) / FREQUENCIES]
-        across = (poles.real[:, None] + np.abs(poles.imag)[:, None] * np.linspace(-2, 2, 5)).ravel()
-        across = across[(self.low < across) & (across < self.high)]
-        return np.sort(np.concatenate([omega, across])), len(across)
+        poles = poles[2 * poles.imag < 10 * (self.high - self.low) / FREQUENCIES]
+        across = poles.real + np.linspace(-2, 2, 5)[:, None] * poles.imag
+        known, step = response.displacement, np.diff(response.omega)[:, None]
+        place = (-known[:-1] / np.diff(known, axis=0)).real
+        nearest = (response.omega[:-1, None] + place * step)[(place > 0) & (place < 1)]
+        omega = self.rng.uniform(self.low, self.high, FREQUENCIES)
+        omega = np.unique(np.concatenate([omega, across.ravel(), nearest]))
+        inside = (response.omega[0] <= omega) & (omega <= response.omega[-1])
+        return omega[inside], across.size
 
     def exact(self, omega):
         """Return the amplitudes and their derivatives, refined in extended precision."""
-        r, beta = self.reference, 1j * np.longdouble(self.lattice.damping)
-        K, C = (scipy.sparse.csr_matrix(matrix) for matrix in (r.K, r.C))
-        K, C, w = K.astype(np.clongdouble), C.astype(np.clongdouble), omega.astype(np.longdouble)
-        one, unit, M = np.ones_like(w), scipy.sparse.identity(len(r.K)), r.mass
-        Kd, Cd = K.astype(complex).tocsc(), C.astype(complex).tocsc()
-        options = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0}
-        S = [(Kd + 1j * x * r.damping * Cd - M * x * x * unit).tocsc() for x in omega]
-        factors = [
-            scipy.sparse.linalg.splu(s, options={"SymmetricMode": True}, **options) for s in S
-        ]
+        r, w = self.reference, omega.astype(np.longdouble)
+        parts = r.K, 1j * r.damping * r.C, -r.mass * np.eye(len(r.K))
+        K, C, M = (scipy.sparse.csr_matrix(part.astype(np.clongdouble)) for part in parts)
+        matrices = [(K + x * C + x * x * M).astype(complex).tocsc() for x in w]
+        factors = [scipy.sparse.linalg.splu(S, "MMD_AT_PLUS_A", 0.0) for S in matrices]
 
         def solve(f):
             x = np.zeros_like(f)
             for _ in range(6):
-                missed = (f - K @ x - beta * (C @ x) * w + M * x * w * w).astype(complex)
+                missed = (f - K @ x - C @ x * w - M @ x * w * w).astype(complex)
                 for n, factor in enumerate(factors):
-                    x[:, n] += factor.solve(np.ascontiguousarray(missed[:, n]))
+                    x[:, n] += factor.solve(missed[:, n].copy())
             return x
 
-        A = solve(np.outer(r.drive_K, one) + beta * np.outer(r.drive_C, w))
-        slope = solve(beta * (np.outer(r.drive_C, one) - C @ A) + 2 * M * A * w)
+        stiff, lossy = r.drive_K[:, None], 1j * r.damping * r.drive_C[:, None]
+        A = solve(stiff + lossy * w)
+        slope = solve(lossy - C @ A - M @ A * 2 * w)
         return A[self.places].T, slope[self.places].T
 
 
 def surely(sample, omega, found, bound):
     """Return which errors exceed bounds, by elimination with many digits."""
     constants = sample.lattice.stiffness, sample.lattice.mass, sample.lattice.damping
-    with mp.workdps(50):
+    with mpmath.workdps(50):
         exact = exact_amplitudes(*constants, omega, sample.sites)
         errors = [abs(mpmath.mpmathify(complex(x)) - y) for x, y in zip(found, exact, strict=True)]
     return np.array([e > b for e, b in zip(errors, bound, strict=True)])
 
 
-def examine(seed):
-    """Carry out a sample; return a line of the table and its faults, and print each of these."""
-    sample = Sample(seed)
+def examine(sample, seed):
+    """Carry out a sample and print its faults; return their numbers and others, as in the table."""
     asked = np.sort(sample.rng.uniform(sample.low, sample.high, ASKED))
     choices = {"method": "curve", "resolve": RESOLVE, "keep_models": True}
     response = swept(sample.lattice, asked, sample.sites, **choices)
-    omega, narrow = sample.frequencies()
-    omega = omega[(asked[0] <= omega) & (omega <= asked[-1])]
+    omega, narrow = sample.frequencies(response)
     exact, slope = sample.exact(omega)
     found, size = response.at(omega), np.abs(exact)
-    proven = np.isfinite(found.error_bound).all(axis=1)
-    lines = np.array([np.interp(omega, response.omega, d) for d in response.displacement.T]).T
+    proven = np.isfinite(found.error_bound)
+    lines = [np.interp(omega, response.omega, column) for column in response.displacement.T]
     end = np.maximum(np.searchsorted(response.omega, omega), 1)
-    resolved = (response.line_error[end] <= RESOLVE).all(axis=1)
-    faults = {
-        "bounds": np.abs(found.displacement - exact) > found.error_bound,
-        "slopes": np.abs(found.derivative - slope) > found.derivative_bound,
-        "inexact": proven[:, None] & ~(found.error_bound <= 1e-4 * size),
-        "lines": proven[:, None] & ~(np.abs(lines - exact) <= RESOLVE * size),
-        "unsaid": (~proven & resolved)[:, None] & ~(np.abs(lines - exact) <= RESOLVE * size),
-    }
-    for n in np.flatnonzero(faults["bounds"].any(axis=1)):
-        faults["bounds"][n] = surely(sample, omega[n], found.displacement[n], found.error_bound[n])
-    values = {
-        "bounds": found.displacement,
-        "slopes": found.derivative,
-        "inexact": found.displacement,
-    }
-    for name, wrong in faults.items():
-        for n, d in np.argwhere(wrong)[:3]:
-            value = values.get(name, lines)[n, d]
-            true = (slope if name == "slopes" else exact)[n, d]
-            print(
-                f"{name}: seed {seed}, omega {omega[n]:.17g}, detector {d}: {value:.10g}, truly "
-                f"{complex(true):.10g}, bounds {found.error_bound[n, d]:.1e} and "
-                f"{found.derivative_bound[n, d]:.1e}, line_error {response.line_error[end[n], d]:.1e}"
-            )
-    counts = [int(np.count_nonzero(wrong)) for wrong in faults.values()]
-    shape = "x".join(map(str, sample.shape))
-    how = f"{seed:4d} {shape:>9} {sample.law:>9} {sample.lattice.damping:8.1e}"
-    what = (
-        response.factorizations,
-        len(response.omega),
-        np.count_nonzero(~proven),
-        len(omega),
-        narrow,
+    astray = ~(np.abs(np.transpose(lines) - exact) <= RESOLVE * size)
+    faults = (
+        np.abs(found.displacement - exact) > found.error_bound,
+        np.abs(found.derivative - slope) > found.derivative_bound,
+        proven & ~(found.error_bound <= 1.0001e-4 * size),
+        proven & astray,
+        ~proven & astray & (response.line_error[end] <= RESOLVE),
     )
-    return how, (*what, *counts)
+    for n in np.flatnonzero(faults[0].any(axis=1)):
+        faults[0][n] = surely(sample, omega[n], found.displacement[n], found.error_bound[n])
+    for name, wrong in zip(FAULTS, faults, strict=True):
+        for n, d in np.argwhere(wrong)[:3]:
+            values = (x[n, d] for x in (exact, *found[1:], response.line_error[end]))
+            print(name, seed, d, f"{omega[n]:.17g}", *map("{:.8g}".format, values))
+    solved = response.factorizations, len(response.omega)
+    unproven = np.count_nonzero(~proven.all(axis=1))
+    return *solved, len(omega), narrow, unproven, *map(np.count_nonzero, faults)
 
 
 def main():
@@ -156,17 +132,17 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--samples", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=1e9)
-    given, total, started = parser.parse_args(), 0, time.perf_counter()
-    print(" ".join(COLUMNS[:3]), " ".join(f"{name:>8}" for name in (*COLUMNS[3:], *FAULTS)))
+    given = parser.parse_args()
+    total = np.zeros(len(COLUMNS + FAULTS), int)
+    print(f"{'sample':30}", *(f"{name:>8}" for name in COLUMNS + FAULTS))
     for seed in range(given.first, given.first + given.samples):
-        how, numbers = examine(seed)
-        print(how, " ".join(f"{n:8d}" for n in numbers), flush=True)
-        total = total + np.array(numbers)
-        if time.perf_counter() - started > given.seconds:
-            break
-    print(f"{seed + 1 - given.first} samples", " ".join(f"{n:8d}" for n in total))
-    sys.exit(int(total[-5] + total[-4] + total[-2] > 0))
+        sample = Sample(seed)
+        numbers = examine(sample, seed)
+        what = f"{seed:4d} {'x'.join(map(str, sample.shape)):>8} {sample.law:>8}"
+        print(f"{what} {sample.lattice.damping:.1e}", *(f"{n:8d}" for n in numbers), flush=True)
+        total += numbers
+    print(f"{f'{given.samples} samples':30}", *(f"{n:8d}" for n in total))
+    sys.exit(bool(np.any(total[-5:-1])))
 
 
 if __name__ == "__main__":
