@@ -16,8 +16,6 @@ sys.path.append(str(Path(__file__).parents[1]))
 
 import mpmath
 import numpy as np
-import scipy.sparse
-import scipy.sparse.linalg
 from reference import exact_amplitudes
 from samples import bond_arrays, reference_of, swept
 
@@ -55,37 +53,13 @@ class Sample:
 
     def frequencies(self, response):
         """Return what to test at, and how many lie across narrow modes."""
-        poles = self.reference.poles()
-        poles = poles[2 * poles.imag < 10 * (self.high - self.low) / FREQUENCIES]
-        across = poles.real + np.linspace(-2, 2, 5)[:, None] * poles.imag
+        ends = response.omega[0], response.omega[-1]
+        across = self.reference.across_modes(*ends, 10 * (self.high - self.low) / FREQUENCIES)
         known, step = response.displacement, np.diff(response.omega)[:, None]
         place = (-known[:-1] / np.diff(known, axis=0)).real
         nearest = (response.omega[:-1, None] + place * step)[(place > 0) & (place < 1)]
-        omega = self.rng.uniform(self.low, self.high, FREQUENCIES)
-        omega = np.unique(np.concatenate([omega, across.ravel(), nearest]))
-        inside = (response.omega[0] <= omega) & (omega <= response.omega[-1])
-        return omega[inside], across.size
-
-    def exact(self, omega):
-        """Return the amplitudes and their derivatives, refined in extended precision."""
-        r, w = self.reference, omega.astype(np.longdouble)
-        parts = r.K, 1j * r.damping * r.C, -r.mass * np.eye(len(r.K))
-        K, C, M = (scipy.sparse.csr_matrix(part.astype(np.clongdouble)) for part in parts)
-        matrices = [(K + x * C + x * x * M).astype(complex).tocsc() for x in w]
-        factors = [scipy.sparse.linalg.splu(S, "MMD_AT_PLUS_A", 0.0) for S in matrices]
-
-        def solve(f):
-            x = np.zeros_like(f)
-            for _ in range(6):
-                missed = (f - K @ x - C @ x * w - M @ x * w * w).astype(complex)
-                for n, factor in enumerate(factors):
-                    x[:, n] += factor.solve(missed[:, n].copy())
-            return x
-
-        stiff, lossy = r.drive_K[:, None], 1j * r.damping * r.drive_C[:, None]
-        A = solve(stiff + lossy * w)
-        slope = solve(lossy - C @ A - M @ A * 2 * w)
-        return A[self.places].T, slope[self.places].T
+        omega = self.rng.uniform(*ends, FREQUENCIES)
+        return np.unique(np.concatenate([omega, across, nearest])), len(across)
 
 
 def surely(sample, omega, found, bound):
@@ -103,7 +77,7 @@ def examine(sample, seed):
     choices = {"method": "curve", "resolve": RESOLVE, "keep_models": True}
     response = swept(sample.lattice, asked, sample.sites, **choices)
     omega, narrow = sample.frequencies(response)
-    exact, slope = sample.exact(omega)
+    exact, slope = (field[:, sample.places] for field in sample.reference.sweep(omega))
     found, size = response.at(omega), np.abs(exact)
     proven = np.isfinite(found.error_bound)
     lines = [np.interp(omega, response.omega, column) for column in response.displacement.T]
