@@ -6,6 +6,7 @@ rounding, component by component. Where matrices are nearly singular, or amplitu
 double, there is elimination in mpmath.
 """
 
+import itertools
 import math
 
 import mpmath
@@ -76,6 +77,39 @@ class Reference:
         for _ in range(6):
             x = x + lu_solve(factors, (f - S @ x).astype(complex))
         return x
+
+    def sweep(self, omegas):
+        """A and its derivative along omega, S A' = f' - S' A, shapes (frequencies, balls).
+
+        All frequencies at once, by sparse factorizations.
+        """
+        w = np.asarray(omegas).astype(np.longdouble)
+        parts = self.K, 1j * self.damping * self.C, -self.mass * np.eye(len(self.K))
+        K, C, M = (scipy.sparse.csr_matrix(part.astype(np.clongdouble)) for part in parts)
+        matrices = [(K + x * C + x * x * M).astype(complex).tocsc() for x in w]
+        factors = [scipy.sparse.linalg.splu(S, "MMD_AT_PLUS_A", 0.0) for S in matrices]
+
+        def solve(f):
+            x = np.zeros_like(f)
+            for _ in range(6):
+                missed = (f - K @ x - C @ x * w - M @ x * w * w).astype(complex)
+                for n, factor in enumerate(factors):
+                    x[:, n] += factor.solve(missed[:, n].copy())
+            return x
+
+        stiff, lossy = self.drive_K[:, None], 1j * self.damping * self.drive_C[:, None]
+        A = solve(stiff + lossy * w)
+        return A.T, solve(lossy - C @ A - M @ A * 2 * w).T
+
+    def across_modes(self, low, high, widest=math.inf):
+        """Frequencies in a window, five across every damped mode that is narrow enough."""
+        identity, zero = np.eye(len(self.K)), np.zeros(self.K.shape)
+        forces = -self.K.astype(float), -self.damping * self.C.astype(float)
+        rates = np.block([[zero, identity], [f / self.mass for f in forces]])
+        poles = -1j * np.linalg.eigvals(rates)
+        poles = poles[(poles.real > 0) & (2 * poles.imag < widest)]
+        omega = (poles.real + np.linspace(-2, 2, 5)[:, None] * poles.imag).ravel()
+        return omega[(low <= omega) & (omega <= high)]
 
     def eigenvalues(self):
         """Those of K, ascending, in double precision."""
@@ -191,6 +225,20 @@ def uniform_field(shape, stiffness, mass, damping, omega):
         along = np.exp(alpha * (i - nx - 1)) * np.expm1(-2 * alpha * i)
         along = along / np.expm1(-2 * alpha * (nx + 1))
         total += weight * np.multiply.outer(along, wave)
+    return total
+
+
+def uniform_amplitude(shape, stiffness, damping, place, omega):
+    """The same at one ball of mass 1, to mpmath's digits; only odd waves across are driven."""
+    (nx, *across), total = shape, 0
+    for numbers in itertools.product(*(range(1, n + 1, 2) for n in across)):
+        cosh, wave = 1 - omega**2 / (stiffness + 1j * omega * damping) / 2, 1
+        for n, length, at in zip(numbers, across, place[1:], strict=True):
+            angle = n * mp.pi / (length + 1)
+            wave *= 2 / mpmath.tan(angle / 2) / (length + 1) * mpmath.sin(angle * (at + 1))
+            cosh += 1 - mpmath.cos(angle)
+        alpha = mpmath.acosh(cosh)
+        total += wave * mpmath.sinh(alpha * (place[0] + 1)) / mpmath.sinh(alpha * (nx + 1))
     return total
 
 

@@ -7,7 +7,7 @@ part of the amplitude, the phase may have turned unseen. NumPy only.
 
 import numpy as np
 
-PLACES = np.array([0.25, 0.5, 0.75])[:, None, None]  # between two neighbours
+PLACES = 0.25, 0.5, 0.75  # between two neighbours
 SHARE = 0.8  # aim at this part of the deviation allowed, which the cubic only estimates
 MOST_ADDED = 7  # frequencies between two neighbours in one pass
 PASSES = 40
@@ -32,8 +32,11 @@ def deviation(omega, amplitude, derivative):
         chord = np.diff(amplitude, axis=0)
         width = np.diff(omega)[:, None]
         below, above = width * derivative[:-1] - chord, width * derivative[1:] - chord
-        bend = PLACES * (1 - PLACES) * ((1 - PLACES) * below - PLACES * above)
-        found = np.abs(bend) / np.abs(amplitude[:-1] + PLACES * chord + bend)
+        # besides, where the line is nearest to zero
+        nearest = np.where(chord == 0, 0.5, np.clip((-amplitude[:-1] / chord).real, 0, 1))
+        t = np.stack(np.broadcast_arrays(*PLACES, nearest))
+        bend = t * (1 - t) * ((1 - t) * below - t * above)
+        found = np.abs(bend) / np.abs(amplitude[:-1] + t * chord + bend)
     return np.where(np.isfinite(found), found, np.inf).max(axis=0)
 
 

@@ -26,6 +26,7 @@ same of f, by which rounding is bounded; `poles`, the frequencies above the pole
 NumPy only.
 """
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -35,6 +36,7 @@ from pgran.physics.rounding import SMALLEST_NORMAL
 MOMENTS = 8  # of each right-hand side at each end
 LOST = 2**10 * SMALLEST_NORMAL  # what sums of products too small for doubles may lose
 SHORTEST = 4  # frequencies: NumPy rounds products of fewer complex numbers in one way or another
+LOST_NORM = 16 * math.sqrt(SMALLEST_NORMAL)  # what a norm may miss because squares are lost
 
 
 # The arrays of a model, and what a curve tells of a point.
@@ -163,7 +165,7 @@ def evaluate_all(models, omega):
     for value, bound in (POINT[1:3], POINT[3:]):
         found[value], found[bound] = np.nan, np.inf
     place = np.searchsorted(models.low, omega, side="right") - 1
-    inside = (place >= 0) & (omega <= models.high[np.maximum(place, 0)])
+    inside = omega <= np.append(models.high, -np.inf)[place]  # the last is that of place -1
     for interval in np.unique(place[inside]):
         here = inside & (place == interval)
         model = {name: getattr(models, name)[interval] for name in ARRAYS}
@@ -197,7 +199,7 @@ class _Solved:
         self.norm = limits.stiffness + omega * (limits.damping + omega * limits.mass)
         drive = np.ones_like(self.size)
         drive[0] = limits.drive + omega * limits.drive_damping
-        self.known = limits.rounding * (drive + 1.01 * self.norm * self.size)
+        self.known = limits.rounding * (drive + 1.01 * self.norm * self.size) + LOST_NORM
         self.r = self._residual(self.c) + self.known
         self.backward_error = self.r[0] / (self.norm * self.size[0] + drive[0])
         self.bound = 1.01 / (omega * limits.stability)  # of |S^-1|
@@ -254,7 +256,7 @@ class _Solved:
         drive = np.zeros_like(self.size)
         drive[0] = limits.drive_damping
         rounding = drive + 1.01 * (slope * self.size + self.norm * _norms(y1))
-        r, r1 = self.r, self._residual(c1) + limits.rounding * rounding
+        r, r1 = self.r, self._residual(c1) + limits.rounding * rounding + LOST_NORM
         theory = self.bound * (r[0] * r1[1:] + r1[0] * r[1:] + slope * self.theory)
         # |S'| is at most 2 / omega of |K| + omega |C| + omega^2 |M|, ball by ball
         sizes = np.abs(y1)

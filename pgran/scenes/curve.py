@@ -219,7 +219,6 @@ def solve_curve(task, crew, resolve, keep_models, progress):
         missing = task.omegas[~np.isin(task.omegas, found["omega"])]
         few = models.nbytes <= FEW_BYTES if keep_models is None else keep_models
         kept = _stored(models, intervals.limits) if few else None
-        found["factorizations"][:1] = models["factorizations"].sum()
     missing = crew.world.bcast(missing)
     if crew.dry:
         found = np.zeros(len(missing), task.row)
@@ -228,6 +227,8 @@ def solve_curve(task, crew, resolve, keep_models, progress):
         if crew.world.rank == 0:
             found = np.concatenate([found, others])
             found = found[np.argsort(found["omega"], kind="stable")]
+    if crew.world.rank == 0:
+        found["factorizations"][:1] += models["factorizations"].sum()
     return found, kept
 
 

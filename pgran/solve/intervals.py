@@ -146,7 +146,7 @@ class IntervalModels(Owner):
                 if omega not in moments:
                     moments[omega] = self.moments(omega)
             model = self._model(start, end, moments[start], moments[end])
-            missed, in_vain = self._missed(model[0])
+            missed, in_vain = self._agreed(self._missed(model[0]))
             reach = 0.9 * max(missed, 1e-300) ** (-1 / ORDER)
             reach = min(max(reach, 0.3), 3.0 if missed <= 1 else 0.8)
             step = (end - start) * (2.0 if in_vain else reach)
@@ -162,6 +162,10 @@ class IntervalModels(Owner):
                     ahead.pop()
             elif end != ahead[-1]:
                 ahead.append(end)
+
+    def _agreed(self, found):
+        """Return what the first rank has found: a last digit must not part the ranks' ways."""
+        return found if self.comm.size == 1 else self.comm.bcast(found)
 
     def _missed(self, model):
         """Return the largest bound relative to what is allowed; whether shortening is in vain.
@@ -272,8 +276,9 @@ class IntervalModels(Owner):
         for matrix in (self.operators.K, self.operators.C):
             matrix.matMult(self._columns, self._products)
             product = self._products.getDenseArray(readonly=True)
-            found.append(product.reshape(-1, len(blocks), width).swapaxes(0, 1))
-            found[-1] = np.ascontiguousarray(found[-1])
+            # a copy, of one row too: the next product overwrites this one
+            product = product.reshape(-1, len(blocks), width).swapaxes(0, 1)
+            found.append(np.array(product, order="C"))
         return found[0], self.operators.damping * found[1]
 
 

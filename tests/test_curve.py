@@ -1,0 +1,170 @@
+"""The response between frequencies: models of intervals, their bounds, and the points they add."""
+
+import itertools
+from functools import partial
+
+import mpmath
+import numpy as np
+import pytest
+from mpi4py import MPI
+from reference import exact_amplitudes, uniform_amplitude
+from samples import random_lattice, reference_of, swept, uniform_lattice
+
+from pgran.errors import InputError, PgranError
+from pgran.physics.accuracy import is_accurate
+from pgran.physics.curve import deviation
+from pgran.physics.interval import ARRAYS, POINT, evaluate
+from pgran.physics.lattice import Lattice
+from pgran.solve import intervals
+from pgran.solve.operators import Operators
+
+LATTICE, SITES = random_lattice((7, 8), 5, 0.003), [[3, 4], [0, 0]]
+OMEGAS = np.linspace(0.06, 1.3, 5)
+KINDS = [
+    ((1,), 1e-3, "uniform", [[0]]),
+    ((25,), 1.0, "wide", [[13], [24]]),
+    ((8, 6), 1e-4, "bimodal", [[2, 3], [7, 0], [0, 5]]),
+    ((4, 3, 4), 3e-2, "bimodal", [[1, 1, 2], [3, 0, 0]]),
+]
+
+
+def curve(lattice, omegas, sites, comm, **choices):
+    """The response by models, which are kept."""
+    return swept(lattice, omegas, sites, comm, method="curve", keep_models=True, **choices)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_curves_against_the_reference(world, kind):
+    """Anywhere, and across every mode, however narrow: values, derivatives, delays, lines."""
+    (shape, damping, law, sites), rng = kind, np.random.default_rng(1)
+    lattice = random_lattice(shape, 3, damping, law=law)
+    response, reference = curve(lattice, OMEGAS, sites, world), reference_of(lattice)
+    across, points = reference.across_modes(0.06, 1.3), response.omega
+    omega = np.sort(np.concatenate([rng.uniform(0.06, 1.3, 100), across, points[::40]]))
+    omega = omega[world.rank :: world.size]
+    found, places = response.at(omega), np.ravel_multi_index(np.transpose(sites), shape)
+    exact, slope = (field[:, places] for field in reference.sweep(omega))
+    assert response.failures == 0
+    assert np.all(np.abs(found.displacement - exact) <= found.error_bound)
+    assert np.all(is_accurate(found.error_bound, found.displacement, 1e-4))
+    assert np.all(np.abs(found.derivative - slope) <= found.derivative_bound)
+    assert np.all(found.derivative_bound <= 1e-2 * np.abs(slope).max(axis=0))
+    lines = [np.interp(omega, points, column) for column in response.displacement.T]
+    assert np.all(np.abs(np.transpose(lines) - exact) <= 1e-2 * np.abs(exact))
+    here = np.isin(omega, points)
+    at, delay = np.searchsorted(points, omega[here]), -(slope / exact)[here].imag
+    assert np.all(np.abs(response.delay[at] - delay) <= response.delay_bound[at])
+
+
+@pytest.mark.parametrize("place", [(11,), (3, 2), (1, 1, 3)])
+def test_group_delay_of_the_uniform_lattice(world, place):
+    """From its closed form: sines across, a wave with sinh along."""
+    shape = [(30,), (9, 6), (4, 3, 5)][len(place) - 1]
+    found = curve(uniform_lattice(shape, 0.25, 0.02), OMEGAS, place, world)
+    amplitude = partial(uniform_amplitude, shape, 0.25, 0.02, place)
+    with mpmath.workdps(40):
+        for n in range(world.rank, len(found.omega), 60 * world.size):
+            omega = mpmath.mpf(float(found.omega[n]))
+            delay = -mpmath.im(mpmath.diff(amplitude, omega) / amplitude(omega))
+            assert abs(found.delay[n, 0] - delay) <= found.delay_bound[n, 0] < 0.05 * abs(delay)
+
+
+@pytest.mark.parametrize(("moments", "powers"), [(1, (7, 10)), (2, (5, 8)), (3, (5, 6))])
+def test_order_of_the_bound(comm, moments, powers, monkeypatch):
+    """With m moments of A and z at both ends it falls like the interval's length to the 4 m."""
+    monkeypatch.setattr(intervals, "MOMENTS", moments)
+    bounds = []
+    with Operators(random_lattice((7, 8), 5, 0.03), comm) as operators:
+        for length in 2.0 ** -np.array(powers):
+            with intervals.IntervalModels(operators, SITES, 0.5, lambda _, w=length: w) as models:
+                (model,) = next(models.cover(0.5 - length / 2, 0.5 + length / 2))
+                (point,) = evaluate(model, np.array([0.5]), models.limits)
+            assert model["high"] - model["low"] == length
+            bounds.append(point["error_bound"] - point["rounding"])
+    orders = np.log2(bounds[0] / bounds[1]) / (powers[1] - powers[0])
+    assert np.all(np.abs(orders - 4 * moments) < 0.5)
+
+
+@pytest.mark.parametrize("few", [False, True])
+def test_ranks_agree(world, few):
+    """On every bit if each has its lattice, within bounds if they share it, a ball a rank too."""
+    lattice, sites = (random_lattice((world.size,), 5), [[0]]) if few else (LATTICE, SITES)
+    alone, together = (curve(lattice, OMEGAS, sites, comm) for comm in (MPI.COMM_SELF, world))
+    for one, other, names in (alone, together, POINT), (alone.models, together.models, ARRAYS):
+        assert all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
+    shared = curve(lattice, OMEGAS, sites, world, ranks=world.size)
+    one, other = (response.at(np.linspace(0.06, 1.3, 99)) for response in (alone, shared))
+    for value in (1, 3):
+        assert np.all(np.abs(one[value] - other[value]) <= one[value + 1] + other[value + 1])
+
+
+def test_what_has_no_curve_is_refused(world, solver_options):
+    """In words; `auto` then solves for points, unless lines are to be resolved."""
+    undamped, models = random_lattice((6, 5), 3, 0.0), {"method": "curve"}
+    for lattice, omegas, choices, why in (
+        (undamped, OMEGAS, models, "sweep_method curve: without damping"),
+        (undamped, OMEGAS, {"method": "auto", "resolve": 0.1}, "sweep_resolve: without damping"),
+        (LATTICE, OMEGAS, models | {"fields": True}, "fields"),
+        (LATTICE, OMEGAS[:1], models, "two frequencies"),
+        (LATTICE, OMEGAS, {"resolve": 0.1}, "needs models"),
+    ):
+        with pytest.raises(InputError, match=why):
+            swept(lattice, omegas, [2, 2], world, **choices)
+    with pytest.raises(PgranError, match="no models"):
+        swept(LATTICE, OMEGAS, SITES, world).at(0.5)
+    solver_options("-steady_pc_type ilu")
+    with pytest.raises(InputError, match="factorization"):
+        curve(LATTICE, OMEGAS, SITES, world)
+
+
+def test_auto_weighs_frequencies_against_intervals(world, solver_options):
+    omegas = np.linspace(0.5, 0.51, 300)
+    few, many = (swept(LATTICE, w, SITES, world, method="auto") for w in (omegas[::15], omegas))
+    solver_options("-steady_pc_type ilu")
+    poor = swept(LATTICE, omegas, SITES, world, method="auto")
+    assert (few.method, many.method, poor.method) == ("points", "curve", "points")
+    assert many.factorizations < few.factorizations
+
+
+@pytest.mark.parametrize("tiny", [1.0, 1e-100, 1e-165])
+def test_what_is_asked_for_is_solved_where_nothing_is_proven(world, tiny):
+    """A ball far down a long chain at high frequencies; bonds and dashpots whose squares vanish."""
+    bonds = np.random.default_rng(1).uniform(0.1, 0.25, 61)
+    bonds[-1] *= tiny
+    lattice, asked = Lattice((bonds,), 1.0, 0.02 * tiny), np.array([0.3, 0.5, 1.05, 1.1, 1.2])
+    response = curve(lattice, asked, [[8]], world, resolve=0)
+    assert np.array_equal(response.omega, asked)
+    assert (response.failures, response.factorizations > len(asked)) == (0, True)
+    found = response.at(np.array([0.4, 1.07, 1.3]))
+    for values, bound in (found[1:3], found[3:]):
+        assert np.isinf(bound).ravel().tolist() == [tiny != 1, True, True]
+        assert np.array_equal(np.isnan(values), np.isinf(bound))
+    with mpmath.workdps(200):
+        for n, omega in enumerate(asked):
+            (exact,) = exact_amplitudes(lattice.stiffness, 1.0, lattice.damping, omega, [[8]])
+            error = abs(mpmath.mpmathify(complex(response.displacement[n, 0])) - exact)
+            assert error <= response.error_bound[n, 0] <= max(1e-20, 1e-4 * abs(exact))
+
+
+@pytest.mark.parametrize("failing", [{0}, {4}, set(range(1000))])
+def test_factorizations_that_fail(monkeypatch, failing):
+    """Intervals beside them are not proven; what was asked for there is solved one by one."""
+    calls, set_up = itertools.count(), intervals.set_up
+    monkeypatch.setattr(intervals, "set_up", lambda *a: next(calls) not in failing and set_up(*a))
+    asked, reference = np.linspace(0.06, 1.3, 60), reference_of(LATTICE)
+    response = curve(LATTICE, asked, SITES, MPI.COMM_SELF, resolve=0)
+    found = response.at(asked)
+    unproven = np.isinf(found.error_bound).all(axis=1)
+    assert 1 <= np.count_nonzero(unproven) <= (20 if len(failing) == 1 else 60)
+    exact = np.array([reference.amplitudes(omega, SITES) for omega in asked])
+    assert np.all(np.abs(response.displacement - exact) <= response.error_bound)
+    assert np.all(response.error_bound <= 1e-4 * np.abs(exact))
+
+
+def test_lines_are_looked_at_where_they_pass_zero():
+    t, ends = np.linspace(0, 1, 4001), [0, -1]
+    for zero in np.linspace(0.02, 0.98, 13):
+        curved, slope = t - zero + 1e-3j + 1e-3 * t**2, 1 + 2e-3 * t
+        missed = np.max(np.abs(np.interp(t, t[ends], curved[ends]) - curved) / np.abs(curved))
+        found = deviation(t[ends], curved[ends, None], slope[ends, None])
+        assert found[0, 0] == pytest.approx(missed, rel=0.1)
