@@ -62,12 +62,33 @@ def resolve(evaluate, omegas, tolerance):
         missed[np.diff(omega) <= 1e-12 * omega[1:]] = 0.0
         bad = np.flatnonzero((missed > 1) & np.isfinite(missed))
         if not bad.size:
-            break
+            added = _astray(evaluate, points, tolerance)
+            if not added.size:
+                break
+            points = _merged(points, added)
+            continue
         # the deviation falls with the square of the distance
         count = np.minimum(np.ceil(np.sqrt(missed[bad])) - 1, MOST_ADDED).astype(int)
         place = np.concatenate([np.arange(1, n + 1) / (n + 1) for n in count])
         start, width = (np.repeat(x[bad], count) for x in (omega[:-1], np.diff(omega)))
-        added = evaluate(start + place * width)
-        points = np.concatenate([points, added])
-        points = points[np.argsort(points["omega"], kind="stable")]
+        points = _merged(points, evaluate(start + place * width))
     return points
+
+
+def _astray(evaluate, points, tolerance):
+    """Return the points halfway between neighbours that straight lines miss, whatever cubics say.
+
+    Where the neighbours are too close for more, or unknown, there are none.
+    """
+    omega, A = points["omega"], points["displacement"]
+    apart = np.diff(omega) > 1e-12 * omega[1:]
+    half = evaluate(0.5 * (omega[:-1] + omega[1:]))
+    with np.errstate(all="ignore"):
+        missed = np.abs(half["displacement"] - 0.5 * (A[:-1] + A[1:]))
+    return half[apart & np.any(missed > tolerance * np.abs(half["displacement"]), axis=1)]
+
+
+def _merged(points, added):
+    """Return all points in ascending order."""
+    points = np.concatenate([points, added])
+    return points[np.argsort(points["omega"], kind="stable")]

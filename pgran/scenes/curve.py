@@ -193,7 +193,8 @@ class CurvePoints(Task):
 def solve_curve(task, crew, resolve, keep_models, progress):
     """Return the points of the curve, and the record of its models if they are kept, on rank 0.
 
-    Collective. Where no model is proven the frequencies asked for are solved for one by one.
+    Collective. Where no model is proven the frequencies asked for are solved for one by one, and so
+    are points of the curve that a proven model misses, as where the amplitude almost vanishes.
 
     Parameters
     ----------
@@ -215,8 +216,9 @@ def solve_curve(task, crew, resolve, keep_models, progress):
         found = carry_out(CurvePoints(models, intervals.limits, task.omegas, resolve), crew)
     kept, missing = None, None
     if crew.world.rank == 0:
+        wanted = np.union1d(task.omegas, found["omega"])
         found = task.accurate(found)
-        missing = task.omegas[~np.isin(task.omegas, found["omega"])]
+        missing = np.setdiff1d(wanted, found["omega"])
         few = models.nbytes <= FEW_BYTES if keep_models is None else keep_models
         kept = _stored(models, intervals.limits) if few else None
     missing = crew.world.bcast(missing)
