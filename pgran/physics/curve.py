@@ -9,6 +9,7 @@ import numpy as np
 
 PLACES = 0.25, 0.5, 0.75  # between two neighbours
 SHARE = 0.8  # aim at this part of the deviation allowed, which the cubic only estimates
+DOUBT = 0.3  # of that part: where the cubic says more, the line is looked at once more
 MOST_ADDED = 7  # frequencies between two neighbours in one pass
 PASSES = 40
 
@@ -48,7 +49,8 @@ def resolve(evaluate, omegas, tolerance):
     Parameters
     ----------
     evaluate : callable
-        Takes frequencies, returns an array of `pgran.physics.interval.point_dtype`.
+        Takes frequencies and whether `derivatives` are wanted, returns an array of
+        `pgran.physics.interval.point_dtype`.
     omegas : numpy.ndarray
         Frequencies to begin with, ascending.
     tolerance : float
@@ -59,36 +61,26 @@ def resolve(evaluate, omegas, tolerance):
         omega = points["omega"]
         missed = deviation(omega, points["displacement"], points["derivative"]).max(axis=1)
         missed /= SHARE * tolerance
-        missed[np.diff(omega) <= 1e-12 * omega[1:]] = 0.0
-        bad = np.flatnonzero((missed > 1) & np.isfinite(missed))
-        if not bad.size:
-            added = _astray(evaluate, points, tolerance)
-            if not added.size:
-                break
-            points = _merged(points, added)
-            continue
+        missed[(np.diff(omega) <= 1e-12 * omega[1:]) | ~np.isfinite(missed)] = 0.0
         # the deviation falls with the square of the distance
-        count = np.minimum(np.ceil(np.sqrt(missed[bad])) - 1, MOST_ADDED).astype(int)
+        count = np.clip(np.ceil(np.sqrt(missed)) - 1, 0, MOST_ADDED).astype(int)
+        if not count.any():
+            count = _astray(evaluate, points, missed > DOUBT, tolerance).astype(int)
+        if not count.any():
+            break
         place = np.concatenate([np.arange(1, n + 1) / (n + 1) for n in count])
-        start, width = (np.repeat(x[bad], count) for x in (omega[:-1], np.diff(omega)))
-        points = _merged(points, evaluate(start + place * width))
+        start, width = (np.repeat(x, count) for x in (omega[:-1], np.diff(omega)))
+        points = np.concatenate([points, evaluate(start + place * width)])
+        points = points[np.argsort(points["omega"], kind="stable")]
     return points
 
 
-def _astray(evaluate, points, tolerance):
-    """Return the points halfway between neighbours that straight lines miss, whatever cubics say.
-
-    Where the neighbours are too close for more, or unknown, there are none.
-    """
-    omega, A = points["omega"], points["displacement"]
-    apart = np.diff(omega) > 1e-12 * omega[1:]
-    half = evaluate(0.5 * (omega[:-1] + omega[1:]))
+def _astray(evaluate, points, doubtful, tolerance):
+    """Return which doubtful lines miss the curve halfway, whatever the cubic says."""
+    before, after = points[:-1][doubtful], points[1:][doubtful]
+    half = evaluate(0.5 * (before["omega"] + after["omega"]), derivatives=False)["displacement"]
     with np.errstate(all="ignore"):
-        missed = np.abs(half["displacement"] - 0.5 * (A[:-1] + A[1:]))
-    return half[apart & np.any(missed > tolerance * np.abs(half["displacement"]), axis=1)]
-
-
-def _merged(points, added):
-    """Return all points in ascending order."""
-    points = np.concatenate([points, added])
-    return points[np.argsort(points["omega"], kind="stable")]
+        missed = np.abs(half - 0.5 * (before["displacement"] + after["displacement"]))
+    astray = np.zeros(len(doubtful), dtype=bool)
+    astray[doubtful] = np.any(missed > tolerance * np.abs(half), axis=1)
+    return astray
