@@ -168,9 +168,9 @@ def curves():
         (200, np.linspace(0.3, 0.6, 1376), 16, 0, 1),  # as close as 5000 from .01 to 1.1
     )
     for side, omegas, part, resolve, repeats in plan:
-        lattice, site = lattice_of(side)
+        lattice, site = lattice_of(side)[0], (side - 12, side // 2)
         # stretches of neighbours, which may share factorizations
-        timed = omegas.reshape(-1, 16)[::part].ravel() if part > 1 else omegas
+        timed = omegas.reshape(-1, 8)[::part].ravel() if part > 1 else omegas
         yield Row(
             f"curve {side} x {side}, {len(omegas)} frequencies" + ", resolved" * (resolve is None),
             partial(by_pgran(sweep, lattice, timed, site, method="points"), ALONE),

@@ -186,14 +186,15 @@ class _Solved:
         self.model, self.limits, self.omega = model, limits, omega
         own = model["own"]
         systems, p, _ = own.shape
-        self.blocks = own[:, :, 2:].reshape(systems, p, 3, p)
-        self.loads = own[:, :, :2]
+        self.loads, blocks = own[:, :, :2], own[:, :, 2:].reshape(systems, p, 3, p)
+        self.blocks = np.ascontiguousarray(blocks.transpose(2, 0, 1, 3))
         one = np.ones_like(omega)
         self.powers = np.stack([one, omega, omega * omega])
         self.slopes = np.stack([0 * one, one, 2 * omega])
-        self.T = np.tensordot(self.powers, self.blocks, (0, 2))  # (n, systems, p, p)
-        self.y = self._solved(np.tensordot(self.loads, self.powers[:2], (2, 0)))
-        self.c = self._combined(self.powers, [-power * self.y for power in self.powers])
+        T = self.powers.T @ self.blocks.reshape(3, -1)
+        self.T = T.reshape(-1, systems, p, p)
+        self.y = self._solved(self.loads @ self.powers[:2])
+        self.c = self._combined(self.powers, _times(self.powers, self.y))
         self.size = _norms(self.y)
         # of |S|, and of |f| or |e_d|
         self.norm = limits.stiffness + omega * (limits.damping + omega * limits.mass)
@@ -213,13 +214,12 @@ class _Solved:
         found = np.linalg.solve(self.T, load.transpose(2, 0, 1)[..., None])[..., 0]
         return np.ascontiguousarray(found.transpose(1, 2, 0))
 
-    def _combined(self, powers, blocks):
-        """Return c from its parts."""
+    def _combined(self, powers, products):
+        """Return c from powers and their products with y."""
         systems, p, n = self.y.shape
         c = np.empty((systems, 2 + 3 * p, n), complex)
         c[:, :2] = powers[:2]
-        for j, block in enumerate(blocks):
-            c[:, 2 + j * p : 2 + (j + 1) * p] = block
+        np.negative(products.reshape(systems, 3 * p, n), out=c[:, 2:])
         return c
 
     def _residual(self, c):
@@ -244,10 +244,9 @@ class _Solved:
     def derivatives(self, found):
         """Fill in their derivatives and the bounds of these."""
         model, limits, omega = self.model, self.limits, self.omega
-        bent = self._bent()
-        y1 = self._solved(np.tensordot(self.loads, self.slopes[:2], (2, 0)) - bent)
-        pairs = zip(self.slopes, self.powers, strict=True)
-        c1 = self._combined(self.slopes, [-slope * self.y - power * y1 for slope, power in pairs])
+        bent = (self.blocks @ self.y * self.slopes[:, None, None]).sum(axis=0)  # X^T S' X y
+        y1 = self._solved(self.loads @ self.slopes[:2] - bent)
+        c1 = self._combined(self.slopes, _times(self.slopes, self.y) + _times(self.powers, y1))
         missed = model["cross"] @ c1[0]
         found["derivative"] = (
             model["reading"] @ y1[0] + _sums(y1[1:], self.missed) + _sums(self.y[1:], missed)
@@ -265,10 +264,10 @@ class _Solved:
         terms = terms + _sums(sizes[1:], self.into) + _sums(self.sizes[1:], into)
         found["derivative_bound"] = (theory + limits.sum_rounding * terms + LOST).T
 
-    def _bent(self):
-        """Return X^T S' X y of each system."""
-        parts = self.blocks.transpose(2, 0, 1, 3) @ self.y  # (3, systems, p, n)
-        return sum(slope * part for slope, part in zip(self.slopes, parts, strict=True))
+
+def _times(powers, y):
+    """Return powers (3, n) times solutions (systems, p, n), shape (systems, 3, p, n)."""
+    return powers[:, None] * y[:, None]
 
 
 def _sums(a, b):
@@ -278,7 +277,9 @@ def _sums(a, b):
 
 def _norms(vectors):
     """Return the 2-norms along the last axis but one."""
-    return np.sqrt(_sums(vectors.real, vectors.real) + _sums(vectors.imag, vectors.imag))
+    numbers = np.ascontiguousarray(vectors).view(float)
+    both = _sums(numbers, numbers)
+    return np.sqrt(both[..., ::2] + both[..., 1::2])
 
 
 def poles(own, low, high):
