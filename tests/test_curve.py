@@ -7,6 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 from mpi4py import MPI
+from petsc4py import PETSc
 from reference import exact_amplitudes, uniform_amplitude
 from samples import random_lattice, reference_of, swept, uniform_lattice
 
@@ -146,11 +147,20 @@ def test_what_is_asked_for_is_solved_where_nothing_is_proven(world, tiny):
             assert error <= response.error_bound[n, 0] <= max(1e-20, 1e-4 * abs(exact))
 
 
+@pytest.mark.parametrize("raising", [False, True])
 @pytest.mark.parametrize("failing", [{0}, {4}, set(range(1000))])
-def test_factorizations_that_fail(monkeypatch, failing):
+def test_factorizations_that_fail(monkeypatch, caplog, failing, raising):
     """Intervals beside them are not proven; what was asked for there is solved one by one."""
     calls, set_up = itertools.count(), intervals.set_up
-    monkeypatch.setattr(intervals, "set_up", lambda *a: next(calls) not in failing and set_up(*a))
+
+    def fail(*arguments):
+        if next(calls) not in failing:
+            return set_up(*arguments)
+        if raising:
+            raise PETSc.Error(55)  # out of memory
+        return False
+
+    monkeypatch.setattr(intervals, "set_up", fail)
     asked, reference = np.linspace(0.06, 1.3, 60), reference_of(LATTICE)
     response = curve(LATTICE, asked, SITES, MPI.COMM_SELF, resolve=0)
     found = response.at(asked)
@@ -159,6 +169,7 @@ def test_factorizations_that_fail(monkeypatch, failing):
     exact = np.array([reference.amplitudes(omega, SITES) for omega in asked])
     assert np.all(np.abs(response.displacement - exact) <= response.error_bound)
     assert np.all(response.error_bound <= 1e-4 * np.abs(exact))
+    assert ("no model at omega" in caplog.text) == raising
 
 
 def test_lines_are_looked_at_where_they_pass_zero():

@@ -10,24 +10,23 @@ one block of right-hand sides. Models are reduced and proven by `pgran.physics.i
 damping, which bounds S^-1 for all frequencies alike.
 """
 
+import logging
 import math
 
 import numpy as np
 from petsc4py import PETSc
 
-from pgran.physics.interval import (
-    MOMENTS,
-    Limits,
-    evaluate,
-    model_dtype,
-    poles,
-)
+from pgran.errors import is_bad_input, petsc_message
+from pgran.parallel.agreement import met_by_all
+from pgran.physics.interval import MOMENTS, Limits, evaluate, model_dtype, poles
 from pgran.physics.rounding import EPSILON, residual_rounding
 from pgran.solve.bounds import smallest_damping_eigenvalue
 from pgran.solve.judging import Detectors
 from pgran.solve.linear import LEAST_NORM, make_ksp, set_up
 from pgran.solve.operators import Owner
 from pgran.solve.tall import qr_rounding, tall_qr
+
+log = logging.getLogger(__name__)
 
 CHECKS = 9  # Chebyshev points of an interval where its bound is checked
 SHARE = 0.5  # of what rounding leaves of the allowed, where it is checked; for what is between
@@ -62,7 +61,7 @@ class IntervalModels(Owner):
         """Make the blocks of right-hand sides and of columns."""
         self.operators, self.comm = operators, operators.comm
         self.tolerance, self.length = tolerance, length
-        self.factorizations, self._ksp = 0, None
+        self.factorizations, self._ksp, self._works = 0, None, False
         self.width = min(2 * MOMENTS, operators.balls)
         systems = 1 + len(sites)
         self.dtype = model_dtype(self.width, len(sites), operators.balls)
@@ -192,34 +191,47 @@ class IntervalModels(Owner):
     def moments(self, omega):
         """Return the moments of A and of the adjoints, shape (systems, own balls, MOMENTS).
 
-        Collective. Not finite where S cannot be factored.
+        Collective. Not finite where S cannot be factored, or PETSc fails, which is said.
         """
-        operators = self.operators
+        operators, found = self.operators, None
         operators.combine(1j * omega)
         self.factorizations += 1
         if self._ksp is None:
             self._ksp = make_ksp(operators, operators.S)
+        try:
+            if set_up(self._ksp, operators.S, self.comm):
+                found = self._series(omega)
+        except PETSc.Error as error:
+            wrong = is_bad_input(error) and not self._works
+            if error.__cause__ or wrong or not met_by_all(self.comm):
+                raise
+            log.warning("no model at omega = %g: %s", omega, petsc_message(error))
+        if found is None:
+            self.forget("_ksp")
+            self._ksp = None
+            return np.full((*self._loads.shape[:2], MOMENTS), np.nan, dtype=complex)
+        self._works = True
+        return found
+
+    def _series(self, omega):
+        """Return the moments at a frequency whose S is factored."""
+        operators, factor = self.operators, self._ksp.getPC().getFactorMatrix()
         h, damping = self.length(omega), operators.damping
         g = operators.f.getArray()[:, None]
         rhs = np.concatenate([g, self._loads[1:, :, 0].T], axis=1)
-        found = np.full((MOMENTS, *rhs.shape), np.nan, dtype=complex)
-        if set_up(self._ksp, operators.S, self.comm):
-            factor = self._ksp.getPC().getFactorMatrix()
-            for k in range(MOMENTS):
-                self._rhs.getDenseArray()[:] = rhs
-                self._rhs.assemble()
-                factor.matSolve(self._rhs, self._found)
-                found[k] = self._found.getDenseArray(readonly=True)
-                operators.C.matMult(self._found, self._image)
-                bent = 1j * damping * self._image.getDenseArray(readonly=True)
-                rhs = -h * (bent - 2 * omega * self._mass * found[k])
-                if k == 0:
-                    rhs[:, 0] += h * self._loads[0, :, 1]
-                else:
-                    rhs += h * h * self._mass * found[k - 1]
-        else:
-            self.forget("_ksp")
-            self._ksp = None
+        found = np.empty((MOMENTS, *rhs.shape), dtype=complex)
+        for k in range(MOMENTS):
+            self._rhs.getDenseArray()[:] = rhs
+            self._rhs.assemble()
+            factor.matSolve(self._rhs, self._found)
+            found[k] = self._found.getDenseArray(readonly=True)
+            operators.C.matMult(self._found, self._image)
+            bent = 1j * damping * self._image.getDenseArray(readonly=True)
+            rhs = -h * (bent - 2 * omega * self._mass * found[k])
+            if k == 0:
+                rhs[:, 0] += h * self._loads[0, :, 1]
+            else:
+                rhs += h * h * self._mass * found[k - 1]
         return np.ascontiguousarray(found.transpose(2, 1, 0))
 
     def _model(self, low, high, *moments):
