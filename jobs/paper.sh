@@ -9,7 +9,7 @@ ranks=${RANKS:-2}
 experiments=(
   continuum_undamped continuum_damped response modes
   projection_one_frequency projection_dominant projection_three_modes relaxation_long
-  accuracy_response accuracy_response_middle accuracy_response_large
+  accuracy_response accuracy_response_middle accuracy_response_large accuracy_curve
   accuracy_modes accuracy_relaxation
 )
 for experiment in "${experiments[@]}"; do
