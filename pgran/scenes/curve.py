@@ -101,7 +101,9 @@ class IntervalSweep(Task):
         self.counts, self.frequencies = expected_intervals(lattice, omegas[0], omegas[-1])
         total = self.counts[-1]
         check_memory("sweep_method", int(total) * self.row.itemsize)
-        parts = int(np.clip(round(total / UNIT), 1, MOST_UNITS))
+        # an even number, and some at least, so that few ranks have equal shares
+        parts = max(2 * round(total / (2 * UNIT)), min(4, int(total / 8)))
+        parts = min(max(parts, 1), MOST_UNITS)
         ends = np.interp(np.linspace(0, total, parts + 1), self.counts, self.frequencies)
         ends[[0, -1]] = omegas[[0, -1]]
         self.units = list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
