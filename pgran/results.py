@@ -225,6 +225,54 @@ class Curve(NamedTuple):
     derivative_bound: np.ndarray
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Signals(Record):
+    """What balls do in time when the driven wall moves: `nt` times, `nd` detectors.
+
+    A front has arrived when the envelope of a signal first exceeds a tenth of its largest value;
+    `centre` is the mean time, weighted by the square of the envelope. Both are NaN where the
+    bounds leave them open. `sigma` and `period` are those of the inverse Laplace transform.
+    """
+
+    group = "pulse"
+    shape: str
+    pulse_omega: float
+    pulse_width: float
+    method: str
+    sigma: float
+    period: float
+    solves: int
+    factorizations: int
+    solve_seconds: float
+    tolerance: float
+    arrival: np.ndarray = attribute_array("detector_number")
+    centre: np.ndarray = attribute_array("detector_number")
+    time: np.ndarray = array("time", "sqrt(m/k)")
+    wall: np.ndarray = array("displacement of the driven wall", "1", "time")
+    detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
+    displacement: np.ndarray = array(
+        "displacement of the detectors", "1", "time", "detector_number"
+    )
+    error_bound: np.ndarray = array(
+        "bound of the error of the displacement", "1", "time", "detector_number"
+    )
+    velocity: np.ndarray = array(
+        "velocity of the detectors", "sqrt(k/m)", "time", "detector_number"
+    )
+    velocity_bound: np.ndarray = array(
+        "bound of the error of the velocity", "sqrt(k/m)", "time", "detector_number"
+    )
+    envelope: np.ndarray = array(
+        "magnitude of the analytic signal of the displacement", "1", "time", "detector_number"
+    )
+
+    @property
+    def failures(self):
+        """How many detectors' signals miss the accuracy asked for, relative to their largest."""
+        largest = np.abs(self.displacement).max(axis=0)
+        return int(np.count_nonzero(~(self.error_bound.max(axis=0) <= self.tolerance * largest)))
+
+
 def _missing(record, found):
     """Return how many modes are missing, at least 1 unless they are certified."""
     return 0 if record.count_certified else max(1, abs(record.count_expected - found))

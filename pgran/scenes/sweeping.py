@@ -27,13 +27,16 @@ class FrequencySweep(Task):
         Fields of a row, named like those of `SteadyState` where they hold the same.
     choices : dict
         Keywords of `pgran.solve.steady.SteadySolver`.
+    sigma : float
+        The real part of s = sigma + i omega; 0 for a steady drive.
     """
 
     items = "frequencies"
 
-    def __init__(self, lattice, omegas, sites, kept, choices):
+    def __init__(self, lattice, omegas, sites, kept, choices, sigma=0.0):
         """Cut the sweep into ranges of frequencies."""
-        self.lattice, self.omegas, self.sites = lattice, checked_frequencies(omegas), sites
+        self.lattice, self.sites, self.sigma = lattice, sites, sigma
+        self.omegas = np.asarray(omegas) if sigma else checked_frequencies(omegas)
         self.row, self.choices = np.dtype([*kept, ("factorizations", np.int64)]), choices
         check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
         self.scaled, _ = lattice.in_own_unit()
@@ -64,7 +67,7 @@ class FrequencySweep(Task):
                 points = np.zeros(len(unit), self.row)
                 for point, index in zip(points, unit, strict=True):
                     before = solver.factorizations
-                    state = solver.solve(1j * self.omegas[index])
+                    state = solver.solve(complex(self.sigma, self.omegas[index]))
                     point["factorizations"] = solver.factorizations - before
                     for name in same:
                         point[name] = getattr(state, name)
