@@ -30,6 +30,7 @@ log = logging.getLogger(__name__)
 
 CHECKS = 9  # Chebyshev points of an interval where its bound is checked
 SHARE = 0.5  # of what rounding leaves of the allowed, where it is checked; for what is between
+BLOCK = 256  # rows of a product over all balls that are summed up on their own
 ORDER = 4 * MOMENTS  # a bound falls like this power of the interval's length
 
 
@@ -100,6 +101,8 @@ class IntervalModels(Owner):
     def _limits(self):
         """Return what bounds the errors of all models."""
         operators, axes = self.operators, len(self.operators.shape)
+        # a path through the sums of `_products`, over the ranks, and of the small algebra
+        terms = BLOCK + operators.balls / BLOCK + 2 * self.comm.size + 3 * self.width + 16
         drive, damped = 1.01 * np.sqrt(self._total(_squares(self._loads[0])))
         return Limits(
             stability=operators.damping * smallest_damping_eigenvalue(operators.shape),
@@ -109,7 +112,7 @@ class IntervalModels(Owner):
             drive=drive,
             drive_damping=damped,
             rounding=residual_rounding(axes) + 4 * qr_rounding(2 + 2 * self.width),
-            sum_rounding=2 * residual_rounding(axes) + 4 * EPSILON * (operators.balls + 16),
+            sum_rounding=2 * residual_rounding(axes) + 4 * EPSILON * terms,
         )
 
     def _total(self, part):
@@ -251,7 +254,7 @@ class IntervalModels(Owner):
         W = np.concatenate([self._loads, K[:-1], 1j * C[:-1], -self._mass * X], axis=-1)
         into["own"] = self._total(X.swapaxes(1, 2) @ W)
         into["triangle"] = self._triangle(X, W)
-        into["cross"] = self._total(X[1:].swapaxes(1, 2) @ W[0])
+        into["cross"] = self._total(_products(X[1:], W[0]))
         into["reading"] = self._total(self._loads[1:, :, 0].real @ X[0])
         # |K| has the same diagonal as K, and so on; its other entries are those of -K.
         diagonal = 2 * (self._diagonal + high * self._damping) + high * high * self._mass
@@ -292,6 +295,17 @@ class IntervalModels(Owner):
             product = product.reshape(-1, len(blocks), width).swapaxes(0, 1)
             found.append(np.array(product, order="C"))
         return found[0], self.operators.damping * found[1]
+
+
+def _products(Z, W):
+    """Return Z^T W, rows summed up block by block: so rounding adds up over two short sums."""
+    blocks = -(-len(W) // BLOCK)
+    Z, W = (
+        np.pad(x, [*[(0, 0)] * (x.ndim - 2), (0, blocks * BLOCK - len(W)), (0, 0)])
+        .reshape(*x.shape[:-2], blocks, BLOCK, x.shape[-1])
+        for x in (Z, W)
+    )  # fmt: skip
+    return (Z.swapaxes(-1, -2) @ W).sum(axis=-3)
 
 
 def _squares(columns):
