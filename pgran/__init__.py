@@ -25,6 +25,7 @@ _HOMES = {
     "load": "pgran.files.store",
     "plot": "pgran.command.plot",
     "project": "pgran.scenes.projection",
+    "pulse": "pgran.scenes.pulse",
     "relax": "pgran.scenes.relaxation",
     "sweep": "pgran.scenes.response",
 }

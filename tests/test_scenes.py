@@ -18,6 +18,7 @@ BASE = {
     "continuum": "-sweep_points 9",
     "modes": "-lattice_shape 5,4",
     "projection": "-lattice_shape 5,4 -sweep_points 9",
+    "pulse": "-lattice_shape 5,4 -detectors 2,2 -pulse_width 5 -pulse_time 100 -pulse_points 20",
     "relaxation": "-lattice_shape 5,4 -detectors 2,2 -relax_steps 150 -spectrum_fit_min .14",
 }
 # Units of two frequencies: the second differs.
@@ -55,6 +56,11 @@ CHANGES = {
     "continuum_mass": "2",
     "continuum_stiffness": "2",
     "continuum_damping": ".1",
+    "pulse_shape": "ricker",
+    "pulse_omega": ".5",
+    "pulse_width": "6",
+    "pulse_time": "110",
+    "pulse_points": "21",
     "relax_steps": "151",
     "relax_omega": ".5",
     "relax_seed": "2",

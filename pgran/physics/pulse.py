@@ -20,7 +20,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from pgran.physics.rounding import EPSILON
 
@@ -59,6 +58,8 @@ class Pulse:
 
     def wall(self, t):
         """Return the displacement of the wall at some times. Not collective."""
+        from scipy.special import ndtr  # here: SciPy takes its time, and all scenes are imported
+
         x = (np.asarray(t) - self.centre) / self.width
         bell = np.exp(-0.5 * x * x)
         return {

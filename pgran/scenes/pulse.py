@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from scipy.signal import hilbert
 
 from pgran.errors import InputError
 from pgran.files.options import INTEGER, REAL, TEXT, Option
@@ -181,6 +180,8 @@ class PulseLine(FrequencySweep):
 
     def collect(self, rows, seconds):
         """See `Task`; what failed has an infinite bound."""
+        from scipy.signal import hilbert  # here: SciPy takes its time, and all scenes are imported
+
         bound = np.where(np.isnan(rows["error_bound"]), np.inf, rows["error_bound"])
         amplitude = np.nan_to_num(rows["displacement"])
         found = self.line.signals(self.time, amplitude, bound)

@@ -1,0 +1,153 @@
+"""Pulses of the wall: their transforms, signals against an integrator, and what bounds them."""
+
+import math
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from samples import assert_same, random_lattice, reference_of, uniform_lattice
+from scipy.integrate import quad, solve_ivp
+
+from pgran.errors import InputError
+from pgran.parallel.crew import Crew
+from pgran.physics.pulse import SHAPES, Line, Pulse
+from pgran.scenes.pulse import arrivals, limits_of, pulse
+
+WIDTH, TIME, POINTS = 8.0, 200.0, 161
+KINDS = [
+    ((6, 5), 0.003, (2, 2)),
+    ((12,), 0.0, (3,)),
+    ((3, 2, 3), 0.1, (1, 1, 1)),
+    ((4, 4), 0.5, (2, 1)),
+]
+
+
+def listened(lattice, sites, comm, ranks=1, **choices):
+    """The signals, on every rank of `comm`."""
+    choices = {"width": WIDTH, "time": TIME, "points": POINTS} | choices
+    with Crew(comm, ranks) as crew:
+        return comm.bcast(pulse(lattice, sites, crew, **choices))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_transforms_and_sizes_of_pulses(shape):
+    """Against quadrature of the wall's motion itself."""
+    sent = Pulse(shape, 0.7, 3.0)
+    ends = sent.centre - 20 * sent.width, sent.centre + 20 * sent.width
+    t = np.linspace(*ends, 20001)
+    for s in (0.3 + 0.1j, 0.2 - 0.8j, 0.05 + 1.2j):
+
+        def part(t, which, s=s):
+            return getattr(sent.wall(t) * np.exp(-s * t), which)
+
+        found = sum(
+            unit * quad(part, *ends, args=(name,), limit=900, epsabs=1e-13)[0]
+            for unit, name in ((1, "real"), (1j, "imag"))
+        )
+        if shape == "step":
+            found += np.exp(-s * ends[1]) / s  # U = 1 from there on
+        assert abs(sent.transform(s) - found) < 1e-10 * abs(found) + 1e-12
+    moved, turned = (size[-1] for size in sent.sizes(t))
+    U = sent.wall(t)
+    assert np.sum(np.abs(np.diff(U))) <= turned * (1 + 1e-9) <= 4 * np.sum(np.abs(np.diff(U)))
+    assert np.sum(np.abs(U[1:] + U[:-1]) / 2 * np.diff(t)) <= moved * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("size", "damping", "site"), KINDS)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_signals_against_an_integrator(world, size, damping, site, shape):
+    """DOP853 on dense matrices: displacements and velocities within their bounds."""
+    lattice = random_lattice(size, 5, damping)
+    found = listened(lattice, site, world, shape=shape)
+    u, v = integrated(reference_of(lattice), Pulse(shape, 0.6, WIDTH), site)
+    assert np.all(np.abs(found.displacement[:, 0] - u) <= found.error_bound[:, 0] + 1e-9)
+    assert np.all(np.abs(found.velocity[:, 0] - v) <= found.velocity_bound[:, 0] + 1e-9)
+    assert found.failures == 0
+    assert found.error_bound.max() <= 1e-4 * np.abs(u).max()
+
+
+def integrated(reference, sent, site):
+    """Displacement and velocity of a ball by an explicit method of order 8."""
+    K, C = (matrix.astype(float) for matrix in (reference.K, reference.damping * reference.C))
+    drive, damped = reference.drive_K.astype(float), reference.damping * reference.drive_C
+    damped, balls, w = damped.astype(float), len(K), sent.width
+
+    def moving(t):
+        x = (t - 9 * w) / w
+        turn = sent.omega * w * x
+        return (
+            math.exp(-x * x / 2)
+            * {
+                "gauss": -x / w,
+                "ricker": (x**3 - 3 * x) / w,
+                "burst": -x / w * math.cos(turn) - sent.omega * math.sin(turn),
+                "step": 1 / (w * math.sqrt(2 * math.pi)),
+            }[sent.shape]
+        )
+
+    def slope(t, y):
+        u, v = y[:balls], y[balls:]
+        force = drive * sent.wall(t) + damped * moving(t)
+        return np.concatenate([v, (force - K @ u - C @ v) / reference.mass])
+
+    times = np.linspace(0, TIME, POINTS)
+    start = np.zeros(2 * balls)
+    y = solve_ivp(slope, (0, TIME), start, "DOP853", times, rtol=1e-11, atol=1e-14).y
+    ball = np.ravel_multi_index(site, reference.shape)
+    return y[ball], y[balls + ball]
+
+
+def test_nothing_arrives_before_the_front(world):
+    """Down a chain: beyond the bound nothing, then the front, later the farther away."""
+    lattice = uniform_lattice((60,), damping=0.0)
+    found = listened(lattice, (55, 45, 35), world, shape="gauss", width=2.0)
+    early = found.time < 9 * 2.0 - 12
+    assert np.all(np.abs(found.displacement[early]) <= found.error_bound[early])
+    assert np.all(np.diff(found.arrival) > 0)
+
+
+def test_ranks_agree(world):
+    """On every bit if each has its lattice, within bounds if they share it."""
+    lattice, sites = random_lattice((7, 6), 4), (2, 2, 6, 5)
+    alone, together = (listened(lattice, sites, comm) for comm in (MPI.COMM_SELF, world))
+    assert_same(alone, together)
+    shared = listened(lattice, sites, world, ranks=world.size)
+    difference = np.abs(shared.displacement - alone.displacement)
+    assert np.all(difference <= shared.error_bound + alone.error_bound)
+
+
+def test_what_cannot_be_solved_is_not_passed(world, solver_options):
+    """Infinite bounds, failures, no arrival; and a time too short for the pulse is refused."""
+    lattice = random_lattice((5, 4), 2)
+    with pytest.raises(InputError, match="pulse_time 70: the middle of the pulse leaves the wall"):
+        listened(lattice, (2, 2), world, time=70.0)
+    solver_options("-steady_ksp_type gmres -steady_pc_type none -steady_ksp_max_it 1")
+    found = listened(lattice, (2, 2), world)
+    assert found.failures == 1
+    assert np.all(found.error_bound > 1e-4 * np.abs(found.displacement).max())
+    assert np.isnan(found.arrival[0])
+
+
+def test_arrival_of_an_envelope():
+    time = np.linspace(0, 10, 101)
+    envelope = np.clip(time - 4, 0, 2)[:, None]
+    assert arrivals(time, envelope, 0 * envelope) == pytest.approx([4.2])
+    assert np.isnan(arrivals(time, envelope, 0 * envelope + 0.05))
+    assert np.isnan(arrivals(time, envelope + 1, 0 * envelope))
+
+
+def test_what_bounds_the_motion():
+    """|A| by dense inverses along a line, and the frequencies left out by all of them."""
+    lattice = random_lattice((4, 3), 6, 0.01)
+    limits, sent = limits_of(lattice), Pulse("burst", 0.6, WIDTH)
+    reference = reference_of(lattice)
+    every, some = (Line(sent, TIME, limits, allowed) for allowed in (0.0, 1e-6))
+    size = 0.0
+    for s in every.s[::7]:
+        S, f = reference.system(s / 1j)
+        A = np.linalg.solve(S.astype(complex), f.astype(complex))
+        assert np.linalg.norm(A) <= limits.amplitudes(np.array([s]))[0]
+        left = not np.any(some.s == s)
+        size += left * 2 / some.period * np.abs(A).max() * abs(sent.transform(s))
+    assert size <= some.left_out <= 1e-6
+    assert len(some.s) < 0.7 * len(every.s)
