@@ -43,7 +43,7 @@ def seismogram(ax, signals, lattice):
             drawn += ax.plot(signals.time, values, color="black")
         else:
             rows.append(f"{name}\nbelow its error")
-        if np.isfinite(signals.arrival[d]):
+        if known[d] and np.isfinite(signals.arrival[d]):
             ax.plot(
                 *([signals.arrival[d]] * 2, [row - 0.3, row + 0.3]),
                 color=style.FAILED, linewidth=1.2, label=label,
