@@ -229,9 +229,9 @@ class Curve(NamedTuple):
 class Signals(Record):
     """What balls do in time when the driven wall moves: `nt` times, `nd` detectors.
 
-    A front has arrived when the envelope of a signal first exceeds a tenth of its largest value;
-    `centre` is the mean time, weighted by the square of the envelope. Both are NaN where the
-    bounds leave them open. `sigma` and `period` are those of the inverse Laplace transform.
+    A front has arrived when a displacement first exceeds a tenth of its largest, NaN where the
+    bounds leave that open; `centre` is the mean time, weighted by the square of the displacement.
+    `sigma` and `period` are those of the inverse Laplace transform.
     """
 
     group = "pulse"
@@ -261,9 +261,6 @@ class Signals(Record):
     )
     velocity_bound: np.ndarray = array(
         "bound of the error of the velocity", "sqrt(k/m)", "time", "detector_number"
-    )
-    envelope: np.ndarray = array(
-        "magnitude of the analytic signal of the displacement", "1", "time", "detector_number"
     )
 
     @property

@@ -128,12 +128,12 @@ def test_what_cannot_be_solved_is_not_passed(world, solver_options):
     assert np.isnan(found.arrival[0])
 
 
-def test_arrival_of_an_envelope():
+def test_arrival_of_a_front():
     time = np.linspace(0, 10, 101)
-    envelope = np.clip(time - 4, 0, 2)[:, None]
-    assert arrivals(time, envelope, 0 * envelope) == pytest.approx([4.2])
-    assert np.isnan(arrivals(time, envelope, 0 * envelope + 0.05))
-    assert np.isnan(arrivals(time, envelope + 1, 0 * envelope))
+    signal = -np.clip(time - 4, 0, 2)[:, None]
+    assert arrivals(time, signal, 0 * signal) == pytest.approx([4.2])
+    assert np.isnan(arrivals(time, signal, 0 * signal + 0.05))
+    assert np.isnan(arrivals(time, signal - 1, 0 * signal))
 
 
 def test_what_bounds_the_motion():

@@ -34,7 +34,7 @@ def seismogram(ax, signals, lattice):
     wall = signals.wall / np.abs(signals.wall).max()
     ax.plot(signals.time, 0.45 * wall, color=style.ACCENT)
     drawn, rows = [], ["driven wall"]
-    label = "front: a tenth of the largest envelope"
+    label = "front: a tenth of the largest displacement"
     for row, d in enumerate(order, 1):
         name = style.ball_names(signals.detector[d : d + 1])[0]
         if known[d]:

@@ -10,6 +10,7 @@ from pgran.machine import check_memory
 from pgran.parallel.task import carry_out
 from pgran.physics.lattice import detector_sites
 from pgran.physics.pulse import SHAPES, SIGMA_PERIOD, TURN, Limits, Line, Pulse
+from pgran.physics.rounding import SMALLEST_NORMAL
 from pgran.results import LatticeRecord, Signals
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
@@ -34,7 +35,7 @@ PULSE = (
     Option("pulse_points", INTEGER, 1201, "times at which signals are recorded", low=2),
 )  # fmt: skip
 TOLERANCE = common.STEADY["error_tolerance"]
-FRONT = 0.1  # of the largest envelope: where a front has arrived
+FRONT = 0.1  # of the largest displacement: where a front has arrived
 LEFT_OUT = (
     1e-3  # frequencies left out may add up to this part of the tolerance, for a signal of 1e-6
 )
@@ -180,13 +181,11 @@ class PulseLine(FrequencySweep):
 
     def collect(self, rows, seconds):
         """See `Task`; what failed has an infinite bound."""
-        from scipy.signal import hilbert  # here: SciPy takes its time, and all scenes are imported
-
         bound = np.where(np.isnan(rows["error_bound"]), np.inf, rows["error_bound"])
         amplitude = np.nan_to_num(rows["displacement"])
         found = self.line.signals(self.time, amplitude, bound)
         displacement, error_bound, velocity, velocity_bound = found
-        envelope = np.abs(hilbert(displacement, axis=0))
+        weights = displacement**2
         return Signals(
             shape=self.sent.shape,
             pulse_omega=self.sent.omega,
@@ -198,8 +197,8 @@ class PulseLine(FrequencySweep):
             factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,
             tolerance=self.tolerance,
-            arrival=arrivals(self.time, envelope, error_bound),
-            centre=self.time @ envelope**2 / np.sum(envelope**2, axis=0),
+            arrival=arrivals(self.time, displacement, error_bound),
+            centre=self.time @ weights / np.maximum(weights.sum(axis=0), SMALLEST_NORMAL),
             time=self.time,
             wall=self.sent.wall(self.time),
             detector=self.sites,
@@ -207,7 +206,6 @@ class PulseLine(FrequencySweep):
             error_bound=error_bound,
             velocity=velocity,
             velocity_bound=velocity_bound,
-            envelope=envelope,
         )
 
 
@@ -226,18 +224,18 @@ def limits_of(lattice):
     )
 
 
-def arrivals(time, envelope, error_bound):
-    """Return when each envelope first exceeds FRONT of its largest, NaN where bounds hide it.
+def arrivals(time, displacement, error_bound):
+    """Return when each displacement first exceeds FRONT of its largest, NaN where bounds hide it.
 
     Not collective.
 
     Parameters
     ----------
     time : numpy.ndarray, shape (nt,)
-    envelope, error_bound : numpy.ndarray, shape (nt, nd)
+    displacement, error_bound : numpy.ndarray, shape (nt, nd)
     """
     found = []
-    for signal, bound in zip(envelope.T, error_bound.T, strict=True):
+    for signal, bound in zip(np.abs(displacement).T, error_bound.T, strict=True):
         level = FRONT * signal.max(initial=0.0)
         first = np.argmax(signal > level)
         if first == 0 or not bound[: first + 1].max() < 0.1 * level:
