@@ -21,7 +21,9 @@ from pgran.physics.interval import (
 )
 from pgran.results import Models
 
-UNIT = 16  # intervals that a unit of work is expected to need; each begins with a base of its own
+UNIT = (
+    22  # intervals that a unit of work is expected to need; each unit begins with a base of its own
+)
 MOST_UNITS = 64
 # A curve pays where so many frequencies are asked for in each interval that it is expected to need.
 PAYS = 4

@@ -102,7 +102,7 @@ class IntervalModels(Owner):
         """Return what bounds the errors of all models."""
         operators, axes = self.operators, len(self.operators.shape)
         # a path through the sums of `_products`, over the ranks, and of the small algebra
-        terms = BLOCK + operators.balls / BLOCK + 2 * self.comm.size + 3 * self.width + 16
+        terms = 2 * BLOCK + operators.balls / BLOCK + 2 * self.comm.size + 3 * self.width + 16
         drive, damped = 1.01 * np.sqrt(self._total(_squares(self._loads[0])))
         return Limits(
             stability=operators.damping * smallest_damping_eigenvalue(operators.shape),
@@ -299,6 +299,8 @@ class IntervalModels(Owner):
 
 def _products(Z, W):
     """Return Z^T W, rows summed up block by block: so rounding adds up over two short sums."""
+    if len(W) <= 2 * BLOCK:
+        return Z.swapaxes(-1, -2) @ W
     blocks = -(-len(W) // BLOCK)
     Z, W = (
         np.pad(x, [*[(0, 0)] * (x.ndim - 2), (0, blocks * BLOCK - len(W)), (0, 0)])
