@@ -8,8 +8,11 @@ from mpi4py import MPI
 from samples import assert_same, random_lattice, reference_of, uniform_lattice
 from scipy.integrate import quad, solve_ivp
 
+from pgran.command.resolve import resolve
 from pgran.errors import InputError
+from pgran.files.reading import read_words
 from pgran.parallel.crew import Crew
+from pgran.physics.lattice import Lattice
 from pgran.physics.pulse import SHAPES, Line, Pulse
 from pgran.scenes.pulse import arrivals, limits_of, pulse
 
@@ -126,6 +129,21 @@ def test_what_cannot_be_solved_is_not_passed(world, solver_options):
     assert found.failures == 1
     assert np.all(found.error_bound > 1e-4 * np.abs(found.displacement).max())
     assert np.isnan(found.arrival[0])
+
+
+def test_a_wall_that_drives_nothing(world):
+    """No spring and no dashpot at the driven wall: nothing moves, and that is proven."""
+    bonds = random_lattice((4, 3), 1).stiffness
+    still = Lattice((np.vstack([bonds[0][:-1], 0 * bonds[0][-1:]]), bonds[1]), damping=0.0)
+    found = listened(still, (2, 2), world)
+    assert not found.displacement.any()
+    assert found.error_bound.max() < 1e-10
+
+
+@pytest.mark.parametrize("words", ["ricker -pulse_width 3", "gauss -pulse_omega 1"])
+def test_what_a_pulse_has_no_use_for_is_refused(words):
+    with pytest.raises(InputError, match="no part of a"):
+        resolve(read_words(f"-scene pulse -pulse_shape {words}".split()))
 
 
 def test_arrival_of_a_front():

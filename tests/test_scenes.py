@@ -56,7 +56,7 @@ CHANGES = {
     "continuum_mass": "2",
     "continuum_stiffness": "2",
     "continuum_damping": ".1",
-    "pulse_shape": "ricker",
+    "pulse_shape": "gauss",
     "pulse_omega": ".5",
     "pulse_width": "6",
     "pulse_time": "110",

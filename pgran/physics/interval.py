@@ -27,7 +27,7 @@ NumPy only.
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -123,7 +123,7 @@ def evaluate(model, omega, limits, derivatives=True):
     ----------
     model : numpy.void of `model_dtype`, or dict of its arrays
     omega : numpy.ndarray, shape (n,)
-    limits : Limits
+    limits : Limits, or pgran.results.Models, which hold the same
     derivatives : bool
         Whether they are wanted; else they are zero.
 
@@ -159,7 +159,6 @@ def evaluate_all(models, omega):
     models : pgran.results.Models
     omega : numpy.ndarray, shape (n,)
     """
-    limits = Limits(**{f.name: getattr(models, f.name) for f in fields(Limits)})
     found = np.zeros(omega.shape, point_dtype(models.reading.shape[1]))
     found["omega"] = omega
     for value, bound in (POINT[1:3], POINT[3:]):
@@ -169,7 +168,7 @@ def evaluate_all(models, omega):
     for interval in np.unique(place[inside]):
         here = inside & (place == interval)
         model = {name: getattr(models, name)[interval] for name in ARRAYS}
-        found[here] = evaluate(model, omega[here], limits)
+        found[here] = evaluate(model, omega[here], models)
     return tuple(found[name] for name in POINT)
 
 

@@ -283,6 +283,11 @@ def detector_sites(shape, detectors):
     return sites
 
 
+def smallest_damping_eigenvalue(shape):
+    """Return lambda_min(C), C the Laplacian of the uniform lattice with walls. Not collective."""
+    return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in shape)
+
+
 def check_frequency(lattice, omega):
     """Raise InputError unless the driven lattice's numbers and their squares fit into doubles.
 

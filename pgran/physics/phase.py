@@ -135,19 +135,12 @@ def group_delay(amplitude, derivative, error_bound, derivative_bound):
     return np.where(known, -ratio.imag, np.nan), np.where(known, bound, np.inf)
 
 
-def phase_velocity(line, distance):
-    """Return the velocity in spacings times omega_mx, and its standard error (paper: phsvel).
+def phase_velocity(slope, distance):
+    """Return the velocity in spacings times omega_mx (paper: phsvel).
 
-    Not collective. It is no speed of sound: absorbing diffusion makes the slope fall like
+    Not collective. The slope of the phase is in rad per omega_mx, the distance from the driven wall
+    in spacings. It is no speed of sound: absorbing diffusion makes the slope fall like
     1 / sqrt(beta), and a pulse arrives far earlier.
-
-    Parameters
-    ----------
-    line : PhaseLine
-        With the slope in rad per omega_mx.
-    distance : int
-        From the driven wall, in spacings.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        velocity = np.float64(distance) / abs(line.slope)
-        return velocity, velocity * line.slope_error / abs(line.slope)
+    with np.errstate(divide="ignore"):
+        return distance / np.abs(slope)

@@ -21,9 +21,8 @@ from pgran.physics.interval import (
 )
 from pgran.results import Models
 
-UNIT = (
-    22  # intervals that a unit of work is expected to need; each unit begins with a base of its own
-)
+# Intervals that a unit of work is expected to need; it begins with a factorization of its own.
+UNIT = 22
 MOST_UNITS = 64
 # A curve pays where so many frequencies are asked for in each interval that it is expected to need.
 PAYS = 4

@@ -1,7 +1,7 @@
 """Scene `response`: amplitude and phase of single balls over a sweep of driving frequencies."""
 
 import time
-from dataclasses import astuple, replace
+from dataclasses import astuple
 
 import numpy as np
 
@@ -48,11 +48,6 @@ MODELS = Option(
     "output_models", FLAG, None,
     "keep the models, so that response.at(omega) works later; by default where they are few"
 )  # fmt: skip
-# What is said of the line through a phase, in the order of `phase_velocity` and PhaseLine.
-LINE = (
-    *("phase_velocity", "phase_velocity_error", "phase_slope", "phase_slope_error"),
-    *("phase_intercept", "phase_used_min", "phase_used_max"),
-)
 GOOD = 2  # the reason of a frequency that a model gives
 
 
@@ -97,9 +92,11 @@ def summary(result):
     )
     yield from common.reached_accuracy(response, response.converged_reason > 0)
     yield from unresolved(response, lattice.damping > 0)
+    window = response.phase_fit_min, response.phase_fit_max
+    curves = response.omega, response.phase, response.line_error
     for site, line, velocity, error in zip(
         response.detector.tolist(),
-        phase_lines(lattice, response),
+        phase_lines(lattice, *curves, window),
         response.phase_velocity,
         response.phase_velocity_error,
         strict=True,
@@ -126,18 +123,24 @@ def unresolved(response, damped):
         )
 
 
-def phase_lines(lattice, response):
+def phase_lines(lattice, omega, phase, line_error, window):
     """Return the straight line through each detector's phase, or why there is none.
 
-    Not collective. `lattice` is a `pgran.physics.lattice.Lattice` or its record.
+    Not collective.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice or pgran.results.LatticeRecord
+    omega, phase, line_error : numpy.ndarray
+        As in `pgran.results.Response`.
+    window : tuple of float
+        In units of omega_mx.
     """
     if lattice.damping == 0:
         why = "without damping amplitudes are real, and their phase is 0 or pi"
-        return [PhaseLine(why_not=why) for _ in response.detector]
-    window = response.phase_fit_min, response.phase_fit_max
-    x = response.omega / lattice.omega_mx
-    columns = zip(response.phase.T, response.line_error.T, strict=True)
-    return [fit_phase(x, phase, line_error, *window) for phase, line_error in columns]
+        return [PhaseLine(why_not=why) for _ in phase.T]
+    columns = zip(phase.T, line_error.T, strict=True)
+    return [fit_phase(omega / lattice.omega_mx, *column, *window) for column in columns]
 
 
 @in_parallel(shares_lattice=True)
@@ -213,7 +216,7 @@ def sweep(
 
     def respond():
         seconds = time.perf_counter() - started
-        return task.response(points, models, (method, resolve), phase_window, seconds)
+        return task.response(points, models, method, resolve, phase_window, seconds)
 
     return on_root(crew.world, respond, keep=True)
 
@@ -268,7 +271,7 @@ class ResponseSweep(FrequencySweep):
         rows["converged_reason"] = GOOD
         return rows
 
-    def response(self, rows, models, how, phase_window, seconds):
+    def response(self, rows, models, method, resolve, phase_window, seconds):
         """Return the record that all rows make up.
 
         Not collective.
@@ -277,58 +280,61 @@ class ResponseSweep(FrequencySweep):
         ----------
         rows : numpy.ndarray of `row`
         models : pgran.results.Models or None
-        how : tuple of str and float
-            The method, and what straight lines were asked to be right to.
+        method : str
+        resolve : float
+            What straight lines were asked to be right to.
         phase_window : tuple of float
         seconds : float
             What it took.
         """
-        lattice, displacement = self.lattice, rows["displacement"].copy()
+        lattice, omega, displacement = self.lattice, rows["omega"], rows["displacement"].copy()
         tolerance = self.choices["error_tolerance"]
         at_floor = below_relative_accuracy(rows["error_bound"], displacement, tolerance)
         failed = rows["converged_reason"] <= 0
         at_floor[failed] = 0
         known = np.where(failed[:, None] | (at_floor > 0), np.nan, displacement)
         derivative, bounds = rows["derivative"].copy(), rows["derivative_bound"]
-        line_error = deviation(rows["omega"], known, derivative)
+        phase = unwrap(known) if lattice.damping else phase_of_sign(known)
+        line_error = np.pad(deviation(omega, known, derivative), ((1, 0), (0, 0)))
         delay, delay_bound = group_delay(known, derivative, rows["error_bound"], bounds)
-        response = Response(
+        lines = phase_lines(lattice, omega, phase, line_error, phase_window)
+        slope, slope_error, intercept, low, high = np.transpose(
+            [astuple(line)[:-1] for line in lines]
+        )
+        velocity = phase_velocity(slope, lattice.shape[0] - self.sites[:, 0])
+        return Response(
             factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,
-            method=how[0],
-            resolve=how[1],
-            **dict.fromkeys(LINE, np.full(len(self.sites), np.nan)),
+            method=method,
+            resolve=resolve,
+            phase_slope=slope,
+            phase_slope_error=slope_error,
+            phase_velocity=velocity,
+            phase_velocity_error=velocity * slope_error / np.abs(slope),
+            phase_intercept=intercept,
             phase_fit_min=phase_window[0],
             phase_fit_max=phase_window[1],
-            omega=rows["omega"],
-            requested=np.isin(rows["omega"], self.omegas).astype(np.int8),
+            phase_used_min=low,
+            phase_used_max=high,
+            omega=omega,
+            requested=np.isin(omega, self.omegas).astype(np.int8),
             detector=self.sites,
             displacement=displacement,
             amplitude=np.abs(displacement),
-            phase=unwrap(known) if lattice.damping else phase_of_sign(known),
+            phase=phase,
             backward_error=rows["backward_error"],
             error_bound=rows["error_bound"],
             derivative=derivative,
             derivative_bound=bounds,
             delay=delay,
             delay_bound=delay_bound,
-            line_error=np.pad(line_error, ((1, 0), (0, 0))),
+            line_error=line_error,
             at_floor=at_floor,
             iterations=rows["iterations"],
             converged_reason=rows["converged_reason"],
             field=rows["field"] if self.fields else None,
             models=models,
         )
-        lines = phase_lines(lattice, response)
-        velocities = [
-            phase_velocity(line, lattice.shape[0] - site[0])
-            for line, site in zip(lines, self.sites, strict=True)
-        ]
-        fitted = [
-            (*velocity, *astuple(line)[:-1])
-            for velocity, line in zip(velocities, lines, strict=True)
-        ]
-        return replace(response, **dict(zip(LINE, np.transpose(fitted), strict=True)))
 
 
 SCENE = Scene(

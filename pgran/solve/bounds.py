@@ -30,14 +30,10 @@ import numpy as np
 from mpi4py import MPI
 
 from pgran.physics.bondlaw import unit_numbers
+from pgran.physics.lattice import smallest_damping_eigenvalue
 from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL, residual_rounding
 from pgran.solve.counting import ModeCounter
 from pgran.solve.operators import Owner
-
-
-def smallest_damping_eigenvalue(shape):
-    """Return lambda_min(C), C the Laplacian of the uniform lattice with walls. Not collective."""
-    return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in shape)
 
 
 class ErrorBounds(Owner):

@@ -19,8 +19,8 @@ from petsc4py import PETSc
 from pgran.errors import is_bad_input, petsc_message
 from pgran.parallel.agreement import met_by_all
 from pgran.physics.interval import MOMENTS, Limits, evaluate, model_dtype, poles
+from pgran.physics.lattice import smallest_damping_eigenvalue
 from pgran.physics.rounding import EPSILON, residual_rounding
-from pgran.solve.bounds import smallest_damping_eigenvalue
 from pgran.solve.judging import Detectors
 from pgran.solve.linear import LEAST_NORM, make_ksp, set_up
 from pgran.solve.operators import Owner

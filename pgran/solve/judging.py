@@ -105,7 +105,16 @@ class Judge(Owner):
         self.operators, self.detectors = operators, Detectors(operators, sites)
         self.tolerance, self.floor, self.whole_field = tolerance, floor, whole_field
         self.bounds = ErrorBounds(operators)
-        self._bent, self._inertia = operators.f.duplicate(), operators.f.duplicate()
+
+    @cached_property
+    def _bent(self):
+        """g of `with_derivatives`. Collective when first asked for."""
+        return self.operators.f.duplicate()
+
+    @cached_property
+    def _inertia(self):
+        """M A of `with_derivatives`. Collective when first asked for."""
+        return self.operators.f.duplicate()
 
     @cached_property
     def _comparison(self):
@@ -141,7 +150,7 @@ class Judge(Owner):
             good = backward_error <= BACKWARD_ERROR
             good = good and self._withstands_rounding(displacement, terms, size, krylov)
         else:
-            residual = bounds.primal_residual(primal, terms)
+            residual = self._residual = bounds.primal_residual(primal, terms)
             for d, adjoint in enumerate(adjoints):
                 displacement[d] += adjoint.solution.tDot(primal.residual)
                 bound[d] = bounds.amplitude(residual, terms, adjoint, displacement[d])
@@ -188,7 +197,7 @@ class Judge(Owner):
 
             dA_d/ds - z~^T g = q^T S^-1 g - z~^T S' S^-1 r - q^T S^-1 S' S^-1 r.
 
-        Parameters are those of `assess`.
+        Parameters are those of `assess`, which has looked at these systems last.
         """
         unknown = np.full(state.displacement.shape, math.nan)
         if not self.bounds.proven or not math.isfinite(state.backward_error):
@@ -206,10 +215,7 @@ class Judge(Owner):
         bent.axpy(-2 * s, inertia)
         slope = 4 * len(operators.shape) * operators.damping + 2 * abs(s) * operators.mass
         rounding = bounds.unit * (force + slope * primal.solution.norm())
-        g, r = (
-            bent.norm() + rounding,
-            bounds.primal_residual(primal, bounds.rounding(primal.solution)),
-        )
+        g, r = bent.norm() + rounding, self._residual
         derivative, bound, inverse = unknown + 0j, unknown.copy(), bounds.inverse_norm
         for d, adjoint in enumerate(adjoints):
             q, z = bounds.adjoint_residual(adjoint), adjoint.solution.norm()
