@@ -20,7 +20,8 @@ from pgran.physics.phase import (
     phase_velocity,
     unwrap,
 )
-from pgran.results import LINES, LatticeRecord, Response
+from pgran.results import LatticeRecord
+from pgran.results.response import LINES, Response
 from pgran.scenes import common
 from pgran.scenes.curve import choose_method, solve_curve
 from pgran.scenes.interface import in_parallel
