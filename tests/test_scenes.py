@@ -18,7 +18,7 @@ BASE = {
     "continuum": "-sweep_points 9",
     "modes": "-lattice_shape 5,4",
     "projection": "-lattice_shape 5,4 -sweep_points 9",
-    "pulse": "-lattice_shape 5,4 -detectors 2,2 -pulse_width 5 -pulse_time 100 -pulse_points 20",
+    "pulse": "-lattice_shape 5,4 -detectors 2,2 -pulse_width 5 -pulse_time 100 -pulse_points 60",
     "relaxation": "-lattice_shape 5,4 -detectors 2,2 -relax_steps 150 -spectrum_fit_min .14",
 }
 # Units of two frequencies: the second differs.
@@ -60,7 +60,8 @@ CHANGES = {
     "pulse_omega": ".5",
     "pulse_width": "6",
     "pulse_time": "110",
-    "pulse_points": "21",
+    "pulse_points": "61",
+    "pulse_method": "integrate",
     "relax_steps": "151",
     "relax_omega": ".5",
     "relax_seed": "2",
@@ -74,7 +75,7 @@ CHANGES = {
     "modes_target": (".5", NEAREST),
     "modes_count": ("4", NEAREST),
 }
-SEEN_ELSEWHERE = {"bonds_file"}  # test_command_line.py
+SEEN_ELSEWHERE = {"bonds_file", "pulse_file"}  # test_command_line.py, test_pulse.py
 IDLE = {"modes": ["lattice_damping"]}  # normal modes are those without damping
 
 

@@ -69,7 +69,7 @@ class Rehearsal(Crew):
         if self.world.rank == 0:
             for position, unit in enumerate(task.units):
                 rows = tried.get(position)
-                deliver(position, np.zeros(task.length(unit), task.row) if rows is None else rows)
+                deliver(position, task.blank(unit) if rows is None else rows)
         self.spent += time.perf_counter() - began
 
     def _try(self, task, work):

@@ -14,6 +14,10 @@ SMALLEST_SHIFT = 1e-14  # of pivots, against bond constants of about 1
 SOLVER_PREFIXES = {
     "steady_": "every driven steady state (KSP, PC)",
     "normal_": "normal modes (EPS, ST; count_pc for the factorizations that count them)",
+    "pulse_ts_": "pulses that are integrated (TS)",
+    "pulse_snes_": "implicit steps of a pulse (SNES)",
+    "pulse_ksp_": "their linear systems (KSP)",
+    "pulse_pc_": "and preconditioners (PC)",
 }
 
 # What values a file may give, in letters of either case. Long numbers need an exponent, which PETSc
@@ -110,6 +114,21 @@ EPS = {
     ALONE: "eps_view(_values)? eps_converged_reason eps_monitor(_all|_conv)? "
     "eps_error_(absolute|backward|relative)",
 }
+# How pulses are integrated.
+TS = {
+    "rk|alpha2": "type",
+    "1fe|2a|2b|3|3bs|4|5f|5dp|5bs|6vr|7vr|8vr": "rk_type",
+    "none|basic|dsp": "adapt_type",
+    NUMBERS: "dt rtol atol max_steps max_reject alpha_(radius|alpha_m|alpha_f|gamma|beta) "
+    "adapt_(safety|reject_safety|clip|dt_min|dt_max|scale_solve_failed|time_step_increase_delay)",
+    WORD: "adapt_wnormtype",
+    ALONE: "view monitor adapt_monitor",
+}
+SNES = {
+    NUMBERS: "rtol atol stol max_it",
+    WORD: "type linesearch_type",
+    ALONE: "view monitor converged_reason",
+}
 # PETSc's own keys at run time: those that only print, and all others, which no file may set.
 PRINTING = _one_of(
     "citations get_total_flops info log_view log_view_memory malloc_view memory_view options_left "
@@ -132,7 +151,7 @@ def _under(prefix, table):
 
 # Solvers inside of preconditioners.
 INNER = r"((sub|mg_levels|mg_coarse|redundant|telescope|esteig)_(\d{1,3}_)?)*"
-LINEAR = rf"(steady_(comparison_)?|normal_st_|normal_eps_ciss_){INNER}"
+LINEAR = rf"(steady_(comparison_)?|normal_st_|normal_eps_ciss_|pulse_){INNER}"
 
 
 @functools.cache
@@ -143,6 +162,8 @@ def _in_files():
         *_under(rf"({LINEAR}|normal_count_)pc_", PC),
         *_under(rf"({LINEAR}|normal_count_)mat_", FACTOR),
         *_under("normal_", EPS),
+        *_under("pulse_ts_", TS),
+        *_under("pulse_snes_", SNES),
         *_under("", {ALONE: PRINTING}),
     ]
 

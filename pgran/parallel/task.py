@@ -16,7 +16,7 @@ class Task:
     units : sequence
         What is shared out. How many ranks there are has no influence on it.
     row : numpy.dtype
-        What the results of a unit travel in and the journal keeps: a row an item.
+        What the results of a unit travel in and the journal keeps: a row an item, as a rule.
     items : str
         What an item is, in the plural.
     """
@@ -29,8 +29,12 @@ class Task:
         raise NotImplementedError
 
     def length(self, unit):
-        """Return how many rows a unit should have. Not collective."""
+        """Return how many items a unit has. Not collective."""
         return len(unit)
+
+    def blank(self, unit):
+        """Return rows of zeros for a unit that a dry run does not do. Not collective."""
+        return np.zeros(self.length(unit), self.row)
 
     def sample(self, unit):
         """Return a small part of a unit, for a dry run to try. Not collective."""
@@ -63,7 +67,7 @@ def carry_out(task, crew, progress="none"):
 
         def deliver(position, rows):
             parts[position] = rows
-            counter.advance(len(rows))
+            counter.advance(task.length(task.units[position]))
 
         crew.share(task, work, deliver)
     seconds = time.perf_counter() - started

@@ -1,22 +1,10 @@
-"""Pulses of the driven wall, their Laplace transforms, and the inverse transform of what follows.
+"""Pulses of the driven wall: their motion, its derivatives, its Laplace transform and its size.
 
-On the line s = sigma + i omega the displacement of a ball is A(s) U(s), U(s) the transform of the
-wall's motion. Taken at omega_k = 2 pi k / P only, the inverse transform
-
-    e^(sigma t) (1 / P) sum over all k of A(s_k) U(s_k) e^(i omega_k t) = sum over n of
-    u(t + n P) e^(-sigma n P)
-
-has the later turns in it, damped; what is wrong with A grows by e^(sigma t). With P half as long
-again as the time wanted, and sigma P = 24, both are small. Every part of the error is bounded:
-
-- each amplitude's own bound, times |U| e^(sigma t);
-- frequencies left out: |A| <= |S^-1| |f|, and U is known;
-- later turns: with E the energy, dE/dt <= |u'| |f|, and so |u'|_2 <= (1/m) int |f|, never more;
-  earlier ones, and frequencies above `Pulse.highest`, are below 1e-25 of what the wall does.
-
-NumPy only.
+All are made of bells exp(-x^2 / 2), x = (t - centre) / width: transforms are exact, and vanish
+faster than any power above some frequency.
 """
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -25,8 +13,32 @@ import numpy as np
 from pgran.physics.rounding import EPSILON
 
 SHAPES = ("gauss", "ricker", "burst", "step")
-START = 9.0  # widths from the time 0 to the middle of a pulse: before, it is below 3e-18
-SIGMA_PERIOD, TURN = 24.0, 1.5  # sigma P; P in units of the time wanted
+START = 6.0  # widths from the time 0 to the middle of a pulse: before, it is below 2e-8
+REACH = 9.0  # widths from the middle of a bell to where it is below 3e-18
+EARLIEST = 11.0  # to where it is below 1e-26
+BAND = 3.0  # up to BAND / width the spectrum of a bell is above a hundredth of its largest
+# Further bells on both sides of the samples: a sample decays by e^(-1/2) a bell.
+MARGIN = 40
+
+
+def bells(x, width, carrier, count):
+    """Return exp(-x^2 / 2 + i carrier width x) and its derivatives in time, shape (count, ...).
+
+    Not collective. They are Hermite polynomials times itself.
+
+    Parameters
+    ----------
+    x : numpy.ndarray
+        Times from the middle, in units of `width`.
+    width, carrier : float
+    count : int
+    """
+    z = x - 1j * carrier * width
+    found = [np.exp(-0.5 * x * x + 1j * carrier * width * x)]
+    for n in range(count - 1):
+        before = n * found[n - 1] / width if n else 0.0
+        found.append(-(z * found[n] + before) / width)
+    return np.array(found)
 
 
 @dataclass(frozen=True)
@@ -37,7 +49,7 @@ class Pulse:
     ----------
     shape : str
         `gauss`, the bell; `ricker`, its second derivative turned over, its spectrum largest at
-        `omega`; `burst`, the bell times cos(omega t); `step`, its integral.
+        `omega`; `burst`, the bell times cos(omega t); `step`, its integral, from 0 to 1.
     omega : float
     width : float
         A ricker's follows from its omega.
@@ -53,22 +65,54 @@ class Pulse:
             object.__setattr__(self, "width", math.sqrt(2) / self.omega)
 
     @property
+    def begin(self):
+        """The time before which it is below 1e-26."""
+        return self.centre - EARLIEST * self.width
+
+    @property
     def centre(self):
         """The time of its middle."""
         return START * self.width
 
-    def wall(self, t):
-        """Return the displacement of the wall at some times. Not collective."""
-        from scipy.special import ndtr  # here: SciPy takes its time, and all scenes are imported
+    @property
+    def end(self):
+        """The time after which it is at rest again, to 2e-8."""
+        return 2 * self.centre
 
+    @property
+    def band(self):
+        """Up to which omega its spectrum is above a hundredth of its largest."""
+        return self._carrier + BAND / self.width
+
+    @property
+    def reach(self):
+        """Up to which omega its spectrum is above 2e-8 of its largest."""
+        return self._carrier + 2 * BAND / self.width
+
+    @property
+    def highest(self):
+        """An omega above which |U(s)| is below 1e-40 of its largest on any line."""
+        return self._carrier + 15.0 / self.width
+
+    @property
+    def _carrier(self):
+        """Return the frequency that the bell is multiplied with."""
+        return self.omega if self.shape == "burst" else 0.0
+
+    def moves(self, t, count=1):
+        """Return the displacement of the wall and its derivatives, shape (count, *t.shape).
+
+        Not collective.
+        """
         x = (np.asarray(t) - self.centre) / self.width
-        bell = np.exp(-0.5 * x * x)
-        return {
-            "gauss": lambda: bell,
-            "ricker": lambda: (1 - x * x) * bell,
-            "burst": lambda: bell * np.cos(self.omega * self.width * x),
-            "step": lambda: ndtr(x),
-        }[self.shape]()
+        if self.shape == "ricker":
+            return -(self.width**2) * bells(x, self.width, 0.0, count + 2)[2:].real
+        if self.shape == "step":
+            from scipy.special import ndtr  # here: SciPy takes its time
+
+            slope = bells(x, self.width, 0.0, count).real / (self.width * math.sqrt(2 * math.pi))
+            return np.concatenate([[ndtr(x)], slope[: count - 1]])
+        return bells(x, self.width, self._carrier, count).real
 
     def transform(self, s):
         """Return int U(t) e^(-s t) dt over all times. Not collective."""
@@ -77,13 +121,19 @@ class Pulse:
             return np.exp(0.5 * (s * self.width) ** 2)
 
         area, shift = self.width * math.sqrt(2 * math.pi), np.exp(-s * self.centre)
-        carrier = 1j * self.omega
+        carrier = 1j * self._carrier
         return {
             "gauss": lambda: area * bell(s),
             "ricker": lambda: -area * (s * self.width) ** 2 * bell(s),
             "burst": lambda: 0.5 * area * (bell(s - carrier) + bell(s + carrier)),
             "step": lambda: bell(s) / s,
         }[self.shape]() * shift
+
+    def rounding(self, s, transform):
+        """Return no less than the rounding error of a transform at s. Not collective."""
+        size = np.abs(s)
+        steps = 16 + size * self.centre + (size * self.width) ** 2
+        return 4 * EPSILON * steps * np.abs(transform)
 
     def sizes(self, t):
         """Return no less than int |U| dt and int |U'| dt up to some times. Not collective."""
@@ -96,112 +146,112 @@ class Pulse:
             "step": lambda: (t, one),
         }[self.shape]()
 
-    def highest(self):
-        """Return an omega above which |U| is below 1e-40 of its largest on any line."""
-        carrier = self.omega if self.shape == "burst" else 0.0
-        return carrier + 15.0 / self.width
 
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """A motion of the wall through numbers at equal times: a bell at each, as wide as the spacing.
 
-@dataclass(frozen=True)
-class Limits:
-    """What bounds the motion of a lattice.
-
-    Attributes
-    ----------
-    mass : float
-        m.
-    stability : float
-        beta lambda_min(C).
-    stiffness, damping : float
-        No less than |K|_2 and |C|_2, all damping in C.
-    drive, drive_damping : float
-        |f|_2 is at most drive + |s| drive_damping.
-    """
-
-    mass: float
-    stability: float
-    stiffness: float
-    damping: float
-    drive: float
-    drive_damping: float
-
-    def amplitudes(self, s):
-        """Return no less than any |A(s)|, sigma > 0. Not collective."""
-        size = np.abs(s)
-        damped = size * (self.stability + s.real * self.mass)
-        inertial = self.mass * size**2 - self.stiffness - size * self.damping
-        return 1.01 * (self.drive + size * self.drive_damping) / np.maximum(damped, inertial)
-
-    def speed(self, pulse, t):
-        """Return no less than |u'|_2 up to some times. Not collective."""
-        moved, turned = pulse.sizes(t)
-        return (self.drive * moved + self.drive_damping * turned) / self.mass
-
-
-class Line:
-    """Where on the line of the inverse transform the amplitudes are computed.
+    Before the first number, at time 0, the wall is at rest at 0; after the last one it stays. In
+    between this is as smooth a curve as there is: a constant has ripples of 5e-9.
 
     Parameters
     ----------
-    pulse : Pulse
-    time : float
-        How long the signals are wanted.
-    limits : Limits
-    allowed : float
-        What the frequencies left out may add up to, at most, in a displacement.
-
-    Attributes
-    ----------
-    s : numpy.ndarray, shape (ns,)
-    left_out, left_out_speed : float
-        What the frequencies left out add up to, without the factor e^(sigma t).
+    values : numpy.ndarray, shape (n,)
+    width : float
+        The spacing of their times.
     """
 
-    def __init__(self, pulse, time, limits, allowed):
-        """Leave out what is too small to matter."""
-        self.pulse, self.limits, self.period = pulse, limits, TURN * time
-        self.sigma = SIGMA_PERIOD / self.period
-        count = math.ceil(pulse.highest() * self.period / (2 * math.pi)) + 1
-        s = self.sigma + 2j * np.pi / self.period * np.arange(count)
-        size = 2 / self.period * limits.amplitudes(s) * np.abs(pulse.transform(s))
-        order = np.argsort(size, kind="stable")
-        small = np.cumsum(size[order]) * math.exp(self.sigma * time) <= allowed
-        small[-1] = False  # something is left even where the wall drives nothing
-        out = order[small]
-        self.s = s[np.sort(order[~small])]
-        self.left_out, self.left_out_speed = size[out].sum(), (size * np.abs(s))[out].sum()
+    values: np.ndarray
+    width: float
+    shape = "file"
+    omega = 0.0
 
-    def signals(self, time, amplitude, bound):
-        """Return displacements, velocities, and a bound of the error of each, shape (nt, nd).
+    @functools.cached_property
+    def heights(self):
+        """The height of each bell, MARGIN before the first number and MARGIN after the last."""
+        from scipy.linalg import solveh_banded
 
-        Not collective.
-
-        Parameters
-        ----------
-        time : numpy.ndarray, shape (nt,)
-        amplitude, bound : numpy.ndarray, shape (ns, nd)
-            A(s) of each detector and the bound of its error.
-        """
-        s, U = self.s[:, None], self.pulse.transform(self.s)[:, None]
-        weight = np.where(self.s.imag == 0, 1.0, 2.0)[:, None] / self.period
-        turning = np.exp(1j * np.outer(time, self.s.imag))
-        growth = np.exp(self.sigma * time)[:, None]
-        rounding = 4 * EPSILON * (len(s) + 16 + np.abs(s) * (self.pulse.centre + self.period))
-        found = []
-        for power, left_out, later in (
-            (1.0, self.left_out, self._later(time, 1)),
-            (s, self.left_out_speed, self._later(time, 0)),
-        ):
-            values = growth * (turning @ (weight * power * amplitude * U)).real
-            size = weight * np.abs(power * U)
-            wrong = np.sum(size * (bound + rounding * np.abs(amplitude)), axis=0)
-            found += [values, 1.01 * growth * (wrong + left_out) + later[:, None]]
+        motion = np.concatenate(
+            [np.zeros(MARGIN), self.values, np.full(2 * MARGIN, self.values[-1])]
+        )
+        reach = int(REACH)
+        band = np.exp(-0.5 * np.arange(reach + 1.0) ** 2)
+        found = solveh_banded(np.outer(band, np.ones(len(motion))), motion, lower=True)
+        found = found[:-MARGIN]  # their own end is felt by those cut off alone
+        found[-1] = motion[-1] / (2 * band.sum() - 1)
         return found
 
-    def _later(self, time, power):
-        """Bound what later turns add: |u'| <= V and |u| <= t V at the times t + n P, n >= 1."""
-        total = np.zeros_like(time)
-        for n in range(1, 4):
-            t = time + n * self.period
-            total += 1.1 * self.limits.speed(self.pulse, t) * t**power * math.exp(-SIGMA_PERIOD * n)
-        return total
+    @property
+    def begin(self):
+        """See `Pulse`."""
+        return -(MARGIN + EARLIEST) * self.width
+
+    @property
+    def centre(self):
+        """See `Pulse`."""
+        return 0.5 * self.end
+
+    @property
+    def end(self):
+        """See `Pulse`."""
+        return (len(self.values) - 1) * self.width
+
+    @property
+    def band(self):
+        """See `Pulse`."""
+        return self._above(0.01)
+
+    @property
+    def reach(self):
+        """See `Pulse`; its images beyond the spacing's own frequency do not count."""
+        return self._above(2e-8)
+
+    def _above(self, part):
+        """Return up to which omega the spectrum is above a part of its largest."""
+        size = np.abs(np.fft.rfft(self._steps))[1:]
+        size /= np.arange(1, len(size) + 1)
+        return math.pi / self.width * (1 + np.flatnonzero(size > part * size.max())[-1]) / len(size)
+
+    @property
+    def highest(self):
+        """See `Pulse`."""
+        return 15.0 / self.width
+
+    def moves(self, t, count=1):
+        """See `Pulse`."""
+        x = np.asarray(t)[..., None] / self.width + MARGIN
+        near = np.floor(x) + np.arange(-REACH, REACH + 2)
+        height = self.heights[np.clip(near.astype(int), 0, len(self.heights) - 1)]
+        height = np.where(near < 0, 0.0, height)
+        return np.sum(height * bells(x - near, self.width, 0.0, count).real, axis=-1)
+
+    def transform(self, s):
+        """See `Pulse`."""
+        exact = np.asarray(s, dtype=np.clongdouble)  # the sum cancels where U is small
+        turn, total = np.exp(-exact * self.width), np.zeros_like(exact)
+        for step in self._steps[::-1]:  # Horner's rule: all times are multiples of the spacing
+            total = total * turn + step
+        return (total * self._factor(exact)).astype(complex)
+
+    def rounding(self, s, transform):
+        """See `Pulse`."""
+        sizes = np.sum(np.abs(self._steps)) * np.abs(self._factor(s))
+        count = len(self._steps) * (1 + np.abs(s) * self.width)
+        own = EPSILON * (16 + np.abs(s * self.width) ** 2) * np.abs(transform)
+        return 4 * own + 4 * float(np.finfo(np.longdouble).eps) * count * sizes
+
+    def _factor(self, s):
+        """Return what the transform has in common to all bells, and what steps add up to."""
+        area, shift = self.width * math.sqrt(2 * math.pi), np.exp(s * MARGIN * self.width)
+        return area * shift * np.exp(0.5 * (s * self.width) ** 2) / -np.expm1(-s * self.width)
+
+    @property
+    def _steps(self):
+        """Return from each bell to the next how much higher it is."""
+        return np.diff(self.heights, prepend=0.0)
+
+    def sizes(self, t):
+        """See `Pulse`."""
+        area, heights = self.width * math.sqrt(2 * math.pi), np.abs(self.heights)
+        moved = area * heights.sum() + np.maximum(t - self.end, 0.0) * 2.54 * heights[-1]
+        return moved, np.full_like(moved, 2.54 * np.abs(self._steps).sum())

@@ -62,9 +62,12 @@ class LatticeRecord(Record):
 class Signals(Record):
     """What balls do in time when the driven wall moves: `nt` times, `nd` detectors.
 
-    A front has arrived when a displacement first exceeds a tenth of its largest, NaN where the
-    bounds leave that open; `centre` is the mean time, weighted by the square of the displacement.
-    `sigma` and `period` are those of the inverse Laplace transform.
+    A front has arrived when a displacement first exceeds a tenth of its largest, NaN where errors
+    leave that open; `wall_arrival` is the wall's own. `centre` is the mean time, weighted by the
+    square of the envelope, `decay` the rate at which the envelope decays after it, with its
+    standard error. The `method` is `laplace`, with bounds of the errors, `sigma` and `period` those
+    of the inverse transform and `solves` points on its line; or `integrate`, with estimates,
+    `solves` the steps of the last integration.
     """
 
     group = "pulse"
@@ -78,29 +81,58 @@ class Signals(Record):
     factorizations: int
     solve_seconds: float
     tolerance: float
+    wall_arrival: float
     arrival: np.ndarray = attribute_array("detector_number")
     centre: np.ndarray = attribute_array("detector_number")
+    decay: np.ndarray = attribute_array("detector_number")
+    decay_error: np.ndarray = attribute_array("detector_number")
     time: np.ndarray = array("time", "sqrt(m/k)")
     wall: np.ndarray = array("displacement of the driven wall", "1", "time")
+    force: np.ndarray = array("force on the driven wall", "k", "time")
+    work: np.ndarray = array("work of the driven wall until then", "k", "time")
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "displacement of the detectors", "1", "time", "detector_number"
     )
-    error_bound: np.ndarray = array(
-        "bound of the error of the displacement", "1", "time", "detector_number"
-    )
     velocity: np.ndarray = array(
         "velocity of the detectors", "sqrt(k/m)", "time", "detector_number"
     )
-    velocity_bound: np.ndarray = array(
-        "bound of the error of the velocity", "sqrt(k/m)", "time", "detector_number"
+    envelope: np.ndarray = array(
+        "sqrt(u^2 + (v / omega)^2), omega^2 the mean of v^2 over that of u^2",
+        "1", "time", "detector_number",
+    )  # fmt: skip
+    energy: np.ndarray | None = array("energy of the balls and springs", "k", "time", optional=True)
+    dissipated: np.ndarray | None = array(
+        "work taken by damping until then", "k", "time", optional=True
     )
+    error_bound: np.ndarray | None = array(
+        "bound of the error of the displacement", "1", "time", "detector_number", optional=True
+    )
+    velocity_bound: np.ndarray | None = array(
+        "bound of the error of the velocity", "sqrt(k/m)", "time", "detector_number", optional=True
+    )
+    error_estimate: np.ndarray | None = array(
+        "estimate of the error of the displacement", "1", "time", "detector_number", optional=True
+    )
+    velocity_estimate: np.ndarray | None = array(
+        "estimate of the error of the velocity", "sqrt(k/m)", "time", "detector_number",
+        optional=True,
+    )  # fmt: skip
+    field_time: np.ndarray | None = array("times of the field", "sqrt(m/k)", optional=True)
+    field: np.ndarray | None = array(
+        "displacement of all balls", "1", "field_time", "balls", optional=True
+    )
+
+    @property
+    def error(self):
+        """The bound of the displacement's error, or its estimate."""
+        return self.error_estimate if self.error_bound is None else self.error_bound
 
     @property
     def failures(self):
         """How many detectors' signals miss the accuracy asked for, relative to their largest."""
         largest = np.abs(self.displacement).max(axis=0)
-        return int(np.count_nonzero(~(self.error_bound.max(axis=0) <= self.tolerance * largest)))
+        return int(np.count_nonzero(~(self.error.max(axis=0) <= self.tolerance * largest)))
 
 
 def _missing(record, found):

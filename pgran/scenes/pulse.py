@@ -5,17 +5,16 @@ import math
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.files.options import INTEGER, REAL, TEXT, Option
-from pgran.machine import check_memory
+from pgran.files.columns import read_columns
+from pgran.files.options import FLAG, INTEGER, REAL, TEXT, Option
+from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
-from pgran.physics.lattice import detector_sites, smallest_damping_eigenvalue
-from pgran.physics.pulse import SHAPES, SIGMA_PERIOD, TURN, Limits, Line, Pulse
-from pgran.physics.rounding import SMALLEST_NORMAL
-from pgran.results import LatticeRecord, Signals
+from pgran.physics.pulse import SHAPES, Pulse, Samples
+from pgran.results import LatticeRecord
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
-from pgran.scenes.sweeping import FrequencySweep
+from pgran.scenes.signals import Listening, PulseLine, integrate
 
 PULSE = (
     Option(
@@ -31,19 +30,32 @@ PULSE = (
         "pulse_width", REAL, 20.0, "standard deviation of the bell; a ricker's follows from omega",
         "1/frequency", above=0
     ),
+    Option(
+        "pulse_file", TEXT, None,
+        "how the wall moves, instead of a shape: a column of displacements at the times that are "
+        "recorded, or two columns, equal distances of time and displacements"
+    ),
     Option("pulse_time", REAL, 600.0, "how long is listened", "1/frequency", above=0),
     Option("pulse_points", INTEGER, 1201, "times at which signals are recorded", low=2),
+    Option(
+        "pulse_method", TEXT, "auto",
+        "laplace, with proven bounds; integrate, PETSc's TS, with estimates of its errors; auto, "
+        "what is faster",
+        choices=("laplace", "integrate", "auto"),
+    ),
 )  # fmt: skip
+FIELDS = Option("output_fields", FLAG, False, "store the displacement of all balls at four times")
 TOLERANCE = common.STEADY["error_tolerance"]
-FRONT = 0.1  # of the largest displacement: where a front has arrived
-LEFT_OUT = 1e-9  # of the tolerance: what frequencies left out may add up to
+AT_REST = 0.01  # of a motion's largest: where it may begin
 
 
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
     common.check_lattice(values, given)
+    shape = "pulse_shape", "pulse_omega", "pulse_width"
+    common.alternatives(("pulse_file",), shape, values, given)
     unused = "pulse_width" if values["pulse_shape"] == "ricker" else "pulse_omega"
-    if values["pulse_shape"] != "burst" and unused in given:
+    if values["pulse_shape"] not in ("burst", None) and unused in given:
         raise InputError(f"-{unused}{given[unused].where}: no part of a {values['pulse_shape']}")
 
 
@@ -52,17 +64,21 @@ def run(options, world, crew):
 
     Collective. Parameters are those of `pgran.scenes.scene.Scene`.
     """
+    chosen = {"shape": options.pulse_shape, "omega": options.pulse_omega}
+    chosen["width"] = options.pulse_width
+    if options.pulse_file:
+        chosen = {"wall": on_root(world, lambda: read_columns(options.pulse_file))}
     lattice = common.make_lattice(options, world)
     with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
         signals = pulse(
             lattice,
             options.detectors,
             workers,
-            shape=options.pulse_shape,
-            omega=options.pulse_omega,
-            width=options.pulse_width,
+            **chosen,
             time=options.pulse_time,
             points=options.pulse_points,
+            method=options.pulse_method,
+            fields=options.output_fields,
             error_tolerance=options.error_tolerance,
             progress=options.output_progress,
         )
@@ -72,21 +88,33 @@ def run(options, world, crew):
 def summary(result):
     """Return in words what a run found. Not collective."""
     signals = result.pulse
-    yield (
-        f"{len(signals.time)} times from {signals.solves} points of the line sigma = "
-        f"{signals.sigma:.3g}, {signals.factorizations} factorizations, "
-        f"{signals.solve_seconds:.2f} s"
-    )
-    for d, site in enumerate(signals.detector.tolist()):
-        largest, bound = np.abs(signals.displacement[:, d]).max(), signals.error_bound[:, d].max()
-        line = (
-            f"ball {tuple(site)}: largest displacement {largest:.3g}, wrong by at most {bound:.1e}"
+    proven = signals.method == "laplace"
+    how = f"an integration of {signals.solves} steps and coarser ones"
+    if proven:
+        how = (
+            f"{signals.solves} points of the line sigma = {signals.sigma:.3g}, "
+            f"{signals.factorizations} factorizations"
         )
-        if not bound <= signals.tolerance * largest:
-            line += ", which misses the accuracy asked for"
+    yield f"{len(signals.time)} times from {how}, {signals.solve_seconds:.2f} s"
+    for d, site in enumerate(signals.detector.tolist()):
+        largest, wrong = np.abs(signals.displacement[:, d]).max(), signals.error[:, d].max()
+        known = "wrong by at most" if proven else "wrong by an estimated"
+        line = f"ball {tuple(site)}: largest displacement {largest:.3g}, {known} {wrong:.1e}"
+        if not wrong <= signals.tolerance * largest:
+            line += ", not as accurate as asked (a smaller -error_tolerance may help)"
         if np.isfinite(signals.arrival[d]):
             line += f"; front at {signals.arrival[d]:.4g}, centre at {signals.centre[d]:.4g}"
+        if np.isfinite(signals.decay[d]):
+            line += f", then decay at {signals.decay[d]:.3g} +- {signals.decay_error[d]:.1g}"
         yield line
+    yield f"the wall's own front is at {signals.wall_arrival:.4g}"
+    line = f"work of the wall {signals.work[-1]:.6g}"
+    if signals.energy is not None:
+        line += f", of which {signals.energy[-1]:.3g} is left in balls and springs"
+    if signals.energy is not None and proven:
+        missing = np.abs(signals.work - signals.energy - signals.dissipated).max()
+        line += f"; work, energy and what damping took balance to {missing:.1e}"
+    yield line
 
 
 @in_parallel(shares_lattice=True)
@@ -98,12 +126,15 @@ def pulse(
     shape="burst",
     omega=0.6,
     width=20.0,
+    wall=None,
     time=600.0,
     points=1201,
+    method="auto",
+    fields=False,
     error_tolerance=1e-4,
     progress="none",
 ):
-    """Send a pulse through the lattice, and return what balls do, by the Laplace transform.
+    """Send a pulse through the lattice, and return what balls do.
 
     Collective.
 
@@ -118,10 +149,17 @@ def pulse(
         `gauss`, `ricker`, `burst` or `step`: see `pgran.physics.pulse.Pulse`.
     omega, width : float
         Of the pulse.
+    wall : array_like of float, shape (n,) or (n, 2), optional
+        Instead of a shape: displacements at the recorded times, or times and displacements; see
+        `pgran.physics.pulse.Samples`.
     time : float
         How long is listened.
     points : int
         Equal distances of time.
+    method : str
+        `laplace`, with proven bounds; `integrate`, PETSc's TS, with estimates; `auto`.
+    fields : bool
+        Whether the displacement of all balls at four times is wanted.
     error_tolerance : float
         Asked of displacements, relative to a signal's largest.
     progress : str
@@ -139,115 +177,94 @@ def pulse(
     """
     common.check_values(
         PULSE, pulse_shape=shape, pulse_omega=omega, pulse_width=width, pulse_time=time,
-        pulse_points=points,
+        pulse_points=points, pulse_method=method,
     )  # fmt: skip
     TOLERANCE.check(error_tolerance)
-    sent = Pulse(shape, float(omega), float(width))
-    if time < sent.centre:
-        raise InputError(
-            f"-pulse_time {time:g}: the middle of the pulse leaves the wall at {sent.centre:g}, "
-            "nine of its widths after the time 0; listen longer, or take another -pulse_width"
-        )
-    task = PulseLine(lattice, detectors, sent, float(time), points, error_tolerance)
+    time, step = float(time), time / (points - 1)
+    sent = Pulse(shape, float(omega), float(width)) if wall is None else samples_of(wall, step)
+    listening = Listening(lattice, detectors, sent, time, points, error_tolerance, fields)
+    check_times(listening)
+    task = None if method == "integrate" else PulseLine(listening)
+    if method == "auto":
+        transform, integrations = predicted_seconds(listening, len(task.omegas))
+        method = "laplace" if transform <= integrations else "integrate"
+    if method == "integrate":
+        return integrate(listening, crew, progress)
     return carry_out(task, crew, progress)
 
 
-class PulseLine(FrequencySweep):
-    """The amplitudes at the detectors along the line of the inverse Laplace transform.
-
-    Parameters
-    ----------
-    lattice, detectors, time, points, error_tolerance
-        As in `pulse`.
-    sent : pgran.physics.pulse.Pulse
-    """
-
-    def __init__(self, lattice, detectors, sent, time, points, error_tolerance):
-        """Choose the points of the line."""
-        sites = detector_sites(lattice.shape, detectors)
-        check_memory("pulse_points", 48 * points * len(sites))
-        self.sent, self.tolerance = sent, error_tolerance
-        self.time = np.linspace(0.0, time, points)
-        scaled, _ = lattice.in_own_unit()
-        self.line = Line(sent, time, limits_of(scaled), LEFT_OUT * error_tolerance)
-        growth = math.exp(SIGMA_PERIOD / TURN)
-        kept = [
-            ("displacement", complex, (len(sites),)),
-            ("error_bound", float, (len(sites),)),
-            ("converged_reason", np.int64),
-        ]
-        # errors grow by as much; below the floor an amplitude matters no more
-        choices = {"error_tolerance": 1e-2 * error_tolerance / growth, "error_floor": 1e-20}
-        super().__init__(lattice, self.line.s.imag, sites, kept, choices, self.line.sigma)
-
-    def collect(self, rows, seconds):
-        """See `Task`; what failed has an infinite bound."""
-        bound = np.where(np.isnan(rows["error_bound"]), np.inf, rows["error_bound"])
-        amplitude = np.nan_to_num(rows["displacement"])
-        found = self.line.signals(self.time, amplitude, bound)
-        displacement, error_bound, velocity, velocity_bound = found
-        weights = displacement**2
-        return Signals(
-            shape=self.sent.shape,
-            pulse_omega=self.sent.omega,
-            pulse_width=self.sent.width,
-            method="laplace",
-            sigma=self.line.sigma,
-            period=self.line.period,
-            solves=len(rows),
-            factorizations=int(rows["factorizations"].sum()),
-            solve_seconds=seconds,
-            tolerance=self.tolerance,
-            arrival=arrivals(self.time, displacement, error_bound),
-            centre=self.time @ weights / np.maximum(weights.sum(axis=0), SMALLEST_NORMAL),
-            time=self.time,
-            wall=self.sent.wall(self.time),
-            detector=self.sites,
-            displacement=displacement,
-            error_bound=error_bound,
-            velocity=velocity,
-            velocity_bound=velocity_bound,
-        )
-
-
-def limits_of(lattice):
-    """Return what bounds the motion of a lattice. Not collective."""
-    axes, beta = len(lattice.shape), lattice.damping
-    driven = lattice.stiffness[0][-1]
-    return Limits(
-        mass=lattice.mass,
-        stability=beta * smallest_damping_eigenvalue(lattice.shape),
-        stiffness=4 * axes * lattice.stiffest,
-        damping=4 * axes * beta,
-        drive=1.01 * math.sqrt(np.sum(driven**2)),
-        drive_damping=1.01 * beta * math.sqrt(driven.size),
-    )
-
-
-def arrivals(time, displacement, error_bound):
-    """Return when each displacement first exceeds FRONT of its largest, NaN where bounds hide it.
+def samples_of(wall, step):
+    """Return the motion that numbers make, at times `step` apart unless they say their own.
 
     Not collective.
 
-    Parameters
-    ----------
-    time : numpy.ndarray, shape (nt,)
-    displacement, error_bound : numpy.ndarray, shape (nt, nd)
+    Raises
+    ------
+    InputError
+        If they are no motion that begins at rest, at equal times.
     """
-    found = []
-    for signal, bound in zip(np.abs(displacement).T, error_bound.T, strict=True):
-        level = FRONT * signal.max(initial=0.0)
-        first = np.argmax(signal > level)
-        if first == 0 or not bound[: first + 1].max() < 0.1 * level:
-            found.append(np.nan)
-            continue
-        part = (level - signal[first - 1]) / (signal[first] - signal[first - 1])
-        found.append(time[first - 1] + part * (time[first] - time[first - 1]))
-    return np.array(found)
+    try:
+        values = np.asarray(wall, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("-pulse_file: a motion is a list of numbers") from None
+    if values.ndim == 2 and values.shape[1] == 2:
+        apart = np.diff(values[:, 0])
+        step = apart.mean() if len(apart) else step
+        uneven = np.flatnonzero(~(np.abs(apart - step) <= 1e-6 * step))
+        if uneven.size or not step > 0:
+            at = values[uneven[0] if uneven.size else 0, 0]
+            raise InputError(
+                f"-pulse_file: times must increase by equal steps, and do not at {at:g}; fill the "
+                "gap, or resample the motion"
+            )
+    elif values.ndim != 1 and values.shape[1:] != (1,):
+        raise InputError("-pulse_file: a motion is one column of numbers, or times and numbers")
+    values = values[:, -1] if values.ndim == 2 else values
+    largest = np.abs(values).max(initial=0.0)
+    if not (np.all(np.isfinite(values)) and len(values) > 1 and largest > 0):
+        raise InputError("-pulse_file: a motion needs two finite numbers or more, not all zero")
+    if abs(values[0]) > AT_REST * largest:
+        raise InputError(
+            f"-pulse_file: the wall is at rest at 0 before the first number, which is "
+            f"{values[0]:g}; take off a constant, or let the motion begin smoothly"
+        )
+    return Samples(values, float(step))
+
+
+def check_times(listening):
+    """Raise where the times do not hold the pulse, or what it carries. Not collective."""
+    sent, time, count = listening.sent, listening.time[-1], len(listening.time)
+    if time < sent.end * (1 - 1e-9):
+        helps = "" if sent.shape == "file" else ", or take a shorter pulse"
+        raise InputError(
+            f"-pulse_time {time:g}: the pulse lasts until {sent.end:g}; listen longer{helps}"
+        )
+    band = min(sent.band, listening.highest)
+    if math.pi * (count - 1) < band * time:
+        raise InputError(
+            f"-pulse_points {count}: signals go up to omega = {band:.3g}, and times "
+            f"{time / (count - 1):.3g} apart hold no more than {math.pi * (count - 1) / time:.3g}; "
+            f"record {math.ceil(band * time / math.pi) + 1} times or more"
+        )
+
+
+def predicted_seconds(listening, points):
+    """Return what the transform, with so many points, and integrations will take, by measurements.
+
+    Not collective. A point costs a factorization, which grows like the work of nested dissection; a
+    step of an integration some passes over all balls, and steps are the shorter the smaller
+    the tolerance, by a method of order 7.
+    """
+    shape, highest = listening.lattice.shape, listening.highest
+    balls, axes = math.prod(shape), len(shape)
+    constant, power = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}[axes]
+    steps = 1.2 * highest * listening.time[-1] * (1e-4 / listening.tolerance) ** 0.125
+    transform = points * (3e-4 + constant * balls**power)
+    return transform, steps * (8e-4 + 1.4e-7 * (2 * axes + 1) * balls)
 
 
 SCENE = Scene(
-    options=(*common.LATTICE, *common.DETECTORS, *PULSE, TOLERANCE),
+    options=(*common.LATTICE, *common.DETECTORS, *PULSE, FIELDS, TOLERANCE),
     run=run,
     summary=summary,
     check=check,

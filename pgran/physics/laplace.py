@@ -1,0 +1,180 @@
+"""What follows a pulse in time: the inverse Laplace transform, and what bounds its error.
+
+On the line s = sigma + i omega the displacement of a ball is A(s) U(s), U(s) the transform of the
+wall's motion. Taken at omega_k = 2 pi k / P only, the inverse transform
+
+    e^(sigma t) (1 / P) sum over all k of A(s_k) U(s_k) e^(i omega_k t) = sum over n of
+    u(t + n P) e^(-sigma n P)
+
+has the later turns in it, damped; what is wrong with A grows by e^(sigma t). The factor e^(sigma T)
+is all that doubles allow, GROWTH, and the period P so long that later turns are small enough. Every
+part of the error is bounded:
+
+- each amplitude's own bound, times |U| e^(sigma t);
+- frequencies left out: |A| <= |S^-1| |f|, and U is known;
+- later turns: with E the energy, dE/dt <= |u'| |f|, and so |u'|_2 <= (1/m) int |f|, never more;
+  earlier ones, and frequencies above the pulse's highest, are below 1e-16 of what the wall does.
+
+NumPy only.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgran.physics.rounding import EPSILON
+
+GROWTH = 16.0  # sigma times the time wanted
+SHORTEST = 1.2  # the period, in units of the time wanted
+LEFT_OUT = 1e-9  # of the tolerance: what frequencies left out may add up to
+LATER = 1e-4  # of the tolerance: what later turns may
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What bounds the motion of a lattice.
+
+    Attributes
+    ----------
+    mass : float
+        m.
+    stability : float
+        beta lambda_min(C).
+    stiffness, damping : float
+        No less than |K|_2 and |C|_2, all damping in C.
+    drive, drive_damping : float
+        |f|_2 is at most drive + |s| drive_damping.
+    """
+
+    mass: float
+    stability: float
+    stiffness: float
+    damping: float
+    drive: float
+    drive_damping: float
+
+    def amplitudes(self, s):
+        """Return no less than any |A(s)|, sigma > 0. Not collective."""
+        size = np.abs(s)
+        damped = size * (self.stability + s.real * self.mass)
+        inertial = self.mass * size**2 - self.stiffness - size * self.damping
+        return 1.01 * (self.drive + size * self.drive_damping) / np.maximum(damped, inertial)
+
+    def speed(self, pulse, t):
+        """Return no less than |u'|_2 up to some times. Not collective."""
+        moved, turned = pulse.sizes(t)
+        return (self.drive * moved + self.drive_damping * turned) / self.mass
+
+
+class Line:
+    """Where on the line of the inverse transform the amplitudes are computed, and what follows.
+
+    Parameters
+    ----------
+    pulse : pgran.physics.pulse.Pulse or pgran.physics.pulse.Samples
+    time : float
+        How long the signals are wanted.
+    points : int
+        At so many equal times, 0 and the last included.
+    limits : Limits
+    tolerance : float
+        Of displacements, in units of the wall's.
+
+    Attributes
+    ----------
+    s : numpy.ndarray, shape (ns,)
+    growth : float
+        An error of every A(s) is as many times larger in a displacement, at most.
+    left_out, left_out_speed : float
+        What the frequencies left out add up to, without the factor e^(sigma t).
+    """
+
+    def __init__(self, pulse, time, points, limits, tolerance):
+        """Leave out what is too small to matter."""
+        self.pulse, self.limits, self.sigma = pulse, limits, GROWTH / time
+        later = 3 * time * float(limits.speed(pulse, 3 * time)) / (LATER * tolerance)
+        # and so long that the pulse before this one's time 0 is no part of the turn before either
+        earlier = max(SHORTEST, 1.0 - pulse.begin / time)
+        turn = max(earlier, min(3.0, math.log(max(later, 1.0)) / GROWTH))
+        step = time / (points - 1)
+        self.times = math.ceil(turn * time / step)  # in a period
+        self.period = self.times * step
+        self.time = np.linspace(0.0, time, points)
+        count = math.ceil(pulse.highest * self.period / (2 * math.pi)) + 1
+        s = self.sigma + 2j * np.pi / self.period * np.arange(count)
+        U = pulse.transform(s)
+        size = 2 / self.period * limits.amplitudes(s) * np.abs(U)
+        order = np.argsort(size, kind="stable")
+        small = np.cumsum(size[order]) * math.exp(GROWTH) <= LEFT_OUT * tolerance
+        small[-1] = False  # something is left even where the wall drives nothing
+        out, self.number = order[small], np.sort(order[~small])
+        self.s, self.transform = s[self.number], U[self.number]
+        self.left_out, self.left_out_speed = size[out].sum(), (size * np.abs(s))[out].sum()
+        self._weight = np.where(self.number == 0, 1.0, 2.0) / self.period
+        self.growth = math.exp(GROWTH) * np.sum(self._weight * np.abs(self.transform))
+
+    def inverse(self, transforms):
+        """Return functions at the times of the signals from their transforms on the line.
+
+        Not collective.
+
+        Parameters
+        ----------
+        transforms : numpy.ndarray, shape (ns, ...)
+
+        Returns
+        -------
+        numpy.ndarray, shape (points, ...)
+        """
+        from scipy.fft import irfft  # here: SciPy takes its time, and all scenes are imported
+
+        fold = -(-2 * (self.number[-1] + 1) // self.times)  # so fine a grid holds all frequencies
+        n = fold * self.times
+        spectrum = np.zeros((n // 2 + 1, *transforms.shape[1:]), dtype=complex)
+        spectrum[self.number] = transforms
+        values = irfft(spectrum, n, axis=0)[: fold * len(self.time) : fold]
+        growth = np.exp(self.sigma * self.time) * (n / self.period)
+        return values * growth.reshape(-1, *[1] * (values.ndim - 1))
+
+    def at(self, time, transforms):
+        """Return functions at any times, shape (times, ...); `inverse` is quicker for many.
+
+        Not collective. Parameters are those of `inverse`.
+        """
+        turning = self._weight * np.exp(np.outer(time, self.s))
+        real, imaginary = (np.ascontiguousarray(part) for part in (turning.real, turning.imag))
+        return np.tensordot(real, transforms.real, 1) - np.tensordot(imaginary, transforms.imag, 1)
+
+    def signals(self, amplitude, bound):
+        """Return displacements, velocities, and a bound of the error of each, shape (nt, nd).
+
+        Not collective.
+
+        Parameters
+        ----------
+        amplitude, bound : numpy.ndarray, shape (ns, nd)
+            A(s) of each detector and the bound of its error.
+        """
+        growth, U = np.exp(self.sigma * self.time)[:, None], self.transform[:, None]
+        size, found = np.abs(self.s), []
+        steps = len(self.s) + 16 + 6 * math.log2(self.times + len(self.s)) + size * self.period
+        rounding = 4 * EPSILON * steps * np.abs(self.transform)
+        rounding += self.pulse.rounding(self.s, self.transform)
+        for power, left_out, later in (
+            (np.ones_like(self.s), self.left_out, self._later(1)),
+            (self.s, self.left_out_speed, self._later(0)),
+        ):
+            weight = (self._weight * np.abs(power))[:, None]
+            wrong = weight * (np.abs(U) * bound + rounding[:, None] * np.abs(amplitude))
+            found.append(self.inverse(power[:, None] * amplitude * U))
+            found.append(1.01 * growth * (wrong.sum(axis=0) + left_out) + later[:, None])
+        return found
+
+    def _later(self, power):
+        """Bound what later turns add: |u'| <= V and |u| <= t V at the times t + n P, n >= 1."""
+        total = np.zeros_like(self.time)
+        for n in range(1, 4):
+            t, damped = self.time + n * self.period, math.exp(-n * self.sigma * self.period)
+            total += 1.1 * self.limits.speed(self.pulse, t) * t**power * damped
+        return total
