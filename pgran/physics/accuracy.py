@@ -4,8 +4,9 @@ import numpy as np
 
 from pgran.physics.rounding import residual_rounding
 
-# A number of an experiment, a bound of its absolute error, and whether that is what was asked for.
-ENTRY = np.dtype([("value", complex), ("bound", float), ("good", bool)])
+# A number of an experiment, a bound of its absolute error, what errors are relative to, and whether
+# that is what was asked for.
+ENTRY = np.dtype([("value", complex), ("bound", float), ("size", float), ("good", bool)])
 
 
 def is_accurate(bound, amplitude, tolerance):
@@ -34,18 +35,20 @@ def below_relative_accuracy(error_bound, amplitude, tolerance):
     return missed.astype(np.int8)
 
 
-def entries(values, bounds, good):
+def entries(values, bounds, good, sizes=None):
     """Return numbers in one flat array of ENTRY.
 
     Not collective.
 
     Parameters
     ----------
-    values, bounds, good : array_like
-        Columns of ENTRY; the latter two may be scalars.
+    values, bounds, good, sizes : array_like
+        Columns of ENTRY; but for the values they may be scalars. Errors are relative to the numbers
+        themselves unless sizes are given.
     """
     found = np.zeros(np.size(values), ENTRY)
-    for name, column in zip(ENTRY.names, (values, bounds, good), strict=True):
+    sizes = np.abs(values) if sizes is None else np.broadcast_to(sizes, np.shape(values))
+    for name, column in zip(ENTRY.names, (values, bounds, sizes, good), strict=True):
         found[name] = np.ravel(column)
     return found
 
@@ -60,6 +63,18 @@ def read_relaxation(relaxation):
     """Return the amplitudes of a relaxation, NaN where they miss the tolerance. Not collective."""
     found = relaxation.displacement
     return entries(found, relaxation.error_bound, np.isfinite(found))
+
+
+def read_pulse(signals):
+    """Return the displacements of a pulse, relative to the largest of each ball's signal.
+
+    Not collective. Of an integration, what it bounds its errors by are estimates.
+    """
+    largest = np.abs(signals.displacement).max(axis=0)
+    good = np.broadcast_to(
+        signals.error.max(axis=0) <= signals.tolerance * largest, signals.error.shape
+    )
+    return entries(signals.displacement, signals.error, good, largest)
 
 
 def read_modes(lattice, largest, modes):
@@ -84,7 +99,7 @@ def read_modes(lattice, largest, modes):
 def relative_bounds(found):
     """Return the bound of each number's relative error, inf for none. Not collective."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = found["bound"] / np.abs(found["value"])
+        ratio = found["bound"] / found["size"]
     return np.where(np.isfinite(ratio), ratio, np.inf)
 
 
@@ -95,7 +110,7 @@ def relative_errors(found, reference):
     too large rather than too small.
     """
     difference = np.abs(found["value"] - reference["value"])
-    return np.maximum(difference, reference["bound"]) / np.abs(reference["value"])
+    return np.maximum(difference, reference["bound"]) / reference["size"]
 
 
 def mode_bounds(lattice, omega, residual):

@@ -11,20 +11,16 @@ from pgran.files.options import INTEGER, REALS, TEXT, TEXTS, Option
 from pgran.files.reading import read_solver
 from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
-from pgran.physics.accuracy import (
-    read_modes,
-    read_relaxation,
-    read_response,
-)
+from pgran.physics.accuracy import read_modes, read_pulse, read_relaxation, read_response
 from pgran.physics.modes import RESIDUAL
 from pgran.results import LatticeRecord
-from pgran.scenes import common, modes, relaxation, response
+from pgran.scenes import common, modes, pulse, relaxation, response
 from pgran.scenes.scene import Scene
 from pgran.scenes.study import Comparison, Configuration, Reference, Study
 
 log = logging.getLogger(__name__)
 
-EXPERIMENTS = {"response": response, "modes": modes, "relaxation": relaxation}
+EXPERIMENTS = {"response": response, "modes": modes, "relaxation": relaxation, "pulse": pulse}
 STUDY = (
     Option(
         "accuracy_of", TEXT, "response", "the experiment that is repeated",
@@ -45,6 +41,7 @@ STUDY = (
 CHOICES = {
     "steady_refresh_iterations": "refresh_iterations",
     "sweep_method": "method",
+    "pulse_method": "method",
     "relax_method": "method",
     "relax_window": "window",
 }
@@ -84,7 +81,7 @@ def run(options, world, crew):
     shared = EXPERIMENTS[options.accuracy_of].SCENE.shares_lattice
     ranks = common.ranks_per_lattice(options, lattice, world) if shared else 1
     with crew(world.size) as whole, AgreeingCrew(world, ranks) as workers:
-        study = make_study(options, lattice)
+        study = make_study(options, lattice, world)
         reference = carry_out(Reference(study, workers), whole)
         task = Comparison(study, configurations, options.accuracy_repeats, reference, workers)
         accuracy = carry_out(task, whole, options.output_progress)
@@ -147,8 +144,8 @@ def read_configurations(options):
     return configurations
 
 
-def make_study(options, lattice):
-    """Return the experiment that the options name. Not collective."""
+def make_study(options, lattice, world):
+    """Return the experiment that the options name. Collective."""
     smallest = 0.1 * min(options.accuracy_tolerances)
     exact = {"error_tolerance": min(REFERENCE, smallest)}
     if options.accuracy_of == "modes":
@@ -160,6 +157,9 @@ def make_study(options, lattice):
             response.sweep, lattice, omegas, options.detectors, resolve=0.0, error_floor=0.0
         )
         return Study("response", solve, read_response, exact | {"method": "points"}, smallest)
+    if options.accuracy_of == "pulse":
+        solve = partial(pulse.pulse, lattice, options.detectors, **pulse.chosen(options, world))
+        return Study("pulse", solve, read_pulse, exact | {"method": "laplace"}, smallest)
     solve = partial(
         relaxation.relax,
         lattice,
@@ -179,6 +179,7 @@ SCENE = Scene(
     options=(
         *(*STUDY, *common.LATTICE, *common.DETECTORS, *common.SWEEP, response.METHOD),
         *(common.STEADY["refresh_iterations"], *relaxation.RELAXATION, *modes.WHICH),
+        *pulse.PULSE,
     ),
     run=run,
     summary=summary,

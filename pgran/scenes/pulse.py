@@ -64,25 +64,27 @@ def run(options, world, crew):
 
     Collective. Parameters are those of `pgran.scenes.scene.Scene`.
     """
-    chosen = {"shape": options.pulse_shape, "omega": options.pulse_omega}
-    chosen["width"] = options.pulse_width
-    if options.pulse_file:
-        chosen = {"wall": on_root(world, lambda: read_columns(options.pulse_file))}
     lattice = common.make_lattice(options, world)
     with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
         signals = pulse(
             lattice,
             options.detectors,
             workers,
-            **chosen,
-            time=options.pulse_time,
-            points=options.pulse_points,
+            **chosen(options, world),
             method=options.pulse_method,
             fields=options.output_fields,
             error_tolerance=options.error_tolerance,
             progress=options.output_progress,
         )
     return signals and [LatticeRecord.of(lattice), signals]
+
+
+def chosen(options, world):
+    """Return the keywords of `pulse` that say how the wall moves and how long. Collective."""
+    said = {"time": options.pulse_time, "points": options.pulse_points}
+    if options.pulse_file:
+        return said | {"wall": on_root(world, lambda: read_columns(options.pulse_file))}
+    return said | {name: getattr(options, f"pulse_{name}") for name in ("shape", "omega", "width")}
 
 
 def summary(result):

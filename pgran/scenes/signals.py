@@ -18,7 +18,7 @@ from pgran.scenes.sweeping import FrequencySweep
 WHOLE = 100_000  # amplitudes of all balls are kept if they are no more numbers than that
 FIELDS = 4  # times at which the field is kept
 FINE = 0.6  # step times frequency of what is integrated by splines: to about 1e-9
-COARSE, FINER = 0.1, 0.1  # tolerance of the first integration, and of each against the one before
+COARSE, FINER = 0.3, 0.1  # tolerance of the first integration, and of each against the one before
 LEAST = 1e-13  # tolerance of an integration
 
 
