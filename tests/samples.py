@@ -83,7 +83,7 @@ def solve(lattice, omegas, sites, comm=MPI.COMM_SELF, tolerance=1e-4, **choices)
     with steady(lattice, sites, comm, tolerance, **choices) as (operators, solver):
         for omega in np.atleast_1d(omegas):
             states.append(solver.solve(1j * omega))
-            fields.append(operators.field(solver.field))
+            fields.append(operators.layout.field(solver.field))
     return states, fields
 
 

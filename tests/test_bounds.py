@@ -42,7 +42,7 @@ def test_bounds_hold_for_any_s(solver, limit, solver_options):
             for s in (z, 1.01 * z, z.conjugate(), abs(z), 1.1j * abs(z)):
                 state, exact = opened.solve(s), reference_of(lattice).field(-1j * s)
                 error, size = abs(state.displacement[0] - exact[site]), abs(exact[site])
-                missed = (operators.field(opened.field) - exact).astype(complex)
+                missed = (operators.layout.field(opened.field) - exact).astype(complex)
                 assert not error > state.error_bound[0]
                 assert not np.linalg.norm(missed) > state.field_bound
                 if state.converged_reason > 0:
@@ -111,7 +111,7 @@ def test_residuals_are_no_larger_than_said(comm, shape, damping):
             solver.solve(s)
             rounding = bounds.rounding(primal.solution)
             terms.setArray(rounding)
-            A, sizes = (comm.bcast(operators.field(x)).ravel() for x in (primal.solution, terms))
+            A, sizes = (comm.bcast(operators.layout.field(x)).ravel() for x in (primal.solution, terms))
             S, f = reference.system(-1j * s)
             # the parts of S apart: those of its diagonal may cancel
             parts = np.abs(reference.K) + abs(s) * damping * np.abs(reference.C)

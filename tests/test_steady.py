@@ -94,7 +94,7 @@ def test_identities(comm, omega):
     with steady(lattice, (2, 5), comm, 1e-12, whole_field=True) as (operators, solver):
         (exact,) = solver.solve(1j * omega).displacement
         vectors = solver.field, solver.adjoints[0].solution, operators.f
-        A, z, f = (comm.bcast(operators.field(x)) for x in vectors)
+        A, z, f = (comm.bcast(operators.layout.field(x)) for x in vectors)
     assert abs(np.sum(z * f) - exact) <= 1e-11 * abs(exact)
     slopes = [-q * w for q, w in zip(stretches(z, 0), stretches(A, 1), strict=True)]
     parts = [np.sum(k * d) for k, d in zip(lattice.stiffness, slopes, strict=True)]

@@ -64,15 +64,7 @@ class Lattice:
         object.__setattr__(self, "stiffness", arrays)
         if self.kmax is None:
             object.__setattr__(self, "kmax", self.stiffest)
-        if not (math.isfinite(self.mass) and self.mass > 0):
-            raise InputError(f"lattice_mass: must be positive and finite, not {self.mass}")
-        if not (math.isfinite(self.damping) and self.damping >= 0):
-            raise InputError(f"lattice_damping: must be 0 or more and finite, not {self.damping}")
-        if not math.isfinite(4 * len(arrays) * max(self.kmax, self.stiffest) / self.mass):
-            raise InputError(
-                "lattice_mass, bonds: the frequencies, up to sqrt(4 d kmax / m), are too large to "
-                "compute with; choose other units"
-            )
+        check_magnitudes(self.axes, self.mass, self.damping, max(self.kmax, self.stiffest))
 
     @classmethod
     def random(cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=0.003, **parameters):
@@ -120,6 +112,11 @@ class Lattice:
         return (first[0] - 1, *first[1:])
 
     @property
+    def axes(self):
+        """How many axes the lattice has."""
+        return len(self.stiffness)
+
+    @property
     def balls(self):
         """How many balls there are."""
         return math.prod(self.shape)
@@ -137,7 +134,7 @@ class Lattice:
     @property
     def omega_mx(self):
         """The Einstein frequency of a ball on springs kmax, unit of frequency (paper: omxdef)."""
-        return math.sqrt(2 * len(self.shape) * self.kmax / self.mass)
+        return math.sqrt(2 * self.axes * self.kmax / self.mass)
 
     def in_own_unit(self):
         """Return the same lattice with its largest bond constant between 1 and 2, and the unit.
@@ -148,20 +145,42 @@ class Lattice:
         thresholds, and squares of small numbers vanish. Raises InputError if mass or damping do not
         fit into doubles in that unit.
         """
-        unit = 2.0 ** (math.frexp(self.stiffest)[1] - 1)
+        unit = own_unit(self.stiffest, self.mass, self.damping)
         mass, damping = self.mass / unit, self.damping / unit
-        for name, value, scaled in (("mass", self.mass, mass), ("damping", self.damping, damping)):
-            if scaled * unit != value:
-                raise InputError(
-                    f"lattice_{name}: {value:g} and bond constants of about {unit:g} are numbers "
-                    "too far apart to compute with"
-                )
         return Lattice(tuple(k / unit for k in self.stiffness), mass, damping), unit
 
     @cached_property
     def bonds_sha256(self):
         """Checksum of all bond constants, as little-endian doubles, axis after axis."""
         return hashlib.sha256(self.constants.astype("<f8", copy=False)).hexdigest()
+
+
+def check_magnitudes(axes, mass, damping, stiffest):
+    """Raise InputError where mass, damping and stiffness make no vibrations. Not collective."""
+    if not (math.isfinite(mass) and mass > 0):
+        raise InputError(f"lattice_mass: must be positive and finite, not {mass}")
+    if not (math.isfinite(damping) and damping >= 0):
+        raise InputError(f"lattice_damping: must be 0 or more and finite, not {damping}")
+    if not math.isfinite(4 * axes * stiffest / mass):
+        raise InputError(
+            "lattice_mass, bonds: the frequencies, up to sqrt(4 d kmax / m), are too large to "
+            "compute with; choose other units"
+        )
+
+
+def own_unit(stiffest, mass, damping):
+    """Return the unit in which the largest bond constant lies between 1 and 2. Not collective.
+
+    Raises InputError if mass or damping do not fit into doubles in that unit.
+    """
+    unit = 2.0 ** (math.frexp(stiffest)[1] - 1)
+    for name, value in (("mass", mass), ("damping", damping)):
+        if value / unit * unit != value:
+            raise InputError(
+                f"lattice_{name}: {value:g} and bond constants of about {unit:g} are numbers "
+                "too far apart to compute with"
+            )
+    return unit
 
 
 def bond_shape(shape, axis):
@@ -294,7 +313,7 @@ def check_frequency(lattice, omega):
     Not collective. No entry of S exceeds 4 d (k + omega beta) + m omega^2 up to the frequency.
     """
     omega = float(omega)
-    springs = 4 * len(lattice.shape) * (lattice.stiffest + omega * lattice.damping)
+    springs = 4 * lattice.axes * (lattice.stiffest + omega * lattice.damping)
     largest = springs + lattice.mass * omega * omega
     if not math.isfinite(largest * largest):
         raise InputError(

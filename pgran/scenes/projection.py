@@ -148,7 +148,7 @@ class ProjectedSweep(FrequencySweep):
 
     def keep(self, point, solver):
         """Project: c_i = sum over balls p of A_p f_i(p) (paper: cidef)."""
-        field = solver.operators.field(solver.field).ravel()
+        field = solver.operators.layout.field(solver.field).ravel()
         point["coefficient"] = self.vectors @ field.real + 1j * (self.vectors @ field.imag)
 
     def collect(self, rows, seconds):

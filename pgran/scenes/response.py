@@ -253,7 +253,7 @@ class ResponseSweep(FrequencySweep):
     def keep(self, point, solver):
         """See `FrequencySweep`; the field comes to the first rank of a group."""
         if self.fields:
-            field = solver.operators.field(solver.field)
+            field = solver.operators.layout.field(solver.field)
             point["field"] = 0.0 if field is None else field
 
     def collect(self, rows, seconds):

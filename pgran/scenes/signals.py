@@ -140,7 +140,7 @@ class PulseLine(FrequencySweep):
         drive, moved = solver.operators.f, solver.field
         point["force"] = drive.sum() - drive.tDot(moved)
         if self.whole:
-            field = solver.operators.field(moved)
+            field = solver.operators.layout.field(moved)
             point["field"] = 0.0 if field is None else field
 
     def collect(self, rows, seconds):

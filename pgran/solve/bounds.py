@@ -30,10 +30,10 @@ import numpy as np
 from mpi4py import MPI
 
 from pgran.physics.bondlaw import unit_numbers
-from pgran.physics.lattice import smallest_damping_eigenvalue
-from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL, residual_rounding
+from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL
 from pgran.solve.counting import ModeCounter
-from pgran.solve.operators import Owner
+from pgran.solve.operators import SAME
+from pgran.solve.owner import Owner
 
 
 class ErrorBounds(Owner):
@@ -54,15 +54,14 @@ class ErrorBounds(Owner):
         No less than |S|_inf there.
     """
 
-    owns = ("_product", "_work", "_counter", "_signs")
+    owns = ("_product", "_work", "_counter", "_signs", "_sizes")
 
     def __init__(self, operators):
         """Make the work vectors."""
         self.operators = operators
         self._alone = operators.comm.size == 1
         self._always = self.proven = self._alone or operators.damping > 0
-        self.lambda_min = smallest_damping_eigenvalue(operators.shape)
-        self.unit = residual_rounding(len(operators.shape))
+        self.unit = operators.layout.rounding
         # What a 2-norm may miss because the squares of small numbers are lost.
         self.lost = 2 * math.sqrt(2 * operators.balls * SMALLEST_NORMAL)
         self._product, self._work = operators.f.duplicate(), operators.f.duplicate()
@@ -76,11 +75,13 @@ class ErrorBounds(Owner):
     def _signs(self):
         """A random sign for each ball. Collective when first asked for."""
         signs = np.where(unit_numbers(0, 0, self.operators.balls) < 0.5, -1.0, 1.0)
-        return self.operators.vector(signs.reshape(self.operators.shape))
+        return self.operators.layout.vector(signs.reshape(self.operators.shape))
 
     def stability(self, s):
         """Return a c with |S x|_2 >= c |x|_2 for every x and all bonds. Not collective."""
-        damping = self.lambda_min * abs(s) * self.operators.damping
+        damping = self.operators.damping and self.operators.damping * (
+            abs(s) * self.operators.layout.smallest_damping
+        )
         return damping + abs(s) * s.real * self.operators.mass
 
     def prepare(self, s, tolerance):
@@ -91,21 +92,44 @@ class ErrorBounds(Owner):
         operators, size = self.operators, abs(s)
         self.proven = self._always or s.real > 0
         inertia = operators.mass * size * size
-        spread = 4 * len(operators.shape) * size * operators.damping  # |s beta C| is at most this
-        operators.K.getDiagonal(self._work)
-        # A Laplacian's diagonal holds the sum of its row's other magnitudes.
-        self._weights = 2 * self._work.getArray(readonly=True).real + spread
-        self._force = np.abs(operators.f.getArray(readonly=True))
+        spread = size * operators.damping  # |s beta C| is at most this
+        spread *= operators.layout.damping_norm if spread else 0.0
+        if operators.layout.laplacian:
+            operators.K.getDiagonal(self._work)
+            # A Laplacian's diagonal holds the sum of its row's other magnitudes.
+            self._weights = 2 * self._work.getArray(readonly=True).real + spread
+            self._force = np.abs(operators.f.getArray(readonly=True))
+        else:
+            self._combine_sizes(size)
         largest = float(self._weights.max(initial=0.0))
         if not self._alone:
             largest = operators.comm.allreduce(largest, MPI.MAX)
         self.scale = 1.01 * (largest + inertia)
-        self._weights += 2 * s.real * size * operators.mass
+        self._weights += 2 * s.real * size * operators.mass  # as `rounding` uses them
         self._imaginary = s.imag / (size + s.real) if s else 0.0
         stability = self.stability(s) if self.proven else math.nan
         if self._alone and s.real == 0:
             stability = max(stability, self._distance(inertia, spread, tolerance) - spread)
         self.inverse_norm = 1.0 / stability if stability else math.inf
+
+    @cached_property
+    def _sizes(self):
+        """The sizes of S. Collective when first asked for."""
+        return self.operators.K.duplicate()
+
+    def _combine_sizes(self, size):
+        """Combine the sizes of S and f for an |s|; `_weights` are the sums of S's rows."""
+        (K, drive, *damping), beta = self.operators.sizes, self.operators.damping
+        K.copy(self._sizes, structure=SAME)
+        drive.copy(self._work)
+        if damping:
+            self._sizes.axpy(size * beta, damping[0], structure=SAME)
+            self._work.axpy(size * beta, damping[1])
+        self._sizes.shift(size * size * self.operators.mass)
+        self._force = self._work.getArray().real.copy()
+        self._work.set(1.0)
+        self._sizes.mult(self._work, self._product)
+        self._weights = self._product.getArray().real.copy()
 
     def _distance(self, shift, spread, tolerance):
         """Return how far all eigenvalues of K are from a shift, at least; 0 if it is no use.
@@ -132,6 +156,9 @@ class ErrorBounds(Owner):
         """
         a = np.abs(x.getArray(readonly=True))
         self._work.setArray(a)
+        if not self.operators.layout.laplacian:
+            self._sizes.mult(self._work, self._product)
+            return self._force + self._product.getArray(readonly=True).real
         self.operators.S.mult(self._work, self._product)
         product = self._product.getArray(readonly=True)
         return self._force + self._weights * a - product.real - self._imaginary * product.imag
@@ -156,7 +183,7 @@ class ErrorBounds(Owner):
     def adjoint_residual(self, adjoint):
         """Return a bound of |e_d - S z~|_2, rounding included. Collective."""
         size = adjoint.solution.norm() + self.lost
-        return adjoint.norm + self.unit * (1.0 + self.scale * size) + self.lost
+        return adjoint.norm + self.unit * (adjoint.rhs.norm() + self.scale * size) + self.lost
 
     def evaluation(self, residual, terms, adjoint, value):
         """Return a bound of what rounding does to A~_d + z~^T r in evaluating it.

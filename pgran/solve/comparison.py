@@ -22,7 +22,7 @@ from petsc4py import PETSc
 
 from pgran.physics.rounding import SMALLEST_NORMAL
 from pgran.solve.linear import make_ksp, set_up
-from pgran.solve.operators import Owner
+from pgran.solve.owner import Owner
 
 LEAST_PROVEN = 1e-290  # what is proven of no amplitude is less
 

@@ -14,7 +14,8 @@ from petsc4py import PETSc
 from pgran.errors import PgranError
 from pgran.parallel.agreement import agree
 from pgran.solve.linear import accept_small_pivots
-from pgran.solve.operators import SAME, Owner
+from pgran.solve.operators import SAME
+from pgran.solve.owner import Owner
 
 SLICE = 60  # modes that are computed together; measured for 40 x 40 and 100 x 100
 MARGIN = 1e-11  # of |K|: how far the ends of an interval are moved outward

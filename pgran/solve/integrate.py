@@ -14,7 +14,8 @@ from petsc4py import PETSc
 from pgran.errors import InputError
 from pgran.physics.pulse import BAND
 from pgran.solve.database import holding
-from pgran.solve.operators import SAME, Owner
+from pgran.solve.operators import SAME
+from pgran.solve.owner import Owner
 
 log = logging.getLogger(__name__)
 
@@ -240,7 +241,7 @@ class Integrator(Owner):
         self._rows.append((t, [*balls.ravel(), *wall.ravel(), *powers, operators.mass * v @ v]))
         if self._keep_at and t >= self._keep_at[0] - 1e-9 * abs(t):
             del self._keep_at[0]
-            self._fields.append((t, operators.field(self._u)))
+            self._fields.append((t, operators.layout.field(self._u)))
 
     def _history(self, complete):
         """Return what all ranks have noted."""

@@ -19,11 +19,10 @@ from petsc4py import PETSc
 from pgran.errors import is_bad_input, petsc_message
 from pgran.parallel.agreement import met_by_all
 from pgran.physics.interval import MOMENTS, Limits, evaluate, model_dtype, poles
-from pgran.physics.lattice import smallest_damping_eigenvalue
-from pgran.physics.rounding import EPSILON, residual_rounding
+from pgran.physics.rounding import EPSILON
 from pgran.solve.judging import Detectors
 from pgran.solve.linear import LEAST_NORM, make_ksp, set_up
-from pgran.solve.operators import Owner
+from pgran.solve.owner import Owner
 from pgran.solve.tall import qr_rounding, tall_qr
 
 log = logging.getLogger(__name__)
@@ -100,19 +99,19 @@ class IntervalModels(Owner):
 
     def _limits(self):
         """Return what bounds the errors of all models."""
-        operators, axes = self.operators, len(self.operators.shape)
+        operators, rounding = self.operators, self.operators.layout.rounding
         # a path through the sums of `_products`, over the ranks, and of the small algebra
         terms = 2 * BLOCK + operators.balls / BLOCK + 2 * self.comm.size + 3 * self.width + 16
         drive, damped = 1.01 * np.sqrt(self._total(_squares(self._loads[0])))
         return Limits(
-            stability=operators.damping * smallest_damping_eigenvalue(operators.shape),
+            stability=operators.damping * operators.layout.smallest_damping,
             stiffness=2.02 * self._largest(self._diagonal).item(),
             damping=2.02 * self._largest(self._damping).item(),
             mass=1.01 * self._largest(self._mass).item(),
             drive=drive,
             drive_damping=damped,
-            rounding=residual_rounding(axes) + 4 * qr_rounding(2 + 2 * self.width),
-            sum_rounding=2 * residual_rounding(axes) + 4 * EPSILON * terms,
+            rounding=rounding + 4 * qr_rounding(2 + 2 * self.width),
+            sum_rounding=2 * rounding + 4 * EPSILON * terms,
         )
 
     def _total(self, part):

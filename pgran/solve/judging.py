@@ -12,7 +12,7 @@ from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL
 from pgran.solve.bounds import ErrorBounds
 from pgran.solve.comparison import Comparison
 from pgran.solve.linear import LEAST_NORM
-from pgran.solve.operators import Owner
+from pgran.solve.owner import Owner
 
 # Where no bound is known the residual must be of the size of rounding, and so must be what this
 # many times as much rounding does to the amplitudes.
@@ -69,9 +69,11 @@ class Detectors(Owner):
 
     def __init__(self, operators, sites):
         """Make what copies the entries to every rank."""
-        self._like, self._numbers = operators.f_stiffness, operators.numbers(sites)
-        self._readings = PETSc.Vec().createSeq(len(self), comm=PETSc.COMM_SELF)
-        where = PETSc.IS().createGeneral(self._numbers, comm=PETSc.COMM_SELF)
+        self._like = operators.f_stiffness
+        self._numbers, self._weights = operators.layout.readings(sites)
+        numbers = self._numbers.ravel()
+        self._readings = PETSc.Vec().createSeq(len(numbers), comm=PETSc.COMM_SELF)
+        where = PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
         self._scatter = PETSc.Scatter().create(self._like, where, self._readings, None)
         where.destroy()
 
@@ -82,13 +84,16 @@ class Detectors(Owner):
     def read(self, x):
         """Return the entries of a vector, on every rank. Collective."""
         self._scatter.scatter(x, self._readings)
-        return self._readings.getArray().copy()
+        readings = self._readings.getArray().reshape(self._weights.shape)
+        return np.sum(self._weights * readings, axis=1)
 
     def unit_vectors(self):
-        """Return e_d for each detector; the caller destroys them. Collective."""
+        """Return what each detector reads, e_d; the caller destroys them. Collective."""
         vectors = [self._like.duplicate() for _ in self._numbers]
-        for vector, number in zip(vectors, self._numbers, strict=True):
-            vector.setArray(np.arange(*vector.getOwnershipRange()) == number)
+        first, last = self._like.getOwnershipRange()
+        for vector, numbers, weights in zip(vectors, self._numbers, self._weights, strict=True):
+            mine = (numbers >= first) & (numbers < last)
+            vector.getArray()[numbers[mine] - first] = weights[mine]
         return vectors
 
 
@@ -213,7 +218,8 @@ class Judge(Owner):
             bent.scale(operators.damping)
             force = operators.damping * operators.f_damping.norm()
         bent.axpy(-2 * s, inertia)
-        slope = 4 * len(operators.shape) * operators.damping + 2 * abs(s) * operators.mass
+        slope = 2 * abs(s) * operators.mass
+        slope += operators.damping and operators.layout.damping_norm * operators.damping
         rounding = bounds.unit * (force + slope * primal.solution.norm())
         g, r = bent.norm() + rounding, self._residual
         derivative, bound, inverse = unknown + 0j, unknown.copy(), bounds.inverse_norm

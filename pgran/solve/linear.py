@@ -5,7 +5,7 @@ import math
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from pgran.solve.operators import Owner
+from pgran.solve.owner import Owner
 from pgran.solve.reuse import FACTORIZATIONS
 
 LEAST_NORM = 1e-300  # a residual of which is none
@@ -139,9 +139,9 @@ def is_factored():
     return PETSc.Options("steady_").getString("pc_type", "cholesky") in FACTORIZATIONS
 
 
-def factor_package(shape, ranks):
+def factor_package(axes, unknowns, ranks):
     """Return what factors the matrix of a lattice that so many ranks share. Not collective."""
-    small = math.prod(shape) <= PETSC_FACTORS[len(shape)]
+    small = unknowns <= PETSC_FACTORS[axes]
     return "petsc" if ranks == 1 and small else "mumps"
 
 
@@ -165,9 +165,9 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
     ksp.setTolerances(rtol=1e-13, atol=LEAST_NORM, max_it=1000)
     pc = ksp.getPC()
     pc.setType("cholesky")
-    if factor_package(operators.shape, operators.comm.size) != "petsc":
+    if factor_package(operators.axes, operators.balls, operators.comm.size) != "petsc":
         pc.setFactorSolverType("mumps")
-    elif operators.balls <= MINIMUM_DEGREE[len(operators.shape)]:
+    elif operators.balls <= MINIMUM_DEGREE[operators.axes]:
         pc.setFactorOrdering("qmd")
     ksp.setFromOptions()
     accept_small_pivots(pc)

@@ -20,7 +20,7 @@ from petsc4py import PETSc
 
 from pgran.errors import is_petsc
 from pgran.physics.modes import rayleigh_ritz, residuals, with_fixed_sign
-from pgran.solve.operators import Owner
+from pgran.solve.owner import Owner
 
 slepc4py.init([])  # PETSc has its options already
 

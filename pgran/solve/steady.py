@@ -17,7 +17,7 @@ from pgran.errors import is_bad_input, petsc_message
 from pgran.parallel.agreement import met_by_all
 from pgran.solve.judging import Judge, SteadyState
 from pgran.solve.linear import LEAST_NORM, NO_PRECONDITIONER, Krylov, System
-from pgran.solve.operators import Owner
+from pgran.solve.owner import Owner
 from pgran.solve.reuse import FACTORIZATIONS, ReusePolicy, expected_iterations, factor_price
 
 log = logging.getLogger(__name__)
@@ -257,7 +257,7 @@ class SteadySolver(Owner):
             return math.inf
         lattice = self.operators
         return len(self._systems) * expected_iterations(
-            self._earlier[-1], s, len(lattice.shape), lattice.mass, lattice.damping
+            self._earlier[-1], s, lattice.axes, lattice.mass, lattice.damping
         )
 
     def _factor(self):

@@ -31,7 +31,8 @@ from pgran.errors import InputError
 from pgran.physics.accuracy import is_accurate
 from pgran.physics.deformation import BOND, Deformation, amplitudes, march, squares
 from pgran.physics.rounding import SMALLEST_NORMAL
-from pgran.solve.operators import SAME, Owner
+from pgran.solve.operators import SAME
+from pgran.solve.owner import Owner
 
 COLUMNS = 32  # right-hand sides solved for at once
 # A window ends where its relative bound exceeds this, even if less is asked for: a fresh start is
@@ -148,7 +149,10 @@ class Windows(Owner):
         fields = np.stack([system.solution.getArray(readonly=True) for system in systems], axis=1)
         # rows of their own: see SHORTEST
         starts = np.ascontiguousarray(self.operators.stretch(fields, changes.bond).T)
-        delta, driven = self.changing.differences(changes), self.operators.driven[changes.bond]
+        delta, driven = (
+            self.changing.differences(changes),
+            self.operators.layout.drive[changes.bond],
+        )
         algebra, (primal, *adjoints) = (*march(G, delta), G, delta), starts
         return Deformation(*algebra, primal, driven), [Deformation(*algebra, z) for z in adjoints]
 
