@@ -111,7 +111,9 @@ def test_residuals_are_no_larger_than_said(comm, shape, damping):
             solver.solve(s)
             rounding = bounds.rounding(primal.solution)
             terms.setArray(rounding)
-            A, sizes = (comm.bcast(operators.layout.field(x)).ravel() for x in (primal.solution, terms))
+            A, sizes = (
+                comm.bcast(operators.layout.field(x)).ravel() for x in (primal.solution, terms)
+            )
             S, f = reference.system(-1j * s)
             # the parts of S apart: those of its diagonal may cancel
             parts = np.abs(reference.K) + abs(s) * damping * np.abs(reference.C)

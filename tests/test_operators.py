@@ -23,7 +23,10 @@ def shape(request, comm):
 
 def dense(matrix, operators):
     """A distributed matrix, or a vector, on every rank, in C order of the balls."""
-    numbers, rows = operators.numbers(balls(operators.shape)), slice(*matrix.getOwnershipRange())
+    numbers, rows = (
+        operators.layout._numbers(balls(operators.shape)),
+        slice(*matrix.getOwnershipRange()),
+    )
     if isinstance(matrix, PETSc.Vec):
         whole = np.zeros(matrix.getSize(), complex)
         whole[rows] = matrix.getArray()
@@ -77,7 +80,7 @@ def test_pattern_and_symmetry_do_not_change(comm):
             assert operators.S.isHermitianKnown() == (True, False)
             for matrix in (operators.K, operators.C, operators.S):
                 assert matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] == entries
-            operators.change_bonds(np.array([14, 3]), np.full(len(operators.ends), 0.1))
+            operators.change_bonds(np.array([14, 3]), np.full(len(operators.layout.ends), 0.1))
 
 
 @pytest.mark.parametrize("law", ["uniform", "wide"])

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from pgran.physics.rounding import residual_rounding
-
 # A number of an experiment, a bound of its absolute error, what errors are relative to, and whether
 # that is what was asked for.
 ENTRY = np.dtype([("value", complex), ("bound", float), ("size", float), ("good", bool)])
@@ -125,12 +123,7 @@ def mode_bounds(lattice, omega, residual):
     omega, residual : numpy.ndarray, shape (nm,)
         As in `pgran.results.Modes`.
     """
-    diagonal = 0.0
-    for axis, k in enumerate(lattice.stiffness):
-        k = np.moveaxis(k, axis, 0)
-        diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
-    norm = 2 * np.max(diagonal)  # no smaller than |K|_inf
-    missed = (residual + residual_rounding(len(lattice.shape))) * norm / lattice.mass
+    missed = (residual + lattice.rounding) * lattice.stiffness_norm / lattice.mass
     # |omega - omega'| (omega + omega') = |omega^2 - omega'^2| <= missed
     with np.errstate(divide="ignore"):
         return np.minimum(missed / omega, np.sqrt(missed))

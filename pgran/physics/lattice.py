@@ -16,6 +16,7 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.physics.bondlaw import BondLaw, unit_numbers
+from pgran.physics.rounding import residual_rounding
 
 AXES = "xyz"
 SIGNS = np.array([-1.0, 1.0])  # in a row of B, of the ball below a bond and of that above
@@ -117,6 +118,11 @@ class Lattice:
         return len(self.stiffness)
 
     @property
+    def rounding(self):
+        """How much rounding moves a residual: see `residual_rounding`."""
+        return residual_rounding(self.axes)
+
+    @property
     def balls(self):
         """How many balls there are."""
         return math.prod(self.shape)
@@ -135,6 +141,20 @@ class Lattice:
     def omega_mx(self):
         """The Einstein frequency of a ball on springs kmax, unit of frequency (paper: omxdef)."""
         return math.sqrt(2 * self.axes * self.kmax / self.mass)
+
+    @property
+    def stiffness_norm(self):
+        """No less than |K|_inf: twice its largest diagonal entry."""
+        diagonal = 0.0
+        for axis, k in enumerate(self.stiffness):
+            k = np.moveaxis(k, axis, 0)
+            diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
+        return 2 * float(np.max(diagonal))
+
+    def restoring_forces(self, fields):
+        """Return K f = B^T diag(k) B f for fields of shape (count, *shape). Not collective."""
+        stretches = stretch(fields, self.axes)
+        return spread(k * t for k, t in zip(self.stiffness, stretches, strict=True))
 
     def in_own_unit(self):
         """Return the same lattice with its largest bond constant between 1 and 2, and the unit.

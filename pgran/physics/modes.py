@@ -1,21 +1,13 @@
-"""Normal modes as arrays over the balls: forces, Rayleigh-Ritz, residuals, participation."""
+"""Normal modes as arrays over the balls: Rayleigh-Ritz, residuals, participation."""
 
 import math
 
 import numpy as np
 
-from pgran.physics.lattice import spread, stretch
-
 RESIDUAL = 1e-12  # of |K|: what a mode must meet
 
 
-def restoring_forces(stiffness, fields):
-    """Return K f = B^T diag(k) B f for fields of shape (count, *shape). Not collective."""
-    stretches = stretch(fields, len(stiffness))
-    return spread(k * t for k, t in zip(stiffness, stretches, strict=True))
-
-
-def rayleigh_ritz(stiffness, vectors):
+def rayleigh_ritz(lattice, vectors):
     """Return the real modes in the span of complex ones.
 
     Not collective. With rows X, orthonormal and spanning whole eigenspaces of a real matrix, the
@@ -36,26 +28,26 @@ def rayleigh_ritz(stiffness, vectors):
     weights, rotation = np.linalg.eigh(parts @ parts.T)
     kept = weights > 0.1  # fewer than `count` if the rows are not what they should be
     basis = (rotation[:, kept] / np.sqrt(weights[kept])).T @ parts
-    forces = restoring_forces(stiffness, basis.reshape(-1, *shape)).reshape(basis.shape)
+    forces = lattice.restoring_forces(basis.reshape(-1, *shape)).reshape(basis.shape)
     energy = basis @ forces.T
     values, rotation = np.linalg.eigh(0.5 * (energy + energy.T))
     return values, (rotation.T @ basis).reshape(-1, *shape)
 
 
-def residuals(stiffness, values, vectors):
+def residuals(lattice, values, vectors):
     """Return |K f - lambda f| of each mode.
 
     Not collective.
 
     Parameters
     ----------
-    stiffness : tuple of numpy.ndarray
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
     values : numpy.ndarray, shape (nm,)
         lambda.
     vectors : numpy.ndarray, shape (nm, *shape)
     """
-    missed = restoring_forces(stiffness, vectors)
-    missed -= values.reshape(-1, *[1] * len(stiffness)) * vectors
+    missed = lattice.restoring_forces(vectors)
+    missed -= values.reshape(-1, *[1] * (vectors.ndim - 1)) * vectors
     return np.sqrt(np.sum(missed**2, axis=tuple(range(1, missed.ndim))))
 
 

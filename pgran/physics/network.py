@@ -25,6 +25,7 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.physics.lattice import AXES, check_magnitudes, own_unit
+from pgran.physics.rounding import EPSILON
 
 KINDS = ("scalar", "vector", "rotations")
 FREE, AT_REST, DRIVEN = 0, 1, 2
@@ -275,6 +276,37 @@ class Network:
             part = {2: 0.5, 3: 0.4}[self.axes]  # of m R^2, of a disc and a sphere
             inertia[:, self.axes :] *= part * self.radius[self.free][:, None] ** 2
         return np.sqrt(self.mass / inertia.ravel())
+
+    @cached_property
+    def B(self):  # noqa: N802
+        """The rows of B, sparse, shape (springs, unknowns)."""
+        from scipy.sparse import csr_matrix  # here: SciPy takes its time
+
+        columns, values = self.springs.columns, self.springs.values
+        there = columns >= 0
+        rows = np.repeat(np.arange(len(columns)), np.count_nonzero(there, axis=1))
+        return csr_matrix((values[there], (rows, columns[there])), (len(columns), self.balls))
+
+    def restoring_forces(self, fields):
+        """Return K f = B^T diag(k) B f for fields of shape (count, unknowns). Not collective."""
+        return (self.B.T @ (self.springs.constants[:, None] * (self.B @ fields.T))).T
+
+    @property
+    def stiffness_norm(self):
+        """No less than |K|_inf."""
+        size = abs(self.B)
+        sums = np.abs(self.springs.constants) * np.asarray(size.sum(axis=1)).ravel()
+        return float((size.T @ sums).max())
+
+    @property
+    def rounding(self):
+        """How much rounding moves a residual, in units of what it is summed from.
+
+        As `pgran.physics.rounding.residual_rounding`: sums over the springs at an unknown, and over
+        the unknowns that these couple it to.
+        """
+        met = int(np.bincount(self.B.indices).max())
+        return (met * (1 + self.springs.columns.shape[1]) + 12) * EPSILON
 
     @cached_property
     def springs(self):

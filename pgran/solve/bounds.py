@@ -31,6 +31,7 @@ from mpi4py import MPI
 
 from pgran.physics.bondlaw import unit_numbers
 from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL
+from pgran.solve.certify import smallest_damping
 from pgran.solve.counting import ModeCounter
 from pgran.solve.operators import SAME
 from pgran.solve.owner import Owner
@@ -61,7 +62,7 @@ class ErrorBounds(Owner):
         self.operators = operators
         self._alone = operators.comm.size == 1
         self._always = self.proven = self._alone or operators.damping > 0
-        self.unit = operators.layout.rounding
+        self.unit = operators.rounding
         # What a 2-norm may miss because the squares of small numbers are lost.
         self.lost = 2 * math.sqrt(2 * operators.balls * SMALLEST_NORMAL)
         self._product, self._work = operators.f.duplicate(), operators.f.duplicate()
@@ -80,7 +81,7 @@ class ErrorBounds(Owner):
     def stability(self, s):
         """Return a c with |S x|_2 >= c |x|_2 for every x and all bonds. Not collective."""
         damping = self.operators.damping and self.operators.damping * (
-            abs(s) * self.operators.layout.smallest_damping
+            abs(s) * smallest_damping(self.operators.layout)
         )
         return damping + abs(s) * s.real * self.operators.mass
 

@@ -92,7 +92,7 @@ class Integrator(Owner):
         self._products = [(operators.K, 1.0, self._u, self._Ku)]
         if operators.C is not None:
             self._products.append((operators.C, operators.damping, self._v, self._Cv))
-        number = operators.numbers(sites)
+        number = operators.layout.readings(sites)[0][:, 0]
         self._mine = np.flatnonzero((number >= operators.first) & (number < operators.last))
         self._detectors, self._count = number[self._mine] - operators.first, len(number)
         drives = [operators.f_stiffness.getArray().real, 0.0 * self._u.getArray().real]

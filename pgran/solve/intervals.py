@@ -20,6 +20,7 @@ from pgran.errors import is_bad_input, petsc_message
 from pgran.parallel.agreement import met_by_all
 from pgran.physics.interval import MOMENTS, Limits, evaluate, model_dtype, poles
 from pgran.physics.rounding import EPSILON
+from pgran.solve.certify import smallest_damping
 from pgran.solve.judging import Detectors
 from pgran.solve.linear import LEAST_NORM, make_ksp, set_up
 from pgran.solve.owner import Owner
@@ -99,12 +100,12 @@ class IntervalModels(Owner):
 
     def _limits(self):
         """Return what bounds the errors of all models."""
-        operators, rounding = self.operators, self.operators.layout.rounding
+        operators, rounding = self.operators, self.operators.rounding
         # a path through the sums of `_products`, over the ranks, and of the small algebra
         terms = 2 * BLOCK + operators.balls / BLOCK + 2 * self.comm.size + 3 * self.width + 16
         drive, damped = 1.01 * np.sqrt(self._total(_squares(self._loads[0])))
         return Limits(
-            stability=operators.damping * operators.layout.smallest_damping,
+            stability=operators.damping * smallest_damping(operators.layout),
             stiffness=2.02 * self._largest(self._diagonal).item(),
             damping=2.02 * self._largest(self._damping).item(),
             mass=1.01 * self._largest(self._mass).item(),

@@ -1,8 +1,8 @@
 """How the unknowns of a lattice or a network are numbered, shared out over ranks, and coupled.
 
 PETSc numbers unknowns so that each rank has a range. A layout knows those numbers, gathers fields,
-and turns constants of the springs into the nonzeros of B^T diag(k) B in this rank's rows, all of one
-pattern. A DMDA is the layout of a lattice, ranges of a partition that of any other network.
+and turns constants of the springs into the nonzeros of B^T diag(k) B in this rank's rows, of one
+pattern always. A DMDA is the layout of a lattice, ranges of a partition that of any other network.
 """
 
 from functools import cached_property
@@ -18,7 +18,6 @@ from pgran.physics.lattice import (
     driven_bonds,
     smallest_damping_eigenvalue,
 )
-from pgran.physics.rounding import EPSILON, residual_rounding
 from pgran.solve.owner import Owner
 
 
@@ -39,6 +38,8 @@ class Layout(Owner):
         How far each spring is stretched when what is driven moves by 1.
     damped : numpy.ndarray, shape (springs,)
         Which part of beta each spring has.
+    smallest_damping : float or None
+        No eigenvalue of C is below it; None where that is still to be found out.
     """
 
     owns = ("like",)
@@ -163,14 +164,9 @@ class LatticeLayout(Layout):
             rows = balls - self.first
             matrix.setValuesRCV(balls[:, None], self._columns[rows], self._values(constants, rows))
 
-    @property
-    def rounding(self):
-        """How much rounding moves residuals: see `residual_rounding`."""
-        return residual_rounding(len(self.shape))
-
     @cached_property
     def smallest_damping(self):
-        """The smallest eigenvalue of C, at least. Collective when first asked for."""
+        """The smallest eigenvalue of C."""
         return smallest_damping_eigenvalue(self.shape)
 
     @property
@@ -190,7 +186,7 @@ class NetworkLayout(Layout):
     comm : mpi4py.MPI.Comm
     """
 
-    laplacian = False
+    laplacian, smallest_damping = False, None
 
     def __init__(self, network, comm):
         """Share out the unknowns, ball by ball, and find the pattern of this rank's rows."""
@@ -227,10 +223,6 @@ class NetworkLayout(Layout):
         self._pointer = np.append(0, np.cumsum(counts)).astype(PETSc.IntType)
         triplets = np.concatenate(products), (places.ravel(), np.concatenate(springs))
         self._contributions = csr_matrix(triplets, shape=(len(keys), len(self.ends)))
-        summed = np.diff(self._contributions.indptr)
-        self.longest, self.deepest = (
-            self.comm.allreduce(int(x.max(initial=1)), op=MPI.MAX) for x in (counts, summed)
-        )
 
     def csr(self, constants):
         """Return row pointers, columns and nonzeros of B^T diag(k) B. Not collective."""
@@ -267,27 +259,12 @@ class NetworkLayout(Layout):
             held.destroy()
         return values[self._number[:-1]] if self.comm.rank == 0 else None
 
-    @property
-    def rounding(self):
-        """How much rounding moves residuals, in units of what they are summed from.
-
-        As `residual_rounding`, with the sums in K of all springs that meet, and products of entries.
-        """
-        return (self.longest + self.deepest + 12) * EPSILON
-
     @cached_property
     def damping_norm(self):
         """No less than |C|_2. Collective when first asked for."""
         pointer, _, values = self.sizes(self.damped)
         sums = np.add.reduceat(values.real, pointer[:-1]) if len(values) else np.zeros(1)
         return 1.01 * self.comm.allreduce(float(sums.max(initial=0.0)), op=MPI.MAX)
-
-    @cached_property
-    def smallest_damping(self):
-        """The smallest eigenvalue of C, at least; 0 if none is certified. Collective."""
-        from pgran.solve.certify import smallest_eigenvalue
-
-        return smallest_eigenvalue(self.network)
 
 
 def partition(network, parts):

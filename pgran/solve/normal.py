@@ -121,13 +121,13 @@ class ModeSolver(Owner):
 
     def _real_modes(self, found, low, high):
         """Return values, shapes and residuals of the slice's real modes that vectors span."""
-        stiffness, shape = self.lattice.stiffness, self.lattice.shape
+        lattice, shape = self.lattice, self.lattice.shape
         # PETSc numbers the balls with the first axis fastest
         fields = found.reshape(-1, *shape[::-1]).transpose(0, *range(len(shape), 0, -1))
-        values, vectors = rayleigh_ritz(stiffness, fields)
+        values, vectors = rayleigh_ritz(lattice, fields)
         inside = (values > low) & (values < high)
         values, vectors = values[inside], vectors[inside]
-        missed = residuals(stiffness, values, vectors) / self.norm
+        missed = residuals(lattice, values, vectors) / self.norm
         return values, with_fixed_sign(vectors), missed
 
     @plain_errors()

@@ -50,6 +50,7 @@ class Operators(Owner):
         """Assemble K, and C where there is damping."""
         self.shape, self.balls, self.comm = lattice.shape, lattice.balls, comm
         self.mass, self.damping, self.axes = lattice.mass, lattice.damping, lattice.axes
+        self.rounding = lattice.rounding
         kind = LatticeLayout if isinstance(lattice, Lattice) else NetworkLayout
         self.layout = kind(lattice, comm)
         self.first, self.last = self.layout.first, self.layout.last
@@ -76,9 +77,9 @@ class Operators(Owner):
 
     @cached_property
     def sizes(self):
-        """Matrices and drives as K, C, f_stiffness and f_damping, of springs' magnitudes summed up.
+        """K, f_stiffness, C and f_damping with the magnitudes of all springs' parts summed up.
 
-        Collective when first asked for; for what is no Laplacian, where they say what rounding does.
+        Collective when first asked for; they say what rounding does to what is no Laplacian.
         """
         found = []
         for constants in (self.constants, self.layout.damped)[: 1 + (self.C is not None)]:
