@@ -9,7 +9,7 @@ from pgran.figures import style
 
 def figures(result, modes=None):
     """Yield three shapes if they are stored, participation ratios, the density of many modes."""
-    record, lattice, made = result.modes, result.lattice, {}
+    record, lattice, made = result.modes, result.medium, {}
     style.check_any(record.omega, "modes")
     if record.vector is not None:
         made["shapes"] = _shapes_page(record, lattice)

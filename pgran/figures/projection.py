@@ -26,7 +26,7 @@ def figures(result, modes=None):
     for name, draw, columns, shown in panels:
         if shown:
             figure, (ax,) = style.page(style.COLUMN, 2.7)
-            draw(ax, projection, result.lattice)
+            draw(ax, projection, result.medium)
             style.legend_above([ax], columns)
             style.note_missing(figure, projection)
             yield name, figure

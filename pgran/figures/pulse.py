@@ -7,7 +7,7 @@ from pgran.figures import bonds, style
 
 def figures(result, modes=None):
     """Yield the signals, and the bonds."""
-    signals, lattice = result.pulse, result.lattice
+    signals, lattice = result.pulse, result.medium
     figure, (ax,) = style.page(style.PAGE, min(8.0, 1.6 + 0.7 * (1 + len(signals.detector))))
     seismogram(ax, signals, lattice)
     style.legend_above([ax], columns=2)

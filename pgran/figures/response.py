@@ -12,7 +12,7 @@ REGIMES = ("low frequencies", "intermediate frequencies", "high frequencies")
 
 def figures(result, modes=None):
     """Yield the amplitudes, a panel a regime, the phases, the group delay, and the bonds."""
-    response, lattice = result.response, result.lattice
+    response, lattice = result.response, result.medium
     yield "amplitude", _amplitude_page(response, lattice, modes)
     figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.13 * len(response.detector))
     phase(ax, response, lattice, modes)

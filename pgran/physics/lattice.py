@@ -151,6 +151,22 @@ class Lattice:
             diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
         return 2 * float(np.max(diagonal))
 
+    def sites(self, detectors):
+        """Return ball indices, flat or one row a detector, as an array: see `detector_sites`."""
+        return detector_sites(self.shape, detectors)
+
+    def distance(self, sites):
+        """Return how far balls are from the driven wall, in spacings, shape (nd,)."""
+        return self.shape[0] - sites[:, 0]
+
+    def displacements(self, field):
+        """Return an array of unknowns as displacements, which they are here."""
+        return field
+
+    def per_ball(self, squares):
+        """Return sums over the components of each ball, of which there is one, shape (n, balls)."""
+        return squares.reshape(len(squares), math.prod(squares.shape[1:]))
+
     def restoring_forces(self, fields):
         """Return K f = B^T diag(k) B f for fields of shape (count, *shape). Not collective."""
         stretches = stretch(fields, self.axes)

@@ -379,6 +379,22 @@ class Network:
             along = np.eye(self.axes)[AXES.index(self.component)]
         return unknowns, along * self.weights[unknowns]
 
+    def distance(self, sites):
+        """Return how far balls are from the nearest driven one, NaN if unknown, shape (nd,)."""
+        driven = np.flatnonzero(self.held == DRIVEN)
+        if self.position is None or not len(driven):
+            return np.full(len(sites), np.nan)
+        away = self.position[sites[:, 0]][:, None] - self.position[driven]
+        return np.sqrt(np.sum(away**2, axis=2)).min(axis=1)
+
+    def displacements(self, field):
+        """Return mass-weighted unknowns as displacements, shape (..., unknowns)."""
+        return self.weights * field
+
+    def per_ball(self, squares):
+        """Return sums over the components of each free ball, shape (n, free balls)."""
+        return squares.reshape(len(squares), -1, self.components).sum(axis=2)
+
     def in_own_unit(self):
         """Return the same network with its largest constant between 1 and 2, and the unit.
 

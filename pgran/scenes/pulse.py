@@ -10,7 +10,7 @@ from pgran.files.options import FLAG, INTEGER, REAL, TEXT, Option
 from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.pulse import SHAPES, Pulse, Samples
-from pgran.results import LatticeRecord
+from pgran.results import record_of
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
@@ -76,7 +76,7 @@ def run(options, world, crew):
             error_tolerance=options.error_tolerance,
             progress=options.output_progress,
         )
-    return signals and [LatticeRecord.of(lattice), signals]
+    return signals and [record_of(lattice), signals]
 
 
 def chosen(options, world):

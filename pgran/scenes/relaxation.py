@@ -11,8 +11,8 @@ from pgran.machine import check_memory
 from pgran.parallel.task import Task, carry_out
 from pgran.physics.accuracy import below_relative_accuracy
 from pgran.physics.changes import draw_changes
-from pgran.physics.lattice import bond_count, bond_places, check_frequency, detector_sites
-from pgran.results import LatticeRecord, Relaxation
+from pgran.physics.lattice import bond_count, bond_places, check_frequency
+from pgran.results import Relaxation, record_of
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
@@ -80,7 +80,7 @@ def run(options, world, crew):
         return None
     memory = bond_count(lattice.shape)
     spectrum = None if workers.dry else spectrum_of(relaxation, window, memory)
-    return [record for record in (LatticeRecord.of(lattice), relaxation, spectrum) if record]
+    return [record for record in (record_of(lattice), relaxation, spectrum) if record]
 
 
 def spectrum_of(relaxation, window, memory):
@@ -214,7 +214,7 @@ class Steps(Task):
     def __init__(self, lattice, law, detectors, chosen, choices):
         """Cut the trajectories into stretches of whole windows."""
         self.lattice, self.law, self.choices = lattice, law, choices
-        self.sites = detector_sites(lattice.shape, detectors)
+        self.sites = lattice.sites(detectors)
         self.omega, self.steps, self.trajectories, self.seed, self.method, self.window = (
             chosen[f"relax_{name}"]
             for name in ("omega", "steps", "trajectories", "seed", "method", "window")

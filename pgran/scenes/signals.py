@@ -11,7 +11,7 @@ from pgran.parallel.agreement import on_root
 from pgran.parallel.task import Task, carry_out
 from pgran.physics import signal
 from pgran.physics.laplace import Limits, Line
-from pgran.physics.lattice import detector_sites, smallest_damping_eigenvalue
+from pgran.physics.lattice import smallest_damping_eigenvalue
 from pgran.results import Signals
 from pgran.scenes.sweeping import FrequencySweep
 
@@ -44,7 +44,7 @@ class Listening:
     def __init__(self, lattice, detectors, sent, time, points, tolerance, fields):
         """Choose how finely powers are integrated."""
         self.lattice, self.sent, self.tolerance, self.fields = lattice, sent, tolerance, fields
-        self.sites = detector_sites(lattice.shape, detectors)
+        self.sites = lattice.sites(detectors)
         self.scaled, self.unit = lattice.in_own_unit()
         self.limits = limits_of(self.scaled)
         self.highest = math.sqrt(self.limits.stiffness / self.scaled.mass)  # of normal modes
