@@ -8,7 +8,7 @@ import numpy as np
 from pgran.figures import balls, style
 
 
-def figures(result, modes=None):
+def figures(result, **_):
     """Yield three shapes if they are stored, participation ratios, the density of many modes."""
     record, lattice, made = result.modes, result.lattice, {}
     style.check_any(record.omega, "modes")
