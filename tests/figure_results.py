@@ -46,6 +46,11 @@ def relax(steps=300):
     return result_of(pgran.relax(LATTICE, law, 0.6 * UNIT, [(1, 2)], steps=steps))
 
 
+def listen(sites=((1, 1),), lattice=LATTICE, **sent):
+    sent = {"width": 3.0, "omega": 0.6 * UNIT, "time": 200.0, "points": 801, "fields": True} | sent
+    return result_of(pgran.pulse(lattice, np.ravel(sites), **sent), lattice)
+
+
 def compare(errors):
     """An accuracy study: configurations of one solver each, slower and slower."""
     seconds = np.arange(1.0, len(errors) + 1)

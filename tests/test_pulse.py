@@ -180,22 +180,3 @@ def test_what_bounds_the_motion():
     assert size * math.exp(line.sigma * TIME) <= 1e-6
     assert size <= line.left_out
     assert len(line.s) < 0.7 * len(every)
-
-
-def test_the_figure_stacks_signals_by_distance():
-    """Each scaled to its largest; the front marked; what its error hides is not drawn."""
-    reading = pytest.importorskip("figure_reading")
-    from pgran.figures.pulse import seismogram
-
-    lattice = random_lattice((8, 5), 1)
-    signals = listened(lattice, (2, 2, 6, 2, 4, 2), MPI.COMM_SELF)
-    ax = reading.draw(seismogram, signals, lattice)
-    names = [text.get_text().split("\n")[0] for text in ax.get_yticklabels()]
-    assert names == ["driven wall", "ball (6, 2)", "ball (4, 2)", "ball (2, 2)"]
-    wall, *drawn = [line for line in ax.get_lines() if len(line.get_xdata()) == POINTS]
-    assert np.abs(wall.get_ydata()).max() == pytest.approx(0.45)
-    for row, (d, line) in enumerate(zip((1, 2, 0), drawn, strict=True), 1):
-        largest = np.abs(signals.displacement[:, d]).max()
-        assert line.get_ydata() == pytest.approx(row + 0.45 * signals.displacement[:, d] / largest)
-    signals.error_bound[:] = np.inf
-    assert len(reading.draw(seismogram, signals, lattice).get_lines()) == 1

@@ -9,7 +9,7 @@ SHOWN = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes o
 HANDFUL = 10  # frequencies or modes that make no curve
 
 
-def figures(result, modes=None):
+def figures(result, **_):
     """Yield what a projection can show.
 
     One driving frequency: its coefficients. A sweep: the dominant mode and three single modes. A

@@ -155,7 +155,7 @@ class Lattice:
         """Return ball indices, flat or one row a detector, as an array: see `detector_sites`."""
         return detector_sites(self.shape, detectors)
 
-    def distance(self, sites):
+    def depths(self, sites):
         """Return how far balls are from the driven wall, in spacings, shape (nd,)."""
         return self.shape[0] - sites[:, 0]
 

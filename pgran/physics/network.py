@@ -379,7 +379,7 @@ class Network:
             along = np.eye(self.axes)[AXES.index(self.component)]
         return unknowns, along * self.weights[unknowns]
 
-    def distance(self, sites):
+    def depths(self, sites):
         """Return how far balls are from the nearest driven one, NaN if unknown, shape (nd,)."""
         driven = np.flatnonzero(self.held == DRIVEN)
         if self.position is None or not len(driven):

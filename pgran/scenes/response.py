@@ -301,7 +301,7 @@ class ResponseSweep(FrequencySweep):
         slope, slope_error, intercept, low, high = np.transpose(
             [astuple(line)[:-1] for line in lines]
         )
-        velocity = phase_velocity(slope, lattice.distance(self.sites))
+        velocity = phase_velocity(slope, lattice.depths(self.sites))
         return Response(
             factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,
