@@ -16,7 +16,7 @@ SWEEP = np.linspace(0.005, 1.3, 260)  # in units of omega_mx, as all frequencies
 def result_of(record, lattice=LATTICE):
     """A result of one record."""
     records = {"lattice": results.LatticeRecord.of(lattice), record.group: record}
-    return SimpleNamespace(scene=record.group, **records)
+    return SimpleNamespace(scene=record.group, medium=records.get("lattice"), **records)
 
 
 def respond(x=SWEEP, detectors=((1, 1),), lattice=LATTICE):

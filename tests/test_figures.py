@@ -145,7 +145,7 @@ def test_nothing_to_draw():
     result = respond([0.5])
     with pytest.raises(FileError, match=r"nothing to draw in this result .scene response"):
         figures.make(SimpleNamespace(scene=result.scene, lattice=result.lattice))
-    result.lattice = replace(result.lattice, omega_mx=0.0)
+    result.medium = replace(result.medium, omega_mx=0.0)
     with pytest.raises(FileError, match="omega_mx is 0"):
         figures.make(result)
 

@@ -118,7 +118,7 @@ def check_lattice(values, given):
         return
     if values["network_damping"] is not None:
         raise InputError("-network_damping belongs to -network_file; of a lattice -lattice_damping")
-    if values.get("detectors_component", "drive") != "drive":
+    if values.get("detectors_component") not in ("drive", None):
         raise InputError("-detectors_component: balls of a lattice have one displacement")
     if len(values["lattice_shape"]) > 3:
         raise InputError("-lattice_shape: a lattice has 1 to 3 axes")
