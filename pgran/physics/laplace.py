@@ -29,6 +29,7 @@ GROWTH = 16.0  # sigma times the time wanted
 SHORTEST = 1.2  # the period, in units of the time wanted
 LEFT_OUT = 1e-9  # of the tolerance: what frequencies left out may add up to
 LATER = 1e-4  # of the tolerance: what later turns may
+AT_ONCE = 300_000  # numbers of a Fourier transform that are kept at once
 
 
 @dataclass(frozen=True)
@@ -142,9 +143,13 @@ class Line:
 
         Not collective. Parameters are those of `inverse`.
         """
-        turning = self._weight * np.exp(np.outer(time, self.s))
-        real, imaginary = (np.ascontiguousarray(part) for part in (turning.real, turning.imag))
-        return np.tensordot(real, transforms.real, 1) - np.tensordot(imaginary, transforms.imag, 1)
+        found = []
+        for part in np.array_split(time, 1 + len(time) * len(self.s) // AT_ONCE):
+            turning = self._weight * np.exp(np.outer(part, self.s))
+            real, imaginary = (np.ascontiguousarray(x) for x in (turning.real, turning.imag))
+            moved = np.tensordot(real, transforms.real, 1)
+            found.append(moved - np.tensordot(imaginary, transforms.imag, 1))
+        return np.concatenate(found)
 
     def signals(self, amplitude, bound):
         """Return displacements, velocities, and a bound of the error of each, shape (nt, nd).

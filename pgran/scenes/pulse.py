@@ -211,7 +211,7 @@ def samples_of(wall, step):
         raise InputError("-pulse_file: a motion is a list of numbers") from None
     if values.ndim == 2 and values.shape[1] == 2:
         apart = np.diff(values[:, 0])
-        step = apart.mean() if len(apart) else step
+        step = np.median(apart) if len(apart) else step  # a gap changes their mean
         uneven = np.flatnonzero(~(np.abs(apart - step) <= 1e-6 * step))
         if uneven.size or not step > 0:
             at = values[uneven[0] if uneven.size else 0, 0]
@@ -219,6 +219,7 @@ def samples_of(wall, step):
                 f"-pulse_file: times must increase by equal steps, and do not at {at:g}; fill the "
                 "gap, or resample the motion"
             )
+        step = apart.mean() if len(apart) else step
     elif values.ndim != 1 and values.shape[1:] != (1,):
         raise InputError("-pulse_file: a motion is one column of numbers, or times and numbers")
     values = values[:, -1] if values.ndim == 2 else values
