@@ -6,25 +6,21 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from samples import (
-    TIME,
     listened,
-    option_values,
     random_lattice,
     reference_of,
     swept,
     uniform_lattice,
 )
-from scipy.integrate import quad, solve_ivp, trapezoid
+from scipy.integrate import solve_ivp, trapezoid
 from scipy.special import jv
 
-from pgran.command.resolve import resolve
-from pgran.errors import FileError, InputError
-from pgran.files.columns import read_columns
-from pgran.files.reading import read_words
+from pgran.errors import InputError
 from pgran.physics.laplace import Line
 from pgran.physics.lattice import Lattice
-from pgran.physics.pulse import Pulse, Samples
+from pgran.physics.pulse import Pulse
 from pgran.physics.signal import codas, envelopes
+from pgran.scenes.interface import holding_solver
 from pgran.scenes.signals import limits_of
 from pgran.solve.integrate import Integrator
 from pgran.solve.operators import Operators
@@ -93,7 +89,7 @@ def test_orders_of_integrators(comm, solver_options, options, step, order):
         solver_options(f"-pulse_ts_dt {h}")
         with (
             Operators(lattice, comm) as operators,
-            Integrator(operators, [(2, 1)], MOTION) as integrator,
+            Integrator(operators, [(2, 1)], MOTION, 1.0) as integrator,
         ):
             found = integrator.run(37.6, 1e-6, begin=-20.0)
         steps = np.arange(37) * round(1.6 / h)
@@ -212,140 +208,16 @@ def test_the_spectrum_of_a_long_signal_is_the_steady_response(world):
 # Motions that are given by numbers
 
 
-def test_a_motion_goes_through_its_numbers():
-    """Any numbers; at rest before them, and after them too; derivatives and transform of itself."""
-    values = np.random.default_rng(3).normal(size=30)
-    values[0] = 0.0
-    sent, width = Samples(values, 0.7), 0.7
-    t = width * np.arange(30)
-    assert np.abs(sent.moves(t)[0] - values).max() < 1e-12
-    assert np.abs(sent.moves(-width * np.arange(1, 30))[0]).max() < 1e-12
-    assert not sent.moves(np.array([-60.0])).any()
-    assert np.abs(sent.moves(sent.end + t)[0] - values[-1]).max() < 1e-12
-    after = np.linspace(sent.end + 30, sent.end + 300, 999)
-    assert np.abs(sent.moves(after)[0] - values[-1]).max() < 1e-7 * np.abs(values).max()
-    h, inner = 1e-4, np.linspace(-3, 25, 57)
-    for order in (1, 2):
-        before, later = sent.moves(inner - h, 3)[order - 1], sent.moves(inner + h, 3)[order - 1]
-        slope = sent.moves(inner, 3)[order]
-        assert np.abs((later - before) / (2 * h) - slope).max() < 1e-6 * np.abs(slope).max()
-    end = sent.end + 60
-    for s in (0.3 + 0.1j, 0.2 - 2.0j, 0.05 + 4j):
-
-        def part(t, which, s=s):
-            return getattr(sent.moves(t)[0] * np.exp(-s * t), which)
-
-        whole = (
-            sum(
-                unit * quad(part, *ends, args=(name,), limit=900, epsabs=1e-11)[0]
-                for unit, name in ((1, "real"), (1j, "imag"))
-                for ends in ((-35, 0), (0, 10), (10, sent.end), (sent.end, end))
-            )
-            + values[-1] * np.exp(-s * end) / s
-        )
-        assert abs(sent.transform(np.array(s)) - whole) < 1e-7 * abs(whole) + 1e-9
-    moved, turned = (size[0] for size in sent.sizes(np.array([end])))
-    fine = np.abs(sent.moves(np.linspace(-35, end, 9999), 2)).mean(axis=1) * (end + 35)
-    assert fine[0] <= moved
-    assert fine[1] <= turned
-
-
-@pytest.mark.parametrize("shape", ["gauss", "step", "burst"])
-@pytest.mark.parametrize("method", ["laplace", "integrate"])
-@pytest.mark.parametrize("columns", [1, 2])
-def test_a_shape_by_numbers_gives_the_same_signals(world, shape, method, columns):
-    """At the recorded times, or at its own in two columns, until the motion has ended."""
-    lattice, sent = random_lattice((5, 4), 5, 0.01), Pulse(shape, 0.6, 8.0)
-    choices = {"width": 8.0, "time": TIME, "error_tolerance": 1e-6, "points": 201}
-    expected = listened(lattice, (2, 2), world, **choices, shape=shape, omega=0.6)
-    time = expected.time[:120] if columns == 1 else np.linspace(0.0, 118.0, 150)
-    wall = sent.moves(time)[0]
-    if columns == 2:
-        wall = np.stack([time + 5, wall], axis=1)  # where they begin does not matter
-    found = listened(lattice, (2, 2), world, **choices, wall=wall, method=method)
-    assert found.shape == "file"
-    assert found.failures == 0
-    wrong = np.abs(found.displacement - expected.displacement)
-    assert np.all(wrong <= found.error.max(axis=0) + expected.error_bound + 1e-7)
-
-
-REFUSED = {
-    "lasts until 3; listen longer": {"wall": [[0, 0], [1, 1], [2, 1], [3, 0]], "time": 2.0},
-    "lasts until 96; listen longer, or take a shorter pulse": {"time": 90.0},
-    "record 64 times or more": {"points": 20},
-    "a list of numbers": {"wall": ["a", "b"]},
-    "one column of numbers, or times and numbers": {"wall": np.zeros((5, 3))},
-    "increase by equal steps, and do not at 2": {"wall": [[0, 0], [1, 1], [2, 1], [4, 0]]},
-    "equal steps, and do not at 3": {"wall": [[3, 0], [2, 1], [1, 0]]},
-    "equal steps, and do not at 0": {"wall": [[0, 0], [math.nan, 1], [2, 1]]},
-    "two finite numbers or more": {"wall": [0.0, math.nan, 1.0]},
-    "not all zero": {"wall": np.zeros(5)},
-    "two finite numbers": {"wall": [1.0]},
-    "let the motion begin smoothly": {"wall": [1.0, 2.0, 1.0]},
-    "pulse_shape": {"shape": "square"},
-    "pulse_width": {"width": 0.0},
-    "pulse_points": {"points": 1},
-    "pulse_method": {"method": "guess"},
-    "is outside the lattice": {"sites": (9, 9)},
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("said", REFUSED)
-def test_what_is_refused_says_what_to_change(world, said):
-    choices = {"sites": (2, 2)} | REFUSED[said]
-    with pytest.raises(InputError) as refused:
-        listened(random_lattice((5, 4), 2), choices.pop("sites"), world, **choices)
-    assert said in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("0\n1\n\n# end\n2 three\n", "a.txt:5: '2 three' is no number; begin comments with #"),
-        ("0 0\n1\n", "a.txt:2: 1 numbers; each line has one, or a time and one"),
-        ("0 0 0\n", "a.txt:1: 3 numbers"),
-        ("0\nnan\n1\n", "a.txt:2: 'nan' is not finite; fill the gap"),
-        ("0,1\n1,1e999", "a.txt:2: '1,1e999' is not finite"),
-        ("# nothing\n\n", "a.txt: holds no numbers"),
-    ],
-)
-def test_files_that_hold_no_motion(written, text, said):
-    with pytest.raises(FileError) as refused:
-        read_columns(written(text, "a.txt"))
-    assert said in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
-def test_columns_of_a_file(written):
-    """Comments, empty lines, a mark of the encoding, any of three separators."""
-    content = "\ufeff# t u\n0, 1\n\n 1;2 # note\n2\t3e-1\n"
-    assert read_columns(written(content)).tolist() == [[0, 1], [1, 2], [2, 0.3]]
-
-
-def test_a_file_and_a_shape_are_alternatives():
-    words = "-scene pulse -pulse_file a.txt -pulse_shape gauss"
-    with pytest.raises(InputError, match="pulse_file") as refused:
-        resolve(read_words(words.split()))
-    assert "pulse_shape" in str(refused.value)
-
-
-# Integrations
-
-
 PULSE = "-scene pulse -lattice_shape 5,4 -detectors 2,2 -pulse_time 250 -pulse_points 101"
 
 
-@pytest.mark.parametrize("more", ["-pulse_ts_max_steps 3", "-pulse_ts_max_time 100"])
-def test_an_integration_that_gives_up_is_not_passed(place, call, world, more):
+def test_an_integration_that_gives_up_is_not_passed(place, call, world):
     """It is said, estimates are infinite, and a run ends as other inaccurate ones do."""
     place("p.opts", f"{PULSE} -pulse_method integrate -output_progress none")
-    ended = call("run", "p.opts", *more.split())
+    ended = call("run", "p.opts", "-pulse_ts_max_steps", "3")
     assert ended.returncode == 3
     assert "an integration has ended at time" in ended.stderr
-    from pgran.scenes.interface import holding_solver
-
-    with holding_solver(option_values(more)):
+    with holding_solver({"pulse_ts_max_steps": 3}):
         found = listened(random_lattice((5, 4)), (2, 2, 1, 1), world, method="integrate")
     assert found.failures == 2
     assert np.all(np.isinf(found.error_estimate))
@@ -353,10 +225,30 @@ def test_an_integration_that_gives_up_is_not_passed(place, call, world, more):
     assert np.all(np.isnan(found.decay))
 
 
-def test_no_other_integrators(world, solver_options):
-    solver_options("-pulse_ts_type bdf")
-    with pytest.raises(InputError, match=r"pulse_ts_type bdf: .* by rk or alpha2"):
-        listened(random_lattice((5, 4)), (2, 2), world, method="integrate")
+@pytest.mark.parametrize(
+    "key",
+    [
+        *("ts_type bdf", "ts_rtol 1e-2", "ts_init_time 8", "ts_exact_final_time interpolate"),
+        *("ts_dt -1", "ts_dt nan", "snes_type ksponly"),
+    ],
+)
+def test_what_would_make_another_integration_is_refused(world, solver_options, key):
+    solver_options(f"-pulse_{key}")
+    with pytest.raises(InputError, match=f"-pulse_{key.split()[0]}"):
+        listened(random_lattice((4, 3), 5), (2, 1), world, method="integrate")
+
+
+@pytest.mark.parametrize("kind", ["type alpha2", "rk_type 1fe"])
+def test_steps_of_a_fixed_length_are_halved_for_the_estimate(world, solver_options, kind):
+    """Two integrations are never the same: their difference tells the error."""
+    lattice, choices = random_lattice((4, 3), 5, 0.1), SHORT | {"width": 2.0, "time": 40.0}
+    right = listened(lattice, (2, 1), world, **choices).displacement
+    solver_options(f"-pulse_ts_{kind} -pulse_ts_adapt_type none -pulse_ts_dt .5")
+    asked = choices | {"error_tolerance": 1e-2}
+    found = listened(lattice, (2, 1), world, method="integrate", **asked)
+    wrong = np.abs(found.displacement - right)
+    assert 1e-5 < wrong.max() <= 1.1 * found.error_estimate.max()
+    assert found.failures == 0
 
 
 def test_ranks_that_share_a_lattice_integrate_alike(world):

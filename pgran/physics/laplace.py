@@ -115,7 +115,7 @@ class Line:
         self._weight = np.where(self.number == 0, 1.0, 2.0) / self.period
         self.growth = math.exp(GROWTH) * np.sum(self._weight * np.abs(self.transform))
 
-    def inverse(self, transforms):
+    def inverse(self, transforms, finer=1):
         """Return functions at the times of the signals from their transforms on the line.
 
         Not collective.
@@ -123,19 +123,22 @@ class Line:
         Parameters
         ----------
         transforms : numpy.ndarray, shape (ns, ...)
+        finer : int
+            Each step between these times is cut into so many.
 
         Returns
         -------
-        numpy.ndarray, shape (points, ...)
+        numpy.ndarray, shape (finer (points - 1) + 1, ...)
         """
         from scipy.fft import irfft  # here: SciPy takes its time, and all scenes are imported
 
-        fold = -(-2 * (self.number[-1] + 1) // self.times)  # so fine a grid holds all frequencies
-        n = fold * self.times
+        times, count = finer * self.times, finer * (len(self.time) - 1) + 1
+        fold = -(-2 * (self.number[-1] + 1) // times)  # so fine a grid holds all frequencies
+        n = fold * times
         spectrum = np.zeros((n // 2 + 1, *transforms.shape[1:]), dtype=complex)
         spectrum[self.number] = transforms
-        values = irfft(spectrum, n, axis=0)[: fold * len(self.time) : fold]
-        growth = np.exp(self.sigma * self.time) * (n / self.period)
+        values = irfft(spectrum, n, axis=0)[: fold * count : fold]
+        growth = np.exp(self.sigma * np.linspace(0.0, self.time[-1], count)) * (n / self.period)
         return values * growth.reshape(-1, *[1] * (values.ndim - 1))
 
     def at(self, time, transforms):

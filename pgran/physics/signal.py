@@ -80,7 +80,8 @@ def codas(time, envelope, error):
         if count >= FEWEST_BLOCKS:
             middle = [time[block].mean() for block in blocks[:count]]
             line = linregress(middle, np.log(level[:count]))
-            rates[:, d] = -line.slope / 2, line.stderr / 2
+            if line.slope < 0:
+                rates[:, d] = -line.slope / 2, line.stderr / 2
     return rates
 
 
