@@ -5,34 +5,33 @@ import math
 import numpy as np
 import pytest
 from mpi4py import MPI
-from samples import assert_same, random_lattice, reference_of, uniform_lattice
+from samples import (
+    POINTS,
+    TIME,
+    WIDTH,
+    assert_same,
+    listened,
+    random_lattice,
+    reference_of,
+    uniform_lattice,
+)
 from scipy.integrate import quad, solve_ivp
 
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.files.reading import read_words
-from pgran.parallel.crew import Crew
 from pgran.physics.laplace import Line
 from pgran.physics.lattice import Lattice
 from pgran.physics.pulse import SHAPES, Pulse
 from pgran.physics.signal import arrivals
-from pgran.scenes.pulse import pulse
 from pgran.scenes.signals import limits_of
 
-WIDTH, TIME, POINTS = 8.0, 200.0, 161
 KINDS = [
     ((6, 5), 0.003, (2, 2)),
     ((12,), 0.0, (3,)),
     ((3, 2, 3), 0.1, (1, 1, 1)),
     ((4, 4), 0.5, (2, 1)),
 ]
-
-
-def listened(lattice, sites, comm, ranks=1, **choices):
-    """The signals, on every rank of `comm`."""
-    choices = {"width": WIDTH, "time": TIME, "points": POINTS, "method": "laplace"} | choices
-    with Crew(comm, ranks) as crew:
-        return comm.bcast(pulse(lattice, sites, crew, **choices))
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from pgran.physics.laplace import AT_ONCE
 from pgran.physics.lattice import stretch
 from pgran.physics.rounding import SMALLEST_NORMAL
 
@@ -9,7 +10,6 @@ FRONT = 0.1  # of the largest displacement: where a front has arrived
 BLOCKS, FEWEST_BLOCKS = 16, 6  # that a coda is cut into, and that a rate needs
 NODES = 6  # steps of an integrator that a polynomial goes through
 DEGREE = 11  # of the splines that are integrated: an odd number
-AT_ONCE = 300_000  # numbers of a Fourier transform that are kept at once
 
 
 def arrivals(time, displacement, error):
@@ -80,7 +80,8 @@ def codas(time, envelope, error):
         if count >= FEWEST_BLOCKS:
             middle = [time[block].mean() for block in blocks[:count]]
             line = linregress(middle, np.log(level[:count]))
-            rates[:, d] = -line.slope / 2, line.stderr / 2
+            if line.slope < 0:
+                rates[:, d] = -line.slope / 2, line.stderr / 2
     return rates
 
 

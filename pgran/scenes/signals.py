@@ -15,7 +15,7 @@ from pgran.physics.lattice import smallest_damping_eigenvalue
 from pgran.results import Signals
 from pgran.scenes.sweeping import FrequencySweep
 
-WHOLE = 100_000  # amplitudes of all balls are kept if they are no more numbers than that
+WHOLE = 4e8  # amplitudes of all balls are kept, for energies at all times, if that costs no more
 FIELDS = 4  # times at which the field is kept
 FINE = 0.6  # step times frequency of what is integrated by splines: to about 1e-9
 COARSE, FINER = 0.3, 0.1  # tolerance of the first integration, and of each against the one before
@@ -121,7 +121,8 @@ class PulseLine(FrequencySweep):
         self.line = Line(listening.sent, time[-1], len(time), listening.limits, tolerance)
         self.fields = listening.fields
         shape, detectors = listening.lattice.shape, len(listening.sites)
-        self.whole = self.fields or len(self.line.s) * math.prod(shape) <= WHOLE
+        cost = len(self.line.s) * math.prod(shape) * len(listening.fine)
+        self.whole = self.fields or cost <= WHOLE
         kept = [
             ("displacement", complex, (detectors,)),
             ("error_bound", float, (detectors,)),
@@ -161,7 +162,7 @@ class PulseLine(FrequencySweep):
             "laplace",
             (displacement, velocity),
             (error_bound, velocity_bound),
-            line.at(listening.fine, np.nan_to_num(rows["force"]) * line.transform),
+            line.inverse(np.nan_to_num(rows["force"]) * line.transform, listening.finer),
             energy,
             power,
             sigma=line.sigma,
@@ -182,7 +183,8 @@ class Integration(Task):
     Parameters
     ----------
     listening : Listening
-    tolerances : sequence of float
+    tolerances : sequence of (int, float)
+        How many coarser integrations there are, and the tolerance.
     """
 
     items = "times"
@@ -190,7 +192,8 @@ class Integration(Task):
     def __init__(self, listening, tolerances):
         """Plan an integration at each tolerance."""
         self.listening = listening
-        self.units = [(tolerance, None, float(listening.time[-1])) for tolerance in tolerances]
+        end = float(listening.time[-1])
+        self.units = [(number, tolerance, None, end) for number, tolerance in tolerances]
         times, fine, detectors = len(listening.time), len(listening.fine), len(listening.sites)
         kept = [
             ("displacement", float, (times, detectors)),
@@ -215,12 +218,12 @@ class Integration(Task):
         keep_at = listening.field_time if listening.fields else ()
         with (
             Operators(listening.scaled, group) as operators,
-            Integrator(operators, listening.sites, listening.sent) as integrator,
+            Integrator(operators, listening.sites, listening.sent, listening.highest) as integrator,
         ):
 
             def work(unit):
-                tolerance, begin, end = unit
-                return self.read(integrator.run(end, tolerance, keep_at, begin))
+                number, tolerance, begin, end = unit
+                return self.read(integrator.run(end, tolerance, number, keep_at, begin))
 
             yield work
 
@@ -244,7 +247,7 @@ class Integration(Task):
 
     def length(self, unit):
         """See `Task`: times."""
-        _, begin, end = unit
+        *_, begin, end = unit
         time = self.listening.time
         return np.count_nonzero((time >= (begin or 0.0)) & (time <= end))
 
@@ -254,9 +257,10 @@ class Integration(Task):
 
     def sample(self, unit):
         """See `Task`: a little after the middle of the pulse, where steps are short."""
-        tolerance, _, end = unit
+        number, tolerance, _, end = unit
         begin = self.listening.sent.centre
-        return tolerance, begin, begin + max(0.02 * (end - begin), 2 * self.listening.time[1])
+        part = max(0.02 * (end - begin), 2 * self.listening.time[1])
+        return number, tolerance, begin, begin + part
 
     def collect(self, rows, seconds):
         """Return the rows, and what they took."""
@@ -277,7 +281,7 @@ def integrate(listening, crew, progress):
         Style of `pgran.parallel.progress.Progress`.
     """
     tolerance = COARSE * listening.tolerance
-    tolerances, rows, seconds = [tolerance, FINER * tolerance], [], 0.0
+    tolerances, rows, seconds = [(0, tolerance), (1, FINER * tolerance)], [], 0.0
     while tolerances:
         found = carry_out(Integration(listening, tolerances), crew, progress)
         if found:
@@ -312,9 +316,20 @@ def integrate(listening, crew, progress):
     )
 
 
-def next_tolerance(listening, rows, tolerance):
-    """Return at which tolerances to integrate once more, none if that is no use. Not collective."""
-    before, last = rows
+def next_tolerance(listening, rows, last):
+    """Return at which tolerances to integrate once more, none if that is no use.
+
+    Not collective.
+
+    Parameters
+    ----------
+    listening : Listening
+    rows : list of numpy.void
+        What the last two integrations found.
+    last : (int, float)
+        Number and tolerance of the last one.
+    """
+    (number, tolerance), (before, last) = last, rows
     largest = np.abs(last["displacement"]).max(axis=0)
     wrong = np.abs(last["displacement"] - before["displacement"]).max(axis=0)
     allowed = listening.tolerance * largest
@@ -323,7 +338,7 @@ def next_tolerance(listening, rows, tolerance):
     # what is left is the error of `last`: may it serve as the coarser one of the next pair?
     missing = np.min(allowed[wrong > allowed] / (FINER * wrong[wrong > allowed]))
     smaller = tolerance * (FINER if missing > 1 else np.clip(0.5 * missing, 1e-6, FINER))
-    return [smaller] if smaller >= LEAST else []
+    return [(number + 1, smaller)] if smaller >= LEAST else []
 
 
 def limits_of(lattice):
