@@ -143,6 +143,31 @@ class Lattice:
         return math.sqrt(2 * self.axes * self.kmax / self.mass)
 
     @property
+    def bonds(self):
+        """How many bonds there are, wall bonds included."""
+        return bond_count(self.shape)
+
+    @property
+    def rows(self):
+        """|b|_2 of a bond between balls, and what rounding adds to b^T x beside its own."""
+        return math.sqrt(2), 0.0
+
+    def bond_places(self, bonds):
+        """Return axis and index of numbered bonds: see `bond_places`. Not collective."""
+        return bond_places(self.shape, bonds)
+
+    @property
+    def drive_norms(self):
+        """|f|_2 of what the springs at the driven wall do, and of their dashpots for beta = 1."""
+        driven = self.stiffness[0][-1]
+        return math.sqrt(np.sum(driven**2)), math.sqrt(driven.size)
+
+    @property
+    def damping_norm(self):
+        """No less than |C|_2."""
+        return 4 * self.axes
+
+    @property
     def stiffness_norm(self):
         """No less than |K|_inf: twice its largest diagonal entry."""
         diagonal = 0.0

@@ -292,6 +292,37 @@ class Network:
         return (self.B.T @ (self.springs.constants[:, None] * (self.B @ fields.T))).T
 
     @property
+    def bonds(self):
+        """How many contacts there are."""
+        return len(self.bond)
+
+    @property
+    def rows(self):
+        """The largest |b|_2 of a contact, and what rounding adds to b^T x, in units of |x|_2."""
+        values = self.springs.values
+        size = float(np.sqrt(np.sum(values[: self.bonds] ** 2, axis=1)).max())
+        return size, (values.shape[1] + 1) * EPSILON * size
+
+    def bond_places(self, bonds):
+        """Return axis and index of numbered contacts, as of an array of one axis."""
+        return np.zeros_like(bonds), bonds[..., None]
+
+    @property
+    def drive_norms(self):
+        """|f|_2 of what the springs at driven balls do, and of their dashpots for beta = 1."""
+        springs = self.springs
+        return tuple(
+            float(np.linalg.norm(self.B.T @ (k * springs.drive)))
+            for k in (springs.constants, springs.damped)
+        )
+
+    @property
+    def damping_norm(self):
+        """No less than |C|_2."""
+        size = abs(self.B)
+        return 1.01 * float((size.T @ (self.springs.damped * (size @ np.ones(self.balls)))).max())
+
+    @property
     def stiffness_norm(self):
         """No less than |K|_inf."""
         size = abs(self.B)

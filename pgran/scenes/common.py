@@ -110,9 +110,12 @@ def alternatives(some, others, values, given):
         values.update(dict.fromkeys(others if first > second else some))
 
 
-def check_lattice(values, given):
-    """Raise where the options of a lattice contradict each other. Not collective."""
-    named = [option.name for option in LATTICE if option not in NETWORK]
+def check_lattice(values, given, law=()):
+    """Raise where the options of a lattice contradict each other.
+
+    Not collective. `law` are names of options that say more than what a lattice is made of.
+    """
+    named = [o.name for o in LATTICE if o not in NETWORK and o.name not in law]
     alternatives(("network_file", "network_damping"), named, values, given)
     if values["network_file"] is not None:
         return

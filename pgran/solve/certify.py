@@ -4,6 +4,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from pgran.physics.lattice import Lattice, smallest_damping_eigenvalue
 from pgran.solve.counting import ModeCounter
 from pgran.solve.layout import NetworkLayout
 
@@ -11,17 +12,20 @@ PARTS = (0.9, 0.5, 0.1, 0.01)  # of the estimate that are tried
 STEPS = 20  # of inverse iteration
 
 
-def smallest_damping(layout):
+def smallest_damping(lattice):
     """Return a number that no eigenvalue of C = B^T diag(damped) B is below; 0 if none is certain.
 
     Not collective, the same on every rank. Of a network it is found out once, on a copy of this
     rank's own: an estimate by inverse iteration is certified by Sylvester's law, as a factorization
     of C less a little more than that number has no negative pivot.
     """
-    if layout.smallest_damping is None:
-        with NetworkLayout(layout.network, MPI.COMM_SELF) as alone:
-            layout.smallest_damping = _certified(*alone.csr(alone.damped))
-    return layout.smallest_damping
+    if isinstance(lattice, Lattice):
+        return smallest_damping_eigenvalue(lattice.shape)
+    known = vars(lattice)
+    if "smallest_damping" not in known:
+        with NetworkLayout(lattice, MPI.COMM_SELF) as layout:
+            known["smallest_damping"] = _certified(*layout.csr(layout.damped))
+    return known["smallest_damping"]
 
 
 def _certified(pointer, columns, values):

@@ -116,7 +116,7 @@ class IntervalModels(Owner):
         terms = 2 * BLOCK + operators.balls / BLOCK + 2 * self.comm.size + 3 * self.width + 16
         drive, damped = 1.01 * np.sqrt(self._total(_squares(self._loads[0])))
         return Limits(
-            stability=operators.damping * smallest_damping(operators.layout),
+            stability=operators.damping * smallest_damping(operators.lattice),
             stiffness=2.02 * self._largest(self._diagonal).item(),
             damping=2.02 * self._largest(self._damping).item(),
             mass=1.01 * self._largest(self._mass).item(),

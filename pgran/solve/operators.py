@@ -48,7 +48,12 @@ class Operators(Owner):
 
     def __init__(self, lattice, comm):
         """Assemble K, and C where there is damping."""
-        self.shape, self.balls, self.comm = lattice.shape, lattice.balls, comm
+        self.lattice, self.shape, self.balls, self.comm = (
+            lattice,
+            lattice.shape,
+            lattice.balls,
+            comm,
+        )
         self.mass, self.damping, self.axes = lattice.mass, lattice.damping, lattice.axes
         self.rounding = lattice.rounding
         kind = LatticeLayout if isinstance(lattice, Lattice) else NetworkLayout
