@@ -192,6 +192,22 @@ class Lattice:
         """Return sums over the components of each ball, of which there is one, shape (n, balls)."""
         return squares.reshape(len(squares), math.prod(squares.shape[1:]))
 
+    def stretched(self, fields, wall):
+        """Yield how far fields (n, *shape) lengthen bonds, (n, bonds), constants, parts of beta.
+
+        Not collective. The driven wall moves by `wall`, shape (n,).
+        """
+        for axis, longer in enumerate(stretch(fields, self.axes)):
+            if axis == 0:
+                longer[:, -1] += wall.reshape(-1, *[1] * (self.axes - 1))  # above the last bond
+            k = self.stiffness[axis].ravel()
+            yield longer.reshape(len(fields), -1), k, np.ones(len(k))
+
+    @property
+    def largest_eigenvalue(self):
+        """No less than |K|_2."""
+        return 4 * self.axes * self.stiffest
+
     def restoring_forces(self, fields):
         """Return K f = B^T diag(k) B f for fields of shape (count, *shape). Not collective."""
         stretches = stretch(fields, self.axes)

@@ -287,6 +287,23 @@ class Network:
         rows = np.repeat(np.arange(len(columns)), np.count_nonzero(there, axis=1))
         return csr_matrix((values[there], (rows, columns[there])), (len(columns), self.balls))
 
+    def stretched(self, fields, wall):
+        """Yield how far fields (n, unknowns) lengthen springs, constants, parts of beta.
+
+        Not collective. What is driven moves by `wall`, shape (n,).
+        """
+        springs = self.springs
+        yield (
+            (self.B @ fields.T).T + wall[:, None] * springs.drive,
+            springs.constants,
+            springs.damped,
+        )
+
+    @property
+    def largest_eigenvalue(self):
+        """No less than |K|_2."""
+        return self.stiffness_norm
+
     def restoring_forces(self, fields):
         """Return K f = B^T diag(k) B f for fields of shape (count, unknowns). Not collective."""
         return (self.B.T @ (self.springs.constants[:, None] * (self.B @ fields.T))).T

@@ -189,6 +189,14 @@ def pulse(
     sent = Pulse(shape, float(omega), float(width)) if wall is None else samples_of(wall, step)
     listening = Listening(lattice, detectors, sent, time, points, error_tolerance, fields)
     check_times(listening)
+    if listening.scaled.constants.min() < 0:
+        from pgran.solve.certify import is_stable
+
+        if not is_stable(listening.scaled):
+            raise InputError(
+                "-network_file: springs of negative constants (pre-stress) make the network "
+                "unstable; after a pulse it would move without bound"
+            )
     task = None if method == "integrate" else PulseLine(listening)
     if method == "auto":
         transform, integrations = predicted_seconds(listening, len(task.omegas))

@@ -11,7 +11,6 @@ from pgran.parallel.agreement import on_root
 from pgran.parallel.task import Task, carry_out
 from pgran.physics import signal
 from pgran.physics.laplace import Limits, Line
-from pgran.physics.lattice import smallest_damping_eigenvalue
 from pgran.results import Signals
 from pgran.scenes.sweeping import FrequencySweep
 
@@ -138,10 +137,10 @@ class PulseLine(FrequencySweep):
 
     def keep(self, point, solver):
         """See `FrequencySweep`: f^T A, and the field, which comes to the first rank of a group."""
-        drive, moved = solver.operators.f, solver.field
-        point["force"] = drive.sum() - drive.tDot(moved)
+        operators, moved = solver.operators, solver.field
+        point["force"] = operators.pull(operators.s) - operators.f.tDot(moved)
         if self.whole:
-            field = solver.operators.layout.field(moved)
+            field = operators.layout.field(moved)
             point["field"] = 0.0 if field is None else field
 
     def collect(self, rows, seconds):
@@ -150,14 +149,14 @@ class PulseLine(FrequencySweep):
         bound = np.where(np.isnan(rows["error_bound"]), np.inf, rows["error_bound"])
         found = line.signals(np.nan_to_num(rows["displacement"]), bound)
         displacement, error_bound, velocity, velocity_bound = found
-        moved = line.transform.reshape(-1, *[1] * len(listening.lattice.shape))
+        U = line.transform.reshape(-1, *[1] * len(listening.lattice.shape))
         energy = power = field = None
         if self.whole:
             field = np.nan_to_num(rows["field"])
             times = listening.time, listening.fine
             energy, power = signal.energies(listening.scaled, line, field, *times)
         if self.fields:
-            field = line.at(listening.field_time, moved * field)
+            field = listening.scaled.displacements(line.at(listening.field_time, U * field))
         return listening.signals(
             "laplace",
             (displacement, velocity),
@@ -242,7 +241,8 @@ class Integration(Task):
             row["energy"] = at(*history.energy.T)
             for number, (time, field) in enumerate(history.fields):
                 row["field_time"][0, number] = time
-                row["field"][0, number] = 0.0 if field is None else field.real
+                if field is not None:
+                    row["field"][0, number] = listening.scaled.displacements(field.real)
         return row
 
     def length(self, unit):
@@ -343,13 +343,14 @@ def next_tolerance(listening, rows, last):
 
 def limits_of(lattice):
     """Return what bounds the motion of a lattice. Not collective."""
-    axes, beta = len(lattice.shape), lattice.damping
-    driven = lattice.stiffness[0][-1]
+    from pgran.solve.certify import smallest_damping
+
+    (drive, damped), beta = lattice.drive_norms, lattice.damping
     return Limits(
         mass=lattice.mass,
-        stability=beta * smallest_damping_eigenvalue(lattice.shape),
-        stiffness=4 * axes * lattice.stiffest,
-        damping=4 * axes * beta,
-        drive=1.01 * math.sqrt(np.sum(driven**2)),
-        drive_damping=1.01 * beta * math.sqrt(driven.size),
+        stability=beta and beta * smallest_damping(lattice),
+        stiffness=lattice.largest_eigenvalue,
+        damping=beta * lattice.damping_norm,
+        drive=1.01 * drive,
+        drive_damping=1.01 * beta * damped,
     )

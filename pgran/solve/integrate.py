@@ -104,15 +104,17 @@ class Integrator(Owner):
         self._products = [(operators.K, 1.0, self._u, self._Ku)]
         if operators.C is not None:
             self._products.append((operators.C, operators.damping, self._v, self._Cv))
-        number = operators.layout.readings(sites)[0][:, 0]
-        self._mine = np.flatnonzero((number >= operators.first) & (number < operators.last))
-        self._detectors, self._count = number[self._mine] - operators.first, len(number)
+        numbers, weights = operators.layout.readings(sites)
+        mine = (numbers >= operators.first) & (numbers < operators.last)
+        # of unknowns of others the weight is zero
+        self._detectors = np.where(mine, numbers - operators.first, 0)
+        self._weights, self._count = np.where(mine, weights, 0.0), len(numbers)
         drives = [operators.f_stiffness.getArray().real, 0.0 * self._u.getArray().real]
         if operators.C is not None:
             drives[1] = operators.damping * operators.f_damping.getArray().real
         self._driven = np.flatnonzero(np.any(drives, axis=0))
         self._drives = np.array(drives)[:, self._driven]
-        self._sums = self.comm.allreduce(self._drives.sum(axis=1))
+        self._sums = operators.pull(0.0).real, (operators.pull(1.0) - operators.pull(0.0)).real
 
     def _first_order_matrix(self):
         """Return J: in row 2 p that u' is the velocity, in row 2 p + 1 what accelerates ball p."""
@@ -256,8 +258,7 @@ class Integrator(Owner):
         a = -forces
         a[self._driven] += self._drive(t)
         a /= operators.mass
-        balls = np.zeros((3, self._count))
-        balls[:, self._mine] = [x[self._detectors] for x in (u, v, a)]
+        balls = np.array([np.sum(self._weights * x[self._detectors], axis=1) for x in (u, v, a)])
         wall = np.array([x[self._driven] for x in (u, v, a)]) @ self._drives.T
         self._rows.append((t, [*balls.ravel(), *wall.ravel(), *powers, operators.mass * v @ v]))
         if self._keep_at and t >= self._keep_at[0] - 1e-9 * abs(t):
