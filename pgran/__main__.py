@@ -26,6 +26,9 @@ pgran: sound in a granular material, a lattice of balls and random springs
   pgran plot RESULT [OTHER] [-o FIGURE]
                                     draw the figures of a result; of a response and of modes of the
                                     same lattice: the response, with the modes marked
+  pgran import ATOMS CONTACTS -o NETWORK [--law hertz] [--rest CONDITION] [--drive CONDITION] ...
+                                    make a network of balls and contacts that another program
+                                    (LAMMPS, LIGGGHTS, CSV, GraphML) wrote; --help says more
   pgran verify RESULT               say whether a result is as it was written, by its checksum
   pgran options [SCENE]             list every option: type, unit, default, range, meaning
   pgran doctor                      say what is installed, and what is wrong with it
@@ -42,6 +45,7 @@ COMMANDS = {
     "options": ("resolve", "list_options"),
     "doctor": ("doctor", "examine"),
     "verify": ("verify", "verify"),
+    "import": ("imports", "run"),
 }
 
 
