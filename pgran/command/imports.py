@@ -1,25 +1,20 @@
 """`pgran import`: a contact network of another program becomes one of pgran's."""
 
 import argparse
-import logging
 import math
-import os
 import re
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from pgran.errors import DONE, InputError
 from pgran.files import tables
 from pgran.files.conditions import choose
-from pgran.files.foreign import AXES, LAWS, Balls, Contacts, read_balls
+from pgran.files.foreign import AXES, read_balls
 from pgran.files.network import check_output, write_network
 from pgran.files.recognise import read_contacts
 from pgran.physics import packing
 from pgran.physics.network import AT_REST, DRIVEN, FREE, KINDS, Network
-
-log = logging.getLogger("pgran")
 
 DESCRIPTION = """\
 Make a network from the balls and contacts that another program has written: two dumps of LAMMPS or
@@ -269,10 +264,10 @@ def _summary(made, found, given):
     named = ", ".join(f"{role} = {name}" for role, name in found.roles.items())
     yield f"columns of contacts: {named}"
     left = (
-        (kept.rattlers, "rattler", "that touch nothing"),
+        (kept.rattlers, "rattler", "without contacts"),
         (kept.torn_off, "ball", "torn off by the cut"),
         (kept.floating, "ball", "in parts without a path to a held ball"),
-        (kept.idle, "held ball", "that touch no free one"),
+        (kept.idle, "held ball", "without a free neighbour"),
         (made.apart, "contact", "of balls that do not touch"),
         (made.twice, "contact", "listed a second time"),
         (kept.inert, "contact", "between held balls"),
@@ -292,10 +287,12 @@ def _summary(made, found, given):
             f"{made.unbalanced:.2g} of the mean contact force"  # fmt: skip
     yield _rigidity(network)
     if not rest + driven:
-        yield "no ball is held: the network floats, which a driven experiment cannot; --rest, --drive"
+        yield "no ball is held: the network floats and cannot be driven; see --rest and --drive"
     ball = _middle(network)
-    yield f"next: pgran run FILE -network_file {given.output} -detectors {ball}  " \
-        f"(a free ball in the middle; its id is {members['id'][ball]})".replace("b'", "'")  # fmt: skip
+    name = members["id"][ball]
+    name = name.decode() if isinstance(name, bytes) else name
+    yield f"next: pgran run FILE -network_file {given.output} -detectors {ball}"
+    yield f"(ball {ball}, of the id {name}, is free and in the middle; /network/id has all ids)"
 
 
 def _count(n, what):

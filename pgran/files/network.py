@@ -17,7 +17,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from pgran.errors import FileError, InputError, reason_of
+from pgran.errors import FileError, InputError
 from pgran.files import hdf5
 from pgran.physics.lattice import AXES
 from pgran.physics.network import FREE, Network

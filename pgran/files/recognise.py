@@ -121,8 +121,8 @@ def _columns_like_distance(contacts):
 def _guess_rest(contacts):
     """Add to the roles of contacts what the geometry tells: distance, force, its components."""
     roles, table, limit = contacts.roles, contacts.table, contacts.balls.tolerance
-    if "distance" not in roles:
-        roles |= {"distance": name for name in _columns_like_distance(contacts)[:1]}
+    if "distance" not in roles and (like := _columns_like_distance(contacts)):
+        roles["distance"] = like[0]
     if contacts.overlap is None:
         return
     surely, never = contacts.overlap > limit, contacts.overlap < -limit
@@ -139,7 +139,8 @@ def _guess_rest(contacts):
         if len(found) > 1:
             said = f"{', '.join(found[:9])} could each be the force"
             raise FileError(f"{table.path}: {said}; --columns id1,id2,distance,force names them")
-        roles |= {"force": name for name in found}
+        if found:
+            roles["force"] = found[0]
     if "fx" not in roles:
         _guess_components(contacts, rest, never)
 

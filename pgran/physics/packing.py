@@ -1,4 +1,4 @@
-"""Packings: the law of contacts, periodic boxes, what hangs together, and whether forces balance."""
+"""Packings: laws of contacts, periodic boxes, what hangs together, whether forces balance."""
 
 from dataclasses import dataclass
 
