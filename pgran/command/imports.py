@@ -1,37 +1,41 @@
 """`pgran import`: a contact network of another program becomes one of pgran's."""
 
 import argparse
+import contextlib
 import math
 import re
-from dataclasses import dataclass
 
 import numpy as np
 
+from pgran.command.assemble import assemble
 from pgran.errors import DONE, InputError
-from pgran.files import tables
-from pgran.files.conditions import choose
+from pgran.files import graphs, tables
 from pgran.files.foreign import AXES, read_balls
 from pgran.files.network import check_output, write_network
 from pgran.files.recognise import read_contacts
-from pgran.physics import packing
-from pgran.physics.network import AT_REST, DRIVEN, FREE, KINDS, Network
+from pgran.parallel import launch
+from pgran.physics.network import FREE, KINDS
 
 DESCRIPTION = """\
 Make a network from the balls and contacts that another program has written: two dumps of LAMMPS or
 LIGGGHTS (dump custom and dump local), two CSV files with a header, or one GraphML file. Of several
 snapshots the last one is taken. A CONDITION compares a coordinate or another column of the balls,
 'x<1.5', 'x>max-1.5 and type==2', or lists ids, '12,15,30-40'."""
-SAME = 1e-6  # contacts that are listed twice agree to this part
 
 
 def run(words):
-    """Make a network from files of another program, and say what became of them. Not collective."""
+    """Make a network from files of another program, and say what became of them.
+
+    Not collective: rank 0 does it alone.
+    """
+    if launch.rank() > 0:
+        return DONE
     given = _parser().parse_intermixed_args(words)
     _check(given)
     check_output(given.output, given.overwrite)
     with np.errstate(all="ignore"):  # of absurd numbers in a file: what comes of them is checked
         found, names = _read(given)
-        made = _assemble(found, given)
+        made = assemble(found, given)
         if names is not None and not np.array_equal(names, found.balls.id.astype(str)):
             made.members["id"] = np.char.encode(names, "utf-8")[made.kept.balls]
         made.network()
@@ -43,7 +47,7 @@ def run(words):
 
 def _parser():
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser("pgran import", description=DESCRIPTION, allow_abbrev=False)
+    parser = _Parser("pgran import", description=DESCRIPTION, allow_abbrev=False)
     add = parser.add_argument
     add("balls", metavar="ATOMS", help="dump custom, CSV (id,x,y[,z],radius,mass) or GraphML")
     add("contacts", metavar="CONTACTS", nargs="?", help="dump local, or CSV (i,j,force or ...)")
@@ -71,17 +75,25 @@ def _parser():
     return parser  # fmt: skip
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are pgran's: one line."""
+
+    def error(self, message):
+        """Raise an InputError."""
+        raise InputError(f"import: {message}; see pgran import --help")
+
+
 def _magnitude(text):
     """Return a number that is 0 or more."""
-    number = float(text)
-    if not 0 <= number < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is not 0 or more and finite")
-    return number
+    with contextlib.suppress(ValueError):
+        if 0 <= float(text) < math.inf:
+            return float(text)
+    raise argparse.ArgumentTypeError(f"{text} is not 0 or more and finite")
 
 
 def _positive(text):
     """Return a positive number."""
-    if not _magnitude(text) > 0:
+    if _magnitude(text) == 0:
         raise argparse.ArgumentTypeError(f"{text} is not positive")
     return float(text)
 
@@ -90,10 +102,11 @@ def _direction(text):
     """Return the components of a direction."""
     if text in tuple(AXES):
         return text
-    components = np.array([float(word) for word in text.split(",")])
-    if len(components) not in (2, 3) or not 0 < np.linalg.norm(components) < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} is neither x, y, z nor 2 or 3 components")
-    return components
+    with contextlib.suppress(ValueError):
+        components = np.array([float(word) for word in text.split(",")])
+        if len(components) in (2, 3) and 0 < np.linalg.norm(components) < math.inf:
+            return components
+    raise argparse.ArgumentTypeError(f"{text} is neither x, y, z nor 2 or 3 components")
 
 
 def _check(given):
@@ -104,7 +117,7 @@ def _check(given):
         raise InputError(f"--cut {given.cut}: must be axes, such as x or xy")
     if given.displacement == "scalar" and (given.prestress or given.tangential or given.direction):
         raise InputError("--prestress, --tangential and --direction need vector displacements")
-    if tables.is_graph(given.balls) == (given.contacts is not None):
+    if graphs.is_graph(given.balls) == (given.contacts is not None):
         raise InputError(
             "one GraphML file holds balls and contacts"
             if given.contacts
@@ -115,136 +128,10 @@ def _check(given):
 def _read(given):
     """Return the contacts between the balls in the files, and the names of nodes of a graph."""
     if given.contacts is None:
-        nodes, edges, names = tables.read_graph(given.balls)
+        nodes, edges, names = graphs.read_graph(given.balls)
         return read_contacts(edges, read_balls(nodes), given.columns), np.array(names)
     balls = read_balls(tables.read_table(given.balls))
     return read_contacts(tables.read_table(given.contacts), balls, given.columns), None
-
-
-@dataclass(frozen=True, eq=False)
-class Made:
-    """What is written, and what has been left out."""
-
-    members: dict
-    attributes: dict
-    kept: packing.Kept
-    apart: int
-    twice: int
-    cut: int
-    unbalanced: float | None
-
-    def network(self):
-        """Return the network, which raises an InputError where it is none."""
-        values = {name: self.members[name] for name in self.members if name != "id"}
-        values["masses"] = values.pop("mass")
-        return Network(**values, **self.attributes)
-
-
-def _assemble(found, given):
-    """Return the network of contacts: what touches, is not cut, and hangs together."""
-    balls = found.balls
-    kind = given.displacement or ("vector" if balls.axes else "scalar")
-    if kind != "scalar" and not balls.axes:
-        raise InputError(f"--displacement {kind} needs positions of the balls")
-    if kind == "rotations" and balls.radius is None:
-        raise InputError("--displacement rotations needs radii of the balls")
-    stiffness = found.stiffness(given.law, given.hertz)
-    touch = stiffness != 0
-    once = touch & _first_of_each(found, stiffness, touch)
-    across = _crossing(found, given.cut)
-    held = _held(balls, given)
-    index = np.flatnonzero(once)
-    kept = packing.keep(found.bond[index], held, across[index])
-    rows = index[kept.contacts]
-    if not len(rows):
-        raise InputError("no contact is left that a free ball has: see --rest, --drive, --cut")
-    if given.drive and not np.any(held[kept.balls] == DRIVEN):
-        raise InputError(f"--drive {given.drive}: none of these balls touches a free one")
-
-    number = np.cumsum(kept.balls) - 1
-    bond, held = number[found.bond[rows]], held[kept.balls]
-    members = {"position": None if balls.position is None else balls.position[kept.balls]}
-    members |= {"mass": balls.mass[kept.balls], "held": held, "bond": bond}
-    members["radius"] = None if balls.radius is None else balls.radius[kept.balls]
-    members["stiffness"] = stiffness[rows]
-    members["id"] = balls.id[kept.balls]
-    attributes = {"displacement": kind, "damping": given.damping}
-    normal, force = found.normal, found.force
-    ratio = None
-    if normal is not None and force is not None:
-        ratio = packing.unbalanced(bond, normal[rows], force[rows], held == FREE)
-    if kind != "scalar":
-        members |= {"normal": normal[rows], "distance": found.distance[rows]}
-        if given.prestress and force is None:
-            raise InputError("--prestress needs forces; --columns says which column they are in")
-        if given.prestress is not False and force is not None:
-            members["force"] = force[rows]
-        shear = found.given("tangential")
-        if given.tangential is not None:
-            members["tangential"] = given.tangential * stiffness[rows]
-        elif shear is not None:
-            members["tangential"] = shear[rows]
-        attributes["direction"] = _along(given.direction, balls.axes)
-    return Made(
-        members, attributes, kept, np.count_nonzero(~touch), np.count_nonzero(touch & ~once),
-        np.count_nonzero(across & once), ratio,
-    )  # fmt: skip
-
-
-def _first_of_each(found, stiffness, touch):
-    """Return which contacts are the first of the same two balls; those listed again must agree."""
-    low, high = np.sort(found.bond, axis=1).T
-    order = np.lexsort((np.arange(len(low)), high, low, ~touch))
-    order = order[: np.count_nonzero(touch)]
-    again = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
-    one, other = stiffness[order[:-1]], stiffness[order[1:]]
-    wrong = np.flatnonzero(again & ~(np.abs(one - other) <= SAME * np.abs(one)))
-    if wrong.size:
-        why = "these balls touch twice, with different stiffness"
-        found.table.refuse(order[wrong[0] + 1], why)
-    first = np.ones(len(low), dtype=bool)
-    first[order[1:][again]] = False
-    return first
-
-
-def _crossing(found, cut):
-    """Return which contacts lead through the ends that are cut."""
-    across = np.zeros(len(found.bond), dtype=bool)
-    for axis in map(AXES.index, cut or ""):
-        if axis >= found.balls.axes or not np.isfinite(found.balls.periods[axis]):
-            raise InputError(f"--cut {AXES[axis]}: the packing is not periodic along {AXES[axis]}")
-        across |= found.crossing[:, axis]
-    return across
-
-
-def _held(balls, given):
-    """Return which balls are free, at rest, driven."""
-    held = np.full(len(balls.id), FREE) if balls.held is None else balls.held.copy()
-    chosen = {}
-    for option, kind in (("rest", AT_REST), ("drive", DRIVEN)):
-        condition = getattr(given, option)
-        if condition is not None:
-            try:
-                chosen[kind] = choose(condition, balls.id, balls.column)
-            except InputError as error:
-                raise InputError(f"--{option}: {error}") from None
-            held[chosen[kind]] = kind
-    if len(chosen) == 2 and np.any(chosen[AT_REST] & chosen[DRIVEN]):
-        ball = balls.id[chosen[AT_REST] & chosen[DRIVEN]][0]
-        raise InputError(f"--rest and --drive: ball {ball} cannot be both")
-    return held
-
-
-def _along(direction, axes):
-    """Return the direction of the drive as components."""
-    if direction is None or isinstance(direction, str):
-        axis = AXES.index(direction or "x")
-        if axis >= axes:
-            raise InputError(f"--direction {direction}: the packing has {axes} axes")
-        return np.eye(axes)[axis]
-    if len(direction) != axes:
-        raise InputError(f"--direction: the packing has {axes} axes")
-    return direction / np.linalg.norm(direction)
 
 
 def _summary(made, found, given):

@@ -242,8 +242,8 @@ class Contacts:
             name = law or self.roles.get("stiffness")
             if name is None or name not in (*self.table.columns, *self.table.texts):
                 there = ", ".join([*self.table.columns][:30])
-                said = "which law have the contacts?" if law is None else f"no column {law}"
-                raise InputError(f"--law: {said} hertz, harmonic, or a column: {there}")
+                said = "is needed" if law is None else f"{law}: there is no such column"
+                raise InputError(f"--law {said}; it is hertz, harmonic, or one of {there}")
             apart = np.zeros(len(self.bond), dtype=bool)
             if force is not None and self.overlap is not None:
                 apart = (force == 0) & (self.overlap <= 0)

@@ -67,7 +67,8 @@ def read_contacts(table, balls, columns=None):
     contacts = Contacts(table, balls, bond, roles)
     if guess and balls.axes:
         _guess_rest(contacts)
-    return contacts
+    ordered = {role: roles[role] for role in ROLES if role in roles}
+    return dataclasses.replace(contacts, roles=ordered)
 
 
 def _renamed(table, columns):
@@ -126,31 +127,41 @@ def _guess_rest(contacts):
     if contacts.overlap is None:
         return
     surely, never = contacts.overlap > limit, contacts.overlap < -limit
-    rest = {k: v for k, v in table.columns.items() if k not in roles.values()}
-    if not {"force", "fx", "stiffness"} & roles.keys():
-        found = [
-            name
-            for name, values in rest.items()
-            if np.all(values >= 0) and np.all(values[never] == 0) and np.all(values[surely] > 0)
-            and np.any(values != np.rint(values))
-        ]  # fmt: skip
-        alike = [n for n in found if np.all(np.abs(rest[n] - contacts.overlap)[~never] <= limit)]
-        found = found if len(found) == len(alike) else [n for n in found if n not in alike]
-        if len(found) > 1:
-            said = f"{', '.join(found[:9])} could each be the force"
-            raise FileError(f"{table.path}: {said}; --columns id1,id2,distance,force names them")
-        if found:
-            roles["force"] = found[0]
+    rest = {name: values for name, values in table.columns.items() if name not in roles.values()}
     if "fx" not in roles:
         _guess_components(contacts, rest, never)
+    if {"force", "stiffness"} & roles.keys():
+        return
+    along = contacts.force  # by its components
+    found = [
+        name
+        for name, values in rest.items()
+        if name not in roles.values()
+        and np.all(values >= 0)
+        and np.all(values[never] == 0)
+        and np.all(values[surely] > 0)
+        and np.any(values != np.rint(values))
+        and (along is None or _alike(values, along))
+    ]
+    lengths = [name for name in found if np.all(np.abs(rest[name] - contacts.overlap) <= limit)]
+    found = [name for name in found if name not in lengths] or found
+    if len(found) > 1:
+        said = f"{', '.join(found[:9])} could each be the force"
+        raise FileError(f"{table.path}: {said}; --columns id1,id2,distance,force names them")
+    if found:
+        roles["force"] = found[0]
+
+
+def _alike(one, other):
+    """Return whether two columns of forces are the same but for what was not printed."""
+    return bool(np.all(np.abs(one - other) <= PRINTED * np.abs(other).max()))
 
 
 def _guess_components(contacts, rest, never):
-    """Add which columns are a force along the normal, of one sign and nothing where none touch."""
-    roles, axes, normal = contacts.roles, contacts.balls.axes, contacts.normal
-    names = [name for name in rest if name not in roles.values()]
-    for first in range(len(names) - axes + 1):
-        chosen = names[first : first + axes]
+    """Add which columns are a force of one sign along the normal, and nothing where none touch."""
+    force, normal = contacts.given("force"), contacts.normal
+    for first in range(len(rest) - contacts.balls.axes + 1):
+        chosen = [*rest][first : first + contacts.balls.axes]
         vectors = np.stack([rest[name] for name in chosen], axis=1)
         along = np.sum(vectors * normal, axis=1)
         across = np.linalg.norm(vectors - along[:, None] * normal, axis=1)
@@ -160,8 +171,7 @@ def _guess_components(contacts, rest, never):
             and np.all(along >= 0)
             and np.all(across <= along)
             and np.all(vectors[never] == 0)
+            and (force is None or _alike(along, force))
         ):
-            force = contacts.given("force")
-            if force is None or np.all(np.abs(along - force) <= PRINTED * force.max()):
-                roles |= dict(zip((f"f{x}" for x in AXES), chosen, strict=False))
-                return
+            contacts.roles.update(zip((f"f{x}" for x in AXES), chosen, strict=False))
+            return

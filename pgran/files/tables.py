@@ -1,20 +1,18 @@
-"""Tables in text files of other programs: dumps of LAMMPS and LIGGGHTS, CSV with a header, GraphML.
+"""Tables in text files of other programs: dumps of LAMMPS and LIGGGHTS, CSV with a header.
 
 What a file claims about its size is believed only as far as its lines go.
 """
 
 import itertools
-import os
 from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.errors import FileError, PgranError
+from pgran.errors import FileError
 from pgran.files.paths import open_regular
 
 LONGEST_LINE = 2**16  # bytes
 BLOCK = 2**14  # rows that are turned into numbers at a time
-LARGEST_GRAPH = 2**28  # bytes; NetworkX keeps all of a graph as Python objects
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,23 +153,18 @@ def read_table(path):
         return _read_csv(lines, first.removeprefix("\ufeff"))
 
 
-def is_graph(path):
-    """Return whether a file is to be read as GraphML, by its name. Not collective."""
-    return str(path).lower().endswith(".graphml")
-
-
 def _read_csv(lines, header):
     """Return the table below a header; commas, semicolons or blanks part its words."""
-    mark = next((mark for mark in ",;" if mark in header), None)
+    while header is not None and not header.partition("#")[0].strip():
+        header = lines.next()
+    mark = next((mark for mark in ",;" if mark in (header or "")), None)
 
     def split(line):
         return [word.strip().strip('"') for word in line.split(mark)]
 
-    while header is not None and not header.partition("#")[0].strip():
-        header = lines.next()
     names = split(header or "")
-    if header is None or any(_is_number(name) or not name for name in names):
-        lines.refuse("the first line must name the columns")
+    if header is None or any(is_number(name) or not name for name in names):
+        lines.refuse("the first line must name the columns, without #")
     _check_names(lines, names)
 
     def rows():
@@ -183,8 +176,8 @@ def _read_csv(lines, header):
     return Table(lines.path, *_collect(lines, names, rows()))
 
 
-def _is_number(word):
-    """Return whether a word is a number."""
+def is_number(word):
+    """Return whether a word is a number. Not collective."""
     try:
         float(word)
     except ValueError:
@@ -251,7 +244,7 @@ def _read_box(lines, flags):
     ends = []
     for _ in range(3):
         words = lines.need("box").split()
-        if len(words) != 2 or not all(map(_is_number, words)):
+        if len(words) != 2 or not all(map(is_number, words)):
             lines.refuse("the two ends of the box were expected")
         ends.append([float(word) for word in words])
         size = ends[-1][1] - ends[-1][0]
@@ -276,66 +269,10 @@ def _collect(lines, names, rows):
             try:
                 parts[name].append(np.array(words, dtype=float))
             except ValueError:
-                row = next(row for row, word in enumerate(words) if not _is_number(word))
+                row = next(row for row, word in enumerate(words) if not is_number(word))
                 texts.setdefault(name, (done + row, words[row]))
         done += len(block)
     if not done:
         lines.refuse("there are no rows")
     columns = {name: np.concatenate(parts[name]) for name in names if name not in texts}
     return columns, texts, np.concatenate(places)
-
-
-def read_graph(path):
-    """Return the tables of the nodes and of the edges of a GraphML file, and the nodes' names.
-
-    Not collective. The columns `id` and `id1`, `id2` are the names where these are all integers,
-    else numbers from 0 in the order of the file.
-
-    Raises
-    ------
-    FileError
-        If NetworkX cannot read it.
-    PgranError
-        If there is no NetworkX.
-    """
-    open_regular(path).close()
-    if os.path.getsize(path) > LARGEST_GRAPH:
-        raise FileError(f"{path}: a GraphML file has at most {LARGEST_GRAPH} bytes")
-    try:
-        import networkx
-    except ImportError:
-        raise PgranError("GraphML is read by NetworkX, which is not here: pip install networkx, or "
-                         "give balls and contacts as CSV") from None  # fmt: skip
-    try:
-        graph = networkx.read_graphml(path)
-        nodes, edges = list(graph.nodes(data=True)), list(graph.edges(data=True))
-    except Exception as error:  # whatever a damaged file makes of NetworkX
-        said = f"{type(error).__name__}: {error}"
-        raise FileError(f"{path}: NetworkX cannot read it: {said}") from None
-    names = [str(name) for name, _ in nodes]
-    if all(name.isascii() and name.isdigit() and len(name) < 16 for name in names):
-        ids = {name: int(name) for name in names}
-    else:
-        ids = {name: k for k, name in enumerate(names)}
-    balls = [{"id": ids[str(name)], **data} for name, data in nodes]
-    pairs = [{"id1": ids[str(a)], "id2": ids[str(b)], **data} for a, b, data in edges]
-    return (
-        _table_of(path, balls, [f"node {name}" for name in names], "nodes"),
-        _table_of(path, pairs, [f"edge {a} - {b}" for a, b, _ in edges], "edges"),
-        names,
-    )
-
-
-def _table_of(path, rows, places, what):
-    """Return the table of rows given as dictionaries; NaN where one lacks a number."""
-    if not rows:
-        raise FileError(f"{path}: has no {what}")
-    columns, texts = {}, {}
-    for name in dict.fromkeys(name for row in rows for name in row):
-        words = [row.get(name, np.nan) for row in rows]
-        try:
-            columns[str(name)] = np.array(words, dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            wrong = next(k for k, word in enumerate(words) if not _is_number(str(word)))
-            texts[str(name)] = (wrong, str(words[wrong]))
-    return Table(path, columns, texts, places)
