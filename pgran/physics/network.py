@@ -144,6 +144,8 @@ class Network:
         except (TypeError, ValueError):
             raise InputError(f"network: {name} must be an array of numbers") from None
         wanted = (count if count is not None else len(array) if array.ndim else 0, *rest)
+        if dtype is int and not np.array_equal(array, value):
+            raise InputError(f"network: {name}: whole numbers are needed")
         if array.ndim != len(wanted) or any(
             n not in (None, m) for n, m in zip(wanted, array.shape, strict=True)
         ):
@@ -181,6 +183,8 @@ class Network:
             raise InputError("network: held must be 0 (free), 1 (at rest) or 2 (driven)")
         if not np.any(self.held == FREE):
             raise InputError("network: every ball is held")
+        if not np.any(self.held[self.bond] == FREE):
+            raise InputError("network: no free ball has a contact")
         if not np.all(self.masses[self.held == FREE] > 0):
             raise InputError("network: masses must be positive")
         if self.damped not in ("all", "normal"):
@@ -194,6 +198,8 @@ class Network:
             raise InputError("network: forces need positive distances")
         if self.turns and self.radius is None:
             raise InputError("network: rotations need radii")
+        if self.turns and not np.all(self.radius > 0):
+            raise InputError("network: radii must be positive")
         if self.component not in ("drive", *AXES[: self.axes if self.axes > 1 else 0]):
             raise InputError(f"-detectors_component {self.component}: this network has no such one")
 
