@@ -480,6 +480,20 @@ def test_other_snapshots_and_columns_that_say_nothing(call, place):
     place("a.contacts", dump("ENTRIES", some))
     done = call("import", "a.atoms", "a.contacts", "-o", "n.h5")
     assert (done.returncode, "c, d could each be the force" in done.stderr) == (4, True)
+    sample.id[sample.bond[-1, 0]] = 1000
+    some |= {"a": sample.id[sample.bond[:, 0]]}
+    place("a.contacts", dump("ENTRIES", some))
+    done = call("import", "a.atoms", "a.contacts", "-o", "n.h5")
+    assert (done.returncode, ": no ball 1000 in a.atoms" in done.stderr) == (4, True)
+
+
+def test_a_box_that_is_too_small(call, place):
+    """Two balls that touch through both ends."""
+    columns = {"id": [1, 2], "x": [1.0, 3.5], "y": [1, 1], "radius": [1.5, 1.5]}
+    place("a.atoms", dump("ATOMS", columns))
+    place("a.contacts", dump("ENTRIES", {"i": [1], "j": [2], "stiffness": [1.0]}))
+    done = call("import", "a.atoms", "a.contacts", "-o", "n.h5")
+    assert (done.returncode, "a.contacts:10: these balls are 2.5 apart" in done.stderr) == (4, True)
 
 
 def test_claims_cost_no_memory(place):
