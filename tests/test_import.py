@@ -646,6 +646,24 @@ def test_refused_networks(tmp_path, here, members, attributes, said):
     assert str(caught.value).startswith(str(path))
 
 
+def test_a_damaged_packing_has_checksums(call, place, shared_path, here):
+    """Wherever a bit flips that h5py reads, it is found: the network is the same or refused."""
+    sample, rng = Sample(2), np.random.default_rng(1)
+    sample.write(place)
+    bring(call, "--law", "hertz")
+    network, content = read_network("n.h5"), (shared_path / "n.h5").read_bytes()
+    refused = 0
+    for place in rng.integers(0, len(content), 60):
+        bad = bytearray(content)
+        bad[place] ^= 1 << rng.integers(8)
+        (shared_path / "n.h5").write_bytes(bad)
+        try:
+            assert read_network("n.h5").bonds_sha256 == network.bonds_sha256
+        except FileError:
+            refused += 1
+    assert refused > 10
+
+
 def test_damaged_networks(tmp_path):
     path = five_lines(tmp_path / "a.h5", **SPRINGS)
     content = path.read_bytes()
