@@ -24,8 +24,9 @@ pgran: sound in a granular material, a lattice of balls and random springs
 
   pgran run FILE [-key value ...]   compute the experiment in an options file; keys given here win
   pgran plot RESULT [OTHER] [-o FIGURE]
-                                    draw the figures of a result; of a response and of modes of the
-                                    same lattice: the response, with the modes marked
+                                    draw the figures of a result; of a response and modes of the
+                                    same lattice: the response, with the modes marked; of a pulse
+                                    and a response: the pulse, the response under its spectra
   pgran import ATOMS CONTACTS -o NETWORK [--law hertz] [--rest CONDITION] [--drive CONDITION] ...
                                     make a network of balls and contacts that another program
                                     (LAMMPS, LIGGGHTS, CSV, GraphML) wrote; --help says more

@@ -12,7 +12,7 @@ from pgran.machine import check_memory
 from pgran.parallel.task import Task, carry_out
 from pgran.physics.lattice import check_frequency
 from pgran.physics.modes import RESIDUAL, participation
-from pgran.results import LatticeRecord, Modes
+from pgran.results import Modes, record_of
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
@@ -67,7 +67,7 @@ def run(options, world, crew):
             shapes=options.output_fields,
             progress=options.output_progress,
         )
-    return modes and [LatticeRecord.of(lattice), modes]
+    return modes and [record_of(lattice), modes]
 
 
 def chosen(options):
@@ -203,7 +203,7 @@ class Slices(Task):
                 rows["slice"] = number
                 rows["value"] = values
                 rows["residual"] = missed
-                rows["participation"] = participation(vectors)
+                rows["participation"] = participation(self.lattice, vectors)
                 if self.shapes:
                     rows["vector"] = vectors
                 return rows

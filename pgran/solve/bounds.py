@@ -81,7 +81,7 @@ class ErrorBounds(Owner):
     def stability(self, s):
         """Return a c with |S x|_2 >= c |x|_2 for every x and all bonds. Not collective."""
         damping = self.operators.damping and self.operators.damping * (
-            abs(s) * smallest_damping(self.operators.layout)
+            abs(s) * smallest_damping(self.operators.lattice)
         )
         return damping + abs(s) * s.real * self.operators.mass
 
@@ -94,7 +94,7 @@ class ErrorBounds(Owner):
         self.proven = self._always or s.real > 0
         inertia = operators.mass * size * size
         spread = size * operators.damping  # |s beta C| is at most this
-        spread *= operators.layout.damping_norm if spread else 0.0
+        spread *= operators.lattice.damping_norm if spread else 0.0
         if operators.layout.laplacian:
             operators.K.getDiagonal(self._work)
             # A Laplacian's diagonal holds the sum of its row's other magnitudes.
@@ -140,7 +140,7 @@ class ErrorBounds(Owner):
         """
         least = max(EPSILON / tolerance, 10 * self.unit) * self.scale + 10 * spread
         delta = 0.1 * self.scale / self.operators.balls
-        while least <= delta < math.inf:
+        while 0 < least <= delta < math.inf:  # S may be zero
             if self._counter.below(shift, delta) is not None:
                 # Each count is of a matrix nearer to K - shift than delta / 10; K is rounded, too.
                 return 0.8 * delta
