@@ -198,7 +198,7 @@ class Network:
             raise InputError("network: forces need positive distances")
         if self.turns and self.radius is None:
             raise InputError("network: rotations need radii")
-        if self.turns and not np.all(self.radius > 0):
+        if self.turns and not np.all(self.radius[self.held == FREE] > 0):
             raise InputError("network: radii must be positive")
         if self.component not in ("drive", *AXES[: self.axes if self.axes > 1 else 0]):
             raise InputError(f"-detectors_component {self.component}: this network has no such one")

@@ -17,11 +17,12 @@ import numpy as np
 from mpi4py import MPI
 from mpmath import mp
 from network_samples import NetworkReference, random_network
-from samples import steady
+from samples import SOLVERS, option_values, steady
 
 from pgran.parallel.crew import Crew
 from pgran.scenes.modes import find_modes
 from pgran.solve.certify import smallest_damping
+from pgran.solve.database import holding
 
 DIGITS = 50
 
@@ -30,7 +31,8 @@ def faults(case, seen, comm=MPI.COMM_SELF):
     """Yield what is false of what is said of a network; count what was `seen`."""
     with mp.workdps(DIGITS):
         reference = NetworkReference(case.network)
-        yield from driven_faults(case, reference, seen, comm)
+        with holding(option_values(SOLVERS[case.solver])):
+            yield from driven_faults(case, reference, seen, comm)
         if comm.size == 1:
             yield from mode_faults(case, reference, seen)
 
@@ -45,7 +47,8 @@ def driven_faults(case, reference, seen, comm):
                 error = abs(mpmath.mpmathify(complex(found)) - x) if mp.isfinite(x) else mp.inf
                 good = state.converged_reason > 0
                 said = (
-                    f"case {case.seed}, {case.network.displacement}, omega {omega:.17g}: |A| "
+                    f"case {case.seed}, {case.network.displacement}, {case.solver}, "
+                    f"omega {omega:.17g}: |A| "
                     f"{float(abs(x)):.1e}, error {float(error):.1e}, bound {bound:.1e}, asked "
                     f"{case.tolerance:.0e}{', good' if good else ''}"
                 )
@@ -54,6 +57,8 @@ def driven_faults(case, reference, seen, comm):
                 if good and not error <= case.tolerance * abs(x):
                     yield f"WRONG {said}"
                 seen["amplitudes"] += 1
+                seen[f"{case.network.displacement} amplitudes"] += 1
+                seen[f"{case.network.displacement} good"] += good
                 seen["good"] += good
                 seen["bounded"] += bool(np.isfinite(bound))
         if case.network.damping:
