@@ -58,7 +58,7 @@ def test_the_lattice_is_a_network(world, shape):
             vectors, x = [operators.f, solver.field], layout.vector(x)
             vectors += [matrix * x for matrix in (operators.K, operators.C, operators.S)]
             arrays = [layout.field(vector) for vector in vectors]
-            found.append((arrays, state, smallest_damping(operators.layout)))
+            found.append((arrays, state, smallest_damping(operators.lattice)))
     (arrays, state, exact), (others, other, certified) = found
     if world.rank == 0:
         for one, another in zip(arrays, others, strict=True):
@@ -327,7 +327,7 @@ def test_what_floats_is_never_passed_as_good(world, damping):
         triangle, [1, 0.3, 0.7, 0.1], [2, 0, 0, 0, 0], [1, 1, 0.7, 1.3, 1e-3], damping
     )
     with steady(network, [1, 2], world) as (operators, solver):
-        assert not damping or smallest_damping(operators.layout) == 0
+        assert not damping or smallest_damping(operators.lattice) == 0
         assert solver.solve(0j).converged_reason <= 0
         state = solver.solve(0.3j)
         exact = (1 + 0.3j * damping) / (1 + 0.3j * damping - 0.09)
@@ -423,7 +423,7 @@ def test_dilution_removes_contacts_and_what_floats():
     for sample in (some, more):
         assert without_floating(sample)[0].balls == sample.balls
         with Operators(sample, MPI.COMM_SELF) as operators:
-            assert smallest_damping(operators.layout) > 0
+            assert smallest_damping(operators.lattice) > 0
     with pytest.raises(InputError):
         makers.diluted(network, 1.0)
 

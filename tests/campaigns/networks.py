@@ -62,7 +62,7 @@ def driven_faults(case, reference, seen, comm):
                 seen["good"] += good
                 seen["bounded"] += bool(np.isfinite(bound))
         if case.network.damping:
-            least = smallest_damping(operators.layout)
+            least = smallest_damping(operators.lattice)
             seen["damping certified"] += least > 0
             seen["damped"] += 1
             if least > 0 and not reference.damping_exceeds(least):
