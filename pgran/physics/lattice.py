@@ -204,6 +204,11 @@ class Lattice:
             yield longer.reshape(len(fields), -1), k, np.ones(len(k))
 
     @property
+    def irregular(self):
+        """Whether minimum degree orders its graph better than nested dissection."""
+        return False
+
+    @property
     def semidefinite(self):
         """Whether K has no negative eigenvalues."""
         return True

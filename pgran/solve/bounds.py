@@ -70,7 +70,7 @@ class ErrorBounds(Owner):
     @cached_property
     def _counter(self):
         """What counts eigenvalues of K. Not collective."""
-        return ModeCounter(self.operators.K)
+        return ModeCounter(self.operators.K, self.operators.lattice)
 
     @cached_property
     def _signs(self):

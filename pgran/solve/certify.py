@@ -26,7 +26,7 @@ def smallest_damping(lattice):
     known = vars(lattice)
     if "smallest_damping" not in known:
         with NetworkLayout(lattice, MPI.COMM_SELF) as layout:
-            known["smallest_damping"] = _certified(*layout.csr(layout.damped))
+            known["smallest_damping"] = _certified(lattice, *layout.csr(layout.damped))
     return known["smallest_damping"]
 
 
@@ -37,7 +37,7 @@ def is_stable(network):
     """
     with NetworkLayout(network, MPI.COMM_SELF) as layout:
         pointer, columns, values = layout.csr(network.constants)
-    with _hermitian(pointer, columns, values) as matrix, ModeCounter(matrix) as counter:
+    with _hermitian(pointer, columns, values) as matrix, ModeCounter(matrix, network) as counter:
         margin = MARGIN * counter.norm
         return counter.below(-margin, 0.5 * margin) == 0
 
@@ -53,7 +53,7 @@ def _hermitian(pointer, columns, values):
     matrix.destroy()
 
 
-def _certified(pointer, columns, values):
+def _certified(network, pointer, columns, values):
     """Return the same for a matrix."""
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
@@ -71,7 +71,7 @@ def _certified(pointer, columns, values):
             return 0.0
         x /= size
     estimate, found = x @ (C @ x), 0.0
-    with _hermitian(pointer, columns, values) as matrix, ModeCounter(matrix) as counter:
+    with _hermitian(pointer, columns, values) as matrix, ModeCounter(matrix, network) as counter:
         for part in PARTS:
             shift, clearance = part * estimate, 0.05 * part * estimate
             if counter.below(shift, clearance) == 0:

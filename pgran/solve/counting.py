@@ -32,8 +32,8 @@ class ModeCounter(Owner):
     ----------
     K : petsc4py.PETSc.Mat
         Flagged symmetric and Hermitian, of this rank alone.
-    semidefinite : bool
-        Whether K has no negative eigenvalues.
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network, optional
+        What K belongs to: whether it is semidefinite, and what is known of the order to factor in.
 
     Attributes
     ----------
@@ -43,10 +43,11 @@ class ModeCounter(Owner):
 
     owns = ("_pc", "_shifted", "_x", "_rhs", "_residual")
 
-    def __init__(self, K, semidefinite=True):
+    def __init__(self, K, lattice=None):
         """Set up the factorization from its options, prefix `normal_count_`."""
         self.K, self.norm = K, K.norm(PETSc.NormType.INFINITY) or 1.0
-        self.order, self.comm, self.semidefinite = K.getSize()[0], MPI.COMM_SELF, semidefinite
+        self.order, self.comm = K.getSize()[0], MPI.COMM_SELF
+        self.semidefinite = lattice is None or lattice.semidefinite
         self._shifted = K.duplicate(copy=True)
         for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
             self._shifted.setOption(flag, True)
@@ -56,6 +57,8 @@ class ModeCounter(Owner):
         self._pc = PETSc.PC().create(K.getComm())
         self._pc.setOptionsPrefix("normal_count_")
         self._pc.setType("cholesky")
+        if lattice is not None and lattice.irregular:
+            self._pc.setFactorOrdering("qmd")
         self._pc.setOperators(self._shifted)
         self._pc.setFromOptions()
         accept_small_pivots(self._pc)

@@ -40,7 +40,7 @@ def find_slices(K, lattice, crew, interval=None, targets=None, count=None):
         Which modes are wanted, as `pgran.find_modes` takes it.
     """
     world, mass = crew.world, lattice.mass
-    with ModeCounter(K, lattice.semidefinite) as counter:
+    with ModeCounter(K, lattice) as counter:
         if targets is None:
             low, high = interval or (0.0, np.inf)
             ends = [counter.interval(mass * low**2, mass * high**2, world)]
