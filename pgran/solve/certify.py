@@ -1,4 +1,4 @@
-"""The smallest eigenvalue of a damping matrix, certified by a count."""
+"""The smallest eigenvalues of damping and stiffness, certified by counts."""
 
 import numpy as np
 from mpi4py import MPI
@@ -9,6 +9,7 @@ from pgran.solve.layout import NetworkLayout
 
 PARTS = (0.9, 0.5, 0.1, 0.01)  # of the estimate that are tried
 STEPS = 20  # of inverse iteration
+FLOORS = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1)  # of |K|: how far below zero its eigenvalues may be
 
 
 def smallest_damping(layout):
@@ -42,9 +43,7 @@ def _certified(pointer, columns, values):
             return 0.0
         x /= size
     estimate, found = x @ (C @ x), 0.0
-    matrix = PETSc.Mat().createAIJ(C.shape, csr=(pointer, columns, values), comm=MPI.COMM_SELF)
-    for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
-        matrix.setOption(flag, True)
+    matrix = _hermitian(pointer, columns, values)
     with ModeCounter(matrix) as counter:
         for part in PARTS:
             shift, clearance = part * estimate, 0.05 * part * estimate
@@ -54,3 +53,37 @@ def _certified(pointer, columns, values):
                 break
     matrix.destroy()
     return found
+
+
+def smallest_stiffness(operators):
+    """Return a number that no eigenvalue of K is below; 0 where no spring's constant is negative.
+
+    Not collective, the same on every rank; found out once for the constants that operators have.
+    """
+    if operators.softest is None:
+        operators.softest = 0.0
+        if operators.constants.min(initial=0.0) < 0:
+            with NetworkLayout(operators.layout.network, MPI.COMM_SELF) as alone:
+                operators.softest = _certified_floor(*alone.csr(operators.constants))
+    return operators.softest
+
+
+def _certified_floor(pointer, columns, values):
+    """Return the same for a matrix."""
+    matrix = _hermitian(pointer, columns, values)
+    with ModeCounter(matrix) as counter:
+        shifts = (-part * counter.norm for part in FLOORS)
+        certain = (shift for shift in shifts if counter.below(shift, -0.5 * shift) == 0)
+        found = next(certain, -1.01 * counter.norm)
+    matrix.destroy()
+    return found
+
+
+def _hermitian(pointer, columns, values):
+    """Return a matrix of this rank alone, flagged as what it is."""
+    order = len(pointer) - 1
+    csr = pointer, columns, values
+    matrix = PETSc.Mat().createAIJ((order, order), csr=csr, comm=MPI.COMM_SELF)
+    for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
+        matrix.setOption(flag, True)
+    return matrix
