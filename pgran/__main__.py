@@ -24,8 +24,12 @@ pgran: sound in a granular material, a lattice of balls and random springs
 
   pgran run FILE [-key value ...]   compute the experiment in an options file; keys given here win
   pgran plot RESULT [OTHER] [-o FIGURE]
-                                    draw the figures of a result; of a response and of modes of the
-                                    same lattice: the response, with the modes marked
+                                    draw the figures of a result; of a response and modes of the
+                                    same lattice: the response, with the modes marked; of a pulse
+                                    and a response: the pulse, the response under its spectra
+  pgran import ATOMS CONTACTS -o NETWORK [--law hertz] [--rest CONDITION] [--drive CONDITION] ...
+                                    make a network of balls and contacts that another program
+                                    (LAMMPS, LIGGGHTS, CSV, GraphML) wrote; --help says more
   pgran verify RESULT               say whether a result is as it was written, by its checksum
   pgran options [SCENE]             list every option: type, unit, default, range, meaning
   pgran doctor                      say what is installed, and what is wrong with it
@@ -42,6 +46,7 @@ COMMANDS = {
     "options": ("resolve", "list_options"),
     "doctor": ("doctor", "examine"),
     "verify": ("verify", "verify"),
+    "import": ("imports", "run"),
 }
 
 

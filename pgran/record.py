@@ -207,6 +207,11 @@ class Result:
         there = ", ".join(vars(self).get("records", ()))
         raise MissingError(f"the result holds no {name}; its groups are: {there or 'none'}")
 
+    @property
+    def medium(self):
+        """The record of the lattice, or of another network."""
+        return self.network if "network" in self.records else self.lattice
+
     def __dir__(self):
         """List what there is, for completion."""
         return [*super().__dir__(), *self.records, *self.attributes]

@@ -16,7 +16,7 @@ SWEEP = np.linspace(0.005, 1.3, 260)  # in units of omega_mx, as all frequencies
 def result_of(record, lattice=LATTICE):
     """A result of one record."""
     records = {"lattice": results.LatticeRecord.of(lattice), record.group: record}
-    return SimpleNamespace(scene=record.group, **records)
+    return SimpleNamespace(scene=record.group, medium=records.get("lattice"), **records)
 
 
 def respond(x=SWEEP, detectors=((1, 1),), lattice=LATTICE):
@@ -44,6 +44,11 @@ def project(x, shape=(4, 3)):
 def relax(steps=300):
     law = pgran.BondLaw("uniform")
     return result_of(pgran.relax(LATTICE, law, 0.6 * UNIT, [(1, 2)], steps=steps))
+
+
+def listen(sites=((1, 1),), lattice=LATTICE, **sent):
+    sent = {"width": 3.0, "omega": 0.6 * UNIT, "time": 200.0, "points": 801, "fields": True} | sent
+    return result_of(pgran.pulse(lattice, np.ravel(sites), **sent), lattice)
 
 
 def compare(errors):

@@ -18,6 +18,7 @@ from pgran.command.resolve import SCENES
 from pgran.parallel.crew import Crew
 from pgran.physics.lattice import Lattice
 from pgran.record import Record
+from pgran.scenes.pulse import pulse
 from pgran.scenes.response import sweep
 from pgran.solve.operators import Operators
 from pgran.solve.steady import SteadySolver
@@ -92,6 +93,16 @@ def swept(lattice, omegas, sites, comm=MPI.COMM_SELF, ranks=1, **choices):
     with Crew(comm, ranks) as crew:
         choices = {"method": "points"} | choices
         return comm.bcast(sweep(lattice, np.asarray(omegas), sites, crew, **choices))
+
+
+WIDTH, TIME, POINTS = 8.0, 200.0, 161  # of pulses, unless a test chooses others
+
+
+def listened(lattice, sites, comm, ranks=1, **choices):
+    """The signals after a pulse, on every rank of `comm`; so many of them share a lattice."""
+    choices = {"width": WIDTH, "time": TIME, "points": POINTS, "method": "laplace"} | choices
+    with Crew(comm, ranks) as crew:
+        return comm.bcast(pulse(lattice, sites, crew, **choices))
 
 
 def assert_same(found, expected, but=("solve_seconds",)):

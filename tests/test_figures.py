@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from figure_reading import curves, draw, gaps, labels, lines, marks, note
-from figure_results import SWEEP, UNIT, find_modes, respond, result_of
+from figure_results import SWEEP, UNIT, find_modes, listen, respond, result_of
 from matplotlib.figure import Figure
 from samples import random_lattice
 
@@ -145,7 +145,7 @@ def test_nothing_to_draw():
     result = respond([0.5])
     with pytest.raises(FileError, match=r"nothing to draw in this result .scene response"):
         figures.make(SimpleNamespace(scene=result.scene, lattice=result.lattice))
-    result.lattice = replace(result.lattice, omega_mx=0.0)
+    result.medium = replace(result.medium, omega_mx=0.0)
     with pytest.raises(FileError, match="omega_mx is 0"):
         figures.make(result)
 
@@ -185,6 +185,7 @@ def files(monkeypatch):
     found = find_modes()
     doubtful = result_of(replace(found.modes, count_certified=False))
     shown = {"response.h5": respond(), "modes.h5": found, "doubtful.h5": doubtful}
+    shown["pulse.h5"] = listen()
     for name, other in (("softer.h5", {"seed": 2}), ("heavier.h5", {"seed": 5, "mass": 2.0})):
         shown[name] = result_of(found.modes, random_lattice((4, 3), **{"mass": 0.25} | other))
     monkeypatch.setattr(pgran, "load", shown.get)
@@ -206,9 +207,26 @@ def test_modes_are_marked_in_a_response(files, capsys, caplog, monkeypatch, word
     assert ("missing or inaccurate" in caplog.text) == ("doubtful" in words)
 
 
+@pytest.mark.parametrize("words", ["pulse.h5 response.h5", "response.h5 pulse.h5"])
+def test_a_response_is_laid_over_a_pulse(files, capsys, monkeypatch, words):
+    saved = []
+    monkeypatch.setattr(figures, "save", lambda made, path: saved.append(made) or [path])
+    assert plot(words.split()) == errors.DONE
+    assert capsys.readouterr().out == "pulse.png\n"
+    (drawn,) = lines(saved[0]["spectrum"].axes[0], linewidth=2.5)
+    amplitude = files["response.h5"].response.amplitude[:, 0]
+    assert np.array_equal(drawn.get_ydata(orig=True).data, amplitude)
+    alone = pgran.plot(files["pulse.h5"], response=files["response.h5"].response)["spectrum"]
+    assert len(lines(alone.axes[0], linewidth=2.5)) == 1
+
+
 def test_two_results_that_are_no_pair(files):
     for other in ("softer.h5", "heavier.h5"):
         with pytest.raises(FileError, match="different lattices"):
             plot(["response.h5", other])
     with pytest.raises(FileError, match="not response and response"):
         plot(["response.h5", "response.h5"])
+    for other in ({"seed": 2}, {"seed": 5, "damping": 0.01}):
+        files["response.h5"] = respond([0.5], lattice=random_lattice((4, 3), mass=0.25, **other))
+        with pytest.raises(FileError, match="the pulse and the response belong to different latt"):
+            plot(["response.h5", "pulse.h5"])

@@ -19,6 +19,7 @@ from pgran.parallel.launch import SIGNALS
 from pgran.physics.bondlaw import BondLaw
 from pgran.scenes.modes import find_modes
 from pgran.scenes.projection import project
+from pgran.scenes.pulse import pulse
 from pgran.scenes.relaxation import relax
 from pgran.scenes.response import sweep
 
@@ -277,6 +278,10 @@ SCENES = {
     ),
     "modes": lambda crew: find_modes(random_lattice((24, 20), 4), crew, shapes=True),
     "projection": lambda crew: project(LATTICE, OMEGAS, crew),
+    "pulse": lambda crew: pulse(LATTICE, (3, 3, 6, 0), crew, time=300, method="laplace"),
+    "pulse, integrated": lambda crew: pulse(
+        LATTICE, (3, 3, 6, 0), crew, time=300, method="integrate", error_tolerance=1e-8, fields=True
+    ),
     "relaxation": lambda crew: relax(
         LATTICE, BondLaw("uniform"), 0.6, (3, 3), crew, steps=2600, trajectories=2, window=16
     ),

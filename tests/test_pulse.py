@@ -5,34 +5,33 @@ import math
 import numpy as np
 import pytest
 from mpi4py import MPI
-from samples import assert_same, random_lattice, reference_of, uniform_lattice
+from samples import (
+    POINTS,
+    TIME,
+    WIDTH,
+    assert_same,
+    listened,
+    random_lattice,
+    reference_of,
+    uniform_lattice,
+)
 from scipy.integrate import quad, solve_ivp
 
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.files.reading import read_words
-from pgran.parallel.crew import Crew
 from pgran.physics.laplace import Line
 from pgran.physics.lattice import Lattice
 from pgran.physics.pulse import SHAPES, Pulse
 from pgran.physics.signal import arrivals
-from pgran.scenes.pulse import pulse
 from pgran.scenes.signals import limits_of
 
-WIDTH, TIME, POINTS = 8.0, 200.0, 161
 KINDS = [
     ((6, 5), 0.003, (2, 2)),
     ((12,), 0.0, (3,)),
     ((3, 2, 3), 0.1, (1, 1, 1)),
     ((4, 4), 0.5, (2, 1)),
 ]
-
-
-def listened(lattice, sites, comm, ranks=1, **choices):
-    """The signals, on every rank of `comm`."""
-    choices = {"width": WIDTH, "time": TIME, "points": POINTS, "method": "laplace"} | choices
-    with Crew(comm, ranks) as crew:
-        return comm.bcast(pulse(lattice, sites, crew, **choices))
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -180,22 +179,3 @@ def test_what_bounds_the_motion():
     assert size * math.exp(line.sigma * TIME) <= 1e-6
     assert size <= line.left_out
     assert len(line.s) < 0.7 * len(every)
-
-
-def test_the_figure_stacks_signals_by_distance():
-    """Each scaled to its largest; the front marked; what its error hides is not drawn."""
-    reading = pytest.importorskip("figure_reading")
-    from pgran.figures.pulse import seismogram
-
-    lattice = random_lattice((8, 5), 1)
-    signals = listened(lattice, (2, 2, 6, 2, 4, 2), MPI.COMM_SELF)
-    ax = reading.draw(seismogram, signals, lattice)
-    names = [text.get_text().split("\n")[0] for text in ax.get_yticklabels()]
-    assert names == ["driven wall", "ball (6, 2)", "ball (4, 2)", "ball (2, 2)"]
-    wall, *drawn = [line for line in ax.get_lines() if len(line.get_xdata()) == POINTS]
-    assert np.abs(wall.get_ydata()).max() == pytest.approx(0.45)
-    for row, (d, line) in enumerate(zip((1, 2, 0), drawn, strict=True), 1):
-        largest = np.abs(signals.displacement[:, d]).max()
-        assert line.get_ydata() == pytest.approx(row + 0.45 * signals.displacement[:, d] / largest)
-    signals.error_bound[:] = np.inf
-    assert len(reading.draw(seismogram, signals, lattice).get_lines()) == 1

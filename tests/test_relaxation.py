@@ -69,7 +69,7 @@ def test_every_step_is_within_its_bound(shape, beta, law):
     lattice, reached = random_lattice(shape, seed=5, damping=beta, law=law), 0
     sites = [[0] * len(shape), [n // 2 for n in shape]]
     for seed, omega in product((0, 1), (0.1, 0.6)):
-        changes = draw_changes(LAWS[law], shape, seed, 0, 0, 32)
+        changes = draw_changes(LAWS[law], bond_count(shape), seed, 0, 0, 32)
         reached += len(follow(lattice, omega, sites, changes, 1e-2)[0])
     assert reached > 10
 
@@ -77,7 +77,7 @@ def test_every_step_is_within_its_bound(shape, beta, law):
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-12])
 def test_a_window_ends_where_its_bound_exceeds_what_is_allowed(tolerance):
     """The 30th step meets a resonance, where bounds exceed 1e-8; 1e-12 they exceed before."""
-    changes, reached = draw_changes(UNIFORM, (4, 4), 1, 0, 0, 40), 0
+    changes, reached = draw_changes(UNIFORM, bond_count((4, 4)), 1, 0, 0, 40), 0
     for seed in range(4):
         lattice = random_lattice((4, 4), seed=seed, damping=1e-6)
         k = lattice.constants
@@ -116,7 +116,12 @@ def spoil_solves(spoilt):
 def test_the_bound_covers_windows_that_went_wrong(spoil, size, monkeypatch):
     """Residuals find the errors of block solves and of the algebra, which are in part corrected."""
     monkeypatch.setattr(windows, "LONGEST_REACH", 10.0)
-    window = random_lattice((5, 6), 5, 0.1), 0.6, [2, 2], draw_changes(UNIFORM, (5, 6), 1, 0, 0, 40)
+    window = (
+        random_lattice((5, 6), 5, 0.1),
+        0.6,
+        [2, 2],
+        draw_changes(UNIFORM, bond_count((5, 6)), 1, 0, 0, 40),
+    )
     _, right, _ = follow(*window, 10.0)
     rng = np.random.default_rng(1)
     monkeypatch.setattr(*spoil(lambda x: x * (1 + size * rng.standard_normal(x.shape))))
@@ -145,12 +150,12 @@ def test_drift_is_how_far_a_window_ends_from_the_next_start(monkeypatch):
 
 def test_draws_depend_on_seed_trajectory_and_step_only():
     """And bonds are drawn uniformly: chi^2 of 71 bonds is 70 +- sqrt(140)."""
-    whole = draw_changes(UNIFORM, (5, 6), 7, 2, 0, 71_000)
-    part = draw_changes(UNIFORM, (5, 6), 7, 2, 333, 40)
+    whole = draw_changes(UNIFORM, bond_count((5, 6)), 7, 2, 0, 71_000)
+    part = draw_changes(UNIFORM, bond_count((5, 6)), 7, 2, 333, 40)
     assert np.array_equal(part.bond, whole.bond[333:373])
     assert np.array_equal(part.stiffness, whole.stiffness[333:373])
     for seed, trajectory in ((8, 2), (7, 3)):
-        other = draw_changes(UNIFORM, (5, 6), seed, trajectory, 0, 71_000)
+        other = draw_changes(UNIFORM, bond_count((5, 6)), seed, trajectory, 0, 71_000)
         assert np.mean(other.bond == whole.bond) < 0.1
     counts = np.bincount(whole.bond, minlength=bond_count((5, 6)))
     assert abs(np.sum((counts - 1000.0) ** 2 / 1000.0) - 70) < 5 * np.sqrt(2 * 70)

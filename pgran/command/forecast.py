@@ -130,9 +130,11 @@ def forecast(scene, options, world, started):
     lines = []
     if scene.needs_petsc:
         lattice = make_lattice(options, world)
-        shape = lattice.shape
-        balls = " x ".join(map(str, shape))
-        lines.append(f"unknowns  {lattice.balls} ({balls} balls, {bond_count(shape)} bonds)")
+        shape, balls = lattice.shape, " x ".join(map(str, lattice.shape))
+        if options.network_file is not None:
+            balls = len(lattice.free)
+            shape = (max(1, round(lattice.balls ** (1 / lattice.axes))),) * lattice.axes
+        lines.append(f"unknowns  {lattice.balls} ({balls} balls, {lattice.bonds} bonds)")
         factored = options.solver.get("steady_pc_type", "lu") in ("lu", "cholesky")
         ranks = ranks_per_lattice(options, lattice, world) if scene.shares_lattice else 1
         needed = _machine_total(world, lattice_memory(shape, ranks, factored))

@@ -2,8 +2,9 @@
 
 The module named after a group of the result, `pgran.figures.response` say, has a function for each
 kind of panel, which draws into axes of the user's, with labels for a legend, and returns what it
-drew: `response.amplitude(ax, result.response, result.lattice)`. Its `figures(result, modes)` yields
-the names and the pages that `pgran plot` saves. `pgran.figures.style.applied()` is their style.
+drew: `response.amplitude(ax, result.response, result.medium)`. Its `figures(result, **over)`
+yields the names and the pages that `pgran plot` saves; `over` is what another result of the same
+lattice adds, `modes` or `response`. `pgran.figures.style.applied()` is their style.
 """
 
 import importlib
@@ -13,12 +14,12 @@ from pathlib import Path
 from pgran.errors import FileError, PgranError
 
 
-def make(result, modes=None):
+def make(result, **over):
     """Return all figures of a result by their names. See `pgran.plot`. Not collective."""
     groups = [m.name for m in pkgutil.iter_modules(__path__) if hasattr(result, m.name)]
     if not groups:
         raise FileError(f"nothing to draw in this result (scene {result.scene})")
-    if hasattr(result, "lattice") and not result.lattice.omega_mx > 0:
+    if hasattr(result, "medium") and not result.medium.omega_mx > 0:
         raise FileError("nothing to draw in this result: without stiff bonds omega_mx is 0")
     try:
         from pgran.figures import style
@@ -31,7 +32,7 @@ def make(result, modes=None):
     with style.applied():
         for group in groups:
             module = importlib.import_module(f"pgran.figures.{group}")
-            made |= dict(module.figures(result, modes))
+            made |= dict(module.figures(result, **over))
     return made
 
 

@@ -10,7 +10,7 @@ from pgran.figures import style
 MARKS = "os^Dv<>"  # 7, so that with 6 colours no two solvers of 42 look alike
 
 
-def figures(result, modes=None):
+def figures(result, **_):
     """Yield the largest errors against run time, and the names of solvers without a result."""
     accuracy = result.accuracy
     drawn = np.isfinite(accuracy.error_max)

@@ -7,7 +7,7 @@ import numpy as np
 from pgran.figures import style
 
 
-def figures(result, modes=None):
+def figures(result, **_):
     """Yield the amplitude of the box above its phase."""
     box = result.continuum
     figure, (upper, lower) = style.page(style.PAGE, 4.4, nrows=2, sharex=True)

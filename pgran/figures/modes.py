@@ -1,15 +1,16 @@
 """The figures of normal modes: shapes, participation, density (paper: modepic)."""
 
 import math
+from functools import partial
 
 import numpy as np
 
-from pgran.figures import style
+from pgran.figures import balls, style
 
 
-def figures(result, modes=None):
+def figures(result, **_):
     """Yield three shapes if they are stored, participation ratios, the density of many modes."""
-    record, lattice, made = result.modes, result.lattice, {}
+    record, lattice, made = result.modes, result.medium, {}
     style.check_any(record.omega, "modes")
     if record.vector is not None:
         made["shapes"] = _shapes_page(record, lattice)
@@ -40,22 +41,11 @@ def shape(ax, modes, lattice, mode):
     """
     values = modes.vector[mode]
     largest = np.unravel_index(np.abs(values).argmax(), values.shape)
-    values, (nx, ny) = values / np.abs(values[largest]), (*lattice.shape, 1)[:2]
-    chain = len(lattice.shape) == 1
-    if chain:
-        ax.axhline(0.0, color=style.MODE, linewidth=0.5)
-        (drawn,) = ax.plot(np.arange(-1, nx + 1), np.pad(values, 1), color="black")
-        ax.set(xlim=(-1, nx), ylim=(-1.1, 1.1))
-    else:
-        place = {"origin": "lower", "extent": (-0.5, nx - 0.5, -0.5, ny - 0.5)}
-        colours = {"cmap": "RdBu_r", "vmin": -1.0, "vmax": 1.0, "interpolation": "nearest"}
-        drawn = ax.imshow(values[(..., *largest[2:])].T, **place, **colours)
-        ax.set(aspect="equal" if 1 / 8 <= ny / nx <= 3 else "auto", ylabel="ball $j$")
-    ax.set_xlabel("ball $i$")
+    values = values[(..., *largest[2:])] / np.abs(values[largest])
+    drawn = balls.draw(ax, values)
     omega = rf"$\omega_i$ = {modes.omega[mode] / lattice.omega_mx:.4f} $\omega_{{mx}}$"
     plane = "".join(f", plane $z$ = {z}" for z in largest[2:])
     ax.set_title(f"{omega}, $P_i$ = {modes.participation[mode]:.3g} balls{plane}")
-    ax.locator_params("x" if chain else "both", nbins=6, steps=[1, 2, 5, 10], integer=True)
     return drawn
 
 
@@ -105,25 +95,7 @@ def pick(x):
 
 
 def _shapes_page(modes, lattice):
-    """Return the figure of up to three modes, next to each other or long ones one below another."""
+    """Return the figure of up to three modes."""
     picked = pick(modes.omega / lattice.omega_mx)
-    (nx, ny), chain = (*lattice.shape, 1)[:2], len(lattice.shape) == 1
-    flat = chain or nx > 1.5 * ny
-    rows, columns = (len(picked), 1) if flat else (1, len(picked))
-    width = style.PAGE - 1.2 if flat else 1.9
-    height = 1.1 if chain else min(max(width * ny / nx, 0.7), 6.0 / rows)
-    size = columns * width + 1.2, rows * (height + 0.35) + 0.5
-    figure, panels = style.page(*size, nrows=rows, ncols=columns, sharex=True, sharey=True)
-    figure.set_layout_engine("compressed")  # as many panels as fit, next to each other
-    for letter, mode, ax in zip("abc", picked, panels, strict=False):
-        drawn = shape(ax, modes, lattice, mode)
-        title = f"({letter}) {ax.get_title(loc='left')}"
-        ax.set_title(title if flat else title.replace(", ", "\n     ", 1))
-        ax.label_outer()
-    displacement = "displacement / largest"
-    if chain:
-        figure.supylabel(displacement, fontsize="medium")
-    else:
-        bar = {"ticks": [-1, -0.5, 0, 0.5, 1], "pad": 0.02}
-        figure.colorbar(drawn, ax=list(panels), label=displacement, **bar)
-    return figure
+    panels = [partial(shape, modes=modes, lattice=lattice, mode=mode) for mode in picked]
+    return balls.page(lattice.shape, panels)

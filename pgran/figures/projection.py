@@ -9,7 +9,7 @@ SHOWN = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes o
 HANDFUL = 10  # frequencies or modes that make no curve
 
 
-def figures(result, modes=None):
+def figures(result, **_):
     """Yield what a projection can show.
 
     One driving frequency: its coefficients. A sweep: the dominant mode and three single modes. A
@@ -26,7 +26,7 @@ def figures(result, modes=None):
     for name, draw, columns, shown in panels:
         if shown:
             figure, (ax,) = style.page(style.COLUMN, 2.7)
-            draw(ax, projection, result.lattice)
+            draw(ax, projection, result.medium)
             style.legend_above([ax], columns)
             style.note_missing(figure, projection)
             yield name, figure

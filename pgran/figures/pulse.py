@@ -1,25 +1,38 @@
-"""The figure of a pulse: the signals of a row of detectors, each at its distance from the wall."""
+"""The figures of a pulse: signals by distance, fields, energy; `transfer` has the spectra."""
+
+from functools import partial
 
 import numpy as np
 
-from pgran.figures import bonds, style
+from pgran.figures import balls, bonds, style, transfer
+
+TIME = r"time ($1/\omega_{mx}$)"
 
 
-def figures(result, modes=None):
-    """Yield the signals, and the bonds."""
-    signals, lattice = result.pulse, result.lattice
+def figures(result, response=None, **_):
+    """Yield the signals, the field if it is stored, the energy if known, spectra, and the bonds."""
+    signals, lattice = result.pulse, result.medium
     figure, (ax,) = style.page(style.PAGE, min(8.0, 1.6 + 0.7 * (1 + len(signals.detector))))
     seismogram(ax, signals, lattice)
-    style.legend_above([ax], columns=2)
+    style.legend_above([ax], columns=3)
     yield "signals", figure
+    if signals.field is not None:
+        yield "field", _field_page(signals, lattice)
+    if signals.energy is not None:
+        figure, (ax,) = style.page(style.COLUMN, 2.5)
+        energy(ax, signals, lattice)
+        style.legend_above([ax], columns=1)
+        yield "energy", figure
+    yield "spectrum", transfer.page(signals, lattice, response)
     yield "bonds", bonds.page(lattice, signals.detector)
 
 
 def seismogram(ax, signals, lattice):
     """Draw the signals above each other, each scaled to its largest, by distance from the wall.
 
-    The wall's own motion is at the bottom; a tick marks where a front has arrived. What is below
-    the bound of its error is not drawn. Returns the curves.
+    The wall's own motion is at the bottom; ticks mark where fronts have arrived. Envelopes are pale
+    lines, unless the wall ends elsewhere than it began. What is below its error is not drawn.
+    Returns the curves.
 
     Parameters
     ----------
@@ -27,28 +40,96 @@ def seismogram(ax, signals, lattice):
     signals : pgran.results.Signals
     lattice : pgran.results.LatticeRecord
     """
+    time, largest = signals.time * lattice.omega_mx, np.abs(signals.displacement).max(axis=0)
+    known = largest > signals.error.max(axis=0)
     distance = lattice.shape[0] - signals.detector[:, 0]
-    order = np.argsort(distance, kind="stable")
-    known = np.abs(signals.displacement).max(axis=0) > signals.error_bound.max(axis=0)
-    largest = np.abs(signals.displacement).max(axis=0)
     wall = signals.wall / np.abs(signals.wall).max()
-    ax.plot(signals.time, 0.45 * wall, color=style.ACCENT)
-    drawn, rows = [], ["driven wall"]
-    label = "front: a tenth of the largest displacement"
-    for row, d in enumerate(order, 1):
+    returns = abs(wall[-1]) < 0.1  # else signals do not swing about 0, which an envelope supposes
+    ax.plot(time, 0.45 * wall, color=style.ACCENT)
+    drawn, rows, fronts = [], ["driven wall"], [signals.wall_arrival]
+    label = "envelope"
+    for row, d in enumerate(np.argsort(distance, kind="stable"), 1):
         name = style.ball_names(signals.detector[d : d + 1])[0]
-        if known[d]:
-            rows.append(f"{name}\nlargest {largest[d]:.2g}")
-            values = row + 0.45 * signals.displacement[:, d] / largest[d]
-            drawn += ax.plot(signals.time, values, color="black")
-        else:
-            rows.append(f"{name}\nbelow its error")
-        if known[d] and np.isfinite(signals.arrival[d]):
-            ax.plot(
-                *([signals.arrival[d]] * 2, [row - 0.3, row + 0.3]),
-                color=style.FAILED, linewidth=1.2, label=label,
-            )  # fmt: skip
+        rows.append(f"{name}\n" + (f"largest {largest[d]:.2g}" if known[d] else "below its error"))
+        fronts.append(signals.arrival[d] if known[d] else np.nan)
+        if not known[d]:
+            continue
+        scale = 0.45 / largest[d]
+        if returns:
+            above = row + scale * signals.envelope[:, d]
+            ax.plot(time, above, color="#aaaaaa", linewidth=0.6, label=label)
             label = None
+        drawn += ax.plot(time, row + scale * signals.displacement[:, d], color="black")
+    ends = np.arange(len(rows)) + np.array([[-0.3], [0.3]])
+    look = {"color": style.FAILED, "linewidth": 1.2, "zorder": 3}
+    look["label"] = "front: a tenth of the largest displacement"
+    ax.vlines(np.array(fronts) * lattice.omega_mx, *ends, **look)
     ax.set_yticks(range(len(rows)), rows)
-    ax.set(xlabel=r"time ($\sqrt{m/k}$)", xlim=(signals.time[0], signals.time[-1]))
+    ax.set(xlabel=TIME, xlim=time[[0, -1]], ylim=(-0.7, len(rows) - 0.3))
     return drawn
+
+
+def field(ax, signals, lattice, number):
+    """Draw the displacement of all balls at one time in units of its largest, or the wall's.
+
+    Blue to white to red from -1 to 1; the driven wall and the detectors are marked. Three
+    dimensions: the plane of the first detector. One: a line from wall to wall. Returns the image or
+    the line.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    signals : pgran.results.Signals
+        With `field`.
+    lattice : pgran.results.LatticeRecord
+    number : int
+        Which of the times.
+    """
+    time, plane = signals.field_time[number], tuple(signals.detector[0, 2:])
+    values = signals.field[(number, ..., *plane)]
+    wall = np.interp(time, signals.time, signals.wall)
+    largest = max(np.abs(values).max(), abs(wall)) or 1.0
+    drawn = balls.draw(ax, values / largest, wall / largest)
+    dots = signals.detector[(signals.detector[:, 2:] == plane).all(axis=1), :2]
+    heights = dots[:, 1] if values.ndim == 2 else values[dots[:, 0]] / largest
+    look = {"linestyle": "none", "markerfacecolor": "white", "markersize": 3}
+    look |= {"marker": "o", "markeredgecolor": "black", "markeredgewidth": 0.6}
+    ax.plot(dots[:, 0], heights, label="detectors", **look)
+    end = len(values) - (0.5 if values.ndim == 2 else 0.0)
+    ax.axvline(end, color=style.ACCENT, linewidth=3, clip_on=False, label="driven wall")
+    ax.set_title(rf"$t$ = {time * lattice.omega_mx:.4g}$/\omega_{{mx}}$, largest {largest:.2g}")
+    return drawn
+
+
+def energy(ax, signals, lattice):
+    """Draw the work of the wall, the energy of balls and springs, and what damping took.
+
+    Returns the curves.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    signals : pgran.results.Signals
+        With `energy`.
+    lattice : pgran.results.LatticeRecord
+    """
+    time, unit = signals.time * lattice.omega_mx, lattice.mass * lattice.omega_mx**2
+    shown = [
+        (signals.work, "work of the wall", {"color": "#bbbbbb", "linewidth": 2.5}),
+        (signals.energy, "energy of balls and springs", {"color": style.ACCENT}),
+        (signals.dissipated, "taken by damping", {"color": style.UNRESOLVED}),
+    ]
+    ax.set(xlabel=TIME, xlim=time[[0, -1]])
+    ax.set_ylabel(r"energy ($m\,\omega_{mx}^2 \times$ displacement$^2$)")
+    return [ax.plot(time, y / unit, label=label, **look)[0] for y, label, look in shown]
+
+
+def _field_page(signals, lattice):
+    """Return the figure of the fields at all times."""
+    times = range(len(signals.field_time))
+    panels = [partial(field, signals=signals, lattice=lattice, number=n) for n in times]
+    figure = balls.page(lattice.shape, panels)
+    text = "".join(f"plane $z$ = {z}, " for z in signals.detector[0, 2:])
+    text += "each scaled to its largest; circles: detectors; thick blue line: driven wall"
+    figure.suptitle(text, fontsize="medium")
+    return figure

@@ -5,7 +5,7 @@ import numpy as np
 from pgran.figures import style
 
 
-def figures(result, modes=None):
+def figures(result, **_):
     """Yield the beginning of the series above its power spectrum, if there is one."""
     relaxation, power = result.relaxation, getattr(result, "spectrum", None)
     rows = 2 if power else 1

@@ -10,9 +10,9 @@ EDGES = (0.0, 0.3, 1.0, math.inf)  # of the three regimes, in units of omega_mx
 REGIMES = ("low frequencies", "intermediate frequencies", "high frequencies")
 
 
-def figures(result, modes=None):
+def figures(result, modes=None, **_):
     """Yield the amplitudes, a panel a regime, the phases, the group delay, and the bonds."""
-    response, lattice = result.response, result.lattice
+    response, lattice = result.response, result.medium
     yield "amplitude", _amplitude_page(response, lattice, modes)
     figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.13 * len(response.detector))
     phase(ax, response, lattice, modes)
@@ -45,12 +45,23 @@ def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf)):
     x, values = response.omega / lattice.omega_mx, response.amplitude
     inside = (within[0] <= x) & (x <= within[1])
     limit = np.where(inside[:, None], style.upper_limits(response), np.nan)
-    good = (inside & (response.converged_reason > 0))[:, None] & (values > 0) & np.isnan(limit)
     ax.set(yscale="log", ylabel=style.AMPLITUDE, xlim=style.limits(x[inside], within))
     names = style.ball_names(response.detector)
-    drawn = style.curves(ax, x, values, good & np.isfinite(values), names, limit)
+    drawn = style.curves(ax, x, values, inside[:, None] & known(response), names, limit)
     _finish(ax, response, lattice, modes)
     return drawn
+
+
+def known(response):
+    """Return which amplitudes are as accurate as asked, above the floor, and can have a logarithm.
+
+    Parameters
+    ----------
+    response : pgran.results.Response
+    """
+    above = np.isfinite(response.amplitude) & (response.amplitude > 0)
+    above &= np.isnan(style.upper_limits(response))
+    return above & (response.converged_reason > 0)[:, None]
 
 
 def phase(ax, response, lattice, modes=None):

@@ -131,14 +131,21 @@ def bonds(file):
     return stiffness, kmax if 0 < kmax < np.inf else None
 
 
-def try_apart(path):
-    """Raise a FileError unless a process of its own can read a file's bonds. Not collective."""
+def try_apart(path, module="pgran.files.hdf5"):
+    """Raise a FileError unless a process of its own can read a file. Not collective.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+    module : str
+        What reads it when it is run; this one reads the bonds of a lattice.
+    """
     seconds = SECONDS + os.path.getsize(path) / 2**25
     kept = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHERS)}
     home = str(Path(__file__).parents[2])
     kept["PYTHONPATH"] = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
     # -P: a file numpy.py in the present folder stays what it is.
-    words = [sys.executable, "-P", "-m", "pgran.files.hdf5", os.fspath(path)]
+    words = [sys.executable, "-P", "-m", module, os.fspath(path)]
     try:
         done = subprocess.run(
             words, env=kept, stdin=subprocess.DEVNULL, capture_output=True, timeout=seconds
@@ -155,8 +162,8 @@ def try_apart(path):
         raise FileError(f"{path}: damaged: reading it crashed ({crash})")
 
 
-def main(path):
-    """Read the bonds of a file within limits, and return the exit code."""
+def main(path, read=bonds):
+    """Let `read` have a file as a `CarefulFile` within limits, and return the exit code."""
     size = os.path.getsize(path)
     for limit, most in (
         (resource.RLIMIT_CORE, 0),
@@ -167,7 +174,7 @@ def main(path):
             resource.setrlimit(limit, (most, most))
     try:
         with opened(path) as file:
-            bonds(file)
+            read(file)
     except FileError as error:
         print(error, file=sys.stderr)
         return BAD_FILE

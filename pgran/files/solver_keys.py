@@ -119,7 +119,7 @@ TS = {
     "rk|alpha2": "type",
     "1fe|2a|2b|3|3bs|4|5f|5dp|5bs|6vr|7vr|8vr": "rk_type",
     "none|basic|dsp": "adapt_type",
-    NUMBERS: "dt rtol atol max_steps max_reject alpha_(radius|alpha_m|alpha_f|gamma|beta) "
+    NUMBERS: "dt max_steps max_reject alpha_(radius|alpha_m|alpha_f|gamma|beta) "
     "adapt_(safety|reject_safety|clip|dt_min|dt_max|scale_solve_failed|time_step_increase_delay)",
     WORD: "adapt_wnormtype",
     ALONE: "view monitor adapt_monitor",

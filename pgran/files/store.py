@@ -220,7 +220,7 @@ def load(path):
         for group in file.members("/", RECORDS):
             try:
                 record = _read_record(file, group, RECORDS[group], facts)
-                axes = record.axes if group == "lattice" else axes
+                axes = record.axes if group in ("lattice", "network") else axes
                 record.check(axes)
             except MisfitError as error:
                 raise FileError(f"{path}: /{group}/{error}") from None

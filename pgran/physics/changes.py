@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.physics.bondlaw import unit_numbers
-from pgran.physics.lattice import bond_count
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Changes:
         return self[np.minimum(np.arange(max(count, len(self))), len(self) - 1)]
 
 
-def draw_changes(law, shape, seed, trajectory, first, count, unit=1.0):
+def draw_changes(law, bonds, seed, trajectory, first, count, unit=1.0):
     """Return the changes of `count` steps from step `first` on, counted from 0.
 
     Not collective; the same on every rank.
@@ -41,13 +40,12 @@ def draw_changes(law, shape, seed, trajectory, first, count, unit=1.0):
     ----------
     law : callable
         Turns numbers uniform on [0, 1) into bond constants (`pgran.physics.bondlaw.BondLaw`).
-    shape : sequence of int
-        Balls along each axis.
+    bonds : int
+        How many there are.
     seed, trajectory, first, count : int
         Trajectories of one seed are independent.
     unit : float
         Of the constants returned.
     """
     u = unit_numbers(seed, 2 * first, 2 * count, generation=1 + trajectory)
-    bonds = bond_count(shape)
     return Changes(np.minimum((u[::2] * bonds).astype(np.int64), bonds - 1), law(u[1::2]) / unit)

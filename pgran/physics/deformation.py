@@ -7,8 +7,6 @@ import numpy as np
 
 from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL
 
-BOND = 2**0.5  # |b|_2 of a bond between balls
-
 
 def march(G, delta):
     """Change one bond after the other; return how each then deforms the lattice.
@@ -52,8 +50,12 @@ class Deformation:
         As there.
     start : numpy.ndarray, shape (s,)
         b^T x0 with all walls at rest.
+    rows : tuple of float
+        The largest |b|_2 of a bond, and what rounding adds to b^T x in units of |x|_2.
+    sizes : tuple
+        No less than |x0|_2, and than the norms of Y's columns, shape (s,).
     wall : numpy.ndarray or float, optional
-        How far the wall at the upper end of each bond moves.
+        How far what is driven lengthens each bond.
 
     Attributes
     ----------
@@ -68,7 +70,7 @@ class Deformation:
         algebra, and its magnitude.
     """
 
-    def __init__(self, T, c, G, delta, start, wall=0.0):
+    def __init__(self, T, c, G, delta, start, rows, sizes, wall=0.0):
         """Carry out the algebra; a stretch t is wrong by _rounding |a|_2 + _rounding_of_start."""
         self.start, steps = start + wall, len(delta)
         upper = np.tri(steps).T  # bonds change one after the other
@@ -81,11 +83,14 @@ class Deformation:
         self._norm = np.sqrt(squares(self.coefficients)) + np.sqrt(2 * steps * SMALLEST_NORMAL)
         # Displacements of bonds are differences, rounded once; then come s products and sums.
         self._rounding = (steps + 8) * EPSILON * np.sqrt(squares(G.T))
-        self._rounding_of_start = EPSILON * (4 * np.abs(self.start) + wall)
+        self._rounding_of_start = EPSILON * (4 * np.abs(self.start) + np.abs(wall))
+        self._bond, loose = rows
+        self._loose = loose * (sizes[0] + sizes[1] @ self.coefficient_sizes)
 
     def stretch_rounding(self, weights):
         """Bound, step by step, the rounding of a sum of weights times stretches. Not collective."""
-        return (self._rounding @ weights) * self._norm + self._rounding_of_start @ weights
+        found = (self._rounding @ weights) * self._norm + self._rounding_of_start @ weights
+        return found + self._loose * weights.sum(axis=0)
 
     def missed_rounding(self, weights):
         """Bound the same for weights times `missed`. Not collective."""
@@ -99,7 +104,7 @@ class Deformation:
         """
         rounding = self.missed_rounding(np.ones(self.missed.shape))
         missed = np.sum(self.missed_sizes, axis=0) + rounding
-        return start + columns @ self.coefficient_sizes + BOND * missed
+        return start + columns @ self.coefficient_sizes + self._bond * missed
 
 
 def amplitudes(before, primal, adjoint):

@@ -29,6 +29,7 @@ GROWTH = 16.0  # sigma times the time wanted
 SHORTEST = 1.2  # the period, in units of the time wanted
 LEFT_OUT = 1e-9  # of the tolerance: what frequencies left out may add up to
 LATER = 1e-4  # of the tolerance: what later turns may
+AT_ONCE = 300_000  # numbers of a Fourier transform that are kept at once
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ class Line:
         self._weight = np.where(self.number == 0, 1.0, 2.0) / self.period
         self.growth = math.exp(GROWTH) * np.sum(self._weight * np.abs(self.transform))
 
-    def inverse(self, transforms):
+    def inverse(self, transforms, finer=1):
         """Return functions at the times of the signals from their transforms on the line.
 
         Not collective.
@@ -122,19 +123,22 @@ class Line:
         Parameters
         ----------
         transforms : numpy.ndarray, shape (ns, ...)
+        finer : int
+            Each step between these times is cut into so many.
 
         Returns
         -------
-        numpy.ndarray, shape (points, ...)
+        numpy.ndarray, shape (finer (points - 1) + 1, ...)
         """
         from scipy.fft import irfft  # here: SciPy takes its time, and all scenes are imported
 
-        fold = -(-2 * (self.number[-1] + 1) // self.times)  # so fine a grid holds all frequencies
-        n = fold * self.times
+        times, count = finer * self.times, finer * (len(self.time) - 1) + 1
+        fold = -(-2 * (self.number[-1] + 1) // times)  # so fine a grid holds all frequencies
+        n = fold * times
         spectrum = np.zeros((n // 2 + 1, *transforms.shape[1:]), dtype=complex)
         spectrum[self.number] = transforms
-        values = irfft(spectrum, n, axis=0)[: fold * len(self.time) : fold]
-        growth = np.exp(self.sigma * self.time) * (n / self.period)
+        values = irfft(spectrum, n, axis=0)[: fold * count : fold]
+        growth = np.exp(self.sigma * np.linspace(0.0, self.time[-1], count)) * (n / self.period)
         return values * growth.reshape(-1, *[1] * (values.ndim - 1))
 
     def at(self, time, transforms):
@@ -142,9 +146,13 @@ class Line:
 
         Not collective. Parameters are those of `inverse`.
         """
-        turning = self._weight * np.exp(np.outer(time, self.s))
-        real, imaginary = (np.ascontiguousarray(part) for part in (turning.real, turning.imag))
-        return np.tensordot(real, transforms.real, 1) - np.tensordot(imaginary, transforms.imag, 1)
+        found = []
+        for part in np.array_split(time, 1 + len(time) * len(self.s) // AT_ONCE):
+            turning = self._weight * np.exp(np.outer(part, self.s))
+            real, imaginary = (np.ascontiguousarray(x) for x in (turning.real, turning.imag))
+            moved = np.tensordot(real, transforms.real, 1)
+            found.append(moved - np.tensordot(imaginary, transforms.imag, 1))
+        return np.concatenate(found)
 
     def signals(self, amplitude, bound):
         """Return displacements, velocities, and a bound of the error of each, shape (nt, nd).

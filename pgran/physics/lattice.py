@@ -143,6 +143,31 @@ class Lattice:
         return math.sqrt(2 * self.axes * self.kmax / self.mass)
 
     @property
+    def bonds(self):
+        """How many bonds there are, wall bonds included."""
+        return bond_count(self.shape)
+
+    @property
+    def rows(self):
+        """|b|_2 of a bond between balls, and what rounding adds to b^T x beside its own."""
+        return math.sqrt(2), 0.0
+
+    def bond_places(self, bonds):
+        """Return axis and index of numbered bonds: see `bond_places`. Not collective."""
+        return bond_places(self.shape, bonds)
+
+    @property
+    def drive_norms(self):
+        """|f|_2 of what the springs at the driven wall do, and of their dashpots for beta = 1."""
+        driven = self.stiffness[0][-1]
+        return math.sqrt(np.sum(driven**2)), math.sqrt(driven.size)
+
+    @property
+    def damping_norm(self):
+        """No less than |C|_2."""
+        return 4 * self.axes
+
+    @property
     def stiffness_norm(self):
         """No less than |K|_inf: twice its largest diagonal entry."""
         diagonal = 0.0
@@ -150,6 +175,43 @@ class Lattice:
             k = np.moveaxis(k, axis, 0)
             diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
         return 2 * float(np.max(diagonal))
+
+    def sites(self, detectors):
+        """Return ball indices, flat or one row a detector, as an array: see `detector_sites`."""
+        return detector_sites(self.shape, detectors)
+
+    def depths(self, sites):
+        """Return how far balls are from the driven wall, in spacings, shape (nd,)."""
+        return self.shape[0] - sites[:, 0]
+
+    def displacements(self, field):
+        """Return an array of unknowns as displacements, which they are here."""
+        return field
+
+    def per_ball(self, squares):
+        """Return sums over the components of each ball, of which there is one, shape (n, balls)."""
+        return squares.reshape(len(squares), math.prod(squares.shape[1:]))
+
+    def stretched(self, fields, wall):
+        """Yield how far fields (n, *shape) lengthen bonds, (n, bonds), constants, parts of beta.
+
+        Not collective. The driven wall moves by `wall`, shape (n,).
+        """
+        for axis, longer in enumerate(stretch(fields, self.axes)):
+            if axis == 0:
+                longer[:, -1] += wall.reshape(-1, *[1] * (self.axes - 1))  # above the last bond
+            k = self.stiffness[axis].ravel()
+            yield longer.reshape(len(fields), -1), k, np.ones(len(k))
+
+    @property
+    def semidefinite(self):
+        """Whether K has no negative eigenvalues."""
+        return True
+
+    @property
+    def largest_eigenvalue(self):
+        """No less than |K|_2."""
+        return 4 * self.axes * self.stiffest
 
     def restoring_forces(self, fields):
         """Return K f = B^T diag(k) B f for fields of shape (count, *shape). Not collective."""

@@ -59,7 +59,7 @@ def with_fixed_sign(vectors):
     return (signs[:, None] * flat).reshape(vectors.shape)
 
 
-def participation(vectors):
-    """Return 1 / sum f^4 of each mode: how many balls take part. Not collective."""
-    squares = vectors * vectors
-    return 1.0 / np.sum(squares * squares, axis=tuple(range(1, vectors.ndim)))
+def participation(lattice, vectors):
+    """Return 1 / sum |f_p|^4 of each mode: how many balls take part. Not collective."""
+    squares = lattice.per_ball(vectors * vectors)
+    return 1.0 / np.sum(squares * squares, axis=1)

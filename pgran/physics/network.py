@@ -293,9 +293,62 @@ class Network:
         rows = np.repeat(np.arange(len(columns)), np.count_nonzero(there, axis=1))
         return csr_matrix((values[there], (rows, columns[there])), (len(columns), self.balls))
 
+    def stretched(self, fields, wall):
+        """Yield how far fields (n, unknowns) lengthen springs, constants, parts of beta.
+
+        Not collective. What is driven moves by `wall`, shape (n,).
+        """
+        springs = self.springs
+        yield (
+            (self.B @ fields.T).T + wall[:, None] * springs.drive,
+            springs.constants,
+            springs.damped,
+        )
+
+    @property
+    def semidefinite(self):
+        """Whether K has no negative eigenvalues for certain, as all constants are positive."""
+        return bool(np.all(self.springs.constants >= 0))
+
+    @property
+    def largest_eigenvalue(self):
+        """No less than |K|_2."""
+        return self.stiffness_norm
+
     def restoring_forces(self, fields):
         """Return K f = B^T diag(k) B f for fields of shape (count, unknowns). Not collective."""
         return (self.B.T @ (self.springs.constants[:, None] * (self.B @ fields.T))).T
+
+    @property
+    def bonds(self):
+        """How many contacts there are."""
+        return len(self.bond)
+
+    @property
+    def rows(self):
+        """The largest |b|_2 of a contact, and what rounding adds to b^T x, in units of |x|_2."""
+        values = self.springs.values
+        size = float(np.sqrt(np.sum(values[: self.bonds] ** 2, axis=1)).max())
+        return size, (values.shape[1] + 1) * EPSILON * size
+
+    def bond_places(self, bonds):
+        """Return axis and index of numbered contacts, as of an array of one axis."""
+        return np.zeros_like(bonds), bonds[..., None]
+
+    @property
+    def drive_norms(self):
+        """|f|_2 of what the springs at driven balls do, and of their dashpots for beta = 1."""
+        springs = self.springs
+        return tuple(
+            float(np.linalg.norm(self.B.T @ (k * springs.drive)))
+            for k in (springs.constants, springs.damped)
+        )
+
+    @property
+    def damping_norm(self):
+        """No less than |C|_2."""
+        size = abs(self.B)
+        return 1.01 * float((size.T @ (self.springs.damped * (size @ np.ones(self.balls)))).max())
 
     @property
     def stiffness_norm(self):
@@ -384,6 +437,22 @@ class Network:
         if self.component != "drive":
             along = np.eye(self.axes)[AXES.index(self.component)]
         return unknowns, along * self.weights[unknowns]
+
+    def depths(self, sites):
+        """Return how far balls are from the nearest driven one, NaN if unknown, shape (nd,)."""
+        driven = np.flatnonzero(self.held == DRIVEN)
+        if self.position is None or not len(driven):
+            return np.full(len(sites), np.nan)
+        away = self.position[sites[:, 0]][:, None] - self.position[driven]
+        return np.sqrt(np.sum(away**2, axis=2)).min(axis=1)
+
+    def displacements(self, field):
+        """Return mass-weighted unknowns as displacements, shape (..., unknowns)."""
+        return self.weights * field
+
+    def per_ball(self, squares):
+        """Return sums over the components of each free ball, shape (n, free balls)."""
+        return squares.reshape(len(squares), -1, self.components).sum(axis=2)
 
     def in_own_unit(self):
         """Return the same network with its largest constant between 1 and 2, and the unit.

@@ -80,6 +80,11 @@ class Pulse:
         return 2 * self.centre
 
     @property
+    def rest(self):
+        """The time after which what is left of its motion is below 1e-26."""
+        return self.centre + EARLIEST * self.width
+
+    @property
     def band(self):
         """Up to which omega its spectrum is above a hundredth of its largest."""
         return self._carrier + BAND / self.width
@@ -195,6 +200,11 @@ class Samples:
     def end(self):
         """See `Pulse`."""
         return (len(self.values) - 1) * self.width
+
+    @property
+    def rest(self):
+        """See `Pulse`."""
+        return self.end + (MARGIN + EARLIEST) * self.width
 
     @property
     def band(self):

@@ -2,14 +2,13 @@
 
 import numpy as np
 
-from pgran.physics.lattice import stretch
+from pgran.physics.laplace import AT_ONCE
 from pgran.physics.rounding import SMALLEST_NORMAL
 
 FRONT = 0.1  # of the largest displacement: where a front has arrived
 BLOCKS, FEWEST_BLOCKS = 16, 6  # that a coda is cut into, and that a rate needs
 NODES = 6  # steps of an integrator that a polynomial goes through
 DEGREE = 11  # of the splines that are integrated: an odd number
-AT_ONCE = 300_000  # numbers of a Fourier transform that are kept at once
 
 
 def arrivals(time, displacement, error):
@@ -80,7 +79,8 @@ def codas(time, envelope, error):
         if count >= FEWEST_BLOCKS:
             middle = [time[block].mean() for block in blocks[:count]]
             line = linregress(middle, np.log(level[:count]))
-            rates[:, d] = -line.slope / 2, line.stderr / 2
+            if line.slope < 0:
+                rates[:, d] = -line.slope / 2, line.stderr / 2
     return rates
 
 
@@ -132,7 +132,7 @@ def energies(lattice, line, field, time, fine):
 
     Parameters
     ----------
-    lattice : pgran.physics.lattice.Lattice
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
     line : pgran.physics.laplace.Line
     field : numpy.ndarray, shape (ns, *lattice.shape)
         A(s) of all balls.
@@ -148,13 +148,10 @@ def energies(lattice, line, field, time, fine):
     flat = moved.reshape(len(s), -1)
     energy = _squares(line, s * flat, np.full(flat.shape[1], 0.5 * lattice.mass), time)
     power = np.zeros_like(fine)
-    for axis, longer in enumerate(stretch(moved, field.ndim - 1)):
-        if axis == 0:
-            longer[:, -1] += U[:, 0]  # the driven wall is above the last bond
-        flat, k = longer.reshape(len(s), -1), lattice.stiffness[axis].ravel()
-        energy += _squares(line, flat, 0.5 * k, time)
+    for longer, k, damped in lattice.stretched(moved, line.transform):
+        energy += _squares(line, longer, 0.5 * k, time)
         if lattice.damping:
-            power += _squares(line, s * flat, np.full(len(k), lattice.damping), fine)
+            power += _squares(line, s * longer, lattice.damping * damped, fine)
     return energy, power
 
 

@@ -4,10 +4,11 @@
 as datasets, plain values as attributes.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from pgran.physics.network import Network
 from pgran.record import SPACE, MisfitError, Record, array, attribute_array
 from pgran.results.response import BOUND, DETECTOR, FLOOR, PHASE
 from pgran.results.response import Models as Models
@@ -56,6 +57,64 @@ class LatticeRecord(Record):
         same = ("shape", "mass", "damping", "omega_mx", "bonds_sha256")
         arrays = {f"stiffness_{x}": k for x, k in zip(SPACE, lattice.stiffness, strict=False)}
         return cls(**{name: getattr(lattice, name) for name in same}, **arrays)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NetworkRecord(Record):
+    """The network a result belongs to: N balls, nb contacts, laid out like a network's own file.
+
+    Arrays of `balls` in other records have the components of its free balls one after the other.
+    """
+
+    group = "network"
+    displacement: str
+    damped: str
+    component: str
+    damping: float
+    kmax: float
+    omega_mx: float
+    unknowns: int
+    bonds_sha256: str = field(metadata={"of_run": True})
+    direction: np.ndarray = attribute_array("drive_coordinate")
+    bond: np.ndarray = array("balls of the contacts", "1", "contact", "end", dtype=int)
+    stiffness: np.ndarray = array("constants of the contacts", "k", "contact")
+    held: np.ndarray = array("0: free, 1: at rest, 2: driven", "1", "ball", dtype=int)
+    mass: np.ndarray = array("masses of the balls", "m", "ball")
+    position: np.ndarray | None = array(
+        "positions of the balls", "1", "ball", "coordinate", optional=True
+    )
+    radius: np.ndarray | None = array("radii of the balls", "1", "ball", optional=True)
+    normal: np.ndarray | None = array(
+        "from the first ball of a contact to the second, of length 1",
+        "1", "contact", "coordinate", optional=True,
+    )  # fmt: skip
+    distance: np.ndarray | None = array("of the centres", "1", "contact", optional=True)
+    force: np.ndarray | None = array("repulsive force", "k", "contact", optional=True)
+    tangential: np.ndarray | None = array(
+        "constants of tangential springs", "k", "contact", optional=True
+    )
+
+    @property
+    def axes(self):
+        """How long the axes of its unknowns are, by name."""
+        return {"axis": 1, "x": self.unknowns}
+
+    @property
+    def shape(self):
+        """The unknowns, as those of `pgran.physics.network.Network`."""
+        return (self.unknowns,)
+
+    @classmethod
+    def of(cls, network):
+        """Return the record of a `pgran.physics.network.Network`."""
+        same = [item.name for item in fields(cls) if item.name not in ("mass", "unknowns")]
+        values = {name: getattr(network, name) for name in same}
+        return cls(mass=network.masses, unknowns=network.balls, **values)
+
+
+def record_of(lattice):
+    """Return the record of a lattice or of another network. Not collective."""
+    return (NetworkRecord if isinstance(lattice, Network) else LatticeRecord).of(lattice)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -329,5 +388,5 @@ class Accuracy(Record):
 
 
 # Every record by the name of its group; the lattice, whose axes the others share, comes first.
-KINDS = (LatticeRecord, *Record.__subclasses__())
+KINDS = tuple(Record.__subclasses__())
 RECORDS = {kind.group: kind for kind in KINDS if not kind.within}

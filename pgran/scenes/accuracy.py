@@ -13,7 +13,7 @@ from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.accuracy import read_modes, read_pulse, read_relaxation, read_response
 from pgran.physics.modes import RESIDUAL
-from pgran.results import LatticeRecord
+from pgran.results import record_of
 from pgran.scenes import common, modes, pulse, relaxation, response
 from pgran.scenes.scene import Scene
 from pgran.scenes.study import Comparison, Configuration, Reference, Study
@@ -85,7 +85,7 @@ def run(options, world, crew):
         reference = carry_out(Reference(study, workers), whole)
         task = Comparison(study, configurations, options.accuracy_repeats, reference, workers)
         accuracy = carry_out(task, whole, options.output_progress)
-    return accuracy and [LatticeRecord.of(lattice), accuracy]
+    return accuracy and [record_of(lattice), accuracy]
 
 
 def summary(result):

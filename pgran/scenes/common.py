@@ -1,6 +1,6 @@
 """What several scenes share: options and what must hold between them, and what these make."""
 
-import math
+import dataclasses
 
 import numpy as np
 
@@ -29,10 +29,26 @@ LATTICE = (
     Option("bonds_seed", INTEGER, 1993, "which sample", low=0, high=2**63 - 1),
     Option("bonds_file", TEXT, None, "law file: HDF5 file with /lattice/stiffness_x ..."),
 )  # fmt: skip
+NETWORK = (
+    Option(
+        "network_file", TEXT, None,
+        "HDF5 file with /network/bond, stiffness ..., instead of a lattice and its bonds"
+    ),
+    Option(
+        "network_damping", REAL, None, "damping beta of every contact; else the file's",
+        "mass x frequency", low=0
+    ),
+)  # fmt: skip
+LATTICE = (*LATTICE, *NETWORK)
 DETECTORS = (
     Option(
         "detectors", INTEGERS, (8, 10), "ball indices from 0, flat: 8,10 or 8,10,3,4",
         low=0, high=2**63 - 1
+    ),
+    Option(
+        "detectors_component", TEXT, "drive",
+        "of networks with vectors: what of a displacement is read, along the drive or an axis",
+        choices=("drive", "x", "y", "z")
     ),
 )  # fmt: skip
 SWEEP = (
@@ -94,8 +110,19 @@ def alternatives(some, others, values, given):
         values.update(dict.fromkeys(others if first > second else some))
 
 
-def check_lattice(values, given):
-    """Raise where the options of a lattice contradict each other. Not collective."""
+def check_lattice(values, given, law=()):
+    """Raise where the options of a lattice contradict each other.
+
+    Not collective. `law` are names of options that say more than what a lattice is made of.
+    """
+    named = [o.name for o in LATTICE if o not in NETWORK and o.name not in law]
+    alternatives(("network_file", "network_damping"), named, values, given)
+    if values["network_file"] is not None:
+        return
+    if values["network_damping"] is not None:
+        raise InputError("-network_damping belongs to -network_file; of a lattice -lattice_damping")
+    if values.get("detectors_component") not in ("drive", None):
+        raise InputError("-detectors_component: balls of a lattice have one displacement")
     if len(values["lattice_shape"]) > 3:
         raise InputError("-lattice_shape: a lattice has 1 to 3 axes")
     from_file = values["bonds_law"] == "file"
@@ -159,7 +186,7 @@ def check_ends(name, values):
 
 
 def make_lattice(options, world):
-    """Return the lattice that the options describe, the same on every rank.
+    """Return the lattice or the network that the options describe, the same on every rank.
 
     Collective.
 
@@ -170,7 +197,16 @@ def make_lattice(options, world):
     PgranError
         If the ranks disagree on the bonds.
     """
-    if options.bonds_law == "file":
+    if options.network_file is not None:
+        from pgran.files.network import read_network
+
+        component = getattr(options, "detectors_component", "drive")
+        lattice = on_root(world, lambda: read_network(options.network_file))
+        changes = {"component": component if lattice.displacement != "scalar" else "drive"}
+        if options.network_damping is not None:
+            changes["damping"] = options.network_damping
+        lattice = dataclasses.replace(lattice, **changes)
+    elif options.bonds_law == "file":
         stiffness, kmax = on_root(world, lambda: read_bonds(options.bonds_file))
         lattice = Lattice(stiffness, options.lattice_mass, options.lattice_damping, kmax)
     else:
@@ -236,15 +272,15 @@ def ranks_per_lattice(options, lattice, world):
     lattice : pgran.physics.lattice.Lattice
     world : mpi4py.MPI.Comm
     """
-    return options.ranks_per_lattice or automatic_ranks(lattice.shape, world.size)
+    return options.ranks_per_lattice or automatic_ranks(lattice, world.size)
 
 
-def automatic_ranks(shape, ranks):
+def automatic_ranks(lattice, ranks):
     """Return how many of the ranks should share a lattice: one, unless it is large.
 
     Not collective.
     """
-    return ranks if math.prod(shape) > LARGE[len(shape)] else 1
+    return ranks if lattice.balls > LARGE[lattice.axes] else 1
 
 
 def driving_frequencies(options):

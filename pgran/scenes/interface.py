@@ -39,7 +39,7 @@ def in_parallel(shares_lattice=False):
                 from pgran.parallel.crew import AgreeingCrew
 
                 world = MPI.COMM_WORLD
-                ranks = automatic_ranks(given["lattice"].shape, world.size) if shares_lattice else 1
+                ranks = automatic_ranks(given["lattice"], world.size) if shares_lattice else 1
                 with AgreeingCrew(world, ranks) as crew:
                     record = function(*arguments, **choices | {"crew": crew})
                 return world.bcast(record)

@@ -9,7 +9,7 @@ import numpy as np
 from pgran.parallel.task import carry_out
 from pgran.physics.lattice import check_frequency
 from pgran.physics.phase import fit_line
-from pgran.results import LatticeRecord, Projection
+from pgran.results import Projection, record_of
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.modes import WHICH, certificate, check_modes, chosen, find_modes
@@ -43,7 +43,7 @@ def run(options, world, crew):
             progress=options.output_progress,
             **common.steady_of(options),
         )
-    return projection and [LatticeRecord.of(lattice), projection]
+    return projection and [record_of(lattice), projection]
 
 
 def which_modes(options, balls, omegas):
@@ -66,7 +66,7 @@ def which_modes(options, balls, omegas):
 
 def summary(result):
     """Return in words what a run found. Not collective."""
-    lattice, projection = result.lattice, result.projection
+    lattice, projection = result.medium, result.projection
     nm = len(projection.mode_omega)
     yield (
         f"{len(projection.omega)} frequencies on {nm} modes in {projection.solve_seconds:.2f} s, "

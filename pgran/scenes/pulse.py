@@ -10,7 +10,7 @@ from pgran.files.options import FLAG, INTEGER, REAL, TEXT, Option
 from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.pulse import SHAPES, Pulse, Samples
-from pgran.results import LatticeRecord
+from pgran.results import record_of
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
@@ -46,6 +46,8 @@ PULSE = (
 )  # fmt: skip
 FIELDS = Option("output_fields", FLAG, False, "store the displacement of all balls at four times")
 TOLERANCE = common.STEADY["error_tolerance"]
+PROVABLE = 1e-6  # tolerance below which rounding leaves little to be proven
+EQUAL = 0.01  # of a step: how far the times of a motion may be from equal ones
 AT_REST = 0.01  # of a motion's largest: where it may begin
 
 
@@ -76,7 +78,7 @@ def run(options, world, crew):
             error_tolerance=options.error_tolerance,
             progress=options.output_progress,
         )
-    return signals and [LatticeRecord.of(lattice), signals]
+    return signals and [record_of(lattice), signals]
 
 
 def chosen(options, world):
@@ -103,7 +105,8 @@ def summary(result):
         known = "wrong by at most" if proven else "wrong by an estimated"
         line = f"ball {tuple(site)}: largest displacement {largest:.3g}, {known} {wrong:.1e}"
         if not wrong <= signals.tolerance * largest:
-            line += ", not as accurate as asked (a smaller -error_tolerance may help)"
+            line += ", not as accurate as asked: a smaller -error_tolerance may help"
+            line += ", or -pulse_method integrate" if proven else ""
         if np.isfinite(signals.arrival[d]):
             line += f"; front at {signals.arrival[d]:.4g}, centre at {signals.centre[d]:.4g}"
         if np.isfinite(signals.decay[d]):
@@ -186,10 +189,19 @@ def pulse(
     sent = Pulse(shape, float(omega), float(width)) if wall is None else samples_of(wall, step)
     listening = Listening(lattice, detectors, sent, time, points, error_tolerance, fields)
     check_times(listening)
+    if not listening.scaled.semidefinite:
+        from pgran.solve.certify import is_stable
+
+        if not is_stable(listening.scaled):
+            raise InputError(
+                "-network_file: springs of negative constants (pre-stress) make the network "
+                "unstable; after a pulse it would move without bound"
+            )
     task = None if method == "integrate" else PulseLine(listening)
     if method == "auto":
         transform, integrations = predicted_seconds(listening, len(task.omegas))
-        method = "laplace" if transform <= integrations else "integrate"
+        exact = error_tolerance < PROVABLE
+        method = "integrate" if exact or integrations < transform else "laplace"
     if method == "integrate":
         return integrate(listening, crew, progress)
     return carry_out(task, crew, progress)
@@ -211,14 +223,15 @@ def samples_of(wall, step):
         raise InputError("-pulse_file: a motion is a list of numbers") from None
     if values.ndim == 2 and values.shape[1] == 2:
         apart = np.diff(values[:, 0])
-        step = apart.mean() if len(apart) else step
-        uneven = np.flatnonzero(~(np.abs(apart - step) <= 1e-6 * step))
+        step = np.median(apart) if len(apart) else step  # a gap changes their mean
+        uneven = np.flatnonzero(~(np.abs(apart - step) <= EQUAL * step))
         if uneven.size or not step > 0:
             at = values[uneven[0] if uneven.size else 0, 0]
             raise InputError(
                 f"-pulse_file: times must increase by equal steps, and do not at {at:g}; fill the "
                 "gap, or resample the motion"
             )
+        step = apart.mean() if len(apart) else step
     elif values.ndim != 1 and values.shape[1:] != (1,):
         raise InputError("-pulse_file: a motion is one column of numbers, or times and numbers")
     values = values[:, -1] if values.ndim == 2 else values

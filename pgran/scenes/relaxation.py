@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+from functools import partial
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from pgran.machine import check_memory
 from pgran.parallel.task import Task, carry_out
 from pgran.physics.accuracy import below_relative_accuracy
 from pgran.physics.changes import draw_changes
-from pgran.physics.lattice import bond_count, bond_places, check_frequency, detector_sites
-from pgran.results import LatticeRecord, Relaxation
+from pgran.physics.lattice import check_frequency
+from pgran.results import Relaxation, record_of
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
@@ -43,7 +44,10 @@ STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windo
 
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
-    common.check_lattice(values, given)
+    law = ("bonds_law", "bonds_kmin", "bonds_kmax", "bonds_fraction", "bonds_force", "bonds_hertz")
+    common.check_lattice(values, given, law)
+    if values["network_file"] is not None and "bonds_law" not in given:
+        values["bonds_law"] = None  # the network's own constants
     if values["bonds_law"] == "file":
         raise InputError(
             "-bonds_law file: a relaxation draws new constants and needs a law for them"
@@ -64,7 +68,7 @@ def run(options, world, crew):
     with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
         relaxation = relax(
             lattice,
-            common.make_law(options),
+            common.make_law(options) if options.bonds_law else None,
             options.relax_omega,
             options.detectors,
             workers,
@@ -78,9 +82,9 @@ def run(options, world, crew):
         )
     if relaxation is None:
         return None
-    memory = bond_count(lattice.shape)
+    memory = lattice.bonds
     spectrum = None if workers.dry else spectrum_of(relaxation, window, memory)
-    return [record for record in (LatticeRecord.of(lattice), relaxation, spectrum) if record]
+    return [record for record in (record_of(lattice), relaxation, spectrum) if record]
 
 
 def spectrum_of(relaxation, window, memory):
@@ -157,8 +161,8 @@ def relax(
     ----------
     lattice : pgran.physics.lattice.Lattice
         Before any change.
-    law : callable
-        Turns numbers uniform on [0, 1) into bond constants.
+    law : callable or None
+        Turns numbers uniform on [0, 1) into bond constants; None draws from those that there are.
     omega : float
         Driving frequency, angular.
     detectors : array_like of int
@@ -196,6 +200,11 @@ def relax(
     return carry_out(task, crew, progress)
 
 
+def redrawn(constants, numbers):
+    """Return constants of a network's own, drawn by numbers uniform on [0, 1). Not collective."""
+    return constants[(numbers * len(constants)).astype(np.int64)]
+
+
 class Steps(Task):
     """The states of all trajectories, some steps of one trajectory at a time.
 
@@ -213,8 +222,9 @@ class Steps(Task):
 
     def __init__(self, lattice, law, detectors, chosen, choices):
         """Cut the trajectories into stretches of whole windows."""
-        self.lattice, self.law, self.choices = lattice, law, choices
-        self.sites = detector_sites(lattice.shape, detectors)
+        self.lattice, self.choices = lattice, choices
+        self.law = law or partial(redrawn, lattice.constants[: lattice.bonds])
+        self.sites = lattice.sites(detectors)
         self.omega, self.steps, self.trajectories, self.seed, self.method, self.window = (
             chosen[f"relax_{name}"]
             for name in ("omega", "steps", "trajectories", "seed", "method", "window")
@@ -274,8 +284,7 @@ class Steps(Task):
 
     def _draw(self, trajectory, first, count, unit=1.0):
         """Return the changes of some steps, constants in a unit. Not collective."""
-        shape = self.lattice.shape
-        return draw_changes(self.law, shape, self.seed, trajectory, first, count, unit)
+        return draw_changes(self.law, self.lattice.bonds, self.seed, trajectory, first, count, unit)
 
     def length(self, unit):
         """See `Task`."""
@@ -292,7 +301,7 @@ class Steps(Task):
         """See `Task`."""
         rows = rows.reshape(self.trajectories, self.steps + 1)
         changes = [self._draw(number, 0, self.steps) for number in range(self.trajectories)]
-        axis, index = bond_places(self.lattice.shape, np.stack([c.bond for c in changes]))
+        axis, index = self.lattice.bond_places(np.stack([c.bond for c in changes]))
         displacement, error_bound = (rows[name].copy() for name in ("displacement", "error_bound"))
         tolerance = self.choices["error_tolerance"]
         return Relaxation(

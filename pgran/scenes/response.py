@@ -10,7 +10,6 @@ from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.accuracy import below_relative_accuracy, is_accurate
 from pgran.physics.curve import deviation
-from pgran.physics.lattice import detector_sites
 from pgran.physics.phase import (
     PhaseLine,
     and_more,
@@ -20,7 +19,7 @@ from pgran.physics.phase import (
     phase_velocity,
     unwrap,
 )
-from pgran.results import LatticeRecord
+from pgran.results import record_of
 from pgran.results.response import LINES, Response
 from pgran.scenes import common
 from pgran.scenes.curve import choose_method, solve_curve
@@ -79,12 +78,12 @@ def run(options, world, crew):
             progress=options.output_progress,
             **common.steady_of(options),
         )
-    return response and [LatticeRecord.of(lattice), response]
+    return response and [record_of(lattice), response]
 
 
 def summary(result):
     """Return in words what a run found. Not collective."""
-    lattice, response = result.lattice, result.response
+    lattice, response = result.medium, result.response
     nw, asked = len(response.omega), np.count_nonzero(response.requested)
     added = f", {nw - asked} of them added to resolve the curve," if nw > asked else ""
     yield (
@@ -231,7 +230,7 @@ class ResponseSweep(FrequencySweep):
     def __init__(self, lattice, omegas, detectors, fields, steady):
         """Say what a frequency's results travel in."""
         self.fields, self.detectors, self.steady = fields, detectors, steady
-        sites = detector_sites(lattice.shape, detectors)
+        sites = lattice.sites(detectors)
         kept = [
             ("omega", float),
             ("displacement", complex, (len(sites),)),
@@ -254,7 +253,7 @@ class ResponseSweep(FrequencySweep):
         """See `FrequencySweep`; the field comes to the first rank of a group."""
         if self.fields:
             field = solver.operators.layout.field(solver.field)
-            point["field"] = 0.0 if field is None else field
+            point["field"] = 0.0 if field is None else self.scaled.displacements(field)
 
     def collect(self, rows, seconds):
         """See `Task`."""
@@ -302,7 +301,7 @@ class ResponseSweep(FrequencySweep):
         slope, slope_error, intercept, low, high = np.transpose(
             [astuple(line)[:-1] for line in lines]
         )
-        velocity = phase_velocity(slope, lattice.shape[0] - self.sites[:, 0])
+        velocity = phase_velocity(slope, lattice.depths(self.sites))
         return Response(
             factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,

@@ -11,11 +11,10 @@ from pgran.parallel.agreement import on_root
 from pgran.parallel.task import Task, carry_out
 from pgran.physics import signal
 from pgran.physics.laplace import Limits, Line
-from pgran.physics.lattice import detector_sites, smallest_damping_eigenvalue
 from pgran.results import Signals
 from pgran.scenes.sweeping import FrequencySweep
 
-WHOLE = 100_000  # amplitudes of all balls are kept if they are no more numbers than that
+WHOLE = 4e8  # amplitudes of all balls are kept, for energies at all times, if that costs no more
 FIELDS = 4  # times at which the field is kept
 FINE = 0.6  # step times frequency of what is integrated by splines: to about 1e-9
 COARSE, FINER = 0.3, 0.1  # tolerance of the first integration, and of each against the one before
@@ -44,7 +43,7 @@ class Listening:
     def __init__(self, lattice, detectors, sent, time, points, tolerance, fields):
         """Choose how finely powers are integrated."""
         self.lattice, self.sent, self.tolerance, self.fields = lattice, sent, tolerance, fields
-        self.sites = detector_sites(lattice.shape, detectors)
+        self.sites = lattice.sites(detectors)
         self.scaled, self.unit = lattice.in_own_unit()
         self.limits = limits_of(self.scaled)
         self.highest = math.sqrt(self.limits.stiffness / self.scaled.mass)  # of normal modes
@@ -121,7 +120,8 @@ class PulseLine(FrequencySweep):
         self.line = Line(listening.sent, time[-1], len(time), listening.limits, tolerance)
         self.fields = listening.fields
         shape, detectors = listening.lattice.shape, len(listening.sites)
-        self.whole = self.fields or len(self.line.s) * math.prod(shape) <= WHOLE
+        cost = len(self.line.s) * math.prod(shape) * len(listening.fine)
+        self.whole = self.fields or cost <= WHOLE
         kept = [
             ("displacement", complex, (detectors,)),
             ("error_bound", float, (detectors,)),
@@ -137,10 +137,10 @@ class PulseLine(FrequencySweep):
 
     def keep(self, point, solver):
         """See `FrequencySweep`: f^T A, and the field, which comes to the first rank of a group."""
-        drive, moved = solver.operators.f, solver.field
-        point["force"] = drive.sum() - drive.tDot(moved)
+        operators, moved = solver.operators, solver.field
+        point["force"] = operators.pull(operators.s) - operators.f.tDot(moved)
         if self.whole:
-            field = solver.operators.layout.field(moved)
+            field = operators.layout.field(moved)
             point["field"] = 0.0 if field is None else field
 
     def collect(self, rows, seconds):
@@ -149,19 +149,19 @@ class PulseLine(FrequencySweep):
         bound = np.where(np.isnan(rows["error_bound"]), np.inf, rows["error_bound"])
         found = line.signals(np.nan_to_num(rows["displacement"]), bound)
         displacement, error_bound, velocity, velocity_bound = found
-        moved = line.transform.reshape(-1, *[1] * len(listening.lattice.shape))
+        U = line.transform.reshape(-1, *[1] * len(listening.lattice.shape))
         energy = power = field = None
         if self.whole:
             field = np.nan_to_num(rows["field"])
             times = listening.time, listening.fine
             energy, power = signal.energies(listening.scaled, line, field, *times)
         if self.fields:
-            field = line.at(listening.field_time, moved * field)
+            field = listening.scaled.displacements(line.at(listening.field_time, U * field))
         return listening.signals(
             "laplace",
             (displacement, velocity),
             (error_bound, velocity_bound),
-            line.at(listening.fine, np.nan_to_num(rows["force"]) * line.transform),
+            line.inverse(np.nan_to_num(rows["force"]) * line.transform, listening.finer),
             energy,
             power,
             sigma=line.sigma,
@@ -182,7 +182,8 @@ class Integration(Task):
     Parameters
     ----------
     listening : Listening
-    tolerances : sequence of float
+    tolerances : sequence of (int, float)
+        How many coarser integrations there are, and the tolerance.
     """
 
     items = "times"
@@ -190,7 +191,8 @@ class Integration(Task):
     def __init__(self, listening, tolerances):
         """Plan an integration at each tolerance."""
         self.listening = listening
-        self.units = [(tolerance, None, float(listening.time[-1])) for tolerance in tolerances]
+        end = float(listening.time[-1])
+        self.units = [(number, tolerance, None, end) for number, tolerance in tolerances]
         times, fine, detectors = len(listening.time), len(listening.fine), len(listening.sites)
         kept = [
             ("displacement", float, (times, detectors)),
@@ -215,12 +217,12 @@ class Integration(Task):
         keep_at = listening.field_time if listening.fields else ()
         with (
             Operators(listening.scaled, group) as operators,
-            Integrator(operators, listening.sites, listening.sent) as integrator,
+            Integrator(operators, listening.sites, listening.sent, listening.highest) as integrator,
         ):
 
             def work(unit):
-                tolerance, begin, end = unit
-                return self.read(integrator.run(end, tolerance, keep_at, begin))
+                number, tolerance, begin, end = unit
+                return self.read(integrator.run(end, tolerance, number, keep_at, begin))
 
             yield work
 
@@ -239,12 +241,13 @@ class Integration(Task):
             row["energy"] = at(*history.energy.T)
             for number, (time, field) in enumerate(history.fields):
                 row["field_time"][0, number] = time
-                row["field"][0, number] = 0.0 if field is None else field.real
+                if field is not None:
+                    row["field"][0, number] = listening.scaled.displacements(field.real)
         return row
 
     def length(self, unit):
         """See `Task`: times."""
-        _, begin, end = unit
+        *_, begin, end = unit
         time = self.listening.time
         return np.count_nonzero((time >= (begin or 0.0)) & (time <= end))
 
@@ -254,9 +257,10 @@ class Integration(Task):
 
     def sample(self, unit):
         """See `Task`: a little after the middle of the pulse, where steps are short."""
-        tolerance, _, end = unit
+        number, tolerance, _, end = unit
         begin = self.listening.sent.centre
-        return tolerance, begin, begin + max(0.02 * (end - begin), 2 * self.listening.time[1])
+        part = max(0.02 * (end - begin), 2 * self.listening.time[1])
+        return number, tolerance, begin, begin + part
 
     def collect(self, rows, seconds):
         """Return the rows, and what they took."""
@@ -277,7 +281,7 @@ def integrate(listening, crew, progress):
         Style of `pgran.parallel.progress.Progress`.
     """
     tolerance = COARSE * listening.tolerance
-    tolerances, rows, seconds = [tolerance, FINER * tolerance], [], 0.0
+    tolerances, rows, seconds = [(0, tolerance), (1, FINER * tolerance)], [], 0.0
     while tolerances:
         found = carry_out(Integration(listening, tolerances), crew, progress)
         if found:
@@ -312,9 +316,20 @@ def integrate(listening, crew, progress):
     )
 
 
-def next_tolerance(listening, rows, tolerance):
-    """Return at which tolerances to integrate once more, none if that is no use. Not collective."""
-    before, last = rows
+def next_tolerance(listening, rows, last):
+    """Return at which tolerances to integrate once more, none if that is no use.
+
+    Not collective.
+
+    Parameters
+    ----------
+    listening : Listening
+    rows : list of numpy.void
+        What the last two integrations found.
+    last : (int, float)
+        Number and tolerance of the last one.
+    """
+    (number, tolerance), (before, last) = last, rows
     largest = np.abs(last["displacement"]).max(axis=0)
     wrong = np.abs(last["displacement"] - before["displacement"]).max(axis=0)
     allowed = listening.tolerance * largest
@@ -323,18 +338,19 @@ def next_tolerance(listening, rows, tolerance):
     # what is left is the error of `last`: may it serve as the coarser one of the next pair?
     missing = np.min(allowed[wrong > allowed] / (FINER * wrong[wrong > allowed]))
     smaller = tolerance * (FINER if missing > 1 else np.clip(0.5 * missing, 1e-6, FINER))
-    return [smaller] if smaller >= LEAST else []
+    return [(number + 1, smaller)] if smaller >= LEAST else []
 
 
 def limits_of(lattice):
     """Return what bounds the motion of a lattice. Not collective."""
-    axes, beta = len(lattice.shape), lattice.damping
-    driven = lattice.stiffness[0][-1]
+    from pgran.solve.certify import smallest_damping
+
+    (drive, damped), beta = lattice.drive_norms, lattice.damping
     return Limits(
         mass=lattice.mass,
-        stability=beta * smallest_damping_eigenvalue(lattice.shape),
-        stiffness=4 * axes * lattice.stiffest,
-        damping=4 * axes * beta,
-        drive=1.01 * math.sqrt(np.sum(driven**2)),
-        drive_damping=1.01 * beta * math.sqrt(driven.size),
+        stability=beta and beta * smallest_damping(lattice),
+        stiffness=lattice.largest_eigenvalue,
+        damping=beta * lattice.damping_norm,
+        drive=1.01 * drive,
+        drive_damping=1.01 * beta * damped,
     )

@@ -82,7 +82,7 @@ class ErrorBounds(Owner):
     def stability(self, s):
         """Return a c with |S x|_2 >= c |x|_2 for every x; 0 if none is certain. Not collective."""
         damping = self.operators.damping and self.operators.damping * (
-            abs(s) * smallest_damping(self.operators.layout)
+            abs(s) * smallest_damping(self.operators.lattice)
         )
         found = damping + abs(s) * s.real * self.operators.mass
         if s.real > 0:
@@ -98,7 +98,7 @@ class ErrorBounds(Owner):
         self.proven = self._always or s.real > 0
         inertia = operators.mass * size * size
         spread = size * operators.damping  # |s beta C| is at most this
-        spread *= operators.layout.damping_norm if spread else 0.0
+        spread *= operators.lattice.damping_norm if spread else 0.0
         if operators.layout.laplacian:
             operators.K.getDiagonal(self._work)
             # A Laplacian's diagonal holds the sum of its row's other magnitudes.

@@ -21,13 +21,23 @@ log = logging.getLogger(__name__)
 
 MOST_STEPS = 10**8
 KINDS = ("rk", "alpha2")
+LONGEST = 2.0  # step, in units of one over the highest frequency: between steps is interpolated
+SHORTER, HALF = 0.7, 0.5  # longest and fixed steps of each integration against the one before
+# What options of a run say, and what leaves alpha2 the velocity that it began with.
+REFUSED = {
+    "ts_rtol": "-error_tolerance says how accurate",
+    "ts_atol": "-error_tolerance says how accurate",
+    "ts_init_time": "an integration begins before the pulse",
+    "ts_max_time": "-pulse_time says how long",
+    "ts_time_span": "-pulse_time and -pulse_points say when",
+    "ts_exact_final_time": "-pulse_time says how long",
+}
 # Errors by the largest ball: most of a large lattice is at rest, and a mean would hide the front.
 DEFAULTS = {
     "ts_type": "rk",
     "ts_rk_type": "7vr",
     "ts_adapt_type": "basic",
     "ts_adapt_wnormtype": "infinity",
-    # not ksponly, which leaves alpha2 the velocity that it began with
     "snes_linesearch_type": "basic",
     "pc_type": "lu",
 }
@@ -71,36 +81,40 @@ class Integrator(Owner):
     sites : array_like of int, shape (nd, dim)
         The detectors.
     pulse : pgran.physics.pulse.Pulse or pgran.physics.pulse.Samples
+    highest : float
+        No normal mode has a higher frequency.
 
     Raises
     ------
     InputError
-        If the options ask for another kind of integrator than KINDS.
+        If the options ask for another kind of integrator than KINDS, or for what is refused.
     """
 
     owns = ("_matrix", "_u", "_v", "_Ku", "_Cv")
 
-    def __init__(self, operators, sites, pulse):
+    def __init__(self, operators, sites, pulse, highest):
         """Make matrix and vectors."""
         self.operators, self.comm, self.pulse = operators, operators.comm, pulse
-        kind = PETSc.Options("pulse_").getString("ts_type", DEFAULTS["ts_type"])
-        if kind not in KINDS:
-            raise InputError(f"-pulse_ts_type {kind}: lattices are integrated by rk or alpha2")
+        self._later = LONGEST / highest if highest else 1.0 / pulse.band
+        self._longest = min(self._later, BAND / pulse.band)  # a longer step could miss the pulse
+        kind = checked_kind(PETSc.Options("pulse_"))
         self._second_order = kind == "alpha2"
         self._matrix = operators.K.duplicate() if self._second_order else self._first_order_matrix()
         self._u, self._v, self._Ku, self._Cv = (operators.M.duplicate() for _ in range(4))
         self._products = [(operators.K, 1.0, self._u, self._Ku)]
         if operators.C is not None:
             self._products.append((operators.C, operators.damping, self._v, self._Cv))
-        number = operators.layout.readings(sites)[0][:, 0]
-        self._mine = np.flatnonzero((number >= operators.first) & (number < operators.last))
-        self._detectors, self._count = number[self._mine] - operators.first, len(number)
+        numbers, weights = operators.layout.readings(sites)
+        mine = (numbers >= operators.first) & (numbers < operators.last)
+        # of unknowns of others the weight is zero
+        self._detectors = np.where(mine, numbers - operators.first, 0)
+        self._weights, self._count = np.where(mine, weights, 0.0), len(numbers)
         drives = [operators.f_stiffness.getArray().real, 0.0 * self._u.getArray().real]
         if operators.C is not None:
             drives[1] = operators.damping * operators.f_damping.getArray().real
         self._driven = np.flatnonzero(np.any(drives, axis=0))
         self._drives = np.array(drives)[:, self._driven]
-        self._sums = self.comm.allreduce(self._drives.sum(axis=1))
+        self._sums = operators.pull(0.0).real, (operators.pull(1.0) - operators.pull(0.0)).real
 
     def _first_order_matrix(self):
         """Return J: in row 2 p that u' is the velocity, in row 2 p + 1 what accelerates ball p."""
@@ -122,7 +136,7 @@ class Integrator(Owner):
         size = (2 * own, 2 * operators.balls)
         return PETSc.Mat().createAIJ((size, size), csr=(rows, J_columns, values), comm=self.comm)
 
-    def run(self, time, tolerance, keep_at=(), begin=None):
+    def run(self, time, tolerance, number=0, keep_at=(), begin=None):
         """Integrate from rest until some time.
 
         Collective.
@@ -132,6 +146,9 @@ class Integrator(Owner):
         time : float
         tolerance : float
             Absolute and relative, of the error that a step makes.
+        number : int
+            How many coarser integrations there were: steps of a fixed length, and the longest of
+            others, shrink with it, so that two integrations are never the same.
         keep_at : sequence of float
             Increasing; the field is kept at the first step from each on.
         begin : float, optional
@@ -159,8 +176,7 @@ class Integrator(Owner):
             ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
             ts.setTolerances(rtol=tolerance, atol=tolerance)
             ts.setErrorIfStepFails(False)
-            longest = BAND / self.pulse.band  # a longer step could miss the pulse
-            ts.setTimeStep(0.1 * longest)
+            ts.setTimeStep(0.1 * self._longest)
             if self._second_order:
                 ts.setI2Function(self._balance, self._u.duplicate())
                 ts.setI2Jacobian(self._balance_matrix, self._matrix, self._matrix)
@@ -171,7 +187,11 @@ class Integrator(Owner):
                 ts.setRHSFunction(self._slope, state.duplicate())
             ts.setMonitor(self._look)
             ts.setFromOptions()
-            ts.setStepLimits(0.0, longest)
+            self._shrink, self._limited = SHORTER**number, not given.hasName("ts_adapt_dt_max")
+            if self._limited:
+                ts.setStepLimits(0.0, self._shrink * self._longest)
+            if given.getString("ts_adapt_type", "") == "none":
+                ts.setTimeStep(HALF**number * ts.getTimeStep())
             ts.solve(state)
         complete = ts.getConvergedReason() > 0 and ts.getTime() >= time
         if not complete and self.comm.rank == 0:
@@ -218,6 +238,9 @@ class Integrator(Owner):
     def _look(self, ts, step, t, state):
         """Note, as this rank's part of sums, what the lattice does at the end of a step."""
         operators = self.operators
+        if self._limited and t > self.pulse.rest:
+            ts.setStepLimits(0.0, self._shrink * self._later)
+            self._limited = False
         if self._second_order:
             for own, found in zip((self._u, self._v), ts.getSolution2(), strict=True):
                 found.copy(own)
@@ -235,8 +258,7 @@ class Integrator(Owner):
         a = -forces
         a[self._driven] += self._drive(t)
         a /= operators.mass
-        balls = np.zeros((3, self._count))
-        balls[:, self._mine] = [x[self._detectors] for x in (u, v, a)]
+        balls = np.array([np.sum(self._weights * x[self._detectors], axis=1) for x in (u, v, a)])
         wall = np.array([x[self._driven] for x in (u, v, a)]) @ self._drives.T
         self._rows.append((t, [*balls.ravel(), *wall.ravel(), *powers, operators.mass * v @ v]))
         if self._keep_at and t >= self._keep_at[0] - 1e-9 * abs(t):
@@ -259,3 +281,24 @@ class Integrator(Owner):
         slopes = speed * k - v_k + turn * c - a_c, force * speed - power
         sums = (np.stack(pair, axis=1) for pair in zip((force, energy), slopes, strict=True))
         return History(time, *np.moveaxis(balls, 1, 0), *sums, self._fields, complete)
+
+
+def checked_kind(options):
+    """Return which kind of integrator options ask for, one of KINDS. Not collective.
+
+    Raises
+    ------
+    InputError
+        For another kind, and for what would make an integration other than a run is told of.
+    """
+    for key, why in REFUSED.items():
+        if options.hasName(key):
+            raise InputError(f"-pulse_{key}: not for pulses; {why}")
+    if options.getString("snes_type", "") == "ksponly":
+        raise InputError("-pulse_snes_type ksponly: alpha2 needs one that updates velocities")
+    if options.hasName("ts_dt") and not 0 < options.getReal("ts_dt") < np.inf:
+        raise InputError("-pulse_ts_dt: a step must be positive")
+    kind = options.getString("ts_type", DEFAULTS["ts_type"])
+    if kind not in KINDS:
+        raise InputError(f"-pulse_ts_type {kind}: lattices are integrated by rk or alpha2")
+    return kind

@@ -84,7 +84,18 @@ class IntervalModels(Owner):
         for load, vector in zip(self._loads, loads, strict=True):
             load[:, 0] = vector.getArray()
         self._loads[0, :, 1] = 1j * damping * operators.f_damping.getArray()
-        diagonals = operators.K.getDiagonal(), operators.C.getDiagonal()
+        # Half the sums of the rows of |K| and |C|: of Laplacians their diagonals.
+        if operators.layout.laplacian:
+            diagonals = operators.K.getDiagonal(), operators.C.getDiagonal()
+        else:
+            diagonals = [operators.M.duplicate() for _ in range(2)]
+            diagonals[0].set(0.5)
+            K, _, C, _ = operators.sizes
+            C.mult(diagonals[0], diagonals[1])
+            half = diagonals[0].duplicate()
+            K.mult(diagonals[0], half)
+            diagonals[0].destroy()
+            diagonals[0] = half
         self._diagonal, C = (d.getArray().real[:, None].copy() for d in diagonals)
         self._damping, self._mass = damping * C, operators.M.getArray().real[:, None].copy()
         for vector in (*units, *diagonals):
@@ -105,7 +116,7 @@ class IntervalModels(Owner):
         terms = 2 * BLOCK + operators.balls / BLOCK + 2 * self.comm.size + 3 * self.width + 16
         drive, damped = 1.01 * np.sqrt(self._total(_squares(self._loads[0])))
         return Limits(
-            stability=operators.damping * smallest_damping(operators.layout),
+            stability=operators.damping * smallest_damping(operators.lattice),
             stiffness=2.02 * self._largest(self._diagonal).item(),
             damping=2.02 * self._largest(self._damping).item(),
             mass=1.01 * self._largest(self._mass).item(),
@@ -250,15 +261,20 @@ class IntervalModels(Owner):
         # Where there are fewer balls than moments, as many columns span everything.
         X, _ = tall_qr(moments / np.maximum(largest, LEAST_NORM)[:, None], self.comm)
         X = X[..., : self.width]
-        K, C = self._applied([*X, np.abs(X[0])])
+        K, C = self._applied([*X, np.abs(X[0])], (self.operators.K, self.operators.C))
         W = np.concatenate([self._loads, K[:-1], 1j * C[:-1], -self._mass * X], axis=-1)
         into["own"] = self._total(X.swapaxes(1, 2) @ W)
         into["triangle"] = self._triangle(X, W)
         into["cross"] = self._total(_products(X[1:], W[0]))
         into["reading"] = self._total(self._loads[1:, :, 0].real @ X[0])
-        # |K| has the same diagonal as K, and so on; its other entries are those of -K.
-        diagonal = 2 * (self._diagonal + high * self._damping) + high * high * self._mass
-        sizes = diagonal * np.abs(X[0]) - K[-1].real - high * C[-1].real
+        sizes = high * high * self._mass * np.abs(X[0])
+        if self.operators.layout.laplacian:
+            # |K| has the same diagonal as K, and so on; its other entries are those of -K.
+            sizes += 2 * (self._diagonal + high * self._damping) * np.abs(X[0])
+            sizes -= K[-1].real + high * C[-1].real
+        else:
+            K, C = self._applied([*X, np.abs(X[0])], self.operators.sizes[::2])
+            sizes += K[-1].real + high * C[-1].real
         drive = np.abs(self._loads[0]) @ [1.0, high]
         Z = np.abs(X[1:]).swapaxes(1, 2)
         into["sizes"], into["drive_sizes"] = self._total(Z @ sizes), self._total(Z @ drive)
@@ -281,14 +297,14 @@ class IntervalModels(Owner):
         R = np.concatenate([inside, R], axis=1) * np.sqrt(1 + overlap)[:, None, None]
         return R if good else np.full_like(R, np.nan)
 
-    def _applied(self, blocks):
+    def _applied(self, blocks, matrices):
         """Return K x and C x, all damping, of this rank's rows of blocks of columns. Collective."""
         width, found = self.width, []
         columns = self._columns.getDenseArray()
         for number, block in enumerate(blocks):
             columns[:, number * width : (number + 1) * width] = block
         self._columns.assemble()
-        for matrix in (self.operators.K, self.operators.C):
+        for matrix in matrices:
             matrix.matMult(self._columns, self._products)
             product = self._products.getDenseArray(readonly=True)
             # a copy, of one row too: the next product overwrites this one

@@ -229,7 +229,7 @@ class Judge(Owner):
             force = operators.damping * operators.f_damping.norm()
         bent.axpy(-2 * s, inertia)
         slope = 2 * abs(s) * operators.mass
-        slope += operators.damping and operators.layout.damping_norm * operators.damping
+        slope += operators.damping and operators.lattice.damping_norm * operators.damping
         rounding = bounds.unit * (force + slope * primal.solution.norm())
         g, r = bent.norm() + rounding, self._residual
         derivative, bound, inverse = unknown + 0j, unknown.copy(), bounds.inverse_norm

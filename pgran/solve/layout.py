@@ -5,10 +5,7 @@ and turns constants of the springs into the nonzeros of B^T diag(k) B in this ra
 pattern always. A DMDA is the layout of a lattice, ranges of a partition that of any other network.
 """
 
-from functools import cached_property
-
 import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 
 from pgran.errors import InputError
@@ -16,7 +13,6 @@ from pgran.physics.lattice import (
     SIGNS,
     bond_ends,
     driven_bonds,
-    smallest_damping_eigenvalue,
 )
 from pgran.solve.owner import Owner
 
@@ -38,8 +34,6 @@ class Layout(Owner):
         How far each spring is stretched when what is driven moves by 1.
     damped : numpy.ndarray, shape (springs,)
         Which part of beta each spring has.
-    smallest_damping : float or None
-        No eigenvalue of C is below it; None where that is still to be found out.
     """
 
     owns = ("like",)
@@ -164,16 +158,6 @@ class LatticeLayout(Layout):
             rows = balls - self.first
             matrix.setValuesRCV(balls[:, None], self._columns[rows], self._values(constants, rows))
 
-    @cached_property
-    def smallest_damping(self):
-        """The smallest eigenvalue of C."""
-        return smallest_damping_eigenvalue(self.shape)
-
-    @property
-    def damping_norm(self):
-        """No less than |C|_2. Collective when first asked for."""
-        return 4 * len(self.shape)
-
 
 class NetworkLayout(Layout):
     """The unknowns of any network, on ranges of a partition.
@@ -186,7 +170,7 @@ class NetworkLayout(Layout):
     comm : mpi4py.MPI.Comm
     """
 
-    laplacian, smallest_damping = False, None
+    laplacian = False
 
     def __init__(self, network, comm):
         """Share out the unknowns, ball by ball, and find the pattern of this rank's rows."""
@@ -258,13 +242,6 @@ class NetworkLayout(Layout):
         for held in (scatter, gathered):
             held.destroy()
         return values[self._number[:-1]] if self.comm.rank == 0 else None
-
-    @cached_property
-    def damping_norm(self):
-        """No less than |C|_2. Collective when first asked for."""
-        pointer, _, values = self.sizes(self.damped)
-        sums = np.add.reduceat(values.real, pointer[:-1]) if len(values) else np.zeros(1)
-        return 1.01 * self.comm.allreduce(float(sums.max(initial=0.0)), op=MPI.MAX)
 
 
 def partition(network, parts):

@@ -50,7 +50,12 @@ class Operators(Owner):
 
     def __init__(self, lattice, comm):
         """Assemble K, and C where there is damping."""
-        self.shape, self.balls, self.comm = lattice.shape, lattice.balls, comm
+        self.lattice, self.shape, self.balls, self.comm = (
+            lattice,
+            lattice.shape,
+            lattice.balls,
+            comm,
+        )
         self.mass, self.damping, self.axes = lattice.mass, lattice.damping, lattice.axes
         self.rounding = lattice.rounding
         kind = LatticeLayout if isinstance(lattice, Lattice) else NetworkLayout
@@ -104,6 +109,7 @@ class Operators(Owner):
         s = complex(s)
         if not s.real >= 0:
             raise ValueError(f"the real part of s must be 0 or more, not {s.real}")
+        self.s = s
         self.K.copy(self.S, structure=SAME)
         self.f_stiffness.copy(self.f)
         if self.C is not None:
@@ -116,6 +122,12 @@ class Operators(Owner):
         # Complex symmetric, not Hermitian: what an LDL^T factorization needs to know.
         self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
+
+    def pull(self, s):
+        """Return the force that moves what is driven by 1 while all balls stay. Not collective."""
+        layout, springs = self.layout, np.flatnonzero(self.layout.drive)
+        stiffness = self.constants[springs] + s * self.damping * layout.damped[springs]
+        return stiffness @ layout.drive[springs] ** 2
 
     def stretch(self, columns, bonds):
         """Return b^T x for some bonds and each column x, walls at rest: shape (bonds, columns).

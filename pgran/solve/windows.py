@@ -29,7 +29,7 @@ from petsc4py import PETSc
 
 from pgran.errors import InputError
 from pgran.physics.accuracy import is_accurate
-from pgran.physics.deformation import BOND, Deformation, amplitudes, march, squares
+from pgran.physics.deformation import Deformation, amplitudes, march, squares
 from pgran.physics.rounding import SMALLEST_NORMAL
 from pgran.solve.operators import SAME
 from pgran.solve.owner import Owner
@@ -78,7 +78,7 @@ class Windows(Owner):
                 "-relax_method krylov does without"
             )
         self.changing, self.solver, self.s = changing, solver, s
-        self.comm = self.operators.comm
+        self.comm, self._rows = self.operators.comm, self.operators.lattice.rows
         rows = self.operators.f.getSizes()
         self._rhs, self._found, self._residual = (
             PETSc.Mat().createDense((rows, (None, COLUMNS)), comm=self.comm) for _ in range(3)
@@ -109,7 +109,7 @@ class Windows(Owner):
         wanted, changes = len(changes), changes.extended(SHORTEST)
         G, *columns = self._flexibility(changes.bond)
         with np.errstate(all="ignore"):
-            found = self._amplitudes(*columns, *self._deformations(changes, G))
+            found = self._amplitudes(*columns, *self._deformations(changes, G, columns[0]))
             after, error_bound = (np.stack(columns, axis=1) for columns in zip(*found, strict=True))
             kept = self._are_kept(after[:wanted], error_bound[:wanted])
         count = wanted if np.all(kept) else np.argmin(kept)
@@ -140,11 +140,14 @@ class Windows(Owner):
             self.comm.Allreduce(MPI.IN_PLACE, total)
         norms, residuals = 1.01 * np.sqrt(total)
         norms += bounds.lost
-        residuals += bounds.unit * (BOND + bounds.scale * norms) + bounds.lost
+        residuals += bounds.unit * (self._rows[0] + bounds.scale * norms) + bounds.lost
         return np.concatenate(columns, axis=1), norms, residuals
 
-    def _deformations(self, changes, G):
-        """Return how the amplitudes, and the adjoints of detectors, follow the changes."""
+    def _deformations(self, changes, G, norms):
+        """Return how the amplitudes, and the adjoints of detectors, follow the changes.
+
+        `norms` are no less than those of Y's columns.
+        """
         systems = [self.solver.primal, *self.solver.adjoints]
         fields = np.stack([system.solution.getArray(readonly=True) for system in systems], axis=1)
         # rows of their own: see SHORTEST
@@ -154,7 +157,10 @@ class Windows(Owner):
             self.operators.layout.drive[changes.bond],
         )
         algebra, (primal, *adjoints) = (*march(G, delta), G, delta), starts
-        return Deformation(*algebra, primal, driven), [Deformation(*algebra, z) for z in adjoints]
+        known = [(self._rows, (system.solution.norm(), norms)) for system in systems]
+        return Deformation(*algebra, primal, *known[0], driven), [
+            Deformation(*algebra, z, *size) for z, size in zip(adjoints, known[1:], strict=True)
+        ]
 
     def _amplitudes(self, norms, residuals, primal, adjoints):
         """Yield the amplitudes at each detector after each step, and their bounds."""

@@ -1,0 +1,222 @@
+"""`pgran import`: a contact network of another program becomes one of pgran's."""
+
+import argparse
+import contextlib
+import math
+import re
+
+import numpy as np
+
+from pgran.command.assemble import assemble
+from pgran.errors import DONE, InputError
+from pgran.files import graphs, tables
+from pgran.files.foreign import AXES, read_balls
+from pgran.files.network import check_output, write_network
+from pgran.files.recognise import read_contacts
+from pgran.parallel import launch
+from pgran.physics.network import FREE, KINDS
+
+DESCRIPTION = """\
+Make a network from the balls and contacts that another program has written: two dumps of LAMMPS or
+LIGGGHTS (dump custom and dump local), two CSV files with a header, or one GraphML file. Of several
+snapshots the last one is taken. A CONDITION compares a coordinate or another column of the balls,
+'x<1.5', 'x>max-1.5 and type==2', or lists ids, '12,15,30-40'."""
+
+
+def run(words):
+    """Make a network from files of another program, and say what became of them.
+
+    Not collective: rank 0 does it alone.
+    """
+    if launch.rank() > 0:
+        return DONE
+    given = _parser().parse_intermixed_args(words)
+    _check(given)
+    check_output(given.output, given.overwrite)
+    with np.errstate(all="ignore"):  # of absurd numbers in a file: what comes of them is checked
+        found, names = _read(given)
+        made = assemble(found, given)
+        if names is not None and not np.array_equal(names, found.balls.id.astype(str)):
+            made.members["id"] = np.char.encode(names, "utf-8")[made.kept.balls]
+        made.network()
+    write_network(given.output, made.members, made.attributes, given.overwrite)
+    for line in _summary(made, found, given):
+        print(line)
+    return DONE
+
+
+def _parser():
+    """Return the parser of the command line."""
+    parser = _Parser("pgran import", description=DESCRIPTION, allow_abbrev=False)
+    add = parser.add_argument
+    add("balls", metavar="ATOMS", help="dump custom, CSV (id,x,y[,z],radius,mass) or GraphML")
+    add("contacts", metavar="CONTACTS", nargs="?", help="dump local, or CSV (i,j,force or ...)")
+    add("-o", "--output", required=True, help="HDF5 file to write")
+    add("--overwrite", action="store_true", help="replace a network that is there")
+    add("--law", help="stiffness: hertz (3/2 F/h), harmonic (F/h), or the column that holds it")
+    add("--hertz", type=_positive, metavar="C", help="of F = C h^(3/2): stiffness by force alone")
+    add(
+        "--columns",
+        help="what the columns of contacts are, in their order, such as "
+        "id1,id2,distance,force (_ for none), or id1=c_p[1],force=4; else they are recognised",
+    )
+    add("--rest", metavar="CONDITION", help="balls that are held at rest")
+    add("--drive", metavar="CONDITION", help="balls that are driven")
+    add("--direction", type=_direction, help="of the drive: x, y, z or components 1,0.5 (x)")
+    add("--cut", metavar="AXES", help="cut the contacts across these ends of a periodic box: x")
+    add("--displacement", choices=KINDS, help="of a ball (vector where there are positions)")
+    add(
+        "--prestress",
+        action=argparse.BooleanOptionalAction,
+        help="whether the forces act in the network (yes for vectors, if they are known)",
+    )
+    add("--tangential", type=_magnitude, metavar="RATIO", help="tangential over normal stiffness")
+    add("--damping", type=_magnitude, metavar="BETA", default=0.003, help="of each contact (.003)")
+    return parser  # fmt: skip
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are pgran's: one line."""
+
+    def error(self, message):
+        """Raise an InputError."""
+        raise InputError(f"import: {message}; see pgran import --help")
+
+
+def _magnitude(text):
+    """Return a number that is 0 or more."""
+    with contextlib.suppress(ValueError):
+        if 0 <= float(text) < math.inf:
+            return float(text)
+    raise argparse.ArgumentTypeError(f"{text} is not 0 or more and finite")
+
+
+def _positive(text):
+    """Return a positive number."""
+    if _magnitude(text) == 0:
+        raise argparse.ArgumentTypeError(f"{text} is not positive")
+    return float(text)
+
+
+def _direction(text):
+    """Return the components of a direction."""
+    if text in tuple(AXES):
+        return text
+    with contextlib.suppress(ValueError):
+        components = np.array([float(word) for word in text.split(",")])
+        if len(components) in (2, 3) and 0 < np.linalg.norm(components) < math.inf:
+            return components
+    raise argparse.ArgumentTypeError(f"{text} is neither x, y, z nor 2 or 3 components")
+
+
+def _check(given):
+    """Refuse words that contradict each other."""
+    if given.hertz is not None and given.law != "hertz":
+        raise InputError("--hertz goes with --law hertz")
+    if given.cut is not None and not re.fullmatch("[xyz]{1,3}", given.cut):
+        raise InputError(f"--cut {given.cut}: must be axes, such as x or xy")
+    if given.displacement == "scalar" and (given.prestress or given.tangential or given.direction):
+        raise InputError("--prestress, --tangential and --direction need vector displacements")
+    if graphs.is_graph(given.balls) == (given.contacts is not None):
+        raise InputError(
+            "one GraphML file holds balls and contacts"
+            if given.contacts
+            else "CONTACTS is missing: only GraphML holds balls and contacts in one file"
+        )
+
+
+def _read(given):
+    """Return the contacts between the balls in the files, and the names of nodes of a graph."""
+    if given.contacts is None:
+        nodes, edges, names = graphs.read_graph(given.balls)
+        return read_contacts(edges, read_balls(nodes), given.columns), np.array(names)
+    balls = read_balls(tables.read_table(given.balls))
+    return read_contacts(tables.read_table(given.contacts), balls, given.columns), None
+
+
+def _summary(made, found, given):
+    """Say in a few lines what has been written, what was left out, and what to do next."""
+    kept, members, network = made.kept, made.members, made.network()
+    free, rest, driven = (np.count_nonzero(network.held == kind) for kind in (0, 1, 2))
+    kind = network.displacement
+    plane = f"in {network.axes} dimensions, driven along {_words(network.direction)}"
+    yield f"{given.output}: {_count(free, 'free ball')}, {rest} at rest, {driven} driven; " \
+        f"{_count(len(network.bond), 'contact')}"  # fmt: skip
+    rotations = " and rotations" if kind == "rotations" else ""
+    yield "displacements: " + ("scalar" if kind == "scalar" else f"vectors{rotations} {plane}")
+    taken = {table.path: table for table in (found.balls.table, found.table)}
+    for path, table in taken.items():
+        if table.snapshots > 1:
+            yield f"{path}: the last of {table.snapshots} snapshots, of the time step {table.step}"
+    named = ", ".join(f"{role} = {name}" for role, name in found.roles.items())
+    yield f"columns of contacts: {named}"
+    left = (
+        (kept.rattlers, "rattler", "without contacts"),
+        (kept.torn_off, "ball", "torn off by the cut"),
+        (kept.floating, "ball", "in parts without a path to a held ball"),
+        (kept.idle, "held ball", "without a free neighbour"),
+        (made.apart, "contact", "of balls that do not touch"),
+        (made.twice, "contact", "listed a second time"),
+        (kept.inert, "contact", "between held balls"),
+    )
+    said = [f"{_count(n, what)} {why}" for n, what, why in left if n]
+    yield "left out: " + ("; ".join(said) if said else "nothing")
+    if given.cut:
+        yield f"cut: {_count(made.cut, 'contact')} across {' and '.join(given.cut)}"
+    k, law = members["stiffness"], given.law or found.roles["stiffness"]
+    formula = {"hertz": "hertz, 3/2 F/h", "harmonic": "harmonic, F/h"}.get(law, f"column {law}")
+    if given.hertz is not None:
+        formula = f"hertz, 3/2 c^(2/3) F^(1/3) with c = {given.hertz:g}"
+    yield f"stiffness: {formula}; {k.min():.4g} to {k.max():.4g}"
+    if made.unbalanced is not None:
+        stress = "are pre-stress" if "force" in members else "are not kept as pre-stress"
+        yield f"forces {stress}; the largest unbalanced one on a free ball is " \
+            f"{made.unbalanced:.2g} of the mean contact force"  # fmt: skip
+    yield _rigidity(network)
+    if not rest + driven:
+        yield "no ball is held: the network floats and cannot be driven; see --rest and --drive"
+    ball = _middle(network)
+    name = members["id"][ball]
+    name = name.decode() if isinstance(name, bytes) else name
+    yield f"next: pgran run FILE -network_file {given.output} -detectors {ball}"
+    yield f"(ball {ball}, of the id {name}, is free and in the middle; /network/id has all ids)"
+
+
+def _count(n, what):
+    """Return a number of things in words."""
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def _words(direction):
+    """Return a direction as the name of an axis, or its components."""
+    axes = np.flatnonzero(direction)
+    if len(axes) == 1 and direction[axes[0]] > 0:
+        return AXES[axes[0]]
+    return ",".join(f"{x:.4g}" for x in direction)
+
+
+def _rigidity(network):
+    """Say how many contacts a free ball has, and how many an isostatic packing would have."""
+    ends = network.held[network.bond] == FREE
+    met = np.bincount(network.bond[ends], minlength=len(network.held))[network.held == FREE]
+    said = f"contacts per free ball: {met.mean():.4g}"
+    if network.displacement == "scalar":
+        return said
+    each = 1 if network.tangential is None else network.axes  # springs of a contact
+    unknowns, springs = network.balls, each * len(network.bond)
+    more = springs - unknowns
+    said += f"; {springs} springs for {unknowns} unknowns, {abs(more)} " \
+        f"{'more' if more >= 0 else 'fewer'} than isostatic"  # fmt: skip
+    loose = np.count_nonzero(met <= network.axes)
+    return said + (
+        f"; {_count(loose, 'ball')} with {network.axes} contacts or fewer" if loose else ""
+    )
+
+
+def _middle(network):
+    """Return the free ball that is nearest to the middle of the packing, or of the list."""
+    if network.position is None:
+        return int(network.free[len(network.free) // 2])
+    position = network.position
+    away = position[network.free] - (position.min(axis=0) + position.max(axis=0)) / 2
+    return int(network.free[np.argmin(np.sum(away**2, axis=1))])

@@ -1,0 +1,65 @@
+"""A number for each ball: an image of a plane of balls, or the line along a chain."""
+
+import numpy as np
+
+from pgran.figures import style
+
+
+def draw(ax, values, wall=0.0):
+    """Draw numbers between -1 and 1, blue to white to red; return the image or the line.
+
+    One axis: a line from wall to wall.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    values : numpy.ndarray, shape (nx,) or (nx, ny)
+    wall : float
+        The number of the driven wall, where the line ends.
+    """
+    chain, (nx, ny) = values.ndim == 1, (*values.shape, 1)[:2]
+    if chain:
+        ax.axhline(0.0, color=style.MODE, linewidth=0.5)
+        line = np.pad(values, 1, constant_values=(0.0, wall))
+        (drawn,) = ax.plot(np.arange(-1, nx + 1), line, color="black")
+        ax.set(xlim=(-1, nx), ylim=(-1.1, 1.1))
+    else:
+        place = {"origin": "lower", "extent": (-0.5, nx - 0.5, -0.5, ny - 0.5)}
+        colours = {"cmap": "RdBu_r", "vmin": -1.0, "vmax": 1.0, "interpolation": "nearest"}
+        drawn = ax.imshow(values.T, **place, **colours)
+        ax.set(aspect="equal" if 1 / 8 <= ny / nx <= 3 else "auto", ylabel="ball $j$")
+    ax.set_xlabel("ball $i$")
+    ax.locator_params("x" if chain else "both", nbins=6, steps=[1, 2, 5, 10], integer=True)
+    return drawn
+
+
+def page(shape, draws):
+    """Return a figure of up to four panels, next to each other or long ones one below another.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Of the lattice.
+    draws : list of callable
+        Each draws into the axes that it is given, by `draw`, and gives them a title.
+    """
+    (nx, ny), chain = (*shape, 1)[:2], len(shape) == 1
+    flat = chain or nx > 1.5 * ny
+    rows, columns = (len(draws), 1) if flat else (1, len(draws))
+    width = style.PAGE - 1.2 if flat else min(1.9, (style.PAGE - 1.2) / columns)
+    height = 1.1 if chain else min(max(width * ny / nx, 0.7), 6.0 / rows)
+    size = columns * width + 1.2, rows * (height + 0.35) + 0.5
+    figure, panels = style.page(*size, nrows=rows, ncols=columns, sharex=True, sharey=True)
+    figure.set_layout_engine("compressed")  # as many panels as fit, next to each other
+    for letter, draw_into, ax in zip("abcd", draws, panels, strict=False):
+        drawn = draw_into(ax)
+        title = f"({letter}) {ax.get_title(loc='left')}"
+        ax.set_title(title if flat else title.replace(", ", "\n     ", 1))
+        ax.label_outer()
+    displacement = "displacement / largest"
+    if chain:
+        figure.supylabel(displacement, fontsize="medium")
+    else:
+        bar = {"ticks": [-1, -0.5, 0, 0.5, 1], "pad": 0.02}
+        figure.colorbar(drawn, ax=list(panels), label=displacement, **bar)
+    return figure

@@ -1,0 +1,137 @@
+"""Motions of the wall given by numbers, from files too, and what is refused."""
+
+import math
+
+import numpy as np
+import pytest
+from samples import TIME, listened, random_lattice
+from scipy.integrate import quad
+
+from pgran.command.resolve import resolve
+from pgran.errors import FileError, InputError
+from pgran.files.columns import read_columns
+from pgran.files.reading import read_words
+from pgran.physics.pulse import Pulse, Samples
+
+SHORT = {"shape": "gauss", "width": 4.0, "time": 100.0, "points": 101}
+
+
+def test_a_motion_goes_through_its_numbers():
+    """Any numbers; at rest before them, and after them too; derivatives and transform of itself."""
+    values = np.random.default_rng(3).normal(size=30)
+    values[0] = 0.0
+    sent, width = Samples(values, 0.7), 0.7
+    t = width * np.arange(30)
+    assert np.abs(sent.moves(t)[0] - values).max() < 1e-12
+    assert np.abs(sent.moves(-width * np.arange(1, 30))[0]).max() < 1e-12
+    assert not sent.moves(np.array([-60.0])).any()
+    assert np.abs(sent.moves(sent.end + t)[0] - values[-1]).max() < 1e-12
+    after = np.linspace(sent.end + 30, sent.end + 300, 999)
+    assert np.abs(sent.moves(after)[0] - values[-1]).max() < 1e-7 * np.abs(values).max()
+    h, inner = 1e-4, np.linspace(-3, 25, 57)
+    for order in (1, 2):
+        before, later = sent.moves(inner - h, 3)[order - 1], sent.moves(inner + h, 3)[order - 1]
+        slope = sent.moves(inner, 3)[order]
+        assert np.abs((later - before) / (2 * h) - slope).max() < 1e-6 * np.abs(slope).max()
+    end = sent.end + 60
+    for s in (0.3 + 0.1j, 0.2 - 2.0j, 0.05 + 4j):
+
+        def part(t, which, s=s):
+            return getattr(sent.moves(t)[0] * np.exp(-s * t), which)
+
+        whole = (
+            sum(
+                unit * quad(part, *ends, args=(name,), limit=900, epsabs=1e-11)[0]
+                for unit, name in ((1, "real"), (1j, "imag"))
+                for ends in ((-35, 0), (0, 10), (10, sent.end), (sent.end, end))
+            )
+            + values[-1] * np.exp(-s * end) / s
+        )
+        assert abs(sent.transform(np.array(s)) - whole) < 1e-7 * abs(whole) + 1e-9
+    moved, turned = (size[0] for size in sent.sizes(np.array([end])))
+    fine = np.abs(sent.moves(np.linspace(-35, end, 9999), 2)).mean(axis=1) * (end + 35)
+    assert fine[0] <= moved
+    assert fine[1] <= turned
+
+
+@pytest.mark.parametrize("shape", ["gauss", "step", "burst"])
+@pytest.mark.parametrize("method", ["laplace", "integrate"])
+@pytest.mark.parametrize("columns", [1, 2])
+def test_a_shape_by_numbers_gives_the_same_signals(world, shape, method, columns):
+    """At the recorded times, or at its own in two columns, until the motion has ended."""
+    lattice, sent = random_lattice((5, 4), 5, 0.01), Pulse(shape, 0.6, 8.0)
+    choices = {"width": 8.0, "time": TIME, "error_tolerance": 1e-6, "points": 201}
+    expected = listened(lattice, (2, 2), world, **choices, shape=shape, omega=0.6)
+    time = expected.time[:120] if columns == 1 else np.linspace(0.0, 118.0, 150)
+    wall = sent.moves(time)[0]
+    if columns == 2:
+        wall = np.stack([time + 5, wall], axis=1)  # where they begin does not matter
+    found = listened(lattice, (2, 2), world, **choices, wall=wall, method=method)
+    assert found.shape == "file"
+    assert found.failures == 0
+    wrong = np.abs(found.displacement - expected.displacement)
+    assert np.all(wrong <= found.error.max(axis=0) + expected.error_bound + 1e-7)
+
+
+REFUSED = {
+    "lasts until 3; listen longer": {"wall": [[0, 0], [1, 1], [2, 1], [3, 0]], "time": 2.0},
+    "lasts until 96; listen longer, or take a shorter pulse": {"time": 90.0},
+    "record 64 times or more": {"points": 20},
+    "a list of numbers": {"wall": ["a", "b"]},
+    "one column of numbers, or times and numbers": {"wall": np.zeros((5, 3))},
+    "increase by equal steps, and do not at 2": {"wall": [[0, 0], [1, 1], [2, 1], [4, 0]]},
+    "equal steps, and do not at 3": {"wall": [[3, 0], [2, 1], [1, 0]]},
+    "equal steps, and do not at 0": {"wall": [[0, 0], [math.nan, 1], [2, 1]]},
+    "two finite numbers or more": {"wall": [0.0, math.nan, 1.0]},
+    "not all zero": {"wall": np.zeros(5)},
+    "two finite numbers": {"wall": [1.0]},
+    "let the motion begin smoothly": {"wall": [1.0, 2.0, 1.0]},
+    "pulse_shape": {"shape": "square"},
+    "pulse_width": {"width": 0.0},
+    "pulse_points": {"points": 1},
+    "pulse_method": {"method": "guess"},
+    "is outside the lattice": {"sites": (9, 9)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("said", REFUSED)
+def test_what_is_refused_says_what_to_change(world, said):
+    choices = {"sites": (2, 2)} | REFUSED[said]
+    with pytest.raises(InputError) as refused:
+        listened(random_lattice((5, 4), 2), choices.pop("sites"), world, **choices)
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("0\n1\n\n# end\n2 three\n", "a.txt:5: '2 three' is no number; begin comments with #"),
+        ("0 0\n1\n", "a.txt:2: 1 numbers; each line has one, or a time and one"),
+        ("0 0 0\n", "a.txt:1: 3 numbers"),
+        ("0\nnan\n1\n", "a.txt:2: 'nan' is not finite; fill the gap"),
+        ("0,1\n1,1e999", "a.txt:2: '1,1e999' is not finite"),
+        ("# nothing\n\n", "a.txt: holds no numbers"),
+    ],
+)
+def test_files_that_hold_no_motion(written, text, said):
+    with pytest.raises(FileError) as refused:
+        read_columns(written(text, "a.txt"))
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_columns_of_a_file(written):
+    """Comments, empty lines, a mark of the encoding, any of three separators."""
+    content = "\ufeff# t u\n0, 1\n\n 1;2 # note\n2\t3e-1\n"
+    assert read_columns(written(content)).tolist() == [[0, 1], [1, 2], [2, 0.3]]
+
+
+def test_a_file_and_a_shape_are_alternatives():
+    words = "-scene pulse -pulse_file a.txt -pulse_shape gauss"
+    with pytest.raises(InputError, match="pulse_file") as refused:
+        resolve(read_words(words.split()))
+    assert "pulse_shape" in str(refused.value)
+
+
+# Integrations

@@ -1,0 +1,310 @@
+"""Signals in time: orders of integrators, energy, identities, exact chains, motions from files."""
+
+import math
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from samples import (
+    listened,
+    random_lattice,
+    reference_of,
+    swept,
+    uniform_lattice,
+)
+from scipy.integrate import solve_ivp, trapezoid
+from scipy.special import jv
+
+from pgran.errors import InputError
+from pgran.physics.laplace import Line
+from pgran.physics.lattice import Lattice
+from pgran.physics.pulse import Pulse
+from pgran.physics.signal import codas, envelopes
+from pgran.scenes.interface import holding_solver
+from pgran.scenes.signals import limits_of
+from pgran.solve.integrate import Integrator
+from pgran.solve.operators import Operators
+
+SHORT = {"shape": "gauss", "width": 4.0, "time": 100.0, "points": 101}
+MOTION = Pulse("gauss", 0.0, 4.0)
+
+
+class Naive:
+    """A lattice after a pulse by DOP853 on dense matrices, and the work that its dashpots take."""
+
+    def __init__(self, lattice, sent, times):
+        """Integrate."""
+        reference = self.reference = reference_of(lattice)
+        K, C = (matrix.astype(float) for matrix in (reference.K, lattice.damping * reference.C))
+        drive, damped = reference.drive_K.astype(float), lattice.damping * reference.drive_C
+        damped, count, walls = damped.astype(float), len(K), float(damped.sum())
+        self.sent, self.times = sent, times
+
+        def slope(t, y):
+            u, v = y[:count], y[count:-1]
+            U, speed = sent.moves(t, 2)
+            taken = v @ C @ v - 2 * speed * (damped @ v) + walls * speed**2
+            return np.concatenate([v, (drive * U + damped * speed - K @ u - C @ v) / lattice.mass,
+                                   [taken]])  # fmt: skip
+
+        span = min(sent.begin, 0.0), times[-1]
+        start = np.zeros(2 * count + 1)
+        y = solve_ivp(slope, span, start, "DOP853", times, rtol=1e-12, atol=1e-14, max_step=2.0).y
+        shape = (-1, *reference.shape)
+        self.u, self.v = y[:count].T.reshape(shape), y[count:-1].T.reshape(shape)
+        self.dissipated = y[-1]
+
+    def energy(self, lattice):
+        """Bond by bond: walls are balls that move as they are told."""
+        energy = 0.5 * lattice.mass * np.sum(self.v.reshape(len(self.v), -1) ** 2, axis=1)
+        U = self.sent.moves(self.times)[0].reshape(-1, *[1] * len(lattice.shape))
+        for axis, k in enumerate(lattice.stiffness):
+            ends = np.zeros_like(np.take(self.u, [0], axis + 1))
+            above = ends + U if axis == 0 else ends
+            stretched = np.diff(np.concatenate([ends, self.u, above], axis + 1), axis=axis + 1)
+            energy += 0.5 * np.sum((k * stretched**2).reshape(len(energy), -1), axis=1)
+        return energy
+
+
+@pytest.mark.parametrize(
+    ("options", "step", "order"),
+    [
+        ("-pulse_ts_rk_type 3", 0.4, 3),
+        ("-pulse_ts_rk_type 5dp", 0.8, 5),
+        ("-pulse_ts_rk_type 7vr", 1.6, 7),
+        ("-pulse_ts_type alpha2", 0.4, 2),
+    ],
+)
+def test_orders_of_integrators(comm, solver_options, options, step, order):
+    """Fixed steps, halved twice: displacement, velocity, force and energy."""
+    lattice, errors = random_lattice((4, 3), 5, 0.1), []
+    naive = Naive(lattice, MOTION, -20 + 1.6 * np.arange(37))
+    energy, bonds = naive.energy(lattice), lattice.stiffness[0][-1]
+    U, speed = MOTION.moves(naive.times, 2)
+    force = (U[:, None] - naive.u[:, -1]) @ bonds
+    force += 0.1 * (3 * speed - naive.v[:, -1].sum(axis=1))
+    expected = np.stack([naive.u[:, 2, 1], naive.v[:, 2, 1], force, energy], axis=1)
+    solver_options(f"{options} -pulse_ts_adapt_type none")
+    for h in (step, step / 2, step / 4):
+        solver_options(f"-pulse_ts_dt {h}")
+        with (
+            Operators(lattice, comm) as operators,
+            Integrator(operators, [(2, 1)], MOTION, 1.0) as integrator,
+        ):
+            found = integrator.run(37.6, 1e-6, begin=-20.0)
+        steps = np.arange(37) * round(1.6 / h)
+        assert np.abs(found.time[steps] - naive.times).max() < 1e-9
+        columns = found.displacement, found.velocity, found.force[:, :1], found.energy[:, :1]
+        wrong = np.concatenate(columns, axis=1)[steps] - expected
+        errors.append(np.sqrt(np.mean(wrong**2, axis=0)))
+    seen = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(seen[-1] > order - 0.6)
+    states = np.linalg.norm(np.array(errors)[:, :2], axis=1)
+    assert np.log2(states[:-1] / states[1:]) == pytest.approx(order, abs=0.3)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.003, 0.5])
+@pytest.mark.parametrize("size", [(12,), (5, 4), (3, 2, 3)])
+def test_work_is_energy_and_what_damping_takes(world, size, damping):
+    """By independent quadratures, and all three as a naive computation has them."""
+    lattice = random_lattice(size, 7, damping)
+    site = [0] * len(size)
+    found = listened(lattice, site, world, **SHORT, error_tolerance=1e-6)
+    work = found.work.max()
+    assert np.abs(found.work - found.energy - found.dissipated).max() < 1e-8 * work
+    assert np.all(np.diff(found.dissipated) >= -1e-9 * work)
+    naive = Naive(lattice, MOTION, found.time)
+    assert np.abs(found.energy - naive.energy(lattice)).max() < 1e-7 * work
+    assert np.abs(found.dissipated - naive.dissipated).max() < 1e-7 * work
+    stepped = listened(lattice, site, world, **SHORT, method="integrate", error_tolerance=1e-9)
+    for name in ("work", "energy", "dissipated"):
+        assert np.abs(getattr(stepped, name) - getattr(found, name)).max() < 1e-7 * work
+    if damping == 0.0:
+        assert np.abs(stepped.dissipated).max() < 1e-8 * work
+        assert not np.any(found.dissipated)
+
+
+def test_parseval_along_the_line():
+    """The sum of |A U|^2, A by dense inverses, against the signal of a naive integrator."""
+    lattice = random_lattice((4, 3), 6, 0.01)
+    line = Line(MOTION, 60.0, 121, limits_of(lattice), 1e-8)
+    reference = reference_of(lattice)
+    A = np.array([np.linalg.solve(*map(np.complex128, reference.system(s / 1j))) for s in line.s])
+    weights = np.where(line.number == 0, 1.0, 2.0) / line.period
+    total = weights @ np.abs(A * line.transform[:, None]) ** 2
+    naive = Naive(lattice, MOTION, np.linspace(0, line.period, 2001))
+    squares = (np.exp(-line.sigma * naive.times)[:, None] * naive.u.reshape(2001, -1)) ** 2
+    assert total == pytest.approx(trapezoid(squares, naive.times, axis=0), rel=1e-6)
+    again = line.at(naive.times, A * line.transform[:, None])
+    early = naive.times <= 60
+    assert np.abs(again - naive.u.reshape(2001, -1))[early].max() < 1e-7
+
+
+@pytest.mark.parametrize("size", [(12,), (5, 4), (3, 2, 3)])
+def test_the_force_on_the_other_wall_is_the_same_from_both_sides(world, size):
+    """A lattice and its mirror image, random bonds, damping: within the sum of all bounds."""
+    lattice = random_lattice(size, 9, 0.05)
+    turned = Lattice(tuple(np.flip(k, 0) for k in lattice.stiffness), 1.0, 0.05)
+    forces, wrong = [], 0.0
+    for one in (lattice, turned):
+        sites = [(0, *rest) for rest in np.ndindex(*size[1:])]
+        found = listened(one, sites, world, **SHORT, error_tolerance=1e-8)
+        k = one.stiffness[0][0].ravel()
+        forces.append(found.displacement @ k + 0.05 * found.velocity.sum(axis=1))
+        wrong = wrong + found.error_bound @ k + 0.05 * found.velocity_bound.sum(axis=1)
+    assert np.all(np.abs(forces[0] - forces[1]) <= wrong)
+    assert wrong.max() < 1e-4 * np.abs(forces[0]).max()
+
+
+@pytest.mark.parametrize("method", ["laplace", "integrate"])
+def test_a_uniform_chain_against_bessel_functions(world, method):
+    """Images on both walls: before a reflection is back they add nothing, later they are exact."""
+    balls, omega0, far = 20, 0.5, (1, 5, 15)
+    lattice = uniform_lattice((balls,), damping=0.0)
+    sites = [balls - n for n in far]
+    found = listened(lattice, sites, world, **SHORT, method=method, error_tolerance=1e-6)
+    x, weight = np.polynomial.legendre.leggauss(300)
+
+    def moves(n, t):
+        begin = MOTION.centre - 9 * MOTION.width
+        past = 0.5 * (t - begin) * (1 + x)
+        answer = 2 * n / past * jv(2 * n, 2 * omega0 * past)
+        return 0.5 * (t - begin) * (MOTION.moves(t - past, 2) @ (weight * answer))
+
+    for place, t in enumerate(found.time):
+        if place % 8:
+            continue
+        for d, n in enumerate(far):
+            once = moves(n, t)
+            back = sum(moves(2 * j * (balls + 1) + n, t) - moves(2 * j * (balls + 1) - n, t)
+                       for j in range(1, 4))  # fmt: skip
+            if t < (2 * balls + 2 - n) / (2 * omega0) * 0.5:
+                assert np.abs(back).max() < 1e-9
+            u, v = once + back
+            errors = (found.error_bound, found.velocity_bound)
+            if method == "integrate":
+                errors = (found.error_estimate.max(axis=0), found.velocity_estimate.max(axis=0))
+                errors = tuple(np.broadcast_to(e, found.velocity.shape) for e in errors)
+            assert abs(found.displacement[place, d] - u) <= errors[0][place, d] + 1e-12
+            assert abs(found.velocity[place, d] - v) <= errors[1][place, d] + 1e-12
+
+
+def test_the_spectrum_of_a_long_signal_is_the_steady_response(world):
+    """A damped lattice, listened to until it is quiet."""
+    lattice, sites = random_lattice((5, 4), 3, 0.5), (3, 1, 1, 2)
+    choices = {"shape": "gauss", "width": 2.0, "time": 300.0, "points": 301}
+    found = listened(lattice, sites, world, **choices, error_tolerance=1e-8)
+    assert np.abs(found.displacement[-1]).max() < 1e-9
+    omegas = 2 * np.pi / 301 * np.arange(3, 60, 4)
+    turning = np.exp(-1j * np.outer(omegas, found.time))
+    moved = turning @ found.wall
+    response = swept(lattice, omegas, sites, world, error_tolerance=1e-8)
+    wrong = np.abs(turning @ found.displacement / moved[:, None] - response.displacement)
+    allowed = (found.error_bound.sum(axis=0) + 1e-7) / np.abs(moved)[:, None]
+    assert np.all(wrong <= allowed + response.error_bound)
+    assert allowed.max() < 1e-3 * np.abs(response.displacement).max()
+
+
+# Motions that are given by numbers
+
+
+PULSE = "-scene pulse -lattice_shape 5,4 -detectors 2,2 -pulse_time 250 -pulse_points 101"
+
+
+def test_an_integration_that_gives_up_is_not_passed(place, call, world):
+    """It is said, estimates are infinite, and a run ends as other inaccurate ones do."""
+    place("p.opts", f"{PULSE} -pulse_method integrate -output_progress none")
+    ended = call("run", "p.opts", "-pulse_ts_max_steps", "3")
+    assert ended.returncode == 3
+    assert "an integration has ended at time" in ended.stderr
+    with holding_solver({"pulse_ts_max_steps": 3}):
+        found = listened(random_lattice((5, 4)), (2, 2, 1, 1), world, method="integrate")
+    assert found.failures == 2
+    assert np.all(np.isinf(found.error_estimate))
+    assert np.all(np.isnan(found.arrival))
+    assert np.all(np.isnan(found.decay))
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        *("ts_type bdf", "ts_rtol 1e-2", "ts_init_time 8", "ts_exact_final_time interpolate"),
+        *("ts_dt -1", "ts_dt nan", "snes_type ksponly"),
+    ],
+)
+def test_what_would_make_another_integration_is_refused(world, solver_options, key):
+    solver_options(f"-pulse_{key}")
+    with pytest.raises(InputError, match=f"-pulse_{key.split()[0]}"):
+        listened(random_lattice((4, 3), 5), (2, 1), world, method="integrate")
+
+
+@pytest.mark.parametrize("kind", ["type alpha2", "rk_type 1fe"])
+def test_steps_of_a_fixed_length_are_halved_for_the_estimate(world, solver_options, kind):
+    """Two integrations are never the same: their difference tells the error."""
+    lattice, choices = random_lattice((4, 3), 5, 0.1), SHORT | {"width": 2.0, "time": 40.0}
+    right = listened(lattice, (2, 1), world, **choices).displacement
+    solver_options(f"-pulse_ts_{kind} -pulse_ts_adapt_type none -pulse_ts_dt .5")
+    asked = choices | {"error_tolerance": 1e-2}
+    found = listened(lattice, (2, 1), world, method="integrate", **asked)
+    wrong = np.abs(found.displacement - right)
+    assert 1e-5 < wrong.max() <= 1.1 * found.error_estimate.max()
+    assert found.failures == 0
+
+
+def test_ranks_that_share_a_lattice_integrate_alike(world):
+    """With the one that each has to itself, within estimates; so do the fields."""
+    lattice, sites = random_lattice((7, 6), 4), (2, 2, 6, 5)
+    choices = {"method": "integrate", "fields": True, "error_tolerance": 1e-7}
+    alone = listened(lattice, sites, MPI.COMM_SELF, **choices)
+    shared = listened(lattice, sites, world, ranks=world.size, **choices)
+    wrong = np.abs(alone.displacement - shared.displacement)
+    assert np.all(wrong <= alone.error_estimate.max(axis=0) + shared.error_estimate.max(axis=0))
+    exact = listened(lattice, sites, world, fields=True, error_tolerance=1e-7)
+    assert np.all(alone.field_time >= exact.field_time * (1 - 1e-9))
+    assert alone.field[-1] == pytest.approx(exact.field[-1], abs=1e-6)
+    assert shared.field[-1] == pytest.approx(exact.field[-1], abs=1e-6)
+
+
+# Codas and envelopes
+
+
+def test_the_rate_of_a_noisy_decay_is_within_its_standard_error():
+    """Many oscillations of random amplitude: deviations follow Student's law, 14 degrees."""
+    rng, rate = np.random.default_rng(1), 0.004
+    time = np.linspace(0, 600, 1201)[:, None]
+    noise = np.exp(0.5 * rng.normal(size=(1201, 400)))
+    envelope = noise * np.exp(-rate * time) * (time > 20)
+    found, error = codas(time[:, 0], envelope, 0 * envelope)
+    off = np.abs(found - rate) / error
+    assert 0.60 < np.mean(off < 1) < 0.74
+    assert 0.90 < np.mean(off < 2) < 0.97
+    found, _ = codas(time[:, 0], envelope, 0 * envelope + 1.0)
+    assert np.all(np.isnan(found))
+
+
+@pytest.mark.parametrize(("size", "mode"), [((1,), (1,)), ((4,), (1,)), ((3, 2), (2, 1))])
+def test_a_single_mode_decays_at_its_own_rate(world, size, mode):
+    """Damping is proportional to equal bonds k: each mode decays at beta omega^2 / (2 k)."""
+    k, beta = 0.25, 0.002
+    lattice = uniform_lattice(size, k, beta)
+    modes = zip(mode, size, strict=True)
+    square = k * sum(2 - 2 * math.cos(p * math.pi / (n + 1)) for p, n in modes)
+    rate = beta * square / (2 * k)
+    choices = {"shape": "burst", "omega": math.sqrt(square), "width": 60.0, "time": 3 / rate}
+    found = listened(lattice, [0] * len(size), world, **choices, points=2501)
+    assert found.decay[0] == pytest.approx(rate, abs=4 * found.decay_error[0])
+    assert found.decay[0] == pytest.approx(rate, rel=0.02)
+
+
+def test_an_envelope_begins_with_its_signal(world):
+    """It is no smaller than the displacement, and before a front no larger than errors allow."""
+    lattice = uniform_lattice((60,), damping=0.0)
+    found = listened(lattice, (40, 10), world, shape="burst", width=8.0)
+    envelope = envelopes(found.displacement, found.velocity)
+    assert np.array_equal(envelope, found.envelope)
+    assert np.all(envelope >= np.abs(found.displacement))
+    early = found.time < 12.0
+    ratio = np.sqrt(np.sum(found.displacement**2, axis=0) / np.sum(found.velocity**2, axis=0))
+    allowed = np.hypot(found.error_bound, 1.01 * ratio * found.velocity_bound)
+    assert np.all(envelope[early, 1] <= allowed[early, 1])
+    assert envelope[:, 1].max() > 1e3 * allowed[early, 1].max()
