@@ -72,11 +72,17 @@ class NetworkReference:
                 self.K[here] -= bent * (moved.T @ across @ moved)
         self.C[here] += slip.T @ (along if net.damped == "normal" else along + across) @ slip
 
+    def system(self, s):
+        """S."""
+        s = mpmath.mpmathify(complex(s))
+        S = self.K + s * mpf(float(self.network.damping)) * self.C
+        S[np.diag_indices_from(S)] += s * s * self.M
+        return S
+
     def amplitudes(self, s, sites):
         """What detectors read, by Gaussian elimination; infinite where S is singular."""
-        s, beta = mpmath.mpmathify(complex(s)), mpf(float(self.network.damping))
-        S = self.K + s * beta * self.C
-        S[np.diag_indices_from(S)] += s * s * self.M
+        S, s = self.system(s), mpmath.mpmathify(complex(s))
+        beta = mpf(float(self.network.damping))
         u = eliminated(S, self.drive_K + s * beta * self.drive_C)
         if u is None:
             return [mp.inf] * len(sites)
@@ -85,10 +91,12 @@ class NetworkReference:
 
     def eigenvalues(self):
         """Those of K f = lambda M f, times the median mass, in double precision of |M^-1/2 K|."""
-        scale = np.array([1 / mp.sqrt(m) for m in self.M])
-        return float(self.median) * np.linalg.eigvalsh(
-            (scale[:, None] * self.K * scale).astype(float)
-        )
+        return np.linalg.eigvalsh(self.weighted(self.K).astype(float))
+
+    def weighted(self, matrix):
+        """A matrix in mass-weighted unknowns."""
+        scale = np.array([mp.sqrt(mpf(float(self.median)) / m) for m in self.M])
+        return scale[:, None] * matrix * scale
 
     @property
     def median(self):
@@ -120,7 +128,7 @@ def eliminated(S, f):
 
 
 def random_network(seed, balls=9):
-    """A network of any kind, its driving frequencies, detectors and tolerance.
+    """A network of any kind, each s at which it is driven, detectors and tolerance.
 
     Parts may dangle or float, contacts may be double; masses over six decades, constants over as
     many, some of them negative, any damping or none.
@@ -183,10 +191,14 @@ def random_network(seed, balls=9):
         omegas.append(float(np.sqrt(abs(rng.choice(eigenvalues)) / network.mass)) or top)
     if rng.random() < 0.3:
         omegas.append(top * 10 ** rng.uniform(0.3, 1.5))
+    points = [1j * omega for omega in omegas]
+    points.append(top * 10 ** rng.uniform(-3, 0) * np.exp(1j * rng.uniform(-1.5, 1.5)))
+    if eigenvalues[0] < 0:  # where an unstable network's S is nearly singular
+        points.append(complex(1.0001 * np.sqrt(-eigenvalues[0] / network.mass)))
     sites = rng.choice(free, min(2, len(free)), replace=False)
     solver = "default" if rng.random() < 0.4 else list(SOLVERS)[rng.integers(len(SOLVERS))]
     tolerance = 10 ** rng.uniform(-10, -1)
-    return RandomNetwork(seed, network, np.array(omegas), sites, solver, tolerance)
+    return RandomNetwork(seed, network, np.array(points), sites, solver, tolerance)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,7 +207,7 @@ class RandomNetwork:
 
     seed: int
     network: Network
-    omegas: np.ndarray
+    points: np.ndarray
     sites: np.ndarray
     solver: str
     tolerance: float

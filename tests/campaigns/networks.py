@@ -40,15 +40,19 @@ def faults(case, seen, comm=MPI.COMM_SELF):
 def driven_faults(case, reference, seen, comm):
     """Bounds that are broken, errors that pass, damping that is less than certified."""
     with steady(case.network, case.sites, comm, case.tolerance) as (operators, solver):
-        for omega in case.omegas:
-            state = solver.solve(1j * omega)
-            exact = reference.amplitudes(1j * omega, case.sites)
+        for s in case.points:
+            state = solver.solve(s)
+            exact = reference.amplitudes(s, case.sites)
+            singular = np.linalg.svd(reference.weighted(reference.system(s)).astype(complex))[1]
+            stable = solver.bounds.stability(s)
+            if not stable <= 1.0001 * singular[-1] + 1e-12 * singular[0]:
+                yield f"UNSTABLE case {case.seed}, {s=}: |S x| < {stable:.3g} |x|, {singular[-1]}"
             for found, x, bound in zip(state.displacement, exact, state.error_bound, strict=True):
                 error = abs(mpmath.mpmathify(complex(found)) - x) if mp.isfinite(x) else mp.inf
                 good = state.converged_reason > 0
                 said = (
                     f"case {case.seed}, {case.network.displacement}, {case.solver}, "
-                    f"omega {omega:.17g}: |A| "
+                    f"{s=}: |A| "
                     f"{float(abs(x)):.1e}, error {float(error):.1e}, bound {bound:.1e}, asked "
                     f"{case.tolerance:.0e}{', good' if good else ''}"
                 )
