@@ -177,3 +177,14 @@ def test_networks_come_back_from_their_files(tmp_path):
     written(tmp_path / "a.h5", network)
     again = read_network(tmp_path / "a.h5")
     assert again.bonds_sha256 == network.bonds_sha256
+
+
+def test_what_no_drive_reaches_is_refused(world):
+    chain = [[0, 1], [1, 2], [3, 4]]
+    for held, said in (
+        ([1, 0, 2, 0, 0], "2 balls float, ball 3 first"),
+        ([1, 0, 0, 0, 1], "no ball is driven"),
+    ):
+        network = Network(chain, np.ones(3), held)
+        with Crew(world, 1) as crew, pytest.raises(InputError, match=said):
+            pgran.sweep(network, OMEGAS, [1], crew)

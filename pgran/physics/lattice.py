@@ -176,6 +176,9 @@ class Lattice:
             diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
         return 2 * float(np.max(diagonal))
 
+    def check_driven(self):
+        """Raise InputError where a drive has no bounded answer, which a lattice always has."""
+
     def sites(self, detectors):
         """Return ball indices, flat or one row a detector, as an array: see `detector_sites`."""
         return detector_sites(self.shape, detectors)

@@ -422,6 +422,18 @@ class Network:
                     damped.append(of_beta)
         return rows, constants, damped
 
+    def check_driven(self):
+        """Raise InputError if nothing is driven, or balls float that no drive can bound."""
+        if not np.any(self.held == DRIVEN):
+            raise InputError("network: no ball is driven; /network/held has 2 for those that are")
+        floating = np.flatnonzero(~_anchored(self.bond, self.held))
+        if len(floating):
+            raise InputError(
+                f"network: {len(floating)} balls float, ball {floating[0]} first: no path of "
+                "contacts leads to a held one; pgran import leaves them out, and "
+                "pgran.physics.network.without_floating"
+            )
+
     def sites(self, detectors):
         """Return ball numbers as an array (nd, 1); raise InputError unless these balls are free."""
         sites = np.asarray(detectors, dtype=np.int64).reshape(-1, 1)
