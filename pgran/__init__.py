@@ -19,6 +19,7 @@ _HOMES = {
     "BondLaw": "pgran.physics.bondlaw",
     "InputError": "pgran.errors",
     "Lattice": "pgran.physics.lattice",
+    "Network": "pgran.physics.network",
     "PgranError": "pgran.errors",
     "continuum": "pgran.scenes.continuum",
     "find_modes": "pgran.scenes.modes",

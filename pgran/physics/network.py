@@ -144,6 +144,8 @@ class Network:
         except (TypeError, ValueError):
             raise InputError(f"network: {name} must be an array of numbers") from None
         wanted = (count if count is not None else len(array) if array.ndim else 0, *rest)
+        if dtype is int and not np.array_equal(array, value):
+            raise InputError(f"network: {name}: whole numbers are needed")
         if array.ndim != len(wanted) or any(
             n not in (None, m) for n, m in zip(wanted, array.shape, strict=True)
         ):
@@ -181,6 +183,8 @@ class Network:
             raise InputError("network: held must be 0 (free), 1 (at rest) or 2 (driven)")
         if not np.any(self.held == FREE):
             raise InputError("network: every ball is held")
+        if not np.any(self.held[self.bond] == FREE):
+            raise InputError("network: no free ball has a contact")
         if not np.all(self.masses[self.held == FREE] > 0):
             raise InputError("network: masses must be positive")
         if self.damped not in ("all", "normal"):
@@ -194,6 +198,8 @@ class Network:
             raise InputError("network: forces need positive distances")
         if self.turns and self.radius is None:
             raise InputError("network: rotations need radii")
+        if self.turns and not np.all(self.radius[self.held == FREE] > 0):
+            raise InputError("network: radii must be positive")
         if self.component not in ("drive", *AXES[: self.axes if self.axes > 1 else 0]):
             raise InputError(f"-detectors_component {self.component}: this network has no such one")
 
@@ -455,6 +461,76 @@ class Network:
             if getattr(self, name) is not None
         }
         return dataclasses.replace(self, **scaled), unit
+
+
+def without_floating(network):
+    """Return a network without what floats, and the numbers of the balls that are kept.
+
+    Not collective. A free ball floats if no path of contacts leads from it to a held ball: its
+    motion is no answer to the drive, and K and C are singular. Where no ball is held, all parts but
+    the largest float.
+
+    Returns
+    -------
+    network : Network
+        Its unit of frequency, `kmax`, is the same as before.
+    kept : numpy.ndarray of int, shape (balls kept,)
+        Ascending.
+
+    Raises
+    ------
+    InputError
+        If nothing free is left.
+    """
+    kept = np.flatnonzero(_anchored(network.bond, network.held))
+    return part(network, kept), kept
+
+
+def _anchored(bond, held):
+    """Return which balls do not float, shape (balls,)."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    balls = len(held)
+    graph = coo_matrix((np.ones(len(bond)), tuple(bond.T)), (balls, balls))
+    count, label = connected_components(graph, directed=False)
+    if not np.any(held):
+        return label == np.argmax(np.bincount(label))
+    anchors = np.zeros(count, dtype=bool)
+    anchors[label[held != FREE]] = True
+    return anchors[label]
+
+
+def part(network, balls=None, contacts=None):
+    """Return the network of some balls, and of those contacts that join two of them.
+
+    Not collective.
+
+    Parameters
+    ----------
+    network : Network
+    balls, contacts : array_like of int, optional
+        Numbers of those that are kept, ascending; all unless given.
+
+    Raises
+    ------
+    InputError
+        If nothing free is left.
+    """
+    balls = np.arange(len(network.held)) if balls is None else np.asarray(balls)
+    contacts = np.arange(len(network.bond)) if contacts is None else np.asarray(contacts)
+    number = np.full(len(network.held), -1)
+    number[balls] = np.arange(len(balls))
+    bond = number[network.bond[contacts]]
+    whole = np.all(bond >= 0, axis=1)
+    kept = {"bond": bond[whole]}
+    for names, which in (
+        (("held", "masses", "position", "radius"), balls),
+        (("stiffness", "normal", "distance", "force", "tangential"), contacts[whole]),
+    ):
+        values = {name: getattr(network, name) for name in names}
+        kept |= {name: value[which] for name, value in values.items() if value is not None}
+    return dataclasses.replace(network, **kept)
 
 
 def tangents(normal):

@@ -140,7 +140,7 @@ class ErrorBounds(Owner):
         """
         least = max(EPSILON / tolerance, 10 * self.unit) * self.scale + 10 * spread
         delta = 0.1 * self.scale / self.operators.balls
-        while least <= delta < math.inf:
+        while 0 < least <= delta < math.inf:  # S may be zero
             if self._counter.below(shift, delta) is not None:
                 # Each count is of a matrix nearer to K - shift than delta / 10; K is rounded, too.
                 return 0.8 * delta

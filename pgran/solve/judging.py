@@ -82,10 +82,20 @@ class Detectors(Owner):
         return len(self._numbers)
 
     def read(self, x):
-        """Return the entries of a vector, on every rank. Collective."""
+        """Return what is read of a vector, on every rank. Collective."""
+        return np.sum(self._weights * self._entries(x), axis=1)
+
+    def read_errors(self, v):
+        """Return bounds of what is read of a vector whose entries are no larger than v's.
+
+        Collective. Errors need not cancel where the readings of v do.
+        """
+        return np.sum(np.abs(self._weights * self._entries(v)), axis=1)
+
+    def _entries(self, x):
+        """Return the entries that are read, shape (nd, axes). Collective."""
         self._scatter.scatter(x, self._readings)
-        readings = self._readings.getArray().reshape(self._weights.shape)
-        return np.sum(self._weights * readings, axis=1)
+        return self._readings.getArray().reshape(self._weights.shape)
 
     def unit_vectors(self):
         """Return what each detector reads, e_d; the caller destroys them. Collective."""
@@ -185,7 +195,7 @@ class Judge(Owner):
         errors = self._comparison.errors(bounds.residuals(primal), bounds)
         if errors is not None:
             corrected = np.abs(state.displacement - self.detectors.read(primal.solution))
-            bound = np.fmin(bound, 1.01 * (np.abs(self.detectors.read(errors)) + corrected))
+            bound = np.fmin(bound, 1.01 * (self.detectors.read_errors(errors) + corrected))
             if self.whole_field:
                 field_bound = np.fmin(field_bound, 1.01 * errors.norm() + bounds.lost)
         good = is_accurate(bound, state.displacement, self.tolerance) | (bound <= self.floor)

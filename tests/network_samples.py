@@ -1,0 +1,201 @@
+"""Random networks to test with, and a naive reference: energies summed contact by contact.
+
+Nothing here comes from pgran but what a network is made of. Unknowns are displacements and angles
+as they are, not mass-weighted; numbers have the digits that mpmath works with.
+"""
+
+import dataclasses
+
+import mpmath
+import numpy as np
+from mpmath import mp, mpf
+from samples import SOLVERS
+
+from pgran.physics.network import Network
+
+exactly = np.frompyfunc(lambda x: mpf(float(x)), 1, 1)
+
+
+class NetworkReference:
+    """K, C / beta and M of all balls, dense arrays of mpmath's numbers."""
+
+    def __init__(self, network):
+        """Sum over the contacts."""
+        self.network = network
+        self.axes = d = 1 if network.displacement == "scalar" else network.normal.shape[1]
+        self.turns = {2: 1, 3: 3}[d] if network.displacement == "rotations" else 0
+        size = len(network.held) * (d + self.turns)
+        self.K, self.C = (np.full((size, size), mpf(0)) for _ in range(2))
+        for contact, bond in enumerate(network.bond):
+            self._add(contact, bond)
+        inertia = np.repeat(exactly(network.masses)[:, None], d + self.turns, axis=1)
+        if self.turns:
+            part = mpf(1) / 2 if d == 2 else mpf(2) / 5
+            inertia[:, d:] *= part * exactly(network.radius)[:, None] ** 2
+        free = np.repeat(network.held == 0, d + self.turns)
+        motion = np.full((len(network.held), d + self.turns), mpf(0))
+        along = exactly(network.direction)
+        motion[network.held == 2, :d] = along
+        self.drive_K, self.drive_C = (-(X @ motion.ravel())[free] for X in (self.K, self.C))
+        self.K, self.C = (X[np.ix_(free, free)] for X in (self.K, self.C))
+        self.M = inertia.ravel()[free]
+        self.read = along if network.component == "drive" else None
+        if self.read is None:
+            self.read = exactly(np.eye(d)["xyz".index(network.component)])
+
+    def _add(self, contact, bond):
+        """Add what a contact contributes: k stretches, and slips of the surfaces that touch."""
+        net, d, width = self.network, self.axes, self.axes + self.turns
+        n = exactly(net.normal[contact] if net.displacement != "scalar" else np.ones(1))
+        n = n / mp.sqrt(n @ n)
+        moved = np.concatenate([-np.eye(d, width), np.eye(d, width)], axis=1)
+        moved = exactly(moved)
+        along = np.multiply.outer(n, n)
+        across, slip = exactly(np.eye(d)) - along, moved.copy()
+        if self.turns:
+            for end, ball in enumerate(bond):
+                for axis in range(self.turns):  # R theta x n
+                    theta = np.eye(3)[2 if d == 2 else axis]
+                    turned = np.cross(theta, [*map(float, net.normal[contact]), 0.0][:3])[:d]
+                    lever = mpf(float(net.radius[ball])) / mp.sqrt(
+                        sum(exactly(net.normal[contact]) ** 2)
+                    )
+                    slip[:, end * width + d + axis] -= lever * exactly(turned)
+        places = np.concatenate([np.arange(ball * width, (ball + 1) * width) for ball in bond])
+        here = np.ix_(places, places)
+        self.K[here] += mpf(float(net.stiffness[contact])) * (moved.T @ along @ moved)
+        if net.displacement != "scalar":
+            if net.tangential is not None:
+                self.K[here] += mpf(float(net.tangential[contact])) * (slip.T @ across @ slip)
+            if net.force is not None:
+                bent = mpf(float(net.force[contact])) / mpf(float(net.distance[contact]))
+                self.K[here] -= bent * (moved.T @ across @ moved)
+        self.C[here] += slip.T @ (along if net.damped == "normal" else along + across) @ slip
+
+    def amplitudes(self, s, sites):
+        """What detectors read, by Gaussian elimination; infinite where S is singular."""
+        s, beta = mpmath.mpmathify(complex(s)), mpf(float(self.network.damping))
+        S = self.K + s * beta * self.C
+        S[np.diag_indices_from(S)] += s * s * self.M
+        u = eliminated(S, self.drive_K + s * beta * self.drive_C)
+        if u is None:
+            return [mp.inf] * len(sites)
+        u, free = u.reshape(-1, self.axes + self.turns), np.flatnonzero(self.network.held == 0)
+        return [self.read @ u[np.searchsorted(free, site), : self.axes] for site in sites]
+
+    def eigenvalues(self):
+        """Those of K f = lambda M f, times the median mass, in double precision of |M^-1/2 K|."""
+        scale = np.array([1 / mp.sqrt(m) for m in self.M])
+        return float(self.median) * np.linalg.eigvalsh(
+            (scale[:, None] * self.K * scale).astype(float)
+        )
+
+    @property
+    def median(self):
+        """The median mass of the free balls."""
+        return np.median(self.network.masses[self.network.held == 0])
+
+    def damping_exceeds(self, least):
+        """Whether C - least M / median is positive definite, by Cholesky."""
+        A = self.C - np.diag(self.M) * (mpf(float(least)) / mpf(float(self.median)))
+        for n in range(len(A)):
+            if not A[n, n] > 0:
+                return False
+            A[n + 1 :, n + 1 :] -= np.multiply.outer(A[n + 1 :, n], A[n, n + 1 :]) / A[n, n]
+        return True
+
+
+def eliminated(S, f):
+    """The solution of S x = f with row pivoting; None where S is singular."""
+    A, order = np.column_stack([S, f]), len(S)
+    for n in range(order):
+        pivot = n + int(np.argmax([float(abs(x)) for x in A[n:, n]]))
+        A[[n, pivot]] = A[[pivot, n]]
+        if not A[n, n]:
+            return None
+        A[n] /= A[n, n]
+        rows = [p for p in range(order) if p != n and A[p, n]]
+        A[rows] -= np.multiply.outer(A[rows, n], A[n])
+    return A[:, -1]
+
+
+def random_network(seed, balls=9):
+    """A network of any kind, its driving frequencies, detectors and tolerance.
+
+    Parts may dangle or float, contacts may be double; masses over six decades, constants over as
+    many, some of them negative, any damping or none.
+    """
+    rng = np.random.default_rng([17, seed])
+    displacement = rng.choice(["scalar", "vector", "rotations"])
+    d = int(rng.integers(2, 4))
+    count = int(rng.integers(2, balls if displacement == "scalar" or d == 2 else balls - 3))
+    if displacement == "scalar":
+        count *= 2
+    floating = rng.random() < 0.15
+    first = np.arange(1, count)
+    reach = 1 if rng.random() < 0.2 else count  # a chain, along which amplitudes fall
+    tree = [(int(rng.integers(max(0, i - reach), i)), int(i)) for i in first]
+    tree = [bond for bond in tree if not floating or rng.random() < 0.8]
+    more = rng.integers(0, count, (int(rng.integers(0, 3 * count)) if reach > 1 else 0, 2))
+    bond = np.array([*tree, *more[more[:, 0] != more[:, 1]].tolist()]).reshape(-1, 2)
+    if not len(bond):
+        bond = np.array([[0, 1]])
+    if rng.random() < 0.3:
+        bond = np.concatenate([bond, bond[rng.integers(0, len(bond), 2)]])
+    held = np.zeros(count, dtype=int)
+    held[0] = 2
+    if count > 3:
+        held[rng.integers(1, count)] = rng.integers(1, 3)
+    contacts = len(bond)
+
+    def wide(size, decades=6):
+        return 10 ** (-decades * rng.random(size))
+
+    narrow = rng.random() < 0.5
+    stiffness = rng.uniform(0.5, 1, contacts) if narrow else wide(contacts)
+    if rng.random() < 0.15:
+        stiffness[rng.integers(contacts)] *= -1
+    masses = 1e3 * wide(count) if rng.random() < 0.5 else np.ones(count)
+    damping = 0.0 if rng.random() < 0.25 else 10 ** rng.uniform(-4, 1)
+    others = {}
+    if displacement != "scalar":
+        others["position"] = rng.uniform(0, 2, (count, d))
+        others["direction"] = rng.standard_normal(d) if rng.random() < 0.6 else None
+        others["component"] = str(rng.choice(["drive", *"xyz"[:d]]))
+        isotropic = rng.random() < 0.2  # components alike, so that their errors are, too
+        if isotropic:
+            others["direction"], others["component"] = rng.choice([-1.0, 1.0], d), "drive"
+        others["damped"] = "normal" if rng.random() < 0.25 else "all"
+        if rng.random() < 0.3:
+            others["force"] = stiffness * rng.uniform(0, 0.2, contacts)
+        if displacement == "rotations" or rng.random() < 0.4:
+            others["tangential"] = wide(contacts) if rng.random() < 0.5 else 0.7 * np.abs(stiffness)
+        if isotropic:
+            others |= {"tangential": stiffness, "damped": "all", "force": None}
+        if displacement == "rotations":
+            others["radius"] = 10 ** rng.uniform(-1, 0.5, count)
+    network = Network(bond, stiffness, held, masses, damping, str(displacement), **others)
+    free = np.flatnonzero(held == 0)
+    eigenvalues = NetworkReference(network).eigenvalues()
+    top = np.sqrt(np.abs(eigenvalues).max() / network.mass)
+    omegas = list(top * 10 ** rng.uniform(-3, 0.3, 2))
+    if rng.random() < 0.2:
+        omegas.append(float(np.sqrt(abs(rng.choice(eigenvalues)) / network.mass)) or top)
+    if rng.random() < 0.3:
+        omegas.append(top * 10 ** rng.uniform(0.3, 1.5))
+    sites = rng.choice(free, min(2, len(free)), replace=False)
+    solver = "default" if rng.random() < 0.4 else list(SOLVERS)[rng.integers(len(SOLVERS))]
+    tolerance = 10 ** rng.uniform(-10, -1)
+    return RandomNetwork(seed, network, np.array(omegas), sites, solver, tolerance)
+
+
+@dataclasses.dataclass(frozen=True)
+class RandomNetwork:
+    """A network, how it is driven, where it is read, how it is solved, and how accurately."""
+
+    seed: int
+    network: Network
+    omegas: np.ndarray
+    sites: np.ndarray
+    solver: str
+    tolerance: float
