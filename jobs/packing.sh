@@ -26,7 +26,7 @@ pgran import "${spheres[@]}" -o options/packings/spheres.h5 --overwrite \
   --rest 'type==3' --drive 'type==4'
 [ "${1:-}" = --modes ] || exit 0
 
-pgran import "${discs[@]}" -o "$work/discs.h5"
+pgran import "${discs[@]}" -o "$work/discs.h5" >"$work/said" # periodic, nothing is held
 cp options/packings/spheres.h5 "$work"
 python - "$work" <<'PYTHON'
 import sys
