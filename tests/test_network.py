@@ -13,10 +13,14 @@ from mpmath import mp, mpf
 from network_samples import NetworkReference, random_network
 from samples import random_lattice, steady
 
+from pgran.command.resolve import SCENES
 from pgran.errors import InputError
 from pgran.physics import makers
 from pgran.physics.network import Network, without_floating
+from pgran.record import Result
+from pgran.results import record_of
 from pgran.scenes.modes import find_modes
+from pgran.scenes.pulse import pulse
 from pgran.solve import judging
 from pgran.solve.certify import smallest_damping
 from pgran.solve.operators import Operators
@@ -254,15 +258,22 @@ def test_modes_of_masses_over_six_decades(world):
         assert np.abs(modes.omega**2 - expected).max() < 1e-12 * expected[-1]
 
 
-def test_unstable_networks_have_no_certified_modes(world):
-    """A force that buckles a chain makes K indefinite; modes away from that are certified."""
+def test_modes_of_unstable_networks_have_negative_frequencies(world):
+    """A force that buckles a chain makes K indefinite; all modes are counted, and said."""
     chain = makers.square((9, 1), 1.0, force=np.full(8, 0.4))
     eigenvalues = np.linalg.eigvalsh(chain.restoring_forces(np.eye(chain.balls)))
     assert np.count_nonzero(eigenvalues < -1e-3) == 7
-    assert not find_modes(chain).count_certified
+    modes = find_modes(chain)
+    assert modes.count_certified
+    squares = np.sign(modes.omega) * modes.omega**2
+    assert np.allclose(squares, eigenvalues, rtol=1e-12, atol=1e-13)
+    said = " ".join(SCENES["modes"].summary(Result([record_of(chain), modes])))
+    assert "UNSTABLE: 7 modes" in said
     modes = find_modes(chain, interval=(0.1, 3.0))
     assert modes.count_certified
     assert np.allclose(modes.omega**2, eigenvalues[eigenvalues > 0], rtol=1e-12)
+    with pytest.raises(InputError, match="unstable"):
+        pulse(chain, [3], width=2.0, time=60.0, points=121)
 
 
 # Driven networks

@@ -204,6 +204,11 @@ class Lattice:
             yield longer.reshape(len(fields), -1), k, np.ones(len(k))
 
     @property
+    def semidefinite(self):
+        """Whether K has no negative eigenvalues."""
+        return True
+
+    @property
     def largest_eigenvalue(self):
         """No less than |K|_2."""
         return 4 * self.axes * self.stiffest

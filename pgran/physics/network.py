@@ -306,6 +306,11 @@ class Network:
         )
 
     @property
+    def semidefinite(self):
+        """Whether K has no negative eigenvalues for certain, as all constants are positive."""
+        return bool(np.all(self.springs.constants >= 0))
+
+    @property
     def largest_eigenvalue(self):
         """No less than |K|_2."""
         return self.stiffness_norm

@@ -32,6 +32,8 @@ class ModeCounter(Owner):
     ----------
     K : petsc4py.PETSc.Mat
         Flagged symmetric and Hermitian, of this rank alone.
+    semidefinite : bool
+        Whether K has no negative eigenvalues.
 
     Attributes
     ----------
@@ -41,10 +43,10 @@ class ModeCounter(Owner):
 
     owns = ("_pc", "_shifted", "_x", "_rhs", "_residual")
 
-    def __init__(self, K):
+    def __init__(self, K, semidefinite=True):
         """Set up the factorization from its options, prefix `normal_count_`."""
         self.K, self.norm = K, K.norm(PETSc.NormType.INFINITY) or 1.0
-        self.order, self.comm = K.getSize()[0], MPI.COMM_SELF
+        self.order, self.comm, self.semidefinite = K.getSize()[0], MPI.COMM_SELF, semidefinite
         self._shifted = K.duplicate(copy=True)
         for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
             self._shifted.setOption(flag, True)
@@ -100,7 +102,7 @@ class ModeCounter(Owner):
         count is found.
         """
         if side < 0 and shift <= 0:
-            return -MARGIN * self.norm, 0
+            return -(MARGIN if self.semidefinite else 1 + MARGIN) * self.norm, 0
         if side > 0 and shift >= self.norm:
             return (1 + MARGIN) * self.norm, self.order
         margin = MARGIN * self.norm
