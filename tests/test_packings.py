@@ -1,7 +1,6 @@
 """The packings that come with pgran are balanced and obey their laws, and are what is imported."""
 
 import re
-import textwrap
 from pathlib import Path
 
 import h5py
@@ -97,7 +96,7 @@ def test_the_network_that_the_readme_writes(tmp_path, monkeypatch):
     (lines,) = (block for block in blocks if "network/bond" in block)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "results").mkdir()
-    exec(textwrap.dedent(lines), {"h5py": h5py})
+    exec(lines, {})
     network = read_network("results/mine.h5")
     n = np.array([[0.5, 0.9], [-0.5, 0.9], [1, 0]])
     n /= np.linalg.norm(n, axis=1)[:, None]
