@@ -76,7 +76,8 @@ def write_network(path, members, attributes, overwrite=False):
                 dtype, units, long_name = DATASETS[name]
                 texts = np.asarray(value).dtype.kind == "S"
                 data = np.asarray(value, dtype=None if texts else dtype)
-                data = group.create_dataset(name, data=data, fletcher32=True)  # a checksum
+                # compressed, which helps whole numbers most, and with a checksum
+                data = group.create_dataset(name, data=data, compression="gzip", fletcher32=True)
                 data.attrs.update(units=units, long_name=long_name)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

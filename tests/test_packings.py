@@ -1,0 +1,104 @@
+"""The packings that come with pgran are balanced and obey their laws, and are what is imported."""
+
+import re
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from pgran.command import imports
+from pgran.command.resolve import resolve
+from pgran.files.network import read_network
+from pgran.files.reading import read_file
+from pgran.physics.network import FREE
+
+ROOT = Path(__file__).parents[1]
+PACKINGS = ROOT / "options" / "packings"
+HELD = {
+    "discs": ["--law", "harmonic", "--cut", "x", "--rest", "x<1.5", "--drive", "x>max-1.5"],
+    "spheres": ["--law", "hertz", "--rest", "type==3", "--drive", "type==4"],
+}
+AXES = {"discs": 2, "spheres": 3}
+
+
+class Dumps:
+    """What is in the two dumps of a packing, read without pgran."""
+
+    def __init__(self, name):
+        atoms, contacts = PACKINGS / f"{name}.atoms", PACKINGS / f"{name}.contacts"
+        rows, axes = np.loadtxt(atoms, skiprows=9), AXES[name]
+        self.type, self.position = rows[:, 1], rows[:, 2 : 2 + axes]
+        self.radius = rows[:, 2 + axes]
+        assert np.array_equal(rows[:, 0], np.arange(len(rows)) + 1)
+        box = np.loadtxt(atoms, skiprows=5, max_rows=3)[:axes]
+        self.size = box[:, 1] - box[:, 0]
+        ends, self.distance, self.force = np.split(np.loadtxt(contacts, skiprows=9), [2, 3], axis=1)
+        self.distance, self.force = self.distance[:, 0], self.force[:, 0]
+        self.bond = ends.astype(int) - 1
+        away = np.diff(self.position[self.bond], axis=1)[:, 0]
+        away -= self.size * np.round(away / self.size)
+        self.normal = away / np.linalg.norm(away, axis=1)[:, None]
+        self.overlap = np.maximum(self.radius[self.bond].sum(axis=1) - self.distance, 0)
+
+    def on_balls(self):
+        """Return the sum of the contacts' forces on each ball."""
+        total = np.zeros_like(self.position)
+        np.add.at(total, self.bond[:, 0], -self.force[:, None] * self.normal)
+        np.add.at(total, self.bond[:, 1], self.force[:, None] * self.normal)
+        return total
+
+
+def test_the_discs_bear_the_pressure():
+    """F = h; by the virial, the pressure is sum F d / (2 A)."""
+    discs = Dumps("discs")
+    limit = 1e-10 * discs.force.mean()
+    assert np.allclose(discs.force, discs.overlap, rtol=0, atol=limit)
+    assert np.abs(discs.on_balls()).max() < limit
+    virial = discs.force @ discs.distance / (2 * discs.size.prod())
+    assert virial == pytest.approx(0.02, rel=1e-9)
+
+
+def test_the_spheres_bear_the_piston():
+    """F = sqrt(R1 R2 / (R1 + R2)) h^(3/2); the walls bear opposite forces, .001 a sphere of 36."""
+    spheres = Dumps("spheres")
+    one, other = spheres.radius[spheres.bond].T
+    hertz = np.sqrt(one * other / (one + other)) * spheres.overlap**1.5
+    limit = 1e-10 * spheres.force.max()
+    assert np.allclose(spheres.force, hertz, rtol=0, atol=limit)
+    total = spheres.on_balls()
+    assert np.abs(total[spheres.type < 3]).max() < limit
+    for wall, force in ((3, -0.036), (4, 0.036)):
+        assert total[spheres.type == wall].sum(axis=0)[0] == pytest.approx(force, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["discs", "spheres"])
+def test_the_networks_are_those_of_the_dumps(name, tmp_path):
+    dumps = [str(PACKINGS / f"{name}.{part}") for part in ("atoms", "contacts")]
+    imports.run([*dumps, "-o", str(tmp_path / "a.h5"), *HELD[name]])
+    with h5py.File(tmp_path / "a.h5") as made, h5py.File(PACKINGS / f"{name}.h5") as shipped:
+        assert [*made["network"]] == [*shipped["network"]]
+        for part, array in made["network"].items():
+            assert np.array_equal(array, shipped["network"][part])
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "options").glob("packing_*")), ids=lambda p: p.stem)
+def test_experiments_on_packings_listen_to_free_balls(path, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    options = resolve(read_file(path))
+    network = read_network(options.network_file)
+    assert np.all(network.held[list(getattr(options, "detectors", ()))] == FREE)
+
+
+def test_the_network_that_the_readme_writes(tmp_path, monkeypatch):
+    """Three contacts of one free ball: K is the sum of k n n^T."""
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (lines,) = (block for block in blocks if "network/bond" in block)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "results").mkdir()
+    exec(lines, {})
+    network = read_network("results/mine.h5")
+    n = np.array([[0.5, 0.9], [-0.5, 0.9], [1, 0]])
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    K = np.einsum("c,ci,cj->ij", [1, 1, 0.5], n, n)
+    assert np.allclose(network.restoring_forces(np.eye(2)), K, rtol=1e-14, atol=1e-14)
