@@ -40,6 +40,8 @@ class LatticeRecord(Record):
         if there != [True] * axes + [False] * (3 - axes) or min(self.shape) < 1:
             raise MisfitError(f"shape: {self.shape} does not fit {sum(there)} arrays stiffness_*")
 
+    length = "spacings"  # what distances are in
+
     @property
     def stiffness(self):
         """The constants of the bonds, an array for each axis, as `Lattice` takes them."""
@@ -93,6 +95,8 @@ class NetworkRecord(Record):
     tangential: np.ndarray | None = array(
         "constants of tangential springs", "k", "contact", optional=True
     )
+
+    length = "lengths"
 
     @property
     def axes(self):

@@ -1,6 +1,7 @@
 """What several scenes share: options and what must hold between them, and what these make."""
 
 import dataclasses
+import logging
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from pgran.machine import check_memory
 from pgran.parallel.agreement import on_root
 from pgran.physics.bondlaw import LAWS, BondLaw
 from pgran.physics.lattice import Lattice, bond_count
+
+log = logging.getLogger(__name__)
 
 LATTICE = (
     Option("lattice_shape", INTEGERS, (20, 20), "balls along each axis, 1 to 3 numbers", low=1),
@@ -247,6 +250,25 @@ def read_bonds(path):
     except InputError as error:
         raise FileError(f"{path}: /lattice/{error}") from None
     return stiffness, kmax
+
+
+def check_driven(lattice):
+    """Raise InputError where a drive has no bounded answer; warn where nothing stays to be driven.
+
+    Not collective; rank 0 counts, and warns.
+    """
+    from mpi4py import MPI
+
+    lattice.check_driven()
+    if MPI.COMM_WORLD.rank > 0 or lattice.semidefinite:
+        return
+    from pgran.solve.certify import is_stable
+
+    if not is_stable(lattice):
+        log.warning(
+            "springs of negative constants (pre-stress) make this network unstable: its steady "
+            "states are computed as if it stayed where it is; scene modes says how unstable"
+        )
 
 
 def make_law(options):

@@ -87,7 +87,7 @@ def summary(result):
     yield certificate(modes, len(modes.omega))
     if len(modes.omega):
         yield f"omega from {modes.omega[0]:.6g} to {modes.omega[-1]:.6g}"
-        unstable = np.count_nonzero(modes.omega < -ZERO * result.medium.omega_mx)
+        unstable = np.count_nonzero(modes.omega < 0)
         if unstable:
             yield (
                 f"UNSTABLE: {unstable} modes have omega^2 < 0, given as a negative omega; the "
@@ -228,10 +228,11 @@ class Slices(Task):
         found = np.bincount(rows["slice"], minlength=len(sizes))
         certified = np.array_equal(found, sizes) and bool(np.all(rows["residual"] <= RESIDUAL))
         rows = rows[np.argsort(rows["value"], kind="stable")]
-        omega = np.sqrt(np.abs(rows["value"]) / self.lattice.mass)
-        # of zero modes rounding has the sign, else it is that of what is unstable
-        sign = -1.0 if not self.lattice.semidefinite else 0.0
-        omega[rows["value"] < 0] *= sign
+        squares = rows["value"] / self.lattice.mass
+        # zero modes come out as rounding, of either sign; what is below that is unstable
+        unstable = squares < -((ZERO * self.lattice.omega_mx) ** 2)
+        omega = np.sqrt(np.maximum(squares, 0.0))
+        omega[unstable] = -np.sqrt(-squares[unstable])
         expected = self.expected
         if self.targets is not None:
             wanted = np.zeros(len(rows), dtype=bool)

@@ -106,7 +106,8 @@ def summary(result):
         else:
             yield (
                 f"ball {tuple(site)}: phase slope {line.slope:.4g} +- {line.slope_error:.1g} rad "
-                f"per omega_mx, phase velocity {velocity:.4g} +- {error:.1g} spacings x omega_mx"
+                f"per omega_mx, phase velocity {velocity:.4g} +- {error:.1g} "
+                f"{lattice.length} x omega_mx"
             )
 
 

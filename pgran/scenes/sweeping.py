@@ -9,6 +9,7 @@ from pgran.errors import InputError
 from pgran.machine import check_memory
 from pgran.parallel.task import Task
 from pgran.physics.lattice import check_frequency
+from pgran.scenes.common import check_driven
 
 LONGEST_UNIT = 16  # frequencies that share factorizations
 
@@ -39,7 +40,7 @@ class FrequencySweep(Task):
         self.omegas = np.asarray(omegas) if sigma else checked_frequencies(omegas)
         self.row, self.choices = np.dtype([*kept, ("factorizations", np.int64)]), choices
         check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
-        lattice.check_driven()
+        check_driven(lattice)
         self.scaled, _ = lattice.in_own_unit()
         check_frequency(self.scaled, self.omegas[-1])
         self.units = ranges(len(self.omegas))
