@@ -85,7 +85,9 @@ class NetworkReference:
     def eigenvalues(self):
         """Those of K f = lambda M f, times the median mass, in double precision of |M^-1/2 K|."""
         scale = np.array([1 / mp.sqrt(m) for m in self.M])
-        return float(self.median) * np.linalg.eigvalsh((scale[:, None] * self.K * scale).astype(float))
+        return float(self.median) * np.linalg.eigvalsh(
+            (scale[:, None] * self.K * scale).astype(float)
+        )
 
     @property
     def median(self):

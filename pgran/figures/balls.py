@@ -60,7 +60,9 @@ def page(shape, draws):
     displacement = "displacement / largest"
     if chain:
         figure.supylabel(displacement, fontsize="medium")
-    elif drawn.get_array() is not None:
+    elif drawn.get_array() is None:
+        figure.set_figwidth(size[0] - 0.6)  # without a colour bar
+    else:
         bar = {"ticks": [-1, -0.5, 0, 0.5, 1], "pad": 0.02}
         figure.colorbar(drawn, ax=list(panels), label=displacement, **bar)
     return figure

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 
 from pgran.figures import balls, network, style
+from pgran.figures.view import View
 from pgran.results.space import everywhere
 
 
@@ -45,7 +46,7 @@ def shape(ax, modes, lattice, mode):
     if lattice.group == "network":
         values = lattice.built.displacements(values)
         moved = everywhere(lattice, values[None])[0, :, : lattice.built.axes]
-        view = network.View(lattice, np.linalg.norm(moved, axis=1).argmax())
+        view = View(lattice, np.linalg.norm(moved, axis=1).argmax())
         drawn, _ = network.motion(ax, lattice, view, values)
         plane = view.plane and f", {view.plane}"
     else:
@@ -108,6 +109,6 @@ def _shapes_page(modes, lattice):
     panels = [partial(shape, modes=modes, lattice=lattice, mode=mode) for mode in picked]
     if lattice.group == "lattice":
         return balls.page(lattice.shape, panels)
-    figure = balls.page(network.View(lattice).extent, panels)
-    network.say_longest(figure, lattice)
+    figure = balls.page(View(lattice).extent, panels)
+    network.explain(figure, lattice)
     return figure

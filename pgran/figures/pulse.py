@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 
 from pgran.figures import balls, bonds, network, style, transfer
+from pgran.figures.view import View
 
 TIME = r"time ($1/\omega_{mx}$)"
 
@@ -91,7 +92,7 @@ def field(ax, signals, lattice, number):
     look = {"linestyle": "none", "markerfacecolor": "white", "markersize": 3}
     look |= {"marker": "o", "markeredgecolor": "black", "markeredgewidth": 0.6}
     if lattice.group == "network":
-        view, values = network.View(lattice, signals.detector[0, 0]), signals.field[number]
+        view, values = View(lattice, signals.detector[0, 0]), signals.field[number]
         drawn, largest = network.motion(ax, lattice, view, values, wall)
         dots = view.xy[[ball for ball in signals.detector[:, 0] if view.seen[ball]]]
         ax.plot(*dots.T, label="detectors", zorder=4, **look)
@@ -142,9 +143,9 @@ def _field_page(signals, lattice):
     times = range(len(signals.field_time))
     panels = [partial(field, signals=signals, lattice=lattice, number=n) for n in times]
     if lattice.group == "network":
-        view = network.View(lattice, signals.detector[0, 0])
+        view = View(lattice, signals.detector[0, 0])
         figure = balls.page(view.extent, panels)
-        network.say_longest(figure, lattice, view.plane, "circles: detectors; blue: driven balls")
+        network.explain(figure, lattice, view.plane, "circles: detectors")
         return figure
     figure = balls.page(lattice.shape, panels)
     text = "".join(f"plane $z$ = {z}, " for z in signals.detector[0, 2:])
