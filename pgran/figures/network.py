@@ -1,6 +1,7 @@
 """The figure of a network, its balls and contacts where they are; and how the balls move there."""
 
 import logging
+import math
 
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -65,9 +66,9 @@ def contacts(ax, network, balls=()):
     what = "stiffness" if network.force is None else "force"
     values = getattr(network, what)
     points = 72 * ax.bbox.width / ax.figure.dpi * view.spacing / view.extent[0]  # ball to ball
-    thickest, largest = min(max(0.3 * points, 0.8), 2.5), np.abs(values).max() or 1.0
+    thickest, largest = min(max(0.2 * points, 0.3), 2.5), np.abs(values).max() or 1.0
     segments, numbers = view.lines(network.bond)
-    widths = np.maximum(thickest * np.abs(values) / largest, 0.2)[numbers]
+    widths = np.maximum(thickest * np.abs(values) / largest, 0.1)[numbers]
     shades = np.where(values < 0, style.UNRESOLVED, "black")[numbers]
     look = {"capstyle": "butt", "rasterized": len(segments) > MANY}
     drawn = LineCollection(segments, linewidths=widths, colors=shades, **look)
@@ -101,8 +102,8 @@ def motion(ax, network, view, values, drive=0.0):
         That of the driven balls.
     """
     moves, axes = everywhere(network, values[None], [drive])[0], network.built.axes
-    longest = max(1.6 * view.spacing, 0.1 * view.extent.max()) if axes > 1 else 0.0
-    view.frame(ax, 0.3 * longest)
+    longest = max(1.6 * view.spacing, 0.09 * math.sqrt(math.prod(view.extent))) if axes > 1 else 0.0
+    view.frame(ax, 0.6 * longest)
     turned = moves[:, axes:] * (network.radius[:, None] if network.built.turns else 1.0)
     numbers = moves if axes == 1 else turned if turned.shape[1] == 1 else None
     size = np.linalg.norm(moves[:, :axes], axis=1)
@@ -116,7 +117,8 @@ def motion(ax, network, view, values, drive=0.0):
     chosen = view.seen & (size > FAINT * unit)
     arrows = longest * in_space(moves[:, :axes])[chosen][:, view.axes] / unit
     look = {"angles": "xy", "scale_units": "xy", "scale": 1, "units": "inches", "width": 0.008}
-    drawn_arrows = ax.quiver(*view.xy[chosen].T, *arrows.T, minlength=0, zorder=3, **look)
+    look |= {"minlength": 0, "zorder": 3, "clip_on": False, "in_layout": False}
+    drawn_arrows = ax.quiver(*view.xy[chosen].T, *arrows.T, **look)
     return (drawn_arrows if numbers is None else drawn), unit
 
 
@@ -126,10 +128,10 @@ def explain(figure, network, *more):
     said = {"scalar": "scaled in each panel to the largest displacement", "vector": arrows}
     turns = "; colours: radius times angle" if network.built.turns == 1 else ""
     said["rotations"] = arrows + turns
-    held = "balls at rest: black, driven: blue" if network.held.any() else ""
+    held = "dark: balls at rest; blue: driven balls" if network.held.any() else ""
     text = "; ".join([text for text in (*more, held) if text])
     figure.suptitle(f"{said[network.displacement]}\n{text}".strip(), fontsize="medium")
-    figure.set_figheight(figure.get_figheight() + 0.25)
+    figure.set_figheight(figure.get_figheight() + 0.3)
 
 
 def _entry(ax, label, **look):

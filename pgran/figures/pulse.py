@@ -116,7 +116,7 @@ def _title(time, lattice, largest):
 
 
 def energy(ax, signals, lattice):
-    """Draw the work of the wall, the energy of balls and springs, and what damping took.
+    """Draw the work of the drive, the energy of balls and springs, and what damping took.
 
     Returns the curves.
 
@@ -129,7 +129,7 @@ def energy(ax, signals, lattice):
     """
     time, unit = signals.time * lattice.omega_mx, lattice.built.mass * lattice.omega_mx**2
     shown = [
-        (signals.work, "work of the wall", {"color": "#bbbbbb", "linewidth": 2.5}),
+        (signals.work, "work of the drive", {"color": "#bbbbbb", "linewidth": 2.5}),
         (signals.energy, "energy of balls and springs", {"color": style.ACCENT}),
         (signals.dissipated, "taken by damping", {"color": style.UNRESOLVED}),
     ]

@@ -30,8 +30,8 @@ class View:
         place = in_space(network.position)
         self.along, self.crosses = reaches(network)
         self.spacing = float(np.median(np.linalg.norm(self.along, axis=1)))
-        self.round = network.radius is not None
-        radius = network.radius if self.round else np.full(len(place), 0.25 * self.spacing)
+        known = network.radius is not None
+        radius = network.radius if known else np.full(len(place), 0.25 * self.spacing)
         across, depth, self.plane = 2, np.zeros(len(place)), ""
         if network.position.shape[1] == 3:
             drive = np.abs(np.append(network.direction, [0, 0])[:3])
@@ -40,7 +40,7 @@ class View:
             ball = np.linalg.norm(place - middle, axis=1).argmin() if ball is None else ball
             depth = place[:, across] - place[ball, across]
             self.plane = f"plane ${'xyz'[across]}$ = {place[ball, across]:.3g}"
-        near = radius if self.round else np.full(len(place), 0.5 * self.spacing)
+        near = radius if known else np.full(len(place), 0.5 * self.spacing)
         self.seen = np.abs(depth) < near
         self.held = network.held[self.seen]
         self.size = radius * np.sqrt(np.maximum(1 - (depth / near) ** 2, 0)) * 2
