@@ -102,8 +102,8 @@ def motion(ax, network, view, values, drive=0.0):
         That of the driven balls.
     """
     moves, axes = everywhere(network, values[None], [drive])[0], network.built.axes
-    longest = max(1.6 * view.spacing, 0.09 * math.sqrt(math.prod(view.extent))) if axes > 1 else 0.0
-    view.frame(ax, 0.6 * longest)
+    longest = max(1.2 * view.spacing, 0.09 * math.sqrt(math.prod(view.extent))) if axes > 1 else 0.0
+    view.frame(ax, 0.9 * longest)
     turned = moves[:, axes:] * (network.radius[:, None] if network.built.turns else 1.0)
     numbers = moves if axes == 1 else turned if turned.shape[1] == 1 else None
     size = np.linalg.norm(moves[:, :axes], axis=1)
