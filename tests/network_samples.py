@@ -9,6 +9,7 @@ import dataclasses
 import mpmath
 import numpy as np
 from mpmath import mp, mpf
+from samples import SOLVERS
 
 from pgran.physics.network import Network
 
@@ -71,11 +72,17 @@ class NetworkReference:
                 self.K[here] -= bent * (moved.T @ across @ moved)
         self.C[here] += slip.T @ (along if net.damped == "normal" else along + across) @ slip
 
+    def system(self, s):
+        """S."""
+        s = mpmath.mpmathify(complex(s))
+        S = self.K + s * mpf(float(self.network.damping)) * self.C
+        S[np.diag_indices_from(S)] += s * s * self.M
+        return S
+
     def amplitudes(self, s, sites):
         """What detectors read, by Gaussian elimination; infinite where S is singular."""
-        s, beta = mpmath.mpmathify(complex(s)), mpf(float(self.network.damping))
-        S = self.K + s * beta * self.C
-        S[np.diag_indices_from(S)] += s * s * self.M
+        S, s = self.system(s), mpmath.mpmathify(complex(s))
+        beta = mpf(float(self.network.damping))
         u = eliminated(S, self.drive_K + s * beta * self.drive_C)
         if u is None:
             return [mp.inf] * len(sites)
@@ -84,10 +91,12 @@ class NetworkReference:
 
     def eigenvalues(self):
         """Those of K f = lambda M f, times the median mass, in double precision of |M^-1/2 K|."""
-        scale = np.array([1 / mp.sqrt(m) for m in self.M])
-        return float(self.median) * np.linalg.eigvalsh(
-            (scale[:, None] * self.K * scale).astype(float)
-        )
+        return np.linalg.eigvalsh(self.weighted(self.K).astype(float))
+
+    def weighted(self, matrix):
+        """A matrix in mass-weighted unknowns."""
+        scale = np.array([mp.sqrt(mpf(float(self.median)) / m) for m in self.M])
+        return scale[:, None] * matrix * scale
 
     @property
     def median(self):
@@ -119,7 +128,7 @@ def eliminated(S, f):
 
 
 def random_network(seed, balls=9):
-    """A network of any kind, its driving frequencies, detectors and tolerance.
+    """A network of any kind, each s at which it is driven, detectors and tolerance.
 
     Parts may dangle or float, contacts may be double; masses over six decades, constants over as
     many, some of them negative, any damping or none.
@@ -132,8 +141,10 @@ def random_network(seed, balls=9):
         count *= 2
     floating = rng.random() < 0.15
     first = np.arange(1, count)
-    tree = [(int(rng.integers(0, i)), int(i)) for i in first if not floating or rng.random() < 0.8]
-    more = rng.integers(0, count, (int(rng.integers(0, 3 * count)), 2))
+    reach = 1 if rng.random() < 0.2 else count  # a chain, along which amplitudes fall
+    tree = [(int(rng.integers(max(0, i - reach), i)), int(i)) for i in first]
+    tree = [bond for bond in tree if not floating or rng.random() < 0.8]
+    more = rng.integers(0, count, (int(rng.integers(0, 3 * count)) if reach > 1 else 0, 2))
     bond = np.array([*tree, *more[more[:, 0] != more[:, 1]].tolist()]).reshape(-1, 2)
     if not len(bond):
         bond = np.array([[0, 1]])
@@ -159,11 +170,16 @@ def random_network(seed, balls=9):
         others["position"] = rng.uniform(0, 2, (count, d))
         others["direction"] = rng.standard_normal(d) if rng.random() < 0.6 else None
         others["component"] = str(rng.choice(["drive", *"xyz"[:d]]))
+        isotropic = rng.random() < 0.2  # components alike, so that their errors are, too
+        if isotropic:
+            others["direction"], others["component"] = rng.choice([-1.0, 1.0], d), "drive"
         others["damped"] = "normal" if rng.random() < 0.25 else "all"
         if rng.random() < 0.3:
             others["force"] = stiffness * rng.uniform(0, 0.2, contacts)
         if displacement == "rotations" or rng.random() < 0.4:
             others["tangential"] = wide(contacts) if rng.random() < 0.5 else 0.7 * np.abs(stiffness)
+        if isotropic:
+            others |= {"tangential": stiffness, "damped": "all", "force": None}
         if displacement == "rotations":
             others["radius"] = 10 ** rng.uniform(-1, 0.5, count)
     network = Network(bond, stiffness, held, masses, damping, str(displacement), **others)
@@ -173,16 +189,25 @@ def random_network(seed, balls=9):
     omegas = list(top * 10 ** rng.uniform(-3, 0.3, 2))
     if rng.random() < 0.2:
         omegas.append(float(np.sqrt(abs(rng.choice(eigenvalues)) / network.mass)) or top)
+    if rng.random() < 0.3:
+        omegas.append(top * 10 ** rng.uniform(0.3, 1.5))
+    points = [1j * omega for omega in omegas]
+    points.append(top * 10 ** rng.uniform(-3, 0) * np.exp(1j * rng.uniform(-1.5, 1.5)))
+    if eigenvalues[0] < 0:  # where an unstable network's S is nearly singular
+        points.append(complex(1.0001 * np.sqrt(-eigenvalues[0] / network.mass)))
     sites = rng.choice(free, min(2, len(free)), replace=False)
-    return RandomNetwork(seed, network, np.array(omegas), sites, 10 ** rng.uniform(-10, -1))
+    solver = "default" if rng.random() < 0.4 else list(SOLVERS)[rng.integers(len(SOLVERS))]
+    tolerance = 10 ** rng.uniform(-10, -1)
+    return RandomNetwork(seed, network, np.array(points), sites, solver, tolerance)
 
 
 @dataclasses.dataclass(frozen=True)
 class RandomNetwork:
-    """A network, how it is driven, where it is read, and how accurately."""
+    """A network, how it is driven, where it is read, how it is solved, and how accurately."""
 
     seed: int
     network: Network
-    omegas: np.ndarray
+    points: np.ndarray
     sites: np.ndarray
+    solver: str
     tolerance: float

@@ -480,6 +480,20 @@ def test_other_snapshots_and_columns_that_say_nothing(call, place):
     place("a.contacts", dump("ENTRIES", some))
     done = call("import", "a.atoms", "a.contacts", "-o", "n.h5")
     assert (done.returncode, "c, d could each be the force" in done.stderr) == (4, True)
+    sample.id[sample.bond[-1, 0]] = 1000
+    some |= {"a": sample.id[sample.bond[:, 0]]}
+    place("a.contacts", dump("ENTRIES", some))
+    done = call("import", "a.atoms", "a.contacts", "-o", "n.h5")
+    assert (done.returncode, ": no ball 1000 in a.atoms" in done.stderr) == (4, True)
+
+
+def test_a_box_that_is_too_small(call, place):
+    """Two balls that touch through both ends."""
+    columns = {"id": [1, 2], "x": [1.0, 3.5], "y": [1, 1], "radius": [1.5, 1.5]}
+    place("a.atoms", dump("ATOMS", columns))
+    place("a.contacts", dump("ENTRIES", {"i": [1], "j": [2], "stiffness": [1.0]}))
+    done = call("import", "a.atoms", "a.contacts", "-o", "n.h5")
+    assert (done.returncode, "a.contacts:10: these balls are 2.5 apart" in done.stderr) == (4, True)
 
 
 def test_claims_cost_no_memory(place):
@@ -630,6 +644,24 @@ def test_refused_networks(tmp_path, here, members, attributes, said):
     with pytest.raises(FileError, match=re.escape(said)) as caught:
         read_network(path)
     assert str(caught.value).startswith(str(path))
+
+
+def test_a_damaged_packing_has_checksums(call, place, shared_path, here):
+    """Wherever a bit flips that h5py reads, it is found: the network is the same or refused."""
+    sample, rng = Sample(2), np.random.default_rng(1)
+    sample.write(place)
+    bring(call, "--law", "hertz")
+    network, content = read_network("n.h5"), (shared_path / "n.h5").read_bytes()
+    refused = 0
+    for place in rng.integers(0, len(content), 60):
+        bad = bytearray(content)
+        bad[place] ^= 1 << rng.integers(8)
+        (shared_path / "n.h5").write_bytes(bad)
+        try:
+            assert read_network("n.h5").bonds_sha256 == network.bonds_sha256
+        except FileError:
+            refused += 1
+    assert refused > 10
 
 
 def test_damaged_networks(tmp_path):

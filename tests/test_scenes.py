@@ -75,7 +75,10 @@ CHANGES = {
     "modes_target": (".5", NEAREST),
     "modes_count": ("4", NEAREST),
 }
-SEEN_ELSEWHERE = {"bonds_file", "pulse_file"}  # test_command_line.py, test_pulse.py
+# test_command_line.py, test_motion.py, test_network.py
+SEEN_ELSEWHERE = {
+    *("bonds_file", "pulse_file", "network_file", "network_damping", "detectors_component"),
+}
 IDLE = {"modes": ["lattice_damping"]}  # normal modes are those without damping
 
 

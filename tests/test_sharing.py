@@ -34,9 +34,8 @@ def test_groups(world):
 def test_automatic_ranks():
     """One rank a lattice, unless it is large."""
     for axes, balls in LARGE.items():
-        assert automatic_ranks((balls,) + (1,) * (axes - 1), 8) == 1
-        assert automatic_ranks((balls + 1,) + (1,) * (axes - 1), 8) == 8
-    assert automatic_ranks((2**31, 2**31, 2**31), 2) == 2  # no overflow
+        for count, ranks in ((balls, 1), (balls + 1, 8)):
+            assert automatic_ranks(SimpleNamespace(balls=count, axes=axes), 8) == ranks
 
 
 ROW = np.dtype([("rank", int), ("value", complex, (3,))])

@@ -69,6 +69,8 @@ def assemble(found, given):
         raise InputError("no contact is left that a free ball has: see --rest, --drive, --cut")
     if given.drive and not np.any(held[kept.balls] == DRIVEN):
         raise InputError(f"--drive {given.drive}: none of these balls touches a free one")
+    if balls.axes:
+        _check_images(found, rows)
 
     number = np.cumsum(kept.balls) - 1
     bond, held = number[found.bond[rows]], held[kept.balls]
@@ -114,6 +116,17 @@ def _first_of_each(found, stiffness, touch):
     first = np.ones(len(low), dtype=bool)
     first[order[1:][again]] = False
     return first
+
+
+def _check_images(found, rows):
+    """Refuse contacts that are as long as half a period: these balls can touch twice."""
+    half = found.balls.periods.min() / 2
+    wrong = rows[found.lengths[rows] >= half]
+    if wrong.size:
+        why = (
+            f"these balls are {found.lengths[wrong[0]]:.6g} apart, and half a period is {half:.6g}"
+        )
+        found.table.refuse(wrong[0], f"{why}: the box is too small to tell their images apart")
 
 
 def _crossing(found, cut):

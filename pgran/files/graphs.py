@@ -48,8 +48,8 @@ def read_graph(path):
         ids = {name: int(name) for name in names}
     else:
         ids = {name: k for k, name in enumerate(names)}
-    balls = [{"id": ids[str(name)], **data} for name, data in nodes]
-    pairs = [{"id1": ids[str(a)], "id2": ids[str(b)], **data} for a, b, data in edges]
+    balls = [{**data, "id": ids[str(name)]} for name, data in nodes]
+    pairs = [{**data, "id1": ids[str(a)], "id2": ids[str(b)]} for a, b, data in edges]
     return (
         _table_of(path, balls, [f"node {name}" for name in names], "nodes"),
         _table_of(path, pairs, [f"edge {a} - {b}" for a, b, _ in edges], "edges"),

@@ -10,6 +10,7 @@ What is missing has a default or follows from the rest; what is there must be ri
 
 import contextlib
 import difflib
+import io
 import os
 import sys
 from pathlib import Path
@@ -41,6 +42,7 @@ ATTRIBUTES = {
     "displacement": str, "damped": str, "damping": float, "kmax": float, "direction": np.ndarray,
 }  # fmt: skip
 NOT_READ = ("id",)
+CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
 
 
 def write_network(path, members, attributes, overwrite=False):
@@ -64,7 +66,8 @@ def write_network(path, members, attributes, overwrite=False):
     """
     path = Path(path)
     check_output(path, overwrite)
-    with h5py.File("network", "w", driver="core", backing_store=False) as file:
+    memory = io.BytesIO()
+    with h5py.File(memory, "w", libver=CHECKED) as file:
         file.attrs.update(format=FORMAT, format_version=FORMAT_VERSION)
         group = file.create_group("network")
         group.attrs.update(attributes)
@@ -72,15 +75,14 @@ def write_network(path, members, attributes, overwrite=False):
             if value is not None:
                 dtype, units, long_name = DATASETS[name]
                 texts = np.asarray(value).dtype.kind == "S"
-                group[name] = np.asarray(value, dtype=None if texts else dtype)
-                group[name].attrs.update(units=units, long_name=long_name)
-        file.flush()
-        content = file.id.get_file_image()
+                data = np.asarray(value, dtype=None if texts else dtype)
+                data = group.create_dataset(name, data=data, fletcher32=True)  # a checksum
+                data.attrs.update(units=units, long_name=long_name)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(temporary, "wb") as stream:
-            stream.write(content)
+            stream.write(memory.getbuffer())
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
@@ -192,7 +194,8 @@ def read_network(path, **overrides):
     elif isinstance(values.get("direction"), str):
         values["direction"] = _unit_vector(path, values)
     try:
-        network = Network(**values)
+        with np.errstate(all="ignore"):  # of absurd numbers: what comes of them is checked
+            network = Network(**values)
     except InputError as error:
         raise FileError(f"{path}: {error}") from None
     if overrides.get("displacement") == "scalar":

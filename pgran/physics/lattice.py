@@ -176,6 +176,9 @@ class Lattice:
             diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
         return 2 * float(np.max(diagonal))
 
+    def check_driven(self):
+        """Raise InputError where a drive has no bounded answer, which a lattice always has."""
+
     def sites(self, detectors):
         """Return ball indices, flat or one row a detector, as an array: see `detector_sites`."""
         return detector_sites(self.shape, detectors)
@@ -202,6 +205,16 @@ class Lattice:
                 longer[:, -1] += wall.reshape(-1, *[1] * (self.axes - 1))  # above the last bond
             k = self.stiffness[axis].ravel()
             yield longer.reshape(len(fields), -1), k, np.ones(len(k))
+
+    @property
+    def irregular(self):
+        """Whether minimum degree orders its graph better than nested dissection."""
+        return False
+
+    @property
+    def semidefinite(self):
+        """Whether K has no negative eigenvalues."""
+        return True
 
     @property
     def largest_eigenvalue(self):

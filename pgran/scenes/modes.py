@@ -27,6 +27,7 @@ WHICH = (
         low=1
     ),
 )  # fmt: skip
+ZERO = 1e-6  # of omega_mx: a smaller frequency is that of a zero mode, but for rounding
 SHAPES = Option("output_fields", FLAG, False, "store the shapes of the modes")
 
 
@@ -86,6 +87,12 @@ def summary(result):
     yield certificate(modes, len(modes.omega))
     if len(modes.omega):
         yield f"omega from {modes.omega[0]:.6g} to {modes.omega[-1]:.6g}"
+        unstable = np.count_nonzero(modes.omega < -ZERO * result.medium.omega_mx)
+        if unstable:
+            yield (
+                f"UNSTABLE: {unstable} modes have omega^2 < 0, given as a negative omega; the "
+                "network leaves these positions at a rate of |omega|"
+            )
         yield f"residuals at most {modes.residual.max():.1e} of |K|"
         yield (
             f"participation from {modes.participation.min():.3g} to "
@@ -154,7 +161,7 @@ def find_modes(
     from pgran.solve.slicing import find_slices, hermitian_stiffness
 
     with hermitian_stiffness(lattice) as K:
-        slices = find_slices(K, lattice.mass, crew, interval, targets, count)
+        slices = find_slices(K, lattice, crew, interval, targets, count)
         task = Slices(lattice, K, slices, shapes, targets, count)
         modes = carry_out(task, crew, progress)
     seconds = time.perf_counter() - started  # counts included
@@ -221,8 +228,10 @@ class Slices(Task):
         found = np.bincount(rows["slice"], minlength=len(sizes))
         certified = np.array_equal(found, sizes) and bool(np.all(rows["residual"] <= RESIDUAL))
         rows = rows[np.argsort(rows["value"], kind="stable")]
-        # zero modes come out as rounding, of either sign
-        omega = np.sqrt(np.maximum(rows["value"], 0.0) / self.lattice.mass)
+        omega = np.sqrt(np.abs(rows["value"]) / self.lattice.mass)
+        # of zero modes rounding has the sign, else it is that of what is unstable
+        sign = -1.0 if not self.lattice.semidefinite else 0.0
+        omega[rows["value"] < 0] *= sign
         expected = self.expected
         if self.targets is not None:
             wanted = np.zeros(len(rows), dtype=bool)

@@ -189,7 +189,7 @@ def pulse(
     sent = Pulse(shape, float(omega), float(width)) if wall is None else samples_of(wall, step)
     listening = Listening(lattice, detectors, sent, time, points, error_tolerance, fields)
     check_times(listening)
-    if listening.scaled.constants.min() < 0:
+    if not listening.scaled.semidefinite:
         from pgran.solve.certify import is_stable
 
         if not is_stable(listening.scaled):

@@ -232,6 +232,7 @@ class Steps(Task):
         # Measured: the factorization's price a step falls like 1/s, that of the algebra grows
         # like s^2.
         self.window = self.window or (64 if lattice.balls < 5000 else 128)
+        lattice.check_driven()
         self.scaled, self.unit = lattice.in_own_unit()
         check_frequency(self.scaled, self.omega)
         nd = len(self.sites)

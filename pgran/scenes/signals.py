@@ -44,6 +44,7 @@ class Listening:
         """Choose how finely powers are integrated."""
         self.lattice, self.sent, self.tolerance, self.fields = lattice, sent, tolerance, fields
         self.sites = lattice.sites(detectors)
+        lattice.check_driven()
         self.scaled, self.unit = lattice.in_own_unit()
         self.limits = limits_of(self.scaled)
         self.highest = math.sqrt(self.limits.stiffness / self.scaled.mass)  # of normal modes

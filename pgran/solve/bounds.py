@@ -4,7 +4,8 @@ S(s) = K + s beta C + s^2 m with C positive definite and K semidefinite. For s =
 
     Re(conj(s) x^H S x) = sigma x^H K x + |s|^2 (beta x^H C x + sigma m x^H x),
 
-so that |S x|_2 >= c |x|_2 with c = |s| (beta lambda_min(C) + sigma m) wherever sigma >= 0. C is the
+so that |S x|_2 >= c |x|_2 with c = |s| (beta lambda_min(C) + sigma m) wherever sigma >= 0; where
+springs of negative constants may make K indefinite, c loses sigma |lambda_min(K)| / |s|. C is the
 Laplacian of the uniform lattice, whose smallest eigenvalue is known.
 
 Take approximate solutions A~ of S A = f and z~ of S z = e_d with residuals r and q. Because S is
@@ -31,7 +32,7 @@ from mpi4py import MPI
 
 from pgran.physics.bondlaw import unit_numbers
 from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL
-from pgran.solve.certify import smallest_damping
+from pgran.solve.certify import smallest_damping, smallest_stiffness
 from pgran.solve.counting import ModeCounter
 from pgran.solve.operators import SAME
 from pgran.solve.owner import Owner
@@ -70,7 +71,7 @@ class ErrorBounds(Owner):
     @cached_property
     def _counter(self):
         """What counts eigenvalues of K. Not collective."""
-        return ModeCounter(self.operators.K)
+        return ModeCounter(self.operators.K, self.operators.lattice)
 
     @cached_property
     def _signs(self):
@@ -79,11 +80,14 @@ class ErrorBounds(Owner):
         return self.operators.layout.vector(signs.reshape(self.operators.shape))
 
     def stability(self, s):
-        """Return a c with |S x|_2 >= c |x|_2 for every x and all bonds. Not collective."""
+        """Return a c with |S x|_2 >= c |x|_2 for every x; 0 if none is certain. Not collective."""
         damping = self.operators.damping and self.operators.damping * (
             abs(s) * smallest_damping(self.operators.lattice)
         )
-        return damping + abs(s) * s.real * self.operators.mass
+        found = damping + abs(s) * s.real * self.operators.mass
+        if s.real > 0:
+            found += s.real / abs(s) * smallest_stiffness(self.operators)
+        return max(found, 0.0)
 
     def prepare(self, s, tolerance):
         """Bound the sizes of S(s), which must be combined, and of its inverse.

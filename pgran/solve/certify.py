@@ -1,4 +1,4 @@
-"""The smallest eigenvalue of a damping matrix, certified by a count."""
+"""The smallest eigenvalues of damping and stiffness, certified by counts."""
 
 import contextlib
 
@@ -12,6 +12,7 @@ from pgran.solve.layout import NetworkLayout
 
 PARTS = (0.9, 0.5, 0.1, 0.01)  # of the estimate that are tried
 STEPS = 20  # of inverse iteration
+FLOORS = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1)  # of |K|: how far below zero its eigenvalues may be
 
 
 def smallest_damping(lattice):
@@ -26,7 +27,7 @@ def smallest_damping(lattice):
     known = vars(lattice)
     if "smallest_damping" not in known:
         with NetworkLayout(lattice, MPI.COMM_SELF) as layout:
-            known["smallest_damping"] = _certified(*layout.csr(layout.damped))
+            known["smallest_damping"] = _certified(lattice, *layout.csr(layout.damped))
     return known["smallest_damping"]
 
 
@@ -37,9 +38,30 @@ def is_stable(network):
     """
     with NetworkLayout(network, MPI.COMM_SELF) as layout:
         pointer, columns, values = layout.csr(network.constants)
-    with _hermitian(pointer, columns, values) as matrix, ModeCounter(matrix) as counter:
+    with _hermitian(pointer, columns, values) as matrix, ModeCounter(matrix, network) as counter:
         margin = MARGIN * counter.norm
         return counter.below(-margin, 0.5 * margin) == 0
+
+
+def smallest_stiffness(operators):
+    """Return a number that no eigenvalue of K is below; 0 where no spring's constant is negative.
+
+    Not collective, the same on every rank; found out once for the constants that operators have.
+    """
+    if operators.softest is None:
+        operators.softest = 0.0
+        if operators.constants.min(initial=0.0) < 0:
+            with NetworkLayout(operators.lattice, MPI.COMM_SELF) as layout:
+                operators.softest = _certified_floor(*layout.csr(operators.constants))
+    return operators.softest
+
+
+def _certified_floor(pointer, columns, values):
+    """Return the same for a matrix."""
+    with _hermitian(pointer, columns, values) as matrix, ModeCounter(matrix) as counter:
+        shifts = (-part * counter.norm for part in FLOORS)
+        certain = (shift for shift in shifts if counter.below(shift, -0.5 * shift) == 0)
+        return next(certain, -1.01 * counter.norm)
 
 
 @contextlib.contextmanager
@@ -53,7 +75,7 @@ def _hermitian(pointer, columns, values):
     matrix.destroy()
 
 
-def _certified(pointer, columns, values):
+def _certified(network, pointer, columns, values):
     """Return the same for a matrix."""
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
@@ -71,7 +93,7 @@ def _certified(pointer, columns, values):
             return 0.0
         x /= size
     estimate, found = x @ (C @ x), 0.0
-    with _hermitian(pointer, columns, values) as matrix, ModeCounter(matrix) as counter:
+    with _hermitian(pointer, columns, values) as matrix, ModeCounter(matrix, network) as counter:
         for part in PARTS:
             shift, clearance = part * estimate, 0.05 * part * estimate
             if counter.below(shift, clearance) == 0:

@@ -32,6 +32,8 @@ class ModeCounter(Owner):
     ----------
     K : petsc4py.PETSc.Mat
         Flagged symmetric and Hermitian, of this rank alone.
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network, optional
+        What K belongs to: whether it is semidefinite, and what is known of the order to factor in.
 
     Attributes
     ----------
@@ -41,10 +43,11 @@ class ModeCounter(Owner):
 
     owns = ("_pc", "_shifted", "_x", "_rhs", "_residual")
 
-    def __init__(self, K):
+    def __init__(self, K, lattice=None):
         """Set up the factorization from its options, prefix `normal_count_`."""
         self.K, self.norm = K, K.norm(PETSc.NormType.INFINITY) or 1.0
         self.order, self.comm = K.getSize()[0], MPI.COMM_SELF
+        self.semidefinite = lattice is None or lattice.semidefinite
         self._shifted = K.duplicate(copy=True)
         for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
             self._shifted.setOption(flag, True)
@@ -54,6 +57,8 @@ class ModeCounter(Owner):
         self._pc = PETSc.PC().create(K.getComm())
         self._pc.setOptionsPrefix("normal_count_")
         self._pc.setType("cholesky")
+        if lattice is not None and lattice.irregular:
+            self._pc.setFactorOrdering("qmd")
         self._pc.setOperators(self._shifted)
         self._pc.setFromOptions()
         accept_small_pivots(self._pc)
@@ -100,7 +105,7 @@ class ModeCounter(Owner):
         count is found.
         """
         if side < 0 and shift <= 0:
-            return -MARGIN * self.norm, 0
+            return -(MARGIN if self.semidefinite else 1 + MARGIN) * self.norm, 0
         if side > 0 and shift >= self.norm:
             return (1 + MARGIN) * self.norm, self.order
         margin = MARGIN * self.norm

@@ -167,7 +167,7 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
     pc.setType("cholesky")
     if factor_package(operators.axes, operators.balls, operators.comm.size) != "petsc":
         pc.setFactorSolverType("mumps")
-    elif operators.balls <= MINIMUM_DEGREE[operators.axes]:
+    elif operators.lattice.irregular or operators.balls <= MINIMUM_DEGREE[operators.axes]:
         pc.setFactorOrdering("qmd")
     ksp.setFromOptions()
     accept_small_pivots(pc)

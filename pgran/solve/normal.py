@@ -151,6 +151,8 @@ class ModeSolver(Owner):
             ksp = eps.getST().getKSP()
             ksp.setType("preonly")
             ksp.getPC().setType("cholesky")
+            if self.lattice.irregular:
+                ksp.getPC().setFactorOrdering("qmd")
         eps.setFromOptions()
         return eps
 

@@ -42,6 +42,8 @@ class Operators(Owner):
         The masses, a diagonal.
     S, f : petsc4py.PETSc.Mat, petsc4py.PETSc.Vec
         The driven system at the s of the last `combine`.
+    softest : float or None
+        No eigenvalue of K is below it; None where that is still to be found out.
     """
 
     owns = ("K", "C", "M", "_inertia", "S", "f", "f_stiffness", "f_damping", "sizes", "layout")
@@ -61,7 +63,8 @@ class Operators(Owner):
         self.first, self.last = self.layout.first, self.layout.last
         self.f_stiffness, self.M, self._inertia = (self.layout.like.duplicate() for _ in range(3))
         self.M.set(self.mass)
-        self.constants = constants = lattice.constants
+        self.constants, self.softest = lattice.constants, None
+        constants = self.constants
         self.K = self._assemble(constants)
         self.f_stiffness.setArray(self.layout.driving(constants))
         self.C = self.f_damping = None
@@ -152,7 +155,7 @@ class Operators(Owner):
 
         Collective; `constants` has the shape (bonds,).
         """
-        self.constants = constants
+        self.constants, self.softest = constants, None
         self.forget("sizes")
         self.K.setValuesCSR(*self.layout.csr(constants))
         self.K.assemble()
@@ -164,7 +167,7 @@ class Operators(Owner):
         Collective; `constants` are those of all bonds after the change. What K was before leaves no
         rounding behind: the rows of all balls at these bonds are summed up anew.
         """
-        self.constants = constants
+        self.constants, self.softest = constants, None
         self.forget("sizes")
         self.layout.change(self.K, bonds, constants)
         self.K.assemble()

@@ -23,7 +23,7 @@ def hermitian_stiffness(lattice):
         yield operators.K
 
 
-def find_slices(K, mass, crew, interval=None, targets=None, count=None):
+def find_slices(K, lattice, crew, interval=None, targets=None, count=None):
     """Return the slices of the spectrum (low, high, count) that hold the wanted modes.
 
     Collective: the ranks share out the counts. In a dry run one slice amid the wanted modes stands
@@ -33,14 +33,14 @@ def find_slices(K, mass, crew, interval=None, targets=None, count=None):
     ----------
     K : petsc4py.PETSc.Mat
         The stiffness, flagged symmetric and Hermitian, of this rank alone.
-    mass : float
-        Of a ball.
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+        Below the lowest frequency 0 lie the modes that are unstable, if there are any.
     crew : pgran.parallel.crew.Crew
     interval, targets, count
         Which modes are wanted, as `pgran.find_modes` takes it.
     """
-    world = crew.world
-    with ModeCounter(K) as counter:
+    world, mass = crew.world, lattice.mass
+    with ModeCounter(K, lattice) as counter:
         if targets is None:
             low, high = interval or (0.0, np.inf)
             ends = [counter.interval(mass * low**2, mass * high**2, world)]

@@ -17,11 +17,12 @@ import numpy as np
 from mpi4py import MPI
 from mpmath import mp
 from network_samples import NetworkReference, random_network
-from samples import steady
+from samples import SOLVERS, option_values, steady
 
 from pgran.parallel.crew import Crew
 from pgran.scenes.modes import find_modes
 from pgran.solve.certify import smallest_damping
+from pgran.solve.database import holding
 
 DIGITS = 50
 
@@ -30,7 +31,8 @@ def faults(case, seen, comm=MPI.COMM_SELF):
     """Yield what is false of what is said of a network; count what was `seen`."""
     with mp.workdps(DIGITS):
         reference = NetworkReference(case.network)
-        yield from driven_faults(case, reference, seen, comm)
+        with holding(option_values(SOLVERS[case.solver])):
+            yield from driven_faults(case, reference, seen, comm)
         if comm.size == 1:
             yield from mode_faults(case, reference, seen)
 
@@ -38,14 +40,19 @@ def faults(case, seen, comm=MPI.COMM_SELF):
 def driven_faults(case, reference, seen, comm):
     """Bounds that are broken, errors that pass, damping that is less than certified."""
     with steady(case.network, case.sites, comm, case.tolerance) as (operators, solver):
-        for omega in case.omegas:
-            state = solver.solve(1j * omega)
-            exact = reference.amplitudes(1j * omega, case.sites)
+        for s in case.points:
+            state = solver.solve(s)
+            exact = reference.amplitudes(s, case.sites)
+            singular = np.linalg.svd(reference.weighted(reference.system(s)).astype(complex))[1]
+            stable = solver.bounds.stability(s)
+            if not stable <= 1.0001 * singular[-1] + 1e-12 * singular[0]:
+                yield f"UNSTABLE case {case.seed}, {s=}: |S x| < {stable:.3g} |x|, {singular[-1]}"
             for found, x, bound in zip(state.displacement, exact, state.error_bound, strict=True):
                 error = abs(mpmath.mpmathify(complex(found)) - x) if mp.isfinite(x) else mp.inf
                 good = state.converged_reason > 0
                 said = (
-                    f"case {case.seed}, {case.network.displacement}, omega {omega:.17g}: |A| "
+                    f"case {case.seed}, {case.network.displacement}, {case.solver}, "
+                    f"{s=}: |A| "
                     f"{float(abs(x)):.1e}, error {float(error):.1e}, bound {bound:.1e}, asked "
                     f"{case.tolerance:.0e}{', good' if good else ''}"
                 )
@@ -54,10 +61,12 @@ def driven_faults(case, reference, seen, comm):
                 if good and not error <= case.tolerance * abs(x):
                     yield f"WRONG {said}"
                 seen["amplitudes"] += 1
+                seen[f"{case.network.displacement} amplitudes"] += 1
+                seen[f"{case.network.displacement} good"] += good
                 seen["good"] += good
                 seen["bounded"] += bool(np.isfinite(bound))
         if case.network.damping:
-            least = smallest_damping(operators.layout)
+            least = smallest_damping(operators.lattice)
             seen["damping certified"] += least > 0
             seen["damped"] += 1
             if least > 0 and not reference.damping_exceeds(least):
@@ -76,13 +85,13 @@ def mode_faults(case, reference, seen):
     seen["networks"] += 1
     seen["unstable"] += unstable
     seen["modes certified"] += modes.count_certified
-    if modes.count_certified and (unstable or len(modes.omega) != len(eigenvalues)):
+    if modes.count_certified and len(modes.omega) != len(eigenvalues):
         yield f"MODES case {case.seed}: {len(modes.omega)} of {len(eigenvalues)}, {unstable=}"
     elif modes.count_certified:
-        found = case.network.mass * modes.omega**2
-        if not np.allclose(found, np.maximum(eigenvalues, 0), rtol=0, atol=1e-11 * norm):
+        found = case.network.mass * np.sign(modes.omega) * modes.omega**2
+        if not np.allclose(found, eigenvalues, rtol=0, atol=1e-11 * norm):
             yield f"MODES case {case.seed}: elsewhere by {np.abs(found - eigenvalues).max():.1e}"
-    elif not unstable:
+    else:
         yield f"NOT CERTIFIED case {case.seed}: {len(modes.omega)} of {modes.count_expected}"
 
 

@@ -1,0 +1,455 @@
+"""Any network: its matrices and modes against lattices, phonon bands, energies and elimination."""
+
+import itertools
+import math
+from collections import Counter
+
+import mpmath
+import numpy as np
+import pytest
+from campaigns.networks import driven_faults, faults
+from mpi4py import MPI
+from mpmath import mp, mpf
+from network_samples import NetworkReference, random_network
+from samples import random_lattice, steady
+
+from pgran.command.resolve import SCENES
+from pgran.errors import InputError
+from pgran.physics import makers
+from pgran.physics.network import Network, without_floating
+from pgran.record import Result
+from pgran.results import record_of
+from pgran.scenes.modes import find_modes
+from pgran.scenes.pulse import pulse
+from pgran.solve import judging
+from pgran.solve.certify import smallest_damping
+from pgran.solve.operators import Operators
+
+ROOT3 = math.sqrt(3)
+
+
+def network_of(lattice):
+    """A lattice as a network, its walls as layers of held balls."""
+    axes, held = lattice.axes, np.pad(np.zeros(lattice.shape, int), 1, constant_values=1)
+    held[-1] = 2
+    constants = [
+        np.pad(k, [(0, 0) if a == axis else (1, 1) for a in range(axes)]).ravel()
+        for axis, k in enumerate(lattice.stiffness)
+    ]
+    return makers.crystal(
+        "square" if axes == 2 else "cubic", held.shape, np.concatenate(constants), held=held,
+        displacement="scalar", masses=lattice.mass, damping=lattice.damping
+    )  # fmt: skip
+
+
+def numbers_of(lattice, sites):
+    """The numbers that balls of a lattice have in `network_of` it."""
+    return np.ravel_multi_index(np.add(sites, 1).T, np.add(lattice.shape, 2))
+
+
+@pytest.mark.parametrize("shape", [(5, 6), (6, 1), (3, 2, 4)])
+def test_the_lattice_is_a_network(world, shape):
+    """The same K, C, f and amplitudes, on any number of ranks."""
+    lattice, rng = random_lattice(shape, 3, 0.02, mass=1.7), np.random.default_rng(4)
+    field, sites = rng.standard_normal(shape), np.array([[0] * len(shape), np.subtract(shape, 1)])
+    found = []
+    for sample, where, x in (
+        (lattice, sites, field),
+        (network_of(lattice), numbers_of(lattice, sites)[:, None], field.ravel()),
+    ):
+        with steady(sample, where, world, 1e-10) as (operators, solver):
+            layout, state = operators.layout, solver.solve(0.8j)
+            vectors, x = [operators.f, solver.field], layout.vector(x)
+            vectors += [matrix * x for matrix in (operators.K, operators.C, operators.S)]
+            arrays = [layout.field(vector) for vector in vectors]
+            found.append((arrays, state, smallest_damping(operators.lattice)))
+    (arrays, state, exact), (others, other, certified) = found
+    if world.rank == 0:
+        for one, another in zip(arrays, others, strict=True):
+            assert np.abs(one.ravel() - another).max() <= 1e-12 * np.abs(one).max()
+    assert state.converged_reason > 0 < other.converged_reason
+    assert np.all(np.abs(state.displacement - other.displacement) <= 1e-12)
+    assert 0.7 * exact < certified <= exact
+
+
+# Crystals. A spring is its constant and {unknown: [(where, entry of B)]}.
+
+
+def contact(direction, first, second, k=1.0):
+    """The spring of a contact of two balls of a cell, given by their first unknowns."""
+    ends = (first, np.zeros(len(direction)), -1), (second, direction, 1)
+    return k, [
+        (start + a, place, sign * part)
+        for start, place, sign in ends
+        for a, part in enumerate(direction)
+    ]
+
+
+def bands(springs, wavenumbers, unknowns, inertia=1.0):
+    """omega^2 of all Bloch waves, ascending."""
+    root, found = np.sqrt(np.broadcast_to(inertia, (unknowns,))), []
+    for k in wavenumbers:
+        D = np.zeros((unknowns, unknowns), complex)
+        for constant, entries in springs:
+            row = np.zeros(unknowns, complex)
+            for unknown, place, entry in entries:
+                row[unknown] += entry * np.exp(1j * np.dot(k, place)) / root[unknown]
+            D += constant * np.outer(row.conj(), row)
+        found.append(np.linalg.eigvalsh(D))
+    return np.sort(np.concatenate(found))
+
+
+SIXTY = [np.array([math.cos(a), math.sin(a)]) for a in (0, math.pi / 3, 2 * math.pi / 3)]
+THIRTY = [np.array([0.0, 1.0]), np.array([ROOT3 / 2, -0.5]), np.array([-ROOT3 / 2, -0.5])]
+DIAGONALS = [
+    np.array(v) / math.sqrt(2)
+    for v in itertools.product((-1, 0, 1), repeat=3)
+    if np.dot(v, v) == 2 and next(x for x in v if x) > 0
+]
+# Shape, cells of the lattice of wavenumbers along each axis, edges, springs, unknowns a cell
+CRYSTALS = {
+    "square": ((4, 3), (1, 1), (1, 1), [contact(e, 0, 0) for e in np.eye(2)], 2),
+    "triangular": ((4, 3), (1, 2), (1, ROOT3), [contact(e, 0, 0) for e in SIXTY], 2),
+    "honeycomb": ((3, 2), (1, 2), (ROOT3, 3), [contact(e, 0, 2) for e in THIRTY], 4),
+    "cubic": ((3, 2, 4), (1, 1, 1), (1, 1, 1), [contact(e, 0, 0) for e in np.eye(3)], 3),
+    "fcc": ((2, 1, 3), (1, 2, 2), [math.sqrt(2)] * 3, [contact(e, 0, 0) for e in DIAGONALS], 3),
+}
+
+
+def wavenumbers(shape, zones, edges):
+    """Those that a periodic sample allows."""
+    ranges = [np.arange(n * z) * 2 * math.pi / (n * a)
+              for n, z, a in zip(shape, zones, edges, strict=True)]  # fmt: skip
+    return itertools.product(*ranges)
+
+
+@pytest.mark.parametrize("name", CRYSTALS)
+def test_phonon_bands(world, name):
+    shape, zones, edges, springs, unknowns = CRYSTALS[name]
+    network = getattr(makers, name)(shape, 0.7, periodic=True, masses=1.3)
+    modes = find_modes(network)
+    expected = bands(springs, wavenumbers(shape, zones, edges), unknowns) * 0.7 / 1.3
+    assert modes.count_certified
+    assert np.allclose(modes.omega**2, expected, rtol=0, atol=1e-12 * expected[-1])
+    floppy = network.balls - len(network.bond)  # Maxwell's count, no more than the zero modes
+    assert np.count_nonzero(modes.omega < 1e-6) >= floppy
+    assert floppy > 0 or name != "honeycomb"
+
+
+def test_bands_of_discs_that_roll(world):
+    """A chain: longitudinal waves, waves of slip, and as many modes of rolling; then triangles."""
+    k, slip, m = 0.9, 0.4, 1.3
+    inertia = np.array([m, m, m / 8])  # of discs of radius 1/2
+    q = np.arange(7) * 2 * math.pi / 7
+    chain = makers.square(
+        (7, 1), k, periodic=(True, False), displacement="rotations", tangential=np.full(7, slip),
+        masses=m
+    )  # fmt: skip
+    sine, cosine = 4 * np.sin(q / 2) ** 2, 4 * np.cos(q / 2) ** 2
+    expected = np.concatenate([k * sine / m, slip * (sine + 2 * cosine) / m, 0 * q])
+    omega = find_modes(chain).omega
+    assert np.allclose(omega**2, np.sort(expected), rtol=0, atol=1e-12)
+
+    springs, nothing = [contact(n, 0, 0, k) for n in SIXTY], np.zeros(2)
+    for n in SIXTY:
+        constant, entries = contact(np.array([-n[1], n[0]]), 0, 0, slip)
+        entries = [(unknown, n if place.any() else nothing, e) for unknown, place, e in entries]
+        springs.append((constant, [*entries, (2, nothing, -0.5), (2, n, -0.5)]))
+    shape = (3, 2)
+    network = makers.triangular(
+        shape, k, periodic=True, displacement="rotations", tangential=np.full(36, slip), masses=m
+    )
+    expected = bands(springs, wavenumbers(shape, (1, 2), (1, ROOT3)), 3, inertia)
+    omega = find_modes(network).omega
+    assert np.allclose(omega**2, expected, rtol=0, atol=1e-12 * expected[-1])
+
+
+# Springs
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_rigid_motions_and_rolling_stretch_nothing(axes):
+    """On a random tree of balls of different sizes that touch."""
+    rng, count = np.random.default_rng(axes), 12
+    radius = rng.uniform(0.3, 2, count)
+    position, parent = np.zeros((count, axes)), rng.integers(0, np.arange(1, count))
+    for ball, other in enumerate(parent, 1):
+        n = rng.standard_normal(axes)
+        reach = radius[ball] + radius[other]
+        position[ball] = position[other] + reach * n / np.linalg.norm(n)
+    bond = np.stack([parent, np.arange(1, count)], axis=1)
+    network = Network(
+        bond, np.ones(count - 1), np.zeros(count), rng.uniform(0.1, 10, count),
+        displacement="rotations", position=position, tangential=np.ones(count - 1), radius=radius
+    )  # fmt: skip
+
+    def stretches(u, theta):
+        turned = np.broadcast_to(theta, (count, network.turns))
+        moved = np.concatenate([np.broadcast_to(u, (count, axes)), turned], axis=1)
+        return np.abs(network.B @ (moved.ravel() / network.weights)).max()
+
+    turn = rng.standard_normal(3) if axes == 3 else np.array([0, 0, rng.standard_normal()])
+    around = np.cross(turn, np.pad(position, ((0, 0), (0, 3 - axes))))[:, :axes]
+    theta = turn[-network.turns :]
+    assert stretches(rng.standard_normal(axes), 0) < 1e-14
+    assert stretches(around, theta) < 1e-13
+    assert stretches(around, 0) > 0.1
+    sign = np.ones(count)
+    for ball, other in enumerate(parent, 1):
+        sign[ball] = -sign[other]
+    assert stretches(0, np.outer(sign / radius, theta)) < 1e-14
+    assert stretches(0, np.outer(1 / radius, theta)) > 0.1
+
+
+@pytest.mark.parametrize(("axes", "power"), [(2, 2), (3, 2), (2, 2.5), (3, 2.5)])
+def test_stiffness_is_the_second_derivative_of_the_energy(axes, power):
+    """Of contacts V = c h^p, h how far two balls overlap: harmonic and Hertz, under pre-stress."""
+    rng, c = np.random.default_rng(5), 0.8
+    position = rng.uniform(0, 1, (5, axes))
+    bond = np.array([[0, 1], [1, 2], [3, 1], [2, 3], [0, 4], [4, 2]])
+    distance = np.linalg.norm(position[bond[:, 0]] - position[bond[:, 1]], axis=1)
+    overlap = rng.uniform(0.05, 0.3, len(bond))
+    masses = 10 ** rng.uniform(-1, 1, 5)
+    network = Network(
+        bond, c * power * (power - 1) * overlap ** (power - 2), [0, 0, 0, 0, 1], masses,
+        displacement="vector", position=position, force=c * power * overlap ** (power - 1)
+    )  # fmt: skip
+    with mp.workdps(50):
+        reach = [mpf(float(d)) + mpf(float(h)) for d, h in zip(distance, overlap, strict=True)]
+        start, step = [mpf(float(x)) for x in position.ravel()], mpf(10) ** -12
+
+        def energy(*moved):
+            x = list(start)
+            for unknown, sign in moved:
+                x[unknown] += sign * step
+            return sum(
+                mpf(c) * (r - mp.sqrt(sum((x[axes * j + a] - x[axes * i + a]) ** 2
+                          for a in range(axes)))) ** mpf(power)
+                for (i, j), r in zip(bond.tolist(), reach, strict=True)
+            )  # fmt: skip
+
+        signs = list(itertools.product((1, -1), repeat=2))
+        H = [[float(sum(a * b * energy((p, a), (q, b)) for a, b in signs) / (4 * step**2))
+              for p in range(4 * axes)] for q in range(4 * axes)]  # fmt: skip
+    found = network.restoring_forces(np.eye(network.balls))
+    assert network.balls == 4 * axes
+    expected = np.array(H) * np.outer(network.weights, network.weights)
+    assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+# Modes
+
+
+def test_modes_of_masses_over_six_decades(world):
+    """omega^2 are the eigenvalues of K f = omega^2 M f, dense and not mass-weighted."""
+    import scipy.linalg
+
+    for displacement in ("scalar", "vector", "rotations"):
+        rng = np.random.default_rng(8)
+        network = makers.random_geometric(
+            40, 2, 5.0, displacement=displacement, masses=10 ** rng.uniform(-3, 3, 40),
+            stiffness=lambda rng, count: rng.uniform(0.5, 1, count), seed=3
+        )  # fmt: skip
+        reference = NetworkReference(network)
+        K, M = reference.K.astype(float), np.diag(reference.M.astype(float))
+        expected = scipy.linalg.eigh(K, M, eigvals_only=True)
+        modes = find_modes(network)
+        assert modes.count_certified
+        assert np.abs(modes.omega**2 - expected).max() < 1e-12 * expected[-1]
+
+
+def test_modes_of_unstable_networks_have_negative_frequencies(world):
+    """A force that buckles a chain makes K indefinite; all modes are counted, and said."""
+    chain = makers.square((9, 1), 1.0, force=np.full(8, 0.4))
+    eigenvalues = np.linalg.eigvalsh(chain.restoring_forces(np.eye(chain.balls)))
+    assert np.count_nonzero(eigenvalues < -1e-3) == 7
+    modes = find_modes(chain)
+    assert modes.count_certified
+    squares = np.sign(modes.omega) * modes.omega**2
+    assert np.allclose(squares, eigenvalues, rtol=1e-12, atol=1e-13)
+    said = " ".join(SCENES["modes"].summary(Result([record_of(chain), modes])))
+    assert "UNSTABLE: 7 modes" in said
+    modes = find_modes(chain, interval=(0.1, 3.0))
+    assert modes.count_certified
+    assert np.allclose(modes.omega**2, eigenvalues[eigenvalues > 0], rtol=1e-12)
+    with pytest.raises(InputError, match="unstable"):
+        pulse(chain, [3], width=2.0, time=60.0, points=121)
+
+
+# Driven networks
+
+
+def test_random_networks(world):
+    """No bound is broken, nothing wrong passes, and modes are counted right."""
+    seen = Counter()
+    for seed in range(world.rank, 24, world.size):
+        assert list(faults(random_network(seed), seen)) == []
+    assert 0.4 * world.allreduce(seen["amplitudes"]) < world.allreduce(seen["good"])
+    for seed in range(100, 106):
+        case = random_network(seed)
+        with mp.workdps(50):
+            assert list(driven_faults(case, NetworkReference(case.network), seen, world)) == []
+
+
+def test_the_campaign_notices_what_is_wrong(monkeypatch):
+    case, seen = random_network(0), Counter()
+    assert list(faults(case, seen)) == []
+    assess = judging.Judge.assess
+
+    def wrong(*arguments):
+        state = assess(*arguments)
+        state.displacement[:] *= 1 + 1e-9
+        state.error_bound[:] *= 1e-9
+        return state
+
+    monkeypatch.setattr(judging.Judge, "assess", wrong)
+    assert all(said.startswith("BROKEN") for said in faults(case, seen))
+    assert list(faults(case, seen))
+
+
+def test_errors_along_a_diagonal_do_not_cancel():
+    """Where x and y components are alike, a reading along (1, -1) cancels, and errors need not."""
+    sample = makers.square(
+        (20, 1), lambda rng, count: rng.uniform(0.5, 1, count), tangential=np.zeros(19),
+        direction=(1, -1), damping=0.01
+    )  # fmt: skip
+    network = Network(
+        sample.bond, sample.stiffness, sample.held, damping=0.01, displacement="vector",
+        normal=sample.normal, tangential=sample.stiffness, direction=(1, -1)
+    )  # fmt: skip
+    with mp.workdps(50), steady(network, [1, 2]) as (_, solver):
+        reference = NetworkReference(network)
+        for omega in np.linspace(3, 12, 10):
+            state = solver.solve(1j * omega)
+            for found, exact, bound in zip(
+                state.displacement,
+                reference.amplitudes(1j * omega, [1, 2]),
+                state.error_bound,
+                strict=True,
+            ):
+                assert abs(mpmath.mpmathify(complex(found)) - exact) <= bound
+
+
+@pytest.mark.parametrize("damping", [0.01, 0.0])
+def test_what_floats_is_never_passed_as_good(world, damping):
+    """C is singular; no amplitude without a finite bound is good, and at rest S is singular."""
+    triangle = [[0, 1], [2, 3], [3, 4], [4, 2]]
+    network = Network(
+        triangle, [1, 0.3, 0.7, 0.1], [2, 0, 0, 0, 0], [1, 1, 0.7, 1.3, 1e-3], damping
+    )
+    with steady(network, [1, 2], world) as (operators, solver):
+        assert not damping or smallest_damping(operators.lattice) == 0
+        assert solver.solve(0j).converged_reason <= 0
+        state = solver.solve(0.3j)
+        exact = (1 + 0.3j * damping) / (1 + 0.3j * damping - 0.09)
+        errors = np.abs(state.displacement - [exact, 0])
+        assert not np.any(errors > state.error_bound)
+        assert state.converged_reason <= 0
+    anchored, kept = without_floating(network)
+    assert kept.tolist() == [0, 1]
+    with steady(anchored, [1]) as (_, solver):
+        state = solver.solve(0.3j)
+    assert state.converged_reason > 0
+    assert abs(state.displacement[0] - exact) <= state.error_bound[0]
+
+
+def test_few_balls_and_many_ranks(world):
+    """One ball, two alike contacts, and springs that cancel; some ranks have no ball."""
+    for bond, constants, k in (([[0, 1]], [2.0], 2), ([[0, 1], [1, 0]], [1.5, -1], 0.5)):
+        network = Network(bond, constants, [2, 0], 1.5, 0.1)
+        with steady(network, [1], world, 1e-10) as (_, solver):
+            for omega in (0.2, 1.1):
+                state = solver.solve(1j * omega)
+                drive = k + 0.1j * omega * len(bond)
+                exact = drive / (drive - 1.5 * omega**2)
+                assert state.converged_reason > 0
+                assert abs(state.displacement[0] - exact) <= state.error_bound[0]
+
+
+def test_springs_of_no_stiffness_come_to_an_end():
+    """At rest S is zero altogether."""
+    with steady(Network([[0, 1]], [0.0], [2, 0]), [1]) as (_, solver):
+        assert solver.solve(0j).converged_reason <= 0
+        assert solver.solve(1j).converged_reason > 0
+
+
+@pytest.mark.parametrize(
+    ("said", "change"),
+    [
+        ("touches itself", {"bond": [[0, 0]], "normal": [[1, 0]]}),
+        ("no contacts", {"bond": np.zeros((0, 2)), "stiffness": []}),
+        ("no free ball has", {"held": [1, 2, 0]}),
+        ("every ball is held", {"held": [1, 2, 1]}),
+        ("no balls", {"bond": [[0, 3]]}),
+        ("whole numbers", {"bond": [[0, 1.5]]}),
+        ("whole numbers", {"held": [2, 0.5, 0]}),
+        ("masses", {"masses": [1, 0, 1]}),
+        ("radii", {"radius": [1, 0, 1]}),
+        ("finite", {"stiffness": [np.nan]}),
+        ("same place", {"position": np.zeros((3, 2))}),
+    ],
+)
+def test_impossible_networks_are_refused(said, change):
+    given = {
+        "bond": [[0, 1]], "stiffness": [1.0], "held": [2, 0, 0], "displacement": "rotations",
+        "position": [[0, 0], [1, 0], [2, 0]], "radius": [1, 1, 1],
+    }  # fmt: skip
+    Network(**given)
+    with pytest.raises(InputError, match=said):
+        Network(**(given | change))
+
+
+# Makers
+
+
+def test_random_geometric_graphs():
+    """A pure function of the seed, of the mean number of contacts that is asked for."""
+    for dimension, periodic in ((2, True), (3, True), (3, (False, True, True))):
+        one, same, other = (
+            makers.random_geometric(600, dimension, 8.0, periodic=periodic, seed=seed)
+            for seed in (1, 1, 2)
+        )
+        assert one.bonds_sha256 == same.bonds_sha256 != other.bonds_sha256
+        anchored = one.held.any()
+        assert anchored == (periodic is not True)
+        if not anchored:
+            assert abs(2 * len(one.bond) / 600 - 8) < 0.6
+            edge = 600 ** (1 / dimension)
+            away = one.position[one.bond[:, 1]] - one.position[one.bond[:, 0]]
+            shift = (one.normal * one.distance[:, None] - away) / edge
+            assert np.allclose(shift, np.rint(shift))
+            assert np.abs(np.rint(shift)).max() == 1
+
+
+def test_dilution_removes_contacts_and_what_floats():
+    network = makers.triangular((8, 5), displacement="scalar", damping=0.1)
+    assert makers.diluted(network, 0.0).bonds_sha256 == network.bonds_sha256
+    some, more = (makers.diluted(network, missing, seed=2) for missing in (0.5, 0.7))
+
+    def places(sample):
+        ends = sample.position[sample.bond]
+        return {tuple(np.round(end.ravel(), 6)) for end in ends}
+
+    assert places(more) < places(some) < places(network)
+    for sample in (some, more):
+        assert without_floating(sample)[0].balls == sample.balls
+        with Operators(sample, MPI.COMM_SELF) as operators:
+            assert smallest_damping(operators.lattice) > 0
+    with pytest.raises(InputError):
+        makers.diluted(network, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: makers.square((3,)), "2 positive numbers"),
+        (lambda: makers.square((3, 1), periodic=True), "touches itself"),
+        (lambda: makers.random_geometric(20, 2, 18.0, periodic=True), "radius"),
+        (lambda: makers.random_geometric(20, 4), "dimensions"),
+        (lambda: makers.diluted(makers.square((3, 3)), 2), "between 0 and 1"),
+        (lambda: makers.square((2, 3)), "every ball is held"),
+    ],
+)
+def test_makers_refuse_what_is_impossible(make, said):
+    with pytest.raises(InputError, match=said):
+        make()

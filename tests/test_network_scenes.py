@@ -1,0 +1,190 @@
+"""Every scene on a network: a lattice written as one gives the lattice's own numbers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from samples import random_lattice
+
+import pgran
+from pgran.command.resolve import resolve
+from pgran.errors import InputError
+from pgran.files.network import DATASETS, read_network, write_network
+from pgran.files.reading import read_words
+from pgran.parallel.crew import Crew
+from pgran.physics.lattice import bond_ends, driven_bonds
+from pgran.physics.network import AT_REST, DRIVEN, Network
+
+SIZE, BALL = (6, 5), (2, 3)
+OMEGAS = np.linspace(0.1, 1.1, 9)
+
+
+def as_network(lattice, **others):
+    """A lattice as a network of the same bonds in the same order, and two balls for its walls."""
+    balls = lattice.balls
+    ends = bond_ends(np.arange(balls).reshape(lattice.shape))
+    ends[driven_bonds(lattice.shape), 1] = balls + 1
+    ends[ends < 0] = balls
+    held = np.zeros(balls + 2, int)
+    held[balls:] = AT_REST, DRIVEN
+    same = {"masses": lattice.mass, "damping": lattice.damping, "kmax": lattice.kmax}
+    return Network(ends, lattice.constants, held, **same | others)
+
+
+def written(path, network):
+    """Write a network to a file of its own."""
+    members = {n: getattr(network, n, None) for n in DATASETS} | {"mass": network.masses}
+    write_network(path, members, {"displacement": "scalar", "damping": network.damping})
+
+
+@pytest.fixture(params=["alone", "shared"])
+def crew(world, request):
+    """What shares out the work: each rank has the network, or all share it."""
+    with Crew(world, world.size if request.param == "shared" else 1) as made:
+        yield made
+
+
+def both(crew, compute, damping=0.01):
+    """What is computed of a lattice and of the same network, on every rank."""
+    lattice = random_lattice(SIZE, 4, damping, mass=0.7)
+    network, ball = as_network(lattice), np.ravel_multi_index(BALL, SIZE)
+    found = compute(lattice, [BALL], crew), compute(network, [ball], crew)
+    return crew.world.bcast(found)
+
+
+def assert_close(one, other, *names):
+    """Arrays of two records are equal to 1e-12 of their largest entries."""
+    for name in names:
+        a, b = (np.ravel(getattr(record, name)) for record in (one, other))
+        assert np.abs(a - b).max() <= 1e-12 * np.abs(a).max(), name
+
+
+@pytest.mark.parametrize("method", ["points", "curve"])
+def test_response(crew, method):
+    def compute(medium, ball, crew):
+        return pgran.sweep(medium, OMEGAS, ball, crew, method=method, resolve=0.0)
+
+    one, other = both(crew, compute)
+    assert other.failures == 0
+    if method == "points":
+        assert_close(one, other, "displacement", "derivative", "delay")
+    difference = np.abs(one.displacement - other.displacement)
+    assert np.all(difference <= one.error_bound + other.error_bound)
+
+
+def test_fields_and_undamped(crew):
+    def compute(medium, ball, crew):
+        return pgran.sweep(medium, OMEGAS, ball, crew, fields=True)
+
+    if crew.group.size == 1:
+        one, other = both(crew, compute, damping=0.0)
+        assert other.failures == one.failures == 0
+    one, other = both(crew, compute)
+    assert_close(one, other, "field")
+
+
+def test_modes_and_projection(crew):
+    def compute(medium, ball, crew):
+        modes = pgran.find_modes(medium, crew, shapes=True)
+        return modes, pgran.project(medium, OMEGAS, crew)
+
+    if crew.group.size > 1:
+        pytest.skip("modes are each rank's own")
+    (modes, projection), (others, same) = both(crew, compute)
+    assert others.count_certified
+    assert_close(modes, others, "omega", "participation")
+    assert np.abs(np.abs(projection.coefficient) - np.abs(same.coefficient)).max() < 1e-9
+
+
+@pytest.mark.parametrize("method", ["window", "krylov"])
+def test_relaxation(crew, method):
+    def compute(medium, ball, crew):
+        law = pgran.BondLaw("uniform")
+        return pgran.relax(medium, law, 0.5, ball, crew, steps=40, method=method)
+
+    one, other = both(crew, compute)
+    assert_close(one, other, "stiffness")
+    difference = np.abs(one.displacement - other.displacement)
+    assert np.all(difference <= one.error_bound + other.error_bound)
+    assert other.failures == 0
+
+
+@pytest.mark.parametrize("method", ["laplace", "integrate"])
+def test_pulse(crew, method):
+    def compute(medium, ball, crew):
+        choices = {"width": 6.0, "time": 120.0, "points": 121, "method": method, "fields": True}
+        return pgran.pulse(medium, ball, crew, **choices)
+
+    one, other = both(crew, compute)
+    assert_close(one, other, "wall")
+    assert np.all(np.abs(one.displacement - other.displacement) <= one.error + other.error + 1e-12)
+    if method == "laplace":  # steps of an integrator depend on what bounds the frequencies
+        for name in ("displacement", "force", "work", "energy", "dissipated", "field"):
+            a, b = (np.ravel(getattr(record, name)) for record in (one, other))
+            assert np.abs(a - b).max() <= 1e-9 * np.abs(a).max(), name
+    assert other.failures == 0
+
+
+def test_a_network_of_its_own_constants_relaxes(world):
+    network = as_network(random_lattice(SIZE, 4, 0.01))
+    with Crew(world, 1) as crew:
+        found = world.bcast(pgran.relax(network, None, 0.5, [9], crew, steps=40))
+    assert np.all(np.isin(found.stiffness, network.stiffness))
+    assert found.failures == 0
+
+
+def test_vectors_are_read_along_the_drive_or_an_axis(world):
+    """The amplitude along an oblique drive is that combination of those along x and y."""
+    rng = np.random.default_rng(3)
+    network = pgran.Network(
+        [[0, 1], [1, 2], [2, 3], [3, 0], [0, 2], [1, 4], [4, 2]], np.ones(7), [1, 0, 0, 0, 2],
+        position=rng.random((5, 2)), displacement="vector", direction=[3.0, 4.0], damping=0.1,
+    )  # fmt: skip
+    amplitude = {}
+    for component in ("drive", "x", "y"):
+        medium = dataclasses.replace(network, component=component)
+        with Crew(world, 1) as crew:
+            found = world.bcast(pgran.sweep(medium, OMEGAS, [2], crew))
+        amplitude[component] = found.displacement[:, 0]
+    oblique = 0.6 * amplitude["x"] + 0.8 * amplitude["y"]
+    assert np.allclose(amplitude["drive"], oblique, rtol=1e-10)
+
+
+def test_options_of_a_network(world, shared_path, call, place):
+    """A run takes the file's network; its result is laid out like that file."""
+    network = as_network(random_lattice(SIZE, 4, 0.01))
+    if world.rank == 0:
+        written(shared_path / "a.h5", network)
+    world.Barrier()
+    path = shared_path / "a.h5"
+    place("n.opts", f"-scene response -network_file {path} -detectors 9 -sweep_omega .3,.5")
+    ended = call("run", "n.opts", "-output_file", "out.h5", "-output_progress", "none")
+    assert ended.returncode == 0, ended.stderr
+    for words, said in (
+        (f"-network_file {path} -lattice_shape 3,3", "contradicts"),
+        ("-network_damping .1", "belongs to -network_file"),
+        ("-detectors_component x", "balls of a lattice have one displacement"),
+    ):
+        with pytest.raises(InputError, match=said):
+            resolve(read_words(f"-scene response {words}".split()))
+
+
+def test_networks_come_back_from_their_files(tmp_path):
+    if MPI.COMM_WORLD.rank:
+        return
+    network = as_network(random_lattice(SIZE, 4, 0.01))
+    written(tmp_path / "a.h5", network)
+    again = read_network(tmp_path / "a.h5")
+    assert again.bonds_sha256 == network.bonds_sha256
+
+
+def test_what_no_drive_reaches_is_refused(world):
+    chain = [[0, 1], [1, 2], [3, 4]]
+    for held, said in (
+        ([1, 0, 2, 0, 0], "2 balls float, ball 3 first"),
+        ([1, 0, 0, 0, 1], "no ball is driven"),
+    ):
+        network = Network(chain, np.ones(3), held)
+        with Crew(world, 1) as crew, pytest.raises(InputError, match=said):
+            pgran.sweep(network, OMEGAS, [1], crew)
