@@ -22,6 +22,7 @@ _HOMES = {
     "Network": "pgran.physics.network",
     "PgranError": "pgran.errors",
     "continuum": "pgran.scenes.continuum",
+    "export": "pgran.command.export",
     "find_modes": "pgran.scenes.modes",
     "load": "pgran.files.store",
     "plot": "pgran.command.plot",

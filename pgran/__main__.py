@@ -30,6 +30,8 @@ pgran: sound in a granular material, a lattice of balls and random springs
   pgran import ATOMS CONTACTS -o NETWORK [--law hertz] [--rest CONDITION] [--drive CONDITION] ...
                                     make a network of balls and contacts that another program
                                     (LAMMPS, LIGGGHTS, CSV, GraphML) wrote; --help says more
+  pgran export RESULT TO.vtu        write balls, contacts, modes and fields for ParaView and others;
+                                    TO.csv: the response, the signals, ... as a table
   pgran verify RESULT               say whether a result is as it was written, by its checksum
   pgran options [SCENE]             list every option: type, unit, default, range, meaning
   pgran doctor                      say what is installed, and what is wrong with it
@@ -43,6 +45,7 @@ In parallel: mpirun -n 2 pgran run options/response.opts
 COMMANDS = {
     "run": ("run", "run"),
     "plot": ("plot", "run"),
+    "export": ("export", "run"),
     "options": ("resolve", "list_options"),
     "doctor": ("doctor", "examine"),
     "verify": ("verify", "verify"),

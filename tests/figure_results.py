@@ -15,8 +15,9 @@ SWEEP = np.linspace(0.005, 1.3, 260)  # in units of omega_mx, as all frequencies
 
 def result_of(record, lattice=LATTICE):
     """A result of one record."""
-    records = {"lattice": results.LatticeRecord.of(lattice), record.group: record}
-    return SimpleNamespace(scene=record.group, medium=records.get("lattice"), **records)
+    medium = results.record_of(lattice)
+    records = {medium.group: medium, record.group: record}
+    return SimpleNamespace(scene=record.group, medium=medium, **records)
 
 
 def respond(x=SWEEP, detectors=((1, 1),), lattice=LATTICE):

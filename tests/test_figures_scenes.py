@@ -347,6 +347,6 @@ def test_a_steady_response_is_laid_over_the_detectors_that_it_shares():
     outside = np.flatnonzero((steady.get_xdata() < low) | (steady.get_xdata() > high))
     assert set(gaps(steady)) == {120, 130, *outside}
     named = [text.get_text() for text in upper.get_legend().get_texts()]
-    assert sorted(named) == ["signal / wall", "steady response"]
+    assert sorted(named) == ["signal / drive", "steady response"]
     with pytest.raises(FileError, match="no detector in common"):
         figures.make(result, response=respond(detectors=[(2, 2)]).response)

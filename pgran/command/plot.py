@@ -82,10 +82,11 @@ def _pair(one, other):
         for group, name in LAID_OVER.items():
             if not (hasattr(drawn, group) and hasattr(over, name)):
                 continue
-            same = ["mass", "stiffness_x", "stiffness_y", "stiffness_z"]
-            same += ["damping"] if name == "response" else []  # modes have none
+            same = ["shape", "mass", "bonds_sha256"]
+            if name == "response":  # modes have neither damping nor drive
+                same += ["damping", "damped", "held", "direction", "component"]
             for fact in same:
-                values = [getattr(result.lattice, fact, None) for result in (drawn, over)]
+                values = [getattr(result.medium, fact, None) for result in (drawn, over)]
                 if not np.array_equal(*values):
                     raise FileError(f"the {group} and the {name} belong to different lattices")
             return drawn, name, getattr(over, name)

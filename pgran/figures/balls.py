@@ -38,10 +38,11 @@ def page(shape, draws):
 
     Parameters
     ----------
-    shape : tuple of int
-        Of the lattice.
+    shape : tuple of number
+        Of the lattice; of what is in a plane width and height.
     draws : list of callable
-        Each draws into the axes that it is given, by `draw`, and gives them a title.
+        Each draws into the axes that it is given and gives them a title. What they return is of
+        one kind; a colour bar says what its colours are.
     """
     (nx, ny), chain = (*shape, 1)[:2], len(shape) == 1
     flat = chain or nx > 1.5 * ny
@@ -59,6 +60,8 @@ def page(shape, draws):
     displacement = "displacement / largest"
     if chain:
         figure.supylabel(displacement, fontsize="medium")
+    elif drawn.get_array() is None:
+        figure.set_figwidth(size[0] - 0.6)  # without a colour bar
     else:
         bar = {"ticks": [-1, -0.5, 0, 0.5, 1], "pad": 0.02}
         figure.colorbar(drawn, ax=list(panels), label=displacement, **bar)

@@ -4,7 +4,7 @@ import numpy as np
 
 from pgran.figures import style
 
-COEFFICIENT = "coefficient $|c_i|$ (driven wall = 1)"
+COEFFICIENT = "coefficient $|c_i|$ (drive = 1)"
 SHOWN = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes of cifreq lie
 HANDFUL = 10  # frequencies or modes that make no curve
 

@@ -4,7 +4,8 @@ from functools import partial
 
 import numpy as np
 
-from pgran.figures import balls, bonds, style, transfer
+from pgran.figures import balls, bonds, network, style, transfer
+from pgran.figures.view import View
 
 TIME = r"time ($1/\omega_{mx}$)"
 
@@ -16,7 +17,7 @@ def figures(result, response=None, **_):
     seismogram(ax, signals, lattice)
     style.legend_above([ax], columns=3)
     yield "signals", figure
-    if signals.field is not None:
+    if signals.field is not None and getattr(lattice, "position", lattice.shape) is not None:
         yield "field", _field_page(signals, lattice)
     if signals.energy is not None:
         figure, (ax,) = style.page(style.COLUMN, 2.5)
@@ -24,7 +25,8 @@ def figures(result, response=None, **_):
         style.legend_above([ax], columns=1)
         yield "energy", figure
     yield "spectrum", transfer.page(signals, lattice, response)
-    yield "bonds", bonds.page(lattice, signals.detector)
+    if lattice.group == "lattice":
+        yield "bonds", bonds.page(lattice, signals.detector)
 
 
 def seismogram(ax, signals, lattice):
@@ -42,11 +44,11 @@ def seismogram(ax, signals, lattice):
     """
     time, largest = signals.time * lattice.omega_mx, np.abs(signals.displacement).max(axis=0)
     known = largest > signals.error.max(axis=0)
-    distance = lattice.shape[0] - signals.detector[:, 0]
+    distance = lattice.built.depths(signals.detector)
     wall = signals.wall / np.abs(signals.wall).max()
     returns = abs(wall[-1]) < 0.1  # else signals do not swing about 0, which an envelope supposes
     ax.plot(time, 0.45 * wall, color=style.ACCENT)
-    drawn, rows, fronts = [], ["driven wall"], [signals.wall_arrival]
+    drawn, rows, fronts = [], [style.driven(lattice)], [signals.wall_arrival]
     label = "envelope"
     for row, d in enumerate(np.argsort(distance, kind="stable"), 1):
         name = style.ball_names(signals.detector[d : d + 1])[0]
@@ -73,8 +75,8 @@ def field(ax, signals, lattice, number):
     """Draw the displacement of all balls at one time in units of its largest, or the wall's.
 
     Blue to white to red from -1 to 1; the driven wall and the detectors are marked. Three
-    dimensions: the plane of the first detector. One: a line from wall to wall. Returns the image or
-    the line.
+    dimensions: the plane of the first detector. One: a line from wall to wall. A network is drawn
+    by `network.motion`. Returns the image, the line, or arrows or balls.
 
     Parameters
     ----------
@@ -86,23 +88,35 @@ def field(ax, signals, lattice, number):
         Which of the times.
     """
     time, plane = signals.field_time[number], tuple(signals.detector[0, 2:])
-    values = signals.field[(number, ..., *plane)]
     wall = np.interp(time, signals.time, signals.wall)
+    look = {"linestyle": "none", "markerfacecolor": "white", "markersize": 3}
+    look |= {"marker": "o", "markeredgecolor": "black", "markeredgewidth": 0.6}
+    if lattice.group == "network":
+        view, values = View(lattice, signals.detector[0, 0]), signals.field[number]
+        drawn, largest = network.motion(ax, lattice, view, values, wall)
+        dots = view.xy[[ball for ball in signals.detector[:, 0] if view.seen[ball]]]
+        ax.plot(*dots.T, label="detectors", zorder=4, **look)
+        ax.set_title(_title(time, lattice, largest))
+        return drawn
+    values = signals.field[(number, ..., *plane)]
     largest = max(np.abs(values).max(), abs(wall)) or 1.0
     drawn = balls.draw(ax, values / largest, wall / largest)
     dots = signals.detector[(signals.detector[:, 2:] == plane).all(axis=1), :2]
     heights = dots[:, 1] if values.ndim == 2 else values[dots[:, 0]] / largest
-    look = {"linestyle": "none", "markerfacecolor": "white", "markersize": 3}
-    look |= {"marker": "o", "markeredgecolor": "black", "markeredgewidth": 0.6}
     ax.plot(dots[:, 0], heights, label="detectors", **look)
     end = len(values) - (0.5 if values.ndim == 2 else 0.0)
     ax.axvline(end, color=style.ACCENT, linewidth=3, clip_on=False, label="driven wall")
-    ax.set_title(rf"$t$ = {time * lattice.omega_mx:.4g}$/\omega_{{mx}}$, largest {largest:.2g}")
+    ax.set_title(_title(time, lattice, largest))
     return drawn
 
 
+def _title(time, lattice, largest):
+    """Return the title of a field."""
+    return rf"$t$ = {time * lattice.omega_mx:.4g}$/\omega_{{mx}}$, largest {largest:.2g}"
+
+
 def energy(ax, signals, lattice):
-    """Draw the work of the wall, the energy of balls and springs, and what damping took.
+    """Draw the work of the drive, the energy of balls and springs, and what damping took.
 
     Returns the curves.
 
@@ -113,9 +127,9 @@ def energy(ax, signals, lattice):
         With `energy`.
     lattice : pgran.results.LatticeRecord
     """
-    time, unit = signals.time * lattice.omega_mx, lattice.mass * lattice.omega_mx**2
+    time, unit = signals.time * lattice.omega_mx, lattice.built.mass * lattice.omega_mx**2
     shown = [
-        (signals.work, "work of the wall", {"color": "#bbbbbb", "linewidth": 2.5}),
+        (signals.work, "work of the drive", {"color": "#bbbbbb", "linewidth": 2.5}),
         (signals.energy, "energy of balls and springs", {"color": style.ACCENT}),
         (signals.dissipated, "taken by damping", {"color": style.UNRESOLVED}),
     ]
@@ -128,6 +142,11 @@ def _field_page(signals, lattice):
     """Return the figure of the fields at all times."""
     times = range(len(signals.field_time))
     panels = [partial(field, signals=signals, lattice=lattice, number=n) for n in times]
+    if lattice.group == "network":
+        view = View(lattice, signals.detector[0, 0])
+        figure = balls.page(view.extent, panels)
+        network.explain(figure, lattice, view.plane, "circles: detectors")
+        return figure
     figure = balls.page(lattice.shape, panels)
     text = "".join(f"plane $z$ = {z}, " for z in signals.detector[0, 2:])
     text += "each scaled to its largest; circles: detectors; thick blue line: driven wall"

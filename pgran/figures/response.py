@@ -23,7 +23,8 @@ def figures(result, modes=None, **_):
         delay(ax, response, lattice, modes)
         style.legend_above([ax], columns=1)
         yield "delay", figure
-    yield "bonds", bonds.page(lattice, response.detector)
+    if lattice.group == "lattice":
+        yield "bonds", bonds.page(lattice, response.detector)
 
 
 def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf)):
@@ -89,11 +90,14 @@ def phase(ax, response, lattice, modes=None):
         if response.phase_slope_error is not None:  # as it is in a file of version 0.1
             slope += rf" \pm {response.phase_slope_error[d]:.2g}"
             velocity += rf" \pm {response.phase_velocity_error[d]:.1g}"
-        labels[d] += f":\n$s = {slope}$ rad/$\\omega_{{mx}}$, $v = {velocity}\\;d\\,\\omega_{{mx}}$"
+        labels[d] += f":\n$s = {slope}$ rad/$\\omega_{{mx}}$"
+        if np.isfinite(response.phase_velocity[d]):  # not without positions
+            labels[d] += f", $v = {velocity}\\;d\\,\\omega_{{mx}}$"
     ax.set(ylabel=style.PHASE, xlim=style.limits(x))
     ax.locator_params("x", nbins=7)
     drawn = style.curves(ax, x, response.phase, good, labels)
-    meaning = "slope $s$, phase velocity $v$ ($d$: spacing)"
+    unit = "spacing" if lattice.group == "lattice" else "unit of length"
+    meaning = f"slope $s$, phase velocity $v$ ($d$: {unit})"
     label = rf"fit, {low:g} to {high:g} $\omega_{{mx}}$: {meaning}"
     for d in fitted:
         line = response.phase_slope[d] * ends[:, d] + response.phase_intercept[d]

@@ -13,7 +13,7 @@ COLUMN, PAGE = 3.4, 7.0  # widths in inches: one column of a journal, and two
 ACCENT, FAILED, MODE, UNRESOLVED = "#0072B2", "#D00000", "#555555", "#D55E00"
 COLOURS = ("black", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")
 
-AMPLITUDE = r"amplitude $|A|$ (driven wall = 1)"
+AMPLITUDE = r"amplitude $|A|$ (drive = 1)"
 PHASE = "phase (rad)"
 FREQUENCY = r"driving frequency $\omega/\omega_{mx}$"
 MODE_FREQUENCY = r"mode frequency $\omega_i/\omega_{mx}$"
@@ -83,7 +83,13 @@ def pale(colour):
 
 def ball_names(detectors):
     """Return what each detector is called in a legend."""
-    return [f"ball ({', '.join(map(str, site))})" for site in np.asarray(detectors)]
+    sites = np.asarray(detectors).tolist()
+    return [f"ball {site[0] if len(site) == 1 else tuple(site)}" for site in sites]
+
+
+def driven(lattice):
+    """Return what is driven."""
+    return "driven wall" if lattice.group == "lattice" else "driven balls"
 
 
 def limits(x, within=(0.0, np.inf)):

@@ -40,7 +40,7 @@ def spectrum(ax, signals, lattice, number, response=None):
         look = {"color": style.pale(style.ACCENT), "linewidth": 2.5, "dots": False}
         style.curves(ax, swept, response.amplitude[:, d], there, ["steady response"], **look)
     look = {"color": "black", "dots": False}
-    (curve,) = style.curves(ax, x, size, good, ["signal / wall"], **look)
+    (curve,) = style.curves(ax, x, size, good, ["signal / drive"], **look)
     speed = np.abs(signals.velocity[:, number])
     left = speed[-round(FADING * len(speed)) :].max() / (speed.max() or 1.0)
     ax.set_title(f"{style.ball_names(signals.detector[[number]])[0]}, {left:.1%} left")
@@ -111,7 +111,7 @@ def page(signals, lattice, response):
         style.legend_above([panels[columns - 1], *panels[:count]], columns=1)
     end = signals.time[-1] * lattice.omega_mx
     figure.suptitle(
-        rf"signal / wall until $T$ = {end:.4g}$/\omega_{{mx}}$; what is left in the last quarter "
+        rf"signal / drive until $T$ = {end:.4g}$/\omega_{{mx}}$; what is left in the last quarter "
         rf"blurs it over $2\pi/T$ = {2 * np.pi / end:.2g} $\omega_{{mx}}$ or more",
         fontsize="medium",
     )

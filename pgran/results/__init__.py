@@ -4,10 +4,13 @@
 as datasets, plain values as attributes.
 """
 
+import math
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 
 import numpy as np
 
+from pgran.physics.lattice import Lattice
 from pgran.physics.network import Network
 from pgran.record import SPACE, MisfitError, Record, array, attribute_array
 from pgran.results.response import BOUND, DETECTOR, FLOOR, PHASE
@@ -52,6 +55,17 @@ class LatticeRecord(Record):
         """How long the axes of the lattice and of its bonds are, by name."""
         balls = dict(zip(SPACE, self.shape, strict=False))
         return {"axis": len(balls)} | balls | {f"bond_{name}": n + 1 for name, n in balls.items()}
+
+    @property
+    def free_balls(self):
+        """How many balls move freely: all."""
+        return math.prod(self.shape)
+
+    @cached_property
+    def built(self):
+        """The lattice itself, a `pgran.physics.lattice.Lattice`."""
+        kmax = self.mass * self.omega_mx**2 / (2 * len(self.shape))
+        return Lattice(self.stiffness, self.mass, self.damping, kmax)
 
     @classmethod
     def of(cls, lattice):
@@ -107,6 +121,17 @@ class NetworkRecord(Record):
     def shape(self):
         """The unknowns, as those of `pgran.physics.network.Network`."""
         return (self.unknowns,)
+
+    @property
+    def free_balls(self):
+        """How many balls move freely."""
+        return int(np.count_nonzero(self.held == 0))
+
+    @cached_property
+    def built(self):
+        """The network itself, a `pgran.physics.network.Network`."""
+        same = [item.name for item in fields(self) if item.name in Network.__dataclass_fields__]
+        return Network(masses=self.mass, **{name: getattr(self, name) for name in same})
 
     @classmethod
     def of(cls, network):

@@ -1,0 +1,76 @@
+"""Which balls and contacts of a network are seen, and where: a plane, or a cut through space."""
+
+import numpy as np
+from matplotlib.collections import EllipseCollection
+from matplotlib.colors import to_rgb
+
+from pgran.figures import style
+from pgran.results.space import in_space, reaches
+
+FACES = np.array([to_rgb("#e4e4e4"), to_rgb("#8c8c8c"), style.pale(style.ACCENT)])  # held so
+EDGES = np.array(["#aaaaaa", "black", style.ACCENT])
+MANY = 5000  # contacts: above that they are pixels in a PDF, too
+
+
+class View:
+    """What is seen: all of a plane network; of one in space the balls that a plane cuts.
+
+    The plane goes through one ball and contains the direction of the drive.
+
+    Parameters
+    ----------
+    network : pgran.results.NetworkRecord
+        With positions.
+    ball : int, optional
+        By default the one that is nearest to the middle.
+    """
+
+    def __init__(self, network, ball=None):
+        """Find the balls that are seen, and the circles that the plane cuts of them."""
+        place = in_space(network.position)
+        self.along, self.crosses = reaches(network)
+        self.spacing = float(np.median(np.linalg.norm(self.along, axis=1)))
+        known = network.radius is not None
+        radius = network.radius if known else np.full(len(place), 0.25 * self.spacing)
+        across, depth, self.plane = 2, np.zeros(len(place)), ""
+        if network.position.shape[1] == 3:
+            drive = np.abs(np.append(network.direction, [0, 0])[:3])
+            across = 2 - int(np.argmin(drive[::-1]))
+            middle = (place.min(axis=0) + place.max(axis=0)) / 2
+            ball = np.linalg.norm(place - middle, axis=1).argmin() if ball is None else ball
+            depth = place[:, across] - place[ball, across]
+            self.plane = f"plane ${'xyz'[across]}$ = {place[ball, across]:.3g}"
+        near = radius if known else np.full(len(place), 0.5 * self.spacing)
+        self.seen = np.abs(depth) < near
+        self.held = network.held[self.seen]
+        self.size = radius * np.sqrt(np.maximum(1 - (depth / near) ** 2, 0)) * 2
+        self.axes = [axis for axis in range(3) if axis != across]
+        self.xy = place[:, self.axes]
+        self.low = self.xy.min(axis=0) - radius.max()
+        self.extent = np.maximum(self.xy.max(axis=0) + radius.max() - self.low, self.spacing)
+
+    def draw(self, ax, **look):
+        """Draw the balls that are seen as circles; return them."""
+        size, place = self.size[self.seen], {"units": "xy", "offset_transform": ax.transData}
+        look |= {"linewidths": 0.4, "rasterized": len(size) > MANY}
+        look |= {"facecolors": FACES[self.held], "edgecolors": EDGES[self.held]}
+        drawn = EllipseCollection(size, size, 0, offsets=self.xy[self.seen], **place, **look)
+        return ax.add_collection(drawn)
+
+    def lines(self, bond):
+        """Return each contact that is seen as a line, and its number; one that crosses as two."""
+        seen, along = self.seen[bond].all(axis=1), self.along[:, self.axes]
+        across, ends = self.crosses, self.xy[bond]  # shape (nb, 2, 2)
+        near, far = ends.copy(), ends.copy()
+        near[:, 1] = near[:, 0] + along * np.where(across, 0.5, 1.0)[:, None]
+        far[:, 0] = far[:, 1] - 0.5 * along
+        numbers = [np.flatnonzero(seen), np.flatnonzero(seen & across)]
+        return np.concatenate([near[numbers[0]], far[numbers[1]]]), np.concatenate(numbers)
+
+    def frame(self, ax, margin=0.0):
+        """Set limits and names of the axes."""
+        margin = max(margin, 0.02 * self.extent.max())
+        (left, bottom), (right, top) = self.low - margin, self.low + self.extent + margin
+        ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+        ax.set(xlabel=f"${'xyz'[self.axes[0]]}$", ylabel=f"${'xyz'[self.axes[1]]}$")
+        ax.locator_params("both", nbins=6, steps=[1, 2, 5, 10])

@@ -1,0 +1,196 @@
+"""Exports, read back by other means: meshio, and NumPy's reader of tables."""
+
+import importlib.util
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from samples import random_lattice
+
+import pgran
+from pgran import __main__ as program
+from pgran.command.export import export
+from pgran.errors import FileError, PgranError
+from pgran.files import store
+from pgran.physics.makers import crystal
+from pgran.results import record_of
+
+
+def result_of(record, medium=None):
+    records = {r.group: r for r in (medium and record_of(medium), record) if r}
+    return SimpleNamespace(
+        scene=record.group, records=records, **records,
+        **({"medium": record_of(medium)} if medium else {}),
+    )  # fmt: skip
+
+
+def packing(displacement="vector", **others):
+    """A periodic strip of discs of random masses and stiffness."""
+    rng = np.random.default_rng(4)
+    net = crystal("triangular", (4, 3), periodic=(False, True), displacement="rotations")
+    given = {"stiffness": rng.uniform(0.5, 1, len(net.bond)), "radius": net.radius}
+    given |= {
+        "masses": rng.uniform(0.5, 2, len(net.held)),
+        "tangential": rng.uniform(0.1, 0.4, len(net.bond)),
+    }
+    same = {name: getattr(net, name) for name in ("position", "normal", "distance")}
+    return pgran.Network(
+        net.bond, held=net.held, displacement=displacement, **same | given | others
+    )
+
+
+def read_mesh(result, path):
+    """What meshio reads of an export: points, lines, data of points and of lines."""
+    meshio = pytest.importorskip("meshio")
+    export(result, path)
+    mesh = meshio.read(path)
+    ((kind, lines),) = [(cells.type, cells.data) for cells in mesh.cells]
+    assert kind == "line"
+    return mesh.points, lines, mesh.point_data, {k: v for k, (v,) in mesh.cell_data.items()}
+
+
+def read_table(result, path):
+    export(result, path)
+    return np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8")
+
+
+def test_exported_modes_obey_newtons_law(tmp_path):
+    """The file says all: masses, contacts, normals, constants; held balls are at rest."""
+    net = packing(tangential=None)
+    found = pgran.find_modes(net, shapes=True)
+    points, lines, balls, contacts = read_mesh(result_of(found, net), tmp_path / "new" / "m.vtu")
+    assert np.array_equal(points[:, :2], net.position)
+    assert not points[:, 2].any()
+    assert np.array_equal(balls["held"], net.held)
+    assert np.array_equal(balls["radius"], net.radius)
+    i, j = lines.T
+    wraps = np.abs(points[i, 1] - points[j, 1]) > 1.5
+    assert np.array_equal(contacts["crosses"], wraps)
+    assert sum(name.startswith("mode_") for name in balls) == len(found.omega)
+    for number, omega in enumerate(found.omega, 1):
+        u = balls[f"mode_{number:04}"]
+        n = contacts["normal"]
+        pull = (contacts["stiffness"] * np.sum(n * (u[j] - u[i]), axis=1))[:, None] * n
+        force = np.zeros_like(u)
+        np.add.at(force, i, pull)
+        np.add.at(force, j, -pull)
+        free = balls["held"] == 0
+        assert not u[~free].any()
+        inertia = -balls["mass"][:, None] * omega**2 * u
+        assert force[free] == pytest.approx(inertia[free], abs=1e-12)
+        assert np.sum(balls["mass"][:, None] * u**2) == pytest.approx(net.mass)
+
+
+@pytest.mark.parametrize("shape", [(5,), (4, 3), (3, 2, 2)])
+def test_the_exported_response_of_a_lattice_obeys_newtons_law(tmp_path, shape):
+    """Walls included: what moves by 1 is the driven one."""
+    lattice = random_lattice(shape, damping=0.1)
+    omegas = np.array([0.3, 0.6])
+    found = pgran.sweep(lattice, omegas, [0] * len(shape), fields=True, error_tolerance=1e-10,
+                        method="points")  # fmt: skip
+    points, lines, balls, bonds = read_mesh(result_of(found, lattice), tmp_path / "r.vtu")
+    assert len(lines) == lattice.bonds
+    i, j = lines.T
+    assert np.linalg.norm(points[i] - points[j], axis=1) == pytest.approx(1)
+    free, driven = balls["held"] == 0, balls["held"] == 2
+    assert np.count_nonzero(free) == lattice.balls
+    assert np.array_equal(driven, points[:, 0] == shape[0])
+    assert not balls["mass"][~free].any()
+    for number, omega in enumerate(omegas, 1):
+        name = f"response_{number:04}"
+        u = balls[f"{name}_real"] + 1j * balls[f"{name}_imag"]
+        assert np.all(u[driven] == 1)
+        assert not u[~free & ~driven].any()
+        pull = (bonds["stiffness"] + 1j * omega * lattice.damping) * (u[j] - u[i])
+        force = np.zeros_like(u)
+        np.add.at(force, i, pull)
+        np.add.at(force, j, -pull)
+        inertia = -balls["mass"] * omega**2 * u
+        assert force[free] == pytest.approx(inertia[free], abs=1e-9)
+
+
+@pytest.mark.parametrize("displacement", ["vector", "rotations"])
+def test_exported_fields_of_a_pulse(tmp_path, displacement):
+    net = packing(displacement, direction=[0.6, 0.8])
+    sent = {"width": 3.0, "omega": 0.5, "time": 40.0, "points": 61, "fields": True}
+    found = pgran.pulse(net, [int(net.free[5])], **sent)
+    _, _, balls, contacts = read_mesh(result_of(found, net), tmp_path / "p.vtu")
+    assert np.array_equal(contacts["tangential"], net.tangential)
+    for number, time in enumerate(found.field_time):
+        u = balls[f"field_{number + 1:04}"]
+        wall = np.interp(time, found.time, found.wall)
+        assert u[net.held == 2] == pytest.approx(
+            np.tile([0.6 * wall, 0.8 * wall, 0], (np.count_nonzero(net.held == 2), 1))
+        )
+        components = found.field[number].reshape(len(net.free), -1)
+        assert np.array_equal(u[net.free, :2], components[:, :2])
+        turned = balls.get(f"field_{number + 1:04}_rotation")
+        assert (turned is None) == (displacement == "vector")
+        if turned is not None:
+            assert np.array_equal(turned[net.free, 2], components[:, 2])
+            assert not turned[:, :2].any()
+
+
+@pytest.mark.parametrize("medium", ["lattice", "network"])
+def test_tables_hold_every_digit(tmp_path, medium):
+    net = packing() if medium == "network" else random_lattice((4, 3))
+    sites = [[int(ball)] for ball in net.free[[3, 8]]] if medium == "network" else [[1, 1], [3, 0]]
+    names = ["_".join(map(str, site)) for site in sites]
+    found = pgran.sweep(net, np.linspace(0.1, 1, 7), np.ravel(sites), method="points")
+    table = read_table(result_of(found, net), tmp_path / "r.csv")
+    assert np.array_equal(table["omega"], found.omega)
+    assert np.array_equal(table["converged_reason"], found.converged_reason)
+    for d, name in enumerate(names):
+        z = table[f"displacement_{name}_real"] + 1j * table[f"displacement_{name}_imag"]
+        assert np.array_equal(z, found.displacement[:, d])
+        assert np.array_equal(table[f"delay_{name}"], found.delay[:, d], equal_nan=True)
+    sent = {"width": 3.0, "omega": 0.5, "time": 40.0, "points": 61, "fields": True}
+    heard = pgran.pulse(net, np.ravel(sites), **sent)
+    table = read_table(result_of(heard, net), tmp_path / "p.csv")
+    assert np.array_equal(table["time"], heard.time)
+    assert np.array_equal(table["wall"], heard.wall)
+    for d, name in enumerate(names):
+        assert np.array_equal(table[f"velocity_{name}"], heard.velocity[:, d])
+    modes = pgran.find_modes(net)
+    table = read_table(result_of(modes, net), tmp_path / "m.csv")
+    assert table.dtype.names == ("omega", "residual", "participation")
+    assert np.array_equal(table["participation"], modes.participation)
+
+
+def test_the_command(tmp_path, capsys):
+    net = packing()
+    found, path = pgran.find_modes(net), tmp_path / "modes.h5"
+    records = [record_of(net), found]
+    store.write(path, {"scene": "modes", "bonds_sha256": net.bonds_sha256}, records)
+    for ending in ("csv", "VTU") if importlib.util.find_spec("meshio") else ("csv",):
+        output = tmp_path / f"out.{ending}"
+        assert program.main(["export", str(path), str(output)]) == 0
+        assert capsys.readouterr().out == f"{output}\n"
+        assert output.stat().st_size > 100
+    assert "pgran export" in program.USAGE
+
+
+def test_refusals(tmp_path, monkeypatch):
+    net = packing("scalar", position=None, normal=None, tangential=None)
+    modes = result_of(pgran.find_modes(net), net)
+    law, ball = pgran.BondLaw("uniform"), [(1, 1)]
+    lattice = random_lattice((4, 3))
+    relaxed = result_of(pgran.relax(lattice, law, 0.6, ball, steps=3), lattice)
+    box = pgran.continuum(np.linspace(0.3, 3, 5), point=(0.15, 0.52), size=(1 / 3, 1.0))
+    (tmp_path / "file").touch()
+    with pytest.raises(FileError, match=r"ends in one of \.vtu, \.csv"):
+        export(modes, tmp_path / "a.png")
+    with pytest.raises(FileError, match=r"no table in this result .scene relaxation"):
+        export(relaxed, tmp_path / "a.csv")
+    with pytest.raises(FileError, match=r"a\.csv: cannot be written"):
+        export(modes, tmp_path / "file" / "a.csv")
+    monkeypatch.setitem(sys.modules, "meshio", None)
+    with pytest.raises(PgranError, match="pip install meshio"):
+        export(modes, tmp_path / "a.vtu")
+    monkeypatch.setitem(sys.modules, "meshio", SimpleNamespace())
+    with pytest.raises(FileError, match="no positions"):
+        export(modes, tmp_path / "a.vtu")
+    with pytest.raises(FileError, match=r"no balls in this result .scene continuum"):
+        export(result_of(box), tmp_path / "a.vtu")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -1,0 +1,278 @@
+"""Figures of networks, read off the axes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from figure_reading import curves, draw, labels, lines, note
+from figure_results import result_of
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
+
+import pgran
+from pgran import figures
+from pgran.command.plot import run as plot
+from pgran.errors import FileError
+from pgran.figures import modes, network, pulse, response, style
+from pgran.figures.view import FACES, View
+from pgran.physics.makers import crystal
+from pgran.results import record_of
+from pgran.results.space import reaches
+
+HEIGHT = 3 * np.sqrt(3)  # of the periodic strip
+
+
+def strip(displacement="vector", **others):
+    """A strip of discs, periodic across, with forces and masses at random, one force attractive."""
+    net = crystal("triangular", (4, 3), periodic=(False, True))
+    rng = np.random.default_rng(3)
+    force = rng.uniform(0.01, 0.1, len(net.bond))
+    force[5] *= -1
+    masses = rng.uniform(0.5, 2.0, len(net.held))
+    radius = np.full(len(net.held), 0.5)
+    made = {"force": force, "masses": masses, "radius": radius, "displacement": displacement}
+    return replace(net, kmax=None, **made | others)
+
+
+def gas(direction):
+    """Spheres of several sizes at random, chained by contacts."""
+    rng = np.random.default_rng(1)
+    position, radius = rng.uniform(0, 4, (40, 3)), rng.uniform(0.2, 0.6, 40)
+    bond = np.stack([np.arange(39), np.arange(1, 40)], axis=1)
+    held = np.zeros(40, dtype=int)
+    held[[0, -1]] = 1, 2
+    kind = {"displacement": "vector", "position": position, "radius": radius}
+    return pgran.Network(bond, np.ones(39), held, direction=direction, **kind)
+
+
+def of_kind(ax, kind):
+    return [child for child in ax.get_children() if isinstance(child, kind)]
+
+
+def circles(ax):
+    """Centres and radii of the balls."""
+    (drawn,) = of_kind(ax, EllipseCollection)
+    ax.figure.draw_without_rendering()
+    return drawn, np.asarray(drawn.get_offsets()), drawn.get_transforms()[:, 0, 0]
+
+
+def listen(net, balls, **sent):
+    sent = {"width": 3.0, "omega": 0.5, "time": 60.0, "points": 201, "fields": True} | sent
+    return result_of(pgran.pulse(net, balls, method="laplace", **sent), net)
+
+
+def sweep(net, balls):
+    return result_of(pgran.sweep(net, np.linspace(0.1, 1.5, 9), balls, method="points"), net)
+
+
+def test_contacts_are_lines_as_wide_as_their_force_and_stubs_at_the_ends_of_the_box():
+    net = strip()
+    ax = draw(network.contacts, record_of(net), list(net.free[:2]))
+    (drawn,) = (c for c in of_kind(ax, LineCollection))
+    segments, widths = np.array(drawn.get_segments()), np.array(drawn.get_linewidths())
+    ends = net.position[net.bond]
+    wraps = np.abs(ends[:, 1, 1] - ends[:, 0, 1]) > HEIGHT / 2
+    assert 0 < np.count_nonzero(wraps) < len(wraps)
+    assert len(segments) == len(wraps) + np.count_nonzero(wraps)
+    assert segments[: len(wraps)][~wraps] == pytest.approx(ends[~wraps])
+    first, second = segments[: len(wraps)][wraps], segments[len(wraps) :]
+    assert first[:, 0] == pytest.approx(ends[wraps, 0])
+    assert second[:, 1] == pytest.approx(ends[wraps, 1])
+    apart = first[:, 1] - second[:, 0]  # the halves meet in the middle, a period away
+    assert np.abs(apart) == pytest.approx(np.tile([0, HEIGHT], (len(apart), 1)), abs=1e-12)
+    for stubs in (first, second):
+        assert np.linalg.norm(stubs[:, 1] - stubs[:, 0], axis=1) == pytest.approx(0.5)
+    force = np.append(net.force, net.force[wraps])
+    assert widths / widths.max() == pytest.approx(np.abs(force) / np.abs(force).max())
+    orange = (drawn.get_colors()[:, :3] == to_rgb(style.UNRESOLVED)).all(axis=1)
+    assert np.array_equal(orange, force < 0)
+    assert f"force up to {np.abs(net.force).max():.3g}" in labels(ax)
+    assert "negative force" in labels(ax)
+
+
+def test_balls_are_circles_and_those_that_are_held_or_heard_are_marked():
+    net = strip()
+    figure = network.page(record_of(net), list(net.free[:2]))
+    (ax,) = figure.axes
+    drawn, centres, radii = circles(ax)
+    assert centres == pytest.approx(net.position)
+    assert radii == pytest.approx(net.radius)
+    faces = drawn.get_facecolors()[:, :3]
+    for held in (0, 1, 2):
+        assert np.all(faces[net.held == held] == FACES[held])
+    names = [f"ball {ball}" for ball in net.free[:2]]
+    assert {"at rest", "driven", *names} <= set(labels(ax))
+    for ball, name in zip(net.free, names, strict=False):
+        (dot,) = lines(ax, label=name)
+        assert (*dot.get_xdata(), *dot.get_ydata()) == pytest.approx(net.position[ball])
+    tips = [text.xyann for text in ax.texts]
+    assert np.sum(tips, axis=0) == pytest.approx([0, 0])
+    assert np.cross(tips[0], net.direction) == 0
+    legend = ax.get_legend().get_window_extent()
+    assert ax.bbox.y1 <= legend.y0
+
+
+def test_without_radii_and_forces_dots_and_stiffness():
+    net = crystal("square", (4, 3), lambda rng, count: rng.uniform(0.5, 1, count))
+    ax = draw(network.contacts, record_of(net))
+    assert f"stiffness up to {net.stiffness.max():.3g}" in labels(ax)
+    (drawn,) = of_kind(ax, LineCollection)
+    widths = np.array(drawn.get_linewidths())
+    assert widths / widths.max() == pytest.approx(net.stiffness / net.stiffness.max())
+    assert circles(ax)[2] == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(("direction", "across"), [([1, 0, 0], 2), ([0, 0, 1], 1), ([0, 1, 1], 0)])
+def test_of_spheres_a_plane_along_the_drive_is_drawn(direction, across):
+    net = gas(direction)
+    figure = network.page(record_of(net), [7])
+    _, centres, radii = circles(figure.axes[0])
+    depth = net.position[:, across] - net.position[7, across]
+    cut = np.abs(depth) < net.radius
+    seen = [axis for axis in range(3) if axis != across]
+    assert centres == pytest.approx(net.position[cut][:, seen])
+    assert radii**2 + depth[cut] ** 2 == pytest.approx(net.radius[cut] ** 2)
+    assert f"{'xyz'[across]}$ = {net.position[7, across]:.3g}" in note(figure)
+    (drawn,) = of_kind(figure.axes[0], LineCollection)
+    assert len(drawn.get_segments()) == np.count_nonzero(cut[net.bond].all(axis=1))
+
+
+def test_contacts_of_unknown_distance_cross_where_the_normal_points_elsewhere():
+    net = record_of(strip(force=None))
+    along, crosses = reaches(net)
+    assert np.count_nonzero(crosses) > 0
+    bare = replace(net, distance=None)
+    assert np.array_equal(reaches(bare)[1], crosses)
+    assert reaches(bare)[0] == pytest.approx(along)
+    assert not reaches(replace(net, normal=None))[1].any()
+
+
+@pytest.mark.parametrize("displacement", ["vector", "rotations"])
+def test_arrows_are_displacements_of_the_modes_chosen(displacement):
+    net = strip(displacement, tangential=np.full(len(strip().bond), 0.5))
+    result = result_of(pgran.find_modes(net, shapes=True), net)
+    made = figures.make(result)
+    assert list(made) == ["shapes", "participation", "density", "network"]
+    panels = [ax for ax in made["shapes"].axes if ax.get_title(loc="left")]
+    x, each = result.modes.omega / net.omega_mx, net.components
+    for mode, ax in zip(modes.pick(x), panels, strict=True):
+        moves = np.zeros((len(net.held), each))
+        moves[net.free] = result.modes.vector[mode].reshape(-1, each)
+        moves /= np.sqrt(net.masses)[:, None]  # up to a factor that all have
+        if displacement == "rotations":
+            moves[:, 2] *= np.sqrt(2)  # R times the angle: of a disc I = m R^2 / 2
+        size = np.linalg.norm(moves[:, :2], axis=1)
+        largest = max(size.max(), np.abs(moves[:, 2:]).max(initial=0.0))
+        (arrows,) = of_kind(ax, Quiver)
+        shown = size > network.FAINT * largest
+        assert np.array_equal(arrows.XY, net.position[shown])
+        drawn = np.stack([arrows.U, arrows.V], axis=1)
+        longest = np.linalg.norm(drawn, axis=1).max()
+        assert drawn / longest == pytest.approx(moves[shown, :2] / size.max())
+        assert f"= {x[mode]:.4f}" in ax.get_title(loc="left")
+        if displacement == "rotations":
+            colours = circles(ax)[0].get_array().data
+            assert colours == pytest.approx(moves[:, 2] / largest)
+    ax = draw(modes.participation, result.modes, result.medium)
+    assert f"(of {len(net.free)} balls)" in ax.get_ylabel()
+    assert ax.get_ylim() == (1, len(net.free))
+
+
+def test_scalar_fields_are_colours():
+    net = strip("scalar", force=None, direction=None)
+    result = listen(net, [int(net.free[3])])
+    shown = result.pulse
+    panels = [ax for ax in figures.make(result)["field"].axes if ax.get_title(loc="left")]
+    assert len(panels) == 4
+    for number, ax in enumerate(panels):
+        values = np.zeros(len(net.held))
+        values[net.free] = shown.field[number]
+        values[net.held == 2] = np.interp(shown.field_time[number], shown.time, shown.wall)
+        drawn, centres, _ = circles(ax)
+        assert drawn.get_array().data == pytest.approx(values / np.abs(values).max())
+        assert drawn.get_clim() == (-1, 1)
+        assert centres == pytest.approx(net.position)
+        (dot,) = lines(ax, marker="o")
+        assert (*dot.get_xdata(), *dot.get_ydata()) == pytest.approx(net.position[net.free[3]])
+        assert f"largest {np.abs(values).max():.2g}" in ax.get_title(loc="left")
+
+
+def test_signals_by_distance_from_the_driven_balls():
+    net = strip(direction=[0.6, 0.8], force=None)
+    free = net.free[np.argsort(net.position[net.free, 0], kind="stable")]
+    balls = [int(free[0]), int(free[-1]), int(free[len(free) // 2])]
+    result = listen(net, balls)
+    shown, made = result.pulse, figures.make(result)
+    assert list(made) == ["network", "signals", "field", "energy", "spectrum"]
+    names = [text.get_text().split("\n")[0] for text in made["signals"].axes[0].get_yticklabels()]
+    assert names == ["driven balls", *[f"ball {balls[n]}" for n in (1, 2, 0)]]
+    work = draw(pulse.energy, shown, result.medium).get_lines()[0].get_ydata()
+    unit = np.median(net.masses[net.free]) * net.omega_mx**2
+    assert work == pytest.approx(shown.work / unit)
+    wall = np.interp(shown.field_time[0], shown.time, shown.wall)
+    view = View(result.network)
+    arrows, largest = network.motion(
+        Figure().subplots(), result.network, view, shown.field[0], wall
+    )
+    driven = np.isin(arrows.XY, net.position[net.held == 2]).all(axis=1)
+    drawn = np.stack([arrows.U, arrows.V], axis=1)
+    size = np.linalg.norm(drawn, axis=1)
+    assert size[driven] / size.max() == pytest.approx(abs(wall) / largest)
+    assert drawn[driven] / size[driven, None] == pytest.approx(
+        np.sign(wall) * np.tile([0.6, 0.8], (np.count_nonzero(driven), 1))
+    )
+
+
+def test_a_network_without_positions_has_its_other_figures(caplog):
+    net = strip("scalar", force=None, direction=None, position=None, normal=None)
+    ball = int(net.free[0])
+    found = result_of(pgran.find_modes(net, shapes=True), net)
+    for result, expected in (
+        (found, ["participation"]),
+        (sweep(net, [ball]), ["amplitude", "phase", "delay"]),
+        (listen(net, [ball]), ["signals", "energy", "spectrum"]),
+    ):
+        caplog.clear()
+        with caplog.at_level("WARNING", logger="pgran"):
+            made = figures.make(result)
+        assert list(made) == expected
+        assert "no positions" in caplog.text
+        for figure in made.values():
+            figure.draw_without_rendering()
+
+
+def test_a_velocity_is_given_where_there_is_a_distance():
+    net = strip()
+    omegas, ball = np.linspace(0.01, 1.3, 200) * net.omega_mx, int(net.free[0])
+    result = result_of(pgran.sweep(net, omegas, [ball], method="points"), net)
+    shown = result.response
+    shown.phase_slope[:], shown.phase_intercept[:] = -3.0, 0.0
+    shown.phase_slope_error[:] = shown.phase_velocity_error[:] = 0.1
+    shown.phase_used_min[:], shown.phase_used_max[:] = 0.3, 1.0
+    for velocity in (2.0, np.nan):
+        shown.phase_velocity[:] = velocity
+        ax = draw(response.phase, shown, result.medium)
+        assert labels(ax)[0].startswith(f"ball {ball}:")
+        assert ("v =" in labels(ax)[0]) == np.isfinite(velocity)
+    assert "unit of length" in labels(ax)[1]
+    assert len(curves(ax)) == 1
+
+
+def test_two_results_of_one_network(monkeypatch, capsys):
+    net, saved = strip(), []
+    balls = [int(net.free[0])]
+    other = sweep(replace(net, direction=[0, 1]), balls)
+    shown = {"response.h5": sweep(net, balls), "pulse.h5": listen(net, balls), "other.h5": other}
+    shown["modes.h5"] = result_of(pgran.find_modes(net), net)
+    shown["lattice.h5"] = result_of(shown["modes.h5"].modes)
+    monkeypatch.setattr(pgran, "load", shown.get)
+    monkeypatch.setattr(figures, "save", lambda made, path: saved.append(made) or [path])
+    assert plot(["modes.h5", "response.h5"]) == 0
+    assert "normal modes" in labels(saved[0]["phase"].axes[0])
+    assert plot(["modes.h5", "other.h5"]) == 0  # modes have no drive
+    assert plot(["pulse.h5", "response.h5"]) == 0
+    for pair in (["pulse.h5", "other.h5"], ["response.h5", "lattice.h5"]):
+        with pytest.raises(FileError, match="belong to different lattices"):
+            plot(pair)
