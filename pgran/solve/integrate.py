@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 MOST_STEPS = 10**8
 KINDS = ("rk", "alpha2")
-LONGEST = 2.0  # step, in units of one over the highest frequency: between steps is interpolated
+LONGEST = 2.0  # step, in units of one over the highest frequency: in between is interpolated
 SHORTER, HALF = 0.7, 0.5  # longest and fixed steps of each integration against the one before
 # What options of a run say, and what leaves alpha2 the velocity that it began with.
 REFUSED = {
@@ -95,7 +95,7 @@ class Integrator(Owner):
     def __init__(self, operators, sites, pulse, highest):
         """Make matrix and vectors."""
         self.operators, self.comm, self.pulse = operators, operators.comm, pulse
-        self._later = LONGEST / highest if highest else 1.0 / pulse.band
+        self._later = LONGEST / min(highest or pulse.reach, pulse.reach)
         self._longest = min(self._later, BAND / pulse.band)  # a longer step could miss the pulse
         kind = checked_kind(PETSc.Options("pulse_"))
         self._second_order = kind == "alpha2"
