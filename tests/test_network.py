@@ -16,7 +16,8 @@ from samples import random_lattice, steady
 from pgran.command.resolve import SCENES
 from pgran.errors import InputError
 from pgran.physics import makers
-from pgran.physics.network import Network, without_floating
+from pgran.physics.network import Network
+from pgran.physics.parts import without_floating
 from pgran.record import Result
 from pgran.results import record_of
 from pgran.scenes.modes import find_modes

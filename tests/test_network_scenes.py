@@ -14,7 +14,8 @@ from pgran.files.network import DATASETS, read_network, write_network
 from pgran.files.reading import read_words
 from pgran.parallel.crew import Crew
 from pgran.physics.lattice import bond_ends, driven_bonds
-from pgran.physics.network import AT_REST, DRIVEN, Network
+from pgran.physics.network import Network
+from pgran.physics.springs import AT_REST, DRIVEN
 
 SIZE, BALL = (6, 5), (2, 3)
 OMEGAS = np.linspace(0.1, 1.1, 9)

@@ -11,7 +11,7 @@ from pgran.command import imports
 from pgran.command.resolve import resolve
 from pgran.files.network import read_network
 from pgran.files.reading import read_file
-from pgran.physics.network import FREE
+from pgran.physics.springs import FREE
 
 ROOT = Path(__file__).parents[1]
 PACKINGS = ROOT / "options" / "packings"

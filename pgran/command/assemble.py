@@ -8,7 +8,8 @@ from pgran.errors import InputError
 from pgran.files.conditions import choose
 from pgran.files.foreign import AXES
 from pgran.physics import packing
-from pgran.physics.network import AT_REST, DRIVEN, FREE, Network
+from pgran.physics.network import Network
+from pgran.physics.springs import AT_REST, DRIVEN, FREE
 
 SAME = 1e-6  # contacts that are listed twice agree to this part
 

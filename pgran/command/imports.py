@@ -14,7 +14,8 @@ from pgran.files.foreign import AXES, read_balls
 from pgran.files.network import check_output, write_network
 from pgran.files.recognise import read_contacts
 from pgran.parallel import launch
-from pgran.physics.network import FREE, KINDS
+from pgran.physics.network import KINDS
+from pgran.physics.springs import FREE
 
 DESCRIPTION = """\
 Make a network from the balls and contacts that another program has written: two dumps of LAMMPS or

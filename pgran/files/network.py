@@ -21,7 +21,8 @@ import numpy as np
 from pgran.errors import FileError, InputError
 from pgran.files import hdf5
 from pgran.physics.lattice import AXES
-from pgran.physics.network import FREE, Network
+from pgran.physics.network import Network
+from pgran.physics.springs import FREE
 
 FORMAT, FORMAT_VERSION = "pgran network", 1
 # Of each dataset: its type, units, and what it is.

@@ -12,7 +12,9 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.physics.bondlaw import BondLaw, unit_numbers
-from pgran.physics.network import AT_REST, DRIVEN, FREE, Network, part, without_floating
+from pgran.physics.network import Network
+from pgran.physics.parts import part, without_floating
+from pgran.physics.springs import AT_REST, DRIVEN, FREE
 
 HALF, ROOT3 = 0.5, math.sqrt(3)
 # The edges of a rectangular unit cell, and where its balls sit, in parts of them.

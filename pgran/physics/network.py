@@ -1,18 +1,9 @@
 """Any network of balls and springs: who touches whom, in which direction, how stiffly.
 
 A ball has one displacement (`scalar`, the paper's model on any graph), a vector of them (`vector`),
-or these and its rotation (`rotations`). A contact of the balls i and j is a few springs, rows of B;
-b u is how far each is stretched:
-
-- along the normal n, from i to j, of the contact's stiffness: b u = n . (u_j - u_i);
-- along each tangent t, of its tangential stiffness: b u = t . (u_j - u_i), with rotations less
-  (R_i theta_i + R_j theta_j) . (n x t), which is zero for rolling;
-- along each tangent, of the constant -F / d, if the contact bears a force F at a distance d:
-  b u = t . (u_j - u_i) (pre-stress).
-
-So K = B^T diag(k) B. Damping is beta on the relative velocity at each contact, or on its normal
-part. Balls at rest and driven ones are no unknowns. All is computed in mass-weighted unknowns
-sqrt(m_p / m) u_p, m the median: these have one mass m, and S stays symmetric.
+or these and its rotation (`rotations`). `pgran.physics.springs` says what springs a contact is. All
+is computed in mass-weighted unknowns sqrt(m_p / m) u_p, m the median: these have one mass m, and S
+stays symmetric.
 """
 
 import dataclasses
@@ -25,37 +16,14 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.physics.lattice import AXES, check_magnitudes, own_unit
-from pgran.physics.rounding import EPSILON
+from pgran.physics.parts import anchored
+from pgran.physics.springs import AT_REST, DRIVEN, FREE, Elastic, springs_of
 
 KINDS = ("scalar", "vector", "rotations")
-FREE, AT_REST, DRIVEN = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
-class Springs:
-    """The rows of B in mass-weighted unknowns, contacts' normal springs first.
-
-    Attributes
-    ----------
-    columns : numpy.ndarray of int, shape (springs, w)
-        Unknowns; -1 where there is none.
-    values : numpy.ndarray, shape (springs, w)
-        Entries of B.
-    drive : numpy.ndarray, shape (springs,)
-        How far the driven balls' motion, of size 1, stretches each.
-    constants, damped : numpy.ndarray, shape (springs,)
-        Of each its constant, and the part of beta that it has.
-    """
-
-    columns: np.ndarray
-    values: np.ndarray
-    drive: np.ndarray
-    constants: np.ndarray
-    damped: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Network:
+class Network(Elastic):
     """Balls, the contacts between them, and which of them are held.
 
     Parameters
@@ -283,155 +251,30 @@ class Network:
             inertia[:, self.axes :] *= part * self.radius[self.free][:, None] ** 2
         return np.sqrt(self.mass / inertia.ravel())
 
-    @cached_property
-    def B(self):  # noqa: N802
-        """The rows of B, sparse, shape (springs, unknowns)."""
-        from scipy.sparse import csr_matrix  # here: SciPy takes its time
-
-        columns, values = self.springs.columns, self.springs.values
-        there = columns >= 0
-        rows = np.repeat(np.arange(len(columns)), np.count_nonzero(there, axis=1))
-        return csr_matrix((values[there], (rows, columns[there])), (len(columns), self.balls))
-
-    def stretched(self, fields, wall):
-        """Yield how far fields (n, unknowns) lengthen springs, constants, parts of beta.
-
-        Not collective. What is driven moves by `wall`, shape (n,).
-        """
-        springs = self.springs
-        yield (
-            (self.B @ fields.T).T + wall[:, None] * springs.drive,
-            springs.constants,
-            springs.damped,
-        )
-
-    @property
-    def irregular(self):
-        """Whether minimum degree orders its graph better than nested dissection: by a third."""
-        return True
-
-    @property
-    def semidefinite(self):
-        """Whether K has no negative eigenvalues for certain, as all constants are positive."""
-        return bool(np.all(self.springs.constants >= 0))
-
-    @property
-    def largest_eigenvalue(self):
-        """No less than |K|_2."""
-        return self.stiffness_norm
-
-    def restoring_forces(self, fields):
-        """Return K f = B^T diag(k) B f for fields of shape (count, unknowns). Not collective."""
-        return (self.B.T @ (self.springs.constants[:, None] * (self.B @ fields.T))).T
-
     @property
     def bonds(self):
         """How many contacts there are."""
         return len(self.bond)
 
-    @property
-    def rows(self):
-        """The largest |b|_2 of a contact, and what rounding adds to b^T x, in units of |x|_2."""
-        values = self.springs.values
-        size = float(np.sqrt(np.sum(values[: self.bonds] ** 2, axis=1)).max())
-        return size, (values.shape[1] + 1) * EPSILON * size
-
     def bond_places(self, bonds):
         """Return axis and index of numbered contacts, as of an array of one axis."""
         return np.zeros_like(bonds), bonds[..., None]
 
-    @property
-    def drive_norms(self):
-        """|f|_2 of what the springs at driven balls do, and of their dashpots for beta = 1."""
-        springs = self.springs
-        return tuple(
-            float(np.linalg.norm(self.B.T @ (k * springs.drive)))
-            for k in (springs.constants, springs.damped)
-        )
-
-    @property
-    def damping_norm(self):
-        """No less than |C|_2."""
-        size = abs(self.B)
-        return 1.01 * float((size.T @ (self.springs.damped * (size @ np.ones(self.balls)))).max())
-
-    @property
-    def stiffness_norm(self):
-        """No less than |K|_inf."""
-        size = abs(self.B)
-        sums = np.abs(self.springs.constants) * np.asarray(size.sum(axis=1)).ravel()
-        return float((size.T @ sums).max())
-
-    @property
-    def rounding(self):
-        """How much rounding moves a residual, in units of what it is summed from.
-
-        As `pgran.physics.rounding.residual_rounding`: sums over the springs at an unknown, and over
-        the unknowns that these couple it to.
-        """
-        met = int(np.bincount(self.B.indices).max())
-        return (met * (1 + self.springs.columns.shape[1]) + 12) * EPSILON
-
     @cached_property
     def springs(self):
-        """See `Springs`."""
-        balls, components = len(self.held), self.components
-        unknown = np.full((balls + 1, components), -1)
-        unknown[self.free] = np.arange(self.balls).reshape(-1, components)
-        i, j = self.bond.T
-        columns = np.concatenate([unknown[i], unknown[j]], axis=1)
-        moving = np.zeros((balls, components))
-        moving[self.held == DRIVEN, : self.axes] = self.direction
-        moving = np.concatenate([moving[i], moving[j]], axis=1)
-        weights = np.append(self.weights, 0.0)[columns]
-        rows, constants, damped = self._rows(i, j)
-        values = np.concatenate(rows)
-        return Springs(
-            np.tile(columns, (len(rows), 1)),
-            values * np.tile(weights, (len(rows), 1)),
-            np.einsum("sw,sw->s", values, np.tile(moving, (len(rows), 1))),
-            np.concatenate(constants),
-            np.repeat(damped, len(i)),
-        )
-
-    def _rows(self, i, j):
-        """Return blocks of rows over the components of both balls, constants, parts of beta."""
-        still = np.zeros((len(i), self.turns))
-
-        def row(t, first=still, second=still):
-            return np.concatenate([-t, first, t, second], axis=1)
-
-        if self.displacement == "scalar":
-            return [row(np.ones((len(i), 1)))], [self.stiffness], [1.0]
-        rows, constants, damped = [row(self.normal)], [self.stiffness], [1.0]
-        nothing = np.zeros(len(i))
-        pre_stress = nothing if self.force is None else -self.force / self.distance
-        shear = nothing if self.tangential is None else self.tangential
-        part = float(self.damped == "all")
-        for t in tangents(self.normal):
-            if not self.turns:
-                found = [(row(t), shear + pre_stress, part)]
-            else:
-                lever = _cross(self.normal, t)
-                turned = [-self.radius[end][:, None] * lever for end in (i, j)]
-                found = [(row(t, *turned), shear, part), (row(t), pre_stress, 0.0)]
-            for block, k, of_beta in found:
-                if of_beta or np.any(k):
-                    rows.append(block)
-                    constants.append(k)
-                    damped.append(of_beta)
-        return rows, constants, damped
+        """See `pgran.physics.springs.Springs`."""
+        return springs_of(self)
 
     def check_driven(self):
         """Raise InputError if nothing is driven, or balls float that no drive can bound."""
         if not np.any(self.held == DRIVEN):
             raise InputError("network: no ball is driven; /network/held has 2 for those that are")
-        floating = np.flatnonzero(~_anchored(self.bond, self.held))
+        floating = np.flatnonzero(~anchored(self.bond, self.held))
         if len(floating):
             raise InputError(
                 f"network: {len(floating)} balls float, ball {floating[0]} first: no path of "
                 "contacts leads to a held one; pgran import leaves them out, and "
-                "pgran.physics.network.without_floating"
+                "pgran.physics.parts.without_floating"
             )
 
     def sites(self, detectors):
@@ -483,90 +326,3 @@ class Network:
             if getattr(self, name) is not None
         }
         return dataclasses.replace(self, **scaled), unit
-
-
-def without_floating(network):
-    """Return a network without what floats, and the numbers of the balls that are kept.
-
-    Not collective. A free ball floats if no path of contacts leads from it to a held ball: its
-    motion is no answer to the drive, and K and C are singular. Where no ball is held, all parts but
-    the largest float.
-
-    Returns
-    -------
-    network : Network
-        Its unit of frequency, `kmax`, is the same as before.
-    kept : numpy.ndarray of int, shape (balls kept,)
-        Ascending.
-
-    Raises
-    ------
-    InputError
-        If nothing free is left.
-    """
-    kept = np.flatnonzero(_anchored(network.bond, network.held))
-    return part(network, kept), kept
-
-
-def _anchored(bond, held):
-    """Return which balls do not float, shape (balls,)."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    balls = len(held)
-    graph = coo_matrix((np.ones(len(bond)), tuple(bond.T)), (balls, balls))
-    count, label = connected_components(graph, directed=False)
-    if not np.any(held):
-        return label == np.argmax(np.bincount(label))
-    anchors = np.zeros(count, dtype=bool)
-    anchors[label[held != FREE]] = True
-    return anchors[label]
-
-
-def part(network, balls=None, contacts=None):
-    """Return the network of some balls, and of those contacts that join two of them.
-
-    Not collective.
-
-    Parameters
-    ----------
-    network : Network
-    balls, contacts : array_like of int, optional
-        Numbers of those that are kept, ascending; all unless given.
-
-    Raises
-    ------
-    InputError
-        If nothing free is left.
-    """
-    balls = np.arange(len(network.held)) if balls is None else np.asarray(balls)
-    contacts = np.arange(len(network.bond)) if contacts is None else np.asarray(contacts)
-    number = np.full(len(network.held), -1)
-    number[balls] = np.arange(len(balls))
-    bond = number[network.bond[contacts]]
-    whole = np.all(bond >= 0, axis=1)
-    kept = {"bond": bond[whole]}
-    for names, which in (
-        (("held", "masses", "position", "radius"), balls),
-        (("stiffness", "normal", "distance", "force", "tangential"), contacts[whole]),
-    ):
-        values = {name: getattr(network, name) for name in names}
-        kept |= {name: value[which] for name, value in values.items() if value is not None}
-    return dataclasses.replace(network, **kept)
-
-
-def tangents(normal):
-    """Return the directions across normals, an array like them for each. Not collective."""
-    if normal.shape[1] == 2:
-        return [np.stack([-normal[:, 1], normal[:, 0]], axis=1)]
-    axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
-    first = np.cross(normal, axis)
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    return [first, np.cross(normal, first)]
-
-
-def _cross(a, b):
-    """Return a x b, in two dimensions its component along z, shape (n, 1 or 3)."""
-    if a.shape[1] == 3:
-        return np.cross(a, b)
-    return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]

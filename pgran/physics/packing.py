@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.physics.network import FREE
+from pgran.physics.springs import FREE
 
 
 def hertz(force, overlap):

@@ -1,0 +1,197 @@
+"""Springs of a network as rows of B, and what follows from them: forces, sizes, rounding.
+
+A contact of the balls i and j is a few springs; b u is how far each is stretched:
+
+- along the normal n, from i to j, of the contact's stiffness: b u = n . (u_j - u_i);
+- along each tangent t, of its tangential stiffness: b u = t . (u_j - u_i), with rotations less
+  (R_i theta_i + R_j theta_j) . (n x t), which is zero for rolling;
+- along each tangent, of the constant -F / d, if the contact bears a force F at a distance d:
+  b u = t . (u_j - u_i) (pre-stress).
+
+So K = B^T diag(k) B. Damping is beta on the relative velocity at each contact, or on its normal
+part. Balls at rest and driven ones are no unknowns.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgran.physics.rounding import EPSILON
+
+FREE, AT_REST, DRIVEN = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """The rows of B in mass-weighted unknowns, contacts' normal springs first.
+
+    Attributes
+    ----------
+    columns : numpy.ndarray of int, shape (springs, w)
+        Unknowns; -1 where there is none.
+    values : numpy.ndarray, shape (springs, w)
+        Entries of B.
+    drive : numpy.ndarray, shape (springs,)
+        How far the driven balls' motion, of size 1, stretches each.
+    constants, damped : numpy.ndarray, shape (springs,)
+        Of each its constant, and the part of beta that it has.
+    """
+
+    columns: np.ndarray
+    values: np.ndarray
+    drive: np.ndarray
+    constants: np.ndarray
+    damped: np.ndarray
+
+
+class Elastic:
+    """What follows from the `springs` of a network; a part of `pgran.physics.network.Network`."""
+
+    @cached_property
+    def B(self):  # noqa: N802
+        """The rows of B, sparse, shape (springs, unknowns)."""
+        from scipy.sparse import csr_matrix  # here: SciPy takes its time
+
+        columns, values = self.springs.columns, self.springs.values
+        there = columns >= 0
+        rows = np.repeat(np.arange(len(columns)), np.count_nonzero(there, axis=1))
+        return csr_matrix((values[there], (rows, columns[there])), (len(columns), self.balls))
+
+    def stretched(self, fields, wall):
+        """Yield how far fields (n, unknowns) lengthen springs, constants, parts of beta.
+
+        Not collective. What is driven moves by `wall`, shape (n,).
+        """
+        springs = self.springs
+        yield (
+            (self.B @ fields.T).T + wall[:, None] * springs.drive,
+            springs.constants,
+            springs.damped,
+        )
+
+    @property
+    def irregular(self):
+        """Whether minimum degree orders its graph better than nested dissection: by a third."""
+        return True
+
+    @property
+    def semidefinite(self):
+        """Whether K has no negative eigenvalues for certain, as all constants are positive."""
+        return bool(np.all(self.springs.constants >= 0))
+
+    @property
+    def largest_eigenvalue(self):
+        """No less than |K|_2."""
+        return self.stiffness_norm
+
+    def restoring_forces(self, fields):
+        """Return K f = B^T diag(k) B f for fields of shape (count, unknowns). Not collective."""
+        return (self.B.T @ (self.springs.constants[:, None] * (self.B @ fields.T))).T
+
+    @property
+    def rows(self):
+        """The largest |b|_2 of a contact, and what rounding adds to b^T x, in units of |x|_2."""
+        values = self.springs.values
+        size = float(np.sqrt(np.sum(values[: self.bonds] ** 2, axis=1)).max())
+        return size, (values.shape[1] + 1) * EPSILON * size
+
+    @property
+    def drive_norms(self):
+        """|f|_2 of what the springs at driven balls do, and of their dashpots for beta = 1."""
+        springs = self.springs
+        return tuple(
+            float(np.linalg.norm(self.B.T @ (k * springs.drive)))
+            for k in (springs.constants, springs.damped)
+        )
+
+    @property
+    def damping_norm(self):
+        """No less than |C|_2."""
+        size = abs(self.B)
+        return 1.01 * float((size.T @ (self.springs.damped * (size @ np.ones(self.balls)))).max())
+
+    @property
+    def stiffness_norm(self):
+        """No less than |K|_inf."""
+        size = abs(self.B)
+        sums = np.abs(self.springs.constants) * np.asarray(size.sum(axis=1)).ravel()
+        return float((size.T @ sums).max())
+
+    @property
+    def rounding(self):
+        """How much rounding moves a residual, in units of what it is summed from.
+
+        As `pgran.physics.rounding.residual_rounding`: sums over the springs at an unknown, and over
+        the unknowns that these couple it to.
+        """
+        met = int(np.bincount(self.B.indices).max())
+        return (met * (1 + self.springs.columns.shape[1]) + 12) * EPSILON
+
+
+def springs_of(network):
+    """Return the springs of a `pgran.physics.network.Network`. Not collective."""
+    balls, components = len(network.held), network.components
+    unknown = np.full((balls + 1, components), -1)
+    unknown[network.free] = np.arange(network.balls).reshape(-1, components)
+    i, j = network.bond.T
+    columns = np.concatenate([unknown[i], unknown[j]], axis=1)
+    moving = np.zeros((balls, components))
+    moving[network.held == DRIVEN, : network.axes] = network.direction
+    moving = np.concatenate([moving[i], moving[j]], axis=1)
+    weights = np.append(network.weights, 0.0)[columns]
+    rows, constants, damped = _rows(network, i, j)
+    values = np.concatenate(rows)
+    return Springs(
+        np.tile(columns, (len(rows), 1)),
+        values * np.tile(weights, (len(rows), 1)),
+        np.einsum("sw,sw->s", values, np.tile(moving, (len(rows), 1))),
+        np.concatenate(constants),
+        np.repeat(damped, len(i)),
+    )
+
+
+def _rows(network, i, j):
+    """Return blocks of rows over the components of both balls, constants, parts of beta."""
+    still = np.zeros((len(i), network.turns))
+
+    def row(t, first=still, second=still):
+        return np.concatenate([-t, first, t, second], axis=1)
+
+    if network.displacement == "scalar":
+        return [row(np.ones((len(i), 1)))], [network.stiffness], [1.0]
+    rows, constants, damped = [row(network.normal)], [network.stiffness], [1.0]
+    nothing = np.zeros(len(i))
+    pre_stress = nothing if network.force is None else -network.force / network.distance
+    shear = nothing if network.tangential is None else network.tangential
+    part = float(network.damped == "all")
+    for t in tangents(network.normal):
+        if not network.turns:
+            found = [(row(t), shear + pre_stress, part)]
+        else:
+            lever = _cross(network.normal, t)
+            turned = [-network.radius[end][:, None] * lever for end in (i, j)]
+            found = [(row(t, *turned), shear, part), (row(t), pre_stress, 0.0)]
+        for block, k, of_beta in found:
+            if of_beta or np.any(k):
+                rows.append(block)
+                constants.append(k)
+                damped.append(of_beta)
+    return rows, constants, damped
+
+
+def tangents(normal):
+    """Return the directions across normals, an array like them for each. Not collective."""
+    if normal.shape[1] == 2:
+        return [np.stack([-normal[:, 1], normal[:, 0]], axis=1)]
+    axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    first = np.cross(normal, axis)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return [first, np.cross(normal, first)]
+
+
+def _cross(a, b):
+    """Return a x b, in two dimensions its component along z, shape (n, 1 or 3)."""
+    if a.shape[1] == 3:
+        return np.cross(a, b)
+    return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]
