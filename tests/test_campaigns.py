@@ -67,11 +67,11 @@ def test_no_file_does_harm(tmp_path):
     tests = str(Path(__file__).parent)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([tests, str(fuzz.FOLDER)])}
     done = subprocess.run(
-        [sys.executable, "-m", "campaigns.fuzz", "12"],
+        [sys.executable, "-m", "campaigns.fuzz", "20"],
         cwd=tmp_path, env=environment, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    found = re.findall(r"12 cases, seed 1: (\d+) refused, (\d+) accepted", done.stdout)
+    found = re.findall(r"20 cases, seed 1: (\d+) refused, (\d+) accepted", done.stdout)
     assert len(found) == 2
     assert all(int(refused) > 0 < int(accepted) for refused, accepted in found)
     assert not (tmp_path / "results").exists()
