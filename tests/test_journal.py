@@ -279,8 +279,16 @@ SCENES = {
     "modes": lambda crew: find_modes(random_lattice((24, 20), 4), crew, shapes=True),
     "projection": lambda crew: project(LATTICE, OMEGAS, crew),
     "pulse": lambda crew: pulse(LATTICE, (3, 3, 6, 0), crew, time=300, method="laplace"),
+    # with steps that are halved again and again
     "pulse, integrated": lambda crew: pulse(
-        LATTICE, (3, 3, 6, 0), crew, time=300, method="integrate", error_tolerance=1e-8, fields=True
+        LATTICE,
+        (3, 3, 6, 0),
+        crew,
+        time=300,
+        method="integrate",
+        error_tolerance=1e-9,
+        fields=True,
+        solver={"pulse_ts_adapt_type": "none", "pulse_ts_dt": 1},
     ),
     "relaxation": lambda crew: relax(
         LATTICE, BondLaw("uniform"), 0.6, (3, 3), crew, steps=2600, trajectories=2, window=16
