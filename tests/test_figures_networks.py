@@ -109,7 +109,8 @@ def test_balls_are_circles_and_those_that_are_held_or_heard_are_marked():
         assert (*dot.get_xdata(), *dot.get_ydata()) == pytest.approx(net.position[ball])
     tips = [text.xyann for text in ax.texts]
     assert np.sum(tips, axis=0) == pytest.approx([0, 0])
-    assert np.cross(tips[0], net.direction) == 0
+    (x, y), (along, across) = tips[0], net.direction
+    assert x * across - y * along == 0
     legend = ax.get_legend().get_window_extent()
     assert ax.bbox.y1 <= legend.y0
 

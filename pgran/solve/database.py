@@ -13,12 +13,15 @@ log = logging.getLogger(__name__)
 def holding(keys):
     """Let solver keys, without their dash, hold for the objects that are made meanwhile.
 
-    Not collective, but every rank must hold the same.
+    Not collective, but every rank must hold the same. A key whose text is None is hidden.
     """
     database = PETSc.Options()
     before = database.getAll()
     for key, text in keys.items():
-        database.setValue(key, text)
+        if text is None:
+            database.delValue(key)
+        else:
+            database.setValue(key, text)
     try:
         yield
     finally:

@@ -166,6 +166,10 @@ class Integrator(Owner):
             for key, value in (DEFAULTS | factors).items()
             if not given.hasName(key)
         }
+        # PETSc 3.25 calls the key otherwise, and would change it for all integrations to come.
+        step = given.getReal("ts_dt", 0.1 * self._longest)
+        if given.hasName("ts_dt"):
+            keys["pulse_ts_dt"] = None
         ts, pair = PETSc.TS().create(self.comm), [self._u.duplicate(), self._v.duplicate()]
         begin = min(0.0, self.pulse.begin) if begin is None else begin
         with holding(keys):
@@ -176,7 +180,7 @@ class Integrator(Owner):
             ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
             ts.setTolerances(rtol=tolerance, atol=tolerance)
             ts.setErrorIfStepFails(False)
-            ts.setTimeStep(0.1 * self._longest)
+            ts.setTimeStep(step)
             if self._second_order:
                 ts.setI2Function(self._balance, self._u.duplicate())
                 ts.setI2Jacobian(self._balance_matrix, self._matrix, self._matrix)
@@ -193,6 +197,7 @@ class Integrator(Owner):
             if given.getString("ts_adapt_type", "") == "none":
                 ts.setTimeStep(HALF**number * ts.getTimeStep())
             ts.solve(state)
+        given.getReal("ts_dt", step)  # it was used
         complete = ts.getConvergedReason() > 0 and ts.getTime() >= time
         if not complete and self.comm.rank == 0:
             log.warning(
