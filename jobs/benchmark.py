@@ -22,8 +22,9 @@ from scipy.sparse.linalg import eigsh, splu  # noqa: E402
 
 from pgran.parallel.crew import Crew  # noqa: E402
 from pgran.physics.bondlaw import BondLaw  # noqa: E402
+from pgran.physics.bonds import bond_places  # noqa: E402
 from pgran.physics.changes import draw_changes  # noqa: E402
-from pgran.physics.lattice import Lattice, bond_places  # noqa: E402
+from pgran.physics.lattice import Lattice  # noqa: E402
 from pgran.scenes.modes import find_modes  # noqa: E402
 from pgran.scenes.relaxation import relax  # noqa: E402
 from pgran.scenes.response import sweep  # noqa: E402

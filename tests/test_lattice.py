@@ -8,16 +8,9 @@ from reference import balls, bonds
 from samples import bond_arrays, random_lattice, uniform_lattice
 
 from pgran.errors import InputError
-from pgran.physics.lattice import (
-    Lattice,
-    bond_count,
-    bond_ends,
-    bond_places,
-    bond_shape,
-    check_frequency,
-    detector_sites,
-    driven_bonds,
-)
+from pgran.physics.bonds import bond_count, bond_ends, bond_places, bond_shape, driven_bonds
+from pgran.physics.lattice import Lattice
+from pgran.physics.units import check_frequency
 
 SHAPES = [(1,), (9,), (1, 4), (3, 1, 2), (4, 5, 6)]
 
@@ -109,8 +102,9 @@ def test_numbers_too_large_are_refused(omega, mass, damping, stiffness):
 
 def test_detectors():
     """Flat or a row each; balls that are not there are refused."""
-    assert detector_sites((20, 20), (8, 10, 3, 4)).tolist() == [[8, 10], [3, 4]]
-    assert detector_sites((20, 20), [[0, 19], [19, 0]]).tolist() == [[0, 19], [19, 0]]
+    lattice = uniform_lattice((20, 20))
+    assert lattice.sites((8, 10, 3, 4)).tolist() == [[8, 10], [3, 4]]
+    assert lattice.sites([[0, 19], [19, 0]]).tolist() == [[0, 19], [19, 0]]
     for detectors, said in (
         ((), "no balls"),
         ((3, 4, 3), "no balls"),
@@ -118,4 +112,4 @@ def test_detectors():
         ((1, 1, 3, 6), r"ball \(3, 6\) is outside the lattice of 4 x 6"),
     ):
         with pytest.raises(InputError, match=f"detectors: .*{said}"):
-            detector_sites((4, 6), detectors)
+            uniform_lattice((4, 6)).sites(detectors)

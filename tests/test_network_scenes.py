@@ -13,7 +13,7 @@ from pgran.errors import InputError
 from pgran.files.network import DATASETS, read_network, write_network
 from pgran.files.reading import read_words
 from pgran.parallel.crew import Crew
-from pgran.physics.lattice import bond_ends, driven_bonds
+from pgran.physics.bonds import bond_ends, driven_bonds
 from pgran.physics.network import Network
 from pgran.physics.springs import AT_REST, DRIVEN
 

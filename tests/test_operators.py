@@ -6,7 +6,8 @@ from petsc4py import PETSc
 from reference import balls
 from samples import random_lattice, reference_of
 
-from pgran.physics.lattice import Lattice, bond_arrays
+from pgran.physics.bonds import bond_arrays
+from pgran.physics.lattice import Lattice
 from pgran.solve.operators import Operators
 
 SHAPES = [(7,), (1,), (2,), (5, 6), (6, 1), (1, 6), (1, 1), (2, 3), (4, 3, 5), (1, 4, 3), (5, 1, 2)]

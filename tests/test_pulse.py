@@ -1,6 +1,7 @@
 """Pulses of the wall: their transforms, signals against an integrator, and what bounds them."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,12 +20,12 @@ from scipy.integrate import quad, solve_ivp
 
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.files.reading import read_words
-from pgran.physics.laplace import Line
+from pgran.files.reading import read_file, read_words
+from pgran.physics.laplace import Line, largest_amplitudes
 from pgran.physics.lattice import Lattice
 from pgran.physics.pulse import SHAPES, Pulse
 from pgran.physics.signal import arrivals
-from pgran.scenes.signals import limits_of
+from pgran.scenes.transform import limits_of
 
 KINDS = [
     ((6, 5), 0.003, (2, 2)),
@@ -154,6 +155,12 @@ def test_what_a_pulse_has_no_use_for_is_refused(words):
         resolve(read_words(f"-scene pulse -pulse_shape {words}".split()))
 
 
+def test_a_shape_on_the_command_line_replaces_the_one_of_a_file():
+    shipped = Path(__file__).parents[1] / "options" / "pulse.opts"
+    given = read_file(shipped) + read_words(["-pulse_shape", "gauss"])
+    assert resolve(given).pulse_shape == "gauss"
+
+
 def test_arrival_of_a_front():
     time = np.linspace(0, 10, 101)
     signal = -np.clip(time - 4, 0, 2)[:, None]
@@ -173,7 +180,7 @@ def test_what_bounds_the_motion():
         s = line.sigma + 2j * np.pi / line.period * k
         S, f = reference.system(s / 1j)
         A = np.linalg.solve(S.astype(complex), f.astype(complex))
-        assert np.linalg.norm(A) <= limits.amplitudes(np.array([s]))[0]
+        assert np.linalg.norm(A) <= largest_amplitudes(limits, np.array([s]))[0]
         left = k not in line.number
         size += left * 2 / line.period * np.abs(A).max() * abs(sent.transform(s))
     assert size * math.exp(line.sigma * TIME) <= 1e-6

@@ -14,8 +14,8 @@ from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.files.reading import read_words
 from pgran.physics.bondlaw import BondLaw
+from pgran.physics.bonds import bond_arrays, bond_count, bond_places
 from pgran.physics.changes import draw_changes
-from pgran.physics.lattice import bond_arrays, bond_count, bond_places
 from pgran.physics.spectrum import power_spectrum
 from pgran.solve import windows
 from pgran.solve.changing import ChangingBonds

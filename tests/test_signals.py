@@ -21,7 +21,7 @@ from pgran.physics.lattice import Lattice
 from pgran.physics.pulse import Pulse
 from pgran.physics.signal import codas, envelopes
 from pgran.scenes.interface import holding_solver
-from pgran.scenes.signals import limits_of
+from pgran.scenes.transform import limits_of
 from pgran.solve.integrate import Integrator
 from pgran.solve.operators import Operators
 

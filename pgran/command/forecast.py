@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from pgran.machine import free_memory, most_resident
 from pgran.parallel.crew import Crew
-from pgran.physics.lattice import bond_count
+from pgran.physics.bonds import bond_count
 from pgran.record import Record
 from pgran.scenes.common import make_lattice, ranks_per_lattice
 

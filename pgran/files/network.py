@@ -20,7 +20,7 @@ import numpy as np
 
 from pgran.errors import FileError, InputError
 from pgran.files import hdf5
-from pgran.physics.lattice import AXES
+from pgran.physics.bonds import AXES
 from pgran.physics.network import Network
 from pgran.physics.springs import FREE
 

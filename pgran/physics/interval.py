@@ -31,6 +31,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgran.physics.limits import Limits
 from pgran.physics.rounding import SMALLEST_NORMAL
 
 MOMENTS = 8  # of each right-hand side at each end
@@ -71,30 +72,18 @@ def model_dtype(columns, detectors, balls):
     )
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What bounds the errors of all models of a lattice, in the lattice's unit.
+@dataclass(frozen=True, eq=False)
+class ModelLimits(Limits):
+    """What bounds the errors of all models of a lattice.
 
     Attributes
     ----------
-    stability : float
-        |S x|_2 >= omega stability |x|_2.
-    stiffness, damping, mass : float
-        No less than the norms of |K|, |C| and |M|, entries taken by magnitude.
-    drive, drive_damping : float
-        |g_0|_2 and |g_1|_2.
     rounding : float
         What a residual's norm misses, relative to |f| + (|K| + omega |C| + omega^2 |M|) |x|.
     sum_rounding : float
         The same of a sum over all balls.
     """
 
-    stability: float
-    stiffness: float
-    damping: float
-    mass: float
-    drive: float
-    drive_damping: float
     rounding: float
     sum_rounding: float
 
@@ -123,7 +112,7 @@ def evaluate(model, omega, limits, derivatives=True):
     ----------
     model : numpy.void of `model_dtype`, or dict of its arrays
     omega : numpy.ndarray, shape (n,)
-    limits : Limits, or pgran.results.Models, which hold the same
+    limits : ModelLimits
     derivatives : bool
         Whether they are wanted; else they are zero.
 

@@ -19,7 +19,6 @@ NumPy only.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,40 +31,18 @@ LATER = 1e-4  # of the tolerance: what later turns may
 AT_ONCE = 300_000  # numbers of a Fourier transform that are kept at once
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What bounds the motion of a lattice.
+def largest_amplitudes(limits, s):
+    """Return no less than any |A(s)|, sigma > 0. Not collective."""
+    size = np.abs(s)
+    damped = size * (limits.stability + s.real * limits.mass)
+    inertial = limits.mass * size**2 - limits.stiffness - size * limits.damping
+    return 1.01 * (limits.drive + size * limits.drive_damping) / np.maximum(damped, inertial)
 
-    Attributes
-    ----------
-    mass : float
-        m.
-    stability : float
-        beta lambda_min(C).
-    stiffness, damping : float
-        No less than |K|_2 and |C|_2, all damping in C.
-    drive, drive_damping : float
-        |f|_2 is at most drive + |s| drive_damping.
-    """
 
-    mass: float
-    stability: float
-    stiffness: float
-    damping: float
-    drive: float
-    drive_damping: float
-
-    def amplitudes(self, s):
-        """Return no less than any |A(s)|, sigma > 0. Not collective."""
-        size = np.abs(s)
-        damped = size * (self.stability + s.real * self.mass)
-        inertial = self.mass * size**2 - self.stiffness - size * self.damping
-        return 1.01 * (self.drive + size * self.drive_damping) / np.maximum(damped, inertial)
-
-    def speed(self, pulse, t):
-        """Return no less than |u'|_2 up to some times. Not collective."""
-        moved, turned = pulse.sizes(t)
-        return (self.drive * moved + self.drive_damping * turned) / self.mass
+def largest_speed(limits, pulse, t):
+    """Return no less than |u'|_2 up to some times. Not collective."""
+    moved, turned = pulse.sizes(t)
+    return (limits.drive * moved + limits.drive_damping * turned) / limits.mass
 
 
 class Line:
@@ -78,7 +55,7 @@ class Line:
         How long the signals are wanted.
     points : int
         At so many equal times, 0 and the last included.
-    limits : Limits
+    limits : pgran.physics.limits.Limits
     tolerance : float
         Of displacements, in units of the wall's.
 
@@ -94,7 +71,7 @@ class Line:
     def __init__(self, pulse, time, points, limits, tolerance):
         """Leave out what is too small to matter."""
         self.pulse, self.limits, self.sigma = pulse, limits, GROWTH / time
-        later = 3 * time * float(limits.speed(pulse, 3 * time)) / (LATER * tolerance)
+        later = 3 * time * float(largest_speed(limits, pulse, 3 * time)) / (LATER * tolerance)
         # and so long that the pulse before this one's time 0 is no part of the turn before either
         earlier = max(SHORTEST, 1.0 - pulse.begin / time)
         turn = max(earlier, min(3.0, math.log(max(later, 1.0)) / GROWTH))
@@ -105,7 +82,7 @@ class Line:
         count = math.ceil(pulse.highest * self.period / (2 * math.pi)) + 1
         s = self.sigma + 2j * np.pi / self.period * np.arange(count)
         U = pulse.transform(s)
-        size = 2 / self.period * limits.amplitudes(s) * np.abs(U)
+        size = 2 / self.period * largest_amplitudes(limits, s) * np.abs(U)
         order = np.argsort(size, kind="stable")
         small = np.cumsum(size[order]) * math.exp(GROWTH) <= LEFT_OUT * tolerance
         small[-1] = False  # something is left even where the wall drives nothing
@@ -184,5 +161,5 @@ class Line:
         total = np.zeros_like(self.time)
         for n in range(1, 4):
             t, damped = self.time + n * self.period, math.exp(-n * self.sigma * self.period)
-            total += 1.1 * self.limits.speed(self.pulse, t) * t**power * damped
+            total += 1.1 * largest_speed(self.limits, self.pulse, t) * t**power * damped
         return total

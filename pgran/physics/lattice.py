@@ -16,15 +16,24 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.physics.bondlaw import BondLaw, unit_numbers
+from pgran.physics.bonds import (
+    AXES,
+    bond_arrays,
+    bond_count,
+    bond_places,
+    bond_shape,
+    spread,
+    stretch,
+)
 from pgran.physics.rounding import residual_rounding
-
-AXES = "xyz"
-SIGNS = np.array([-1.0, 1.0])  # in a row of B, of the ball below a bond and of that above
+from pgran.physics.units import check_magnitudes, own_unit
 
 
 @dataclass(frozen=True)
 class Lattice:
     """Balls of one mass, springs of individual stiffness, one damping constant.
+
+    Solvers and scenes ask the same of it as of a `pgran.physics.network.Network`.
 
     Parameters
     ----------
@@ -169,7 +178,7 @@ class Lattice:
 
     @property
     def stiffness_norm(self):
-        """No less than |K|_inf: twice its largest diagonal entry."""
+        """No less than |K|_2: |K|_inf, twice its largest diagonal entry."""
         diagonal = 0.0
         for axis, k in enumerate(self.stiffness):
             k = np.moveaxis(k, axis, 0)
@@ -180,8 +189,25 @@ class Lattice:
         """Raise InputError where a drive has no bounded answer, which a lattice always has."""
 
     def sites(self, detectors):
-        """Return ball indices, flat or one row a detector, as an array: see `detector_sites`."""
-        return detector_sites(self.shape, detectors)
+        """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
+
+        Not collective. Raises InputError if an index is missing or a ball lies outside the lattice.
+        """
+        shape, axes = self.shape, self.axes
+        flat = np.asarray(detectors, dtype=np.int64).ravel()
+        if flat.size == 0 or flat.size % axes:
+            raise InputError(
+                f"detectors: a ball of this lattice has {axes} "
+                f"{'index' if axes == 1 else 'indices'}, so {flat.size} numbers name no balls"
+            )
+        sites = flat.reshape(-1, axes)
+        for site in sites:
+            if np.any(site < 0) or np.any(site >= shape):
+                raise InputError(
+                    f"detectors: ball {tuple(site.tolist())} is outside the lattice of "
+                    f"{' x '.join(map(str, shape))} balls (indices count from 0)"
+                )
+        return sites
 
     def depths(self, sites):
         """Return how far balls are from the driven wall, in spacings, shape (nd,)."""
@@ -216,11 +242,6 @@ class Lattice:
         """Whether K has no negative eigenvalues."""
         return True
 
-    @property
-    def largest_eigenvalue(self):
-        """No less than |K|_2."""
-        return 4 * self.axes * self.stiffest
-
     def restoring_forces(self, fields):
         """Return K f = B^T diag(k) B f for fields of shape (count, *shape). Not collective."""
         stretches = stretch(fields, self.axes)
@@ -245,168 +266,6 @@ class Lattice:
         return hashlib.sha256(self.constants.astype("<f8", copy=False)).hexdigest()
 
 
-def check_magnitudes(axes, mass, damping, stiffest):
-    """Raise InputError where mass, damping and stiffness make no vibrations. Not collective."""
-    if not (math.isfinite(mass) and mass > 0):
-        raise InputError(f"lattice_mass: must be positive and finite, not {mass}")
-    if not (math.isfinite(damping) and damping >= 0):
-        raise InputError(f"lattice_damping: must be 0 or more and finite, not {damping}")
-    if not math.isfinite(4 * axes * stiffest / mass):
-        raise InputError(
-            "lattice_mass, bonds: the frequencies, up to sqrt(4 d kmax / m), are too large to "
-            "compute with; choose other units"
-        )
-
-
-def own_unit(stiffest, mass, damping):
-    """Return the unit in which the largest bond constant lies between 1 and 2. Not collective.
-
-    Raises InputError if mass or damping do not fit into doubles in that unit.
-    """
-    unit = 2.0 ** (math.frexp(stiffest)[1] - 1)
-    for name, value in (("mass", mass), ("damping", damping)):
-        if value / unit * unit != value:
-            raise InputError(
-                f"lattice_{name}: {value:g} and bond constants of about {unit:g} are numbers "
-                "too far apart to compute with"
-            )
-    return unit
-
-
-def bond_shape(shape, axis):
-    """Return the shape of the array of bonds along `axis`. Not collective."""
-    return tuple(n + (a == axis) for a, n in enumerate(shape))
-
-
-def _bond_counts(shape):
-    """Return the number of bonds along each axis."""
-    return [math.prod(bond_shape(shape, axis)) for axis in range(len(shape))]
-
-
-def bond_count(shape):
-    """Return the number of bonds, wall bonds included. Not collective."""
-    return sum(_bond_counts(shape))
-
-
-def bond_arrays(shape, bonds):
-    """Return numbers a bond, in order, as one array for each axis. Not collective."""
-    parts = np.split(bonds, np.cumsum(_bond_counts(shape))[:-1])
-    return tuple(part.reshape(bond_shape(shape, axis)) for axis, part in enumerate(parts))
-
-
-def bond_sides(values, axis, wall):
-    """Return what the balls below and above each bond along an axis hold, walls included.
-
-    Not collective. This is the topology of the lattice: all else follows from it. Both arrays are
-    one longer than `values` along the axis.
-
-    Parameters
-    ----------
-    values : numpy.ndarray
-        Numbers of the balls.
-    axis : int
-        Of the array.
-    wall : number
-        What both walls hold.
-    """
-    axis %= values.ndim
-    before = (slice(None),) * axis
-    padded = np.empty([n + 2 * (a == axis) for a, n in enumerate(values.shape)], values.dtype)
-    padded[(*before, slice(1, -1))] = values
-    padded[(*before, [0, -1])] = wall
-    return padded[(*before, slice(-1))], padded[(*before, slice(1, None))]
-
-
-def bond_ends(numbers):
-    """Return the numbers of the balls that each bond joins, -1 for a wall, shape (bonds, 2).
-
-    Not collective. These are the columns of B in each of its rows; its entries there are `SIGNS`.
-    The balls have the given numbers, an array over the lattice.
-    """
-    sides = [bond_sides(numbers, axis, -1) for axis in range(numbers.ndim)]
-    return np.concatenate([np.stack([end.ravel() for end in pair], axis=1) for pair in sides])
-
-
-def driven_bonds(shape):
-    """Return which bonds end at the driven wall, shape (bonds,). Not collective."""
-    along = np.zeros(bond_shape(shape, 0), dtype=bool)
-    along[-1] = True
-    return np.pad(along.ravel(), (0, bond_count(shape) - along.size))
-
-
-def stretch(fields, axes):
-    """Yield B x for the bonds along each axis: how far displacements lengthen them, walls at rest.
-
-    Not collective. The lattice has so many axes, the last ones of `fields`.
-    """
-    for axis in range(-axes, 0):
-        below, above = bond_sides(fields, axis, 0.0)
-        yield above - below
-
-
-def spread(tensions):
-    """Return B^T t, the adjoint of `stretch`: the sum, ball by ball, of what its bonds hold.
-
-    Not collective. `tensions` are arrays over the bonds, as `stretch` yields them.
-    """
-    total, tensions = 0.0, list(tensions)
-    for axis, t in enumerate(tensions, -len(tensions)):
-        total -= np.diff(t, axis=axis)  # the bond below a ball counts +, as in B
-    return total
-
-
-def bond_places(shape, bonds):
-    """Return the axis of each numbered bond, and its index into that axis's array.
-
-    Not collective. The indices are an array with one axis more, of the length of `shape`.
-    """
-    first = np.cumsum([0, *_bond_counts(shape)[:-1]])
-    axis = np.searchsorted(first, bonds, side="right") - 1
-    index = np.empty((*bonds.shape, len(shape)), dtype=np.int64)
-    for a in range(len(shape)):
-        here = axis == a
-        places = np.unravel_index(bonds[here] - first[a], bond_shape(shape, a))
-        index[here] = np.stack(places, axis=-1)
-    return axis, index
-
-
-def detector_sites(shape, detectors):
-    """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
-
-    Not collective. Raises InputError if an index is missing or a ball lies outside the lattice.
-    """
-    axes = len(shape)
-    flat = np.asarray(detectors, dtype=np.int64).ravel()
-    if flat.size == 0 or flat.size % axes:
-        raise InputError(
-            f"detectors: a ball of this lattice has {axes} "
-            f"{'index' if axes == 1 else 'indices'}, so {flat.size} numbers name no balls"
-        )
-    sites = flat.reshape(-1, axes)
-    for site in sites:
-        if np.any(site < 0) or np.any(site >= shape):
-            raise InputError(
-                f"detectors: ball {tuple(site.tolist())} is outside the lattice of "
-                f"{' x '.join(map(str, shape))} balls (indices count from 0)"
-            )
-    return sites
-
-
 def smallest_damping_eigenvalue(shape):
     """Return lambda_min(C), C the Laplacian of the uniform lattice with walls. Not collective."""
     return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in shape)
-
-
-def check_frequency(lattice, omega):
-    """Raise InputError unless the driven lattice's numbers and their squares fit into doubles.
-
-    Not collective. No entry of S exceeds 4 d (k + omega beta) + m omega^2 up to the frequency.
-    """
-    omega = float(omega)
-    springs = 4 * lattice.axes * (lattice.stiffest + omega * lattice.damping)
-    largest = springs + lattice.mass * omega * omega
-    if not math.isfinite(largest * largest):
-        raise InputError(
-            f"lattice_mass, lattice_damping, bonds: at the frequency {omega:g} the equations hold "
-            "numbers too large to compute with; choose other units"
-        )

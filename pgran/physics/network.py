@@ -15,9 +15,10 @@ from functools import cached_property
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.physics.lattice import AXES, check_magnitudes, own_unit
+from pgran.physics.bonds import AXES
 from pgran.physics.parts import anchored
 from pgran.physics.springs import AT_REST, DRIVEN, FREE, Elastic, springs_of
+from pgran.physics.units import check_magnitudes, own_unit
 
 KINDS = ("scalar", "vector", "rotations")
 
@@ -213,7 +214,7 @@ class Network(Elastic):
         """How many unknowns there are."""
         return self.shape[0]
 
-    @property
+    @cached_property
     def mass(self):
         """The mass of the mass-weighted unknowns: the median."""
         return float(np.median(self.masses[self.free]))
@@ -223,7 +224,7 @@ class Network(Elastic):
         """The constants of all springs, those of contacts' normal springs first."""
         return self.springs.constants
 
-    @property
+    @cached_property
     def stiffest(self):
         """The largest magnitude of a spring's constant."""
         return float(np.abs(self.springs.constants).max())

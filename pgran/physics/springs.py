@@ -75,15 +75,10 @@ class Elastic:
         """Whether minimum degree orders its graph better than nested dissection: by a third."""
         return True
 
-    @property
+    @cached_property
     def semidefinite(self):
         """Whether K has no negative eigenvalues for certain, as all constants are positive."""
         return bool(np.all(self.springs.constants >= 0))
-
-    @property
-    def largest_eigenvalue(self):
-        """No less than |K|_2."""
-        return self.stiffness_norm
 
     def restoring_forces(self, fields):
         """Return K f = B^T diag(k) B f for fields of shape (count, unknowns). Not collective."""
@@ -96,7 +91,7 @@ class Elastic:
         size = float(np.sqrt(np.sum(values[: self.bonds] ** 2, axis=1)).max())
         return size, (values.shape[1] + 1) * EPSILON * size
 
-    @property
+    @cached_property
     def drive_norms(self):
         """|f|_2 of what the springs at driven balls do, and of their dashpots for beta = 1."""
         springs = self.springs
@@ -105,20 +100,20 @@ class Elastic:
             for k in (springs.constants, springs.damped)
         )
 
-    @property
+    @cached_property
     def damping_norm(self):
         """No less than |C|_2."""
         size = abs(self.B)
         return 1.01 * float((size.T @ (self.springs.damped * (size @ np.ones(self.balls)))).max())
 
-    @property
+    @cached_property
     def stiffness_norm(self):
-        """No less than |K|_inf."""
+        """No less than |K|_2: the largest sum of magnitudes in a row."""
         size = abs(self.B)
         sums = np.abs(self.springs.constants) * np.asarray(size.sum(axis=1)).ravel()
         return float((size.T @ sums).max())
 
-    @property
+    @cached_property
     def rounding(self):
         """How much rounding moves a residual, in units of what it is summed from.
 

@@ -4,146 +4,17 @@
 as datasets, plain values as attributes.
 """
 
-import math
-from dataclasses import dataclass, field, fields
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.physics.lattice import Lattice
-from pgran.physics.network import Network
-from pgran.record import SPACE, MisfitError, Record, array, attribute_array
+from pgran.record import Record, array, attribute_array
+from pgran.results.medium import LatticeRecord as LatticeRecord
+from pgran.results.medium import NetworkRecord as NetworkRecord
+from pgran.results.medium import record_of as record_of
 from pgran.results.response import BOUND, DETECTOR, FLOOR, PHASE
 from pgran.results.response import Models as Models
 from pgran.results.response import Response as Response
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class LatticeRecord(Record):
-    """The lattice a result belongs to."""
-
-    group = "lattice"
-    shape: tuple[int, ...]
-    mass: float
-    damping: float
-    omega_mx: float
-    bonds_sha256: str = field(metadata={"of_run": True})  # an attribute of the whole file
-    stiffness_x: np.ndarray = array("constants of the bonds along x", "k", "bonds_x")
-    stiffness_y: np.ndarray | None = array(
-        "constants of the bonds along y", "k", "bonds_y", optional=True
-    )
-    stiffness_z: np.ndarray | None = array(
-        "constants of the bonds along z", "k", "bonds_z", optional=True
-    )
-
-    def __post_init__(self):
-        """Hold one array of bonds for each axis."""
-        there = [k is not None for k in (self.stiffness_x, self.stiffness_y, self.stiffness_z)]
-        axes = len(self.shape)
-        if there != [True] * axes + [False] * (3 - axes) or min(self.shape) < 1:
-            raise MisfitError(f"shape: {self.shape} does not fit {sum(there)} arrays stiffness_*")
-
-    length = "spacings"  # what distances are in
-
-    @property
-    def stiffness(self):
-        """The constants of the bonds, an array for each axis, as `Lattice` takes them."""
-        return (self.stiffness_x, self.stiffness_y, self.stiffness_z)[: len(self.shape)]
-
-    @property
-    def axes(self):
-        """How long the axes of the lattice and of its bonds are, by name."""
-        balls = dict(zip(SPACE, self.shape, strict=False))
-        return {"axis": len(balls)} | balls | {f"bond_{name}": n + 1 for name, n in balls.items()}
-
-    @property
-    def free_balls(self):
-        """How many balls move freely: all."""
-        return math.prod(self.shape)
-
-    @cached_property
-    def built(self):
-        """The lattice itself, a `pgran.physics.lattice.Lattice`."""
-        kmax = self.mass * self.omega_mx**2 / (2 * len(self.shape))
-        return Lattice(self.stiffness, self.mass, self.damping, kmax)
-
-    @classmethod
-    def of(cls, lattice):
-        """Return the record of a `pgran.physics.lattice.Lattice`."""
-        same = ("shape", "mass", "damping", "omega_mx", "bonds_sha256")
-        arrays = {f"stiffness_{x}": k for x, k in zip(SPACE, lattice.stiffness, strict=False)}
-        return cls(**{name: getattr(lattice, name) for name in same}, **arrays)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class NetworkRecord(Record):
-    """The network a result belongs to: N balls, nb contacts, laid out like a network's own file.
-
-    Arrays of `balls` in other records have the components of its free balls one after the other.
-    """
-
-    group = "network"
-    displacement: str
-    damped: str
-    component: str
-    damping: float
-    kmax: float
-    omega_mx: float
-    unknowns: int
-    bonds_sha256: str = field(metadata={"of_run": True})
-    direction: np.ndarray = attribute_array("drive_coordinate")
-    bond: np.ndarray = array("balls of the contacts", "1", "contact", "end", dtype=int)
-    stiffness: np.ndarray = array("constants of the contacts", "k", "contact")
-    held: np.ndarray = array("0: free, 1: at rest, 2: driven", "1", "ball", dtype=int)
-    mass: np.ndarray = array("masses of the balls", "m", "ball")
-    position: np.ndarray | None = array(
-        "positions of the balls", "1", "ball", "coordinate", optional=True
-    )
-    radius: np.ndarray | None = array("radii of the balls", "1", "ball", optional=True)
-    normal: np.ndarray | None = array(
-        "from the first ball of a contact to the second, of length 1",
-        "1", "contact", "coordinate", optional=True,
-    )  # fmt: skip
-    distance: np.ndarray | None = array("of the centres", "1", "contact", optional=True)
-    force: np.ndarray | None = array("repulsive force", "k", "contact", optional=True)
-    tangential: np.ndarray | None = array(
-        "constants of tangential springs", "k", "contact", optional=True
-    )
-
-    length = "lengths"
-
-    @property
-    def axes(self):
-        """How long the axes of its unknowns are, by name."""
-        return {"axis": 1, "x": self.unknowns}
-
-    @property
-    def shape(self):
-        """The unknowns, as those of `pgran.physics.network.Network`."""
-        return (self.unknowns,)
-
-    @property
-    def free_balls(self):
-        """How many balls move freely."""
-        return int(np.count_nonzero(self.held == 0))
-
-    @cached_property
-    def built(self):
-        """The network itself, a `pgran.physics.network.Network`."""
-        same = [item.name for item in fields(self) if item.name in Network.__dataclass_fields__]
-        return Network(masses=self.mass, **{name: getattr(self, name) for name in same})
-
-    @classmethod
-    def of(cls, network):
-        """Return the record of a `pgran.physics.network.Network`."""
-        same = [item.name for item in fields(cls) if item.name not in ("mass", "unknowns")]
-        values = {name: getattr(network, name) for name in same}
-        return cls(mass=network.masses, unknowns=network.balls, **values)
-
-
-def record_of(lattice):
-    """Return the record of a lattice or of another network. Not collective."""
-    return (NetworkRecord if isinstance(lattice, Network) else LatticeRecord).of(lattice)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

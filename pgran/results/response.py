@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgran.errors import PgranError
+from pgran.physics.interval import ModelLimits
 from pgran.record import Record, array, attribute, attribute_array, part
 
 LINES = 1e-2  # of the amplitude, that straight lines between neighbours should be right to
@@ -17,22 +18,14 @@ FLOOR = "1: the bound is below error_floor, but not small against the amplitude"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Models(Record):
+class Models(ModelLimits, Record):
     """Models of the response, an interval of frequencies each; `pgran.physics.interval` says what.
 
-    The plain values bound their errors. All are in the unit that the lattice was solved in, which
-    amplitudes and frequencies do not depend on.
+    The plain values, its limits, bound their errors. All are in the unit that the lattice was
+    solved in, which amplitudes and frequencies do not depend on.
     """
 
     group, within = "models", "response"
-    stability: float
-    stiffness: float
-    damping: float
-    mass: float
-    drive: float
-    drive_damping: float
-    rounding: float
-    sum_rounding: float
     low: np.ndarray = array("lower end of the interval, angular", "sqrt(k/m)", "interval")
     high: np.ndarray = array("upper end of the interval, angular", "sqrt(k/m)", "interval")
     own: np.ndarray = array(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pgran.physics.lattice import bond_ends, driven_bonds
+from pgran.physics.bonds import bond_ends, driven_bonds
 from pgran.physics.network import Network
 from pgran.results import NetworkRecord
 

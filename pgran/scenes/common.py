@@ -10,7 +10,8 @@ from pgran.files.options import INTEGER, INTEGERS, REAL, REALS, TEXT, Option
 from pgran.machine import check_memory
 from pgran.parallel.agreement import on_root
 from pgran.physics.bondlaw import LAWS, BondLaw
-from pgran.physics.lattice import Lattice, bond_count
+from pgran.physics.bonds import bond_count
+from pgran.physics.lattice import Lattice
 
 log = logging.getLogger(__name__)
 
@@ -252,23 +253,38 @@ def read_bonds(path):
     return stiffness, kmax
 
 
-def check_driven(lattice):
-    """Raise InputError where a drive has no bounded answer; warn where nothing stays to be driven.
+def check_driven(lattice, world, in_time=False):
+    """Raise where a drive has no bounded answer; warn where steady states could not last.
 
-    Not collective; rank 0 counts, and warns.
+    Collective.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    world : mpi4py.MPI.Comm
+    in_time : bool
+        Whether motions in time are wanted, which must not grow for ever.
+
+    Raises
+    ------
+    InputError
+        If nothing is driven, or balls float, or motions would grow.
     """
-    from mpi4py import MPI
-
     lattice.check_driven()
-    if MPI.COMM_WORLD.rank > 0 or lattice.semidefinite:
+    if lattice.semidefinite:
         return
     from pgran.solve.certify import is_stable
 
-    if not is_stable(lattice):
+    if on_root(world, lambda: is_stable(lattice.in_own_unit()[0])):
+        return
+    unstable = "springs of negative constants (pre-stress) make this network unstable"
+    if in_time:
+        raise InputError(f"-network_file: {unstable}; after a pulse it would move without bound")
+    if world.rank == 0:
         log.warning(
-            "springs of negative constants (pre-stress) make this network unstable: its steady "
-            "states are computed as if it stayed where it is; scene modes says how unstable"
-        )
+            "%s: its steady states are computed as if it stayed where it is; scene modes says how "
+            "unstable", unstable,
+        )  # fmt: skip
 
 
 def make_law(options):

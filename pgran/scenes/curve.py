@@ -149,7 +149,7 @@ class CurvePoints(Task):
     ----------
     models : numpy.ndarray of `pgran.physics.interval.model_dtype`
         Of intervals that follow each other.
-    limits : pgran.physics.interval.Limits
+    limits : pgran.physics.interval.ModelLimits
     omegas : numpy.ndarray, shape (nw,)
         The frequencies asked for.
     tolerance : float

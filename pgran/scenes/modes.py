@@ -10,8 +10,8 @@ from pgran.errors import InputError
 from pgran.files.options import FLAG, INTEGER, REAL, Option
 from pgran.machine import check_memory
 from pgran.parallel.task import Task, carry_out
-from pgran.physics.lattice import check_frequency
 from pgran.physics.modes import RESIDUAL, participation
+from pgran.physics.units import check_frequency
 from pgran.results import Modes, record_of
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel

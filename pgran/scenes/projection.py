@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from pgran.parallel.task import carry_out
-from pgran.physics.lattice import check_frequency
 from pgran.physics.phase import fit_line
+from pgran.physics.units import check_frequency
 from pgran.results import Projection, record_of
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
@@ -109,6 +109,7 @@ def project(lattice, omegas, crew=None, which=None, *, progress="none", **steady
         With a crew of the caller's None on all ranks but rank 0.
     """
     started, choices = time.perf_counter(), common.steady_choices(steady)
+    common.check_driven(lattice, crew.world)
     scaled, _ = lattice.in_own_unit()
     check_frequency(scaled, checked_frequencies(omegas)[-1])  # before any work
     modes = find_modes(lattice, crew, **(which or {}), shapes=True, progress=progress)

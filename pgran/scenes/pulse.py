@@ -12,9 +12,11 @@ from pgran.parallel.task import carry_out
 from pgran.physics.pulse import SHAPES, Pulse, Samples
 from pgran.results import record_of
 from pgran.scenes import common
+from pgran.scenes.integration import integrate
 from pgran.scenes.interface import in_parallel
+from pgran.scenes.listening import Listening
 from pgran.scenes.scene import Scene
-from pgran.scenes.signals import Listening, PulseLine, integrate
+from pgran.scenes.transform import PulseLine
 
 PULSE = (
     Option(
@@ -57,7 +59,8 @@ def check(values, given):
     shape = "pulse_shape", "pulse_omega", "pulse_width"
     common.alternatives(("pulse_file",), shape, values, given)
     unused = "pulse_width" if values["pulse_shape"] == "ricker" else "pulse_omega"
-    if values["pulse_shape"] not in ("burst", None) and unused in given:
+    shape, other = given.get("pulse_shape"), given.get(unused)
+    if values["pulse_shape"] not in ("burst", None) and other and other.rank >= shape.rank:
         raise InputError(f"-{unused}{given[unused].where}: no part of a {values['pulse_shape']}")
 
 
@@ -189,14 +192,7 @@ def pulse(
     sent = Pulse(shape, float(omega), float(width)) if wall is None else samples_of(wall, step)
     listening = Listening(lattice, detectors, sent, time, points, error_tolerance, fields)
     check_times(listening)
-    if not listening.scaled.semidefinite:
-        from pgran.solve.certify import is_stable
-
-        if not is_stable(listening.scaled):
-            raise InputError(
-                "-network_file: springs of negative constants (pre-stress) make the network "
-                "unstable; after a pulse it would move without bound"
-            )
+    common.check_driven(lattice, crew.world, in_time=True)
     task = None if method == "integrate" else PulseLine(listening)
     if method == "auto":
         transform, integrations = predicted_seconds(listening, len(task.omegas))

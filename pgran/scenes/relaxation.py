@@ -12,7 +12,7 @@ from pgran.machine import check_memory
 from pgran.parallel.task import Task, carry_out
 from pgran.physics.accuracy import below_relative_accuracy
 from pgran.physics.changes import draw_changes
-from pgran.physics.lattice import check_frequency
+from pgran.physics.units import check_frequency
 from pgran.results import Relaxation, record_of
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
@@ -196,6 +196,7 @@ def relax(
         "relax_window": window,
     }
     common.check_values(RELAXATION, **chosen)
+    common.check_driven(lattice, crew.world)
     task = Steps(lattice, law, detectors, chosen, common.steady_choices(steady))
     return carry_out(task, crew, progress)
 
@@ -232,7 +233,6 @@ class Steps(Task):
         # Measured: the factorization's price a step falls like 1/s, that of the algebra grows
         # like s^2.
         self.window = self.window or (64 if lattice.balls < 5000 else 128)
-        common.check_driven(lattice)
         self.scaled, self.unit = lattice.in_own_unit()
         check_frequency(self.scaled, self.omega)
         nd = len(self.sites)

@@ -207,6 +207,7 @@ def sweep(
     ends = dict(zip(("phase_fit_min", "phase_fit_max"), phase_window, strict=True))
     common.check_values(PHASE, **ends)
     common.check_ends("phase_fit", ends)
+    common.check_driven(lattice, crew.world)
     task = ResponseSweep(lattice, omegas, detectors, fields, steady)
     method, models = choose_method(method, task.scaled, task.omegas, resolve, fields), None
     if method == "points":

@@ -8,8 +8,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.machine import check_memory
 from pgran.parallel.task import Task
-from pgran.physics.lattice import check_frequency
-from pgran.scenes.common import check_driven
+from pgran.physics.units import check_frequency
 
 LONGEST_UNIT = 16  # frequencies that share factorizations
 
@@ -40,7 +39,6 @@ class FrequencySweep(Task):
         self.omegas = np.asarray(omegas) if sigma else checked_frequencies(omegas)
         self.row, self.choices = np.dtype([*kept, ("factorizations", np.int64)]), choices
         check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
-        check_driven(lattice)
         self.scaled, _ = lattice.in_own_unit()
         check_frequency(self.scaled, self.omegas[-1])
         self.units = ranges(len(self.omegas))

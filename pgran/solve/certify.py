@@ -7,7 +7,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from pgran.physics.lattice import Lattice, smallest_damping_eigenvalue
-from pgran.solve.counting import MARGIN, ModeCounter
+from pgran.solve.counting import ModeCounter
 from pgran.solve.layout import NetworkLayout
 
 PARTS = (0.9, 0.5, 0.1, 0.01)  # of the estimate that are tried
@@ -27,20 +27,8 @@ def smallest_damping(lattice):
     known = vars(lattice)
     if "smallest_damping" not in known:
         with NetworkLayout(lattice, MPI.COMM_SELF) as layout:
-            known["smallest_damping"] = _certified(lattice, *layout.csr(layout.damped))
+            known["smallest_damping"] = _certified_damping(lattice, *layout.csr(layout.damped))
     return known["smallest_damping"]
-
-
-def is_stable(network):
-    """Return whether no eigenvalue of K is negative but for rounding, certified by a count.
-
-    Not collective, the same on every rank.
-    """
-    with NetworkLayout(network, MPI.COMM_SELF) as layout:
-        pointer, columns, values = layout.csr(network.constants)
-    with _hermitian(pointer, columns, values) as matrix, ModeCounter(matrix, network) as counter:
-        margin = MARGIN * counter.norm
-        return counter.below(-margin, 0.5 * margin) == 0
 
 
 def smallest_stiffness(operators):
@@ -49,19 +37,29 @@ def smallest_stiffness(operators):
     Not collective, the same on every rank; found out once for the constants that operators have.
     """
     if operators.softest is None:
-        operators.softest = 0.0
-        if operators.constants.min(initial=0.0) < 0:
-            with NetworkLayout(operators.lattice, MPI.COMM_SELF) as layout:
-                operators.softest = _certified_floor(*layout.csr(operators.constants))
+        constants, operators.softest = operators.constants, 0.0
+        if constants.min(initial=0.0) < 0:
+            part, norm = _floor(operators.lattice, constants)
+            operators.softest = -part * norm
     return operators.softest
 
 
-def _certified_floor(pointer, columns, values):
-    """Return the same for a matrix."""
-    with _hermitian(pointer, columns, values) as matrix, ModeCounter(matrix) as counter:
-        shifts = (-part * counter.norm for part in FLOORS)
-        certain = (shift for shift in shifts if counter.below(shift, -0.5 * shift) == 0)
-        return next(certain, -1.01 * counter.norm)
+def is_stable(network):
+    """Return whether no eigenvalue of K is negative but for rounding, certified by a count.
+
+    Not collective.
+    """
+    part, _ = _floor(network, network.constants)
+    return part == FLOORS[0]
+
+
+def _floor(network, constants):
+    """Return how far below zero eigenvalues of K may be in units of its norm, and that norm."""
+    with NetworkLayout(network, MPI.COMM_SELF) as layout:
+        matrix = layout.csr(constants)
+    with _hermitian(*matrix) as K, ModeCounter(K, network) as counter:
+        certain = (p for p in FLOORS if counter.below(-p * counter.norm, p / 2 * counter.norm) == 0)
+        return next(certain, 1.01), counter.norm
 
 
 @contextlib.contextmanager
@@ -75,8 +73,8 @@ def _hermitian(pointer, columns, values):
     matrix.destroy()
 
 
-def _certified(network, pointer, columns, values):
-    """Return the same for a matrix."""
+def _certified_damping(network, pointer, columns, values):
+    """Return what `smallest_damping` does for the matrix C of a network."""
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 

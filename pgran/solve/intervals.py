@@ -18,7 +18,7 @@ from petsc4py import PETSc
 
 from pgran.errors import is_bad_input, petsc_message
 from pgran.parallel.agreement import met_by_all
-from pgran.physics.interval import MOMENTS, Limits, evaluate, model_dtype, poles
+from pgran.physics.interval import MOMENTS, ModelLimits, evaluate, model_dtype, poles
 from pgran.physics.rounding import EPSILON
 from pgran.solve.certify import smallest_damping
 from pgran.solve.judging import Detectors
@@ -115,7 +115,7 @@ class IntervalModels(Owner):
         # a path through the sums of `_products`, over the ranks, and of the small algebra
         terms = 2 * BLOCK + operators.balls / BLOCK + 2 * self.comm.size + 3 * self.width + 16
         drive, damped = 1.01 * np.sqrt(self._total(_squares(self._loads[0])))
-        return Limits(
+        return ModelLimits(
             stability=operators.damping * smallest_damping(operators.lattice),
             stiffness=2.02 * self._largest(self._diagonal).item(),
             damping=2.02 * self._largest(self._damping).item(),

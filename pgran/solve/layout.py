@@ -9,11 +9,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from pgran.errors import InputError
-from pgran.physics.lattice import (
-    SIGNS,
-    bond_ends,
-    driven_bonds,
-)
+from pgran.physics.bonds import SIGNS, bond_ends, driven_bonds
 from pgran.solve.owner import Owner
 
 

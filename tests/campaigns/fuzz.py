@@ -30,7 +30,7 @@ from pgran.command.resolve import resolve
 from pgran.errors import PgranError
 from pgran.files import hdf5, store
 from pgran.files.reading import read_file
-from pgran.physics.lattice import bond_shape
+from pgran.physics.bonds import bond_shape
 from pgran.scenes.common import read_bonds
 
 SECONDS = 30  # for one case; a real run is given twice as long

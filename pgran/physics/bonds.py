@@ -1,0 +1,110 @@
+"""The bonds of a lattice: how many, in which order, which balls they join, how they are stretched.
+
+Bonds join nearest neighbours, and every ball at a wall to that wall: along an axis there is one
+bond more than balls, and bond `i` joins the balls `i - 1` and `i`. They are numbered axis after
+axis, each array in C order.
+"""
+
+import math
+
+import numpy as np
+
+AXES = "xyz"
+SIGNS = np.array([-1.0, 1.0])  # in a row of B, of the ball below a bond and of that above
+
+
+def bond_shape(shape, axis):
+    """Return the shape of the array of bonds along `axis`. Not collective."""
+    return tuple(n + (a == axis) for a, n in enumerate(shape))
+
+
+def _bond_counts(shape):
+    """Return the number of bonds along each axis."""
+    return [math.prod(bond_shape(shape, axis)) for axis in range(len(shape))]
+
+
+def bond_count(shape):
+    """Return the number of bonds, wall bonds included. Not collective."""
+    return sum(_bond_counts(shape))
+
+
+def bond_arrays(shape, bonds):
+    """Return numbers a bond, in order, as one array for each axis. Not collective."""
+    parts = np.split(bonds, np.cumsum(_bond_counts(shape))[:-1])
+    return tuple(part.reshape(bond_shape(shape, axis)) for axis, part in enumerate(parts))
+
+
+def bond_sides(values, axis, wall):
+    """Return what the balls below and above each bond along an axis hold, walls included.
+
+    Not collective. This is the topology of the lattice: all else follows from it. Both arrays are
+    one longer than `values` along the axis.
+
+    Parameters
+    ----------
+    values : numpy.ndarray
+        Numbers of the balls.
+    axis : int
+        Of the array.
+    wall : number
+        What both walls hold.
+    """
+    axis %= values.ndim
+    before = (slice(None),) * axis
+    padded = np.empty([n + 2 * (a == axis) for a, n in enumerate(values.shape)], values.dtype)
+    padded[(*before, slice(1, -1))] = values
+    padded[(*before, [0, -1])] = wall
+    return padded[(*before, slice(-1))], padded[(*before, slice(1, None))]
+
+
+def bond_ends(numbers):
+    """Return the numbers of the balls that each bond joins, -1 for a wall, shape (bonds, 2).
+
+    Not collective. These are the columns of B in each of its rows; its entries there are `SIGNS`.
+    The balls have the given numbers, an array over the lattice.
+    """
+    sides = [bond_sides(numbers, axis, -1) for axis in range(numbers.ndim)]
+    return np.concatenate([np.stack([end.ravel() for end in pair], axis=1) for pair in sides])
+
+
+def driven_bonds(shape):
+    """Return which bonds end at the driven wall, shape (bonds,). Not collective."""
+    along = np.zeros(bond_shape(shape, 0), dtype=bool)
+    along[-1] = True
+    return np.pad(along.ravel(), (0, bond_count(shape) - along.size))
+
+
+def bond_places(shape, bonds):
+    """Return the axis of each numbered bond, and its index into that axis's array.
+
+    Not collective. The indices are an array with one axis more, of the length of `shape`.
+    """
+    first = np.cumsum([0, *_bond_counts(shape)[:-1]])
+    axis = np.searchsorted(first, bonds, side="right") - 1
+    index = np.empty((*bonds.shape, len(shape)), dtype=np.int64)
+    for a in range(len(shape)):
+        here = axis == a
+        places = np.unravel_index(bonds[here] - first[a], bond_shape(shape, a))
+        index[here] = np.stack(places, axis=-1)
+    return axis, index
+
+
+def stretch(fields, axes):
+    """Yield B x for the bonds along each axis: how far displacements lengthen them, walls at rest.
+
+    Not collective. The lattice has so many axes, the last ones of `fields`.
+    """
+    for axis in range(-axes, 0):
+        below, above = bond_sides(fields, axis, 0.0)
+        yield above - below
+
+
+def spread(tensions):
+    """Return B^T t, the adjoint of `stretch`: the sum, ball by ball, of what its bonds hold.
+
+    Not collective. `tensions` are arrays over the bonds, as `stretch` yields them.
+    """
+    total, tensions = 0.0, list(tensions)
+    for axis, t in enumerate(tensions, -len(tensions)):
+        total -= np.diff(t, axis=axis)  # the bond below a ball counts +, as in B
+    return total

@@ -1,0 +1,48 @@
+"""Units in which the numbers of a lattice or a network fit into doubles."""
+
+import math
+
+from pgran.errors import InputError
+
+
+def check_magnitudes(axes, mass, damping, stiffest):
+    """Raise InputError where mass, damping and stiffness make no vibrations. Not collective."""
+    if not (math.isfinite(mass) and mass > 0):
+        raise InputError(f"lattice_mass: must be positive and finite, not {mass}")
+    if not (math.isfinite(damping) and damping >= 0):
+        raise InputError(f"lattice_damping: must be 0 or more and finite, not {damping}")
+    if not math.isfinite(4 * axes * stiffest / mass):
+        raise InputError(
+            "lattice_mass, bonds: the frequencies, up to sqrt(4 d kmax / m), are too large to "
+            "compute with; choose other units"
+        )
+
+
+def own_unit(stiffest, mass, damping):
+    """Return the unit in which the largest bond constant lies between 1 and 2. Not collective.
+
+    Raises InputError if mass or damping do not fit into doubles in that unit.
+    """
+    unit = 2.0 ** (math.frexp(stiffest)[1] - 1)
+    for name, value in (("mass", mass), ("damping", damping)):
+        if value / unit * unit != value:
+            raise InputError(
+                f"lattice_{name}: {value:g} and bond constants of about {unit:g} are numbers "
+                "too far apart to compute with"
+            )
+    return unit
+
+
+def check_frequency(lattice, omega):
+    """Raise InputError unless the driven lattice's numbers and their squares fit into doubles.
+
+    Not collective. No entry of S exceeds 4 d (k + omega beta) + m omega^2 up to the frequency.
+    """
+    omega = float(omega)
+    springs = 4 * lattice.axes * (lattice.stiffest + omega * lattice.damping)
+    largest = springs + lattice.mass * omega * omega
+    if not math.isfinite(largest * largest):
+        raise InputError(
+            f"lattice_mass, lattice_damping, bonds: at the frequency {omega:g} the equations hold "
+            "numbers too large to compute with; choose other units"
+        )

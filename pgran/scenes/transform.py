@@ -1,0 +1,99 @@
+"""Signals by amplitudes along the line of the inverse Laplace transform."""
+
+import math
+
+import numpy as np
+
+from pgran.physics import signal
+from pgran.physics.laplace import Line
+from pgran.physics.limits import Limits
+from pgran.scenes.sweeping import FrequencySweep
+
+WHOLE = 4e8  # amplitudes of all balls are kept, for energies at all times, if that costs no more
+
+
+class PulseLine(FrequencySweep):
+    """The amplitudes at the detectors along the line of the inverse Laplace transform.
+
+    Parameters
+    ----------
+    listening : Listening
+    """
+
+    def __init__(self, listening):
+        """Choose the points of the line."""
+        self.listening = listening
+        time, tolerance = listening.time, listening.tolerance
+        limits = limits_of(listening.scaled)
+        self.line = Line(listening.sent, time[-1], len(time), limits, tolerance)
+        self.fields = listening.fields
+        shape, detectors = listening.lattice.shape, len(listening.sites)
+        cost = len(self.line.s) * math.prod(shape) * len(listening.fine)
+        self.whole = self.fields or cost <= WHOLE
+        kept = [
+            ("displacement", complex, (detectors,)),
+            ("error_bound", float, (detectors,)),
+            ("force", complex),
+        ]
+        if self.whole:
+            kept.append(("field", complex, shape))
+        # below the floor an amplitude matters no more
+        relative = 1e-2 * tolerance / max(self.line.growth, 1.0)
+        choices = {"error_tolerance": relative, "error_floor": 1e-20}
+        omegas = self.line.s.imag
+        super().__init__(listening.lattice, omegas, listening.sites, kept, choices, self.line.sigma)
+
+    def keep(self, point, solver):
+        """See `FrequencySweep`: f^T A, and the field, which comes to the first rank of a group."""
+        operators, moved = solver.operators, solver.field
+        point["force"] = operators.pull(operators.s) - operators.f.tDot(moved)
+        if self.whole:
+            field = operators.layout.field(moved)
+            point["field"] = 0.0 if field is None else field
+
+    def collect(self, rows, seconds):
+        """See `Task`; what failed has an infinite bound."""
+        line, listening = self.line, self.listening
+        bound = np.where(np.isnan(rows["error_bound"]), np.inf, rows["error_bound"])
+        found = line.signals(np.nan_to_num(rows["displacement"]), bound)
+        displacement, error_bound, velocity, velocity_bound = found
+        U = line.transform.reshape(-1, *[1] * len(listening.lattice.shape))
+        energy = power = field = None
+        if self.whole:
+            field = np.nan_to_num(rows["field"])
+            times = listening.time, listening.fine
+            energy, power = signal.energies(listening.scaled, line, field, *times)
+        if self.fields:
+            field = listening.scaled.displacements(line.at(listening.field_time, U * field))
+        return listening.signals(
+            "laplace",
+            (displacement, velocity),
+            (error_bound, velocity_bound),
+            line.inverse(np.nan_to_num(rows["force"]) * line.transform, listening.finer),
+            energy,
+            power,
+            sigma=line.sigma,
+            period=line.period,
+            solves=len(rows),
+            factorizations=int(rows["factorizations"].sum()),
+            solve_seconds=seconds,
+            error_bound=error_bound,
+            velocity_bound=velocity_bound,
+            field_time=listening.field_time if self.fields else None,
+            field=field if self.fields else None,
+        )
+
+
+def limits_of(lattice):
+    """Return what bounds the motion of a lattice. Not collective."""
+    from pgran.solve.certify import smallest_damping
+
+    (drive, damped), beta = lattice.drive_norms, lattice.damping
+    return Limits(
+        mass=lattice.mass,
+        stability=beta and beta * smallest_damping(lattice),
+        stiffness=lattice.stiffness_norm,
+        damping=beta * lattice.damping_norm,
+        drive=1.01 * drive,
+        drive_damping=1.01 * beta * damped,
+    )
