@@ -18,13 +18,14 @@ petsc4py.init(["benchmark", "-skip_petscrc"])
 import numpy as np  # noqa: E402
 import scipy.sparse as sp  # noqa: E402
 from mpi4py import MPI  # noqa: E402
-from scipy.sparse.linalg import eigsh, splu  # noqa: E402
+from scipy.sparse.linalg import LinearOperator, eigsh, splu  # noqa: E402
 
 from pgran.parallel.crew import Crew  # noqa: E402
 from pgran.physics.bondlaw import BondLaw  # noqa: E402
 from pgran.physics.bonds import bond_places  # noqa: E402
 from pgran.physics.changes import draw_changes  # noqa: E402
 from pgran.physics.lattice import Lattice  # noqa: E402
+from pgran.physics.makers import random_geometric  # noqa: E402
 from pgran.scenes.modes import find_modes  # noqa: E402
 from pgran.scenes.relaxation import relax  # noqa: E402
 from pgran.scenes.response import sweep  # noqa: E402
@@ -124,11 +125,14 @@ def solve_with_bounds(lattice, omegas, site, comm):
         return np.array([solver.solve(1j * omega).displacement[0] for omega in omegas])
 
 
-def by_pgran(function, *arguments, **choices):
-    """Return a function of the ranks that computes a record on its first rank."""
+def by_pgran(function, *arguments, group=1, **choices):
+    """Return a function of the ranks that computes a record on its first rank.
+
+    So many ranks share a lattice, all if None.
+    """
 
     def compute(comm):
-        with Crew(comm, 1) as crew:
+        with Crew(comm, group or comm.size) as crew:
             return function(*arguments, crew=crew, **choices)
 
     return compute
@@ -244,6 +248,76 @@ def relaxations():
             )
 
 
+def networks():
+    """Yield steady states and modes of random networks, against SciPy on the same matrix."""
+    for balls, axes, displacement in (
+        (200_000, 2, "scalar"),
+        (50_000, 2, "vector"),
+        (30_000, 3, "scalar"),
+        (10_000, 3, "vector"),
+    ):
+        network = random_geometric(balls, axes, displacement=displacement)
+        depths, label = network.depths(network.free[:, None]), f"{balls} {displacement}, {axes}D"
+        ball = int(network.free[np.argmin(np.abs(depths - 3))])
+        omega = 0.3 * network.omega_mx
+        yield Row(
+            f"one steady state, {label}",
+            partial(scipy_network_sweep, network, [omega], ball),
+            by_pgran(sweep, network, [omega], ball, group=None),
+            lambda peer, own: relative(peer, own.displacement[:, 0]),
+            repeats=3,
+        )
+        omegas = omega * np.linspace(1, 1.05, 8)
+        yield Row(
+            f"eight steady states, {label}",
+            partial(scipy_network_sweep, network, omegas, ball),
+            by_pgran(sweep, network, omegas, ball),
+            lambda peer, own: relative(peer, own.displacement[:, 0]),
+            repeats=1,
+        )
+        target = 0.2 * network.omega_mx
+        yield Row(
+            f"20 modes, {label}",
+            partial(scipy_network_modes, network, target, 20),
+            by_pgran(find_modes, network, targets=[target], count=20),
+            partial(nearest_relative, network.mass),
+            repeats=1,
+        )
+
+
+def scipy_network_sweep(network, omegas, ball):
+    """Return the amplitudes at a ball of a network, by a splu a frequency."""
+    springs, B = network.springs, network.B
+    K, C = (
+        (B.T @ sp.diags(k) @ B).tocsc()
+        for k in (springs.constants, network.damping * springs.damped)
+    )
+    identity = sp.identity(network.balls, format="csc")
+    (unknowns,), (weights,) = network.readings([[ball]])
+    amplitudes = []
+    for omega in omegas:
+        constants = springs.constants + 1j * omega * network.damping * springs.damped
+        factor = splu(K + 1j * omega * C - network.mass * omega**2 * identity, **SPLU)
+        field = factor.solve(-(B.T @ (constants * springs.drive)))
+        amplitudes.append(weights @ field[unknowns])
+    return np.array(amplitudes)
+
+
+def scipy_network_modes(network, omega, count):
+    """Return m omega^2 of the modes of a network nearest to a frequency, by eigsh on a splu."""
+    B = network.B
+    K = (B.T @ sp.diags(network.constants) @ B).tocsc()
+    sigma = network.mass * omega**2
+    factor = splu(K - sigma * sp.identity(network.balls, format="csc"), **SPLU)
+    inverse = LinearOperator(K.shape, factor.solve)
+    return np.sort(eigsh(K, k=count, sigma=sigma, OPinv=inverse)[0])
+
+
+def nearest_relative(mass, peer, own):
+    """Return how far SciPy's m omega^2 are from the nearest of pgran's, relatively."""
+    return max(np.min(np.abs(mass * own.omega**2 - value)) / abs(value) for value in peer)
+
+
 def measure(row):
     """Print a row of the table: medians of times that are taken in turns."""
     works = [(ALONE, row.peer), *((comm, partial(row.own, comm)) for comm in row.ranks)]
@@ -279,7 +353,7 @@ def main():
     titles = f"{'peer':>10}{'1 rank':>10}{ranks:>10}{'peer/1':>8}{'peer/all':>8}"
     say(f"{'':36}{titles}   difference, failures")
     chosen = [globals()[name] for name in sys.argv[1:]]
-    for rows in chosen or (sweeps, curves, bounds, modes, relaxations):
+    for rows in chosen or (sweeps, curves, bounds, modes, relaxations, networks):
         for row in rows():
             measure(row)
 

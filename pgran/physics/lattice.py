@@ -234,7 +234,7 @@ class Lattice:
 
     @property
     def irregular(self):
-        """Whether minimum degree orders its graph better than nested dissection."""
+        """Whether a graph of its own knows in which order to eliminate the balls."""
         return False
 
     @property

@@ -16,6 +16,7 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.physics.bonds import AXES
+from pgran.physics.graph import Graph
 from pgran.physics.parts import anchored
 from pgran.physics.springs import AT_REST, DRIVEN, FREE, Elastic, springs_of
 from pgran.physics.units import check_magnitudes, own_unit
@@ -265,6 +266,16 @@ class Network(Elastic):
     def springs(self):
         """See `pgran.physics.springs.Springs`."""
         return springs_of(self)
+
+    @cached_property
+    def graph(self):
+        """See `pgran.physics.graph.Graph`."""
+        return Graph(self)
+
+    @property
+    def isotropic(self):
+        """Whether damping acts on each component alike: C is the graph's Laplacian for each."""
+        return self.displacement == "scalar" or (self.damped == "all" and not self.turns)
 
     def check_driven(self):
         """Raise InputError if nothing is driven, or balls float that no drive can bound."""

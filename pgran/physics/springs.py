@@ -72,7 +72,7 @@ class Elastic:
 
     @property
     def irregular(self):
-        """Whether minimum degree orders its graph better than nested dissection: by a third."""
+        """Whether its `graph` knows in which order to eliminate the balls, and what that costs."""
         return True
 
     @cached_property

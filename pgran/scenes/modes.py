@@ -160,9 +160,9 @@ def find_modes(
     check_frequency(lattice, max(targets if targets is not None else interval or (0.0,)))
     from pgran.solve.slicing import find_slices, hermitian_stiffness
 
-    with hermitian_stiffness(lattice) as K:
-        slices = find_slices(K, lattice, crew, interval, targets, count)
-        task = Slices(lattice, K, slices, shapes, targets, count)
+    with hermitian_stiffness(lattice) as operators:
+        slices = find_slices(operators, crew, interval, targets, count)
+        task = Slices(operators, slices, shapes, targets, count)
         modes = carry_out(task, crew, progress)
     seconds = time.perf_counter() - started  # counts included
     return modes and dataclasses.replace(modes, solve_seconds=seconds)
@@ -173,9 +173,8 @@ class Slices(Task):
 
     Parameters
     ----------
-    lattice : pgran.physics.lattice.Lattice
-    K : petsc4py.PETSc.Mat
-        Its stiffness, flagged symmetric and Hermitian, of this rank alone.
+    operators : pgran.solve.operators.Operators
+        Of this rank alone, K flagged symmetric and Hermitian.
     slices : sequence of (low, high, count)
         Ends in lambda = m omega^2, and how many modes lie between them.
     shapes : bool
@@ -186,9 +185,10 @@ class Slices(Task):
 
     items = "modes"
 
-    def __init__(self, lattice, K, slices, shapes=False, targets=None, count=None):
+    def __init__(self, operators, slices, shapes=False, targets=None, count=None):
         """Say what a mode travels in."""
-        self.lattice, self.K, self.shapes = lattice, K, shapes
+        self.operators, self.shapes = operators, shapes
+        self.lattice = lattice = operators.lattice
         self.targets, self.count = targets, count
         self.units = list(enumerate(slices))
         numbers = [("slice", int), ("value", float), ("residual", float), ("participation", float)]
@@ -201,7 +201,7 @@ class Slices(Task):
         """See `Task`."""
         from pgran.solve.normal import ModeSolver
 
-        with ModeSolver(self.lattice, self.K) as solver:
+        with ModeSolver(self.operators) as solver:
 
             def work(unit):
                 number, piece = unit

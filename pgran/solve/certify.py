@@ -19,11 +19,14 @@ def smallest_damping(lattice):
     """Return a number that no eigenvalue of C = B^T diag(damped) B is below; 0 if none is certain.
 
     Not collective, the same on every rank. Of a network it is found out once, on a copy of this
-    rank's own: an estimate by inverse iteration is certified by Sylvester's law, as a factorization
-    of C less a little more than that number has no negative pivot.
+    rank's own. Where C is no Laplacian, an estimate by inverse iteration is certified by
+    Sylvester's law, as a factorization of C less a little more than that number has no negative
+    pivot.
     """
     if isinstance(lattice, Lattice):
         return smallest_damping_eigenvalue(lattice.shape)
+    if lattice.isotropic:
+        return lattice.graph.smallest
     known = vars(lattice)
     if "smallest_damping" not in known:
         with NetworkLayout(lattice, MPI.COMM_SELF) as layout:

@@ -13,12 +13,14 @@ from petsc4py import PETSc
 
 from pgran.errors import PgranError
 from pgran.parallel.agreement import agree
-from pgran.solve.linear import accept_small_pivots
+from pgran.physics.graph import SYMMETRIC
+from pgran.solve.linear import accept_small_pivots, factor_package
 from pgran.solve.operators import SAME
 from pgran.solve.owner import Owner
 
 SLICE = 60  # modes that are computed together; measured for 40 x 40 and 100 x 100
 MARGIN = 1e-11  # of |K|: how far the ends of an interval are moved outward
+WIDE = 1e-8  # the same where an interval's ends are as good as any others nearby
 ATTEMPTS = 40  # at an end, at an interval around a frequency, at cutting what is left
 
 
@@ -26,19 +28,22 @@ class ModeCounter(Owner):
     """Counts the eigenvalues of a lattice's K below a shift; destroy with `destroy` or `with`.
 
     Not collective: each rank counts on a copy of its own, because PETSc's own factorization, the
-    only one that gives the inertia of complex matrices everywhere, is serial.
+    only one that gives the inertia of complex matrices everywhere, is serial. Where it would take
+    long, SciPy's SuperLU does it unless options choose.
 
     Parameters
     ----------
     K : petsc4py.PETSc.Mat
         Flagged symmetric and Hermitian, of this rank alone.
     lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network, optional
-        What K belongs to: whether it is semidefinite, and what is known of the order to factor in.
+        What K belongs to: whether it is semidefinite, and numbered in the order to factor in.
 
     Attributes
     ----------
     norm : float
         |K|_inf, which no eigenvalue exceeds; 1 if K is zero.
+    costly : bool
+        Whether a count takes longer than a search for some modes: where factors fill.
     """
 
     owns = ("_pc", "_shifted", "_x", "_rhs", "_residual")
@@ -54,11 +59,15 @@ class ModeCounter(Owner):
         self._x, self._rhs = K.createVecs()
         self._residual = self._rhs.duplicate()
         self._rhs.setArray(np.random.Generator(np.random.Philox(1)).standard_normal(self.order))
+        irregular = lattice is not None and lattice.irregular
+        self.costly = irregular and factor_package(lattice, ranks=1) != "petsc"
+        chosen = PETSc.Options("normal_count_").hasName("pc_type")
+        self._factor = self._by_superlu if self.costly and not chosen else self._by_petsc
         self._pc = PETSc.PC().create(K.getComm())
         self._pc.setOptionsPrefix("normal_count_")
         self._pc.setType("cholesky")
-        if lattice is not None and lattice.irregular:
-            self._pc.setFactorOrdering("qmd")
+        if irregular:
+            self._pc.setFactorOrdering("natural")
         self._pc.setOperators(self._shifted)
         self._pc.setFromOptions()
         accept_small_pivots(self._pc)
@@ -85,11 +94,8 @@ class ModeCounter(Owner):
         """
         self.K.copy(self._shifted, structure=SAME)
         self._shifted.shift(-shift)
-        self._pc.setOperators(self._shifted)
         with contextlib.suppress(PETSc.Error):
-            self._pc.setUp()
-            negative, zero, _ = self._pc.getFactorMatrix().getInertia()
-            self._pc.apply(self._rhs, self._x)
+            negative, zero = self._factor()
             self._shifted.mult(self._x, self._residual)
             self._residual.axpy(-1.0, self._rhs)
             if not zero and self._residual.norm() <= allowed * self._x.norm():  # false for NaN
@@ -97,18 +103,42 @@ class ModeCounter(Owner):
         self._pc.reset()  # else its failure would stay
         return None
 
-    def end(self, shift, side):
-        """Return an end of an interval, moved outward by MARGIN |K|, and the count below it.
+    def _by_petsc(self):
+        """Return how many pivots are negative, how many zero, and set x to a solution."""
+        self._pc.setOperators(self._shifted)
+        self._pc.setUp()
+        self._pc.apply(self._rhs, self._x)
+        return self._pc.getFactorMatrix().getInertia()[:2]
+
+    def _by_superlu(self):
+        """Return the same by real arithmetic on dense blocks: much faster where factors fill."""
+        from scipy.sparse import csc_matrix
+        from scipy.sparse.linalg import splu
+
+        pointer, columns, values = self._shifted.getValuesCSR()  # symmetric: rows are columns
+        try:
+            factors = splu(
+                csc_matrix((values.real.copy(), columns, pointer)), "NATURAL", **SYMMETRIC
+            )
+        except RuntimeError:  # a pivot is zero
+            return 0, 1
+        self._x.setArray(factors.solve(self._rhs.getArray(readonly=True).real))
+        pivots = factors.U.diagonal()
+        moved = not np.array_equal(factors.perm_r, factors.perm_c)  # no longer symmetric
+        return np.count_nonzero(pivots < 0), np.count_nonzero(pivots == 0) + moved
+
+    def end(self, shift, side, margin=MARGIN):
+        """Return an end of an interval, moved outward by a part of |K|, and the count below it.
 
         Not collective. So a mode at the end belongs to the interval. Where another mode is too
         close to the moved end for a certain count, it is moved on. Raises PgranError if no reliable
         count is found.
         """
         if side < 0 and shift <= 0:
-            return -(MARGIN if self.semidefinite else 1 + MARGIN) * self.norm, 0
+            return -(margin if self.semidefinite else 1 + margin) * self.norm, 0
         if side > 0 and shift >= self.norm:
-            return (1 + MARGIN) * self.norm, self.order
-        margin = MARGIN * self.norm
+            return (1 + margin) * self.norm, self.order
+        margin *= self.norm
         for _ in range(ATTEMPTS):
             count = self.below(shift + side * margin, 0.5 * margin)
             if count is not None:
@@ -119,7 +149,7 @@ class ModeCounter(Owner):
             "-normal_count_pc_* chooses gives none"
         )
 
-    def interval(self, low, high, comm=MPI.COMM_SELF):
+    def interval(self, low, high, comm=MPI.COMM_SELF, margin=MARGIN):
         """Return the ends of [low, high] with their counts, {shift: count}.
 
         Collective over `comm`, whose ranks share out the work.
@@ -129,11 +159,13 @@ class ModeCounter(Owner):
         low, high : float
             Values of lambda.
         comm : mpi4py.MPI.Comm
+        margin : float
+            Of `end`.
         """
-        ends = shared(comm, [(low, -1), (high, 1)], lambda end: self.end(*end))
+        ends = shared(comm, [(low, -1), (high, 1)], lambda end: self.end(*end, margin))
         return dict(found for _, found in ends)
 
-    def around(self, omega, mass, wanted):
+    def around(self, omega, mass, wanted, reach=None):
         """Return an interval around `omega` with at least `wanted` modes and few more.
 
         Not collective. Symmetric in omega: those nearest are among them.
@@ -143,6 +175,8 @@ class ModeCounter(Owner):
         omega, mass : float
             lambda = mass omega^2.
         wanted : int
+        reach : float, optional
+            How far the interval is tried to extend first.
 
         Returns
         -------
@@ -152,9 +186,10 @@ class ModeCounter(Owner):
         wanted = min(wanted, self.order)
         few = wanted + max(4, wanted // 4)
         short, long, top = 0.0, np.inf, np.sqrt(self.norm / mass)
-        reach = top * wanted / self.order
+        reach = reach or top * wanted / self.order
         for _ in range(ATTEMPTS):
-            ends = self.interval(mass * max(omega - reach, 0.0) ** 2, mass * (omega + reach) ** 2)
+            lowest, highest = mass * max(omega - reach, 0.0) ** 2, mass * (omega + reach) ** 2
+            ends = self.interval(lowest, highest, margin=WIDE)
             low, high = ends.values()
             if high - low >= wanted:
                 best, long = ends, reach

@@ -119,6 +119,11 @@ class LatticeLayout(Layout):
             held.destroy()
         return values.reshape(self.shape, order="F") if self.comm.rank == 0 else None
 
+    def fields(self, rows):
+        """Return rows over all unknowns, of one rank alone, as arrays over the lattice."""
+        shape = self.shape  # PETSc numbers the balls with the first axis fastest
+        return rows.reshape(-1, *shape[::-1]).transpose(0, *range(len(shape), 0, -1))
+
     def _find_rows(self):
         """Find the bonds of each of this rank's balls, and its row's columns: itself, the others.
 
@@ -156,7 +161,7 @@ class LatticeLayout(Layout):
 
 
 class NetworkLayout(Layout):
-    """The unknowns of any network, on ranges of a partition.
+    """The unknowns of any network, on ranges of a partition; on one rank in order of elimination.
 
     Collective. What is said of springs is known to every rank.
 
@@ -173,8 +178,12 @@ class NetworkLayout(Layout):
         self.network, self.comm, self.shape = network, comm, network.shape
         springs = network.springs
         self.drive, self.damped = springs.drive, springs.damped
-        parts = partition(network, comm.size)
-        order = np.argsort(parts, kind="stable")
+        if comm.size == 1:  # PETSc's factorizations take the unknowns as they are numbered
+            parts, width = np.zeros(network.balls, dtype=int), network.components
+            order = (network.graph.order[:, None] * width + np.arange(width)).ravel()
+        else:
+            parts = partition(network, comm.size)
+            order = np.argsort(parts, kind="stable")
         self._number = np.empty(len(order) + 1, dtype=PETSc.IntType)
         self._number[order], self._number[-1] = np.arange(len(order)), -1
         self.like = PETSc.Vec().createMPI((np.count_nonzero(parts == comm.rank), None), comm=comm)
@@ -239,6 +248,10 @@ class NetworkLayout(Layout):
             held.destroy()
         return values[self._number[:-1]] if self.comm.rank == 0 else None
 
+    def fields(self, rows):
+        """Return rows over all unknowns, of one rank alone, as the network numbers them."""
+        return rows[:, self._number[:-1]]
+
 
 def partition(network, parts):
     """Return which rank has each unknown: those of a ball together, neighbours mostly, as many.
@@ -247,8 +260,6 @@ def partition(network, parts):
     without positions along the order of reverse Cuthill and McKee.
     """
     balls = len(network.free)
-    if parts == 1:
-        return np.zeros(network.balls, dtype=int)
     if network.position is not None:
         where = network.position[network.free]
     else:

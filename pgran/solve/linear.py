@@ -15,6 +15,10 @@ NO_PRECONDITIONER = int(PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
 PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
 # Up to so many balls the ordering by minimum degree leaves less work than nested dissection.
 MINIMUM_DEGREE = {1: 10**7, 2: 2500, 3: 0}
+# The same of networks, by what the factorization in the order of their unknowns costs: PETSc up to
+# so many multiplications for each unknown; MUMPS in the ordering that it finds quickest up to so
+# many in all.
+PETSC_WORK, QUICK_ORDERING = 2500, (5e9, 2)
 
 
 class System(Owner):
@@ -139,10 +143,15 @@ def is_factored():
     return PETSc.Options("steady_").getString("pc_type", "cholesky") in FACTORIZATIONS
 
 
-def factor_package(axes, unknowns, ranks):
+def factor_package(lattice, ranks):
     """Return what factors the matrix of a lattice that so many ranks share. Not collective."""
-    small = unknowns <= PETSC_FACTORS[axes]
-    return "petsc" if ranks == 1 and small else "mumps"
+    if ranks > 1:
+        return "mumps"
+    if lattice.irregular:
+        small = lattice.graph.work <= PETSC_WORK * max(lattice.balls, 200)
+    else:
+        small = lattice.balls <= PETSC_FACTORS[lattice.axes]
+    return "petsc" if small else "mumps"
 
 
 def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
@@ -165,13 +174,15 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
     ksp.setTolerances(rtol=1e-13, atol=LEAST_NORM, max_it=1000)
     pc = ksp.getPC()
     pc.setType("cholesky")
-    if factor_package(operators.axes, operators.balls, operators.comm.size) != "petsc":
+    if factor_package(operators.lattice, operators.comm.size) != "petsc":
         pc.setFactorSolverType("mumps")
-    elif operators.lattice.irregular or operators.balls <= MINIMUM_DEGREE[operators.axes]:
+    elif operators.lattice.irregular:
+        pc.setFactorOrdering("natural")
+    elif operators.balls <= MINIMUM_DEGREE[operators.axes]:
         pc.setFactorOrdering("qmd")
     ksp.setFromOptions()
     accept_small_pivots(pc)
-    ignore_values_in_analysis(pc)
+    analyse_by_pattern(pc, operators.lattice)
     if ksp.getType() != "preonly":
         # The preconditioner applied once is the solution already if it is a fresh factorization.
         ksp.setInitialGuessKnoll(True)
@@ -195,8 +206,8 @@ def set_up(ksp, matrix, comm):
     return works if comm.size == 1 else comm.allreduce(works, MPI.LAND)
 
 
-def ignore_values_in_analysis(pc):
-    """Let the symbolic factorization see the pattern alone, unless options say otherwise.
+def analyse_by_pattern(pc, lattice):
+    """Let MUMPS analyse the pattern alone, and not for longer than that saves; options win.
 
     Not collective. Else MUMPS permutes by the values of the first matrix, and the last digits of
     all later solutions depend on which frequency a rank happened to factor first.
@@ -204,6 +215,9 @@ def ignore_values_in_analysis(pc):
     if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
         pc.setFactorSetUpSolverType()
         pc.getFactorMatrix().setMumpsIcntl(6, 0)
+        work, ordering = QUICK_ORDERING
+        if lattice.irregular and lattice.graph.work <= work:
+            pc.getFactorMatrix().setMumpsIcntl(7, ordering)
 
 
 def accept_small_pivots(pc):

@@ -30,6 +30,7 @@ log = logging.getLogger(__name__)
 
 SEARCHES = 40
 SEARCH_AGAIN = 1e-13  # of |K|: residuals above it make the search start again from another sigma
+ROUGHLY = 1e-6  # accuracy of eigenvalues that counts are to confirm
 REFINE = 2e-14  # of |K|: residuals above it are worth a step of refinement
 # Where sigma goes, as parts of the slice: elsewhere if modes are missing, or inaccurate because
 # sigma came too close to one. An interval or a contour is widened by the difference instead.
@@ -38,6 +39,9 @@ SHIFTS = (0.5, 0.43, 0.57, 0.36, 0.64)
 # only for what has lost a digit saves a quarter of the time; else modes are missed. A search that
 # fails is repeated with SLEPc's own eta, .71.
 ETA, ETA_BALLS = 0.3, 5000
+# Multiplications of a factorization for each unknown up to which PETSc's own is faster in all, as
+# its solves are; beyond that MUMPS, unless SLEPc is to make slices, by inertias.
+PETSC_WORK = 30_000
 
 
 @contextlib.contextmanager
@@ -59,17 +63,17 @@ class ModeSolver(Owner):
 
     Parameters
     ----------
-    lattice : pgran.physics.lattice.Lattice
-    K : petsc4py.PETSc.Mat
-        Its stiffness, flagged symmetric and Hermitian, of this rank alone.
+    operators : pgran.solve.operators.Operators
+        Of this rank alone, K flagged symmetric and Hermitian.
     """
 
     owns = ("_eps",)
 
-    def __init__(self, lattice, K):
+    def __init__(self, operators):
         """Keep what the slices share."""
-        self.lattice, self.K, self.comm = lattice, K, MPI.COMM_SELF
-        self.norm = K.norm(PETSc.NormType.INFINITY) or 1.0
+        self.lattice, self.K, self.comm = operators.lattice, operators.K, MPI.COMM_SELF
+        self._layout = operators.layout
+        self.norm = self.K.norm(PETSc.NormType.INFINITY) or 1.0
         self._eps = None
 
     @staticmethod
@@ -119,12 +123,29 @@ class ModeSolver(Owner):
             )  # fmt: skip
         return best
 
+    @plain_errors()
+    def nearest(self, value, count):
+        """Return roughly the eigenvalues nearest to a value; none where the EPS has no target.
+
+        Not collective; some may be missing, or belong to others' copies.
+        """
+        eps = self._make_eps(first=True)
+        found = []
+        if eps.getWhichEigenpairs() == SLEPc.EPS.Which.TARGET_MAGNITUDE:
+            eps.setTarget(value)
+            eps.setDimensions(min(count, self.lattice.balls))
+            eps.setTolerances(ROUGHLY, 20)
+            self._start(eps, 0)
+            with contextlib.suppress(PETSc.Error):
+                eps.solve()
+                found = [eps.getEigenvalue(number).real for number in range(eps.getConverged())]
+        eps.destroy()
+        return np.array(found)
+
     def _real_modes(self, found, low, high):
         """Return values, shapes and residuals of the slice's real modes that vectors span."""
-        lattice, shape = self.lattice, self.lattice.shape
-        # PETSc numbers the balls with the first axis fastest
-        fields = found.reshape(-1, *shape[::-1]).transpose(0, *range(len(shape), 0, -1))
-        values, vectors = rayleigh_ritz(lattice, fields)
+        lattice = self.lattice
+        values, vectors = rayleigh_ritz(lattice, self._layout.fields(found))
         inside = (values > low) & (values < high)
         values, vectors = values[inside], vectors[inside]
         missed = residuals(lattice, values, vectors) / self.norm
@@ -152,7 +173,12 @@ class ModeSolver(Owner):
             ksp.setType("preonly")
             ksp.getPC().setType("cholesky")
             if self.lattice.irregular:
-                ksp.getPC().setFactorOrdering("qmd")
+                ksp.getPC().setFactorOrdering("natural")
+                own_slices = PETSc.Options("normal_").getBool("eps_all", False)
+                if self.lattice.graph.work > PETSC_WORK * self.lattice.balls and not own_slices:
+                    # MUMPS has no LDL^T of Hermitian matrices
+                    ksp.getPC().setType("lu")
+                    ksp.getPC().setFactorSolverType("mumps")
         eps.setFromOptions()
         return eps
 

@@ -10,20 +10,22 @@ from pgran.solve.counting import SLICE, ModeCounter, cut, shared
 from pgran.solve.normal import ModeSolver
 from pgran.solve.operators import Operators
 
+SPARE = 4  # modes that are searched for beyond those that are wanted
+
 
 @contextlib.contextmanager
 def hermitian_stiffness(lattice):
-    """Return, for a `with`, the stiffness of a lattice on this rank, flagged as what it is.
+    """Return, for a `with`, the operators of a lattice on this rank, K flagged as what it is.
 
     Not collective.
     """
     with Operators(lattice, MPI.COMM_SELF) as operators:
         for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
             operators.K.setOption(flag, True)
-        yield operators.K
+        yield operators
 
 
-def find_slices(K, lattice, crew, interval=None, targets=None, count=None):
+def find_slices(operators, crew, interval=None, targets=None, count=None):
     """Return the slices of the spectrum (low, high, count) that hold the wanted modes.
 
     Collective: the ranks share out the counts. In a dry run one slice amid the wanted modes stands
@@ -31,29 +33,44 @@ def find_slices(K, lattice, crew, interval=None, targets=None, count=None):
 
     Parameters
     ----------
-    K : petsc4py.PETSc.Mat
-        The stiffness, flagged symmetric and Hermitian, of this rank alone.
-    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
-        Below the lowest frequency 0 lie the modes that are unstable, if there are any.
+    operators : pgran.solve.operators.Operators
+        Of this rank alone, K flagged symmetric and Hermitian. Below the lowest frequency 0 lie the
+        modes that are unstable, if there are any.
     crew : pgran.parallel.crew.Crew
     interval, targets, count
         Which modes are wanted, as `pgran.find_modes` takes it.
     """
-    world, mass = crew.world, lattice.mass
-    with ModeCounter(K, lattice) as counter:
+    world, mass = crew.world, operators.mass
+    with ModeCounter(operators.K, operators.lattice) as counter:
         if targets is None:
             low, high = interval or (0.0, np.inf)
             ends = [counter.interval(mass * low**2, mass * high**2, world)]
         else:
             wanted = targets[:: max(1, len(targets) // 3)] if crew.dry else targets
-            around = shared(world, list(wanted), lambda omega: counter.around(omega, mass, count))
-            ends = _united([found for _, found in around])
+            costly = counter.costly
+            with ModeSolver(operators) as solver:
+
+                def around(omega):
+                    near = solver.nearest(mass * omega**2, count + SPARE) if costly else ()
+                    reach = _reach(np.sqrt(np.maximum(near, 0.0) / mass), omega, count)
+                    return counter.around(omega, mass, count, reach)
+
+                ends = _united([found for _, found in shared(world, list(wanted), around)])
         if ModeSolver.whole():
             slices = [(*found, max(found.values()) - min(found.values())) for found in ends]
             return [piece for piece in slices if piece[2] > 0]
         if not crew.dry:
             return [piece for found in ends for piece in cut(counter, found, world)]
         return _like_one_slice(counter, ends, mass)
+
+
+def _reach(found, omega, count):
+    """Return a distance from omega within which there seem to be `count` modes; None if unknown."""
+    apart = np.sort(np.abs(found - omega))[max(count - 1, 0) : count + SPARE]
+    if len(apart) < 2:
+        return None
+    widest = np.argmax(np.diff(apart))  # there the count is the surest
+    return 0.5 * (apart[widest] + apart[widest + 1])
 
 
 def _like_one_slice(counter, intervals, mass):
