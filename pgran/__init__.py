@@ -24,11 +24,13 @@ _HOMES = {
     "continuum": "pgran.scenes.continuum",
     "export": "pgran.command.export",
     "find_modes": "pgran.scenes.modes",
+    "heat": "pgran.scenes.heat",
     "load": "pgran.files.store",
     "plot": "pgran.command.plot",
     "project": "pgran.scenes.projection",
     "pulse": "pgran.scenes.pulse",
     "relax": "pgran.scenes.relaxation",
+    "sensitivity": "pgran.scenes.sensitivity",
     "sweep": "pgran.scenes.response",
 }
 __all__ = sorted(_HOMES)

@@ -18,14 +18,18 @@ from pgran.errors import InputError
 from pgran.physics.bondlaw import BondLaw, unit_numbers
 from pgran.physics.bonds import (
     AXES,
+    SIGNS,
     bond_arrays,
     bond_count,
+    bond_ends,
     bond_places,
     bond_shape,
+    driven_bonds,
     spread,
     stretch,
 )
 from pgran.physics.rounding import residual_rounding
+from pgran.physics.springs import Springs
 from pgran.physics.units import check_magnitudes, own_unit
 
 
@@ -141,6 +145,16 @@ class Lattice:
         """The constants of all bonds, axis after axis, each array in C order."""
         return np.concatenate([k.ravel() for k in self.stiffness])
 
+    @cached_property
+    def springs(self):
+        """See `pgran.physics.springs.Springs`."""
+        ends = bond_ends(np.arange(self.balls).reshape(self.shape))
+        drive = driven_bonds(self.shape).astype(float)
+        constants, ones = self.constants, np.ones_like(drive)
+        return Springs(
+            self.balls, ("normal",), ends, SIGNS[None], drive, constants, ones, constants
+        )
+
     @property
     def stiffest(self):
         """The largest bond constant."""
@@ -216,6 +230,22 @@ class Lattice:
     def displacements(self, field):
         """Return an array of unknowns as displacements, which they are here."""
         return field
+
+    components = 1  # how many unknowns a ball has
+
+    @property
+    def ball_numbers(self):
+        """The numbers of all balls, in C order."""
+        return np.arange(self.balls)
+
+    def numbers_of(self, sites):
+        """Return the numbers of balls given by their indices, (count, dim). Not collective."""
+        return np.ravel_multi_index(sites.T, self.shape)
+
+    @property
+    def inertia_ratio(self):
+        """The unit of mass over each ball's mass, all of which are equal."""
+        return 1.0
 
     def per_ball(self, squares):
         """Return sums over the components of each ball, of which there is one, shape (n, balls)."""

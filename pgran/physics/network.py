@@ -322,6 +322,20 @@ class Network(Elastic):
         """Return mass-weighted unknowns as displacements, shape (..., unknowns)."""
         return self.weights * field
 
+    @property
+    def ball_numbers(self):
+        """The numbers of all balls that are unknown."""
+        return self.free
+
+    def numbers_of(self, sites):
+        """Return places among the free balls, of numbers (count, 1). Not collective."""
+        return np.searchsorted(self.free, sites[:, 0])
+
+    @property
+    def inertia_ratio(self):
+        """The unit of mass over the mass of each free ball, shape (free balls,)."""
+        return self.mass / self.masses[self.free]
+
     def per_ball(self, squares):
         """Return sums over the components of each free ball, shape (n, free balls)."""
         return squares.reshape(len(squares), -1, self.components).sum(axis=2)

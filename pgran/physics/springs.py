@@ -24,39 +24,76 @@ FREE, AT_REST, DRIVEN = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """The rows of B in mass-weighted unknowns, contacts' normal springs first.
+    """The rows of B in mass-weighted unknowns: blocks of a spring for each contact.
 
     Attributes
     ----------
+    unknowns : int
+        How many there are.
+    blocks : tuple of str
+        What each block is, the first one `normal`: `tangential`, of the tangential stiffness,
+        `pre_stress`, or `transverse`, both in one where balls do not turn.
     columns : numpy.ndarray of int, shape (springs, w)
-        Unknowns; -1 where there is none.
-    values : numpy.ndarray, shape (springs, w)
+        Unknowns, those of the contact's first ball in the first half; -1 where there is none.
+    values : numpy.ndarray, shape (springs, w) or (1, w)
         Entries of B.
     drive : numpy.ndarray, shape (springs,)
         How far the driven balls' motion, of size 1, stretches each.
     constants, damped : numpy.ndarray, shape (springs,)
         Of each its constant, and the part of beta that it has.
+    elastic : numpy.ndarray, shape (springs,)
+        The constants without pre-stress: what grows with a contact's stiffness.
     """
 
+    unknowns: int
+    blocks: tuple
     columns: np.ndarray
     values: np.ndarray
     drive: np.ndarray
     constants: np.ndarray
     damped: np.ndarray
+    elastic: np.ndarray
+
+    @cached_property
+    def B(self):  # noqa: N802
+        """The rows of B, sparse, shape (springs, unknowns)."""
+        return self._sparse(self.values)
+
+    @cached_property
+    def D(self):  # noqa: N802
+        """B with the entries of each contact's first ball turned around, like B."""
+        half = self.columns.shape[1] // 2
+        return self._sparse(self.values * np.repeat([-1.0, 1.0], half))
+
+    @cached_property
+    def driven_end(self):
+        """-1 where what is driven is the contact's first ball, else 1, shape (springs,)."""
+        half = self.columns.shape[1] // 2
+        return np.where(np.any(self.columns[:, half:] >= 0, axis=1), -1.0, 1.0)
+
+    def _sparse(self, values):
+        """Return entries at the columns as a sparse matrix."""
+        from scipy.sparse import csr_matrix  # here: SciPy takes its time
+
+        there = self.columns >= 0
+        rows = np.repeat(np.arange(len(there)), np.count_nonzero(there, axis=1))
+        entries = np.broadcast_to(values, there.shape)[there]
+        return csr_matrix((entries, (rows, self.columns[there])), (len(there), self.unknowns))
+
+    @cached_property
+    def lengths(self):
+        """|b|_2 of each spring, shape (springs,)."""
+        there = self.columns >= 0
+        return np.sqrt(np.sum(there * self.values**2, axis=1))
 
 
 class Elastic:
     """What follows from the `springs` of a network; a part of `pgran.physics.network.Network`."""
 
-    @cached_property
+    @property
     def B(self):  # noqa: N802
         """The rows of B, sparse, shape (springs, unknowns)."""
-        from scipy.sparse import csr_matrix  # here: SciPy takes its time
-
-        columns, values = self.springs.columns, self.springs.values
-        there = columns >= 0
-        rows = np.repeat(np.arange(len(columns)), np.count_nonzero(there, axis=1))
-        return csr_matrix((values[there], (rows, columns[there])), (len(columns), self.balls))
+        return self.springs.B
 
     def stretched(self, fields, wall):
         """Yield how far fields (n, unknowns) lengthen springs, constants, parts of beta.
@@ -135,44 +172,49 @@ def springs_of(network):
     moving[network.held == DRIVEN, : network.axes] = network.direction
     moving = np.concatenate([moving[i], moving[j]], axis=1)
     weights = np.append(network.weights, 0.0)[columns]
-    rows, constants, damped = _rows(network, i, j)
+    blocks, rows, constants, elastic, damped = zip(*_rows(network, i, j), strict=True)
     values = np.concatenate(rows)
     return Springs(
+        network.balls,
+        blocks,
         np.tile(columns, (len(rows), 1)),
         values * np.tile(weights, (len(rows), 1)),
         np.einsum("sw,sw->s", values, np.tile(moving, (len(rows), 1))),
         np.concatenate(constants),
         np.repeat(damped, len(i)),
+        np.concatenate(elastic),
     )
 
 
 def _rows(network, i, j):
-    """Return blocks of rows over the components of both balls, constants, parts of beta."""
+    """Return blocks: what each is, rows over both balls' components, constants, beta's part.
+
+    Beside the constants stands what they are without pre-stress.
+    """
     still = np.zeros((len(i), network.turns))
 
     def row(t, first=still, second=still):
         return np.concatenate([-t, first, t, second], axis=1)
 
     if network.displacement == "scalar":
-        return [row(np.ones((len(i), 1)))], [network.stiffness], [1.0]
-    rows, constants, damped = [row(network.normal)], [network.stiffness], [1.0]
+        return [("normal", row(np.ones((len(i), 1))), network.stiffness, network.stiffness, 1.0)]
+    blocks = [("normal", row(network.normal), network.stiffness, network.stiffness, 1.0)]
     nothing = np.zeros(len(i))
     pre_stress = nothing if network.force is None else -network.force / network.distance
     shear = nothing if network.tangential is None else network.tangential
     part = float(network.damped == "all")
     for t in tangents(network.normal):
         if not network.turns:
-            found = [(row(t), shear + pre_stress, part)]
+            found = [("transverse", row(t), shear + pre_stress, shear, part)]
         else:
             lever = _cross(network.normal, t)
             turned = [-network.radius[end][:, None] * lever for end in (i, j)]
-            found = [(row(t, *turned), shear, part), (row(t), pre_stress, 0.0)]
-        for block, k, of_beta in found:
-            if of_beta or np.any(k):
-                rows.append(block)
-                constants.append(k)
-                damped.append(of_beta)
-    return rows, constants, damped
+            found = [
+                ("tangential", row(t, *turned), shear, shear, part),
+                ("pre_stress", row(t), pre_stress, nothing, 0.0),
+            ]
+        blocks += [block for block in found if block[-1] or np.any(block[2])]
+    return blocks
 
 
 def tangents(normal):

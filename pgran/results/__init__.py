@@ -15,6 +15,8 @@ from pgran.results.medium import record_of as record_of
 from pgran.results.response import BOUND, DETECTOR, FLOOR, PHASE
 from pgran.results.response import Models as Models
 from pgran.results.response import Response as Response
+from pgran.results.sensitivity import Heat as Heat
+from pgran.results.sensitivity import Sensitivity as Sensitivity
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -49,6 +49,9 @@ class FrequencySweep(Task):
         Collective over a group.
         """
 
+    def complete(self, points):
+        """Put into the rows of a unit what is computed for all of them together. Not collective."""
+
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`."""
@@ -72,6 +75,7 @@ class FrequencySweep(Task):
                     for name in same:
                         point[name] = getattr(state, name)
                     self.keep(point, solver)
+                self.complete(points)
                 return points
 
             yield work

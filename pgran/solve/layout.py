@@ -34,6 +34,13 @@ class Layout(Owner):
 
     owns = ("like",)
 
+    def gathered(self, vectors):
+        """Return vectors as arrays, one after the other, on rank 0, None on others. Collective."""
+        if self.like.getComm().getSize() == 1:
+            return self.fields(np.stack([x.getArray(readonly=True) for x in vectors]))
+        found = [self.field(x) for x in vectors]
+        return None if found[0] is None else np.stack(found)
+
     def own_entries(self, springs):
         """Yield, side by side, B's entries, this rank's rows that they are in, of which springs."""
         for entries, unknowns in zip(self.entries.T, self.ends[springs].T, strict=True):

@@ -46,6 +46,8 @@ class SteadySolver(Owner):
         An amplitude whose bound is below this part of the wall's is good without it.
     derivatives : bool
         Derivatives along omega are wanted as well.
+    whole_adjoints : bool
+        Reduce the adjoints' residuals as far as such a field's.
 
     Attributes
     ----------
@@ -66,11 +68,13 @@ class SteadySolver(Owner):
         whole_field=False,
         error_floor=0.0,
         derivatives=False,
+        whole_adjoints=False,
     ):
         """Make the systems and their bounds."""
         self.operators, self.comm = operators, operators.comm
         self.tolerance, self.floor = error_tolerance, error_floor
         self.whole_field, self.derivatives = whole_field, derivatives
+        self.whole_adjoints = whole_adjoints
         self.factorizations = 0
         self._sites, self._spoilt, self._works, self._said = sites, False, False, set()
         self._make_systems()
@@ -298,4 +302,7 @@ class SteadySolver(Owner):
         krylov.improve(primal, min(target, field))
         for adjoint, product in zip(adjoints, goal, strict=True):
             half = math.sqrt(product / force) if force else 0.0
-            krylov.improve(adjoint, min(half, product / max(primal.norm, LEAST_NORM)))
+            target = min(half, product / max(primal.norm, LEAST_NORM))
+            if self.whole_adjoints and self.bounds.proven:
+                target = min(target, share * adjoint.solution.norm())
+            krylov.improve(adjoint, target)

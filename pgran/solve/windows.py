@@ -24,17 +24,14 @@ with Y that sum is the amplitude at the start plus q^T gamma - (q + G eta)^T h, 
 """
 
 import numpy as np
-from mpi4py import MPI
-from petsc4py import PETSc
 
 from pgran.errors import InputError
 from pgran.physics.accuracy import is_accurate
-from pgran.physics.deformation import Deformation, amplitudes, march, squares
+from pgran.physics.deformation import Deformation, amplitudes, march
 from pgran.physics.rounding import SMALLEST_NORMAL
-from pgran.solve.operators import SAME
+from pgran.solve.columns import Columns
 from pgran.solve.owner import Owner
 
-COLUMNS = 32  # right-hand sides solved for at once
 # A window ends where its relative bound exceeds this, even if less is asked for: a fresh start is
 # cheap, and errors are a hundredth of their bounds or less, which keeps them below 1e-10.
 LONGEST_REACH = 1e-8
@@ -62,7 +59,7 @@ class Windows(Owner):
         If the solver's preconditioner is no factorization, or there is no damping.
     """
 
-    owns = ("_rhs", "_found", "_residual")
+    owns = ("_columns",)
 
     def __init__(self, changing, solver, s):
         """Make the blocks of right-hand sides and solutions."""
@@ -78,14 +75,7 @@ class Windows(Owner):
                 "-relax_method krylov does without"
             )
         self.changing, self.solver, self.s = changing, solver, s
-        self.comm, self._rows = self.operators.comm, self.operators.lattice.rows
-        rows = self.operators.f.getSizes()
-        self._rhs, self._found, self._residual = (
-            PETSc.Mat().createDense((rows, (None, COLUMNS)), comm=self.comm) for _ in range(3)
-        )
-        for block in (self._rhs, self._found, self._residual):
-            block.setUp()
-            block.assemble()
+        self._columns, self._rows = Columns(solver), self.operators.lattice.rows
 
     def start(self):
         """Return the steady state of the bonds as they are, factored afresh. Collective."""
@@ -116,32 +106,13 @@ class Windows(Owner):
         return after[:count], error_bound[:count]
 
     def _flexibility(self, bonds):
-        """Return G, and bounds of the norms of Y's columns and of their residuals.
-
-        A KSP may make up for an inexact factorization; here its residual shows.
-        """
-        S, factor, bounds = self.operators.S, self.solver.factor, self.solver.bounds
-        columns, norms = [], []
-        for start in range(0, len(bonds), COLUMNS):
-            part = bonds[start : start + COLUMNS]
-            self.operators.spread(part, self._rhs.getDenseArray())
-            self._rhs.assemble()
-            factor.matSolve(self._rhs, self._found)
-            S.matMult(self._found, self._residual)
-            self._residual.axpy(-1.0, self._rhs, structure=SAME)
-            found, missed = (
-                block.getDenseArray(readonly=True)[:, : len(part)]
-                for block in (self._found, self._residual)
-            )
-            columns.append(self.operators.stretch(found, bonds))
-            norms.append([squares(found), squares(missed)])
-        total = np.concatenate(norms, axis=1)
-        if self.comm.size > 1:
-            self.comm.Allreduce(MPI.IN_PLACE, total)
-        norms, residuals = 1.01 * np.sqrt(total)
-        norms += bounds.lost
-        residuals += bounds.unit * (self._rows[0] + bounds.scale * norms) + bounds.lost
-        return np.concatenate(columns, axis=1), norms, residuals
+        """Return G, and bounds of the norms of Y's columns and of their residuals."""
+        solved = self._columns.solved(bonds, self.operators.spread, self._rows[0])
+        columns, norms, residuals = zip(
+            *((self.operators.stretch(found, bonds), *known) for _, found, *known in solved),
+            strict=True,
+        )
+        return np.concatenate(columns, axis=1), np.concatenate(norms), np.concatenate(residuals)
 
     def _deformations(self, changes, G, norms):
         """Return how the amplitudes, and the adjoints of detectors, follow the changes.

@@ -1,0 +1,229 @@
+"""What a warm ball, or a cut bond, does to a signal: exact amplitudes, one change at a time."""
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.files.options import FLAG, INTEGERS, REAL, Option
+from pgran.parallel.task import carry_out
+from pgran.physics import heat as warming
+from pgran.physics.finite import changed_amplitudes
+from pgran.results import Heat
+from pgran.scenes import common
+from pgran.scenes.interface import in_parallel
+from pgran.scenes.sweeping import FrequencySweep
+
+HEAT = (
+    Option(
+        "heat_factor", REAL, None,
+        "warm balls one at a time: their bonds become so many times as stiff", low=0
+    ),
+    Option(
+        "heat_overlap", REAL, None,
+        "warm balls one at a time: their contacts overlap by so much more, by Hertz's law "
+        "(-bonds_hertz, or a network's forces)", "length"
+    ),
+    Option(
+        "heat_balls", INTEGERS, None,
+        "balls to warm, flat: 8,10 or 8,10,3,4; all unless given", low=0, high=2**63 - 1
+    ),
+    Option("heat_cut", FLAG, False, "cut bonds one at a time, dashpots too"),
+)  # fmt: skip
+QUARTER = 0.25  # of the amplitude: what the heater of the experiment changed
+
+
+def check(values):
+    """Raise where options contradict each other. Not collective."""
+    if values["heat_factor"] is not None and values["heat_overlap"] is not None:
+        raise InputError("-heat_factor, -heat_overlap: a ball is warmed in one of these ways")
+    warm = values["heat_factor"] is not None or values["heat_overlap"] is not None
+    if values["heat_balls"] is not None and not warm:
+        raise InputError("-heat_balls: by how much? -heat_factor or -heat_overlap says")
+
+
+def chosen(options):
+    """Return what of `heat` the options ask for; nothing if it is not wanted. Not collective."""
+    found = {
+        "factor": options.heat_factor,
+        "overlap": options.heat_overlap,
+        "balls": options.heat_balls,
+        "cut": options.heat_cut or None,
+    }
+    found = {name: value for name, value in found.items() if value is not None}
+    if "overlap" in found and options.bonds_hertz is not None:
+        found["hertz"] = options.bonds_hertz
+    return found
+
+
+def summary(found):
+    """Return in words what heating or cutting does. Not collective."""
+    good = found.converged_reason > 0
+    if found.failures:
+        yield f"{found.failures} of {len(good)} frequencies of the heater failed"
+    for d, site in enumerate(found.detector.tolist()):
+        for name, changed in (("warming a ball", found.warmed), ("cutting a bond", found.cut)):
+            if changed is None or not good.any():
+                continue
+            before = found.displacement[good, d]
+            moved = np.abs(changed[good, d] / before[:, None] - 1)
+            yield (
+                f"ball {tuple(site)}: {name} changes the amplitude by {100 * np.median(moved):.3g} "
+                f"% (median), by {100 * moved.max():.3g} % at most"
+            )
+        if found.heard is not None and good.any():
+            share = found.heard[good, d].mean()
+            yield f"ball {tuple(site)}: by a quarter or more in {100 * share:.3g} % of all cases"
+
+
+@in_parallel(shares_lattice=True)
+def heat(
+    lattice, omegas, detectors, crew=None, *, factor=None, overlap=None, hertz=1.0, balls=None,
+    cut=False, progress="none", **steady,
+):  # fmt: skip
+    """Return the amplitudes after each ball is warmed, or each bond is cut, one at a time.
+
+    Collective. Not an expansion: see `pgran.physics.finite`. Each unknown at the springs that
+    change takes one solve with the factorization of its frequency.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    omegas : array_like of float, shape (nw,)
+        Driving frequencies, angular, increasing.
+    detectors : array_like of int
+        Ball indices, flat or one row a detector.
+    crew : pgran.parallel.crew.Crew, optional
+        All ranks unless given.
+    factor : float, optional
+        How many times as stiff a warm ball's bonds become; tangential springs too.
+    overlap : float, optional
+        Instead: by how much more they overlap (`pgran.physics.heat`).
+    hertz : float
+        c of Hertz's law, where a network's forces do not say it.
+    balls : array_like of int, optional
+        Which balls are warmed, as `detectors`; all.
+    cut : bool
+        Cut each bond, too, its dashpot with it.
+    progress : str
+        Style of `pgran.parallel.progress.Progress`.
+    **steady
+        As of `pgran.sensitivity`.
+
+    Returns
+    -------
+    pgran.results.Heat or None
+        With a crew of the caller's None on all ranks but rank 0.
+
+    Raises
+    ------
+    InputError
+        If a value is impossible.
+    """
+    values = {"heat_factor": factor, "heat_overlap": overlap, "heat_balls": balls}
+    check(values)
+    if factor is None and overlap is None and not cut:
+        raise InputError("heat: give a factor or an overlap, or cut=True")
+    common.check_values(HEAT[:2], **{k: values[k] for k in values if values[k] is not None})
+    common.check_driven(lattice, crew.world)
+    task = HeatSweep(lattice, omegas, detectors, (factor, overlap, hertz), balls, cut, steady)
+    return carry_out(task, crew, progress)
+
+
+class HeatSweep(FrequencySweep):
+    """The amplitudes after all changes, frequency by frequency.
+
+    Parameters are those of `heat`.
+    """
+
+    def __init__(self, lattice, omegas, detectors, law, balls, cut, steady):
+        """Find the springs that change."""
+        sites = lattice.sites(detectors)
+        self.factor, self.overlap, hertz = law
+        self.cut, self.contacts, free = cut, None, lattice.ball_numbers
+        self.balls = free[:0]
+        if self.factor is not None or self.overlap is not None:
+            chosen = np.arange(len(free))
+            if balls is not None:
+                chosen = np.unique(lattice.numbers_of(lattice.sites(balls)))
+            self.balls, self.contacts = free[chosen], warming.contacts_of(lattice, chosen)
+            if self.overlap is None:
+                growth = (self.factor - 1) * lattice.springs.elastic[: lattice.bonds]
+            else:
+                growth = warming.grown_by_overlap(lattice, self.overlap, hertz)
+            self.groups, self.delta = warming.changes(lattice, self.contacts, growth)
+        nd = len(sites)
+        kept = [
+            ("displacement", complex, (nd,)), ("error_bound", float, (nd,)),
+            ("field_bound", float), ("converged_reason", np.int64),
+        ]  # fmt: skip
+        sizes = {"warmed": len(self.balls), "cut": lattice.bonds if cut else 0}
+        self.kinds = [name for name, size in sizes.items() if size]
+        for name in self.kinds:
+            kept.append((name, complex, (nd, sizes[name])))
+            kept.append((f"{name}_bound", float, (nd, sizes[name])))
+        choices = common.steady_choices(steady) | {"whole_field": True, "whole_adjoints": True}
+        super().__init__(lattice, omegas, sites, kept, choices)
+        _, self.unit = lattice.in_own_unit()
+
+    def keep(self, point, solver):
+        """See `FrequencySweep`. Collective over a group."""
+        for name in self.kinds:
+            point[name], point[f"{name}_bound"] = np.nan, np.inf
+        if point["converged_reason"] <= 0 or not solver.bounds.proven or solver.factor is None:
+            point["converged_reason"] = min(point["converged_reason"], 0)
+            return
+        s = solver.operators.s
+        for name in self.kinds:
+            if name == "cut":
+                groups, delta = warming.cuts(self.scaled, s)
+            else:
+                groups, delta = self.groups, self.delta / self.unit
+            after, bound = self._after(point, solver, groups, delta)
+            point[name], point[f"{name}_bound"] = after, bound
+
+    def _after(self, point, solver, groups, delta):
+        """Return the amplitudes after changes of groups of springs, and their bounds."""
+        from pgran.solve.flexibility import Flexibility
+
+        operators, bounds, springs = solver.operators, solver.bounds, self.scaled.springs
+        systems = [solver.primal, *solver.adjoints]
+        fields = np.stack([x.solution.getArray(readonly=True) for x in systems], axis=1)
+        involved, place = np.unique(groups, return_inverse=True)
+        there = (groups >= 0) & (delta != 0)
+        longer = operators.stretch(fields, np.maximum(involved, 0)).T
+        longer[0] += springs.drive[involved]
+        longer = np.where(there, longer[:, place.reshape(groups.shape)], 0.0)
+        residuals = [bounds.adjoint_residual(adjoint) for adjoint in solver.adjoints]
+        errors = np.array(
+            [point["field_bound"], *(1.01 * bounds.inverse_norm * np.array(residuals))]
+        )
+        rounding = [x.solution.norm() for x in systems]
+        errors += (springs.columns.shape[1] + 2) * np.finfo(float).eps * np.array(rounding)
+        sizes = np.linalg.norm(np.where(there, springs.lengths[groups], 0.0), axis=1)
+        wrong = 1.01 * errors[:, None] * sizes
+        wrong += 4 * np.finfo(float).eps * np.linalg.norm(longer, axis=2)
+        with Flexibility(solver, np.where(there, groups, -1)) as flexibility:
+            matrices = flexibility.matrices()
+        before = point["displacement"], point["error_bound"]
+        stretched = longer[0], wrong[0], longer[1:], wrong[1:]
+        return changed_amplitudes(before, stretched, matrices, np.where(there, delta, 0.0))
+
+    def collect(self, rows, seconds):
+        """See `Task`."""
+        found = {name: rows[name].copy() for name in rows.dtype.names}
+        heard = None
+        if "warmed" in self.kinds:
+            before, known = (found[n][..., None] for n in ("displacement", "error_bound"))
+            moved = np.abs(found["warmed"] - before) - found["warmed_bound"] - known
+            heard = np.mean(moved >= QUARTER * (np.abs(before) + known), axis=-1)
+        del found["field_bound"]
+        return Heat(
+            factor=np.nan if self.factor is None else float(self.factor),
+            overlap=np.nan if self.overlap is None else float(self.overlap),
+            factorizations=int(found.pop("factorizations").sum()),
+            solve_seconds=seconds,
+            omega=self.omegas,
+            detector=self.sites,
+            ball=self.balls,
+            heard=heard,
+            **found,
+        )

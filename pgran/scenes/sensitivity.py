@@ -1,0 +1,255 @@
+"""Scene `sensitivity`: what a signal depends on, bond by bond and ball by ball, and its paths."""
+
+import numpy as np
+
+from pgran.files.options import INTEGER, Option
+from pgran.parallel.task import carry_out
+from pgran.physics.gradient import energy_flux, gradient
+from pgran.results import Sensitivity, record_of
+from pgran.scenes import common, heat
+from pgran.scenes.interface import in_parallel
+from pgran.scenes.scene import Scene
+from pgran.scenes.sweeping import FrequencySweep
+
+MOST = Option(
+    "sensitivity_most", INTEGER, 0,
+    "keep the derivatives by so many bonds and balls, the largest; 0 = by all", low=0
+)  # fmt: skip
+TOGETHER = 2**22  # bytes of fields that derivatives are computed of at a time
+MISSED = 0  # the reason of a frequency whose derivatives miss the accuracy asked for
+
+
+def check(values, given):
+    """Raise where options contradict each other. Not collective."""
+    common.check_lattice(values, given)
+    common.check_sweep(values, given)
+    heat.check(values)
+
+
+def run(options, world, crew):
+    """Return the lattice, its sensitivity, and what heating does if asked for, on rank 0.
+
+    Collective; None on the other ranks. Parameters are those of `pgran.scenes.scene.Scene`.
+    """
+    lattice = common.make_lattice(options, world)
+    omegas, asked = common.driving_frequencies(options), common.steady_of(options)
+    asked["progress"] = options.output_progress
+    with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
+        given = lattice, omegas, options.detectors, workers
+        found = [sensitivity(*given, most=options.sensitivity_most, **asked)]
+        if heating := heat.chosen(options):
+            found.append(heat.heat(*given, **heating, **asked))
+    return [record_of(lattice), *found] if found[0] else None
+
+
+def summary(result):
+    """Return in words what a run found. Not collective."""
+    found, good = result.sensitivity, result.sensitivity.converged_reason > 0
+    nw, bonds = len(found.omega), found.by_stiffness.shape[-1]
+    yield (
+        f"derivatives by {bonds} bonds at {nw} frequencies with {found.factorizations} "
+        f"factorizations in {found.solve_seconds:.2f} s"
+    )
+    if found.failures:
+        yield f"{found.failures} of {nw} frequencies failed or missed the accuracy asked for"
+    for d, site in enumerate(found.detector.tolist()):
+        size = np.abs(found.log_amplitude[good, d])
+        if size.size:
+            at, bond = np.unravel_index(np.argmax(size), size.shape)
+            number = bond if found.bond is None else found.bond[good][at, d, bond]
+            yield (
+                f"ball {tuple(site)}: at omega = {found.omega[good][at]:.6g} bond {number} matters "
+                f"most, d ln|A| / d ln k = {found.log_amplitude[good][at, d, bond]:.3g} "
+                f"+- {found.log_bound[good][at, d, bond]:.1g}"
+            )
+    if getattr(result, "heat", None):
+        yield from heat.summary(result.heat)
+
+
+@in_parallel(shares_lattice=True)
+def sensitivity(lattice, omegas, detectors, crew=None, *, most=0, progress="none", **steady):
+    """Differentiate amplitudes by all bond constants, masses and beta, at each frequency.
+
+    Collective. See `pgran.physics.gradient`.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    omegas : array_like of float, shape (nw,)
+        Driving frequencies, angular, increasing.
+    detectors : array_like of int
+        Ball indices, flat or one row a detector.
+    crew : pgran.parallel.crew.Crew, optional
+        All ranks unless given.
+    most : int
+        Keep the derivatives by so many bonds and balls, the largest; 0: by all.
+    progress : str
+        Style of `pgran.parallel.progress.Progress`.
+    **steady
+        `error_tolerance` (1e-4) asked of each amplitude, and of each derivative relative to the
+        largest one; `error_floor` and `refresh_iterations` of `pgran.solve.steady.SteadySolver`.
+
+    Returns
+    -------
+    pgran.results.Sensitivity or None
+        With a crew of the caller's None on all ranks but rank 0.
+
+    Raises
+    ------
+    InputError
+        If a detector lies outside the lattice, or a value is impossible.
+    """
+    common.check_values((MOST,), sensitivity_most=most)
+    common.check_driven(lattice, crew.world)
+    return carry_out(GradientSweep(lattice, omegas, detectors, most, steady), crew, progress)
+
+
+class GradientSweep(FrequencySweep):
+    """The derivatives at each frequency, in the lattice's own unit.
+
+    Parameters are those of `sensitivity`.
+    """
+
+    def __init__(self, lattice, omegas, detectors, most, steady):
+        """Say what a frequency's results travel in."""
+        sites, springs = lattice.sites(detectors), lattice.springs
+        nd, self.most = len(sites), most
+        self.balls = lattice.balls // lattice.components
+        bonds, balls = (min(most, n) if most else n for n in (lattice.bonds, self.balls))
+        # which blocks of springs a contact's other constants stand in
+        self.blocks = {"stiffness": ["normal"]}
+        if getattr(lattice, "tangential", None) is not None:
+            self.blocks["tangential"] = ["transverse", "tangential"]
+        if getattr(lattice, "force", None) is not None:
+            self.blocks["force"] = ["transverse", "pre_stress"]
+        self.blocks = {
+            name: np.flatnonzero(np.isin(springs.blocks, kinds))
+            for name, kinds in self.blocks.items()
+        }
+        kept = [
+            ("displacement", complex, (nd,)), ("error_bound", float, (nd,)),
+            ("field_bound", float), ("iterations", np.int64), ("converged_reason", np.int64),
+            ("by_damping", complex, (nd,)), ("by_damping_bound", float, (nd,)),
+            ("flux", float, (lattice.bonds,)), ("loss", float, (lattice.bonds,)),
+        ]  # fmt: skip
+        for name, size in (*((block, bonds) for block in self.blocks), ("mass", balls)):
+            kept.append((f"by_{name}", complex, (nd, size)))
+            kept.append((f"by_{name}_bound", float, (nd, size)))
+        if most:
+            kept += [("bond", np.int64, (nd, bonds)), ("ball", np.int64, (nd, balls))]
+        choices = common.steady_choices(steady) | {"whole_field": True, "whole_adjoints": True}
+        super().__init__(lattice, omegas, sites, kept, choices)
+        _, self.unit = lattice.in_own_unit()
+        self._waiting = []  # states of this unit that derivatives are still to be computed of
+
+    def keep(self, point, solver):
+        """See `FrequencySweep`; the fields come to the first rank of a group."""
+        systems, bounds = [solver.primal, *solver.adjoints], solver.bounds
+        fields = solver.operators.layout.gathered([system.solution for system in systems])
+        errors = [1.01 * bounds.inverse_norm * bounds.adjoint_residual(z) for z in solver.adjoints]
+        if not bounds.proven:
+            point["converged_reason"] = min(point["converged_reason"], MISSED)
+        if fields is None:
+            return
+        fields = fields.reshape(len(systems), -1)
+        self._waiting.append((point, solver.operators.s, fields, [point["field_bound"], *errors]))
+        if len(self._waiting) * fields.nbytes > TOGETHER:
+            self.complete(None)
+
+    def complete(self, points):
+        """See `FrequencySweep`."""
+        if not self._waiting:
+            return
+        rows, s, fields, errors = zip(*self._waiting, strict=True)
+        self._waiting.clear()
+        s, fields = np.array(s), np.stack(fields)
+        with np.errstate(all="ignore"):  # what failed is marked below
+            found = gradient(self.scaled, s, fields, np.array(errors))
+            flux, loss = energy_flux(self.scaled, s, fields[:, 0])
+        values = self._kept(found) | {"flux": flux, "loss": loss}
+        good = np.ones(len(rows), dtype=bool)
+        for name in ("by_stiffness", "by_mass"):  # each as accurate as asked of the largest
+            largest = np.abs(values[name]).max(axis=-1)
+            wrong = values[f"{name}_bound"].max(axis=-1)
+            good &= np.all(wrong <= self.choices["error_tolerance"] * largest, axis=1)
+        for number, row in enumerate(rows):
+            missed = row["converged_reason"] <= 0
+            for name, value in values.items():
+                row[name] = np.nan if missed and value.dtype.kind != "i" else value[number]
+            if not missed and not good[number]:
+                row["converged_reason"] = MISSED
+
+    def _kept(self, found):
+        """Return what rows keep of derivatives, by name, the drives first."""
+        medium, bonds = self.scaled, self.scaled.bonds
+        shape = (*found.damping.shape, -1, bonds)
+        derivatives, bounds = (x.reshape(shape) for x in found[:2])
+        parts = {
+            name: [x[..., blocks, :].sum(axis=-2) for x in (derivatives, bounds)]
+            for name, blocks in self.blocks.items()
+        }
+        if "force" in parts:  # the constant is -F / d
+            value, bound = parts["force"]
+            parts["force"] = -value / medium.distance, bound / medium.distance
+        parts["mass"] = [found.masses, found.masses_bound]
+        kept = {"by_damping": found.damping, "by_damping_bound": found.damping_bound}
+        if self.most:
+            constants = np.abs(medium.springs.constants[:bonds])
+            sizes = {
+                "bond": constants * parts["stiffness"][0],
+                "ball": found.masses / medium.inertia_ratio,
+            }
+            for name, size in sizes.items():
+                number = np.argsort(-np.abs(size), axis=-1, kind="stable")
+                kept[name] = number[..., : self.row[name].shape[-1]]
+        for name, pair in parts.items():
+            if self.most:
+                number = kept["ball" if name == "mass" else "bond"]
+                pair = [np.take_along_axis(x, number, axis=-1) for x in pair]
+            kept[f"by_{name}"], kept[f"by_{name}_bound"] = pair
+        return kept
+
+    def collect(self, rows, seconds):
+        """See `Task`."""
+        unit, constants = self.unit, np.abs(self.lattice.springs.constants[: self.lattice.bonds])
+        arrays = {name: rows[name].copy() for name in rows.dtype.names if name.startswith("by_")}
+        for name in arrays:  # constants, forces, masses and beta all scale with the unit
+            arrays[name] /= unit
+        k = constants[rows["bond"]] if self.most else constants
+        A, known = rows["displacement"][:, :, None], rows["error_bound"][:, :, None]
+        with np.errstate(all="ignore"):
+            logs = k * arrays["by_stiffness"] / A
+            wrong = arrays["by_stiffness_bound"] + np.abs(arrays["by_stiffness"] / A) * known
+            log_bound = 1.01 * k * wrong / (np.abs(A) - known)
+        log_bound[~(np.abs(A) > known) & np.ones_like(log_bound, dtype=bool)] = np.inf
+        return Sensitivity(
+            factorizations=int(rows["factorizations"].sum()),
+            solve_seconds=seconds,
+            most=self.most,
+            omega=self.omegas,
+            detector=self.sites,
+            displacement=rows["displacement"].copy(),
+            error_bound=rows["error_bound"].copy(),
+            log_amplitude=logs.real.copy(),
+            log_phase=logs.imag.copy(),
+            log_bound=log_bound,
+            flux=unit * rows["flux"],
+            loss=unit * rows["loss"],
+            iterations=rows["iterations"].copy(),
+            converged_reason=rows["converged_reason"].copy(),
+            bond=rows["bond"].copy() if self.most else None,
+            ball=rows["ball"].copy() if self.most else None,
+            **arrays,
+        )
+
+
+SCENE = Scene(
+    options=(
+        *(*common.LATTICE, *common.DETECTORS, *common.SWEEP, MOST, *heat.HEAT),
+        *common.STEADY.values(),
+    ),
+    run=run,
+    summary=summary,
+    check=check,
+    shares_lattice=True,
+)
