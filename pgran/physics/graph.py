@@ -5,11 +5,9 @@ held balls are walls. Where damping is beta on the whole relative velocity of a 
 not turn, C is L for each component of the displacements.
 """
 
-from functools import cached_property
-
 import numpy as np
 
-from pgran.physics.rounding import EPSILON
+from pgran.physics.rounding import EPSILON, SMALLEST_NORMAL
 
 STEPS = 30  # of inverse iteration at most
 ENOUGH = 0.9  # of the smallest eigenvalue: a bound that is as close as that is not improved
@@ -29,10 +27,16 @@ class Graph:
     ----------
     laplacian : scipy.sparse.csc_matrix, shape (free, free)
         Of constants 1, in mass-weighted unknowns.
+    order : numpy.ndarray of int, shape (free,)
+        The free balls in the order of minimum degree, which fills factors little.
+    work : float
+        How many multiplications the factorization of a matrix over all unknowns takes.
+    smallest : float
+        A number that no eigenvalue of L is below, 0 if none is certain; mostly close to it.
     """
 
     def __init__(self, network):
-        """Sum up the contacts."""
+        """Sum up the contacts; factor L, keeping no more of the factors than what they say."""
         from scipy.sparse import csr_matrix
 
         number = np.full(len(network.held), -1)
@@ -45,11 +49,15 @@ class Graph:
         shape = len(ends), len(network.free)
         b = csr_matrix((entries[there], (rows, ends[there])), shape)
         self.laplacian = (b.T @ b).tocsc()
-        self._components = network.components
+        factors = self._factored()
+        self.order = np.argsort(factors.perm_c)
+        lengths = np.diff(factors.L.indptr).astype(float)
+        self.work = float(lengths @ lengths) * network.components**3
+        met = int(np.bincount(ends[there]).max())  # contacts of a ball: terms of its diagonal
+        self.smallest = self._bound(factors, (met + 8) * EPSILON)
 
-    @cached_property
-    def _factors(self):
-        """The factors of L, the diagonal raised where parts of the network float."""
+    def _factored(self):
+        """Return the factors of L, the diagonal raised where parts of the network float."""
         from scipy.sparse import identity
         from scipy.sparse.linalg import splu
 
@@ -62,31 +70,18 @@ class Graph:
                 continue
         raise AssertionError("a matrix of a dominant diagonal is not singular")
 
-    @cached_property
-    def order(self):
-        """The free balls in the order of minimum degree, which fills factors little."""
-        return np.argsort(self._factors.perm_c)
-
-    @cached_property
-    def work(self):
-        """How many multiplications the factorization of a matrix over all unknowns takes."""
-        lengths = np.diff(self._factors.L.indptr).astype(float)
-        return float(lengths @ lengths) * self._components**3
-
-    @cached_property
-    def smallest(self):
-        """A number that no eigenvalue of L is below, 0 if none is certain; mostly close to it.
+    def _bound(self, factors, rounding):
+        """Return `smallest`; rounding moves (L x)_i by at most `rounding` of its magnitudes' sum.
 
         For x > 0 none is below the smallest of (L x)_i / x_i: by Gershgorin's circles of X^-1 L X,
         as L has no positive entries beside its diagonal. Inverse iteration finds an x.
         """
         L, best = self.laplacian, 0.0
-        rounding = (np.diff(L.indptr).max() + 8) * EPSILON
         x = np.ones(L.shape[0])
         for _ in range(STEPS):
-            x = self._factors.solve(x)
+            x = factors.solve(x)
             x /= np.abs(x).max() or 1.0
-            if not np.all(x > 0):  # NaN too
+            if not np.all(x > SMALLEST_NORMAL / EPSILON):  # NaN too
                 break
             product = L @ x
             best = max(best, float(np.min((product - rounding * (abs(L) @ x)) / x)))

@@ -26,7 +26,7 @@ def smallest_damping(lattice):
     if isinstance(lattice, Lattice):
         return smallest_damping_eigenvalue(lattice.shape)
     if lattice.isotropic:
-        return lattice.graph.smallest
+        return 0.999 * lattice.graph.smallest  # normals have the length 1 but for 1e-6
     known = vars(lattice)
     if "smallest_damping" not in known:
         with NetworkLayout(lattice, MPI.COMM_SELF) as layout:

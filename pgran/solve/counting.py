@@ -20,7 +20,8 @@ from pgran.solve.owner import Owner
 
 SLICE = 60  # modes that are computed together; measured for 40 x 40 and 100 x 100
 MARGIN = 1e-11  # of |K|: how far the ends of an interval are moved outward
-WIDE = 1e-8  # the same where an interval's ends are as good as any others nearby
+WIDE = 1e-8  # the same at most where an interval's ends are as good as any others nearby
+CLOSE = 1e-4  # part of an interval: ends that near need not be told apart
 ATTEMPTS = 40  # at an end, at an interval around a frequency, at cutting what is left
 
 
@@ -134,7 +135,8 @@ class ModeCounter(Owner):
         close to the moved end for a certain count, it is moved on. Raises PgranError if no reliable
         count is found.
         """
-        if side < 0 and shift <= 0:
+        # 0 stands for the lowest frequency; unstable modes may be on both sides of less
+        if side < 0 and shift <= 0 and (self.semidefinite or not -self.norm < shift < 0):
             return -(margin if self.semidefinite else 1 + margin) * self.norm, 0
         if side > 0 and shift >= self.norm:
             return (1 + margin) * self.norm, self.order
@@ -188,14 +190,16 @@ class ModeCounter(Owner):
         short, long, top = 0.0, np.inf, np.sqrt(self.norm / mass)
         reach = reach or top * wanted / self.order
         for _ in range(ATTEMPTS):
-            lowest, highest = mass * max(omega - reach, 0.0) ** 2, mass * (omega + reach) ** 2
-            ends = self.interval(lowest, highest, margin=WIDE)
+            first, last = omega - reach, omega + reach  # below 0: unstable
+            lowest, highest = mass * first * abs(first), mass * last**2
+            margin = np.clip(CLOSE * (highest - lowest) / self.norm, MARGIN, WIDE)
+            ends = self.interval(lowest, highest, margin=margin)
             low, high = ends.values()
             if high - low >= wanted:
                 best, long = ends, reach
             else:
                 short = reach
-            if wanted <= high - low <= few or long - short <= MARGIN * top:
+            if wanted <= high - low <= few or long - short <= max(MARGIN * top, CLOSE * reach):
                 break
             guess = reach * np.clip(0.5 * (wanted + few) / max(high - low, 1), 0.125, 8.0)
             reach = guess if short < guess < long else 0.5 * (short + long)

@@ -52,7 +52,8 @@ def find_slices(operators, crew, interval=None, targets=None, count=None):
 
                 def around(omega):
                     near = solver.nearest(mass * omega**2, count + SPARE) if costly else ()
-                    reach = _reach(np.sqrt(np.maximum(near, 0.0) / mass), omega, count)
+                    found = np.sign(near) * np.sqrt(np.abs(near) / mass)
+                    reach = _reach(found, omega, count)
                     return counter.around(omega, mass, count, reach)
 
                 ends = _united([found for _, found in shared(world, list(wanted), around)])
