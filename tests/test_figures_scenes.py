@@ -20,7 +20,7 @@ from samples import random_lattice
 
 from pgran import figures
 from pgran.errors import FileError
-from pgran.figures import accuracy, continuum, modes, projection, pulse, relaxation, transfer
+from pgran.figures import accuracy, balls, continuum, modes, projection, pulse, relaxation, transfer
 from pgran.physics.spectrum import power_spectrum
 
 FINE = np.linspace(0.1, 1.1, 401)
@@ -282,6 +282,35 @@ def test_the_field_at_four_times(shape, sites):
         assert f"{shown.field_time[number] * lattice.omega_mx:.4g}" in title
         assert f"largest {largest:.2g}" in title
     assert number == 3
+
+
+@pytest.mark.parametrize(
+    ("loud", "edge", "few"), [(1, 50, True), (20, 50, True), (40, 50, False), (1, 16, False)]
+)
+def test_a_few_balls_that_move_far_do_not_make_a_large_field_pale(loud, edge, few):
+    """Where many move, a hundredth of these are beyond the colours, and that is said."""
+    result, rng = listen(), np.random.default_rng(6)
+    field = np.zeros((4, 80, 60))
+    field[:, :60, :edge] = rng.uniform(0.1, 0.2, (4, 60, edge))
+    field[:, 7, :loud] = -5.0
+    result.pulse = replace(result.pulse, field=field, wall=1e-4 * result.pulse.wall)
+    *panels, bar = figures.make(result)["field"].axes
+    for values, ax in zip(np.abs(field), panels, strict=True):
+        scale = np.quantile(values[values > 0], 0.99) if few else 5.0
+        assert scale < 0.2 or not few
+        (image,) = ax.images
+        assert np.abs(image.get_array().data) == pytest.approx((values / scale).T)
+        assert f"{'99% within' if few else 'largest'} {scale:.2g}" in ax.get_title(loc="left")
+    said = "99th percentile\nof balls that move" if few else "largest"
+    assert bar.get_ylabel() == f"displacement / {said}"
+    assert bar._colorbar.extend == ("both" if few else "neither")
+
+
+@pytest.mark.parametrize("shape", [(30, 30), (9, 20, 2)])
+def test_numbers_of_few_balls_are_scaled_to_the_largest(shape):
+    values = np.random.default_rng(6).normal(size=shape)
+    assert balls.scale_of(values) == np.abs(values).max()
+    assert balls.scale_of(0 * values) == 1.0
 
 
 def test_work_energy_and_what_damping_took():
