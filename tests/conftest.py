@@ -43,8 +43,8 @@ from pgran.solve.database import holding
 WORLD = MPI.COMM_WORLD
 # Files that know nothing of ranks, and run on one only.
 ALIKE = {
-    "continuum", "export", "figures", "figures_networks", "figures_scenes", "import",
-    "import_refused", "network_files", "options", "packings", "reference", "spectrum",
+    "continuum", "export", "figures", "figures_networks", "figures_pulse", "figures_scenes",
+    "import", "import_refused", "network_files", "options", "packings", "reference", "spectrum",
 }  # fmt: skip
 SECONDS_PER_TEST = 120  # the slowest takes about ten
 SECONDS_FOR_OTHERS = 15  # that a rank whose test has failed waits for the others to finish theirs
