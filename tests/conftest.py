@@ -37,13 +37,15 @@ from samples import option_values
 
 import pgran.__main__ as program
 from pgran.command import run as running
+from pgran.files import hdf5
 from pgran.solve.database import holding
 
 WORLD = MPI.COMM_WORLD
 # Files that know nothing of ranks, and run on one only.
 ALIKE = {
-    "continuum", "export", "figures", "figures_networks", "figures_scenes", "graph", "import",
-    "options", "packings", "reference", "spectrum",
+    "continuum", "export", "figures", "figures_networks", "figures_pulse", "figures_scenes",
+    "graph", "import", "import_refused", "network_files", "options", "packings", "reference",
+    "spectrum",
 }  # fmt: skip
 SECONDS_PER_TEST = 120  # the slowest takes about ten
 SECONDS_FOR_OTHERS = 15  # that a rank whose test has failed waits for the others to finish theirs
@@ -241,6 +243,12 @@ def call(experiment, shared_path, monkeypatch, capsys):
         return SimpleNamespace(returncode=code, stdout=out, stderr=err)
 
     return call
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Let files be read without the trial by another process, which is quicker."""
+    monkeypatch.setattr(hdf5, "try_apart", lambda *words: None)
 
 
 @pytest.fixture

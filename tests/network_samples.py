@@ -1,7 +1,8 @@
-"""Random networks to test with, and a naive reference: energies summed contact by contact.
+"""Networks to test with, and a naive reference: energies summed contact by contact.
 
-Nothing here comes from pgran but what a network is made of. Unknowns are displacements and angles
-as they are, not mass-weighted; numbers have the digits that mpmath works with.
+Nothing in the reference comes from pgran but what a network is made of. Its unknowns are
+displacements and angles as they are, not mass-weighted; numbers have the digits that mpmath works
+with.
 """
 
 import dataclasses
@@ -11,7 +12,9 @@ import numpy as np
 from mpmath import mp, mpf
 from samples import SOLVERS
 
+from pgran.physics.bonds import bond_ends, driven_bonds
 from pgran.physics.network import Network
+from pgran.physics.springs import AT_REST, DRIVEN
 
 exactly = np.frompyfunc(lambda x: mpf(float(x)), 1, 1)
 
@@ -125,6 +128,18 @@ def eliminated(S, f):
         rows = [p for p in range(order) if p != n and A[p, n]]
         A[rows] -= np.multiply.outer(A[rows, n], A[n])
     return A[:, -1]
+
+
+def as_network(lattice, **others):
+    """A lattice as a network of the same bonds in the same order, and two balls for its walls."""
+    balls = lattice.balls
+    ends = bond_ends(np.arange(balls).reshape(lattice.shape))
+    ends[driven_bonds(lattice.shape), 1] = balls + 1
+    ends[ends < 0] = balls
+    held = np.zeros(balls + 2, int)
+    held[balls:] = AT_REST, DRIVEN
+    same = {"masses": lattice.mass, "damping": lattice.damping, "kmax": lattice.kmax}
+    return Network(ends, lattice.constants, held, **same | others)
 
 
 def random_network(seed, balls=9):

@@ -12,15 +12,13 @@ from figure_results import (
     listen,
     project,
     relax,
-    respond,
     respond_box,
     result_of,
 )
-from samples import random_lattice
 
 from pgran import figures
 from pgran.errors import FileError
-from pgran.figures import accuracy, continuum, modes, projection, pulse, relaxation, transfer
+from pgran.figures import accuracy, continuum, modes, projection, relaxation
 from pgran.physics.spectrum import power_spectrum
 
 FINE = np.linspace(0.1, 1.1, 401)
@@ -221,132 +219,3 @@ def test_errors_against_run_time_and_the_front():
     (steps,) = lines(ax, drawstyle="steps-post")
     assert steps.get_xdata()[:3].tolist() == [1, 1, 2]
     assert steps.get_ydata()[1:].tolist() == [1e-3, 1e-5, 1e-5]
-
-
-@pytest.mark.parametrize("method", ["laplace", "integrate"])
-def test_signals_above_each_other_by_distance(method):
-    """Each scaled to its largest, with its envelope; the fronts; nothing below its error."""
-    result = listen([(1, 1), (3, 2), (0, 0)], method=method)
-    shown = result.pulse
-    ax = draw(pulse.seismogram, shown, result.lattice)
-    names = [text.get_text().split("\n")[0] for text in ax.get_yticklabels()]
-    assert names == ["driven wall", "ball (3, 2)", "ball (1, 1)", "ball (0, 0)"]
-    (wall,), signals = lines(ax, color="#0072B2"), lines(ax, color="black")
-    assert wall.get_ydata() == pytest.approx(0.45 * shown.wall / np.abs(shown.wall).max())
-    assert wall.get_xdata() == pytest.approx(shown.time * UNIT)
-    for row, (d, signal, above) in enumerate(
-        zip((1, 0, 2), signals, lines(ax, color="#aaaaaa"), strict=True), 1
-    ):
-        scale = 0.45 / np.abs(shown.displacement[:, d]).max()
-        assert signal.get_ydata() == pytest.approx(row + scale * shown.displacement[:, d])
-        assert above.get_ydata() == pytest.approx(row + scale * shown.envelope[:, d])
-    (fronts,) = ax.collections
-    at = [ends[0, 0] for ends in fronts.get_segments()]
-    expected = [shown.wall_arrival, *shown.arrival[[1, 0, 2]]]
-    assert at == pytest.approx(np.array(expected) * UNIT)
-    shown.error[:, 1] = np.inf
-    assert len(lines(draw(pulse.seismogram, shown, result.lattice), color="black")) == 2
-
-
-def test_a_step_has_no_envelope():
-    result = listen(shape="step", width=3.0, omega=0.6)
-    assert "envelope" not in labels(draw(pulse.seismogram, result.pulse, result.lattice))
-
-
-@pytest.mark.parametrize(
-    ("shape", "sites"), [((9,), [(2,), (7,)]), ((4, 3), [(1, 1), (3, 0)]), ((4, 3, 5), [(1, 1, 2)])]
-)
-def test_the_field_at_four_times(shape, sites):
-    """In units of its largest or the wall's, with the detectors where their own signals are."""
-    lattice = random_lattice(shape, seed=5, mass=0.25)
-    result = listen(sites, lattice, method="laplace", shape="step" if len(shape) == 1 else "burst")
-    shown = result.pulse
-    panels = [ax for ax in figures.make(result)["field"].axes if ax.get_title(loc="left")]
-    for number, ax in enumerate(panels):
-        values = shown.field[(number, ..., *sites[0][2:])]
-        wall = np.interp(shown.field_time[number], shown.time, shown.wall)
-        largest = max(np.abs(values).max(), wall)
-        (dots,) = lines(ax, marker="o")
-        assert list(dots.get_xdata()) == [site[0] for site in sites]
-        if len(shape) == 1:
-            (line,) = lines(ax, color="black", linestyle="-")
-            assert line.get_ydata() == pytest.approx(np.array([0, *values, wall]) / largest)
-            heard = [
-                np.interp(shown.field_time[number], shown.time, u) for u in shown.displacement.T
-            ]
-            assert largest * dots.get_ydata() == pytest.approx(heard, abs=0.02)
-        else:
-            assert np.array_equal(ax.images[0].get_array(), (values / largest).T)
-            assert list(dots.get_ydata()) == [site[1] for site in sites]
-        title = ax.get_title(loc="left")
-        assert f"{shown.field_time[number] * lattice.omega_mx:.4g}" in title
-        assert f"largest {largest:.2g}" in title
-    assert number == 3
-
-
-def test_work_energy_and_what_damping_took():
-    """As the record has them; the second and the third add up to the first."""
-    result = listen(method="laplace")
-    shown, drawn = result.pulse, draw(pulse.energy, result.pulse, result.lattice).get_lines()
-    work, energy, dissipated = (line.get_ydata() for line in drawn)
-    unit = result.lattice.mass * UNIT**2
-    assert work == pytest.approx(shown.work / unit)
-    assert energy + dissipated == pytest.approx(work, abs=1e-6 * work.max())
-    assert np.all(np.diff(dissipated) >= -1e-9 * work.max())
-
-
-@pytest.mark.parametrize("shape", ["burst", "gauss", "ricker", "step"])
-def test_the_spectrum_of_a_signal_that_has_ended_is_the_steady_response(shape):
-    lattice = random_lattice((4, 3), seed=5, mass=0.25, damping=0.1)
-    sent = {"shape": shape, "width": 3.0, "omega": 0.6 * UNIT, "method": "laplace"}
-    shown = listen([(1, 1)], lattice, error_tolerance=1e-7, **sent).pulse
-    omega, size, good = transfer.ratio(shown, 0)
-    good[0] = False  # omega = 0 is no driving frequency
-    response = respond(omega[good] / UNIT, lattice=lattice).response
-    assert np.count_nonzero(good) > 100
-    assert size[good] == pytest.approx(response.amplitude[:, 0], rel=2e-3)
-
-
-def test_spectra_and_what_is_left_of_their_signals():
-    result = listen([(1, 1), (3, 0)])
-    shown = result.pulse
-    omega, size, good = transfer.ratio(shown, 1)
-    ax = draw(transfer.spectrum, shown, result.lattice, 1)
-    (curve,), speed = curves(ax), np.abs(shown.velocity[:, 1])
-    assert curve.get_xdata() == pytest.approx(omega / UNIT)
-    assert gaps(curve) == list(np.flatnonzero(~good))
-    assert np.array_equal(curve.get_ydata(orig=True).data, size, equal_nan=True)
-    title = f"ball (3, 0), {speed[601:].max() / speed.max():.1%} left"
-    assert ax.get_title(loc="center") == title
-    shown.error[0, 1] = np.inf
-    assert not draw(transfer.spectrum, shown, result.lattice, 1).yaxis.get_visible()
-
-
-@pytest.mark.parametrize("omega", [0.6, 1.0, 1.7])
-def test_what_may_be_nothing_but_error_has_no_spectrum(omega):
-    """However the error lies below its bound; three times a swing of it has one."""
-    shown = listen(method="laplace").pulse
-    swing = np.cos(omega * shown.time)[:, None]
-    for worst in (swing, np.sign(swing), np.ones_like(swing), shown.time[:, None] > 180):
-        error = shown.error * worst
-        assert not transfer.ratio(replace(shown, displacement=error), 0)[2].any()
-    assert transfer.ratio(replace(shown, displacement=3 * shown.error * swing), 0)[2].any()
-
-
-def test_a_steady_response_is_laid_over_the_detectors_that_it_shares():
-    result, other = listen([(1, 1), (3, 0)]), respond(detectors=[(2, 2), (3, 0)])
-    other.response.converged_reason[[120, 130]] = -3
-    made = figures.make(result, response=other.response)
-    upper, lower = made["spectrum"].axes
-    (steady,) = lines(lower, linewidth=2.5)
-    assert not lines(upper, linewidth=2.5)
-    assert steady.get_xdata() == pytest.approx(other.response.omega / UNIT)
-    values = steady.get_ydata(orig=True)
-    assert np.array_equal(values.data, other.response.amplitude[:, 1])
-    low, high = lower.get_xlim()
-    outside = np.flatnonzero((steady.get_xdata() < low) | (steady.get_xdata() > high))
-    assert set(gaps(steady)) == {120, 130, *outside}
-    named = [text.get_text() for text in upper.get_legend().get_texts()]
-    assert sorted(named) == ["signal / drive", "steady response"]
-    with pytest.raises(FileError, match="no detector in common"):
-        figures.make(result, response=respond(detectors=[(2, 2)]).response)

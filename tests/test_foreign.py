@@ -27,12 +27,6 @@ def path(tmp_path):
     return tmp_path / "k.h5"
 
 
-@pytest.fixture
-def here(monkeypatch):
-    """Let bonds be read without the trial by another process, which is quicker."""
-    monkeypatch.setattr(hdf5, "try_apart", lambda path: None)
-
-
 def write(path, **members):
     """Write members of /lattice: arrays, or types of datasets."""
     with h5py.File(path, "w") as file:

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from mpi4py import MPI
+from network_samples import as_network
 from samples import random_lattice
 
 import pgran
@@ -13,24 +14,10 @@ from pgran.errors import InputError
 from pgran.files.network import DATASETS, read_network, write_network
 from pgran.files.reading import read_words
 from pgran.parallel.crew import Crew
-from pgran.physics.bonds import bond_ends, driven_bonds
 from pgran.physics.network import Network
-from pgran.physics.springs import AT_REST, DRIVEN
 
 SIZE, BALL = (6, 5), (2, 3)
 OMEGAS = np.linspace(0.1, 1.1, 9)
-
-
-def as_network(lattice, **others):
-    """A lattice as a network of the same bonds in the same order, and two balls for its walls."""
-    balls = lattice.balls
-    ends = bond_ends(np.arange(balls).reshape(lattice.shape))
-    ends[driven_bonds(lattice.shape), 1] = balls + 1
-    ends[ends < 0] = balls
-    held = np.zeros(balls + 2, int)
-    held[balls:] = AT_REST, DRIVEN
-    same = {"masses": lattice.mass, "damping": lattice.damping, "kmax": lattice.kmax}
-    return Network(ends, lattice.constants, held, **same | others)
 
 
 def written(path, network):

@@ -5,14 +5,8 @@ import math
 import numpy as np
 import pytest
 from mpi4py import MPI
-from samples import (
-    listened,
-    random_lattice,
-    reference_of,
-    swept,
-    uniform_lattice,
-)
-from scipy.integrate import solve_ivp, trapezoid
+from samples import Naive, listened, random_lattice, reference_of, swept, uniform_lattice
+from scipy.integrate import trapezoid
 from scipy.special import jv
 
 from pgran.errors import InputError
@@ -27,43 +21,6 @@ from pgran.solve.operators import Operators
 
 SHORT = {"shape": "gauss", "width": 4.0, "time": 100.0, "points": 101}
 MOTION = Pulse("gauss", 0.0, 4.0)
-
-
-class Naive:
-    """A lattice after a pulse by DOP853 on dense matrices, and the work that its dashpots take."""
-
-    def __init__(self, lattice, sent, times):
-        """Integrate."""
-        reference = self.reference = reference_of(lattice)
-        K, C = (matrix.astype(float) for matrix in (reference.K, lattice.damping * reference.C))
-        drive, damped = reference.drive_K.astype(float), lattice.damping * reference.drive_C
-        damped, count, walls = damped.astype(float), len(K), float(damped.sum())
-        self.sent, self.times = sent, times
-
-        def slope(t, y):
-            u, v = y[:count], y[count:-1]
-            U, speed = sent.moves(t, 2)
-            taken = v @ C @ v - 2 * speed * (damped @ v) + walls * speed**2
-            return np.concatenate([v, (drive * U + damped * speed - K @ u - C @ v) / lattice.mass,
-                                   [taken]])  # fmt: skip
-
-        span = min(sent.begin, 0.0), times[-1]
-        start = np.zeros(2 * count + 1)
-        y = solve_ivp(slope, span, start, "DOP853", times, rtol=1e-12, atol=1e-14, max_step=2.0).y
-        shape = (-1, *reference.shape)
-        self.u, self.v = y[:count].T.reshape(shape), y[count:-1].T.reshape(shape)
-        self.dissipated = y[-1]
-
-    def energy(self, lattice):
-        """Bond by bond: walls are balls that move as they are told."""
-        energy = 0.5 * lattice.mass * np.sum(self.v.reshape(len(self.v), -1) ** 2, axis=1)
-        U = self.sent.moves(self.times)[0].reshape(-1, *[1] * len(lattice.shape))
-        for axis, k in enumerate(lattice.stiffness):
-            ends = np.zeros_like(np.take(self.u, [0], axis + 1))
-            above = ends + U if axis == 0 else ends
-            stretched = np.diff(np.concatenate([ends, self.u, above], axis + 1), axis=axis + 1)
-            energy += 0.5 * np.sum((k * stretched**2).reshape(len(energy), -1), axis=1)
-        return energy
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,32 @@ import numpy as np
 
 from pgran.figures import style
 
+STILL = 1e-3  # of the largest: what moves less does not count among the balls that move
+MANY = 1000  # balls that move; the colours of fewer reach to the largest
+
+
+def scale_of(values):
+    """Return the number that is one end of the colours, 1 if nothing moves.
+
+    That is the largest, or where many balls move their 99th percentile: a few of them, between soft
+    bonds, move many times as far as the others, which would be pale.
+
+    Parameters
+    ----------
+    values : numpy.ndarray
+    """
+    size = np.abs(values)
+    moving = size[size > STILL * size.max()]
+    return float(np.quantile(moving, 0.99) if moving.size > MANY else moving.max(initial=0)) or 1.0
+
+
+def beyond(drawn):
+    """Return whether some of the balls that are drawn are beyond the ends of the colours."""
+    return drawn.get_array() is not None and np.abs(drawn.get_array()).max() > 1
+
 
 def draw(ax, values, wall=0.0):
-    """Draw numbers between -1 and 1, blue to white to red; return the image or the line.
+    """Draw numbers, blue to white to red from -1 to 1; return the image or the line.
 
     One axis: a line from wall to wall.
 
@@ -52,17 +75,19 @@ def page(shape, draws):
     size = columns * width + 1.2, rows * (height + 0.35) + 0.5
     figure, panels = style.page(*size, nrows=rows, ncols=columns, sharex=True, sharey=True)
     figure.set_layout_engine("compressed")  # as many panels as fit, next to each other
+    shown = []
     for letter, draw_into, ax in zip("abcd", draws, panels, strict=False):
-        drawn = draw_into(ax)
+        shown.append(draw_into(ax))
         title = f"({letter}) {ax.get_title(loc='left')}"
         ax.set_title(title if flat else title.replace(", ", "\n     ", 1))
         ax.label_outer()
-    displacement = "displacement / largest"
     if chain:
-        figure.supylabel(displacement, fontsize="medium")
-    elif drawn.get_array() is None:
+        figure.supylabel("displacement / largest", fontsize="medium")
+    elif shown[0].get_array() is None:
         figure.set_figwidth(size[0] - 0.6)  # without a colour bar
     else:
-        bar = {"ticks": [-1, -0.5, 0, 0.5, 1], "pad": 0.02}
-        figure.colorbar(drawn, ax=list(panels), label=displacement, **bar)
+        few = any(map(beyond, shown))
+        bar = {"ticks": [-1, -0.5, 0, 0.5, 1], "pad": 0.02, "extend": "both" if few else "neither"}
+        of = "99th percentile\nof balls that move" if few else "largest"
+        figure.colorbar(shown[0], ax=list(panels), label=f"displacement / {of}", **bar)
     return figure

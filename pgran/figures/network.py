@@ -8,6 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 
 from pgran.figures import style
+from pgran.figures.balls import scale_of
 from pgran.figures.view import EDGES, FACES, MANY, View
 from pgran.results.space import everywhere, in_space
 
@@ -85,7 +86,7 @@ def contacts(ax, network, balls=()):
     return drawn
 
 
-def motion(ax, network, view, values, drive=0.0):
+def motion(ax, network, view, values, drive=0.0, beyond=False):
     """Draw how all balls move: vectors as arrows, numbers from -1 to 1 blue to white to red.
 
     The largest displacement of all is the unit. Rotations in a plane are such colours too, of
@@ -100,6 +101,9 @@ def motion(ax, network, view, values, drive=0.0):
         Displacements of the free balls.
     drive : float
         That of the driven balls.
+    beyond : bool
+        Whether a few of many numbers may be beyond the colours: `balls.scale_of` those seen is the
+        unit.
     """
     moves, axes = everywhere(network, values[None], [drive])[0], network.built.axes
     longest = max(1.2 * view.spacing, 0.09 * math.sqrt(math.prod(view.extent))) if axes > 1 else 0.0
@@ -108,6 +112,8 @@ def motion(ax, network, view, values, drive=0.0):
     numbers = moves if axes == 1 else turned if turned.shape[1] == 1 else None
     size = np.linalg.norm(moves[:, :axes], axis=1)
     unit = max(size.max(), 0.0 if numbers is None else np.abs(numbers).max()) or 1.0
+    if beyond and axes == 1:
+        unit = scale_of(moves[view.seen])
     look = {}
     if numbers is not None:
         look = {"array": numbers[view.seen, 0] / unit, "cmap": "RdBu_r", "clim": (-1.0, 1.0)}
@@ -125,7 +131,7 @@ def motion(ax, network, view, values, drive=0.0):
 def explain(figure, network, *more):
     """Write above panels of motions what is drawn, and more."""
     arrows = "arrows: displacements, scaled in each panel to the largest"
-    said = {"scalar": "scaled in each panel to the largest displacement", "vector": arrows}
+    said = {"scalar": "each panel scaled by itself", "vector": arrows}
     turns = "; colours: radius times angle" if network.built.turns == 1 else ""
     said["rotations"] = arrows + turns
     held = "dark: balls at rest; blue: driven balls" if network.held.any() else ""

@@ -74,9 +74,10 @@ def seismogram(ax, signals, lattice):
 def field(ax, signals, lattice, number):
     """Draw the displacement of all balls at one time in units of its largest, or the wall's.
 
-    Blue to white to red from -1 to 1; the driven wall and the detectors are marked. Three
-    dimensions: the plane of the first detector. One: a line from wall to wall. A network is drawn
-    by `network.motion`. Returns the image, the line, or arrows or balls.
+    Blue to white to red from -1 to 1; of many balls a few may be beyond, as in `balls.scale_of`.
+    The driven wall and the detectors are marked. Three dimensions: the plane of the first detector.
+    One: a line from wall to wall. A network is drawn by `network.motion`. Returns the image, the
+    line, or arrows or balls.
 
     Parameters
     ----------
@@ -93,26 +94,28 @@ def field(ax, signals, lattice, number):
     look |= {"marker": "o", "markeredgecolor": "black", "markeredgewidth": 0.6}
     if lattice.group == "network":
         view, values = View(lattice, signals.detector[0, 0]), signals.field[number]
-        drawn, largest = network.motion(ax, lattice, view, values, wall)
+        drawn, unit = network.motion(ax, lattice, view, values, wall, beyond=True)
         dots = view.xy[[ball for ball in signals.detector[:, 0] if view.seen[ball]]]
         ax.plot(*dots.T, label="detectors", zorder=4, **look)
-        ax.set_title(_title(time, lattice, largest))
+        ax.set_title(_title(time, lattice, unit, balls.beyond(drawn)))
         return drawn
     values = signals.field[(number, ..., *plane)]
-    largest = max(np.abs(values).max(), abs(wall)) or 1.0
-    drawn = balls.draw(ax, values / largest, wall / largest)
+    moves, chain = np.append(values, wall), values.ndim == 1
+    unit = (np.abs(moves).max() or 1.0) if chain else balls.scale_of(moves)
+    drawn = balls.draw(ax, values / unit, wall / unit)
     dots = signals.detector[(signals.detector[:, 2:] == plane).all(axis=1), :2]
-    heights = dots[:, 1] if values.ndim == 2 else values[dots[:, 0]] / largest
+    heights = values[dots[:, 0]] / unit if chain else dots[:, 1]
     ax.plot(dots[:, 0], heights, label="detectors", **look)
-    end = len(values) - (0.5 if values.ndim == 2 else 0.0)
+    end = len(values) - (0.0 if chain else 0.5)
     ax.axvline(end, color=style.ACCENT, linewidth=3, clip_on=False, label="driven wall")
-    ax.set_title(_title(time, lattice, largest))
+    ax.set_title(_title(time, lattice, unit, not chain and balls.beyond(drawn)))
     return drawn
 
 
-def _title(time, lattice, largest):
-    """Return the title of a field."""
-    return rf"$t$ = {time * lattice.omega_mx:.4g}$/\omega_{{mx}}$, largest {largest:.2g}"
+def _title(time, lattice, unit, few):
+    """Return the title of a field; whether few balls move farther than its unit."""
+    size = f"{'99% within' if few else 'largest'} {unit:.2g}"
+    return rf"$t$ = {time * lattice.omega_mx:.4g}$/\omega_{{mx}}$, {size}"
 
 
 def energy(ax, signals, lattice):
@@ -149,6 +152,6 @@ def _field_page(signals, lattice):
         return figure
     figure = balls.page(lattice.shape, panels)
     text = "".join(f"plane $z$ = {z}, " for z in signals.detector[0, 2:])
-    text += "each scaled to its largest; circles: detectors; thick blue line: driven wall"
+    text += "each scaled by itself; circles: detectors; thick blue line: driven wall"
     figure.suptitle(text, fontsize="medium")
     return figure

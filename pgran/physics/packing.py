@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgran.physics.parts import anchored
 from pgran.physics.springs import FREE
 
 
@@ -86,17 +87,12 @@ def keep(bond, held, cut):
     -------
     Kept
     """
-    from scipy.sparse import csr_matrix  # here: SciPy takes its time
-    from scipy.sparse.csgraph import connected_components
-
     free, count = held == FREE, len(held)
     whole = bond[~cut]
     touched = np.isin(np.arange(count), bond)
     still_touched = np.isin(np.arange(count), whole)
-    ones = np.ones(len(whole), dtype=np.int8)
-    label = connected_components(csr_matrix((ones, whole.T), (count, count)), directed=False)[1]
-    anchored = np.isin(label, label[~free]) if not np.all(free) else np.ones(count, dtype=bool)
-    moving = free & still_touched & anchored
+    fixed = np.ones(count, dtype=bool) if np.all(free) else anchored(whole, held)
+    moving = free & still_touched & fixed
     contacts = ~cut & np.any(moving[bond], axis=1)
     balls = np.isin(np.arange(count), bond[contacts])
     return Kept(
@@ -104,7 +100,7 @@ def keep(bond, held, cut):
         contacts,
         rattlers=np.count_nonzero(free & ~touched),
         torn_off=np.count_nonzero(free & touched & ~still_touched),
-        floating=np.count_nonzero(free & still_touched & ~anchored),
+        floating=np.count_nonzero(free & still_touched & ~fixed),
         idle=np.count_nonzero(~free & ~balls),
         inert=np.count_nonzero(~cut & ~np.any(free[bond], axis=1)),
     )

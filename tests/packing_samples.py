@@ -1,0 +1,117 @@
+"""Packings at random to import, as LAMMPS, LIGGGHTS and tables list them, and their dense K."""
+
+import itertools
+
+import h5py
+import numpy as np
+
+LENGTH, HERTZ = 5.0, 2.5
+
+
+class Sample:
+    """Balls at random in a periodic cube, and all pairs that touch or nearly do."""
+
+    def __init__(self, axes, law="hertz", seed=0, count=None):
+        count = count or {2: 40, 3: 100}[axes]
+        rng = np.random.default_rng([axes, seed])
+        self.axes, self.id = axes, rng.permutation(900)[:count] + 1
+        self.position = rng.random((count, axes)) * LENGTH
+        self.radius, self.mass = rng.uniform(0.3, 0.5, count), rng.uniform(1, 2, count)
+        rows = []
+        shifts = np.array([*itertools.product((-LENGTH, 0, LENGTH), repeat=axes)])
+        for i, j in itertools.combinations(range(count), 2):
+            i, j = (i, j) if rng.random() < 0.5 else (j, i)
+            images = self.position[j] + shifts - self.position[i]
+            distance = np.sqrt(np.sum(images**2, axis=1))
+            away, distance = images[np.argmin(distance)], distance.min()
+            h = self.radius[i] + self.radius[j] - distance
+            if h > -0.1:
+                force = max(h, 0) ** 1.5 * HERTZ if law == "hertz" else max(h, 0) * HERTZ
+                rows.append((i, j, *away / distance, distance, h, force))
+        self.bond = np.array([row[:2] for row in rows])
+        self.normal = np.array([row[2 : 2 + axes] for row in rows])
+        self.distance, self.overlap, self.force = np.array([row[-3:] for row in rows]).T
+        self.touch = self.overlap > 0
+        h = np.where(self.touch, self.overlap, 1)
+        k = 1.5 * HERTZ * np.sqrt(h) if law == "hertz" else HERTZ
+        self.stiffness = np.where(self.touch, k, 0)
+
+    def dense(self, stress=True):
+        """Return K over all balls, contact by contact."""
+        K = np.zeros((len(self.id), self.axes) * 2)
+        for (i, j), n, k, f, d in zip(
+            self.bond, self.normal, self.stiffness, self.force, self.distance, strict=True
+        ):
+            block = k * np.outer(n, n)
+            block -= stress * f / d * (np.eye(self.axes) - np.outer(n, n))
+            for a, b in itertools.product((i, j), repeat=2):
+                K[a, :, b, :] += block if a == b else -block
+        return K
+
+    def write(self, place, style="x", digits=17, flags="pp pp pp"):
+        """Write two dumps with names that say nothing, and columns that mislead."""
+        rng = np.random.default_rng(5)
+        where = {
+            "x": self.position,
+            "xs": self.position / LENGTH,
+            "xu": self.position + LENGTH * rng.integers(-2, 3, self.position.shape),
+        }[style]
+        names = [style.replace("x", x) for x in "xyz"[: self.axes]]
+        balls = dict(zip(names, where.T, strict=True))
+        balls = {"radius": self.radius, "id": self.id, "type": self.id % 2 + 1, **balls}
+        balls |= {"mass": self.mass, "element": np.full(len(self.id), "C")}
+        place("a.atoms", dump("ATOMS", balls, digits, flags))
+        sign = -self.force[:, None] * self.normal
+        contacts = [np.arange(len(self.bond)) + 1, self.touch, *self.id[self.bond].T]
+        contacts += [self.distance, np.maximum(self.overlap, 0), self.force, *sign.T, sign[:, 0]]
+        names = ["index", *(f"c_p[{k}]" for k in range(len(contacts) - 1))]
+        place("a.contacts", dump("ENTRIES", dict(zip(names, contacts, strict=True)), digits, flags))
+
+
+def dump(kind, columns, digits=17, flags="pp pp pp", step=7):
+    """Return a snapshot as LAMMPS writes it."""
+    lines = ["ITEM: TIMESTEP", step, f"ITEM: NUMBER OF {kind}", len(next(iter(columns.values())))]
+    lines += [f"ITEM: BOX BOUNDS {flags}", *[f"0 {LENGTH}"] * 3]
+    lines += [f"ITEM: {kind} {' '.join(columns)}"]
+    word = lambda x: f"{x:.{digits}g}" if isinstance(x, float) else str(x)  # noqa: E731
+    rows = zip(*columns.values(), strict=True)
+    lines += [" ".join(word(x) for x in row) for row in rows]
+    return "".join(f"{line}\n" for line in lines).replace("True", "1").replace("False", "0")
+
+
+def bring(call, *words):
+    """Import a.atoms and a.contacts, and return what was said."""
+    done = call("import", "a.atoms", "a.contacts", "-o", "n.h5", "--overwrite", *words)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def assert_same(network, ids, sample, stress=True):
+    """K of a network is that of the sample, in its mass-weighted unknowns."""
+    K = (network.B.T.multiply(network.springs.constants) @ network.B).toarray()
+    rows = {name: row for row, name in enumerate(sample.id)}
+    at = [rows[name] for name in ids[network.held == 0]]
+    np.testing.assert_allclose(sample.mass[at], network.masses[network.held == 0])
+    wanted = sample.dense(stress)[np.ix_(at, range(sample.axes), at, range(sample.axes))]
+    weight = np.repeat(np.sqrt(network.mass / sample.mass[at]), sample.axes)
+    wanted = weight[:, None] * wanted.reshape(K.shape) * weight
+    np.testing.assert_allclose(K, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
+
+
+def ids_of(path):
+    with h5py.File(path) as file:
+        return file["network/id"][()]
+
+
+def csv_of(place, sample, **contacts):
+    """Write CSV files, contacts with the columns given."""
+    table = [sample.id, *sample.position.T, sample.radius, sample.mass]
+    head = f"id,{','.join('xyz'[: sample.axes])},radius,mass\n"
+    place("a.atoms", head + "".join(",".join(map(repr, r)) + "\n" for r in _rows(table)))
+    table = [*sample.id[sample.bond].T, *contacts.values()]
+    rows = "".join(";".join(map(repr, row)) + "\n" for row in _rows(table))
+    place("a.contacts", "\ufeff# contacts\ni;j;" + ";".join(contacts) + "\n\n" + rows)
+
+
+def _rows(table):
+    return list(zip(*(np.asarray(column).tolist() for column in table), strict=True))

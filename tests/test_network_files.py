@@ -1,0 +1,99 @@
+"""Networks on disk: five lines write one, and what is wrong or damaged is refused."""
+
+import re
+
+import h5py
+import numpy as np
+import pytest
+from packing_samples import Sample, bring
+
+from pgran.errors import FileError, InputError
+from pgran.files.network import read_network
+
+
+def five_lines(path, attributes=(), **members):
+    with h5py.File(path, "w") as file:
+        for name, value in members.items():
+            file[f"network/{name}"] = value
+        file.require_group("network").attrs.update(attributes)
+    return path
+
+
+SPRINGS = {"bond": [[0, 1], [1, 2]], "stiffness": [1.0, 2.0], "mass": [1, 2, 3]}
+
+
+def test_five_lines_write_a_network(tmp_path):
+    """Read by a process of its own first; what is missing follows from what is there."""
+    network = read_network(five_lines(tmp_path / "a.h5", **SPRINGS))
+    assert (network.displacement, network.held.tolist()) == ("scalar", [0, 0, 0])
+    place = [[0, 0], [0, 1], [2, 1]]
+    made = {"direction": "y", "kmax": 7}
+    path = five_lines(tmp_path / "b.h5", made, position=place, held=[2, 0, 0], **SPRINGS)
+    network = read_network(path, damping=0.125)
+    assert (network.displacement, network.kmax, network.damping) == ("vector", 7, 0.125)
+    np.testing.assert_array_equal(network.normal, [[0, 1], [1, 0]])
+    np.testing.assert_array_equal(network.direction, [0, 1])
+    assert read_network(path, displacement="scalar").axes == 1
+    with pytest.raises(InputError):
+        read_network(path, damping=-1)
+
+
+@pytest.mark.parametrize(
+    ("members", "attributes", "said"),
+    [
+        ({"bond": None}, {}, "/network/bond is missing"),
+        ({"stiffness": None}, {}, "/network/stiffness is missing"),
+        ({"mass": None}, {}, "does not say how many balls"),
+        ({"masses": [1, 2, 3], "mass": None}, {}, "/network/masses is not known; is mass meant"),
+        ({}, {"dampin": 1.0}, "is damping meant"),
+        ({}, {"damping": "much"}, "/network/damping must be a number"),
+        ({}, {"displacement": 1}, "/network/displacement must be a text"),
+        ({}, {"displacement": "tensor"}, "'tensor' is none of"),
+        ({"normal": [[1, 0], [1, 0]]}, {"direction": "z"}, "no such axis"),
+        ({"damping": 1.0}, {}, "is an attribute"),
+        ({"bond": [[0, 1], [1, 5]]}, {}, "no balls (1, 5) among 3"),
+        ({"bond": [[0.5, 1], [1, 2]]}, {}, "/network/bond holds no integers"),
+        ({"bond": 3}, {}, "bond"),
+        ({"stiffness": [1.0]}, {}, "stiffness: shape (1,) is not (2,)"),
+        ({"stiffness": [1.0, np.nan]}, {}, "must be finite"),
+        ({"mass": [1, -1, 2]}, {}, "masses must be positive"),
+        ({"mass": ["a", "b", "c"]}, {}, "/network/mass"),
+        ({"held": [1, 1, 1]}, {}, "every ball is held"),
+        ({"held": 0}, {}, "held"),
+        ({"normal": [[1, 0], [1, 1]]}, {}, "length 1"),
+        ({"stiffness": h5py.SoftLink("/network/mass")}, {}, "is a link"),
+    ],
+)
+def test_refused_networks(tmp_path, here, members, attributes, said):
+    values = {k: v for k, v in (SPRINGS | members).items() if v is not None}
+    path = five_lines(tmp_path / "a.h5", attributes, **values)
+    with pytest.raises(FileError, match=re.escape(said)) as caught:
+        read_network(path)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_a_damaged_packing_has_checksums(call, place, shared_path, here):
+    """Wherever a bit flips that h5py reads, it is found: the network is the same or refused."""
+    sample, rng = Sample(2), np.random.default_rng(1)
+    sample.write(place)
+    bring(call, "--law", "hertz")
+    network, content = read_network("n.h5"), (shared_path / "n.h5").read_bytes()
+    refused = 0
+    for place in rng.integers(0, len(content), 60):
+        bad = bytearray(content)
+        bad[place] ^= 1 << rng.integers(8)
+        (shared_path / "n.h5").write_bytes(bad)
+        try:
+            assert read_network("n.h5").bonds_sha256 == network.bonds_sha256
+        except FileError:
+            refused += 1
+    assert refused > 10
+
+
+def test_damaged_networks(tmp_path):
+    path = five_lines(tmp_path / "a.h5", **SPRINGS)
+    content = path.read_bytes()
+    for bad in (b"", b"garbage", content[: len(content) // 2], content[:900] + bytes(800)):
+        path.write_bytes(bad)
+        with pytest.raises(FileError):
+            read_network(path)
