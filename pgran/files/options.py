@@ -183,6 +183,10 @@ class Options:
             raise AttributeError(f"scene {self.scene} has no option -{name}")
         return self._values[name]
 
+    def changed(self, **values):
+        """Return the same options with other values. Not collective."""
+        return Options(self.scene, self._declared, self._values | values, self.solver)
+
     def text(self):
         """Return a complete options file that reproduces the run.
 
