@@ -23,10 +23,13 @@ USAGE = """\
 pgran: sound in a granular material, a lattice of balls and random springs
 
   pgran run FILE [-key value ...]   compute the experiment in an options file; keys given here win
-  pgran plot RESULT [OTHER] [-o FIGURE]
+  pgran plot RESULT [OTHER ...] [-plot_with DATA] [-o FIGURE]
                                     draw the figures of a result; of a response and modes of the
                                     same lattice: the response, with the modes marked; of a pulse
-                                    and a response: the pulse, the response under its spectra
+                                    and a response: the pulse, the response under its spectra;
+                                    several results of one scene over each other, labelled by the
+                                    options in which they differ; DATA, columns of a measurement
+                                    (omega amplitude [phase]), over a response
   pgran import ATOMS CONTACTS -o NETWORK [--law hertz] [--rest CONDITION] [--drive CONDITION] ...
                                     make a network of balls and contacts that another program
                                     (LAMMPS, LIGGGHTS, CSV, GraphML) wrote; --help says more

@@ -16,7 +16,7 @@ from samples import random_lattice
 import pgran
 from pgran import errors, figures
 from pgran.command.plot import run as plot
-from pgran.errors import FileError, PgranError
+from pgran.errors import FileError, InputError, PgranError
 from pgran.figures import bonds, response
 from pgran.results import LatticeRecord
 
@@ -224,8 +224,11 @@ def test_two_results_that_are_no_pair(files):
     for other in ("softer.h5", "heavier.h5"):
         with pytest.raises(FileError, match="different lattices"):
             plot(["response.h5", other])
-    with pytest.raises(FileError, match="not response and response"):
+    with pytest.raises(InputError, match="the same result is given twice"):
         plot(["response.h5", "response.h5"])
+    for words in (["pulse.h5", "modes.h5"], ["response.h5", "modes.h5", "pulse.h5"]):
+        with pytest.raises(FileError, match="if of one scene, or response and modes or pulse and"):
+            plot(words)
     for other in ({"seed": 2}, {"seed": 5, "damping": 0.01}):
         files["response.h5"] = respond([0.5], lattice=random_lattice((4, 3), mass=0.25, **other))
         with pytest.raises(FileError, match="the pulse and the response belong to different latt"):

@@ -8,6 +8,7 @@ import re
 import numpy as np
 
 from pgran.command.assemble import assemble
+from pgran.command.words import Parser, magnitude, positive
 from pgran.errors import DONE, InputError
 from pgran.files import graphs, tables
 from pgran.files.foreign import AXES, read_balls
@@ -48,14 +49,14 @@ def run(words):
 
 def _parser():
     """Return the parser of the command line."""
-    parser = _Parser("pgran import", description=DESCRIPTION, allow_abbrev=False)
+    parser = Parser("pgran import", description=DESCRIPTION, allow_abbrev=False)
     add = parser.add_argument
     add("balls", metavar="ATOMS", help="dump custom, CSV (id,x,y[,z],radius,mass) or GraphML")
     add("contacts", metavar="CONTACTS", nargs="?", help="dump local, or CSV (i,j,force or ...)")
     add("-o", "--output", required=True, help="HDF5 file to write")
     add("--overwrite", action="store_true", help="replace a network that is there")
     add("--law", help="stiffness: hertz (3/2 F/h), harmonic (F/h), or the column that holds it")
-    add("--hertz", type=_positive, metavar="C", help="of F = C h^(3/2): stiffness by force alone")
+    add("--hertz", type=positive, metavar="C", help="of F = C h^(3/2): stiffness by force alone")
     add(
         "--columns",
         help="what the columns of contacts are, in their order, such as "
@@ -71,32 +72,9 @@ def _parser():
         action=argparse.BooleanOptionalAction,
         help="whether the forces act in the network (yes for vectors, if they are known)",
     )
-    add("--tangential", type=_magnitude, metavar="RATIO", help="tangential over normal stiffness")
-    add("--damping", type=_magnitude, metavar="BETA", default=0.003, help="of each contact (.003)")
+    add("--tangential", type=magnitude, metavar="RATIO", help="tangential over normal stiffness")
+    add("--damping", type=magnitude, metavar="BETA", default=0.003, help="of each contact (.003)")
     return parser  # fmt: skip
-
-
-class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are pgran's: one line."""
-
-    def error(self, message):
-        """Raise an InputError."""
-        raise InputError(f"import: {message}; see pgran import --help")
-
-
-def _magnitude(text):
-    """Return a number that is 0 or more."""
-    with contextlib.suppress(ValueError):
-        if 0 <= float(text) < math.inf:
-            return float(text)
-    raise argparse.ArgumentTypeError(f"{text} is not 0 or more and finite")
-
-
-def _positive(text):
-    """Return a positive number."""
-    if _magnitude(text) == 0:
-        raise argparse.ArgumentTypeError(f"{text} is not positive")
-    return float(text)
 
 
 def _direction(text):

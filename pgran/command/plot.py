@@ -1,28 +1,31 @@
-"""`pgran plot`: the figures of a result, alone or with another of the same lattice laid over."""
+"""`pgran plot`: the figures of a result, of several of one scene, of one with another laid over."""
 
-import argparse
 import logging
 import os
 from pathlib import Path
 
 import pgran
 from pgran import figures
-from pgran.errors import DONE, FileError
+from pgran.command.words import Parser
+from pgran.errors import DONE, FileError, InputError
+from pgran.files.columns import read_measured
+from pgran.files.options import options_in
 
 log = logging.getLogger("pgran")
 
 LAID_OVER = {"response": "modes", "pulse": "response"}  # and over what
 
 
-def plot(result, output=None, modes=None, response=None):
+def plot(result, output=None, modes=None, response=None, measured=None):
     """Return the figures of a result by their names, `plot("a.h5")["amplitude"]`; save them too.
 
     Not collective.
 
     Parameters
     ----------
-    result : pgran.record.Result, str or os.PathLike
-        What `load` returns, or the path of its file.
+    result : pgran.record.Result, str or os.PathLike, or a list of these
+        What `load` returns, or the path of its file. Several of one scene (response, modes,
+        relaxation, pulse) are laid over each other, labelled by the options in which they differ.
     output : str or os.PathLike, optional
         Where to save: `results/a.png` gives `results/a-amplitude.png` and so on; the ending decides
         the format. A missing folder is made.
@@ -30,6 +33,9 @@ def plot(result, output=None, modes=None, response=None):
         Angular frequencies of normal modes, marked by pluses on the frequency axes of a response.
     response : pgran.results.Response, optional
         Of the same lattice; its amplitudes are laid over the spectra of a pulse.
+    measured : str or os.PathLike, optional
+        Text file of columns of numbers, laid over a response: omega (angular, in the result's
+        unit), amplitude relative to the drive, and maybe a phase.
 
     Returns
     -------
@@ -38,14 +44,35 @@ def plot(result, output=None, modes=None, response=None):
     Raises
     ------
     FileError
-        If the result cannot be read or holds nothing to draw, or a figure cannot be saved.
+        If a file cannot be read or holds nothing to draw, results do not belong together, or a
+        figure cannot be saved.
+    InputError
+        If modes or a response are to be laid over several results.
     PgranError
         If there is no matplotlib.
     """
-    shown = pgran.load(result) if isinstance(result, (str, os.PathLike)) else result
-    made = figures.make(shown, modes=modes, response=response)
+    given = list(result) if isinstance(result, (list, tuple)) else [result]
+    paths = [each if isinstance(each, (str, os.PathLike)) else None for each in given]
+    shown = [pgran.load(path) if path else each for path, each in zip(paths, given, strict=True)]
+    names = [Path(path).name if path else str(n) for n, path in enumerate(paths, 1)]
+    if len(shown) > 1 and not (modes is None and response is None):
+        raise InputError("modes and a response are laid over one result only")
+    made = _make(shown, names, measured, modes=modes, response=response)
     if output is not None:
         figures.save(made, output)
+    return made
+
+
+def _make(shown, names, measured=None, **over):
+    """Return the figures of results whose files have these names. See `plot`."""
+    if len(shown) == 1:
+        made = figures.make(shown[0], **over)
+    else:
+        made = figures.compare(shown, labels_of(shown, names))
+    if measured is not None:
+        missed = figures.add_measured(made, shown, read_measured(measured), Path(measured).name)
+        if missed:
+            log.warning("%s: %d frequencies are beyond the sweep: not drawn", measured, missed)
     return made
 
 
@@ -53,32 +80,64 @@ def run(words):
     """Draw the figures of a result.
 
     With another one of the same lattice its modes are marked in a response, or its response is laid
-    over the spectra of a pulse.
+    over the spectra of a pulse. Several of one scene are laid over each other.
     """
-    parser = argparse.ArgumentParser("pgran plot", description=run.__doc__)
-    parser.add_argument("result", help="HDF5 file that pgran run has written")
-    parser.add_argument("other", nargs="?", help="another one, in either order")
+    parser = Parser("pgran plot", description=run.__doc__)
+    parser.add_argument("result", nargs="+", help="HDF5 file that pgran run has written")
     parser.add_argument("-o", "--output", help="figure file; its ending decides the format")
+    parser.add_argument(
+        "-plot_with", metavar="DATA", help="columns to lay over a response: omega amplitude [phase]"
+    )
     given = parser.parse_intermixed_args(words)
-    path, shown, over = given.result, pgran.load(given.result), {}
-    if given.other:
-        other = pgran.load(given.other)
-        drawn, name, record = _pair(shown, other)
-        path, shown = given.other if drawn is other else path, drawn
+    paths, over = [Path(each) for each in given.result], {}
+    if len({os.path.realpath(each) for each in given.result}) < len(given.result):
+        raise InputError("plot: the same result is given twice")
+    shown = [pgran.load(each) for each in given.result]
+    if len({result.scene for result in shown}) > 1:
+        number, name, record = _pair(*shown)
+        paths, shown = [paths[number]], [shown[number]]
         over[name] = record.omega if name == "modes" else record
         if name == "modes" and not record.count_certified:
             log.warning("modes are missing or inaccurate, so not all are marked")
-    output = given.output or Path(path).with_suffix(".png")
-    for drawn in figures.save(figures.make(shown, **over), output):
-        print(drawn)
+    made = _make(shown, [path.name for path in paths], given.plot_with, **over)
+    several = "-compared" if len(shown) > 1 else ""
+    output = given.output or paths[0].with_name(f"{paths[0].stem}{several}.png")
+    for written in figures.save(made, output):
+        print(written)
     return DONE
 
 
-def _pair(one, other):
-    """Return which of two results of one lattice is drawn, and what is laid over: name, record."""
+def labels_of(results, names):
+    """Return what tells results apart: the options in which they differ, else their names.
+
+    Not collective. How a run was carried out, and what it stored, is no difference.
+
+    Parameters
+    ----------
+    results : sequence of pgran.record.Result
+    names : sequence of str
+        Of the files.
+    """
+    options = [options_in(getattr(result, "options", "")) for result in results]
+    keys = dict.fromkeys(key for each in options for key in each)
+    differ = [key for key in keys if len({each.get(key) for each in options}) > 1]
+    labels = [" ".join(f"-{k} {each[k]}".strip() for k in differ if k in each) for each in options]
+    alike = [label for label in labels if labels.count(label) > 1]
+    if alike:
+        same = [name for name, label in zip(names, labels, strict=True) if label in alike]
+        log.warning("%s: no option tells them apart; the figure names the files", ", ".join(same))
+    return [
+        " ".join(filter(None, [label, f"file {name}"])) if label in alike else label or "by default"
+        for name, label in zip(names, labels, strict=True)
+    ]
+
+
+def _pair(*results):
+    """Return the number of the one that is drawn, and what is laid over: its name, its record."""
     import numpy as np  # late: `pgran --help` loads nothing
 
-    for drawn, over in ((one, other), (other, one)):
+    for number, drawn in enumerate(results if len(results) == 2 else ()):
+        over = results[1 - number]
         for group, name in LAID_OVER.items():
             if not (hasattr(drawn, group) and hasattr(over, name)):
                 continue
@@ -89,8 +148,7 @@ def _pair(one, other):
                 values = [getattr(result.medium, fact, None) for result in (drawn, over)]
                 if not np.array_equal(*values):
                     raise FileError(f"the {group} and the {name} belong to different lattices")
-            return drawn, name, getattr(over, name)
+            return number, name, getattr(over, name)
     pairs = " or ".join(f"{group} and {name}" for group, name in LAID_OVER.items())
-    raise FileError(
-        f"two results that are drawn together are {pairs}, not {one.scene} and {other.scene}"
-    )
+    scenes = " and ".join(result.scene for result in results)
+    raise FileError(f"results are drawn together if of one scene, or {pairs}; not {scenes}")

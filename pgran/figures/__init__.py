@@ -4,9 +4,11 @@ The module named after a group of the result, `pgran.figures.response` say, has 
 kind of panel, which draws into axes of the user's, with labels for a legend, and returns what it
 drew: `response.amplitude(ax, result.response, result.medium)`. Its `figures(result, **over)`
 yields the names and the pages that `pgran plot` saves; `over` is what another result of the same
-lattice adds, `modes` or `response`. `pgran.figures.style.applied()` is their style.
+lattice adds, `modes` or `response`. `together` lays results of one scene over each other.
+`pgran.figures.style.applied()` is their style.
 """
 
+import contextlib
 import importlib
 import pkgutil
 from pathlib import Path
@@ -19,8 +21,42 @@ def make(result, **over):
     groups = [m.name for m in pkgutil.iter_modules(__path__) if hasattr(result, m.name)]
     if not groups:
         raise FileError(f"nothing to draw in this result (scene {result.scene})")
+    _check_unit(result)
+    made = {}
+    with _style():
+        for group in groups:
+            module = importlib.import_module(f"pgran.figures.{group}")
+            made |= dict(module.figures(result, **over))
+    return made
+
+
+def compare(results, labels):
+    """Return figures of results of one scene over each other. See `pgran.plot`. Not collective."""
+    for result in results:
+        _check_unit(result)
+    with _style():
+        from pgran.figures import together
+
+        return dict(together.figures(results, labels))
+
+
+def add_measured(made, results, data, label):
+    """Draw what was measured into figures of responses; see `together`. Not collective."""
+    with _style():
+        from pgran.figures import together
+
+        return together.add_measured(made, results, data, label)
+
+
+def _check_unit(result):
+    """Raise a FileError unless there is a unit of frequency, where one is needed."""
     if hasattr(result, "medium") and not result.medium.omega_mx > 0:
         raise FileError("nothing to draw in this result: without stiff bonds omega_mx is 0")
+
+
+@contextlib.contextmanager
+def _style():
+    """Make the figures' style hold for a while."""
     try:
         from pgran.figures import style
     except ImportError as error:
@@ -28,12 +64,8 @@ def make(result, **over):
             f"figures need matplotlib, which cannot be imported ({error}): "
             "pip install matplotlib, or apt install python3-matplotlib"
         ) from None
-    made = {}
     with style.applied():
-        for group in groups:
-            module = importlib.import_module(f"pgran.figures.{group}")
-            made |= dict(module.figures(result, **over))
-    return made
+        yield
 
 
 def save(made, output):

@@ -54,15 +54,28 @@ def series(ax, relaxation, steps=2000):
 
 def spectrum(ax, spectrum):
     """Draw a power spectrum, the law fitted to it, and a line of slope -2; return the lines."""
+    label = rf"$S \propto (2\sin\pi f)^{{-\psi}}$, {exponent(spectrum)}"
+    curve, law = power(ax, spectrum, label, style.ACCENT, shade="#777777")
+    window, values = law.get_data()
+    middle = len(window) // 2
+    parallel = 6.0 * values[middle] * (window / window[middle]) ** -2.0  # well above the spectrum
+    look = {"color": "black", "linestyle": "--", "label": r"slope $-2$"}
+    return [curve, law, *ax.plot(window, parallel, **look)]
+
+
+def power(ax, spectrum, label, color, shade=None, linestyle="-"):
+    """Draw a power spectrum in a pale shade, and the law fitted to it; return both lines."""
     ax.set(xscale="log", xlabel="frequency $f$ (cycles per step)")
     ax.set(yscale="log", ylabel="power density $S$ (steps per cycle)")
     window = np.geomspace(spectrum.fit_min, spectrum.fit_max, 100)
-    law, middle = spectrum.power_law(window), len(window) // 2
-    parallel = 6.0 * law[middle] * (window / window[middle]) ** -2.0  # well above the spectrum
-    value = rf"$\psi = {spectrum.exponent:.3f} \pm {spectrum.exponent_error:.3f}$"
-    label = rf"$S \propto (2\sin\pi f)^{{-\psi}}$, {value}"
+    look = {"color": color, "linewidth": 1.5, "linestyle": linestyle, "label": label}
+    shade = shade or style.pale(color)
     return [
-        *ax.plot(spectrum.frequency, spectrum.power, color="#777777", linewidth=0.5),
-        *ax.plot(window, law, color=style.ACCENT, linewidth=1.5, label=label),
-        *ax.plot(window, parallel, color="black", linestyle="--", label=r"slope $-2$"),
+        *ax.plot(spectrum.frequency, spectrum.power, color=shade, linewidth=0.5),
+        *ax.plot(window, spectrum.power_law(window), **look),
     ]
+
+
+def exponent(spectrum):
+    """Return the exponent of a power law with its error, as a legend has it."""
+    return rf"$\psi = {spectrum.exponent:.3f} \pm {spectrum.exponent_error:.3f}$"

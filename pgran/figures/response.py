@@ -13,7 +13,7 @@ REGIMES = ("low frequencies", "intermediate frequencies", "high frequencies")
 def figures(result, modes=None, **_):
     """Yield the amplitudes, a panel a regime, the phases, the group delay, and the bonds."""
     response, lattice = result.response, result.medium
-    yield "amplitude", _amplitude_page(response, lattice, modes)
+    yield "amplitude", amplitude_page([(response, lattice, None, {})], modes)
     figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.13 * len(response.detector))
     phase(ax, response, lattice, modes)
     style.legend_above([ax], columns=1)
@@ -27,7 +27,7 @@ def figures(result, modes=None, **_):
         yield "bonds", bonds.page(lattice, response.detector)
 
 
-def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf)):
+def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf), labels=None, **line):
     """Draw the amplitudes against frequency, a curve a detector (paper: freqres).
 
     Points that missed the accuracy asked for are gaps in the curves and crosses on the upper edge;
@@ -42,13 +42,17 @@ def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf)):
         Angular frequencies of normal modes, marked by pluses.
     within : tuple of float
         Range of the driving frequencies that are drawn, in units of omega_mx.
+    labels : sequence of str, optional
+        Of the curves, instead of the detectors' names.
+    **line
+        For `Axes.plot`.
     """
     x, values = response.omega / lattice.omega_mx, response.amplitude
     inside = (within[0] <= x) & (x <= within[1])
     limit = np.where(inside[:, None], style.upper_limits(response), np.nan)
     ax.set(yscale="log", ylabel=style.AMPLITUDE, xlim=style.limits(x[inside], within))
-    names = style.ball_names(response.detector)
-    drawn = style.curves(ax, x, values, inside[:, None] & known(response), names, limit)
+    names = labels or style.ball_names(response.detector)
+    drawn = style.curves(ax, x, values, inside[:, None] & known(response), names, limit, **line)
     _finish(ax, response, lattice, modes)
     return drawn
 
@@ -65,7 +69,7 @@ def known(response):
     return above & (response.converged_reason > 0)[:, None]
 
 
-def phase(ax, response, lattice, modes=None):
+def phase(ax, response, lattice, modes=None, labels=None, **line):
     """Draw the unwrapped phase with the straight lines fitted (paper: phaseres).
 
     A line covers the points that it was fitted to; its slope and the phase velocity (`phsvel`) are
@@ -79,12 +83,16 @@ def phase(ax, response, lattice, modes=None):
     lattice : pgran.results.LatticeRecord
     modes : array_like, optional
         Angular frequencies of normal modes, marked by pluses.
+    labels : sequence of str, optional
+        Of the curves, instead of the detectors' names.
+    **line
+        For `Axes.plot`.
     """
     x, low, high = response.omega / lattice.omega_mx, response.phase_fit_min, response.phase_fit_max
     good = (response.converged_reason > 0)[:, None] & np.isfinite(response.phase)
     ends = _fitted_ends(response, x, good)
     fitted = np.flatnonzero(np.isfinite(response.phase_slope) & np.isfinite(ends[0]))
-    labels = style.ball_names(response.detector)
+    labels = list(labels or style.ball_names(response.detector))
     for d in fitted:
         slope, velocity = f"{response.phase_slope[d]:.4g}", f"{response.phase_velocity[d]:.3g}"
         if response.phase_slope_error is not None:  # as it is in a file of version 0.1
@@ -95,14 +103,14 @@ def phase(ax, response, lattice, modes=None):
             labels[d] += f", $v = {velocity}\\;d\\,\\omega_{{mx}}$"
     ax.set(ylabel=style.PHASE, xlim=style.limits(x))
     ax.locator_params("x", nbins=7)
-    drawn = style.curves(ax, x, response.phase, good, labels)
+    drawn = style.curves(ax, x, response.phase, good, labels, **line)
     unit = "spacing" if lattice.group == "lattice" else "unit of length"
     meaning = f"slope $s$, phase velocity $v$ ($d$: {unit})"
     label = rf"fit, {low:g} to {high:g} $\omega_{{mx}}$: {meaning}"
     for d in fitted:
-        line = response.phase_slope[d] * ends[:, d] + response.phase_intercept[d]
+        fit = response.phase_slope[d] * ends[:, d] + response.phase_intercept[d]
         shade = style.pale(drawn[d].get_color())
-        ax.plot(ends[:, d], line, color=shade, linewidth=3, zorder=1, label=label)
+        ax.plot(ends[:, d], fit, color=shade, linewidth=3, zorder=1, label=label)
         label = None
     _finish(ax, response, lattice, modes)
     return drawn
@@ -143,22 +151,44 @@ def _finish(ax, response, lattice, modes):
     ax.set_xlabel(style.FREQUENCY)
 
 
-def _amplitude_page(response, lattice, modes):
-    """Return the figure of the amplitudes, a panel a regime that the sweep reaches."""
-    x = response.omega / lattice.omega_mx
-    # An edge belongs to the regime below, the first point of all to the one above.
-    regimes = np.searchsorted(EDGES[1:-1], [np.nextafter(x[0], math.inf), *x[1:]])
-    present = np.unique(regimes)
-    entries = len(response.detector) + np.isfinite(style.upper_limits(response)).any()
-    height = 0.4 + 1.75 * len(present) + 0.13 * math.ceil(entries / 4)
+def amplitude_page(shown, modes=None):
+    """Return the figure of amplitudes, a panel a regime that a sweep reaches.
+
+    Parameters
+    ----------
+    shown : sequence of tuple
+        Each a response, its lattice, labels of its curves or None, and their look.
+    modes : array_like, optional
+        Angular frequencies of normal modes, marked by pluses.
+    """
+    reached = [_regimes(response.omega / lattice.omega_mx) for response, lattice, *_ in shown]
+    present, all_names = np.unique(np.concatenate(reached)), []
+    for response, _, names, _ in shown:
+        all_names += names or style.ball_names(response.detector)
+        if np.isfinite(style.upper_limits(response)).any():
+            all_names.append("")
+    columns = style.columns_of(all_names)
+    height = 0.4 + 1.75 * len(present) + 0.13 * math.ceil(len(all_names) / columns)
     figure, panels = style.page(style.PAGE, height, nrows=len(present))
     for letter, regime, ax in zip("abc", present, panels, strict=False):
-        drawn = amplitude(ax, response, lattice, modes, EDGES[regime : regime + 2])
-        if len(drawn) == 1:
+        drawn, ends = [], []
+        for (response, lattice, names, look), there in zip(shown, reached, strict=True):
+            if regime in there:
+                within = EDGES[regime : regime + 2]
+                drawn += amplitude(ax, response, lattice, modes, within, names, **look)
+                ends.append(ax.get_xlim())
+        ax.set_xlim(np.min(ends), np.max(ends))
+        if len(shown) == len(drawn) == 1:
             drawn[0].set_label("")
         ax.set_title(f"({letter}) {REGIMES[regime]}" if len(present) > 1 else REGIMES[regime])
         ax.set(xlabel="", ylabel="")
-    style.legend_above(panels, columns=4)
+    style.legend_above(panels, columns)
     panels[-1].set_xlabel(style.FREQUENCY)
     figure.supylabel(style.AMPLITUDE, fontsize="medium")
     return figure
+
+
+def _regimes(x):
+    """Return the regimes that frequencies in units of omega_mx reach."""
+    # An edge belongs to the regime below, the first point of all to the one above.
+    return np.unique(np.searchsorted(EDGES[1:-1], [np.nextafter(x[0], math.inf), *x[1:]]))

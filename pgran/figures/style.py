@@ -98,12 +98,22 @@ def limits(x, within=(0.0, np.inf)):
     return max(within[0], x.min() - margin), min(within[1], x.max() + margin)
 
 
+def columns_of(labels):
+    """Return in how many columns a legend of a page's width lists labels beside a title."""
+    return max(1, min(4, 90 // (max(map(len, labels)) + 8)))
+
+
 def legend_above(panels, columns):
-    """Put one legend of all panels above the upper right of the first, where no data can be."""
-    handles = {}
+    """Put one legend of all panels above the upper right of the first, where no data can be.
+
+    What several curves of a panel have in common comes last.
+    """
+    handles, shared = {}, {}
     for ax in panels:
         drawn, labels = ax.get_legend_handles_labels()
-        handles |= dict(zip(labels, drawn, strict=True))
+        for handle, label in zip(drawn, labels, strict=True):
+            (shared if labels.count(label) > 1 else handles).setdefault(label, handle)
+    handles |= shared
     if handles:
         place = {"loc": "lower right", "bbox_to_anchor": (1, 1)}
         panels[0].legend(handles.values(), handles.keys(), ncol=columns, **place)
@@ -157,7 +167,7 @@ def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
     label = "upper limit, at the floor"
     look = {"linestyle": "none", "marker": "v", "markersize": 2.5, "markeredgewidth": 0}
     for n in [] if limit is None else np.flatnonzero(np.isfinite(limit).any(axis=0)):
-        ax.plot(x, limit[:, n], color=shades[n], label=label, **look)
+        ax.plot(x, limit[:, n], color=drawn[n].get_color(), label=label, **look)
         label = None
     if not np.isfinite(ax.dataLim.height):
         ax.yaxis.set_visible(False)

@@ -160,6 +160,14 @@ RUN = (
 )  # fmt: skip
 
 
+def options_in(text):
+    """Return {name: text} of what `Options.text` has written, but how a run was carried out."""
+    lines = [line.lstrip("-").partition(" ") for line in text.splitlines()]
+    how = {option.name for option in RUN}
+    told = {name: value for name, _, value in lines if name and not name.startswith("output_")}
+    return {name: value for name, value in told.items() if name not in how}
+
+
 class Options:
     """The resolved options of a run: `options.lattice_shape` is the value of `-lattice_shape`.
 

@@ -1,0 +1,174 @@
+"""Results of one scene over each other in one figure, and what was measured over a response.
+
+Curves differ by colour and, for print in grey, by line style; points by their marks.
+"""
+
+import textwrap
+
+import numpy as np
+
+from pgran.errors import FileError
+from pgran.figures import pulse, relaxation, response, style
+
+LINES = ("-", (0, (4, 1)), (0, (1, 0.8)), (0, (5, 1, 1, 1)), (0, (9, 1.5)), (0, (4, 1, 1, 1, 1, 1)))
+COLOURS = ("black", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
+MARKS = (".", "+", "x", "^", "s", "d")
+MOST = len(LINES)
+WIDE = 60  # characters of a line in a legend
+
+
+def figures(results, labels):
+    """Yield the names and the pages of results of one scene, up to `MOST`, each with its label."""
+    scene = results[0].scene
+    if scene not in PAGES:
+        raise FileError(f"results of the scene {scene} are not laid over each other, but of "
+                        f"{', '.join(PAGES)}")  # fmt: skip
+    if len(results) > MOST:
+        raise FileError(f"{len(results)} results: at most {MOST} are told apart in one figure")
+    labels = ["\n".join(textwrap.wrap(label.replace("$", r"\$"), WIDE)) for label in labels]
+    yield from PAGES[scene](results, labels)
+
+
+def _look(number):
+    """Return the colour and the line style of a result."""
+    width = 1.0 if number else 0.8  # dashes and dots look thinner than they are
+    return {"color": COLOURS[number], "linestyle": LINES[number], "linewidth": width}
+
+
+def _responses(results, labels):
+    """Yield amplitudes and phases (paper: freqres, phaseres).
+
+    Of several detectors each has a colour, and line styles tell the results apart.
+    """
+    shown, alone = [], all(len(result.response.detector) == 1 for result in results)
+    for number, (result, label) in enumerate(zip(results, labels, strict=True)):
+        balls, look = style.ball_names(result.response.detector), _look(number)
+        if not alone:
+            del look["color"]
+        names = [label] if alone else [f"{label}, {ball}" for ball in balls]
+        shown.append((result.response, result.medium, names, look))
+    yield "amplitude", response.amplitude_page(shown)
+    curves = sum(len(names) for _, _, names, _ in shown)
+    figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.26 * curves)
+    ends = []
+    for record, lattice, names, look in shown:
+        response.phase(ax, record, lattice, labels=names, **look)
+        ends.append(ax.get_xlim())
+    ax.set_xlim(np.min(ends), np.max(ends))
+    style.legend_above([ax], columns=1)
+    yield "phase", figure
+
+
+def _modes(results, labels):
+    """Yield participation ratios, and densities if each result has 20 modes or more."""
+    found = [result.modes.omega / result.medium.omega_mx for result in results]
+    for x in found:
+        style.check_any(x, "modes")
+    shown = list(zip(results, found, labels, strict=True))
+    height = 2.5 + 0.13 * sum(1 + label.count("\n") for label in labels)
+    figure, (ax,) = style.page(style.COLUMN, height)
+    for number, (result, x, label) in enumerate(shown):
+        look = {"markersize": 3, "markeredgewidth": 0.5, "fillstyle": "none", "clip_on": False}
+        look |= {"marker": MARKS[number], "color": COLOURS[number], "linestyle": "none"}
+        ax.plot(x, result.modes.participation, label=label, **look)
+    most = max(result.medium.free_balls for result in results)
+    ax.set(yscale="log", ylim=(1, max(most, 10)), xlabel=style.MODE_FREQUENCY)
+    ax.set_ylabel("participation ratio $P_i$ (balls)")
+    made = {"participation": figure}
+    if min(map(len, found)) >= 20:
+        made["density"], (ax,) = style.page(style.COLUMN, height)
+        bins = round(max(map(len, found)) ** 0.5)
+        edges = np.histogram_bin_edges(np.concatenate(found), bins)
+        for number, (_, x, label) in enumerate(shown):
+            counts = np.histogram(x, edges)[0] / np.diff(edges)
+            look = {"edgecolor": COLOURS[number], "linestyle": LINES[number]}
+            ax.stairs(counts, edges, label=label, **look)
+        ax.set_ylim(bottom=0)
+        ax.set(xlabel=style.MODE_FREQUENCY, ylabel=r"density of modes (modes per $\omega_{mx}$)")
+    missing = sum(not result.modes.count_certified for result in results)
+    for name, page in made.items():
+        style.legend_above(page.axes, columns=1)
+        if missing:
+            style.note(page, f"NOT CERTIFIED: modes of {missing} of {len(results)} results")
+        yield name, page
+
+
+def _relaxations(results, labels):
+    """Yield the power spectra, each with the law fitted to it (paper: timeres)."""
+    if any(getattr(result, "spectrum", None) is None for result in results):
+        raise FileError(
+            "spectra are laid over each other: a result has none, its run was too short"
+        )
+    figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.26 * len(results))
+    for number, (result, label) in enumerate(zip(results, labels, strict=True)):
+        said = f"{label}:\n{relaxation.exponent(result.spectrum)}"
+        look = _look(number)
+        relaxation.power(ax, result.spectrum, said, look["color"], linestyle=look["linestyle"])
+    style.legend_above([ax], columns=1)
+    yield "spectrum", figure
+
+
+def _pulses(results, labels):
+    """Yield the signals of the first detector; not those that are below their error."""
+    figure, (ax,) = style.page(style.PAGE, 2.5 + 0.13 * sum(1 + s.count("\n") for s in labels))
+    for number, (result, label) in enumerate(zip(results, labels, strict=True)):
+        signals, time = result.pulse, result.pulse.time * result.medium.omega_mx
+        moved, error = signals.displacement[:, 0], signals.error[:, 0]
+        if not np.abs(moved).max() > error.max():
+            label, moved = f"{label}: below its error", np.full_like(moved, np.nan)
+        ax.plot(time, moved, label=label, **_look(number))
+    first = {style.ball_names(result.pulse.detector[:1])[0] for result in results}
+    ax.set_title(first.pop() if len(first) == 1 else "first detectors")
+    last = max(result.pulse.time[-1] * result.medium.omega_mx for result in results)
+    ax.set(xlabel=pulse.TIME, ylabel="displacement", xlim=(0, last))
+    style.legend_above([ax], columns=1)
+    yield "signals", figure
+
+
+PAGES = {"response": _responses, "modes": _modes, "relaxation": _relaxations, "pulse": _pulses}
+
+
+def add_measured(made, results, data, label):
+    """Draw what was measured into the figures of responses: circles over amplitudes and phases.
+
+    Parameters
+    ----------
+    made : dict of str: matplotlib.figure.Figure
+        Of `response`, or of `figures`.
+    results : sequence of pgran.record.Result
+        What they show.
+    data : dict of str: numpy.ndarray
+        `omega`, `amplitude`, and maybe `phase`.
+    label : str
+
+    Returns
+    -------
+    int
+        How many points lie beyond all sweeps, and are not drawn.
+    """
+    if not all(hasattr(result, "response") for result in results):
+        raise FileError(f"{label}: what was measured is laid over responses only")
+    units = {result.medium.omega_mx for result in results}
+    if len(units) > 1:
+        raise FileError(f"{label}: the results have different omega_mx, so frequencies measured "
+                        "in one unit are laid over one of them only")  # fmt: skip
+    x = data["omega"] / units.pop()
+    look = {"linestyle": "none", "marker": "o", "markersize": 3, "markerfacecolor": "white"}
+    look |= {"color": "black", "markeredgewidth": 0.6, "zorder": 4}
+    seen, name = np.zeros(len(x), dtype=bool), label.replace("$", r"\$")
+    for part in ("amplitude", "phase"):
+        for ax in made[part].axes if part in data else ():
+            low, high = ax.get_xlim()
+            inside = (low <= x) & (x <= high)
+            if inside.any():
+                ax.plot(x[inside], data[part][inside], label=name, scalex=False, **look)
+            seen |= inside
+        legend = made[part].axes[0].get_legend()
+        entries = [text.get_text() for text in legend.get_texts()] if legend else []
+        columns = style.columns_of([*entries, name]) if part == "amplitude" else 1
+        style.legend_above(made[part].axes, columns)
+        made[part].set_figheight(made[part].get_figheight() + 0.13)
+    if not seen.any():
+        raise FileError(f"{label}: none of its frequencies is one of the sweep; omega is angular, "
+                        "in the unit of the result")  # fmt: skip
+    return int(np.count_nonzero(~seen))

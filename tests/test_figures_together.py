@@ -1,0 +1,280 @@
+"""Results over each other, labelled by what tells them apart, and measurements over responses."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from figure_reading import curves, labels, lines, note
+from figure_results import UNIT, find_modes, listen, relax, respond, respond_box, result_of
+from samples import random_lattice
+
+import pgran
+from pgran import errors, figures
+from pgran.command.plot import labels_of
+from pgran.command.plot import run as plot
+from pgran.command.resolve import resolve
+from pgran.errors import FileError, InputError
+from pgran.figures import together
+from pgran.files.columns import read_measured
+from pgran.files.options import options_in
+from pgran.files.reading import read_words
+from pgran.physics.spectrum import power_spectrum
+
+BETAS = (0.001, 0.003, 0.01)
+X = np.linspace(0.1, 1.2, 111)  # in units of omega_mx
+
+
+def told(words):
+    """A result that knows its options only."""
+    options = resolve(read_words(["-scene", "response", *words.split()]))
+    return SimpleNamespace(options=options.text(), scene="response")
+
+
+def with_options(result, words):
+    result.options = told(words).options
+    return result
+
+
+@pytest.fixture(scope="module")
+def damped():
+    """Responses of one lattice with three dampings."""
+    made = []
+    for beta in BETAS:
+        lattice = random_lattice((4, 3), seed=5, mass=0.25, damping=beta)
+        made.append(with_options(respond(X, lattice=lattice), f"-lattice_damping {beta}"))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("-lattice_damping .001", "", "-lattice_damping .01"),
+         ["-lattice_damping 0.001", "-lattice_damping 0.003", "-lattice_damping 0.01"]),
+        (("-lattice_shape 20,20", "-lattice_shape 9,8 -bonds_seed 7"),
+         ["-lattice_shape 20,20 -bonds_seed 1993", "-lattice_shape 9,8 -bonds_seed 7"]),
+        (("-output_file a.h5 -output_fields", "-ranks_per_lattice 2 -bonds_seed 7"),
+         ["-bonds_seed 1993", "-bonds_seed 7"]),  # not what a run keeps, and how
+        (("", "-steady_pc_type lu"), ["by default", "-steady_pc_type lu"]),
+        (("-network_file a.h5", "-network_file c.h5"),
+         ["-network_file a.h5", "-network_file c.h5"]),
+    ],
+)  # fmt: skip
+def test_labels_are_the_options_that_differ(words, expected, caplog):
+    shown = [told(each) for each in words]
+    assert labels_of(shown, list("abc")[: len(shown)]) == expected
+    assert not caplog.text
+
+
+def test_results_of_the_same_options_are_named(caplog):
+    shown = [told("-bonds_seed 7"), told("-bonds_seed 8"), told("-bonds_seed 7 -output_file b.h5")]
+    with caplog.at_level("WARNING", logger="pgran"):
+        found = labels_of(shown, ["a.h5", "b.h5", "c.h5"])
+    assert found == ["-bonds_seed 7 file a.h5", "-bonds_seed 8", "-bonds_seed 7 file c.h5"]
+    assert "a.h5, c.h5: no option tells them apart" in caplog.text
+    assert labels_of(shown[::2], ["a.h5", "c.h5"]) == ["file a.h5", "file c.h5"]
+
+
+def test_what_a_result_says_of_its_options_is_read_back():
+    options = resolve(read_words(["-scene", "response", "-steady_pc_type", "lu"]))
+    found = options_in(options.text())
+    plain = {k: v for k, v in options.identity().items() if not k.startswith("output_")}
+    assert found == plain
+
+
+def test_responses_over_each_other(damped):
+    """Each curve has the numbers of its result, and colour, line style and label of its own."""
+    made = pgran.plot(damped)
+    assert list(made) == ["amplitude", "phase"]
+    expected = [f"-lattice_damping {beta}" for beta in BETAS]
+    for result, label in zip(damped, expected, strict=True):
+        seen = []
+        for ax in made["amplitude"].axes:
+            (line,) = (line for line in curves(ax) if line.get_label() == label)
+            seen.append(line.get_ydata(orig=True))
+        assert np.array_equal(seen[0].data, result.response.amplitude[:, 0])
+        assert sum(np.ma.count(values) for values in seen) == len(X)
+    drawn = curves(made["phase"].axes[0])
+    for line, result, label in zip(drawn, damped, expected, strict=True):
+        assert np.array_equal(line.get_ydata(), result.response.phase[:, 0])
+        assert line.get_label().partition(":")[0] == label
+    assert len({line.get_color() for line in drawn}) == 3
+    assert len({str(line._unscaled_dash_pattern) for line in drawn}) == 3
+    for figure in made.values():
+        figure.draw_without_rendering()
+        box = figure.axes[0].get_legend().get_window_extent()
+        assert figure.axes[0].bbox.y1 <= box.y0
+        assert box.x0 >= 0
+        assert box.y1 <= figure.bbox.y1
+    above = made["amplitude"].axes[0]
+    assert above._left_title.get_window_extent().x1 < above.get_legend().get_window_extent().x0
+
+
+def test_of_several_detectors_colours_are_balls_and_styles_are_results():
+    lattices = [random_lattice((4, 3), seed=seed, mass=0.25) for seed in (1, 2)]
+    shown = [respond(X, [(1, 1), (3, 0)], lattice) for lattice in lattices]
+    made = figures.compare(shown, ["one $", "two"])
+    drawn = curves(made["amplitude"].axes[0])
+    styles = [(line.get_color(), line.get_linestyle()) for line in drawn]
+    assert len(set(styles)) == 4
+    assert len({colour for colour, _ in styles}) == len({style for _, style in styles}) == 2
+    assert labels(made["amplitude"].axes[0])[1:3] == [r"one \$, ball (3, 0)", "two, ball (1, 1)"]
+    made["amplitude"].draw_without_rendering()  # a $ of a file's name begins no formula
+
+
+def test_sweeps_of_different_ranges():
+    """Each panel is as wide as all sweeps that reach it, and draws no other."""
+    made = figures.compare([respond(X[X < 0.5]), respond(X[X > 0.4])], ["low", "high"])
+    panels = made["amplitude"].axes
+    assert [labels(ax) for ax in panels] == [["low"], ["low", "high"], ["high"]]
+    assert panels[1].get_xlim() == pytest.approx((0.3, 1.0), abs=0.002)
+    low, high = made["phase"].axes[0].get_xlim()
+    assert low < 0.1
+    assert high > 1.2
+
+
+def test_modes_over_each_other():
+    shown = [find_modes((6, 5)), find_modes((7, 6))]
+    made = figures.compare(shown, ["small", "large"])
+    for line, result in zip(made["participation"].axes[0].get_lines(), shown, strict=True):
+        assert np.array_equal(line.get_xdata(), result.modes.omega / result.medium.omega_mx)
+        assert np.array_equal(line.get_ydata(), result.modes.participation)
+    assert len({line.get_marker() for line in made["participation"].axes[0].get_lines()}) == 2
+    steps = [patch.get_data() for patch in made["density"].axes[0].patches]
+    assert np.array_equal(steps[0].edges, steps[1].edges)
+    for step, result in zip(steps, shown, strict=True):
+        area = np.sum(step.values * np.diff(step.edges))
+        assert area == pytest.approx(len(result.modes.omega), rel=1e-12)
+    assert labels(made["density"].axes[0]) == ["small", "large"]
+    few = [find_modes(), result_of(replace(find_modes().modes, count_certified=False))]
+    made = figures.compare(few, ["a", "b"])
+    assert list(made) == ["participation"]
+    assert note(made["participation"]) == "NOT CERTIFIED: modes of 1 of 2 results"
+
+
+def test_spectra_of_relaxations_over_each_other():
+    shown = [relax(), relax()]
+    with pytest.raises(FileError, match="too short"):
+        figures.compare(shown, ["a", "b"])
+    rng = np.random.default_rng(1)
+    for result in shown:
+        walk = np.cumsum(rng.standard_normal((1, 4000)), axis=1)
+        result.spectrum = power_spectrum(walk, 0.01, 0.3)
+    (ax,) = figures.compare(shown, ["a", "b"])["spectrum"].axes
+    for n, (result, name) in enumerate(zip(shown, "ab", strict=True)):
+        power, law = ax.get_lines()[2 * n : 2 * n + 2]
+        assert np.array_equal(power.get_ydata(), result.spectrum.power)
+        assert np.array_equal(law.get_ydata(), result.spectrum.power_law(law.get_xdata()))
+        assert law.get_label().startswith(f"{name}:\n$\\psi = {result.spectrum.exponent:.3f}")
+
+
+def test_signals_over_each_other():
+    shown = [listen([(1, 1)]), listen([(1, 1)], time=100.0)]
+    (ax,) = figures.compare(shown, ["long", "short"])["signals"].axes
+    for line, result in zip(ax.get_lines(), shown, strict=True):
+        assert np.array_equal(line.get_xdata(), result.pulse.time * UNIT)
+        assert np.array_equal(line.get_ydata(), result.pulse.displacement[:, 0])
+    assert ax.get_xlim() == (0, 200.0 * UNIT)
+    assert ax.get_title(loc="left") == "ball (1, 1)"
+    shown[1] = result_of(replace(listen([(2, 1)]).pulse, error_bound=np.ones((801, 1))))
+    (ax,) = figures.compare(shown, ["a", "b"])["signals"].axes
+    assert labels(ax) == ["a", "b: below its error"]
+    assert np.isnan(ax.get_lines()[1].get_ydata()).all()
+    assert ax.get_title(loc="left") == "first detectors"
+
+
+def test_results_that_are_not_laid_over_each_other():
+    with pytest.raises(
+        FileError, match="scene continuum are not laid over each other, but of resp"
+    ):
+        figures.compare([respond_box(), respond_box()], ["a", "b"])
+    result = respond([0.5])
+    with pytest.raises(FileError, match="7 results: at most 6 are told apart"):
+        figures.compare([result] * 7, list("abcdefg"))
+    with pytest.raises(InputError, match="over one result only"):
+        pgran.plot([result, result], modes=[1.0])
+    result.medium = replace(result.medium, omega_mx=0.0)
+    with pytest.raises(FileError, match="omega_mx is 0"):
+        figures.compare([result, result], ["a", "b"])
+    with pytest.raises(FileError, match="no modes"):
+        figures.compare([find_modes(interval=(50.0, 51.0))] * 2, ["a", "b"])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "0.4 2.0 -1\n0.8 0.5 -2\n8.0 1e-3 -3\n",
+        "\ufeffomega,amplitude,phase\n0.4,2,-1\n0.8,.5,-2\n8,1e-3,-3\n",
+        "# of 1992\n'Phase';'Omega';'Amplitude'\n-1;.4;2 # first\n\n-2;.8;5e-1\n-3;8;.001\n",
+    ],
+)
+def test_what_was_measured_lies_over_a_response(written, damped, text, caplog):
+    path = written(text, "measured$.csv")
+    for shown in (damped[0], damped):
+        caplog.clear()
+        with caplog.at_level("WARNING", logger="pgran"):
+            made = pgran.plot(shown, measured=path)
+        assert "1 frequencies are beyond the sweep" in caplog.text
+        for name, values in (("amplitude", [2.0, 0.5]), ("phase", [-1.0, -2.0])):
+            dots = [line for ax in made[name].axes for line in lines(ax, marker="o")]
+            assert np.concatenate([d.get_xdata() for d in dots]) == pytest.approx([0.2, 0.4])
+            assert np.concatenate([d.get_ydata() for d in dots]).tolist() == values
+            legend = made[name].axes[0].get_legend()
+            assert [t.get_text() for t in legend.get_texts()].count(r"measured\$.csv") == 1
+
+
+def test_without_phases_the_phase_is_left_alone(written, damped):
+    made = pgran.plot(damped[0], measured=written("0.4 2\n", "a.csv"))
+    assert not lines(made["phase"].axes[0], marker="o")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("omega,amplitude\n1,2\n3\n", "a.csv:3: 1 numbers; each line has omega, amplitude and"),
+        ("1 2\n1 2 3\n", "a.csv:2: 3 numbers"),
+        ("1\n2\n", "a.csv:1: 1 numbers"),
+        ("omega amplitude\n1 2 3\n", "a.csv:2: 3 numbers"),
+        ("f,A\n1,2\n", "a.csv:1: a header names omega, amplitude and maybe phase"),
+        ("omega amplitude omega\n1 2 1\n", "a.csv:1: a header names"),
+        ("omega amplitude\n", "a.csv: holds no numbers"),
+        ("", "a.csv: holds no numbers"),
+        ("1 2\n2 x\n", "a.csv:2: '2 x' is no number"),
+        ("1 2\n2 inf\n", "a.csv:2: '2 inf' is not finite"),
+        ("1 2\n0 1\n", "a.csv:2: omega 0 is not > 0"),
+        ("amplitude omega\n1 2\n-3 1\n", "a.csv:3: amplitude -3 is not > 0"),
+    ],
+)
+def test_columns_that_are_no_measurement(written, text, said):
+    with pytest.raises(FileError) as refused:
+        read_measured(written(text, "a.csv"))
+    assert said in str(refused.value)
+
+
+def test_measurements_that_fit_no_figure(written, damped):
+    path = written("0.4 2\n", "a.csv")
+    with pytest.raises(FileError, match=r"a\.csv: .* laid over responses only"):
+        pgran.plot(find_modes(), measured=path)
+    other = respond(X, lattice=random_lattice((4, 3), seed=5, mass=1.0))
+    with pytest.raises(FileError, match=r"a\.csv: the results have different omega_mx"):
+        pgran.plot([damped[0], with_options(other, "-lattice_mass 4")], measured=path)
+    with pytest.raises(FileError, match=r"b\.csv: none of its frequencies is one of the sweep"):
+        pgran.plot(damped[0], measured=written("40 2\n", "b.csv"))
+
+
+def test_the_command(written, damped, monkeypatch, capsys):
+    saved, path = [], written("0.4 2\n", "a.csv")
+    monkeypatch.setattr(figures, "save", lambda made, path: saved.append(made) or [path])
+    monkeypatch.setattr(pgran, "load", dict(zip(["a.h5", "b.h5"], damped, strict=False)).get)
+    assert plot(["a.h5", "b.h5", "-plot_with", str(path)]) == errors.DONE
+    assert capsys.readouterr().out == "a-compared.png\n"
+    assert len(lines(saved[0]["amplitude"].axes[0], marker="o")) == 1
+    assert plot(["b.h5", "-plot_with", str(path), "-o", "c.pdf"]) == errors.DONE
+    assert capsys.readouterr().out == "c.pdf\n"
+    assert "delay" in saved[1]
+    with pytest.raises(InputError, match=r"plot: .* required: result; see pgran plot --help"):
+        plot([])
+
+
+def test_there_are_as_many_looks_as_results():
+    assert len(together.LINES) == len(together.COLOURS) == len(together.MARKS) == together.MOST
