@@ -35,6 +35,9 @@ pgran: sound in a granular material, a lattice of balls and random springs
                                     (LAMMPS, LIGGGHTS, CSV, GraphML) wrote; --help says more
   pgran export RESULT TO.vtu        write balls, contacts, modes and fields for ParaView and others;
                                     TO.csv: the response, the signals, ... as a table
+  pgran units --diameter M --material glass --load N ...
+                                    say what omega_mx, stiffness and damping are in SI units for
+                                    balls in Hertzian contacts; --help says more
   pgran verify RESULT               say whether a result is as it was written, by its checksum
   pgran options [SCENE]             list every option: type, unit, default, range, meaning
   pgran doctor                      say what is installed, and what is wrong with it
@@ -53,6 +56,7 @@ COMMANDS = {
     "doctor": ("doctor", "examine"),
     "verify": ("verify", "verify"),
     "import": ("imports", "run"),
+    "units": ("units", "run"),
 }
 
 

@@ -93,7 +93,7 @@ def run(words):
     if len({os.path.realpath(each) for each in given.result}) < len(given.result):
         raise InputError("plot: the same result is given twice")
     shown = [pgran.load(each) for each in given.result]
-    if len({result.scene for result in shown}) > 1:
+    if len(shown) > 1 and len({str(result.scene) for result in shown}) > 1:
         number, name, record = _pair(*shown)
         paths, shown = [paths[number]], [shown[number]]
         over[name] = record.omega if name == "modes" else record
@@ -118,7 +118,7 @@ def labels_of(results, names):
     names : sequence of str
         Of the files.
     """
-    options = [options_in(getattr(result, "options", "")) for result in results]
+    options = [options_in(str(getattr(result, "options", ""))) for result in results]
     keys = dict.fromkeys(key for each in options for key in each)
     differ = [key for key in keys if len({each.get(key) for each in options}) > 1]
     labels = [" ".join(f"-{k} {each[k]}".strip() for k in differ if k in each) for each in options]

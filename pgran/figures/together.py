@@ -19,7 +19,7 @@ WIDE = 60  # characters of a line in a legend
 
 def figures(results, labels):
     """Yield the names and the pages of results of one scene, up to `MOST`, each with its label."""
-    scene = results[0].scene
+    scene = str(results[0].scene)
     if scene not in PAGES:
         raise FileError(f"results of the scene {scene} are not laid over each other, but of "
                         f"{', '.join(PAGES)}")  # fmt: skip

@@ -1,0 +1,155 @@
+"""`pgran units`: what the program's numbers are for balls of a material under a load."""
+
+import logging
+import math
+
+from pgran.command.words import Parser, positive
+from pgran.errors import DONE, InputError
+from pgran.parallel import launch
+from pgran.physics import hertz
+
+log = logging.getLogger("pgran")
+
+GRAVITY = 9.80665  # m/s^2
+DESCRIPTION = """\
+Compute, in SI units, contact stiffness, omega_mx and the speed of long waves of equal balls in
+Hertzian contacts, F = c h^(3/2), and the options of the lattice that has them. The load is that of
+the strongest contacts, kmax."""
+
+
+def run(words):
+    """Print a table of units, and the words of an options file."""
+    if launch.rank() > 0:
+        return DONE
+    given = _parser().parse_args(words)
+    try:
+        material = _material(given)
+        scale = hertz.Scale(material, given.diameter, _force(given, material), given.dimensions)
+        damping = _damping(given, scale)
+        if damping is not None and not math.isfinite(scale.own_damping(damping)):
+            raise OverflowError
+        rows, told = table(scale, damping), option_words(scale, damping)
+    except (OverflowError, ZeroDivisionError):
+        raise InputError("units: these numbers are too far apart to compute with") from None
+    if scale.contact_radius > hertz.LARGE:
+        log.warning(
+            "contacts have %.2g of the balls' radius: Hertz's law is for smaller ones",
+            scale.contact_radius,
+        )
+    for name, si, own in rows:
+        print(f"{name:<37}{si:<22}{own}".rstrip())
+    print(f"\n{told}")
+    return DONE
+
+
+def _parser():
+    """Return the parser of the command line."""
+    parser = Parser("pgran units", description=DESCRIPTION, allow_abbrev=False)
+    add = parser.add_argument
+    add("--diameter", type=positive, required=True, metavar="M", help="of a ball, in m")
+    add("--material", choices=hertz.MATERIALS, help="its modulus, Poisson's ratio and density")
+    add("--modulus", type=positive, metavar="PA", help="Young's modulus, in Pa")
+    add("--poisson", type=float, metavar="NU", help="Poisson's ratio")
+    add("--density", type=positive, metavar="RHO", help="in kg/m^3")
+    load = parser.add_mutually_exclusive_group(required=True)
+    load.add_argument("--load", type=positive, metavar="N", help="force of a contact, in N")
+    load.add_argument("--pressure", type=positive, metavar="PA", help="on the bed, in Pa")
+    load.add_argument(
+        "--omega_mx", type=positive, metavar="RAD/S", help="measured: the load that makes it so"
+    )
+    add("--fraction", type=positive, default=0.64, help="of the volume filled by balls (.64)")
+    add("--contacts", type=positive, default=6.0, help="of a ball, on the mean (6)")
+    add("--dimensions", type=int, choices=(1, 2, 3), default=2, help="of the lattice (2)")
+    loss = parser.add_mutually_exclusive_group()
+    loss.add_argument("--quality", type=positive, metavar="Q", help="quality factor at --frequency")
+    loss.add_argument("--restitution", type=positive, metavar="E", help="of two balls, up to 1")
+    add("--frequency", type=positive, metavar="HZ", help="at which --quality holds, in Hz")
+    return parser
+
+
+def _material(given):
+    """Return the material, the numbers given in place of its own."""
+    base = hertz.MATERIALS.get(given.material)
+    names = ("modulus", "poisson", "density")
+    values = {name: getattr(given, name) for name in names}
+    values = {k: getattr(base, k, None) if v is None else v for k, v in values.items()}
+    lacks = [f"--{name}" for name, value in values.items() if value is None]
+    if lacks:
+        raise InputError(f"units: without --material {', '.join(lacks)} must be given")
+    return hertz.Material(**values)
+
+
+def _force(given, material):
+    """Return the force of a contact."""
+    if given.fraction > 1:
+        raise InputError(f"--fraction {given.fraction:g}: is a part of the volume, at most 1")
+    if given.load:
+        return given.load
+    if given.pressure:
+        filled = given.fraction, given.contacts
+        return hertz.force_of_pressure(given.pressure, given.diameter, *filled)
+    mass = hertz.ball_mass(material, given.diameter)
+    stiffness = mass * given.omega_mx**2 / (2 * given.dimensions)
+    constant = hertz.contact_constant(material, given.diameter)
+    return hertz.force_of_stiffness(constant, stiffness)
+
+
+def _damping(given, scale):
+    """Return beta in SI units, or None."""
+    if (given.quality is None) != (given.frequency is None):
+        raise InputError("units: --quality and --frequency go together")
+    if given.quality is not None:
+        omega = 2 * math.pi * given.frequency
+        return hertz.damping_of_quality(scale.stiffness, given.quality, omega)
+    if given.restitution is None:
+        return None
+    if given.restitution > 1:
+        raise InputError(f"--restitution {given.restitution:g}: two balls part at most as fast: 1")
+    return hertz.damping_of_restitution(scale.stiffness, scale.mass, given.restitution)
+
+
+def table(scale, damping=None):
+    """Return rows of a quantity, its value in SI units, and that in the program's.
+
+    Not collective.
+
+    Parameters
+    ----------
+    scale : pgran.physics.hertz.Scale
+    damping : float, optional
+        In SI units.
+    """
+    material, omega = scale.material, scale.omega_mx
+    weights = scale.force / (scale.mass * GRAVITY)
+    rows = [
+        ("", "SI", "program's units"),
+        ("Young's modulus", f"{material.modulus:.4g} Pa", ""),
+        ("Poisson's ratio", f"{material.poisson:.4g}", ""),
+        ("density", f"{material.density:.4g} kg/m^3", ""),
+        ("diameter of a ball = spacing", f"{scale.diameter:.4g} m", "1"),
+        ("mass of a ball", f"{scale.mass:.4g} kg", "1"),
+        ("c of F = c h^(3/2)", f"{scale.constant:.4g} N/m^1.5", ""),
+        ("force of a contact", f"{scale.force:.4g} N", f"({weights:.3g} x the weight of a ball)"),
+        ("overlap h", f"{scale.overlap:.4g} m", f"{scale.overlap / scale.diameter:.3g}"),
+        ("stiffness kmax = 3/2 F/h", f"{scale.stiffness:.4g} N/m", f"{scale.kmax:.4g}"),
+        (f"omega_mx = sqrt({2 * scale.dimensions} kmax/m)", f"{omega:.4g} rad/s", "1"),
+        ("frequency omega_mx/(2 pi)", f"{omega / (2 * math.pi):.4g} Hz", ""),
+        ("time 1/omega_mx", f"{1 / omega:.4g} s", "1"),
+        ("long waves, uniform lattice of kmax", f"{scale.velocity:.4g} m/s",
+         f"{math.sqrt(scale.kmax):.4g}"),
+    ]  # fmt: skip
+    if damping is not None:
+        restitution = hertz.restitution_of_damping(scale.stiffness, scale.mass, damping)
+        quality = scale.stiffness / (damping * omega) if damping else math.inf
+        rows += [
+            ("damping beta", f"{damping:.4g} kg/s", f"{scale.own_damping(damping):.4g}"),
+            ("quality factor at omega_mx", f"{quality:.4g}", ""),
+            ("restitution of two balls", f"{restitution:.4g}", ""),
+        ]
+    return rows
+
+
+def option_words(scale, damping=None):
+    """Return what an options file needs for a lattice in these units. Not collective."""
+    words = f"-lattice_mass 1 -bonds_kmax {scale.kmax!r}"
+    return words if damping is None else f"{words} -lattice_damping {scale.own_damping(damping)!r}"
