@@ -1,5 +1,6 @@
 """Results over each other, labelled by what tells them apart, and measurements over responses."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -56,7 +57,7 @@ def damped():
         (("-output_file a.h5 -output_fields", "-ranks_per_lattice 2 -bonds_seed 7"),
          ["-bonds_seed 1993", "-bonds_seed 7"]),  # not what a run keeps, and how
         (("", "-steady_pc_type lu"), ["by default", "-steady_pc_type lu"]),
-        (("-network_file a.h5", "-network_file c.h5"),
+        (("-network_file a.h5", "-network_file c.h5 -detectors 8,10"),
          ["-network_file a.h5", "-network_file c.h5"]),
     ],
 )  # fmt: skip
@@ -73,6 +74,30 @@ def test_results_of_the_same_options_are_named(caplog):
     assert found == ["-bonds_seed 7 file a.h5", "-bonds_seed 8", "-bonds_seed 7 file c.h5"]
     assert "a.h5, c.h5: no option tells them apart" in caplog.text
     assert labels_of(shown[::2], ["a.h5", "c.h5"]) == ["file a.h5", "file c.h5"]
+
+
+def test_options_that_are_too_many_for_a_legend_are_told(caplog):
+    shown = [told("-network_file a.h5"), told("-bonds_seed 7")]
+    with caplog.at_level("INFO", logger="pgran"):
+        assert labels_of(shown, ["a.h5", "b.h5"]) == ["file a.h5", "file b.h5"]
+    assert "file a.h5: -network_file a.h5" in caplog.text
+    assert "-bonds_seed 7" in caplog.text
+
+
+def test_long_labels_are_wrapped_between_options():
+    result = respond(X, [(1, 1), (3, 0)])
+    words = " ".join(f"-bonds_seed_number_{n} {n}" for n in range(5))
+    made = figures.compare([result, result], [words, f"{words}0"])
+    for figure in made.values():
+        figure.draw_without_rendering()
+        ax = figure.axes[0]
+        box = ax.get_legend().get_window_extent()
+        for line in ax.get_legend().get_texts()[0].get_text().split("\n"):
+            assert not re.search(r"-\w+$", line)
+        assert box.x0 >= 0
+        assert ax.bbox.y1 <= box.y0
+        assert box.y1 <= figure.bbox.y1
+        assert ax.bbox.height > 0.9 * figure.dpi  # room for the curves is left
 
 
 def test_what_a_result_says_of_its_options_is_read_back():

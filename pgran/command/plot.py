@@ -13,6 +13,7 @@ from pgran.files.options import options_in
 
 log = logging.getLogger("pgran")
 
+LONGEST = 120  # characters of a label
 LAID_OVER = {"response": "modes", "pulse": "response"}  # and over what
 
 
@@ -110,7 +111,8 @@ def run(words):
 def labels_of(results, names):
     """Return what tells results apart: the options in which they differ, else their names.
 
-    Not collective. How a run was carried out, and what it stored, is no difference.
+    Not collective. How a run was carried out, and what it stored, is no difference. Where options
+    are too many for a legend they are logged.
 
     Parameters
     ----------
@@ -122,6 +124,10 @@ def labels_of(results, names):
     keys = dict.fromkeys(key for each in options for key in each)
     differ = [key for key in keys if len({each.get(key) for each in options}) > 1]
     labels = [" ".join(f"-{k} {each[k]}".strip() for k in differ if k in each) for each in options]
+    if max(map(len, labels)) > LONGEST:
+        for name, label in zip(names, labels, strict=True):
+            log.info("file %s: %s", name, label or "by default")
+        return [f"file {name}" for name in names]
     alike = [label for label in labels if labels.count(label) > 1]
     if alike:
         same = [name for name, label in zip(names, labels, strict=True) if label in alike]

@@ -167,8 +167,8 @@ def amplitude_page(shown, modes=None):
         all_names += names or style.ball_names(response.detector)
         if np.isfinite(style.upper_limits(response)).any():
             all_names.append("")
-    columns = style.columns_of(all_names)
-    height = 0.4 + 1.75 * len(present) + 0.13 * math.ceil(len(all_names) / columns)
+    columns, lines = style.columns_of(all_names), sum(1 + name.count("\n") for name in all_names)
+    height = 0.4 + 1.75 * len(present) + 0.13 * math.ceil(lines / columns)
     figure, panels = style.page(style.PAGE, height, nrows=len(present))
     for letter, regime, ax in zip("abc", present, panels, strict=False):
         drawn, ends = [], []

@@ -100,7 +100,8 @@ def limits(x, within=(0.0, np.inf)):
 
 def columns_of(labels):
     """Return in how many columns a legend of a page's width lists labels beside a title."""
-    return max(1, min(4, 90 // (max(map(len, labels)) + 8)))
+    longest = max(len(line) for label in labels for line in label.split("\n"))
+    return max(1, min(4, 90 // (longest + 8)))
 
 
 def legend_above(panels, columns):

@@ -3,6 +3,7 @@
 Curves differ by colour and, for print in grey, by line style; points by their marks.
 """
 
+import re
 import textwrap
 
 import numpy as np
@@ -14,7 +15,7 @@ LINES = ("-", (0, (4, 1)), (0, (1, 0.8)), (0, (5, 1, 1, 1)), (0, (9, 1.5)), (0, 
 COLOURS = ("black", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
 MARKS = (".", "+", "x", "^", "s", "d")
 MOST = len(LINES)
-WIDE = 60  # characters of a line in a legend
+WIDE = 48  # characters of a line in a legend
 
 
 def figures(results, labels):
@@ -25,8 +26,22 @@ def figures(results, labels):
                         f"{', '.join(PAGES)}")  # fmt: skip
     if len(results) > MOST:
         raise FileError(f"{len(results)} results: at most {MOST} are told apart in one figure")
-    labels = ["\n".join(textwrap.wrap(label.replace("$", r"\$"), WIDE)) for label in labels]
-    yield from PAGES[scene](results, labels)
+    yield from PAGES[scene](results, [_wrap(label) for label in labels])
+
+
+def _wrap(label):
+    """Return a label in lines, no key of an option parted from its value."""
+    joined = re.sub(r"(?<!\S)(-\w+) (?=[^-])", "\\1\xa0", label.replace("$", r"\$"))
+    lines = textwrap.wrap(joined, WIDE, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(lines).replace("\xa0", " ")
+
+
+def _finish(figure):
+    """Put a legend of one column above a figure of one panel, and make it as high as that needs."""
+    style.legend_above(figure.axes, columns=1)
+    legend = figure.axes[0].get_legend()
+    lines = sum(text.get_text().count("\n") + 1 for text in legend.get_texts()) if legend else 0
+    figure.set_figheight(2.4 + 0.14 * lines)
 
 
 def _look(number):
@@ -48,14 +63,13 @@ def _responses(results, labels):
         names = [label] if alone else [f"{label}, {ball}" for ball in balls]
         shown.append((result.response, result.medium, names, look))
     yield "amplitude", response.amplitude_page(shown)
-    curves = sum(len(names) for _, _, names, _ in shown)
-    figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.26 * curves)
+    figure, (ax,) = style.page(style.COLUMN, 2.5)
     ends = []
     for record, lattice, names, look in shown:
         response.phase(ax, record, lattice, labels=names, **look)
         ends.append(ax.get_xlim())
     ax.set_xlim(np.min(ends), np.max(ends))
-    style.legend_above([ax], columns=1)
+    _finish(figure)
     yield "phase", figure
 
 
@@ -65,8 +79,7 @@ def _modes(results, labels):
     for x in found:
         style.check_any(x, "modes")
     shown = list(zip(results, found, labels, strict=True))
-    height = 2.5 + 0.13 * sum(1 + label.count("\n") for label in labels)
-    figure, (ax,) = style.page(style.COLUMN, height)
+    figure, (ax,) = style.page(style.COLUMN, 2.5)
     for number, (result, x, label) in enumerate(shown):
         look = {"markersize": 3, "markeredgewidth": 0.5, "fillstyle": "none", "clip_on": False}
         look |= {"marker": MARKS[number], "color": COLOURS[number], "linestyle": "none"}
@@ -76,7 +89,7 @@ def _modes(results, labels):
     ax.set_ylabel("participation ratio $P_i$ (balls)")
     made = {"participation": figure}
     if min(map(len, found)) >= 20:
-        made["density"], (ax,) = style.page(style.COLUMN, height)
+        made["density"], (ax,) = style.page(style.COLUMN, 2.5)
         bins = round(max(map(len, found)) ** 0.5)
         edges = np.histogram_bin_edges(np.concatenate(found), bins)
         for number, (_, x, label) in enumerate(shown):
@@ -87,7 +100,7 @@ def _modes(results, labels):
         ax.set(xlabel=style.MODE_FREQUENCY, ylabel=r"density of modes (modes per $\omega_{mx}$)")
     missing = sum(not result.modes.count_certified for result in results)
     for name, page in made.items():
-        style.legend_above(page.axes, columns=1)
+        _finish(page)
         if missing:
             style.note(page, f"NOT CERTIFIED: modes of {missing} of {len(results)} results")
         yield name, page
@@ -99,18 +112,18 @@ def _relaxations(results, labels):
         raise FileError(
             "spectra are laid over each other: a result has none, its run was too short"
         )
-    figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.26 * len(results))
+    figure, (ax,) = style.page(style.COLUMN, 2.5)
     for number, (result, label) in enumerate(zip(results, labels, strict=True)):
         said = f"{label}:\n{relaxation.exponent(result.spectrum)}"
         look = _look(number)
         relaxation.power(ax, result.spectrum, said, look["color"], linestyle=look["linestyle"])
-    style.legend_above([ax], columns=1)
+    _finish(figure)
     yield "spectrum", figure
 
 
 def _pulses(results, labels):
     """Yield the signals of the first detector; not those that are below their error."""
-    figure, (ax,) = style.page(style.PAGE, 2.5 + 0.13 * sum(1 + s.count("\n") for s in labels))
+    figure, (ax,) = style.page(style.PAGE, 2.5)
     for number, (result, label) in enumerate(zip(results, labels, strict=True)):
         signals, time = result.pulse, result.pulse.time * result.medium.omega_mx
         moved, error = signals.displacement[:, 0], signals.error[:, 0]
@@ -121,7 +134,7 @@ def _pulses(results, labels):
     ax.set_title(first.pop() if len(first) == 1 else "first detectors")
     last = max(result.pulse.time[-1] * result.medium.omega_mx for result in results)
     ax.set(xlabel=pulse.TIME, ylabel="displacement", xlim=(0, last))
-    style.legend_above([ax], columns=1)
+    _finish(figure)
     yield "signals", figure
 
 
@@ -163,11 +176,11 @@ def add_measured(made, results, data, label):
             if inside.any():
                 ax.plot(x[inside], data[part][inside], label=name, scalex=False, **look)
             seen |= inside
-        legend = made[part].axes[0].get_legend()
-        entries = [text.get_text() for text in legend.get_texts()] if legend else []
-        columns = style.columns_of([*entries, name]) if part == "amplitude" else 1
-        style.legend_above(made[part].axes, columns)
-        made[part].set_figheight(made[part].get_figheight() + 0.13)
+    legend = made["amplitude"].axes[0].get_legend()
+    entries = [text.get_text() for text in legend.get_texts()] if legend else []
+    style.legend_above(made["amplitude"].axes, style.columns_of([*entries, name]))
+    made["amplitude"].set_figheight(made["amplitude"].get_figheight() + 0.13)
+    _finish(made["phase"])
     if not seen.any():
         raise FileError(f"{label}: none of its frequencies is one of the sweep; omega is angular, "
                         "in the unit of the result")  # fmt: skip
