@@ -11,7 +11,7 @@ import numpy as np
 from pgran.errors import FileError
 from pgran.figures import pulse, relaxation, response, style
 
-LINES = ("-", (0, (4, 1)), (0, (1, 0.8)), (0, (5, 1, 1, 1)), (0, (9, 1.5)), (0, (4, 1, 1, 1, 1, 1)))
+LINES = ("-", (0, (4, 1)), (0, (1, 0.8)), (0, (4, 1, 1, 1)), (0, (1.5, 2)), (0, (3, 1, 1, 1, 1, 1)))
 COLOURS = ("black", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
 MARKS = (".", "+", "x", "^", "s", "d")
 MOST = len(LINES)
