@@ -141,6 +141,7 @@ def test_tables_hold_every_digit(tmp_path, medium):
     table = read_table(result_of(found, net), tmp_path / "r.csv")
     assert np.array_equal(table["omega"], found.omega)
     assert np.array_equal(table["converged_reason"], found.converged_reason)
+    assert np.array_equal(table["force_real"] + 1j * table["force_imag"], found.force)
     for d, name in enumerate(names):
         z = table[f"displacement_{name}_real"] + 1j * table[f"displacement_{name}_imag"]
         assert np.array_equal(z, found.displacement[:, d])

@@ -69,7 +69,30 @@ def test_where_the_curve_is_not_resolved():
     (line,) = curves(ax)
     assert np.allclose(line.get_ydata(), UNIT * result.response.delay[:, 0], rtol=1e-12, atol=0)
     undamped = respond(lattice=random_lattice((4, 3), damping=0.0))
-    assert set(figures.make(undamped)) == {"amplitude", "phase", "bonds"}
+    assert set(figures.make(undamped)) == {"amplitude", "phase", "wall", "bonds"}
+
+
+def test_the_force_of_the_wall_and_its_power():
+    """Gaps where a bound is no small part of it; no power without damping; None in older files."""
+    result, failed = respond(), [80, 81]
+    shown = result.response
+    shown.converged_reason[failed] = -3
+    shown.force_bound[[100, 101]] = np.abs(shown.force[[100, 101]]) * [0.02, np.nan]
+    panels = figures.make(result, modes=UNIT * np.array([0.1]))["wall"].axes
+    values = np.abs(shown.force), np.angle(shown.force), shown.power
+    for ax, expected in zip(panels, values, strict=True):
+        (line,) = curves(ax)
+        assert np.allclose(line.get_ydata(orig=True).data, expected, rtol=1e-12, atol=0)
+        assert marks(ax, "x") == pytest.approx(SWEEP[failed])
+        assert marks(ax, "+") == pytest.approx([0.1])
+    assert [gaps(curves(ax)[0])[:3] for ax in panels[:2]] == [[*failed, 100]] * 2
+    assert {*failed, 101} <= set(gaps(curves(panels[2])[0]))
+    undamped = respond(lattice=random_lattice((4, 3), damping=0.0))
+    assert len(figures.make(undamped)["wall"].axes) == 2
+    older = replace(shown, force=None, force_bound=None, power=None)
+    assert "wall" not in figures.make(result_of(older))
+    shown.force_bound[:] = np.inf
+    assert "wall" not in figures.make(result)
 
 
 def test_phase_and_its_fit():
@@ -129,7 +152,7 @@ def test_a_large_lattice_is_an_image_of_means(shape):
 @pytest.mark.parametrize(("ending", "begin"), [("PNG", b"\x89PNG"), ("pdf", b"%PDF")])
 def test_plot_saves_one_file_a_figure(tmp_path, ending, begin):
     pgran.plot(respond([0.5]), tmp_path / "new" / f"my.run.{ending}", modes=[0.9])
-    for name in ("amplitude", "phase", "bonds"):
+    for name in ("amplitude", "phase", "wall", "bonds"):
         assert (tmp_path / "new" / f"my.run-{name}.{ending}").read_bytes().startswith(begin)
 
 

@@ -247,7 +247,7 @@ def test_a_network_without_positions_has_its_other_figures(caplog):
     found = result_of(pgran.find_modes(net, shapes=True), net)
     for result, expected in (
         (found, ["participation"]),
-        (sweep(net, [ball]), ["amplitude", "phase", "delay"]),
+        (sweep(net, [ball]), ["amplitude", "phase", "delay", "wall"]),
         (listen(net, [ball]), ["signals", "energy", "spectrum"]),
     ):
         caplog.clear()

@@ -73,7 +73,7 @@ def test_everything_comes_back(tmp_path, shape, without):
     result = load(path)
     for record in written:
         assert_same(getattr(result, record.group), record, but=())
-    for name, value in (ATTRIBUTES | {"format": "pgran", "format_version": 3}).items():
+    for name, value in (ATTRIBUTES | {"format": "pgran", "format_version": 4}).items():
         assert (getattr(result, name), type(getattr(result, name))) == (value, type(value))
     stiffness, kmax = store.read_stiffness(path)
     assert kmax == pytest.approx(0.25)
@@ -238,7 +238,7 @@ def test_missing_and_other_files(tmp_path):
 @pytest.mark.parametrize(
     ("name", "value", "match"),
     [
-        ("/@format_version", 4, "format version 4; this pgran reads 1 to 3"),
+        ("/@format_version", 5, "format version 5; this pgran reads 1 to 4"),
         ("/@format", "other", "not a result"),
         ("modes/omega", None, "/modes/omega is missing"),
         ("modes@count_expected", None, "/modes/count_expected is missing"),
@@ -284,17 +284,20 @@ def test_files_of_version_1_are_read():
     store.check_seal(VERSION_1)
 
 
-def test_responses_of_version_2_are_read(path):
-    """As they were then; what came with version 3 is None."""
+@pytest.mark.parametrize("version", [2, 3])
+def test_older_responses_are_read(path, version):
+    """As they were then; what came later is None."""
     written = load(path).response
     fields = dataclasses.fields(written)
-    new = [f.name for f in fields if f.metadata.get("since") == 3 or "part" in f.metadata]
-    assert {"method", "phase_slope_error", "derivative", "line_error", "models"} <= set(new)
+    new = [f.name for f in fields if f.metadata.get("since", 1) > version or "part" in f.metadata]
+    known = {"method", "phase_slope_error", "derivative", "line_error"} if version < 3 else set()
+    assert {"force", "force_bound", "power", "models"} | known <= set(new)
     for name in new:
         plain = "axes" not in next(f for f in fields if f.name == name).metadata
         change(path, f"response@{name}" if plain and name != "models" else f"response/{name}", None)
-    found = load(change(path, "/@format_version", 2)).response
+    found = load(change(path, "/@format_version", version)).response
     assert_same(found, dataclasses.replace(written, **dict.fromkeys(new)))
+    assert found.dynamic_mass is None
     with pytest.raises(PgranError, match="holds no models"):
         found.at([0.5])
 

@@ -1,17 +1,18 @@
-"""The figures of a sweep: amplitude, phase and delay against frequency (freqres, phaseres)."""
+"""The figures of a sweep: amplitude, phase, delay and the wall's force (freqres, phaseres)."""
 
 import math
 
 import numpy as np
 
 from pgran.figures import bonds, style
+from pgran.results.response import LINES
 
 EDGES = (0.0, 0.3, 1.0, math.inf)  # of the three regimes, in units of omega_mx
 REGIMES = ("low frequencies", "intermediate frequencies", "high frequencies")
 
 
 def figures(result, modes=None, **_):
-    """Yield the amplitudes, a panel a regime, the phases, the group delay, and the bonds."""
+    """Yield the amplitudes, a panel a regime, phases, group delay, wall's force, and bonds."""
     response, lattice = result.response, result.medium
     yield "amplitude", amplitude_page([(response, lattice, None, {})], modes)
     figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.13 * len(response.detector))
@@ -23,6 +24,15 @@ def figures(result, modes=None, **_):
         delay(ax, response, lattice, modes)
         style.legend_above([ax], columns=1)
         yield "delay", figure
+    if response.force is not None and np.any(known_force(response)):
+        panels = (force, force_phase, power)[: 3 if np.any(known_power(response)) else 2]
+        figure, axes = style.page(style.COLUMN, 0.7 + 1.25 * len(panels), nrows=len(panels))
+        for ax, panel in zip(axes, panels, strict=True):
+            panel(ax, response, lattice, modes)
+            ax.label_outer()
+        figure.align_ylabels()
+        style.legend_above(axes, columns=1)
+        yield "wall", figure
     if lattice.group == "lattice":
         yield "bonds", bonds.page(lattice, response.detector)
 
@@ -127,6 +137,65 @@ def delay(ax, response, lattice, modes=None):
     ax.set(ylabel=r"group delay ($1/\omega_{mx}$)", xlim=style.limits(x))
     ax.locator_params("x", nbins=7)
     drawn = style.curves(ax, x, values, good, style.ball_names(response.detector))
+    _finish(ax, response, lattice, modes)
+    return drawn
+
+
+def known_force(response):
+    """Return which forces are proven to a part of `LINES`, or solved for where nothing is proven.
+
+    Parameters
+    ----------
+    response : pgran.results.Response
+    """
+    doubtful = response.force_bound > LINES * np.abs(response.force)
+    return (response.converged_reason > 0) & (np.abs(response.force) > 0) & ~doubtful
+
+
+def known_power(response):
+    """Return which powers are proven to a part of `LINES`. Parameters are as above."""
+    bound = 0.5 * response.omega * response.force_bound
+    good = (response.converged_reason > 0) & (response.power > 0)
+    return good & (bound <= LINES * response.power)
+
+
+def force(ax, response, lattice, modes=None):
+    """Draw the magnitude of the force that drives the wall; return the curve.
+
+    Parameters are those of `phase`.
+    """
+    ax.set_yscale("log")
+    values, name = np.abs(response.force), "force $|F|$ (drive = 1)"
+    return _wall(ax, response, lattice, modes, values, known_force(response), name)
+
+
+def force_phase(ax, response, lattice, modes=None):
+    """Draw the phase of that force, from 0 (a spring) to pi (a mass); return the curve.
+
+    Parameters are those of `phase`.
+    """
+    values = np.abs(np.angle(response.force))  # rounding alone could make it negative
+    ax.set(ylim=(-0.1 * math.pi, 1.1 * math.pi), yticks=[0, math.pi / 2, math.pi])
+    ax.set_yticklabels(["0", r"$\pi/2$", r"$\pi$"])
+    return _wall(ax, response, lattice, modes, values, known_force(response), "phase of $F$")
+
+
+def power(ax, response, lattice, modes=None):
+    """Draw the mean power that the wall puts in and dashpots dissipate; return the curve.
+
+    Parameters are those of `phase`.
+    """
+    ax.set_yscale("log")
+    values, name = response.power, r"power $\frac{1}{2}\omega\,\mathrm{Im}\,F$"
+    return _wall(ax, response, lattice, modes, values, known_power(response), name)
+
+
+def _wall(ax, response, lattice, modes, values, good, name):
+    """Draw a quantity of the wall against frequency."""
+    x = response.omega / lattice.omega_mx
+    ax.set(ylabel=name, xlim=style.limits(x))
+    ax.locator_params("x", nbins=7)
+    drawn = style.curves(ax, x, values, good)
     _finish(ax, response, lattice, modes)
     return drawn
 

@@ -19,6 +19,9 @@ and the derivative of the corrected amplitude misses dA_d/domega by
 
     q'^T S^-1 r + q^T S^-1 r' - q^T S^-1 S' S^-1 r.
 
+The reaction f^T A is (X y)^T (f + r) but for r^T S^-1 r, at most |r|^2 |S^-1|. As |X_p|_2 = 1, what
+rounding moves it by is bounded through |X y| <= |y|_1.
+
 What a model holds, with p columns in X and in each Z, system 0 that of A, then one a detector:
 `own`, X^T W of each system with its own W; `cross`, Z^T W with the W of A; `triangle`, R of each;
 `reading`, e_d^T X; `sizes`, |Z|^T |W| summed up at the highest frequency, and `drive_sizes`, the
@@ -98,13 +101,15 @@ def point_dtype(detectors):
             ("rounding", float, (detectors,)),
             ("derivative", complex, (detectors,)),
             ("derivative_bound", float, (detectors,)),
+            ("reaction", complex),
+            ("reaction_bound", float),
             ("backward_error", float),
         ]
     )
 
 
 def evaluate(model, omega, limits, derivatives=True):
-    """Return the amplitudes at some frequencies of an interval, their derivatives, and all bounds.
+    """Return amplitudes at some frequencies of an interval, derivatives, reactions, all bounds.
 
     Not collective.
 
@@ -114,7 +119,7 @@ def evaluate(model, omega, limits, derivatives=True):
     omega : numpy.ndarray, shape (n,)
     limits : ModelLimits
     derivatives : bool
-        Whether they are wanted; else they are zero.
+        Whether they are wanted, and reactions; else they are zero.
 
     Returns
     -------
@@ -132,6 +137,7 @@ def evaluate(model, omega, limits, derivatives=True):
             solved.amplitudes(found)
             if derivatives:
                 solved.derivatives(found)
+                solved.reactions(found)
         except np.linalg.LinAlgError:  # a small system is singular
             for name in found.dtype.names[1:]:
                 found[name] = np.nan
@@ -186,7 +192,7 @@ class _Solved:
         self.size = _norms(self.y)
         # of |S|, and of |f| or |e_d|
         self.norm = limits.stiffness + omega * (limits.damping + omega * limits.mass)
-        drive = np.ones_like(self.size)
+        drive = self.drive = np.ones_like(self.size)
         drive[0] = limits.drive + omega * limits.drive_damping
         self.known = limits.rounding * (drive + 1.01 * self.norm * self.size) + LOST_NORM
         self.r = self._residual(self.c) + self.known
@@ -251,6 +257,16 @@ class _Solved:
         terms = np.abs(model["reading"]) @ sizes[0]
         terms = terms + _sums(sizes[1:], self.into) + _sums(self.sizes[1:], into)
         found["derivative_bound"] = (theory + limits.sum_rounding * terms + LOST).T
+
+    def reactions(self, found):
+        """Fill in f^T A and its bound."""
+        y, own = self.y[0], self.model["own"][0]
+        forces = self.loads[0] @ self.powers[:2] + own @ self.c[0]  # X^T (f + r)
+        found["reaction"] = _sums(y, forces)
+        size = 1.01 * self.sizes[0].sum(axis=0)
+        terms = size * (2 * self.drive[0] + self.norm * size)
+        theory = self.bound * self.r[0] ** 2
+        found["reaction_bound"] = theory + self.limits.sum_rounding * terms + LOST
 
 
 def _times(powers, y):

@@ -28,7 +28,7 @@ from pgran.physics.bonds import (
     spread,
     stretch,
 )
-from pgran.physics.rounding import residual_rounding
+from pgran.physics.rounding import EPSILON, residual_rounding
 from pgran.physics.springs import Springs
 from pgran.physics.units import check_magnitudes, own_unit
 
@@ -184,6 +184,18 @@ class Lattice:
         """|f|_2 of what the springs at the driven wall do, and of their dashpots for beta = 1."""
         driven = self.stiffness[0][-1]
         return math.sqrt(np.sum(driven**2)), math.sqrt(driven.size)
+
+    def pull(self, s):
+        """Return the force that moves the driven wall by 1 while all balls stay, sum k + s beta.
+
+        Not collective.
+        """
+        driven = self.stiffness[0][-1]
+        return driven.sum() + s * (self.damping * driven.size)
+
+    def pull_rounding(self, size):
+        """Return how much rounding changes `pull(s)`, at most, for an |s|. Not collective."""
+        return (self.stiffness[0][-1].size + 8) * EPSILON * self.pull(size)
 
     @property
     def damping_norm(self):

@@ -138,6 +138,28 @@ class Elastic:
         )
 
     @cached_property
+    def _pulls(self):
+        """Sums of k w^2, of d w^2 and of |k| w^2 over the springs that the drive stretches by w."""
+        springs = self.springs
+        squares = springs.drive**2
+        parts = springs.constants, springs.damped, np.abs(springs.constants)
+        return [float(part @ squares) for part in parts]
+
+    def pull(self, s):
+        """Return the force that moves what is driven by 1 while all balls stay.
+
+        Not collective. It is the sum of (k + s beta d) w^2 over the springs, stretched by w.
+        """
+        stiffness, damped, _ = self._pulls
+        return stiffness + s * (self.damping * damped)
+
+    def pull_rounding(self, size):
+        """Return how much rounding changes `pull(s)`, at most, for an |s|. Not collective."""
+        _, damped, stiffness = self._pulls
+        stretched = np.count_nonzero(self.springs.drive)
+        return (stretched + 8) * EPSILON * (stiffness + size * (self.damping * damped))
+
+    @cached_property
     def damping_norm(self):
         """No less than |C|_2."""
         size = abs(self.B)

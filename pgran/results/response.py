@@ -106,6 +106,19 @@ class Response(Record):
         "amplitude, by the derivatives at both; infinite: unknown",
         "1", "omega", "detector_number", since=3,
     )  # fmt: skip
+    force: np.ndarray = array(
+        "force that drives the wall, or the driven balls along their motion, when they move by 1; "
+        "NaN: no solution",
+        "k", "omega", dtype=complex, since=4,
+    )  # fmt: skip
+    force_bound: np.ndarray = array(
+        "bound of the error of the force; NaN: none is known", "k", "omega", since=4
+    )
+    power: np.ndarray = array(
+        "mean power that the drive of amplitude 1 puts in, and dashpots dissipate: omega / 2 times "
+        "the imaginary part of the force, its error that part of the bound",
+        "k sqrt(k/m)", "omega", since=4,
+    )  # fmt: skip
     at_floor: np.ndarray = array(FLOOR, "1", "omega", "detector_number", dtype=np.int8, since=2)
     iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega", dtype=int)
     converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
@@ -119,6 +132,11 @@ class Response(Record):
     def failures(self):
         """How many frequencies missed the accuracy asked for."""
         return int(np.count_nonzero(self.converged_reason <= 0))
+
+    @property
+    def dynamic_mass(self):
+        """The force over the acceleration of what is driven, -F / omega^2; None in older files."""
+        return None if self.force is None else -self.force / self.omega**2
 
     @property
     def unresolved(self):

@@ -19,6 +19,7 @@ from pgran.physics.phase import (
     phase_velocity,
     unwrap,
 )
+from pgran.physics.rounding import EPSILON
 from pgran.results import record_of
 from pgran.results.response import LINES, Response
 from pgran.scenes import common
@@ -239,6 +240,8 @@ class ResponseSweep(FrequencySweep):
             ("error_bound", float, (len(sites),)),
             ("derivative", complex, (len(sites),)),
             ("derivative_bound", float, (len(sites),)),
+            ("reaction", complex),
+            ("reaction_bound", float),
             ("backward_error", float),
             ("iterations", np.int64),
             ("converged_reason", np.int64),
@@ -273,6 +276,17 @@ class ResponseSweep(FrequencySweep):
         rows["converged_reason"] = GOOD
         return rows
 
+    def driving_force(self, rows):
+        """Return the force F that drives the wall when it moves by 1, and a bound of its error.
+
+        Not collective. It is what the wall takes to move while all balls stay, less what these give
+        way: F = sum over driven bonds of (k + i omega beta)(1 - A_p) = pull - f^T A.
+        """
+        omega, scaled = rows["omega"], self.scaled
+        force = scaled.pull(1j * omega) - rows["reaction"]
+        rounding = scaled.pull_rounding(omega) + 4 * EPSILON * np.abs(force)
+        return self.unit * force, self.unit * (rows["reaction_bound"] + rounding)
+
     def response(self, rows, models, method, resolve, phase_window, seconds):
         """Return the record that all rows make up.
 
@@ -299,6 +313,7 @@ class ResponseSweep(FrequencySweep):
         phase = unwrap(known) if lattice.damping else phase_of_sign(known)
         line_error = np.pad(deviation(omega, known, derivative), ((1, 0), (0, 0)))
         delay, delay_bound = group_delay(known, derivative, rows["error_bound"], bounds)
+        force, force_bound = self.driving_force(rows)
         lines = phase_lines(lattice, omega, phase, line_error, phase_window)
         slope, slope_error, intercept, low, high = np.transpose(
             [astuple(line)[:-1] for line in lines]
@@ -331,6 +346,9 @@ class ResponseSweep(FrequencySweep):
             delay=delay,
             delay_bound=delay_bound,
             line_error=line_error,
+            force=force,
+            force_bound=force_bound,
+            power=0.5 * omega * force.imag,
             at_floor=at_floor,
             iterations=rows["iterations"],
             converged_reason=rows["converged_reason"],

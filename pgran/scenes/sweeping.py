@@ -39,7 +39,7 @@ class FrequencySweep(Task):
         self.omegas = np.asarray(omegas) if sigma else checked_frequencies(omegas)
         self.row, self.choices = np.dtype([*kept, ("factorizations", np.int64)]), choices
         check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
-        self.scaled, _ = lattice.in_own_unit()
+        self.scaled, self.unit = lattice.in_own_unit()
         check_frequency(self.scaled, self.omegas[-1])
         self.units = ranges(len(self.omegas))
 

@@ -46,7 +46,7 @@ class PulseLine(FrequencySweep):
     def keep(self, point, solver):
         """See `FrequencySweep`: f^T A, and the field, which comes to the first rank of a group."""
         operators, moved = solver.operators, solver.field
-        point["force"] = operators.pull(operators.s) - operators.f.tDot(moved)
+        point["force"] = self.scaled.pull(operators.s) - operators.f.tDot(moved)
         if self.whole:
             field = operators.layout.field(moved)
             point["field"] = 0.0 if field is None else field

@@ -220,6 +220,18 @@ class ErrorBounds(Owner):
         theory = 1.01 * residual * self.adjoint_residual(adjoint) * self.inverse_norm
         return theory + self.evaluation(residual, terms, adjoint, value)
 
+    def reaction(self, residual, primal, value):
+        """Return the bound of f^T A, evaluated as f^T A~ + A~^T r, which misses r^T S^-1 r.
+
+        Collective. Parameters are those of `evaluation`. What rounding does to r and f, ball by
+        ball, `residual` holds as a norm.
+        """
+        theory = residual * residual * self.inverse_norm
+        force, rounded = primal.rhs.norm(), 2 * (residual - primal.norm)
+        rounded += (self.operators.balls + 8) * EPSILON * (force + residual)
+        lost = 32 * self.operators.balls * SMALLEST_NORMAL
+        return 1.01 * (theory + primal.solution.norm() * rounded) + 4 * EPSILON * abs(value) + lost
+
     def _total(self, number):
         """Return the sum of a number over the ranks of the lattice. Collective."""
         return number if self._alone else self.operators.comm.allreduce(number)

@@ -114,7 +114,8 @@ class Integrator(Owner):
             drives[1] = operators.damping * operators.f_damping.getArray().real
         self._driven = np.flatnonzero(np.any(drives, axis=0))
         self._drives = np.array(drives)[:, self._driven]
-        self._sums = operators.pull(0.0).real, (operators.pull(1.0) - operators.pull(0.0)).real
+        pull = operators.lattice.pull
+        self._sums = pull(0.0), pull(1.0) - pull(0.0)
 
     def _first_order_matrix(self):
         """Return J: in row 2 p that u' is the velocity, in row 2 p + 1 what accelerates ball p."""

@@ -46,6 +46,9 @@ class SteadyState:
     derivative, derivative_bound : numpy.ndarray, shape (nd,), or None
         d displacement / d omega and a bound of its error, if asked for; NaN where no bound is
         known.
+    reaction, reaction_bound : complex, float, or None
+        f^T A, the force that balls take off what moves the wall by 1, and a bound of its error, if
+        derivatives are asked for; NaN where there is no solution, the bound where none is known.
     """
 
     s: complex
@@ -57,6 +60,8 @@ class SteadyState:
     field_bound: float
     derivative: np.ndarray | None = None
     derivative_bound: np.ndarray | None = None
+    reaction: complex | None = None
+    reaction_bound: float | None = None
 
 
 class Detectors(Owner):
@@ -206,7 +211,7 @@ class Judge(Owner):
         return replace(state, error_bound=bound, field_bound=field_bound, converged_reason=reason)
 
     def with_derivatives(self, state, systems):
-        """Return a state with the derivatives dA_d/domega and their bounds.
+        """Return a state with the derivatives dA_d/domega, the reaction f^T A, and their bounds.
 
         Collective. With S' = C + 2 s M, all damping in C, and g = f' - S' A~ (derivatives along s),
 
@@ -214,9 +219,10 @@ class Judge(Owner):
 
         Parameters are those of `assess`, which has looked at these systems last.
         """
-        unknown = np.full(state.displacement.shape, math.nan)
+        reaction = self._reaction(state, systems[0])
         if not self.bounds.proven or not math.isfinite(state.backward_error):
-            return replace(state, derivative=unknown + 0j, derivative_bound=unknown)
+            unknown = np.full(state.displacement.shape, math.nan)
+            return replace(state, derivative=unknown + 0j, derivative_bound=unknown, **reaction)
         bounds, operators, (primal, *adjoints) = self.bounds, self.operators, systems
         s, bent, inertia = state.s, self._bent, self._inertia
         inertia.pointwiseMult(operators.M, primal.solution)
@@ -232,14 +238,25 @@ class Judge(Owner):
         slope += operators.damping and operators.lattice.damping_norm * operators.damping
         rounding = bounds.unit * (force + slope * primal.solution.norm())
         g, r = bent.norm() + rounding, self._residual
-        derivative, bound, inverse = unknown + 0j, unknown.copy(), bounds.inverse_norm
+        derivative, bound = np.empty(len(adjoints), complex), np.empty(len(adjoints))
+        inverse = bounds.inverse_norm
         for d, adjoint in enumerate(adjoints):
             q, z = bounds.adjoint_residual(adjoint), adjoint.solution.norm()
             derivative[d] = 1j * adjoint.solution.tDot(bent)
             theory = inverse * (q * g + slope * r * (z + q * inverse))
             sums = z * (rounding + (operators.balls + 8) * EPSILON * g)
             bound[d] = 1.01 * (theory + sums)
-        return replace(state, derivative=derivative, derivative_bound=bound)
+        return replace(state, derivative=derivative, derivative_bound=bound, **reaction)
+
+    def _reaction(self, state, primal):
+        """Return f^T A = A~^T (f + r) + r^T S^-1 r and its bound, by name: A is its own adjoint."""
+        value, bound, bounds = math.nan, math.nan, self.bounds
+        if math.isfinite(state.backward_error):
+            found = primal.solution
+            value = found.tDot(primal.rhs) + found.tDot(primal.residual)
+            if bounds.proven:
+                bound = bounds.reaction(self._residual, primal, value)
+        return {"reaction": value, "reaction_bound": bound}
 
     def _withstands_rounding(self, displacement, terms, size, krylov):
         """Return whether rounding of random signs leaves the amplitudes as they are."""

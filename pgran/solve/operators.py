@@ -123,12 +123,6 @@ class Operators(Owner):
         self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
 
-    def pull(self, s):
-        """Return the force that moves what is driven by 1 while all balls stay. Not collective."""
-        layout, springs = self.layout, np.flatnonzero(self.layout.drive)
-        stiffness = self.constants[springs] + s * self.damping * layout.damped[springs]
-        return stiffness @ layout.drive[springs] ** 2
-
     def stretch(self, columns, bonds):
         """Return b^T x for some bonds and each column x, walls at rest: shape (bonds, columns).
 

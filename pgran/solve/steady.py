@@ -226,9 +226,8 @@ class SteadySolver(Owner):
         missing = np.full(len(self._judge.detectors), math.nan)
         unknown = math.inf if self.bounds.proven else math.nan
         bound = np.full(missing.shape, unknown)
-        return SteadyState(
-            *(s, missing + 0j, bound, math.nan, 0, NO_PRECONDITIONER, unknown, missing + 0j, bound)
-        )
+        said = s, missing + 0j, bound, math.nan, 0, NO_PRECONDITIONER, unknown
+        return SteadyState(*said, missing + 0j, bound, math.nan, unknown)
 
     def _attempt(self, s, fresh):
         """Solve with a fresh or the present factorization."""
