@@ -12,7 +12,7 @@ from pgran.physics import statistics
 from pgran.physics.statistics import NoisyCurves
 
 REPEATS, SAMPLES, POINTS = 120, 80, 1500
-FEWER = {"correlation": 60, "half_width": 60}  # which take longest; campaigns/statistics.py
+FEWER = {"correlation": 60, "half_width": 60}  # which take longest; campaigns/estimates.py
 GAMMA = 0.02
 SHIFTS = np.array([0.5, 2.0]) * GAMMA
 EDGES = np.array([0.0, 0.3, 1.0, 2.0, 4.0])

@@ -1,6 +1,6 @@
 """Estimates and their errors over many repeats, from data of known law, of several sizes.
 
-    PYTHONPATH=tests python tests/campaigns/statistics.py [REPEATS]
+    python tests/campaigns/estimates.py [REPEATS]
 
 A row a measure: its mean over the truth, how many standard errors of that mean it misses, the
 spread of the repeats over the errors they claim, and how many of them miss by more than 3 of their
