@@ -7,10 +7,10 @@ import numpy as np
 STEPS_OF_PERIOD = 2  # of what is made, to what is kept: FFTs repeat themselves
 
 
-def fair(estimates, truth, part=0.2):
+def fair(estimates, truth):
     """Assert that the mean of estimates is the truth, within 3 standard errors of their spread.
 
-    Their spread must be what they claim as their error, to the given part. Numbers or arrays.
+    Their spread must be what they claim as their error, to a fifth. Numbers or arrays.
     """
     values = np.array([e.value for e in estimates])
     claimed = np.sqrt(np.mean(np.square([e.error for e in estimates]), axis=0))
@@ -18,7 +18,7 @@ def fair(estimates, truth, part=0.2):
     missed = np.abs(values.mean(axis=0) - truth) / (found / math.sqrt(len(values)))
     assert np.all(missed < 3), (values.mean(axis=0), truth, missed)
     ratio = found / claimed
-    assert np.all(np.abs(ratio - 1) < part), ratio
+    assert np.all(np.abs(ratio - 1) < 0.2), ratio
 
 
 def complex_normal(rng, *shape):
@@ -46,7 +46,7 @@ def lorentzians(rng, samples, omega, gamma, overlap):
 
     <I^2>/<I>^2 = 2 + 2 / (pi overlap), by Campbell's theorem for shot noise.
     """
-    low, high = omega[0] - 100 * gamma, omega[-1] + 100 * gamma
+    low, high = omega[0] - 40 * gamma, omega[-1] + 40 * gamma
     out = np.empty((samples, len(omega)), dtype=complex)
     for row in out:
         count = rng.poisson(overlap / gamma * (high - low))

@@ -99,7 +99,7 @@ def relaxations(rng, repeats, memories, trajectories):
 def main(repeats):
     """Return how many measures fail."""
     rng, failures = np.random.default_rng(1), 0
-    for samples, widths in ((1, 100), (1, 300), (1, 1000), (20, 10), (60, 10), (300, 10)):
+    for samples, widths in ((1, 100), (1, 300), (1, 1000), (40, 10), (60, 10), (300, 10)):
         failures += curves(rng, repeats, samples, widths, incoherent=False)
     failures += curves(rng, repeats, 60, 10, incoherent=True)
     failures += spectra(rng, repeats)
