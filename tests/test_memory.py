@@ -1,0 +1,138 @@
+"""The memory of relaxations, on sums over bonds whose variances by order are known exactly."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from synthetic import BondSums, fair
+
+from pgran.errors import InputError
+from pgran.physics import memory
+from pgran.physics.estimate import Estimate
+from pgran.physics.memory import Series
+
+MADE = BondSums(12, {1: 0.5, 2: 0.6, 3: 0.8})
+LAGS = np.array([0, 1, 4, 12, 24])
+
+
+@pytest.fixture(scope="module")
+def runs():
+    """Single trajectories of 150 M steps."""
+    rng = np.random.default_rng(1)
+    return [Series(MADE.series(rng, 150 * MADE.bonds), MADE.bonds) for _ in range(200)]
+
+
+def test_autocovariance(runs):
+    fair([memory.autocovariance(run, LAGS) for run in runs], MADE.covariance(LAGS))
+
+
+def test_autocorrelation(runs):
+    found = [memory.autocorrelation(run, LAGS) for run in runs]
+    assert all(e.value[0] == pytest.approx(1) and e.error[0] < 1e-12 for e in found)
+    found = [Estimate(e.value[1:], e.error[1:]) for e in found]
+    fair(found, (MADE.covariance(LAGS) / MADE.covariance(0))[1:])
+
+
+def test_mean_order(runs):
+    fair([memory.mean_order(run) for run in runs], MADE.order)
+
+
+def test_correlations_of_the_increments(runs):
+    M = MADE.bonds
+    fair([memory.increment_correlation(run) for run in runs], -math.sqrt(MADE.order / (2 * M)))
+    squares = sum(k**2 * w for k, w in MADE.W.items()) / sum(MADE.W.values())
+    truth = -squares / (2 * MADE.order * M)
+    fair([memory.successive_correlation(run) for run in runs], truth)
+    B = runs[0].values[0]
+    naive = np.corrcoef(B[:-1], np.diff(B))[0, 1]
+    assert memory.increment_correlation(runs[0]).value == pytest.approx(naive, abs=0.02)
+    naive = np.corrcoef(np.diff(B)[:-1], np.diff(B)[1:])[0, 1]
+    assert memory.successive_correlation(runs[0]).value == pytest.approx(naive, abs=0.02)
+
+
+def test_several_short_trajectories():
+    rng = np.random.default_rng(2)
+    found = [
+        memory.mean_order(
+            Series([MADE.series(rng, 10 * MADE.bonds) for _ in range(12)], MADE.bonds)
+        )
+        for _ in range(150)
+    ]
+    fair(found, MADE.order)
+
+
+def test_pairs_are_all_counted():
+    """Against sums one pair after the other, of parts and of what is left without them."""
+    rows = np.random.default_rng(3).standard_normal((2, 40))
+    for row in rows:
+        sums = memory._pair_sums(row, np.array([0, 13, 26]), 9)
+        for part, lag in itertools.product(range(3), range(10)):
+            firsts = [t for t in range([0, 13, 26][part], [13, 26, 40][part]) if t + lag < 40]
+            naive = [
+                len(firsts),
+                sum(row[t] for t in firsts),
+                sum(row[t + lag] for t in firsts),
+                sum(row[t] * row[t + lag] for t in firsts),
+            ]
+            np.testing.assert_allclose(sums[part, :, lag], naive, atol=1e-12)
+
+
+@pytest.mark.parametrize("weights", [{1: 1.0}, {3: 1.0}, {1: 0.2, 4: 1.0}])
+def test_bounds_hold(weights):
+    made = BondSums(12, weights)
+    C = made.covariance(LAGS) / made.covariance(0)
+    low, high = memory.bounds(LAGS, made.bonds, made.order)
+    assert np.all((low <= C + 1e-15) & (high + 1e-15 >= C))
+    if weights == {1: 1.0}:
+        np.testing.assert_allclose(low, high)
+    run = Series(made.series(np.random.default_rng(4), 2000), made.bonds)
+    assert np.all(np.abs(memory.outside_bounds(run, LAGS)) < 3)
+
+
+def test_series_that_break_the_law_are_told():
+    """A slower memory than M lies above; one that oscillates lies below."""
+    rng, steps = np.random.default_rng(5), 5000
+    slow = Series(BondSums(40, {1: 1.0}).series(rng, steps), 10)
+    assert np.all(memory.outside_bounds(slow, [10, 20]) > 3)
+    period = np.cos(0.3 * np.arange(steps)) + 0.3 * rng.standard_normal(steps)
+    found = memory.outside_bounds(Series(period, 10), [0, 10, 21])
+    assert found[0] == 0
+    assert found[1] < -3
+    assert found[2] > 3
+
+
+RANDOM = np.random.default_rng(6).standard_normal(200)
+
+
+@pytest.mark.parametrize(
+    ("values", "bonds", "message"),
+    [
+        (RANDOM + 0j, 4, "^series: .* real"),
+        (np.ones((2, 2, 100)), 4, "^series: shape"),
+        (
+            np.where(RANDOM[7] == RANDOM, np.inf, RANDOM),
+            4,
+            "^series: step 7 of .* 0 is inf",
+        ),
+        (np.full(200, 0.1), 4, "^series: .* never changes"),
+        (RANDOM, 0, "^bonds: "),
+        (RANDOM, 14, "^series: 200 steps .* 210 are needed"),
+        (RANDOM.reshape(4, 50), 9, "^series: 50 steps .* 54 are needed"),
+    ],
+)
+def test_series_without_a_memory(values, bonds, message):
+    with pytest.raises(InputError, match=message):
+        Series(values, bonds)
+
+
+@pytest.mark.parametrize("lags", [[-1], [0.5], [], [101]])
+def test_lags_that_there_are_not(lags):
+    with pytest.raises(InputError, match=r"^lags: "):
+        memory.autocovariance(Series(RANDOM, 4), lags)
+
+
+@pytest.mark.parametrize("order", [0.9, 13, math.nan])
+def test_orders_that_there_are_not(order):
+    with pytest.raises(InputError, match=r"^order: "):
+        memory.bounds([1], 12, order)

@@ -1,0 +1,228 @@
+"""Measures of noisy curves on fields whose laws are known, and whether their errors are right."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from synthetic import fair, gaussian_fields, lorentzians
+
+from pgran.errors import InputError
+from pgran.physics import statistics
+from pgran.physics.statistics import NoisyCurves
+
+REPEATS, SAMPLES, POINTS = 120, 80, 1500
+FEWER = {"correlation": 60, "half_width": 60}  # which take longest; campaigns/estimates.py
+GAMMA = 0.02
+SHIFTS = np.array([0.5, 2.0]) * GAMMA
+EDGES = np.array([0.0, 0.3, 1.0, 2.0, 4.0])
+MEASURES = {
+    "mean_intensity": (statistics.mean_intensity, 1.0),
+    "contrast": (statistics.contrast, statistics.GAUSSIAN_CONTRAST),
+    "spread": (statistics.spread, statistics.GAUSSIAN_SPREAD),
+    "half_width": (statistics.half_width, GAMMA),
+    "maxima_spacing": (statistics.maxima_spacing, statistics.MAXIMA_SPACING * GAMMA),
+    "correlation": (
+        lambda curves: statistics.correlation(curves, SHIFTS),
+        statistics.lorentzian(SHIFTS, GAMMA),
+    ),
+}
+
+
+def beta_law(points):
+    """Densities of I/<I> in EDGES, where <I> is the mean of so many independent points."""
+    return np.diff(1 - (1 - EDGES / points) ** (points - 1)) / np.diff(EDGES)
+
+
+@pytest.fixture(scope="module")
+def ensembles():
+    """Many samples in a narrow window, with a coherent part that is as strong as they are."""
+    rng = np.random.default_rng(1)
+    made = []
+    for _ in range(REPEATS):
+        omega, A, _ = gaussian_fields(rng, SAMPLES, 49, GAMMA, GAMMA / 5)
+        made.append(NoisyCurves(omega, A + np.exp(30j * omega), incoherent=True))
+    return made
+
+
+@pytest.fixture(scope="module")
+def single():
+    """One sample in a wide window."""
+    rng = np.random.default_rng(2)
+    return [
+        NoisyCurves(omega, A[0])
+        for omega, A, _ in (
+            gaussian_fields(rng, 1, POINTS, GAMMA, GAMMA / 5) for _ in range(REPEATS)
+        )
+    ]
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_measures_of_many_gaussian_fields(ensembles, name):
+    measure, truth = MEASURES[name]
+    fair([measure(curves) for curves in ensembles[: FEWER.get(name)]], truth)
+
+
+def test_histograms(ensembles, single):
+    """Without the coherent part n fields are n - 1 independent ones."""
+    many = [statistics.histogram(curves, EDGES) for curves in ensembles[:60]]
+    fair(many, beta_law(SAMPLES - 1))
+    points = (POINTS - 1) / 5 / math.pi  # the integral of the correlation is pi Gamma
+    fair([statistics.histogram(curves, EDGES) for curves in single[:80]], beta_law(points))
+    np.testing.assert_allclose(
+        beta_law(1e9), -np.diff(statistics.gaussian_distribution(EDGES)) / np.diff(EDGES), 1e-6
+    )
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_measures_of_one_gaussian_field(single, name):
+    measure, truth = MEASURES[name]
+    fair([measure(curves) for curves in single[: FEWER.get(name)]], truth)
+
+
+def test_sparse_modes_are_no_gaussian_field():
+    """Sums of modes of one width at an overlap of M: <I^2>/<I>^2 = 2 + 2/(pi M)."""
+    rng, omega, overlap = np.random.default_rng(3), GAMMA * np.arange(9), 2.0
+    made = [
+        NoisyCurves(omega, lorentzians(rng, 100, omega, GAMMA, overlap), incoherent=True)
+        for _ in range(100)
+    ]
+    fair([statistics.contrast(c) for c in made], 2 + 2 / (np.pi * overlap))
+
+
+def test_overlapping_modes_have_the_correlation_of_a_gaussian_field():
+    rng, omega = np.random.default_rng(4), GAMMA / 5 * np.arange(61)
+    curves = NoisyCurves(omega, lorentzians(rng, 200, omega, GAMMA, 20.0))
+    for name, (measure, truth) in MEASURES.items():
+        if name != "mean_intensity":
+            found = measure(curves)
+            assert np.all(np.abs(found.value - truth) < 3 * found.error), name
+
+
+def test_spacing_of_maxima_by_kac_and_rice():
+    """The rate of zeros of I' where I'' < 0, for <|g(t)|^2> = exp(-t), t less its mean.
+
+    With A = r and A' = i y, Re A'' = -r + 2 y + xi, <xi^2> = 2, <y^2> = 1/2; p(Re A' = 0) =
+    1/sqrt(pi).
+    """
+    r, width = np.linspace(0, 7, 2801, retstep=True)
+    y, weight = np.polynomial.hermite.hermgauss(120)
+    mean, sigma = 2 * r[:, None] ** 2 - (y + r[:, None]) ** 2, np.sqrt(2) * r[:, None] + 1e-9
+    positive = mean * norm.cdf(mean / sigma) + sigma * norm.pdf(mean / sigma)
+    rate = 2 / np.pi * np.sum(np.exp(-(r**2)) * (positive @ weight)) * width
+    assert 1 / rate == pytest.approx(statistics.MAXIMA_SPACING, rel=1e-6)
+    assert np.pi / np.sqrt(3) == pytest.approx(1 / rate, rel=0.02)  # Schroeder's shorter formula
+
+
+def test_unequal_distances_change_no_measure():
+    """Averages are integrals along omega, correlations resampled: not by number of points."""
+    rng = np.random.default_rng(5)
+    omega, A, _ = gaussian_fields(rng, 1, 3000, GAMMA, GAMMA / 20)
+    kept = np.cumsum(np.tile([1, 1, 2, 3, 3, 2], 250)) - 1  # steps along omega, 0 to 2999
+    for measure, _ in MEASURES.values():
+        even = measure(NoisyCurves(omega, A))
+        uneven = measure(NoisyCurves(omega[kept], A[0, kept]))
+        assert np.all(np.abs(uneven.value - even.value) < 0.3 * even.error)  # of a maximum: .27
+
+
+def test_windows_and_weak_frequencies():
+    """<I> may fall along omega, for many samples; a window keeps what lies in it."""
+    rng = np.random.default_rng(6)
+    omega, A, _ = gaussian_fields(rng, 100, 60, GAMMA, GAMMA / 5)
+    steep = NoisyCurves(omega, A * np.exp(-40 * omega))
+    for name in set(MEASURES) - {"mean_intensity"}:
+        measure = MEASURES[name][0]
+        if name != "maxima_spacing":
+            np.testing.assert_allclose(measure(steep).value, measure(NoisyCurves(omega, A)).value)
+    half = NoisyCurves(omega, A, (omega[10], omega[40]))
+    cut = NoisyCurves(omega[10:41], A[:, 10:41])
+    assert statistics.contrast(half).value == statistics.contrast(cut).value
+    assert half.window == (omega[10], omega[40])
+
+
+def test_few_samples_are_warned_of(caplog):
+    omega, A, _ = gaussian_fields(np.random.default_rng(10), 40, 30, GAMMA, GAMMA / 4)
+    statistics.contrast(NoisyCurves(omega, A))
+    assert not caplog.text
+    statistics.contrast(NoisyCurves(omega, A[:39]))
+    assert "39 samples are few" in caplog.text
+
+
+def test_a_bin_that_few_samples_reach_has_no_error():
+    omega, A, _ = gaussian_fields(np.random.default_rng(7), 20, 30, GAMMA, GAMMA / 4)
+    found = statistics.histogram(NoisyCurves(omega, A), [0, 1, 50, 60])
+    assert np.all(found.error[:2] > 0)
+    assert np.isnan(found.error[2])
+    assert found.value[2] == 0
+
+
+def test_what_is_not_finite_is_left_out_aloud(caplog):
+    omega, A, _ = gaussian_fields(np.random.default_rng(8), 12, 600, GAMMA, GAMMA / 4)
+    A[3, 7] = np.nan
+    assert NoisyCurves(omega, A).samples == 11
+    assert "1 of 12 samples are left out" in caplog.text
+    assert "sample 3 is the first" in caplog.text
+    caplog.clear()
+    assert len(NoisyCurves(omega, A[3]).omega) == 599
+    assert "1 of 600 points are left out" in caplog.text
+    caplog.clear()
+    assert NoisyCurves(omega, A, (omega[8], omega[-1])).samples == 12
+    assert not caplog.text
+
+
+OMEGA, FIELDS, _ = gaussian_fields(np.random.default_rng(9), 10, 600, GAMMA, GAMMA / 4)
+SMOOTH = np.exp((2j - 1) * OMEGA)  # without maxima
+FIRST = np.arange(10)[:, None] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((OMEGA, FIELDS[:, 1:]), "^amplitude: shape"),
+        ((OMEGA, FIELDS[None]), "^amplitude: shape"),
+        ((OMEGA[::-1], FIELDS), "^omega: .* ascend"),
+        ((np.append(OMEGA[:-1], np.inf), FIELDS), "^omega: .* finite"),
+        ((OMEGA, FIELDS, (0.1, 1.0)), "^window: 0.1 to 1 is not covered"),
+        ((OMEGA, FIELDS, (1.0, 9.0)), "^window: .* not covered"),
+        ((OMEGA, FIELDS, (1.0, 0.9)), "^window: "),
+        ((OMEGA, FIELDS, (1.0001, 1.0002)), "^window: 0 amplitudes"),
+        ((OMEGA, FIELDS[:7]), "^amplitude: 7 samples are too few .* one curve at a time"),
+        ((OMEGA, FIELDS[0], None, True), "^amplitude: 1 samples are too few"),
+        ((OMEGA, np.where(np.arange(10)[:, None] < 4, np.nan, FIELDS)), "^amplitude: 6 samples"),
+        ((OMEGA, 0 * FIELDS), "^amplitude: it vanishes"),
+        ((OMEGA, 1e-200 * FIELDS), "^amplitude: it vanishes"),
+        ((OMEGA, np.where(OMEGA < 1, 0, FIELDS)), "^amplitude: it vanishes"),
+    ],
+)
+def test_curves_that_cannot_be_measured(arguments, message):
+    with pytest.raises(InputError, match=message):
+        NoisyCurves(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("measure", "arguments", "message"),
+    [
+        (statistics.mean_intensity, (OMEGA, FIELDS[0], (0.5, 0.9)), "half widths .* 40 are needed"),
+        (statistics.mean_intensity, (OMEGA, SMOOTH), "^window: .* maxima of .* 10 are needed"),
+        (statistics.maxima_spacing, (OMEGA[:5], FIELDS[:, :5]), "^window: .* maxima"),
+        (statistics.maxima_spacing, (OMEGA[::5], FIELDS[:, ::5]), "^omega: .* points to a maximum"),
+        (statistics.half_width, (OMEGA[::5], FIELDS[:, ::5]), "^omega: .* not resolved"),
+        (statistics.half_width, (OMEGA[:6], FIELDS[:, :6]), "^window: .* does not fall"),
+        (statistics.half_width, (OMEGA, np.tile(SMOOTH, (10, 1))), "^amplitude: .* the same"),
+        (
+            statistics.spread,
+            (OMEGA, FIELDS * (np.arange(600) > 0) ** np.eye(10)[0][:, None]),
+            "^amplitude: ",
+        ),
+        (
+            lambda curves: statistics.correlation(curves, [2.0]),
+            (OMEGA, FIELDS),
+            "^shifts: .* half of the window",
+        ),
+        (lambda curves: statistics.histogram(curves, [1, 1]), (OMEGA, FIELDS), "^edges: "),
+    ],
+)
+def test_measures_that_there_are_not(measure, arguments, message):
+    curves = NoisyCurves(*arguments)
+    with pytest.raises(InputError, match=message):
+        measure(curves)
