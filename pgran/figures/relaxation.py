@@ -6,18 +6,21 @@ from pgran.figures import style
 
 
 def figures(result, **_):
-    """Yield the beginning of the series above its power spectrum, if there is one."""
+    """Yield the beginning of the series above its power spectrum and its memory, if there are."""
     relaxation, power = result.relaxation, getattr(result, "spectrum", None)
-    rows = 2 if power else 1
+    remembered = getattr(result, "memory", None)
+    rows = 1 + bool(power) + bool(remembered)
     figure, (ax, *below) = style.page(style.COLUMN, 0.2 + 2.3 * rows, nrows=rows)
     series(ax, relaxation)
     marks = len(ax.get_legend_handles_labels()[0]) > len(relaxation.detector)
     style.legend_above([ax], columns=1 if marks else 2)
-    for panel in below:
-        spectrum(panel, power)
+    drawn = [(spectrum, power), (memory, remembered)]
+    for panel, (draw, record) in zip(below, [pair for pair in drawn if pair[1]], strict=True):
+        draw(panel, record)
         panel.legend(loc="lower left", borderaxespad=0.8)
-        ax.set_title("(a)")
-        panel.set_title("(b)")
+    if below:
+        for letter, panel in zip("abc", [ax, *below], strict=False):
+            panel.set_title(f"({letter})")
     figure.align_ylabels()
     missed = np.isnan(relaxation.displacement).any(axis=2)
     if missed.any():
@@ -61,6 +64,19 @@ def spectrum(ax, spectrum):
     parallel = 6.0 * values[middle] * (window / window[middle]) ** -2.0  # well above the spectrum
     look = {"color": "black", "linestyle": "--", "label": r"slope $-2$"}
     return [curve, law, *ax.plot(window, parallel, **look)]
+
+
+def memory(ax, memory):
+    """Draw the autocorrelation with its errors, and the band that it must lie in; return them."""
+    ax.set(xlabel="steps in between", ylabel="autocorrelation of $|A|$")
+    ax.set(xscale="symlog", xlim=(0, memory.lag[-1]))
+    words = r"$(1 - \bar k/M)^t$ to $(1 - 1/M)^t$"
+    law = ax.fill_between(memory.lag, memory.lowest, memory.highest, color="#cccccc", label=words)
+    label = rf"$\bar k = {memory.order:.3g} \pm {memory.order_error:.1g}$"
+    look = {"color": style.ACCENT, "linewidth": 0.8, "marker": ".", "markersize": 3}
+    return law, ax.errorbar(
+        memory.lag, memory.correlation, memory.correlation_error, label=label, **look
+    )
 
 
 def power(ax, spectrum, label, color, shade=None, linestyle="-"):

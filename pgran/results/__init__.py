@@ -232,6 +232,29 @@ class Spectrum(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class Memory(Record):
+    """What a relaxation remembers (`pgran.physics.memory`); B is the first detector's amplitude.
+
+    `order` is kbar, how many of the `bonds` act jointly on average; `increment` the correlation of
+    B with its increment, `successive` that of successive increments; each with its standard error.
+    """
+
+    group = "memory"
+    bonds: int
+    order: float
+    order_error: float
+    increment: float
+    increment_error: float
+    successive: float
+    successive_error: float
+    lag: np.ndarray = array("steps in between", "steps", dtype=int)
+    correlation: np.ndarray = array("autocorrelation of B", "1", "lag")
+    correlation_error: np.ndarray = array("its standard error", "1", "lag")
+    lowest: np.ndarray = array("(1 - kbar/M)^t, which it is not below", "1", "lag")
+    highest: np.ndarray = array("(1 - 1/M)^t, which it is not above", "1", "lag")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class ContinuumResponse(Record):
     """The exact response of the homogeneous box at one point (paper: axysol, exactpl)."""
 

@@ -13,7 +13,7 @@ from pgran.parallel.task import Task, carry_out
 from pgran.physics.accuracy import below_relative_accuracy
 from pgran.physics.changes import draw_changes
 from pgran.physics.units import check_frequency
-from pgran.results import Relaxation, record_of
+from pgran.results import Memory, Relaxation, record_of
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
@@ -39,6 +39,7 @@ SPECTRUM = (
     Option("spectrum_fit_min", REAL, 0.01, "window of the exponent's fit", "cycles/step", above=0),
     Option("spectrum_fit_max", REAL, 0.3, "window of the exponent's fit", "cycles/step", above=0),
 )
+LAGS = 60  # at which the memory is looked at
 STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windows
 
 
@@ -82,9 +83,9 @@ def run(options, world, crew):
         )
     if relaxation is None:
         return None
-    memory = lattice.bonds
-    spectrum = None if workers.dry else spectrum_of(relaxation, window, memory)
-    return [record for record in (record_of(lattice), relaxation, spectrum) if record]
+    spectrum = None if workers.dry else spectrum_of(relaxation, window, lattice.bonds)
+    memory = memory_of(relaxation, lattice.bonds) if spectrum else None
+    return [record for record in (record_of(lattice), relaxation, spectrum, memory) if record]
 
 
 def spectrum_of(relaxation, window, memory):
@@ -114,6 +115,56 @@ def spectrum_of(relaxation, window, memory):
     return None
 
 
+def memory_of(relaxation, bonds):
+    """Return what the first detector's amplitude remembers; None where the series is too short.
+
+    Not collective.
+
+    Parameters
+    ----------
+    relaxation : pgran.results.Relaxation
+        All of whose states are accurate.
+    bonds : int
+        M, one of which is redrawn a step.
+    """
+    from pgran.physics import memory
+
+    values = np.abs(relaxation.displacement[:, :, 0])
+    if len(values) > 1:  # they know of each other until most bonds are redrawn
+        values = values[:, bonds:]
+    try:
+        series = memory.Series(values, bonds)
+    except InputError as error:
+        log.info("no memory: %s", error)
+        return None
+    longest = min(3 * bonds, values.shape[1] // 2)
+    lags = np.unique(np.append(0, np.geomspace(1, longest, LAGS).astype(int)))
+    found = memory.autocorrelation(series, lags)
+    order, increment, successive = (
+        measure(series)
+        for measure in (
+            memory.mean_order,
+            memory.increment_correlation,
+            memory.successive_correlation,
+        )
+    )
+    lowest, highest = memory.bounds(lags, bonds, min(max(order.value, 1.0), bonds))
+    return Memory(
+        bonds=bonds,
+        order=order.value,
+        order_error=order.error,
+        increment=increment.value,
+        increment_error=increment.error,
+        successive=successive.value,
+        successive_error=successive.error,
+        lag=lags,
+        correlation=found.value,
+        correlation_error=found.error,
+        lowest=lowest,
+        highest=highest,
+    )
+
+
 def summary(result):
     """Return in words what a run found. Not collective."""
     relaxation = result.relaxation
@@ -134,6 +185,13 @@ def summary(result):
             f"power spectrum S(f) ~ f^-psi with psi = {spectrum.exponent:.3f} +- "
             f"{spectrum.exponent_error:.3f} between {spectrum.fit_min:g} and "
             f"{spectrum.fit_max:g} cycles per step"
+        )
+    memory = getattr(result, "memory", None)
+    if memory:
+        yield (
+            f"memory: {memory.order:.3g} +- {memory.order_error:.1g} of {memory.bonds} bonds act "
+            "jointly on average; the amplitude and its next increment have the correlation "
+            f"{memory.increment:.3g} +- {memory.increment_error:.1g}"
         )
 
 
