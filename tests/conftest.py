@@ -44,8 +44,9 @@ WORLD = MPI.COMM_WORLD
 # Files that know nothing of ranks, and run on one only.
 ALIKE = {
     "continuum", "export", "figures", "figures_networks", "figures_pulse", "figures_scenes",
-    "figures_together", "graph", "hertz", "import", "import_refused", "levels", "memory",
-    "network_files", "options", "packings", "reference", "spectrum", "statistics", "transport",
+    "figures_sensitivity", "figures_together", "graph", "hertz", "import", "import_refused",
+    "levels", "memory", "network_files", "options", "packings", "reference", "spectrum",
+    "statistics", "transport",
 }  # fmt: skip
 SECONDS_PER_TEST = 120  # the slowest takes about ten
 SECONDS_FOR_OTHERS = 15  # that a rank whose test has failed waits for the others to finish theirs

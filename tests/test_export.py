@@ -132,6 +132,27 @@ def test_exported_fields_of_a_pulse(tmp_path, displacement):
             assert not turned[:, :2].any()
 
 
+@pytest.mark.parametrize("most", [0, 6])
+def test_what_flows_into_an_exported_ball_is_lost_in_its_bonds(tmp_path, most):
+    """Half of a bond's loss at each end; derivatives where they are kept; no failed frequency."""
+    lattice = random_lattice((4, 3), damping=0.1)
+    found = pgran.sensitivity(lattice, [0.3, 0.6], [(1, 1)], most=most)
+    found.converged_reason[0] = 0
+    result = result_of(found, lattice)
+    _, lines, balls, bonds = read_mesh(result, tmp_path / "s.vtu")
+    names = {name for name in bonds if "_0" in name}
+    assert names == {"log_amplitude_0002_1_1", "flux_0002", "loss_0002"}
+    i, j = lines.T
+    flux, lost = bonds["flux_0002"], 0.5 * bonds["loss_0002"]
+    balance = np.zeros(len(balls["held"]))
+    for end, flows in ((i, -flux), (j, flux)):
+        np.add.at(balance, end, flows - lost)
+    assert balance[balls["held"] == 0] == pytest.approx(0, abs=1e-6 * np.abs(flux).max())
+    slopes = bonds["log_amplitude_0002_1_1"]
+    assert np.count_nonzero(np.isfinite(slopes)) == (most or lattice.bonds)
+    assert np.nanmax(np.abs(slopes)) == np.abs(found.log_amplitude[1, 0]).max()
+
+
 @pytest.mark.parametrize("medium", ["lattice", "network"])
 def test_tables_hold_every_digit(tmp_path, medium):
     net = packing() if medium == "network" else random_lattice((4, 3))

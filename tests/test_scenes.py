@@ -10,7 +10,11 @@ from samples import run_scene
 from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.files.reading import read_words
 from pgran.physics.continuum import Continuum
-from pgran.record import Record
+from pgran.physics.lattice import Lattice
+from pgran.record import Record, Result
+from pgran.results import record_of
+from pgran.results.space import as_network
+from pgran.scenes.sensitivity import joins
 from pgran.solve.database import holding
 
 BASE = {
@@ -19,6 +23,7 @@ BASE = {
     "modes": "-lattice_shape 5,4",
     "projection": "-lattice_shape 5,4 -sweep_points 9",
     "pulse": "-lattice_shape 5,4 -detectors 2,2 -pulse_width 5 -pulse_time 100 -pulse_points 60",
+    "sensitivity": "-lattice_shape 5,4 -detectors 2,2 -sweep_points 9",
     "relaxation": "-lattice_shape 5,4 -detectors 2,2 -relax_steps 150 -spectrum_fit_min .14",
 }
 # Units of two frequencies: the second differs.
@@ -74,12 +79,18 @@ CHANGES = {
     "modes_omega_max": (".5", INTERVAL),
     "modes_target": (".5", NEAREST),
     "modes_count": ("4", NEAREST),
+    "sensitivity_most": "7",
+    "heat_factor": ("1.1", "-heat_factor 1.01"),
+    "heat_overlap": (".02", f"{HERTZ} -heat_overlap .01"),
+    "heat_balls": ("2,2,3,3", "-heat_factor 1.01"),
+    "heat_cut": "true",
 }
 # test_command_line.py, test_motion.py, test_network.py
 SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "detectors_component"),
 }
-IDLE = {"modes": ["lattice_damping"]}  # normal modes are those without damping
+# Normal modes are those without damping; below a floor no derivative is as accurate as asked.
+IDLE = {"modes": ["lattice_damping"], "sensitivity": ["error_floor"]}
 
 
 def result(scene, text, world):
@@ -139,3 +150,42 @@ def test_every_option_counts(scene, world):
     if world.rank == 0:
         assert idle == IDLE.get(scene, [])
         assert plain == {base: result(scene, base, MPI.COMM_SELF) for base in plain}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("-heat_factor 1.1 -heat_cut", ("one warm ball", "one cut bond", "by all 49 bonds")),
+        ("-sensitivity_most 7", ("by the largest 7 of 49 bonds",)),
+        ("-error_tolerance 1e-17 -heat_cut", ("9 of 9 frequencies failed", "of the heater failed")),
+    ],
+)
+def test_what_a_sensitivity_says(words, said):
+    """The bond that matters most by its balls, which is the largest derivative of all."""
+    options = resolve(read_words(f"-scene sensitivity {BASE['sensitivity']} {words}".split()))
+    result = Result(run_scene(options, MPI.COMM_SELF))
+    lines = list(SCENES["sensitivity"].summary(result))
+    assert all(any(text in line for line in lines) for text in said)
+    found = result.sensitivity
+    if not found.failures:
+        (line,) = (line for line in lines if "depends most" in line)
+        number = int(line.split("bond ")[1].split(",")[0])
+        size = np.abs([found.on_bonds(n, 0) for n in range(9)])
+        at, bond = np.unravel_index(np.nanargmax(size), size.shape)
+        assert bond == number
+        assert f"omega = {found.omega[at]:.6g}: d ln|A| / d ln k" in line
+        network = as_network(result.medium)
+        for ball in network.bond[number]:
+            site = tuple(network.position[ball].astype(int).tolist())
+            assert ("the wall" if network.held[ball] else str(site)) in line
+
+
+@pytest.mark.parametrize("bond", range(49))
+def test_how_a_bond_is_called(bond):
+    lattice = record_of(Lattice.random((5, 4)))
+    network, ends = as_network(lattice), joins(lattice, bond).split(" to ")
+    for ball, said in zip(network.bond[bond], ends, strict=True):
+        site = tuple(network.position[ball].astype(int).tolist())
+        assert said == ("the wall" if network.held[ball] else str(site))
+    i, j = network.bond[bond].tolist()
+    assert joins(network, bond) == f"balls {i} and {j}"

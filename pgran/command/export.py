@@ -21,8 +21,9 @@ def export(result, output):
     - `.vtu`, for ParaView and whatever reads VTK, by meshio: balls as points with `mass`, `radius`,
       `held`; contacts as lines with `stiffness` and so on, `crosses` where one goes across the end
       of a periodic box; displacements as point data, `mode_0001`, `response_0001_real` and `_imag`,
-      `field_0001`, rotations apart. On a lattice positions are indices, and the walls have points
-      where bonds end, of mass 0.
+      `field_0001`, rotations apart; of a sensitivity `log_amplitude_0001_17` (ball 17), `flux_0001`
+      and `loss_0001` of the contacts at each frequency that succeeded. On a lattice positions are
+      indices, and the walls have points where bonds end, of mass 0.
     - `.csv`: a row a frequency, time or mode, a column all that the record of the scene has there.
 
     Parameters

@@ -56,7 +56,7 @@ def draw(ax, values, wall=0.0):
     return drawn
 
 
-def page(shape, draws):
+def page(shape, draws, what="displacement"):
     """Return a figure of up to four panels, next to each other or long ones one below another.
 
     Parameters
@@ -66,6 +66,8 @@ def page(shape, draws):
     draws : list of callable
         Each draws into the axes that it is given and gives them a title. What they return is of
         one kind; a colour bar says what its colours are.
+    what : str
+        That the colours are of.
     """
     (nx, ny), chain = (*shape, 1)[:2], len(shape) == 1
     flat = chain or nx > 1.5 * ny
@@ -82,12 +84,13 @@ def page(shape, draws):
         ax.set_title(title if flat else title.replace(", ", "\n     ", 1))
         ax.label_outer()
     if chain:
-        figure.supylabel("displacement / largest", fontsize="medium")
+        figure.supylabel(f"{what} / largest", fontsize="medium")
     elif shown[0].get_array() is None:
         figure.set_figwidth(size[0] - 0.6)  # without a colour bar
     else:
         few = any(map(beyond, shown))
         bar = {"ticks": [-1, -0.5, 0, 0.5, 1], "pad": 0.02, "extend": "both" if few else "neither"}
-        of = "99th percentile\nof balls that move" if few else "largest"
-        figure.colorbar(shown[0], ax=list(panels), label=f"displacement / {of}", **bar)
+        of = "99th percentile" + "\nof balls that move" * (what == "displacement")
+        of = of if few else "largest"
+        figure.colorbar(shown[0], ax=list(panels), label=f"{what} / {of}", **bar)
     return figure

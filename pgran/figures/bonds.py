@@ -64,7 +64,7 @@ def bonds(ax, lattice, detectors):
     for site, name, shade in zip(detectors, names, shades, strict=True):
         if tuple(site[2:]) == plane:
             ax.plot(*(*site, 0)[:2], color=shade, label=name, **dot)
-    _walls(ax, nx, ny, axes)
+    walls(ax, nx, ny, axes)
     return drawn
 
 
@@ -79,17 +79,29 @@ def _segments(stiffness):
     return np.concatenate(segments), np.concatenate([k.ravel() for k in stiffness])
 
 
-def _walls(ax, nx, ny, axes):
-    """Draw the walls, the driven one with a double arrow, and number the balls."""
+def walls(ax, nx, ny, axes, arrow=True):
+    """Draw the walls, the driven one in blue, and number the balls.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    nx, ny : int
+        How many balls there are in the plane.
+    axes : int
+        Of the lattice.
+    arrow : bool
+        Whether a double arrow says what is driven.
+    """
     ax.spines[:].set_visible(False)
     rest = [[(-1, -1), (-1, ny)], [(-1, -1), (nx, -1)], [(-1, ny), (nx, ny)]]
     rest = LineCollection(rest[: 2 * axes - 1], colors="black", linewidths=1.5, clip_on=False)
     ax.add_collection(rest)
     driven = {"color": style.ACCENT, "linewidth": 3, "label": "driven wall"}
     ax.plot([nx, nx], [-1, ny], clip_on=False, **driven)
-    arrow = {"arrowstyle": "<->", "color": style.ACCENT, "shrinkA": 0, "shrinkB": 4}
-    place = {"xytext": (22, 0), "textcoords": "offset points"}
-    ax.annotate("", xy=(nx, (ny - 1) / 2), arrowprops=arrow, **place)
+    if arrow:
+        look = {"arrowstyle": "<->", "color": style.ACCENT, "shrinkA": 0, "shrinkB": 4}
+        place = {"xytext": (22, 0), "textcoords": "offset points"}
+        ax.annotate("", xy=(nx, (ny - 1) / 2), arrowprops=look, **place)
     for axis, count, name in ((ax.xaxis, nx, "i"), (ax.yaxis, ny, "j")):
         locator = MaxNLocator(nbins=6, steps=[1, 2, 5, 10], integer=True)
         ticks = locator.tick_values(0, max(count - 1, 1))

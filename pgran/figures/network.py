@@ -22,7 +22,8 @@ def figures(result, **_):
     if result.network.position is None:
         log.warning("the network has no positions: neither it nor a motion of it is drawn")
         return
-    heard = [getattr(result, name, None) for name in ("response", "pulse", "relaxation")]
+    names = ("response", "pulse", "relaxation", "sensitivity")
+    heard = [getattr(result, name, None) for name in names]
     balls = [record.detector[:, 0] for record in heard if record is not None]
     yield "network", page(result.network, balls[0] if balls else [])
 

@@ -27,7 +27,7 @@ class View:
 
     def __init__(self, network, ball=None):
         """Find the balls that are seen, and the circles that the plane cuts of them."""
-        place = in_space(network.position)
+        self.network, place = network, in_space(network.position)
         self.along, self.crosses = reaches(network)
         self.spacing = float(np.median(np.linalg.norm(self.along, axis=1)))
         known = network.radius is not None
@@ -42,19 +42,21 @@ class View:
             self.plane = f"plane ${'xyz'[across]}$ = {place[ball, across]:.3g}"
         near = radius if known else np.full(len(place), 0.5 * self.spacing)
         self.seen = np.abs(depth) < near
-        self.held = network.held[self.seen]
         self.size = radius * np.sqrt(np.maximum(1 - (depth / near) ** 2, 0)) * 2
         self.axes = [axis for axis in range(3) if axis != across]
         self.xy = place[:, self.axes]
         self.low = self.xy.min(axis=0) - radius.max()
         self.extent = np.maximum(self.xy.max(axis=0) + radius.max() - self.low, self.spacing)
 
-    def draw(self, ax, **look):
-        """Draw the balls that are seen as circles; return them."""
-        size, place = self.size[self.seen], {"units": "xy", "offset_transform": ax.transData}
-        look |= {"linewidths": 0.4, "rasterized": len(size) > MANY}
-        look |= {"facecolors": FACES[self.held], "edgecolors": EDGES[self.held]}
-        drawn = EllipseCollection(size, size, 0, offsets=self.xy[self.seen], **place, **look)
+    def draw(self, ax, chosen=None, **look):
+        """Draw the balls that are seen, or those chosen of them, as circles; return them."""
+        chosen = self.seen if chosen is None else chosen
+        size, held = self.size[chosen], self.network.held[chosen]
+        place = {"units": "xy", "offset_transform": ax.transData}
+        edge = 0.4 if "array" not in look else 0.2 if len(size) <= MANY / 2 else 0.0
+        look |= {"linewidths": edge, "rasterized": len(size) > MANY}
+        look |= {"facecolors": FACES[held], "edgecolors": EDGES[held]}
+        drawn = EllipseCollection(size, size, 0, offsets=self.xy[chosen], **place, **look)
         return ax.add_collection(drawn)
 
     def lines(self, bond):

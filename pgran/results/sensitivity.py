@@ -84,6 +84,22 @@ class Sensitivity(Record):
         """How many frequencies missed the accuracy asked for."""
         return int(np.count_nonzero(self.converged_reason <= 0))
 
+    def on_bonds(self, number, d):
+        """Return d ln|A| / d ln k of all bonds, NaN of those that are not kept, shape (bonds,).
+
+        Not collective.
+
+        Parameters
+        ----------
+        number, d : int
+            Of the frequency, and of the detector.
+        """
+        if self.bond is None:
+            return self.log_amplitude[number, d]
+        values = np.full(self.flux.shape[1], np.nan)
+        values[self.bond[number, d]] = self.log_amplitude[number, d]
+        return values
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Heat(Record):

@@ -75,8 +75,7 @@ def mesh(result):
     of_points, of_lines : dict of str: numpy.ndarray
         Of as many rows; vectors have 3 components.
     """
-    medium = result.medium
-    network = medium if medium.group == "network" else _with_walls(medium)
+    network = as_network(result.medium)
     of_points = {"mass": network.mass, "radius": network.radius, "held": network.held}
     names = ("stiffness", "tangential", "force", "distance", "normal")
     of_lines = {name: getattr(network, name) for name in names}
@@ -87,6 +86,7 @@ def mesh(result):
         {name: values for name, values in data.items() if values is not None}
         for data in (of_points, of_lines)
     )
+    of_lines |= dict(_of_bonds(result))
     for name, values, drive in _motions(result):
         moves = everywhere(network, values.reshape(1, -1), [drive])[0]
         axes = 1 if network.displacement == "scalar" else len(network.direction)
@@ -97,8 +97,21 @@ def mesh(result):
     return in_space(network.position), network.bond, of_points, of_lines
 
 
+def as_network(medium):
+    """Return a network as it is, a lattice as one of scalar displacements.
+
+    Not collective. Where a bond of the lattice ends at a wall there is a held ball; bonds and free
+    balls keep their order.
+
+    Parameters
+    ----------
+    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
+    """
+    return medium if medium.group == "network" else _with_walls(medium)
+
+
 def _with_walls(lattice):
-    """Return a lattice as a network of scalar displacements with a held ball where a bond ends."""
+    """Return a lattice as a network with a held ball of no mass where a bond ends."""
     built, count = lattice.built, lattice.free_balls
     bond, driven = bond_ends(np.arange(count).reshape(lattice.shape)), driven_bonds(lattice.shape)
     axis, _ = built.bond_places(np.arange(built.bonds))
@@ -114,6 +127,17 @@ def _with_walls(lattice):
     position = np.concatenate([sites, beside]).astype(float)
     network = Network(bond, built.constants, held, mass, lattice.damping, position=position)
     return NetworkRecord.of(network)
+
+
+def _of_bonds(result):
+    """Yield what a signal depends on and the power, by name, at the frequencies that succeeded."""
+    found = getattr(result, "sensitivity", None)
+    for n in [] if found is None else np.flatnonzero(found.converged_reason > 0):
+        yield f"flux_{n + 1:04}", found.flux[n]
+        yield f"loss_{n + 1:04}", found.loss[n]
+        for d, site in enumerate(found.detector.tolist()):
+            name = "_".join(map(str, ["log_amplitude", f"{n + 1:04}", *site]))
+            yield name, found.on_bonds(n, d)
 
 
 def _motions(result):

@@ -60,18 +60,23 @@ def summary(found):
     if found.failures:
         yield f"{found.failures} of {len(good)} frequencies of the heater failed"
     for d, site in enumerate(found.detector.tolist()):
-        for name, changed in (("warming a ball", found.warmed), ("cutting a bond", found.cut)):
+        for name, what in (("warmed", "warm ball"), ("cut", "cut bond")):
+            changed = getattr(found, name)
             if changed is None or not good.any():
                 continue
-            before = found.displacement[good, d]
-            moved = np.abs(changed[good, d] / before[:, None] - 1)
-            yield (
-                f"ball {tuple(site)}: {name} changes the amplitude by {100 * np.median(moved):.3g} "
-                f"% (median), by {100 * moved.max():.3g} % at most"
-            )
-        if found.heard is not None and good.any():
-            share = found.heard[good, d].mean()
-            yield f"ball {tuple(site)}: by a quarter or more in {100 * share:.3g} % of all cases"
+            known = np.isfinite(getattr(found, f"{name}_bound")[good, d])
+            before, after = found.displacement[good, d][:, None], changed[good, d]
+            moved = np.abs(after - before) / np.abs(before)
+            text = f"ball {tuple(site)}: one {what} changes its amplitude by "
+            if not known.any():
+                yield f"{text}what is not known"
+                continue
+            usual, most = 100 * np.median(moved[known]), 100 * moved[known].max()
+            text += f"{usual:.3g} % (median), {most:.4g} % at most"
+            if name == "warmed":
+                share = 100 * found.heard[good, d].mean()
+                text += f", a quarter or more in {share:.3g} % of all cases"
+            yield text
 
 
 @in_parallel(shares_lattice=True)

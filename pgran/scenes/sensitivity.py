@@ -4,6 +4,7 @@ import numpy as np
 
 from pgran.files.options import INTEGER, Option
 from pgran.parallel.task import carry_out
+from pgran.physics.bonds import bond_places
 from pgran.physics.gradient import energy_flux, gradient
 from pgran.results import Sensitivity, record_of
 from pgran.scenes import common, heat
@@ -45,10 +46,11 @@ def run(options, world, crew):
 def summary(result):
     """Return in words what a run found. Not collective."""
     found, good = result.sensitivity, result.sensitivity.converged_reason > 0
-    nw, bonds = len(found.omega), found.by_stiffness.shape[-1]
+    nw, kept, bonds = len(found.omega), found.by_stiffness.shape[-1], found.flux.shape[-1]
+    what = "all" if kept == bonds else f"the largest {kept} of"
     yield (
-        f"derivatives by {bonds} bonds at {nw} frequencies with {found.factorizations} "
-        f"factorizations in {found.solve_seconds:.2f} s"
+        f"{nw} frequencies with {found.factorizations} factorizations in "
+        f"{found.solve_seconds:.2f} s: derivatives by {what} {bonds} bonds, by masses and beta"
     )
     if found.failures:
         yield f"{found.failures} of {nw} frequencies failed or missed the accuracy asked for"
@@ -57,13 +59,26 @@ def summary(result):
         if size.size:
             at, bond = np.unravel_index(np.argmax(size), size.shape)
             number = bond if found.bond is None else found.bond[good][at, d, bond]
+            most, joined = found.log_amplitude[good][at, d, bond], joins(result.medium, number)
             yield (
-                f"ball {tuple(site)}: at omega = {found.omega[good][at]:.6g} bond {number} matters "
-                f"most, d ln|A| / d ln k = {found.log_amplitude[good][at, d, bond]:.3g} "
+                f"ball {tuple(site)}: depends most on bond {number}, {joined}, "
+                f"at omega = {found.omega[good][at]:.6g}: d ln|A| / d ln k = {most:.4g} "
                 f"+- {found.log_bound[good][at, d, bond]:.1g}"
             )
     if getattr(result, "heat", None):
         yield from heat.summary(result.heat)
+
+
+def joins(medium, number):
+    """Return in words what a bond joins, by its number. Not collective."""
+    if medium.group == "network":
+        return "balls {} and {}".format(*medium.bond[number].tolist())
+    (axis,), (upper,) = bond_places(medium.shape, np.array([number]))
+    lower = upper - (np.arange(len(upper)) == axis)
+    inside = lower[axis] >= 0, upper[axis] < medium.shape[axis]
+    ends = zip((lower, upper), inside, strict=True)
+    ends = [tuple(site.tolist()) if there else "the wall" for site, there in ends]
+    return f"{ends[0]} to {ends[1]}"
 
 
 @in_parallel(shares_lattice=True)

@@ -1,0 +1,179 @@
+"""The figures of what a warm ball, or a cut bond, does to a signal."""
+
+import logging
+from functools import partial
+
+import numpy as np
+
+from pgran.figures import balls, style
+from pgran.figures.maps import Map
+from pgran.figures.sensitivity import MOST, detectors, few, logarithmic, note_failed, page, title
+
+log = logging.getLogger("pgran")
+QUARTER = 25.0  # %, what the heater of the experiment changed
+CHANGE = r"change $|A' - A|\,/\,|A|$ (%)"
+SIGNS = "red: |A| grows; blue, with a bar: it falls"
+MEANS = "each ball: mean over its bonds; red: |A| grows; blue: it falls"
+HOLLOW = "red: |A| grows; blue, hollow: it falls; width: square root"
+
+
+def figures(result, **_):
+    """Yield maps of warm balls and cut bonds, how the changes are distributed, and over omega."""
+    heat, medium = result.heat, result.medium
+    chosen = few(heat)
+    if not len(chosen):
+        log.warning("no frequency of the heater is as accurate as asked: none is drawn")
+        return
+    if getattr(medium, "position", medium.shape) is not None:
+        for name, d in detectors(heat):
+            if heat.warmed is not None:
+                panels = [partial(warm, heat=heat, medium=medium, at=n, d=d) for n in chosen]
+                text = f"each ball warmed alone; {SIGNS}"
+                yield f"warmed{name}", page(heat, medium, d, panels, "change of |A|", text)
+            if heat.cut is not None:
+                panels = [partial(cut, heat=heat, medium=medium, at=n, d=d) for n in chosen]
+                many = not Map(medium, heat.detector[d]).each(decibels(heat, chosen[0], d))
+                text = f"each bond cut alone; {MEANS if many else HOLLOW}"
+                yield f"cut{name}", page(heat, medium, d, panels, "change in dB", text)
+    rows = 1 + (np.count_nonzero(heat.converged_reason > 0) > MOST)
+    entries = sum(x is not None for x in (heat.warmed, heat.cut)) * len(heat.detector)
+    size = style.COLUMN, 2.3 * rows + 0.3 + 0.14 * entries
+    figure, panels = style.page(*size, nrows=rows)
+    for letter, panel, ax in zip("ab", (distribution, over_frequency), panels, strict=False):
+        panel(ax, heat, medium)
+        if rows > 1:
+            ax.set_title(f"({letter})")
+        style.legend_above([ax], columns=1)
+    note_failed(figure, heat)
+    yield "changes", figure
+
+
+def change(heat, name):
+    """Return by what part amplitudes change, |A'| / |A| - 1 and |A' - A| / |A|, NaN if not known.
+
+    That is where the error is larger than the change, and than a thousandth of the amplitude.
+
+    Parameters
+    ----------
+    heat : pgran.results.Heat
+    name : str
+        `warmed` or `cut`.
+    """
+    before, after = heat.displacement[..., None], getattr(heat, name)
+    size = np.abs(before)
+    with np.errstate(all="ignore"):
+        moved, grown = np.abs(after - before) / size, np.abs(after) / size - 1
+        wrong = (getattr(heat, f"{name}_bound") + heat.error_bound[..., None]) / size
+    known = (wrong <= np.maximum(moved, 1e-3)) & (heat.converged_reason > 0)[:, None, None]
+    return np.where(known, grown, np.nan), np.where(known, moved, np.nan)
+
+
+def warm(ax, heat, medium, at, d=0):
+    """Draw by how much each ball, warm, changes |A|, in units of the largest change that is seen.
+
+    Grey: balls that were not warmed. Returns the balls.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    heat : pgran.results.Heat
+        With `warmed`.
+    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
+        With positions.
+    at, d : int
+        Numbers of the frequency and of the detector.
+    """
+    seen = Map(medium, heat.detector[d])
+    values = np.full(len(seen.network.held), np.nan)
+    values[heat.ball] = change(heat, "warmed")[0][at, d]
+    unit = balls.scale_of(np.nan_to_num(values[seen.free]))
+    drawn = seen.discs(ax, values / unit)
+    title(ax, heat, medium, at, f"{100 * unit:.3g} %", balls.beyond(drawn))
+    return drawn
+
+
+def cut(ax, heat, medium, at, d=0):
+    """Draw by how many dB each bond, cut, changes |A|, in units of the largest that is seen.
+
+    What falls by more than 60 dB is drawn as if by 60. Where bonds are too many to be seen, each
+    ball has the mean of its bonds. Returns what a colour bar is of.
+
+    Parameters are those of `warm`.
+    """
+    seen = Map(medium, heat.detector[d])
+    values = decibels(heat, at, d)
+    if seen.each(values):
+        unit = balls.scale_of(np.nan_to_num(values[seen.numbers]))
+        drawn = seen.lines(ax, values / unit)
+    else:
+        known = np.isfinite(values)
+        values = seen.summed(np.where(known, values, 0.0)) / np.maximum(seen.summed(known), 1)
+        unit = balls.scale_of(values[seen.free])
+        drawn = seen.discs(ax, values / unit)
+    title(ax, heat, medium, at, f"{unit:.3g} dB", balls.beyond(drawn))
+    return drawn
+
+
+def decibels(heat, at, d):
+    """Return what each bond that is cut changes in dB, no less than -60; see `cut`."""
+    return 20 * np.log10(np.maximum(1 + change(heat, "cut")[0][at, d], 1e-3))
+
+
+def shares(heat):
+    """Yield what is changed, the changes in %, shape (nw, nd, count)."""
+    for name, label in (("warmed", "ball warmed"), ("cut", "bond cut")):
+        if getattr(heat, name) is not None:
+            yield label, 100 * change(heat, name)[1]
+
+
+def distribution(ax, heat, medium=None):
+    """Draw the share of balls, or bonds, that change an amplitude by more, at all frequencies.
+
+    A quarter is marked. Returns the curves.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    heat : pgran.results.Heat
+    """
+    drawn = []
+    for n, (label, moved) in enumerate(shares(heat)):
+        for d, name in enumerate(style.ball_names(heat.detector)):
+            size = np.sort(moved[:, d][np.isfinite(moved[:, d])])[::-1]
+            share = np.arange(1, len(size) + 1) / max(len(size), 1)
+            quarter = np.count_nonzero(size >= QUARTER) / max(len(size), 1)
+            said = f"{name}, {label}: {100 * quarter:.2g} % of cases above"
+            look = {"linestyle": "-" if n == 0 else "--", "label": said}
+            drawn += ax.plot(size, share, color=style.colours(len(heat.detector))[d], **look)
+    ax.axvline(QUARTER, color=style.UNRESOLVED, linestyle=":", label="a quarter")
+    ax.set(xlabel=CHANGE, ylabel="share of cases with more")
+    logarithmic(ax, drawn, QUARTER)
+    return drawn
+
+
+def over_frequency(ax, heat, medium):
+    """Draw median and largest change over the driving frequency; return the curves.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    heat : pgran.results.Heat
+    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
+    """
+    x, drawn = heat.omega / medium.omega_mx, []
+    shades = style.colours(len(heat.detector))
+    for line, (label, moved) in zip(("-", "--"), shares(heat), strict=False):
+        known = np.isfinite(moved)
+        good = known.any(axis=-1)
+        largest = np.where(known, moved, 0.0).max(axis=-1, initial=0.0)
+        median = np.full(good.shape, np.nan)
+        median[good] = np.nanmedian(moved[good], axis=-1)
+        for what, y, width in (("median", median, 0.7), ("largest", largest, 1.4)):
+            look = {"linestyle": line, "linewidth": width}
+            for d, shade in enumerate(shades):
+                text = [f"{what}, {label}"] if d == 0 else None
+                drawn += style.curves(ax, x, y[:, d], good[:, d], text, color=shade, **look)
+    ax.axhline(QUARTER, color=style.UNRESOLVED, linestyle=":")
+    ax.set(yscale="log", xlabel=style.FREQUENCY, ylabel=CHANGE, xlim=style.limits(x))
+    style.mark_failed(ax, x[heat.converged_reason <= 0])
+    return drawn

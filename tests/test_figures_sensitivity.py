@@ -1,0 +1,379 @@
+"""Figures of what a signal depends on, read off the axes: bonds, flux, warm balls, cut bonds."""
+
+import logging
+from dataclasses import replace
+from itertools import product
+
+import figure_results
+import numpy as np
+import pytest
+from figure_reading import curves, draw, gaps, labels, lines, note
+from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
+from samples import random_lattice
+
+import pgran
+from pgran import figures
+from pgran.figures import balls, heat, maps, sensitivity, style
+from pgran.physics.makers import crystal
+from pgran.results import record_of
+from pgran.results.space import as_network
+
+OMEGAS = [0.3, 0.6, 0.8, 1.1]
+LATTICE = random_lattice((4, 3), seed=5, damping=0.05)
+
+
+def result_of(record, medium=LATTICE):
+    return figure_results.result_of(record, medium)
+
+
+def title(ax):
+    """The title of a panel, which this style has on the left, and others in the middle."""
+    return ax.get_title(loc="left") or ax.get_title()
+
+
+def depends(lattice=LATTICE, detectors=((1, 1),), omegas=OMEGAS, **wanted):
+    return pgran.sensitivity(lattice, omegas, np.ravel(detectors), **wanted)
+
+
+def heated(lattice=LATTICE, detectors=((1, 1),), omegas=OMEGAS, **wanted):
+    wanted = {"factor": 1.1, "cut": True} | wanted
+    return pgran.heat(lattice, omegas, np.ravel(detectors), **wanted)
+
+
+def strip():
+    """A strip of discs, periodic across, with stiffness at random."""
+    return crystal(
+        "triangular", (4, 3), lambda rng, count: rng.uniform(0.5, 1, count),
+        periodic=(False, True), damping=0.05,
+    )  # fmt: skip
+
+
+def joined(shape):
+    """Where each bond begins and ends, axis after axis, each in C order."""
+    ends = []
+    for axis in range(len(shape)):
+        for index in product(*(range(n + (a == axis)) for a, n in enumerate(shape))):
+            lower = np.array(index) - (np.arange(len(shape)) == axis)
+            ends.append([lower, np.array(index)])
+    return np.array(ends)
+
+
+def bond_lines(ax):
+    """The lines that have colours of their own, and the white ones that make them hollow."""
+    found = [c for c in ax.collections if isinstance(c, LineCollection)]
+    (coloured,) = (c for c in found if c.get_array() is not None)
+    (hollow,) = (c for c in found if c.get_label() == "negative")
+    assert np.all(hollow.get_colors()[:, :3] == to_rgb("white"))
+    return coloured, hollow
+
+
+def discs(ax):
+    """The balls that have colours."""
+    (drawn,) = (c for c in ax.collections
+                if isinstance(c, EllipseCollection) and c.get_array() is not None)  # fmt: skip
+    return drawn
+
+
+def wedges(ax):
+    """Where each wedge begins and ends, and how broad it is."""
+    (drawn,) = (c for c in ax.collections if isinstance(c, PolyCollection))
+    corners = np.array([path.vertices[:3] for path in drawn.get_paths()])
+    start = corners[:, :2].mean(axis=1)
+    return start, corners[:, 2], np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("shape", "site"), [((4, 3), (1, 1)), ((4, 3, 5), (2, 1, 3)), ((9,), (2,))]
+)
+def test_derivatives_are_lines_on_the_bonds(shape, site):
+    """As wide as the root, of three dimensions those in the detector's plane, negative hollow."""
+    lattice = random_lattice(shape, seed=5, damping=0.05)
+    found, ends = depends(lattice, [site]), joined(shape)
+    ax = draw(sensitivity.derivatives, found, record_of(lattice), 1)
+    seen = (ends[:, :, 2:] == np.array(site[2:])).all(axis=(1, 2))
+    expected = {
+        tuple(np.pad(end, [(0, 0), (0, 2)])[:, :2].ravel()): value
+        for end, value in zip(ends[seen], found.log_amplitude[1, 0][seen], strict=True)
+    }
+    largest = max(map(abs, expected.values()))
+    coloured, hollow = bond_lines(ax)
+    assert len(coloured.get_segments()) == np.count_nonzero(seen)
+    drawn = {
+        tuple(np.round(segment).astype(int).ravel()): value
+        for segment, value in zip(coloured.get_segments(), coloured.get_array(), strict=True)
+    }
+    assert {k: v * largest for k, v in drawn.items()} == pytest.approx(expected)
+    widths = np.array(coloured.get_linewidths())
+    assert (widths / widths.max()) ** 2 == pytest.approx(np.abs(coloured.get_array()))
+    negative = sum(v < -maps.FAINT * largest for v in expected.values())
+    assert len(hollow.get_segments()) == negative
+    assert negative or len(shape) == 1
+    assert f"largest {largest:.3g}" in title(ax)
+    (dot,) = lines(ax, label="detector")
+    assert [*dot.get_xdata(), *dot.get_ydata()] == [*site, 0][:2]
+    (wall,) = lines(ax, label="driven wall")
+    assert set(wall.get_xdata()) == {shape[0]}
+
+
+def test_only_bonds_that_are_kept_are_drawn():
+    found, all_of_them = depends(most=5), depends()
+    coloured, _ = bond_lines(draw(sensitivity.derivatives, found, record_of(LATTICE), 2))
+    assert len(coloured.get_segments()) == 5
+    shown = {tuple(map(tuple, np.round(s).astype(int))) for s in coloured.get_segments()}
+    ends = joined((4, 3))[found.bond[2, 0]]
+    assert shown == {tuple(map(tuple, end.tolist())) for end in ends}
+    whole = found.on_bonds(2, 0)
+    assert np.count_nonzero(np.isfinite(whole)) == 5
+    kept = np.isfinite(whole)
+    assert whole[kept] == pytest.approx(all_of_them.log_amplitude[2, 0][kept])
+
+
+@pytest.mark.parametrize("make", [lambda: LATTICE, strip])
+def test_sums_where_bonds_are_too_many_are_what_a_little_warmth_does(make, monkeypatch):
+    """Each ball's sum is the derivative of ln|A| by its warmth, and so the heater's map."""
+    medium, step = make(), 1e-6
+    site = [(1, 1)] if medium is LATTICE else [int(medium.free[4])]
+    monkeypatch.setattr(maps, "CLEAR", 10)
+    found = depends(medium, site, error_tolerance=1e-10)
+    little = heated(medium, site, factor=1 + step, cut=False, error_tolerance=1e-10)
+    ax = draw(sensitivity.derivatives, found, record_of(medium), 1)
+    warm = draw(heat.warm, little, record_of(medium), 1)
+    units = []
+    for panel in (ax, warm):
+        said = title(panel).split("largest ")[1]
+        units.append(float(said.removesuffix(" %")))
+    assert np.array(discs(ax).get_array()) == pytest.approx(
+        np.array(discs(warm).get_array()), abs=1e-3
+    )
+    assert units[1] / 100 == pytest.approx(step * units[0], rel=1e-2)
+
+
+@pytest.mark.parametrize("make", [lambda: LATTICE, strip])
+def test_what_flows_into_a_ball_is_lost_there(make, monkeypatch):
+    """Power is conserved, read off the widths, the points and the colours."""
+    monkeypatch.setattr(maps, "FAINT", 0.0)
+    medium = make()
+    site = [(1, 1)] if medium is LATTICE else [int(medium.free[4])]
+    found = depends(medium, site)
+    network = as_network(record_of(medium))
+    ax = draw(sensitivity.flux, found, record_of(medium), 1)
+    start, end, width = wedges(ax)
+    power = width**2
+    power *= np.abs(found.flux[1]).max() / power.max()
+    balance = np.zeros(len(network.held))
+    ends = np.append(start, end, axis=0)
+    where = np.linalg.norm(ends[:, None] - network.position[None, :, :2], axis=2)
+    at = where.argmin(axis=1)
+    on_balls = where.min(axis=1) < 1e-9  # not the middle of a contact across the box
+    change = np.append(-power, power)
+    np.add.at(balance, at[on_balls], change[on_balls])
+    lost = np.zeros(len(network.held))
+    for b, pair in enumerate(network.bond):
+        lost[pair] += 0.5 * found.loss[1, b]
+    free = network.held == 0
+    assert balance[free] == pytest.approx(lost[free], abs=1e-6 * power.max())
+    assert np.array(discs(ax).get_array()) == pytest.approx(lost[free] / lost[free].max())
+    assert np.all(balance[network.held == 2] < 0)
+
+
+def test_many_fluxes_are_summed_in_cells(monkeypatch):
+    """Each cell's wedge points along the sum of its bonds' fluxes, the largest the broadest."""
+    monkeypatch.setattr(maps, "CLEAR", 10)
+    monkeypatch.setattr(maps, "CELLS", 1)
+    found = depends()
+    start, end, width = wedges(draw(sensitivity.flux, found, record_of(LATTICE), 1))
+    ends = joined((4, 3))
+    total = (found.flux[1][:, None] * (ends[:, 1] - ends[:, 0])).sum(axis=0)
+    assert len(width) == 1
+    along = (end - start)[0]
+    assert along / np.linalg.norm(along) == pytest.approx(total / np.linalg.norm(total))
+
+
+def test_the_heaters_map():
+    """Colours are what a lattice with those bonds stiffer does; balls not warmed are grey."""
+    found = heated(balls=[(0, 0), (2, 1), (3, 2)], cut=False, detectors=[(1, 1)])
+    ax = draw(heat.warm, found, record_of(LATTICE), 1)
+    colours = discs(ax).get_array()
+    assert np.array_equal(np.flatnonzero(~np.ma.getmaskarray(colours)), [0, 7, 11])
+    before = pgran.sweep(LATTICE, [0.6], [(1, 1)], error_tolerance=1e-10).amplitude[0, 0]
+    expected = []
+    for site in ((0, 0), (2, 1), (3, 2)):
+        stiffness = [k.copy() for k in LATTICE.stiffness]
+        for axis, k in enumerate(stiffness):
+            for side in (0, 1):
+                k[tuple(np.array(site) + side * (np.arange(2) == axis))] *= 1.1
+        changed = replace(LATTICE, stiffness=tuple(stiffness))
+        after = pgran.sweep(changed, [0.6], [(1, 1)], error_tolerance=1e-10).amplitude[0, 0]
+        expected.append(after / before - 1)
+    expected = np.array(expected)
+    largest = np.abs(expected).max()
+    assert largest * colours.compressed() == pytest.approx(expected, abs=1e-5)
+    assert f"largest {100 * largest:.3g} %" in title(ax)
+
+
+def test_bars_on_balls_that_make_it_fall():
+    found = heated(cut=False)
+    ax = draw(heat.warm, found, record_of(LATTICE), 1)
+    grown = np.abs(found.warmed[1, 0]) / np.abs(found.displacement[1, 0]) - 1
+    below = np.flatnonzero(grown < -maps.FAINT * np.abs(grown).max())
+    (bars,) = lines(ax, label="negative")
+    places = np.stack([bars.get_xdata(), bars.get_ydata()], axis=1)
+    assert len(below) > 0
+    assert places == pytest.approx(np.stack(np.unravel_index(below, (4, 3)), axis=1))
+
+
+def test_cut_bonds_in_decibels_and_what_is_not_known():
+    found = heated(factor=None)
+    found.cut_bound[1, 0, 3] = np.inf
+    ax = draw(heat.cut, found, record_of(LATTICE), 1)
+    coloured, _ = bond_lines(ax)
+    level = 20 * np.log10(np.abs(found.cut[1, 0]) / np.abs(found.displacement[1, 0]))
+    level = np.delete(level, 3)
+    assert len(coloured.get_segments()) == len(level)
+    largest = np.abs(level).max()
+    assert f"largest {largest:.3g} dB" in title(ax)
+    assert sorted(coloured.get_array() * largest) == pytest.approx(sorted(level))
+    found.cut[1, 0, 4] = 0.0
+    assert heat.decibels(found, 1, 0)[4] == -60
+
+
+def test_means_where_cut_bonds_are_too_many(monkeypatch):
+    monkeypatch.setattr(maps, "CLEAR", 10)
+    found = heated(factor=None)
+    found.cut_bound[1, 0, 3] = np.inf
+    level = heat.decibels(found, 1, 0)
+    ends, expected = joined((4, 3)), []
+    for site in product(range(4), range(3)):
+        own = (ends == np.array(site)).all(axis=2).any(axis=1)
+        expected.append(np.nanmean(level[own]))
+    colours = np.array(discs(draw(heat.cut, found, record_of(LATTICE), 1)).get_array())
+    assert colours * np.abs(expected).max() == pytest.approx(expected)
+    made = figures.make(result_of(found))
+    assert "mean over its bonds" in note(made["cut"]).replace("\n", " ")
+
+
+def test_shares_of_bonds_and_balls():
+    found, warm = depends(detectors=[(1, 1), (3, 2)]), heated(detectors=[(1, 1), (3, 2)])
+    ax = draw(sensitivity.distribution, found, record_of(LATTICE))
+    for curve, (n, d) in zip(ax.get_lines(), product(sensitivity.few(found), (0, 1)), strict=True):
+        size = np.abs(found.log_amplitude[n, d])
+        for x, share in curve.get_xydata():
+            assert share == pytest.approx(np.mean(size >= x))
+    ax = draw(heat.distribution, warm)
+    (mark,) = lines(ax, label="a quarter")
+    assert set(mark.get_xdata()) == {25.0}
+    assert ax.get_xlim()[1] > 25
+    moved = np.abs(warm.warmed / warm.displacement[..., None] - 1)[:, 1]
+    quarter = np.mean(moved >= 0.25)
+    assert f"ball (3, 2), ball warmed: {100 * quarter:.2g} % of cases above" in labels(ax)
+    assert quarter == pytest.approx(warm.heard[:, 1].mean())
+
+
+def test_changes_over_frequency():
+    warm = heated(omegas=np.linspace(0.2, 1.2, 8))
+    warm.converged_reason[3] = 0
+    ax = draw(heat.over_frequency, warm, record_of(LATTICE))
+    moved = 100 * np.abs(warm.warmed / warm.displacement[..., None] - 1)[:, 0]
+    median, largest = curves(ax)[:2]
+    assert gaps(median) == gaps(largest) == [3]
+    good = warm.converged_reason > 0
+    assert median.get_ydata().compressed() == pytest.approx(np.median(moved, axis=1)[good])
+    assert largest.get_ydata().compressed() == pytest.approx(moved.max(axis=1)[good])
+    (cross,) = lines(ax, marker="x")
+    assert cross.get_xdata() == pytest.approx(warm.omega[3:4] / LATTICE.omega_mx)
+
+
+@pytest.mark.parametrize(
+    ("good", "chosen"),
+    [([1], [0]), ([0, 1, 1], [1, 2]), ([1] * 3, [0, 1, 2]), ([1] * 9, [1, 4, 7]), ([0], [])],
+)
+def test_a_few_of_the_good_frequencies(good, chosen):
+    record = pgran.results.Sensitivity
+    names = dict.fromkeys(record.__dataclass_fields__)
+    assert sensitivity.few(record(**names | {"converged_reason": np.array(good)})) == chosen
+
+
+def test_pages():
+    both = result_of(depends())
+    both.heat = heated()
+    made = figures.make(both)
+    maps_of = ["warmed", "cut", "sensitivity", "flux"]
+    assert set(made) == {*maps_of, "changes", "distribution", "bonds"}
+    for name in maps_of:
+        panels = [ax for ax in made[name].axes if title(ax)]
+        assert len(panels) == 3
+        for letter, n, ax in zip("abc", sensitivity.few(both.heat), panels, strict=True):
+            x = OMEGAS[n] / LATTICE.omega_mx
+            assert title(ax).startswith(f"({letter}) $\\omega$ = {x:.4g} ")
+        assert "circle: ball (1, 1); driven wall: blue" in note(made[name])
+        made[name].draw_without_rendering()
+        text = made[name]._suptitle.get_window_extent()
+        assert text.x0 >= 0
+        assert text.x1 <= made[name].bbox.x1
+    assert len([ax for ax in made["changes"].axes if ax.lines]) == 2
+
+
+def test_pages_of_networks_and_of_several_detectors(caplog):
+    net = strip()
+    sites = net.free[:4].tolist()
+    with caplog.at_level(logging.WARNING, logger="pgran"):
+        made = figures.make(result_of(depends(net, sites, [0.3]), net))
+    assert "the first 3 of 4 detectors" in caplog.text
+    names = [f"sensitivity_{ball}" for ball in sites[:3]]
+    assert list(made) == ["network", *names, "flux", "distribution"]
+    assert "balls at rest: dark" in note(made["flux"])
+    assert f"ball {sites[3]}" in labels(made["network"].axes[0])
+
+
+def test_without_positions_the_distributions_alone():
+    net = replace(strip(), position=None)
+    made = figures.make(result_of(depends(net, net.free[:1], [0.3]), net))
+    assert list(made) == ["distribution"]
+    assert list(figures.make(result_of(heated(net, net.free[:1], [0.3]), net))) == ["changes"]
+
+
+@pytest.mark.parametrize("compute", [depends, heated])
+def test_failed_frequencies_are_said_and_not_drawn(compute, caplog):
+    found = compute()
+    found.converged_reason[[0, 2]] = 0
+    for figure in figures.make(result_of(found)).values():
+        if "frequencies" in note(figure):
+            assert "2 of 4 frequencies that missed" in note(figure).replace("\n", " ")
+            assert figure._suptitle.get_color() == style.FAILED
+            x = f"{OMEGAS[0] / LATTICE.omega_mx:.4g} "
+            assert not any(x in title(ax) for ax in figure.axes)
+        else:
+            assert not note(figure)
+            assert "bond constant" in figure.axes[-1].get_xlabel()
+    found.converged_reason[:] = 0
+    with caplog.at_level(logging.WARNING, logger="pgran"):
+        assert not figures.make(result_of(found))
+    assert "is as accurate as asked: none is drawn" in caplog.text
+
+
+def test_a_few_sums_beyond_the_colours(monkeypatch):
+    monkeypatch.setattr(maps, "CLEAR", 10)
+    monkeypatch.setattr(balls, "MANY", 5)
+    figure = figures.make(result_of(depends()))["sensitivity"]
+    *panels, bar = figure.axes
+    assert all("99% within" in title(ax) for ax in panels)
+    assert bar.get_ylabel() == "derivative / 99th percentile"
+
+
+def test_a_few_bonds_of_a_large_lattice_can_be_seen(monkeypatch):
+    """Longer than a bond, about its middle."""
+    monkeypatch.setattr(maps, "CLEAR", 10)
+    lattice = random_lattice((60, 40), damping=0.1)
+    found = depends(lattice, [(50, 20)], [0.3], most=5)
+    figure = figures.make(result_of(found, lattice))["sensitivity"]
+    coloured, _ = bond_lines(figure.axes[0])
+    ends = np.array(coloured.get_segments())
+    middles = joined((60, 40))[found.bond[0, 0]].mean(axis=1)
+    order = np.argsort(np.abs(found.log_amplitude[0, 0]))
+    assert ends.mean(axis=1) == pytest.approx(middles[order])
+    figure.draw_without_rendering()
+    on_paper = figure.axes[0].transData.transform(ends.reshape(-1, 2)).reshape(-1, 2, 2)
+    length = np.linalg.norm(on_paper[:, 1] - on_paper[:, 0], axis=1) * 72 / figure.dpi
+    assert np.all(length > 2)
+    assert "hollow" in note(figure)
