@@ -22,6 +22,7 @@ _HOMES = {
     "Network": "pgran.physics.network",
     "PgranError": "pgran.errors",
     "continuum": "pgran.scenes.continuum",
+    "count_modes": "pgran.scenes.density",
     "export": "pgran.command.export",
     "find_modes": "pgran.scenes.modes",
     "heat": "pgran.scenes.heat",

@@ -37,6 +37,10 @@ def find_modes(shape=(4, 3), **wanted):
     return result_of(pgran.find_modes(lattice, shapes=True, **wanted), lattice)
 
 
+def count_modes(lattice=LATTICE, points=30):
+    return result_of(pgran.count_modes(lattice, np.linspace(0, 1.5 * UNIT, points)), lattice)
+
+
 def project(x, shape=(4, 3)):
     lattice = random_lattice(shape, seed=5, mass=0.25)
     return result_of(pgran.project(lattice, np.array(x) * lattice.omega_mx), lattice)

@@ -8,6 +8,7 @@ from figure_reading import curves, draw, gaps, labels, lines, marks, note
 from figure_results import (
     UNIT,
     compare,
+    count_modes,
     find_modes,
     listen,
     project,
@@ -15,10 +16,11 @@ from figure_results import (
     respond_box,
     result_of,
 )
+from samples import uniform_lattice
 
 from pgran import figures
 from pgran.errors import FileError
-from pgran.figures import accuracy, continuum, modes, projection, relaxation
+from pgran.figures import accuracy, continuum, density, modes, projection, relaxation
 from pgran.physics.spectrum import power_spectrum
 
 FINE = np.linspace(0.1, 1.1, 401)
@@ -35,6 +37,7 @@ def bare_signals():
         (respond_box, ["exactpl"]),
         (lambda: find_modes((6, 5)), ["shapes", "participation", "density"]),
         (lambda: find_modes((2, 1)), ["shapes", "participation"]),
+        (count_modes, ["staircase", "density"]),
         (lambda: project(FINE), ["onefreq", "maxci", "cifreq"]),
         (lambda: project([0.6], (2, 1)), ["onefreq"]),
         (lambda: project([0.5, 0.6, 0.7]), ["onefreq"]),
@@ -122,6 +125,28 @@ def test_participation_and_density_against_frequency():
     ax = draw(modes.density, result.modes, result.lattice)
     density, edges, _ = ax.patches[0].get_data()
     assert np.sum(density * np.diff(edges)) == pytest.approx(30)
+
+
+def test_counts_of_modes_and_weyls_law():
+    """Densities are per ball and omega_mx; the law is drawn where bonds are equal."""
+    result = count_modes()
+    shown, x = result.density, result.density.omega / UNIT
+    ax = draw(density.staircase, shown, result.lattice)
+    (curve,) = ax.get_lines()
+    assert np.array_equal(curve.get_xdata(), x)
+    assert np.array_equal(curve.get_ydata(), shown.count)
+    ax = draw(density.density, shown, result.lattice)
+    values, edges, _ = ax.patches[0].get_data()
+    assert np.array_equal(edges, x)
+    assert np.sum(values * np.diff(edges)) == pytest.approx(1)
+    assert not ax.get_lines()
+    result = count_modes(uniform_lattice((9, 8), mass=0.25))
+    for panel in (density.staircase, density.density):
+        ax = draw(panel, result.density, result.lattice)
+        assert labels(ax) == ["long waves (Weyl)"]
+    shown = replace(result.density, certified=np.arange(30) != 4)
+    for figure in figures.make(result_of(shown)).values():
+        assert "NOT CERTIFIED: 1 counts" in note(figure)
 
 
 def test_missing_modes_are_said_in_every_figure():

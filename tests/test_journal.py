@@ -17,6 +17,7 @@ from pgran.parallel.crew import Crew
 from pgran.parallel.journal import MAGIC, RECORD, Journal
 from pgran.parallel.launch import SIGNALS
 from pgran.physics.bondlaw import BondLaw
+from pgran.scenes.density import count_modes
 from pgran.scenes.modes import find_modes
 from pgran.scenes.projection import project
 from pgran.scenes.pulse import pulse
@@ -277,6 +278,7 @@ SCENES = {
         random_lattice((12, 10), 3), OMEGAS, (3, 3, 6, 0), crew, method="curve"
     ),
     "modes": lambda crew: find_modes(random_lattice((24, 20), 4), crew, shapes=True),
+    "modes, counted": lambda crew: count_modes(LATTICE, OMEGAS[::9], crew),
     "projection": lambda crew: project(LATTICE, OMEGAS, crew),
     "pulse": lambda crew: pulse(LATTICE, (3, 3, 6, 0), crew, time=300, method="laplace"),
     # with steps that are halved again and again

@@ -151,6 +151,16 @@ def test_of_two_ways_to_say_the_same_the_later_source_wins(written, first, secon
     assert "contradicts" in refusal(f"-scene response {first} {second}", gone)
 
 
+def test_counting_modes_instead_of_computing_them(written):
+    """The later source wins here, too; counts have no shapes to store."""
+    text = "-scene modes -modes_target .5 -modes_count 3 -output_fields"
+    found = resolve(read_file(written(text)) + read_words(["-modes_density", "9"]))
+    kept = (found.modes_density, found.modes_target, found.modes_count, found.output_fields)
+    assert kept == (9, None, None, False)
+    later = read_words(["-modes_target", ".5", "-modes_count", "3"])
+    assert resolve(read_file(written("-scene modes -modes_density 9")) + later).modes_count == 3
+
+
 @pytest.mark.parametrize(
     ("text", "key"),
     [
@@ -167,6 +177,11 @@ def test_of_two_ways_to_say_the_same_the_later_source_wins(written, first, secon
         ("-scene modes -modes_target .5", "modes_count"),
         ("-scene modes -modes_count 3", "modes_target"),
         ("-scene modes -modes_omega_min 0 -modes_omega_max 1 -modes_count 3", "modes_count"),
+        ("-scene modes -modes_density 1", "modes_density 1"),
+        ("-scene modes -modes_density 9 -modes_target .5 -modes_count 3", "modes_target"),
+        ("-scene modes -modes_density 9 -modes_omega_min .5", "modes_omega_max"),
+        ("-scene modes -output_fields -modes_density 9", "output_fields"),
+        ("-scene ensemble -ensemble_of modes -modes_density 9", "modes_density"),
         *[(f"-scene {scene} -ranks_per_lattice 2", "ranks_per_lattice")
           for scene in ("modes", "projection", "continuum")],
     ],

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.record import Record, array, attribute_array
+from pgran.results.density import Density as Density
 from pgran.results.ensemble import Ensemble as Ensemble
 from pgran.results.medium import LatticeRecord as LatticeRecord
 from pgran.results.medium import NetworkRecord as NetworkRecord

@@ -46,7 +46,7 @@ MEASURES = {
 # What an experiment is told here that it would decide by itself.
 FIXED = {
     "response": {"sweep_resolve": 0.0, "output_models": False, "output_fields": False},
-    "modes": {"output_fields": False},
+    "modes": {"output_fields": False, "modes_density": None},
     "pulse": {"output_fields": False},
     "sensitivity": {},
     "relaxation": {},

@@ -1,4 +1,4 @@
-"""Scene `modes`: normal modes, all of them, those of an interval, or those nearest to a target."""
+"""Scene `modes`: normal modes, all, of an interval, or nearest to a target; or their number."""
 
 import contextlib
 import dataclasses
@@ -13,7 +13,7 @@ from pgran.parallel.task import Task, carry_out
 from pgran.physics.modes import RESIDUAL, participation
 from pgran.physics.units import check_frequency
 from pgran.results import Modes, record_of
-from pgran.scenes import common
+from pgran.scenes import common, density
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
 
@@ -34,6 +34,7 @@ SHAPES = Option("output_fields", FLAG, False, "store the shapes of the modes")
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
     common.check_lattice(values, given)
+    density.check(values, given)
     check_modes(values, given)
     if values["modes_count"] is not None and values["modes_target"] is None:
         raise InputError("-modes_count: -modes_target must say where")
@@ -55,18 +56,22 @@ def check_modes(values, given):
 
 
 def run(options, world, crew):
-    """Return the lattice and its modes, on rank 0; None on the others.
+    """Return the lattice and its modes, or their numbers, on rank 0; None on the others.
 
     Collective. Parameters are those of `pgran.scenes.scene.Scene`.
     """
-    lattice = common.make_lattice(options, world)
+    lattice, progress = common.make_lattice(options, world), options.output_progress
     with crew(1) as workers:
+        if options.modes_density:
+            omegas = density.frequencies(options, lattice)
+            counts = density.count_modes(lattice, omegas, workers, progress=progress)
+            return counts and [record_of(lattice), counts]
         modes = find_modes(
             lattice,
             workers,
             **chosen(options),
             shapes=options.output_fields,
-            progress=options.output_progress,
+            progress=progress,
         )
     return modes and [record_of(lattice), modes]
 
@@ -82,6 +87,9 @@ def chosen(options):
 
 def summary(result):
     """Return in words what a run found. Not collective."""
+    if hasattr(result, "density"):
+        yield from density.summary(result)
+        return
     modes = result.modes
     yield f"{len(modes.omega)} modes in {modes.solve_seconds:.2f} s"
     yield certificate(modes, len(modes.omega))
@@ -252,4 +260,9 @@ class Slices(Task):
         )
 
 
-SCENE = Scene(options=(*common.LATTICE, *WHICH, SHAPES), run=run, summary=summary, check=check)
+SCENE = Scene(
+    options=(*common.LATTICE, *WHICH, density.DENSITY, SHAPES),
+    run=run,
+    summary=summary,
+    check=check,
+)

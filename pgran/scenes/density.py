@@ -1,0 +1,170 @@
+"""The density of modes without the modes: how many lie below each of some frequencies."""
+
+import contextlib
+import math
+import time
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.files.options import INTEGER, Option
+from pgran.parallel.task import Task, carry_out
+from pgran.physics.units import check_frequency
+from pgran.results import Density
+from pgran.scenes import common
+from pgran.scenes.interface import in_parallel
+
+DENSITY = Option(
+    "modes_density", INTEGER, None,
+    "no modes: count those below so many frequencies, from -modes_omega_min (0) to "
+    "-modes_omega_max (above all modes)",
+    low=2, high=10**6
+)  # fmt: skip
+
+
+def check(values, given):
+    """Let counts stand for modes, or the other way round, whichever is asked for later.
+
+    Not collective. Raises InputError where both are asked for at the same place.
+    """
+    if values.get("modes_density") is None:  # an accuracy study has no such option
+        return
+    common.alternatives(("modes_density",), ("modes_target", "modes_count"), values, given)
+    if values["modes_density"] is not None and values["output_fields"]:
+        fields = given["output_fields"]
+        if fields.rank >= given["modes_density"].rank:
+            raise InputError(
+                f"-output_fields{fields.where}: -modes_density counts modes and computes no "
+                "shapes; give one of them"
+            )
+        values["output_fields"] = False
+
+
+def frequencies(options, lattice):
+    """Return the frequencies to count at. Not collective."""
+    low, high = options.modes_omega_min, options.modes_omega_max
+    if low is None:
+        scaled, _ = lattice.in_own_unit()
+        low, high = 0.0, math.sqrt(scaled.stiffness_norm / scaled.mass) or 1.0
+    return np.linspace(low, high, options.modes_density)
+
+
+@in_parallel()
+def count_modes(lattice, omegas, crew=None, *, progress="none"):
+    """Count the normal modes below each of some frequencies; no mode is computed.
+
+    Collective. Each frequency is counted at by one rank, on a copy of its own.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    omegas : array_like, shape (N,)
+        Angular, increasing, two or more.
+    crew : pgran.parallel.crew.Crew, optional
+        All ranks unless given; of groups of one rank.
+    progress : str
+        Style of `pgran.parallel.progress.Progress`.
+
+    Returns
+    -------
+    pgran.results.Density or None
+        With a crew of the caller's None on all ranks but rank 0.
+
+    Raises
+    ------
+    InputError
+        If the frequencies do not increase, or are too high to compute with.
+    """
+    omegas = np.asarray(omegas, dtype=float)
+    # not >: NaN too
+    if omegas.ndim != 1 or len(omegas) < 2 or not (omegas[0] >= 0 and np.all(np.diff(omegas) > 0)):
+        raise InputError("omegas: two frequencies or more are needed, 0 or higher, that increase")
+    started = time.perf_counter()
+    check_frequency(lattice, omegas[-1])
+    found = carry_out(Counts(lattice, omegas), crew, progress)
+    if found is None:
+        return None
+    known = found["certified"]
+    count = np.where(known, found["count"], -1)
+    widths = np.diff(omegas) / lattice.omega_mx if lattice.omega_mx > 0 else math.nan
+    balls = len(lattice.free) if lattice.irregular else lattice.balls
+    density = np.where(known[1:] & known[:-1], np.diff(count) / (balls * widths), math.nan)
+    return Density(
+        balls=balls,
+        omega_mx=lattice.omega_mx,
+        solve_seconds=time.perf_counter() - started,
+        omega=omegas,
+        count=count,
+        certified=known,
+        margin=np.ascontiguousarray(found["margin"]),
+        middle=0.5 * (omegas[1:] + omegas[:-1]),
+        density=density,
+    )
+
+
+class Counts(Task):
+    """How many modes lie below some frequencies.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    omegas : numpy.ndarray, shape (N,)
+    """
+
+    items = "frequencies"
+    row = np.dtype([("count", int), ("certified", bool), ("margin", float)])
+
+    def __init__(self, lattice, omegas):
+        """A frequency is a unit."""
+        self.lattice, _ = lattice.in_own_unit()
+        self.units = omegas.tolist()
+
+    @contextlib.contextmanager
+    def open(self, group):
+        """See `Task`."""
+        from pgran.solve.staircase import count_below, counter_of
+
+        mass = self.lattice.mass
+        with counter_of(self.lattice) as counter:
+
+            def work(omega):
+                shift = mass * omega**2
+                count, margin = count_below(counter, shift)
+                rows = np.zeros(1, self.row)
+                rows["certified"] = count is not None
+                rows["count"] = count or 0
+                moved = max(shift - margin, 0.0) / mass
+                rows["margin"] = omega - math.sqrt(moved) if margin else 0.0
+                return rows
+
+            yield work
+
+    def length(self, unit):
+        """See `Task`."""
+        return 1
+
+    def collect(self, rows, seconds):
+        """See `Task`."""
+        return rows
+
+
+def summary(result):
+    """Return in words what a run found. Not collective."""
+    density = result.density
+    yield f"modes counted below {len(density.omega)} frequencies in {density.solve_seconds:.2f} s"
+    if density.failures:
+        yield f"NOT CERTIFIED: {density.failures} of the counts"
+    else:
+        yield "all counts certified"
+    moved = np.count_nonzero(density.margin)
+    if moved:
+        yield (
+            f"{moved} frequencies have a mode so close that it is not counted; it is less than "
+            f"{density.margin.max():.1e} below them"
+        )
+    if density.omega[0] == 0 and density.count[0] > 0:
+        yield f"UNSTABLE: {density.count[0]} modes have omega^2 < 0"
+    yield (
+        f"{density.count[0]} modes below omega = {density.omega[0]:.6g}, {density.count[-1]} below "
+        f"{density.omega[-1]:.6g}"
+    )

@@ -1,0 +1,195 @@
+"""The number of modes below frequencies, against all modes by dense linear algebra."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from network_samples import random_network
+from reference import uniform_frequencies
+from samples import assert_same, bond_arrays, random_lattice, run_scene, uniform_lattice
+
+import pgran
+from pgran.command.resolve import resolve
+from pgran.files.reading import read_words
+from pgran.parallel.crew import Crew
+from pgran.physics.lattice import Lattice
+from pgran.scenes import density
+from pgran.solve import staircase
+from pgran.solve.condensation import Condensation
+
+
+def squares_of(lattice):
+    """All omega^2, by NumPy."""
+    moved = lattice.restoring_forces(np.eye(lattice.balls).reshape(-1, *lattice.shape))
+    return np.linalg.eigvalsh(moved.reshape(lattice.balls, -1)) / lattice.mass
+
+
+def check(found, squares):
+    """Assert that all counts are certified and right, moved only where a mode is next to them."""
+    omega = np.sign(squares) * np.sqrt(np.abs(squares))
+    omega[np.abs(squares) < 1e-13 * np.abs(squares).max()] = 0.0
+    assert found.certified.all()
+    assert found.failures == 0
+    limits = found.omega - found.margin
+    expected = [np.count_nonzero(omega < limit) for limit in limits]
+    assert found.count.tolist() == expected
+    apart = np.abs(squares - found.omega[:, None] ** 2).min(axis=1)  # from the nearest mode
+    assert np.all(apart[found.margin > 0] <= 0.05 * np.abs(squares).max() / len(squares))
+    widths = np.diff(found.omega) / found.omega_mx
+    assert np.sum(found.density * widths) * found.balls == pytest.approx(np.ptp(found.count))
+
+
+def islands(shape):
+    """Half of the bonds are missing, and two balls are loose."""
+    rng = np.random.default_rng(3)
+    stiffness = bond_arrays(shape, lambda size: rng.choice([0.0, 0.25], size))
+    for axis, k in enumerate(stiffness):
+        for ball in ((1,) * len(shape), tuple(n // 2 for n in shape)):
+            k[ball] = 0
+            k[tuple(i + (a == axis) for a, i in enumerate(ball))] = 0
+    return Lattice(stiffness, 1.0, 0.003, kmax=0.25)
+
+
+@pytest.mark.parametrize(
+    "lattice",
+    [
+        random_lattice((20, 20), seed=1, mass=1.7), random_lattice((31, 11), law="wide"),
+        random_lattice((40,)), random_lattice((6, 7, 8)), random_lattice((1, 1)),
+        random_lattice((90, 1)), random_lattice((2, 3, 40), law="bimodal"), islands((12, 13)),
+    ],
+    ids=lambda lattice: "x".join(map(str, lattice.shape)),
+)  # fmt: skip
+def test_counts_are_those_of_the_dense_spectrum(lattice):
+    squares = squares_of(lattice)
+    top = 1.1 * np.sqrt(squares[-1])
+    check(pgran.count_modes(lattice, np.linspace(0, top, 15)), squares)
+
+
+@pytest.mark.parametrize("shape", [(20, 20), (15, 14), (13,), (5, 6, 7)])
+def test_at_modes_that_many_share(shape):
+    """At a mode, and at those equal to it but for rounding, they are not counted."""
+    lattice = uniform_lattice(shape, mass=0.8)
+    exact = uniform_frequencies(shape, 0.25, 0.8)
+    some = exact[:: len(exact) // 8]
+    omegas = np.unique(np.concatenate([some, 0.999 * some]).round(12))
+    found = pgran.count_modes(lattice, omegas)
+    check(found, exact**2)
+    at = np.abs(omegas[:, None] - exact).min(axis=1) < 1e-11
+    assert at.sum() >= 8
+    assert np.all(found.margin[at] > 0)
+    assert found.count[at].tolist() == [np.sum(exact < w - 1e-9) for w in omegas[at]]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_networks(seed):
+    """Of any kind, with zero modes and unstable ones."""
+    network = random_network(seed).network
+    network = dataclasses.replace(network, damping=0.0)
+    squares = np.linalg.eigvalsh(network.restoring_forces(np.eye(network.balls))) / network.mass
+    top = np.sqrt(max(squares[-1], 1e-12))
+    found = pgran.count_modes(network, top * np.array([0.0, 0.1, 0.35, 0.8, 1.5]))
+    assert found.balls == len(network.free)
+    check(found, squares)
+
+
+def test_weyls_law_of_long_waves():
+    """What the lattice has more, A (omega / c)^4 / (64 pi), is added; the rest fluctuates."""
+    lattice = uniform_lattice((60, 60))
+    c = 0.5
+    omegas = c * np.linspace(0.2, 1.0, 15)
+    found = pgran.count_modes(lattice, omegas)
+    medium = pgran.results.record_of(lattice)
+    waves = omegas / c
+    expected = 61**2 * waves**2 / (4 * np.pi) - 61 * waves / np.pi
+    np.testing.assert_allclose(found.weyl(medium, omegas), expected, rtol=1e-12)
+    more = 61**2 * waves**4 / (64 * np.pi)
+    difference = found.count - expected - more
+    assert np.abs(difference).max() < 2 * np.sqrt(61 * waves[-1] / np.pi)
+    assert abs(difference.mean()) < 1
+    for other in (random_lattice((4, 4)), uniform_lattice((5,))):
+        assert found.weyl(pgran.results.record_of(other), omegas) is None
+
+
+@pytest.mark.parametrize("shape", [(17, 23), (60,), (7, 6, 5)])
+def test_the_bound_of_what_rounding_does(shape):
+    """The inertia is that of the lattice with its spectrum moved by no more, next to modes too."""
+    lattice, _ = uniform_lattice(shape).in_own_unit()
+    counter = Condensation(lattice)
+    squares = uniform_frequencies(shape, lattice.stiffest, 1.0) ** 2
+    bounds = []
+    for shift in [*squares[:: len(squares) // 10], *np.linspace(0.01, squares[-1], 5)]:
+        for away in (0.0, 1e-13, -1e-12, 1e-10, -1e-8):
+            count, missed = counter.inertia(shift + away)
+            if np.isfinite(missed):
+                missed += 1e-14 * counter.norm  # of the exact values themselves
+                assert np.sum(squares < shift + away - missed) <= count
+                assert count <= np.sum(squares < shift + away + missed)
+                bounds.append(missed)
+    assert np.median(bounds) < 1e-10 * counter.norm
+
+
+def test_any_ranks_and_units_of_measure(world):
+    lattice = random_lattice((9, 8), seed=6)
+    omegas = np.linspace(0, 1.2, 9)
+    found = pgran.count_modes(lattice, omegas)
+    with Crew(MPI.COMM_SELF, 1) as alone:
+        assert_same(found, density.count_modes(lattice, omegas, alone))
+    with Crew(world, 1) as crew:
+        assert (density.count_modes(lattice, omegas, crew) is None) == (world.rank > 0)
+    other = Lattice(tuple(1e120 * k for k in lattice.stiffness), 1e120, 0.0, kmax=0.25e120)
+    assert np.array_equal(pgran.count_modes(other, omegas).count, found.count)
+
+
+def test_counts_that_nothing_certifies(monkeypatch):
+    """They are marked, and so is the run."""
+    sure = Condensation.inertia
+
+    def unsure(self, shift):
+        count, missed = sure(self, shift)
+        return count, np.nan if 0.1 < shift < 0.3 else missed
+
+    monkeypatch.setattr(Condensation, "inertia", unsure)
+    monkeypatch.setattr(staircase, "CLEARANCES", (0.01,))
+    monkeypatch.setattr(staircase, "ATTEMPTS", 3)
+    lattice = random_lattice((5, 4))
+    mass = lattice.in_own_unit()[0].mass
+    found = pgran.count_modes(lattice, np.sqrt(np.array([0.05, 0.2, 0.5, 0.8]) / mass))
+    assert found.certified.tolist() == [True, False, True, True]
+    assert found.count[1] == -1
+    assert found.failures == 1
+    assert np.isnan(found.density).tolist() == [True, True, False]
+    said = " ".join(density.summary(SimpleNamespace(density=found)))
+    assert "NOT CERTIFIED: 1 of the counts" in said
+
+
+@pytest.mark.parametrize("omegas", [[0.5], [], [[0.1, 0.2]], [0.2, 0.1], [-0.1, 0.1], [0, np.nan]])
+def test_frequencies_that_make_no_staircase(omegas):
+    with pytest.raises(pgran.InputError, match="two frequencies or more"):
+        pgran.count_modes(random_lattice((4, 4)), omegas)
+    with pytest.raises(pgran.InputError, match="too large"):
+        pgran.count_modes(random_lattice((4, 4)), [0.1, 1e200])
+
+
+def test_the_scene(world):
+    """By default from 0 to above all modes."""
+    words = "-scene modes -lattice_shape 6,5 -output_progress none"
+    records = run_scene(resolve(read_words(f"{words} -modes_density 7".split())), world)
+    if world.rank == 0:
+        _, found = records
+        assert found.group == "density"
+        assert (found.count[0], found.count[-1], len(found.omega)) == (0, 30, 7)
+        (line, certified, last) = density.summary(SimpleNamespace(density=found))
+        assert line.startswith("modes counted below 7 frequencies")
+        assert certified == "all counts certified"
+        assert last.startswith("0 modes below omega = 0, 30 below ")
+
+
+def test_what_is_said_of_modes_next_to_frequencies_and_of_unstable_ones():
+    found = pgran.count_modes(uniform_lattice((3,)), np.sqrt([0.1, 0.5, 0.6]))
+    assert found.margin.astype(bool).tolist() == [False, True, False]
+    found = dataclasses.replace(found, omega=found.omega - found.omega[0], count=found.count + 2)
+    said = list(density.summary(SimpleNamespace(density=found)))
+    assert said[2].startswith("1 frequencies have a mode so close that it is not counted")
+    assert said[3] == "UNSTABLE: 2 modes have omega^2 < 0"
