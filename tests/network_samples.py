@@ -29,8 +29,11 @@ class NetworkReference:
         self.turns = {2: 1, 3: 3}[d] if network.displacement == "rotations" else 0
         size = len(network.held) * (d + self.turns)
         self.K, self.C = (np.full((size, size), mpf(0)) for _ in range(2))
-        for contact, bond in enumerate(network.bond):
-            self._add(contact, bond)
+        self.contacts = [self._contact(number, bond) for number, bond in enumerate(network.bond)]
+        for number in range(len(self.contacts)):
+            here, elastic, lossy = self.contact(number)
+            self.K[here] += elastic
+            self.C[here] += lossy
         inertia = np.repeat(exactly(network.masses)[:, None], d + self.turns, axis=1)
         if self.turns:
             part = mpf(1) / 2 if d == 2 else mpf(2) / 5
@@ -46,8 +49,18 @@ class NetworkReference:
         if self.read is None:
             self.read = exactly(np.eye(d)["xyz".index(network.component)])
 
-    def _add(self, contact, bond):
-        """Add what a contact contributes: k stretches, and slips of the surfaces that touch."""
+    def contact(self, number):
+        """Where a contact stands, and what it adds to K and to C / beta."""
+        (here, along, slip, bent, lossy), net = self.contacts[number], self.network
+        elastic = mpf(float(net.stiffness[number])) * along
+        if net.displacement != "scalar" and net.tangential is not None:
+            elastic = elastic + mpf(float(net.tangential[number])) * slip
+        if net.displacement != "scalar" and net.force is not None:
+            elastic = elastic + mpf(float(net.force[number])) * bent
+        return here, elastic, lossy
+
+    def _contact(self, contact, bond):
+        """Where it stands; K's parts for a constant, a tangential one, a force of 1; C / beta's."""
         net, d, width = self.network, self.axes, self.axes + self.turns
         n = exactly(net.normal[contact] if net.displacement != "scalar" else np.ones(1))
         n = n / mp.sqrt(n @ n)
@@ -65,15 +78,12 @@ class NetworkReference:
                     )
                     slip[:, end * width + d + axis] -= lever * exactly(turned)
         places = np.concatenate([np.arange(ball * width, (ball + 1) * width) for ball in bond])
-        here = np.ix_(places, places)
-        self.K[here] += mpf(float(net.stiffness[contact])) * (moved.T @ along @ moved)
-        if net.displacement != "scalar":
-            if net.tangential is not None:
-                self.K[here] += mpf(float(net.tangential[contact])) * (slip.T @ across @ slip)
-            if net.force is not None:
-                bent = mpf(float(net.force[contact])) / mpf(float(net.distance[contact]))
-                self.K[here] -= bent * (moved.T @ across @ moved)
-        self.C[here] += slip.T @ (along if net.damped == "normal" else along + across) @ slip
+        lossy = slip.T @ (along if net.damped == "normal" else along + across) @ slip
+        bent = 0 * lossy
+        if net.force is not None:
+            bent = -(moved.T @ across @ moved) / mpf(float(net.distance[contact]))
+        parts = moved.T @ along @ moved, slip.T @ across @ slip, bent
+        return np.ix_(places, places), *parts, lossy
 
     def system(self, s):
         """S."""

@@ -89,7 +89,7 @@ def energy_flux(medium, s, fields):
     """
     springs, beta, s = medium.springs, medium.damping, s[:, None]
     t = _applied(springs.B, fields) + springs.drive
-    apart = _applied(springs.D, fields) + springs.driven_end * springs.drive
+    apart = _applied(springs.D, fields) + springs.drive_apart
     moved = t * apart.conj()
     # Im((k + i omega beta d) moved)
     tension = springs.constants * moved.imag + s.imag * beta * springs.damped * moved.real

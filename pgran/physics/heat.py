@@ -7,6 +7,8 @@ which k = (3/2) c h^(1/2) is the slope, k becomes sqrt(k^2 + (9/4) c^2 dh).
 
 import numpy as np
 
+from pgran.errors import InputError
+
 
 def contacts_of(medium, balls):
     """Return the contacts of some balls, a row each; -1 fills up the rows. Not collective.
@@ -33,9 +35,10 @@ def contacts_of(medium, balls):
 
 
 def grown_by_overlap(medium, overlap, hertz):
-    """Return how far each contact's stiffness grows with its overlap, shape (contacts,).
+    """Return how far the constants of all springs grow with the overlaps, shape (springs,).
 
-    Not collective. A contact that opens has no stiffness left.
+    Not collective. A contact that opens has no stiffness left; tangential springs grow by the same
+    part.
 
     Parameters
     ----------
@@ -44,13 +47,28 @@ def grown_by_overlap(medium, overlap, hertz):
         dh.
     hertz : float
         c. Where a network knows the forces, c follows from them, contact by contact.
+
+    Raises
+    ------
+    InputError
+        Where Hertz's law gives no such contact: of a negative constant, or without a force.
     """
-    k = medium.springs.elastic[: medium.bonds]
-    squared = 2.25 * hertz**2
+    elastic = medium.springs.elastic.reshape(-1, medium.bonds)
+    k, squared = elastic[0], 2.25 * hertz**2
+    strange = k < 0
+    if getattr(medium, "force", None) is not None:
+        strange |= (k > 0) & (medium.force <= 0)
+    if np.any(strange):
+        raise InputError(
+            f"-heat_overlap: contact {np.argmax(strange)} of the network has a negative constant, "
+            "or one without a repulsive force, which is not Hertz's law; use -heat_factor"
+        )
     if getattr(medium, "force", None) is not None:
         # h = (3/2) F / k
         squared = np.divide(k**3, 1.5 * medium.force, out=np.zeros_like(k), where=medium.force > 0)
-    return np.sqrt(np.maximum(k * k + squared * overlap, 0.0)) - k
+    growth = np.sqrt(np.maximum(k * k + squared * overlap, 0.0)) - k
+    part = np.divide(growth, k, out=np.zeros_like(k), where=k != 0)
+    return np.concatenate([growth[None], elastic[1:] * part]).ravel()
 
 
 def changes(medium, contacts, growth):
@@ -63,8 +81,8 @@ def changes(medium, contacts, growth):
     medium : pgran.physics.lattice.Lattice or pgran.physics.network.Network
     contacts : numpy.ndarray of int, shape (count, c)
         -1 fills up.
-    growth : numpy.ndarray, shape (contacts,)
-        Of each contact's stiffness; tangential springs grow by the same part.
+    growth : numpy.ndarray, shape (springs,)
+        Of each spring's constant.
 
     Returns
     -------
@@ -73,14 +91,12 @@ def changes(medium, contacts, growth):
     delta : numpy.ndarray, shape (count, r)
         Zero there.
     """
-    elastic = medium.springs.elastic.reshape(-1, medium.bonds)
-    part = np.divide(growth, elastic[0], out=np.zeros_like(growth), where=elastic[0] != 0)
-    grown = np.concatenate([growth[None], elastic[1:] * part])
+    grown = growth.reshape(-1, medium.bonds)
     blocks = np.flatnonzero(np.any(grown, axis=1) | (np.arange(len(grown)) == 0))
     groups = np.concatenate(
         [np.where(contacts >= 0, contacts + b * medium.bonds, -1) for b in blocks], axis=1
     )
-    return groups, np.where(groups >= 0, grown.ravel()[groups], 0.0)
+    return groups, np.where(groups >= 0, growth[groups], 0.0)
 
 
 def cuts(medium, s):

@@ -152,7 +152,7 @@ class Lattice:
         drive = driven_bonds(self.shape).astype(float)
         constants, ones = self.constants, np.ones_like(drive)
         return Springs(
-            self.balls, ("normal",), ends, SIGNS[None], drive, constants, ones, constants
+            self.balls, ("normal",), ends, SIGNS[None], drive, drive, constants, ones, constants
         )
 
     @property
@@ -214,23 +214,24 @@ class Lattice:
     def check_driven(self):
         """Raise InputError where a drive has no bounded answer, which a lattice always has."""
 
-    def sites(self, detectors):
+    def sites(self, detectors, name="detectors"):
         """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
 
-        Not collective. Raises InputError if an index is missing or a ball lies outside the lattice.
+        Not collective. Raises InputError, which calls them by their `name`, if an index is missing
+        or a ball lies outside the lattice.
         """
         shape, axes = self.shape, self.axes
         flat = np.asarray(detectors, dtype=np.int64).ravel()
         if flat.size == 0 or flat.size % axes:
             raise InputError(
-                f"detectors: a ball of this lattice has {axes} "
+                f"{name}: a ball of this lattice has {axes} "
                 f"{'index' if axes == 1 else 'indices'}, so {flat.size} numbers name no balls"
             )
         sites = flat.reshape(-1, axes)
         for site in sites:
             if np.any(site < 0) or np.any(site >= shape):
                 raise InputError(
-                    f"detectors: ball {tuple(site.tolist())} is outside the lattice of "
+                    f"{name}: ball {tuple(site.tolist())} is outside the lattice of "
                     f"{' x '.join(map(str, shape))} balls (indices count from 0)"
                 )
         return sites

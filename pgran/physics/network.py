@@ -289,16 +289,20 @@ class Network(Elastic):
                 "pgran.physics.parts.without_floating"
             )
 
-    def sites(self, detectors):
-        """Return ball numbers as an array (nd, 1); raise InputError unless these balls are free."""
+    def sites(self, detectors, name="detectors"):
+        """Return ball numbers as an array (nd, 1).
+
+        Not collective. Raises InputError, which calls them by their `name`, unless these balls are
+        free.
+        """
         sites = np.asarray(detectors, dtype=np.int64).reshape(-1, 1)
         for ball in sites[:, 0]:
             if not 0 <= ball < len(self.held):
-                raise InputError(f"detectors: no ball {ball} among {len(self.held)}, from 0")
+                raise InputError(f"{name}: no ball {ball} among {len(self.held)}, from 0")
             if self.held[ball] != FREE:
-                raise InputError(f"detectors: ball {ball} is held")
+                raise InputError(f"{name}: ball {ball} is held")
         if not len(sites):
-            raise InputError("detectors: one ball at least is needed")
+            raise InputError(f"{name}: one ball at least is needed")
         return sites
 
     def readings(self, sites):

@@ -39,6 +39,8 @@ class Springs:
         Entries of B.
     drive : numpy.ndarray, shape (springs,)
         How far the driven balls' motion, of size 1, stretches each.
+    drive_apart : numpy.ndarray, shape (springs,)
+        The same with the part of each contact's first ball turned around, as in `D`.
     constants, damped : numpy.ndarray, shape (springs,)
         Of each its constant, and the part of beta that it has.
     elastic : numpy.ndarray, shape (springs,)
@@ -50,6 +52,7 @@ class Springs:
     columns: np.ndarray
     values: np.ndarray
     drive: np.ndarray
+    drive_apart: np.ndarray
     constants: np.ndarray
     damped: np.ndarray
     elastic: np.ndarray
@@ -64,12 +67,6 @@ class Springs:
         """B with the entries of each contact's first ball turned around, like B."""
         half = self.columns.shape[1] // 2
         return self._sparse(self.values * np.repeat([-1.0, 1.0], half))
-
-    @cached_property
-    def driven_end(self):
-        """-1 where what is driven is the contact's first ball, else 1, shape (springs,)."""
-        half = self.columns.shape[1] // 2
-        return np.where(np.any(self.columns[:, half:] >= 0, axis=1), -1.0, 1.0)
 
     def _sparse(self, values):
         """Return entries at the columns as a sparse matrix."""
@@ -192,16 +189,22 @@ def springs_of(network):
     columns = np.concatenate([unknown[i], unknown[j]], axis=1)
     moving = np.zeros((balls, components))
     moving[network.held == DRIVEN, : network.axes] = network.direction
-    moving = np.concatenate([moving[i], moving[j]], axis=1)
+    first, second = moving[i], moving[j]
     weights = np.append(network.weights, 0.0)[columns]
     blocks, rows, constants, elastic, damped = zip(*_rows(network, i, j), strict=True)
     values = np.concatenate(rows)
+
+    def stretched(*moving):
+        moving = np.concatenate(moving, axis=1)
+        return np.einsum("sw,sw->s", values, np.tile(moving, (len(rows), 1)))
+
     return Springs(
         network.balls,
         blocks,
         np.tile(columns, (len(rows), 1)),
         values * np.tile(weights, (len(rows), 1)),
-        np.einsum("sw,sw->s", values, np.tile(moving, (len(rows), 1))),
+        stretched(first, second),
+        stretched(-first, second),
         np.concatenate(constants),
         np.repeat(damped, len(i)),
         np.concatenate(elastic),
@@ -225,17 +228,21 @@ def _rows(network, i, j):
     pre_stress = nothing if network.force is None else -network.force / network.distance
     shear = nothing if network.tangential is None else network.tangential
     part = float(network.damped == "all")
+    # constants that are given, zeros too: amplitudes have derivatives by them
+    bent, sheared = network.force is not None, network.tangential is not None or part
     for t in tangents(network.normal):
         if not network.turns:
-            found = [("transverse", row(t), shear + pre_stress, shear, part)]
+            kinds = [("transverse", row(t), shear + pre_stress, shear, part)]
+            wanted = [bent or sheared]
         else:
             lever = _cross(network.normal, t)
             turned = [-network.radius[end][:, None] * lever for end in (i, j)]
-            found = [
+            kinds = [
                 ("tangential", row(t, *turned), shear, shear, part),
                 ("pre_stress", row(t), pre_stress, nothing, 0.0),
             ]
-        blocks += [block for block in found if block[-1] or np.any(block[2])]
+            wanted = [sheared, bent]
+        blocks += [kind for kind, there in zip(kinds, wanted, strict=True) if there]
     return blocks
 
 

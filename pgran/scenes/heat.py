@@ -128,6 +128,7 @@ def heat(
     if factor is None and overlap is None and not cut:
         raise InputError("heat: give a factor or an overlap, or cut=True")
     common.check_values(HEAT[:2], **{k: values[k] for k in values if values[k] is not None})
+    common.check_values(common.LATTICE, bonds_hertz=hertz)
     common.check_driven(lattice, crew.world)
     task = HeatSweep(lattice, omegas, detectors, (factor, overlap, hertz), balls, cut, steady)
     return carry_out(task, crew, progress)
@@ -148,10 +149,10 @@ class HeatSweep(FrequencySweep):
         if self.factor is not None or self.overlap is not None:
             chosen = np.arange(len(free))
             if balls is not None:
-                chosen = np.unique(lattice.numbers_of(lattice.sites(balls)))
+                chosen = np.unique(lattice.numbers_of(lattice.sites(balls, "-heat_balls")))
             self.balls, self.contacts = free[chosen], warming.contacts_of(lattice, chosen)
             if self.overlap is None:
-                growth = (self.factor - 1) * lattice.springs.elastic[: lattice.bonds]
+                growth = (self.factor - 1) * lattice.springs.elastic
             else:
                 growth = warming.grown_by_overlap(lattice, self.overlap, hertz)
             self.groups, self.delta = warming.changes(lattice, self.contacts, growth)
@@ -171,6 +172,7 @@ class HeatSweep(FrequencySweep):
 
     def keep(self, point, solver):
         """See `FrequencySweep`. Collective over a group."""
+        solver.restart()  # what is solved with a factorization of another frequency says nothing
         for name in self.kinds:
             point[name], point[f"{name}_bound"] = np.nan, np.inf
         if point["converged_reason"] <= 0 or not solver.bounds.proven or solver.factor is None:
@@ -182,7 +184,8 @@ class HeatSweep(FrequencySweep):
                 groups, delta = warming.cuts(self.scaled, s)
             else:
                 groups, delta = self.groups, self.delta / self.unit
-            after, bound = self._after(point, solver, groups, delta)
+            with np.errstate(all="ignore"):  # what is not finite has no bound
+                after, bound = self._after(point, solver, groups, delta)
             point[name], point[f"{name}_bound"] = after, bound
 
     def _after(self, point, solver, groups, delta):
@@ -220,6 +223,7 @@ class HeatSweep(FrequencySweep):
             before, known = (found[n][..., None] for n in ("displacement", "error_bound"))
             moved = np.abs(found["warmed"] - before) - found["warmed_bound"] - known
             heard = np.mean(moved >= QUARTER * (np.abs(before) + known), axis=-1)
+            heard[found["converged_reason"] <= 0] = np.nan
         del found["field_bound"]
         return Heat(
             factor=np.nan if self.factor is None else float(self.factor),

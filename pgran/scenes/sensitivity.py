@@ -159,6 +159,7 @@ class GradientSweep(FrequencySweep):
 
     def keep(self, point, solver):
         """See `FrequencySweep`; the fields come to the first rank of a group."""
+        solver.restart()  # derivatives need more of the fields than iterations are asked for
         systems, bounds = [solver.primal, *solver.adjoints], solver.bounds
         fields = solver.operators.layout.gathered([system.solution for system in systems])
         errors = [1.01 * bounds.inverse_norm * bounds.adjoint_residual(z) for z in solver.adjoints]

@@ -1,0 +1,328 @@
+"""Random lattices and networks: derivatives, heating and cutting against 60 digits and more.
+
+    python tests/campaigns/sensitivity.py FIRST LAST
+
+prints what it finds. tests/test_sensitivity.py and tests/test_heat.py have the short version.
+"""
+
+import dataclasses
+import logging
+import sys
+from collections import Counter
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+import mpmath
+import numpy as np
+from mpi4py import MPI
+from mpmath import mp, mpf
+from network_samples import NetworkReference, as_network, exactly, random_network
+from samples import SOLVERS, bond_arrays, option_values
+
+from pgran.errors import InputError
+from pgran.parallel.crew import Crew
+from pgran.physics.lattice import Lattice
+from pgran.scenes.heat import heat
+from pgran.scenes.sensitivity import sensitivity
+from pgran.solve.database import holding
+
+DIGITS = 60
+number = np.frompyfunc(lambda x: mpmath.mpmathify(complex(x)), 1, 1)
+
+
+class Exact(NetworkReference):
+    """Driven states to all digits, and what changes when K, C or M of some balls do."""
+
+    def __init__(self, medium):
+        """Take a lattice as the network that it is."""
+        super().__init__(as_network(medium) if isinstance(medium, Lattice) else medium)
+        net, width = self.network, self.axes + self.turns
+        self.ends, self.beta = net.bond, mpf(float(net.damping))
+        self.free = np.repeat(net.held == 0, width)
+        self.motion = np.full((len(net.held), width), mpf(0))
+        self.motion[net.held == 2, : self.axes] = exactly(net.direction)
+        self.motion = self.motion.ravel()
+        self.inertia = np.full((len(net.held), width), mpf(0))
+        self.inertia.ravel()[self.free] = self.M
+        self.elastic, self.lossy = (np.full((self.motion.size,) * 2, mpf(0)) for _ in range(2))
+        for n in range(len(self.contacts)):
+            here, elastic, lossy = self.contact(n)
+            self.elastic[here] += elastic
+            self.lossy[here] += lossy
+
+    def states(self, s, sites, changes=()):
+        """The amplitudes A, and each detector's adjoint, of all balls; None if S is singular.
+
+        `changes` are pairs of a place and what is added to S there.
+        """
+        s = mpmath.mpmathify(complex(s))
+        S = self.elastic + s * self.beta * self.lossy
+        S[np.diag_indices_from(S)] += s * s * self.inertia.ravel()
+        for here, added in changes:
+            S[here] += added
+        reading = np.full((len(sites), *self.inertia.shape), mpf(0))
+        for row, site in zip(reading, sites, strict=True):
+            row[site, : self.axes] = self.read
+        reading = reading.reshape(len(sites), -1).T
+        fixed = ~self.free
+        force = -S[np.ix_(self.free, fixed)] @ self.motion[fixed] + s * 0
+        found = solved(
+            S[np.ix_(self.free, self.free)], np.column_stack([force, reading[self.free]])
+        )
+        if found is None:
+            return None
+        A, z = self.motion.copy() + s * 0, reading * 0
+        A[self.free], z[self.free] = found[:, 0], found[:, 1:]
+        return A, z.T, reading.T @ A
+
+    def derivatives(self, s, A, z):
+        """Derivatives of what detectors read, by name, exact because S is linear in everything."""
+        s, width = mpmath.mpmathify(complex(s)), self.axes + self.turns
+        found = {name: [] for name in ("stiffness", "tangential", "force", "damping", "mass")}
+        for here, *parts, lossy in self.contacts:
+            at = here[1].ravel()
+            for name, part in zip(found, [*parts, s * lossy], strict=False):
+                found[name].append(-(z[:, at] @ part @ A[at]))
+        found = {name: np.array(rows).T for name, rows in found.items() if rows}
+        found["damping"] = found["damping"].sum(axis=1)
+        products = -s * s * z * A
+        inertia = self.inertia.ravel() / np.repeat(exactly(self.network.masses), width)
+        found["mass"] = (products * inertia).reshape(len(z), -1, width).sum(axis=2)
+        found["mass"] = found["mass"][:, self.network.held == 0]
+        return found
+
+    def grown(self, contact, factor=None, overlap=None, hertz=None):
+        """What heating a contact adds to K: Hertz's law, as it stands in the paper."""
+        here, along, slip, *_ = self.contacts[contact]
+        net = self.network
+        k = mpf(float(net.stiffness[contact]))
+        if factor is None and k:
+            h = (2 * k / (3 * mpf(hertz))) ** 2
+            if net.force is not None:
+                h = mpf(3) / 2 * mpf(float(net.force[contact])) / k
+            factor = mp.sqrt((h + mpf(overlap)) / h) if h + overlap > 0 and h else mpf(not h)
+        elif factor is None:
+            return here, mpf(3) / 2 * hertz * mp.sqrt(overlap) * along
+        added = k * along
+        if net.displacement != "scalar" and net.tangential is not None:
+            added = added + mpf(float(net.tangential[contact])) * slip
+        return here, (mpf(factor) - 1) * added
+
+    def warmed(self, s, sites, ball, **by):
+        """The amplitudes with a ball warm; None if S is singular."""
+        warm = np.flatnonzero(np.any(self.ends == ball, axis=1))
+        found = self.states(s, sites, [self.grown(contact, **by) for contact in warm])
+        return None if found is None else found[2]
+
+    def cut(self, s, sites, contact):
+        """The amplitudes without a contact; None if S is singular."""
+        here, elastic, lossy = self.contact(contact)
+        added = -elastic - mpmath.mpmathify(complex(s)) * self.beta * lossy
+        found = self.states(s, sites, [(here, added)])
+        return None if found is None else found[2]
+
+
+def solved(S, f):
+    """The solutions of S x = f, a column each, with row pivoting; None where S is singular."""
+    A, order = np.column_stack([S, f]), len(S)
+    for n in range(order):
+        pivot = n + int(np.argmax([abs(x) for x in A[n:, n]]))
+        A[[n, pivot]] = A[[pivot, n]]
+        if not abs(A[n, n]) > mpf(10) ** (5 - mp.dps) * max(map(abs, S[n])):
+            return None
+        A[n, n:] /= A[n, n]
+        rows = [p for p in range(order) if p != n and A[p, n]]
+        A[rows, n:] -= np.multiply.outer(A[rows, n], A[n, n:])
+    return A[:, order:]
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """What is driven, where and how, how it is solved, and how it is heated."""
+
+    seed: int
+    medium: object
+    omegas: np.ndarray
+    sites: np.ndarray
+    solver: str
+    refresh: int
+    tolerance: float
+    by: dict
+
+
+SHAPES = (1,), (2,), (7,), (1, 4), (4, 1), (3, 4), (2, 2, 2), (1, 2, 3)
+
+
+def random_case(seed):
+    """A lattice or a network in units of 1e-6 to 1e6, with any damping or none, also resonant."""
+    rng = np.random.default_rng([23, seed])
+    unit = 10 ** rng.uniform(-6, 6)
+    if rng.random() < 0.5:
+        shape, law = SHAPES[rng.integers(len(SHAPES))], rng.integers(4)
+        draw = [
+            lambda size: rng.uniform(0, 1, size), lambda size: 10 ** rng.uniform(-6, 0, size),
+            lambda size: rng.choice([0.0, 1.0], size, p=[0.3, 0.7]), np.ones
+        ][law]  # fmt: skip
+        stiffness = bond_arrays(shape, lambda size: unit * draw(size))
+        if not any(k.any() for k in stiffness):
+            stiffness[0].fill(unit)
+        damping = 0.0 if rng.random() < 0.3 else unit * 10 ** rng.uniform(-6, 1)
+        medium = Lattice(stiffness, unit * 10 ** rng.uniform(-2, 2), damping, kmax=unit)
+        omegas = list(medium.omega_mx * 10 ** rng.uniform(-2, 0.4, 2))
+        sites = np.stack([rng.integers(0, n, 2) for n in shape], axis=1)
+        if rng.random() < 0.3:
+            squares = Exact(medium).eigenvalues() / medium.mass
+            omegas += [np.sqrt(x) for x in rng.choice(squares, 1) if x > 0]
+    else:
+        case = random_network(1000 + seed, balls=7)
+        medium, sites = case.network, case.sites
+        names = "stiffness", "masses", "damping", "force", "tangential", "kmax"
+        scaled = {n: unit * getattr(medium, n) for n in names if getattr(medium, n) is not None}
+        if rng.random() < 0.1 and "force" in scaled:
+            scaled["force"] = 0 * scaled["force"]
+        if rng.random() < 0.1 and "tangential" in scaled:
+            scaled["tangential"] = 0 * scaled["tangential"]
+        medium = dataclasses.replace(medium, **scaled)
+        omegas = [s.imag for s in case.points if s.real == 0 and s.imag > 0][:3]
+    by = {"factor": rng.choice([0.0, 1e-3, 1.1, 2.0, 1e3])}
+    force, constants = getattr(medium, "force", None), medium.springs.elastic[: medium.bonds]
+    possible = np.all(constants >= 0) and (force is None or np.all((force > 0) | (constants == 0)))
+    if possible and rng.random() < 0.5:
+        by = {"overlap": 10 ** rng.uniform(-6, 0), "hertz": unit * 10 ** rng.uniform(-1, 1)}
+    solver = "default" if rng.random() < 0.4 else list(SOLVERS)[rng.integers(len(SOLVERS))]
+    refresh = 50 if rng.random() < 0.2 else 0
+    tolerance = 10 ** rng.uniform(-10, -1)
+    return Case(seed, medium, np.unique(omegas), sites, solver, refresh, tolerance, by)
+
+
+def missed(found, exact, bound):
+    """Where a finite bound is broken, and the errors, as arrays."""
+    with np.errstate(all="ignore"):
+        errors = abs(number(found) - exact)
+        finite, wrong = np.isfinite(bound), np.zeros(np.shape(found), dtype=bool)
+        known = zip(errors[finite], bound[finite], strict=True)
+        wrong[finite] = [not e <= mpf(float(b)) for e, b in known]
+        return wrong, errors.astype(float)
+
+
+def faults(case, seen, comm=MPI.COMM_SELF):
+    """Yield what is false of what is said of a case; count what was `seen`."""
+    asked = {"error_tolerance": case.tolerance, "refresh_iterations": case.refresh}
+    given = case.medium, case.omegas, case.sites
+    with holding(option_values(SOLVERS[case.solver])), Crew(comm, comm.size) as crew:
+        try:
+            found = sensitivity(*given, crew, **asked)
+            hot = heat(*given, crew, cut=True, **case.by, **asked)
+        except InputError as error:
+            seen[f"refused: {str(error)[:60]}"] += 1
+            return
+    if comm.rank:
+        return
+    with mp.workdps(DIGITS):
+        exact = Exact(case.medium)
+        numbers = case.sites
+        if isinstance(case.medium, Lattice):
+            numbers = np.ravel_multi_index(case.sites.T, case.medium.shape)
+        numbers = np.ravel(numbers)
+        for n, omega in enumerate(case.omegas):
+            states = exact.states(1j * omega, numbers)
+            for fault in derivative_faults(case, found, n, exact, states, seen):
+                yield f"case {case.seed} {case.solver} omega {omega:.6g}: {fault}"
+            for fault in heat_faults(case, hot, n, exact, states, numbers, seen):
+                yield f"case {case.seed} {case.solver} omega {omega:.6g}: {fault}"
+
+
+def derivative_faults(case, found, n, exact, states, seen):
+    """Bounds that are broken, and what passes though it is less accurate than asked."""
+    good = found.converged_reason[n] > 0
+    seen["points"] += 1
+    seen["good"] += good
+    if states is None:
+        seen["singular"] += 1
+        if good:
+            yield "GOOD where S is singular"
+        return
+    A, z, read = states
+    wrong, errors = missed(found.displacement[n], read, found.error_bound[n])
+    if wrong.any():
+        yield f"BROKEN amplitude {errors} > {found.error_bound[n]}"
+    right = exact.derivatives(1j * case.omegas[n], A, z)
+    k = abs(exactly(exact.network.stiffness))
+    with np.errstate(all="ignore"):
+        for name, value in right.items():
+            got = getattr(found, f"by_{name}", None)
+            if got is None:
+                continue
+            bound, largest = getattr(found, f"by_{name}_bound")[n], float(abs(value).max())
+            wrong, errors = missed(got[n], value, bound)
+            seen["derivatives"] += got[n].size
+            seen["bounded"] += int(np.isfinite(bound).sum())
+            if wrong.any():
+                yield f"BROKEN by_{name} {errors[wrong]} > {bound[wrong]} (largest {largest})"
+            if good and not np.all(np.isfinite(got[n])):
+                yield f"GOOD by_{name} not finite"
+            for d, error in enumerate(errors if errors.ndim > 1 else []):
+                if good and not np.all(error <= case.tolerance * float(abs(value[d]).max())):
+                    yield f"WRONG by_{name} {error.max()} of {largest}, asked {case.tolerance}"
+        for d, amplitude in enumerate(read):
+            bound = found.log_bound[n, d]
+            if not np.isfinite(bound).any():
+                continue
+            if not amplitude:
+                yield f"BROKEN log_bound {bound} of no amplitude"
+                continue
+            got = found.log_amplitude[n, d] + 1j * found.log_phase[n, d]
+            wrong, errors = missed(got, k * right["stiffness"][d] / amplitude, bound)
+            seen["logarithms"] += got.size
+            if wrong.any():
+                yield f"BROKEN log_bound {errors[wrong]} > {bound[wrong]}"
+
+
+def heat_faults(case, hot, n, exact, states, numbers, seen):
+    """Bounds that are broken, and what is finite where the frequency failed."""
+    s, good = 1j * case.omegas[n], hot.converged_reason[n] > 0
+    seen["good heat"] += good
+    if not good:
+        for name in ("warmed", "cut"):
+            if np.any(np.isfinite(getattr(hot, f"{name}_bound")[n])):
+                yield f"MARKED {name} has a bound"
+        return
+    rng = np.random.default_rng(case.seed)
+    balls, contacts = np.flatnonzero(exact.network.held == 0), len(exact.ends)
+    for name, count in (("warmed", len(balls)), ("cut", contacts)):
+        after, bound = getattr(hot, name)[n], getattr(hot, f"{name}_bound")[n]
+        for one in rng.choice(count, min(2, count), replace=False):
+            if name == "warmed":
+                right = exact.warmed(s, numbers, balls[one], **case.by)
+            else:
+                right = exact.cut(s, numbers, one)
+            seen[name] += 1
+            if right is None:
+                seen[f"{name} singular"] += 1
+                if np.isfinite(bound[:, one]).any():
+                    yield f"BROKEN {name} {one}: a bound {bound[:, one]} where S is singular"
+                continue
+            wrong, errors = missed(after[:, one], right, bound[:, one])
+            accurate = bound[:, one] <= 1e-6 * abs(right).astype(float)
+            seen[f"{name} bounded"] += bool(np.isfinite(bound[:, one]).all())
+            seen[f"{name} to 1e-6"] += bool(accurate.all())
+            if wrong.any():
+                yield f"BROKEN {name} {one} {case.by}: {errors} > {bound[:, one]}, {after[:, one]}"
+
+
+def main(first, last):
+    """Carry out random cases; print what is false, and what was seen."""
+    logging.disable()
+    seen = Counter()
+    for seed in range(first, last):
+        try:
+            for fault in faults(random_case(seed), seen):
+                print(fault, flush=True)
+        except Exception as error:
+            print(f"RAISED case {seed}: {type(error).__name__}: {error}", flush=True)
+    print(f"cases {first} to {last}:", ", ".join(f"{n} {name}" for name, n in seen.items()))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))

@@ -1,0 +1,319 @@
+"""Derivatives by all bonds, masses and beta, and the power through bonds: identities, 60 digits."""
+
+import dataclasses
+from collections import Counter
+
+import numpy as np
+import pytest
+from campaigns.sensitivity import Exact, derivative_faults, faults, missed, number, random_case
+from mpi4py import MPI
+from mpmath import mp, mpf
+from network_samples import as_network, exactly
+from samples import assert_same, random_lattice, swept
+
+from pgran.command.resolve import resolve
+from pgran.errors import InputError
+from pgran.files.reading import read_words
+from pgran.parallel.crew import Crew
+from pgran.physics.lattice import Lattice
+from pgran.physics.network import Network
+from pgran.scenes import sweeping
+from pgran.scenes.sensitivity import sensitivity
+
+DERIVATIVES = "by_stiffness", "by_mass", "by_damping", "by_tangential", "by_force"
+
+
+def derived(medium, omegas, sites, comm=MPI.COMM_SELF, ranks=1, **choices):
+    """The derivatives, on every rank of `comm`; so many of them share a lattice."""
+    with Crew(comm, ranks) as crew:
+        return comm.bcast(sensitivity(medium, omegas, sites, crew, **choices))
+
+
+TOUCH = [[0, 1], [1, 2], [2, 3], [3, 1], [4, 2], [3, 4], [1, 3], [2, 1], [0, 4], [2, 0], [0, 3]]
+
+
+def packing(displacement, d=2, unit=1.0, damping=0.02, seed=7, **others):
+    """Five balls, all of which touch, two of them twice; the first is driven, the last at rest."""
+    rng, contacts = np.random.default_rng(seed), len(TOUCH)
+    given = {}
+    if displacement != "scalar":
+        given = {"position": rng.uniform(0, 2, (5, d)), "direction": rng.uniform(1, 2, d)}
+        given["tangential"] = unit * rng.uniform(0.2, 1, contacts)
+        given["force"] = unit * rng.uniform(0.01, 0.03, contacts)
+    if displacement == "rotations":
+        given["radius"] = rng.uniform(0.3, 1, 5)
+    return Network(
+        TOUCH, unit * rng.uniform(0.5, 1, contacts), [2, 0, 0, 0, 1], unit * rng.uniform(0.3, 3, 5),
+        unit * damping, displacement, **given | others
+    )  # fmt: skip
+
+
+def with_zeros(lattice):
+    """A lattice some of whose constants vanish."""
+    first, *others = (k.copy() for k in lattice.stiffness)
+    first.flat[1] = 0.0
+    return Lattice((first, *others), lattice.mass, lattice.damping)
+
+
+MEDIA = {
+    "1d": random_lattice((5,), 1),
+    "2d undamped": random_lattice((2, 3), 2, damping=0.0, mass=0.3),
+    "3d zeros": with_zeros(random_lattice((2, 2, 1), 3, 0.01)),
+    "scalar": packing("scalar", unit=1e-6),
+    "vector": packing("vector", unit=1e6, damped="normal"),
+    "vector 3d": packing("vector", 3, damping=0.0),
+    "rotations": packing("rotations", damping=0.3, component="y"),
+    "rotations 3d": packing("rotations", 3, damping=0.0),
+    "zeros": packing("vector", tangential=np.zeros(11), force=np.zeros(11), damped="normal"),
+    "zeros, rotations": packing("rotations", force=np.zeros(11)),
+}
+
+
+@pytest.mark.parametrize("name", MEDIA)
+def test_derivatives_against_central_differences(name):
+    """Of elimination with 60 digits, some of each kind; all within the bounds, which are small."""
+    medium = MEDIA[name]
+    s, sites = 0.37j, [1, 2]
+    if isinstance(medium, Lattice):
+        sites = np.array([[0] * len(medium.shape), np.subtract(medium.shape, 1)])
+    found = derived(medium, [s.imag], sites, error_tolerance=1e-7)
+    assert found.converged_reason[0] > 0
+    with mp.workdps(60):
+        exact, step = Exact(medium), mpf(10) ** -20
+        if isinstance(medium, Lattice):
+            sites = np.ravel_multi_index(sites.T, medium.shape)
+
+        def slope(here, part):
+            ends = (exact.states(s, sites, [(here, h * part)])[2] for h in (step, -step))
+            return np.subtract(*ends) / (2 * step)
+
+        A, z, _ = exact.states(s, sites)
+        derivatives = exact.derivatives(s, A, z)
+        for kind, value in derivatives.items():
+            if (values := getattr(found, f"by_{kind}")) is not None:
+                bound = getattr(found, f"by_{kind}_bound")[0]
+                assert not missed(values[0], value, bound)[0].any(), kind
+                if kind in ("stiffness", "mass"):
+                    assert np.all(bound.max(axis=1) <= 1e-7 * np.abs(values[0]).max(axis=1))
+        for contact in np.random.default_rng(0).choice(len(exact.contacts), 2, replace=False):
+            here, *parts, _ = exact.contacts[contact]
+            for kind, part in zip(("stiffness", "tangential", "force"), parts, strict=True):
+                same(derivatives[kind][:, contact], slope(here, part))
+        ball, width = int(exact.ends[1].min()), exact.axes + exact.turns
+        at = np.arange(ball * width, (ball + 1) * width)
+        part = number(s) ** 2 * exact.inertia[ball] / exactly(exact.network.masses)[ball]
+        place = np.searchsorted(np.flatnonzero(exact.network.held == 0), ball)
+        same(derivatives["mass"][:, place], slope(np.ix_(at, at), np.diag(part)))
+        beta, ends = exact.beta, []
+        for sign in (1, -1):
+            exact.beta = beta + sign * step
+            ends.append(exact.states(s, sites)[2])
+        same(derivatives["damping"], np.subtract(*ends) / (2 * step))
+
+
+def same(one, other):
+    """Numbers agree to 25 digits."""
+    assert np.all(np.abs(one - other) <= mpf(10) ** -25 * (1 + np.abs(other)))
+
+
+@pytest.mark.parametrize("name", MEDIA)
+def test_amplitudes_do_not_change_with_all_units_of_mass(name):
+    """Euler: sum k dA/dk + beta dA/dbeta + sum m dA/dm = 0, tangential springs and forces too."""
+    medium = MEDIA[name]
+    sites = [[0] * len(medium.shape)] if isinstance(medium, Lattice) else [3]
+    found = derived(medium, np.linspace(0.1, 1.1, 7), sites)
+    network = as_network(medium) if isinstance(medium, Lattice) else medium
+    values = {
+        "stiffness": network.stiffness, "mass": network.masses[network.free],
+        "damping": np.array(network.damping), "tangential": network.tangential,
+        "force": network.force,
+    }  # fmt: skip
+    total = bound = size = 0.0
+    for kind, value in values.items():
+        if getattr(found, f"by_{kind}") is not None:
+            parts = (value * getattr(found, f"by_{kind}{what}") for what in ("", "_bound"))
+            part, known = (x if kind == "damping" else x.sum(axis=-1) for x in parts)
+            total, bound, size = total + part, bound + known, size + np.abs(part)
+    assert np.all(np.abs(total) <= bound)
+    assert np.all(np.abs(total) <= 1e-10 * size)
+    assert np.all(found.converged_reason > 0)
+
+
+def test_logarithms_are_those_of_amplitude_and_phase():
+    lattice, sites = MEDIA["1d"], [[2], [4]]
+    found = derived(lattice, [0.3, 0.8], sites)
+    response = swept(lattice, [0.3, 0.8], sites)
+    relative = lattice.constants * found.by_stiffness / response.displacement[:, :, None]
+    assert np.allclose(found.log_amplitude + 1j * found.log_phase, relative, rtol=1e-12, atol=0)
+    step = 1e-6
+    for bond in range(lattice.bonds):
+        k = lattice.constants.copy()
+        k[bond] *= 1 + step
+        other = swept(Lattice((k,), lattice.mass, lattice.damping), [0.3, 0.8], sites)
+        moved = np.log(other.displacement / response.displacement) / step
+        assert np.allclose(moved, relative[:, :, bond], rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("displacement", ["scalar", "vector"])
+def test_drive_and_detector_change_places(displacement):
+    """What the transfer between two balls depends on is the same both ways."""
+    rng, directions, alike = np.random.default_rng(1), np.ones((2, 1)), {}
+    if displacement == "vector":  # drives whose springs are alike in all directions
+        directions = np.eye(2)
+        alike = {"position": rng.uniform(0, 2, (5, 2)), "tangential": rng.uniform(0.2, 1, 6)}
+        alike |= {"force": np.array([0.03, 0.02, 0.01, 0.02, 0.0, 0.0])}
+        alike["tangential"][4:] = 0.7
+    bond, stiffness = [[1, 2], [2, 3], [3, 1], [2, 1], [0, 1], [3, 4]], rng.uniform(0.5, 1, 6)
+    stiffness[4:] = 0.7
+    found = []
+    for held, direction, read, site in (
+        ([2, 0, 0, 0, 1], directions[0], "y", 3), ([1, 0, 0, 0, 2], directions[-1], "x", 1)
+    ):  # fmt: skip
+        component = read if displacement == "vector" else "drive"
+        given = {"direction": direction, "component": component, **alike}
+        medium = Network(bond, stiffness, held, [1, 2, 3, 0.5, 1], 0.02, displacement, **given)
+        found.append(derived(medium, [0.2, 0.7], [site]))
+    one, other = found
+    assert np.all(one.converged_reason > 0)
+    for kind in ("displacement", *DERIVATIVES):
+        if (first := getattr(one, kind)) is not None:
+            second = getattr(other, kind)
+            if kind in ("by_stiffness", "by_tangential", "by_force"):  # but the drives' own
+                first, second = first[..., :4], second[..., :4]
+            assert np.abs(first - second).max() <= 1e-10 * np.abs(first).max(), kind
+
+
+# Power
+
+
+@pytest.mark.parametrize("name", MEDIA)
+def test_power_flows_from_the_drive_into_the_dashpots(name):
+    """Contact by contact as forces times velocities; no free ball keeps any."""
+    medium, omega = MEDIA[name], 0.37
+    found = derived(medium, [omega], [[0] * len(medium.shape)] if "d" in name[:2] else [1])
+    flux, loss = found.flux[0], found.loss[0]
+    with mp.workdps(30):
+        exact = Exact(medium)
+        u, _, _ = exact.states(1j * omega, [1])
+        width, given = exact.axes + exact.turns, np.zeros((len(flux), 2))
+        for contact in range(len(flux)):
+            here, elastic, lossy = exact.contact(contact)
+            at = here[1].ravel()
+            force = -(elastic + 1j * mpf(omega) * exact.beta * lossy) @ u[at]
+            speed = 1j * mpf(omega) * u[at]
+            power = np.array([(f * mp.conj(v)).real / 2 for f, v in zip(force, speed, strict=True)])
+            given[contact] = [float(power[:width].sum()), float(power[width:].sum())]
+    scale = np.abs(given).max()
+    assert np.abs(flux - np.diff(given)[:, 0] / 2).max() <= 1e-12 * scale
+    assert np.abs(loss + given.sum(axis=1)).max() <= 1e-12 * scale
+    held, ends = exact.network.held, exact.ends
+    for ball, kind in enumerate(held):
+        out = flux[ends[:, 0] == ball].sum() - flux[ends[:, 1] == ball].sum()
+        half = loss[np.any(ends == ball, axis=1)].sum() / 2
+        if kind == 0:
+            assert abs(out + half) <= 1e-12 * scale
+        if kind == 2:
+            assert abs(out + half - loss.sum()) <= 1e-12 * scale
+    assert np.all(loss >= 0)
+    assert bool(loss.any()) == (medium.damping > 0)
+
+
+# Which are kept, on how many ranks, and what fails
+
+
+def test_the_largest_are_kept():
+    lattice, omegas, sites = random_lattice((4, 3), 5), np.linspace(0.1, 1.0, 5), [[0, 0], [2, 1]]
+    for medium, where in ((lattice, sites), (packing("rotations"), [1, 3])):
+        every, few = (derived(medium, omegas, where, most=most) for most in (0, 3))
+        inertia = 1.0 if medium is lattice else medium.masses[medium.free]
+        for size, kept, kinds in (
+            (np.hypot(every.log_amplitude, every.log_phase), few.bond,
+             ("by_stiffness", "by_stiffness_bound", "log_amplitude", "log_bound", "by_force")),
+            (np.abs(every.by_mass * inertia), few.ball, ("by_mass", "by_mass_bound")),
+        ):  # fmt: skip
+            largest = np.sort(size, axis=-1)[..., :-4:-1]
+            assert np.allclose(np.take_along_axis(size, kept, -1), largest, rtol=1e-12)
+            for kind in kinds:
+                if (values := getattr(every, kind)) is not None:
+                    values = np.take_along_axis(values, kept, -1)
+                    assert np.array_equal(values, getattr(few, kind)), kind
+        assert np.array_equal(every.flux, few.flux)
+        number = derived(medium, omegas, where, most=10**6)
+        assert number.bond.shape[-1] == medium.bonds
+
+
+@pytest.mark.parametrize("kind", ["lattice", "rotations"])
+def test_any_number_of_ranks(world, kind):
+    """Bit for bit, or to rounding where ranks share a lattice."""
+    medium, sites = (random_lattice((4, 5), 6), [[1, 1], [3, 2]])
+    if kind != "lattice":
+        medium, sites = packing(kind), [1, 3]
+    omegas = np.linspace(0.2, 1.2, 9)
+    alone = derived(medium, omegas, sites)
+    assert_same(derived(medium, omegas, sites, world), alone)
+    shared = derived(medium, omegas, sites, world, world.size)
+    assert np.all(shared.converged_reason > 0)
+    for name in (*DERIVATIVES, "displacement", "flux", "loss", "log_amplitude", "log_phase"):
+        if (one := getattr(alone, name)) is not None:
+            other = getattr(shared, name)
+            assert np.abs(one - other).max() <= 1e-9 * np.abs(one).max(), name
+
+
+def test_what_fails_is_marked(solver_options):
+    """A resonance without damping, where S is 0, and a solver that does not get there."""
+    found = derived(Lattice((np.ones(2),), 2.0, 0.0), [0.5, 1.0], [0])
+    assert found.converged_reason[0] > 0 >= found.converged_reason[1]
+    assert found.failures == 1
+    solver_options("-steady_ksp_type gmres -steady_pc_type none -steady_ksp_max_it 2")
+    lattice, sites = random_lattice((6, 5), 1), [[1, 2]]
+    found = derived(lattice, [0.3, 0.9], sites)
+    assert np.all(found.converged_reason <= 0)
+    assert np.all(np.isnan(found.by_stiffness) & np.isnan(found.flux)[:, None])
+    assert np.all(np.isnan(found.by_mass))
+    assert np.all(np.isnan(found.by_damping))
+
+
+STALE = "-steady_ksp_type bcgs -steady_pc_type cholesky"
+
+
+@pytest.mark.parametrize("solver", [STALE, "-steady_ksp_type gmres -steady_pc_type ilu", ""])
+@pytest.mark.parametrize("refresh", [0, 50])
+def test_inexact_factors(monkeypatch, solver_options, solver, refresh):
+    """Bounds hold, and derivatives are as accurate as asked or marked; with direct ones none is."""
+    solver_options(solver)
+    monkeypatch.setattr(sweeping, "ranges", lambda count: [range(count)])
+    lattice, sites, omegas = (
+        random_lattice((4, 3), 3),
+        np.array([[1, 1]]),
+        np.linspace(0.4, 0.41, 6),
+    )
+    found = derived(lattice, omegas, sites, refresh_iterations=refresh)
+    case = dataclasses.replace(random_case(0), tolerance=1e-4, omegas=omegas)
+    with mp.workdps(40):
+        exact = Exact(lattice)
+        for n, omega in enumerate(omegas):
+            states = exact.states(1j * omega, [4])
+            assert not list(derivative_faults(case, found, n, exact, states, Counter()))
+    assert "ilu" in solver or np.all(found.converged_reason > 0)
+
+
+def test_random_cases():
+    """The campaign in short, on one rank."""
+    seen = Counter()
+    assert [fault for seed in range(4) for fault in faults(random_case(seed), seen)] == []
+    assert seen["good"] > 3
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("-sensitivity_most -1", "-sensitivity_most -1"),
+        ("-lattice_shape 3,3 -detectors 3,3", "ball .3, 3. is outside"),
+        ("-sweep_omega .2,.1", "must increase"),
+    ],
+)
+def test_impossible_options(words, said):
+    options = lambda: resolve(read_words(f"-scene sensitivity {words}".split()))  # noqa: E731
+    with pytest.raises(InputError, match=said) as caught:
+        derived(random_lattice((3, 3)), [0.1], options().detectors)
+    assert "\n" not in str(caught.value)
