@@ -7,7 +7,7 @@ import pytest
 from campaigns.sensitivity import Exact, missed
 from mpi4py import MPI
 from mpmath import mp
-from samples import assert_same, random_lattice, swept
+from samples import assert_same, option_values, random_lattice, swept
 from test_sensitivity import STALE, TOUCH, derived, packing
 
 from pgran.command.resolve import resolve
@@ -15,10 +15,13 @@ from pgran.errors import InputError
 from pgran.files.reading import read_words
 from pgran.parallel.crew import Crew
 from pgran.physics.bonds import bond_ends
+from pgran.physics.finite import changed_amplitudes
 from pgran.physics.lattice import Lattice
 from pgran.physics.network import Network
 from pgran.scenes import sweeping
 from pgran.scenes.heat import heat
+from pgran.solve.database import holding
+from pgran.solve.steady import SteadySolver
 
 OMEGAS = np.array([0.15, 0.6, 1.0])
 
@@ -212,6 +215,56 @@ def test_inexact_factors(monkeypatch, solver_options, solver):
             assert not missed(found.warmed[n], right, found.warmed_bound[n])[0].any()
     if "ilu" not in solver:
         assert np.all(found.warmed_bound <= 1e-8 * np.abs(found.warmed))
+
+
+def test_bounds_know_what_a_factorization_of_another_frequency_is_worth(monkeypatch):
+    """Were one used, they would hold all the same."""
+    restart = SteadySolver.restart
+
+    def once(self):
+        if not hasattr(self, "_earlier"):
+            restart(self)
+
+    monkeypatch.setattr(SteadySolver, "restart", once)
+    monkeypatch.setattr(sweeping, "ranges", lambda count: [range(count)])
+    lattice, omegas = random_lattice((4, 3), 3, 0.05), np.linspace(0.4, 0.404, 3)
+    with holding(option_values(STALE)):
+        found = heated(lattice, omegas, [[1, 1]], factor=1.2, refresh_iterations=50)
+    assert found.factorizations == 1
+    with mp.workdps(40):
+        exact = Exact(lattice)
+        for n, omega in enumerate(omegas):
+            right = [exact.warmed(1j * omega, [4], ball, factor=1.2) for ball in found.ball]
+            assert not missed(found.warmed[n], np.array(right).T, found.warmed_bound[n])[0].any()
+    parts = found.warmed_bound / np.abs(found.warmed)
+    assert 100 * parts[0].max() < parts[2].min() < 1
+
+
+@pytest.mark.parametrize("wrong", [(1e-4, 0, 0), (0, 1e-4, 0), (0, 0, 1e-4), (1e-4, 1e-4, 1e-4)])
+def test_bounds_of_finite_changes_hold(wrong):
+    """Where stretches by the amplitudes, by the adjoint, or flexibilities are off, at random."""
+    rng, (count, r) = np.random.default_rng(2), (200, 4)
+
+    def draw(*shape):
+        return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+    def off(values, size, axes):
+        noise = draw(*values.shape)
+        return values + size * noise / np.linalg.norm(noise, axis=axes, keepdims=True)
+
+    G, t, y, A = draw(count, r, r), draw(count, r), draw(1, count, r), draw(1)
+    delta = draw(count, r) * rng.choice([0, 0.1, 1, 10], (count, r))
+    P = np.eye(r) + G * delta[:, None, :]
+    right = A - np.einsum("dnr,nr->dn", y * delta, np.linalg.solve(P, t[..., None])[..., 0])
+    known = np.tile(np.array(wrong)[:, None], count)
+    stretched = off(t, wrong[0], 1), known[0], off(y, wrong[1], 2), known[1:2]
+    flexibility = off(G, wrong[2], (1, 2)), known[2]
+    after, bound = changed_amplitudes((A, np.zeros(1)), stretched, flexibility, delta)
+    error = np.abs(after - right)
+    assert np.all(error <= bound)
+    assert np.mean(np.isfinite(bound)) > 0.9
+    changed = np.any(delta, axis=1)
+    assert np.median(bound[:, changed] / error[:, changed]) < 100
 
 
 def test_what_fails_is_marked(solver_options):
