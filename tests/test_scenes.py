@@ -91,7 +91,7 @@ SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "detectors_component"),
 }
 # Normal modes are those without damping; below a floor no derivative is as accurate as asked.
-IDLE = {"modes": ["lattice_damping"], "sensitivity": ["error_floor"]}
+IDLE = {"modes": ["lattice_damping"]}
 
 
 def result(scene, text, world):

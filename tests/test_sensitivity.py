@@ -280,8 +280,7 @@ STALE = "-steady_ksp_type bcgs -steady_pc_type cholesky"
 
 
 @pytest.mark.parametrize("solver", [STALE, "-steady_ksp_type gmres -steady_pc_type ilu", ""])
-@pytest.mark.parametrize("refresh", [0, 50])
-def test_inexact_factors(monkeypatch, solver_options, solver, refresh):
+def test_inexact_factors(monkeypatch, solver_options, solver):
     """Bounds hold, and derivatives are as accurate as asked or marked; with direct ones none is."""
     solver_options(solver)
     monkeypatch.setattr(sweeping, "ranges", lambda count: [range(count)])
@@ -290,7 +289,7 @@ def test_inexact_factors(monkeypatch, solver_options, solver, refresh):
         np.array([[1, 1]]),
         np.linspace(0.4, 0.41, 6),
     )
-    found = derived(lattice, omegas, sites, refresh_iterations=refresh)
+    found = derived(lattice, omegas, sites)
     case = dataclasses.replace(random_case(0), tolerance=1e-4, omegas=omegas)
     with mp.workdps(40):
         exact = Exact(lattice)

@@ -66,7 +66,9 @@ def summary(found):
                 continue
             known = np.isfinite(getattr(found, f"{name}_bound")[good, d])
             before, after = found.displacement[good, d][:, None], changed[good, d]
-            moved = np.abs(after - before) / np.abs(before)
+            with np.errstate(all="ignore"):  # a detector may be at rest
+                moved = np.abs(after - before) / np.abs(before)
+            known &= np.isfinite(moved)
             text = f"ball {tuple(site)}: one {what} changes its amplitude by "
             if not known.any():
                 yield f"{text}what is not known"
@@ -82,7 +84,7 @@ def summary(found):
 @in_parallel(shares_lattice=True)
 def heat(
     lattice, omegas, detectors, crew=None, *, factor=None, overlap=None, hertz=1.0, balls=None,
-    cut=False, progress="none", **steady,
+    cut=False, error_tolerance=1e-4, progress="none",
 ):  # fmt: skip
     """Return the amplitudes after each ball is warmed, or each bond is cut, one at a time.
 
@@ -108,10 +110,10 @@ def heat(
         Which balls are warmed, as `detectors`; all.
     cut : bool
         Cut each bond, too, its dashpot with it.
+    error_tolerance : float
+        Asked of each amplitude before a change.
     progress : str
         Style of `pgran.parallel.progress.Progress`.
-    **steady
-        As of `pgran.sensitivity`.
 
     Returns
     -------
@@ -130,8 +132,24 @@ def heat(
     common.check_values(HEAT[:2], **{k: values[k] for k in values if values[k] is not None})
     common.check_values(common.LATTICE, bonds_hertz=hertz)
     common.check_driven(lattice, crew.world)
-    task = HeatSweep(lattice, omegas, detectors, (factor, overlap, hertz), balls, cut, steady)
+    check_solver(lattice, crew)
+    task = HeatSweep(
+        lattice, omegas, detectors, (factor, overlap, hertz), balls, cut, error_tolerance
+    )
     return carry_out(task, crew, progress)
+
+
+def check_solver(lattice, crew):
+    """Raise where the solvers that options choose cannot say what a change does. Not collective."""
+    from pgran.solve.linear import is_factored
+
+    if not is_factored():
+        raise InputError("-heat_*: needs a factorization (-steady_pc_type cholesky or lu)")
+    if lattice.damping == 0 and crew.group.size > 1:
+        raise InputError(
+            "-heat_*: no error bounds are known of an undamped lattice that ranks share; "
+            "-ranks_per_lattice 1 gives them"
+        )
 
 
 class HeatSweep(FrequencySweep):
@@ -140,7 +158,7 @@ class HeatSweep(FrequencySweep):
     Parameters are those of `heat`.
     """
 
-    def __init__(self, lattice, omegas, detectors, law, balls, cut, steady):
+    def __init__(self, lattice, omegas, detectors, law, balls, cut, error_tolerance):
         """Find the springs that change."""
         sites = lattice.sites(detectors)
         self.factor, self.overlap, hertz = law
@@ -166,9 +184,9 @@ class HeatSweep(FrequencySweep):
         for name in self.kinds:
             kept.append((name, complex, (nd, sizes[name])))
             kept.append((f"{name}_bound", float, (nd, sizes[name])))
-        choices = common.steady_choices(steady) | {"whole_field": True, "whole_adjoints": True}
+        choices = {"error_tolerance": common.STEADY["error_tolerance"].check(error_tolerance)}
+        choices |= {"whole_field": True, "whole_adjoints": True}
         super().__init__(lattice, omegas, sites, kept, choices)
-        _, self.unit = lattice.in_own_unit()
 
     def keep(self, point, solver):
         """See `FrequencySweep`. Collective over a group."""

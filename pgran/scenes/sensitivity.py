@@ -82,7 +82,9 @@ def joins(medium, number):
 
 
 @in_parallel(shares_lattice=True)
-def sensitivity(lattice, omegas, detectors, crew=None, *, most=0, progress="none", **steady):
+def sensitivity(
+    lattice, omegas, detectors, crew=None, *, most=0, error_tolerance=1e-4, progress="none"
+):
     """Differentiate amplitudes by all bond constants, masses and beta, at each frequency.
 
     Collective. See `pgran.physics.gradient`.
@@ -98,11 +100,10 @@ def sensitivity(lattice, omegas, detectors, crew=None, *, most=0, progress="none
         All ranks unless given.
     most : int
         Keep the derivatives by so many bonds and balls, the largest; 0: by all.
+    error_tolerance : float
+        Asked of each amplitude, and of derivatives by bonds and masses, relative to the largest.
     progress : str
         Style of `pgran.parallel.progress.Progress`.
-    **steady
-        `error_tolerance` (1e-4) asked of each amplitude, and of each derivative relative to the
-        largest one; `error_floor` and `refresh_iterations` of `pgran.solve.steady.SteadySolver`.
 
     Returns
     -------
@@ -116,7 +117,9 @@ def sensitivity(lattice, omegas, detectors, crew=None, *, most=0, progress="none
     """
     common.check_values((MOST,), sensitivity_most=most)
     common.check_driven(lattice, crew.world)
-    return carry_out(GradientSweep(lattice, omegas, detectors, most, steady), crew, progress)
+    return carry_out(
+        GradientSweep(lattice, omegas, detectors, most, error_tolerance), crew, progress
+    )
 
 
 class GradientSweep(FrequencySweep):
@@ -125,7 +128,7 @@ class GradientSweep(FrequencySweep):
     Parameters are those of `sensitivity`.
     """
 
-    def __init__(self, lattice, omegas, detectors, most, steady):
+    def __init__(self, lattice, omegas, detectors, most, error_tolerance):
         """Say what a frequency's results travel in."""
         sites, springs = lattice.sites(detectors), lattice.springs
         nd, self.most = len(sites), most
@@ -152,9 +155,9 @@ class GradientSweep(FrequencySweep):
             kept.append((f"by_{name}_bound", float, (nd, size)))
         if most:
             kept += [("bond", np.int64, (nd, bonds)), ("ball", np.int64, (nd, balls))]
-        choices = common.steady_choices(steady) | {"whole_field": True, "whole_adjoints": True}
+        choices = {"error_tolerance": common.STEADY["error_tolerance"].check(error_tolerance)}
+        choices |= {"whole_field": True, "whole_adjoints": True}
         super().__init__(lattice, omegas, sites, kept, choices)
-        _, self.unit = lattice.in_own_unit()
         self._waiting = []  # states of this unit that derivatives are still to be computed of
 
     def keep(self, point, solver):
@@ -262,7 +265,7 @@ class GradientSweep(FrequencySweep):
 SCENE = Scene(
     options=(
         *(*common.LATTICE, *common.DETECTORS, *common.SWEEP, MOST, *heat.HEAT),
-        *common.STEADY.values(),
+        common.STEADY["error_tolerance"],
     ),
     run=run,
     summary=summary,
