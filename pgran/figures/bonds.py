@@ -1,4 +1,4 @@
-"""The figure of a lattice: its bonds, walls and detectors (paper: sprpic)."""
+"""The figure of a lattice: its bonds, walls and detectors (paper: sprlat, sprpic)."""
 
 import numpy as np
 from matplotlib.collections import LineCollection
@@ -6,6 +6,8 @@ from matplotlib.colors import Normalize
 from matplotlib.ticker import MaxNLocator
 
 from pgran.figures import style
+
+ROOMY = 25  # points from ball to ball; with more, all balls are drawn
 
 
 def page(lattice, detectors):
@@ -32,8 +34,9 @@ def page(lattice, detectors):
 def bonds(ax, lattice, detectors):
     """Draw the bonds, white to black from 0 to kmax, the walls and the detectors (paper: sprpic).
 
-    Three dimensions: the bonds within the plane of the first detector. A large lattice is drawn as
-    an image: at each ball the mean constant of all its bonds. Returns what a colour bar is of.
+    Three dimensions: the bonds within the plane of the first detector. Of a small lattice all balls
+    are drawn (paper: sprlat). A large one is drawn as an image: at each ball the mean constant of
+    all its bonds. Returns what a colour bar is of.
 
     Parameters
     ----------
@@ -61,6 +64,9 @@ def bonds(ax, lattice, detectors):
     names, shades = style.ball_names(detectors), style.colours(len(detectors))
     dot = {"marker": "o", "markeredgecolor": "white", "linestyle": "none"}
     dot["markersize"] = min(max(0.7 * spacing, 5.0), 8.0)
+    if axes > 1 and spacing > ROOMY:
+        look = {"markerfacecolor": "white", "markeredgecolor": "black", "markersize": ROOMY / 2}
+        ax.plot(*np.indices((nx, ny)).reshape(2, -1), marker="o", linestyle="none", **look)
     for site, name, shade in zip(detectors, names, shades, strict=True):
         if tuple(site[2:]) == plane:
             ax.plot(*(*site, 0)[:2], color=shade, label=name, **dot)

@@ -1,0 +1,112 @@
+"""The paper's figures and numbers beside what result files hold: a table in Markdown.
+
+    python jobs/paper.py results/paper      draws into that folder, and writes results/paper.md
+
+Of the paper the table has words and numbers with their place; what pgran found is read from the
+files that a row's function names as its parameters.
+"""
+
+import inspect
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from paper_table import SECTIONS
+
+import pgran
+from pgran import figures
+from pgran.errors import BAD_FILE, DONE, FileError, PgranError, reason_of
+
+HEAD = "| what | paper | pgran | from |\n|---|---|---|---|"
+INTRODUCTION = """\
+# The paper, figure by figure
+
+M. Leibig, *A Model for the Propagation of Sound in Granular Materials*, cond-mat/9301032; figures
+and equations go by their TeX labels. omega is in units of omega_mx, lengths are in ball spacings d
+unless a unit is given. The paper's sample of bonds is not known: where a number depends on it, it
+is given over several samples, too, as mean +- standard deviation. `bash jobs/paper.sh` has made
+this.
+"""
+
+
+def write(folder):
+    """Write the table beside a folder of results; return what is missing, a line each."""
+    folder, opened, missing = Path(folder), {}, {}
+    lines = [INTRODUCTION]
+    for section in SECTIONS:
+        images = [f"![{name}]({folder.name}/{name}.png)" for name in section.drawn]
+        lines += [f"## {section.title}\n", *(f"{image}\n" for image in images)]
+        rows = [line(row, folder, opened, missing) for row in section.rows]
+        lines += ["\n".join([HEAD, *rows, ""])] if rows else []
+    folder.with_suffix(".md").write_text("\n".join(lines), encoding="utf-8")
+    return list(missing.values())
+
+
+def line(row, folder, opened, missing):
+    """Return a row of the table; note results that cannot be read, by their names."""
+    names = list(inspect.signature(row.found).parameters)
+    for name in names:
+        if name not in opened and name not in missing:
+            try:
+                opened[name] = read(folder, name)
+            except PgranError as error:
+                missing[name] = str(error)
+    files = [f"{name}.{'txt' if name.startswith('units') else 'h5'}" for name in names]
+    lacking = [file for name, file in zip(names, files, strict=True) if name in missing]
+    if lacking:
+        found = f"missing: {', '.join(lacking)}"
+    else:
+        values = row.found(**{name: opened[name] for name in names})
+        several = np.iterable(values) and not isinstance(values, str)
+        found = row.form.format(*(values if several else [values]))
+    cells = [row.what, row.paper, found, ", ".join(files)]
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+
+def read(folder, name):
+    """Return a result, or what `pgran units` has said as texts in SI units by their names."""
+    if not name.startswith("units"):
+        return pgran.load(folder / f"{name}.h5")
+    try:
+        rows = (folder / f"{name}.txt").read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise FileError(reason_of(error)) from None
+    return {row[:37].strip(): row[37:].strip() for row in rows}
+
+
+def draw(folder, stem, names):
+    """Draw figures of a result, if it is there."""
+    source, modes, over = folder / f"{stem}.h5", folder / "modes.h5", {}
+    if stem == "response" and modes.exists():
+        over["modes"] = pgran.load(modes).modes.omega
+    if source.exists():
+        made = pgran.plot(source, **over)
+        figures.save({name: made[name] for name in names}, folder / f"{stem}.png")
+
+
+def drawings():
+    """Return the results that figures of the table are of, and the names of their figures."""
+    found = {}
+    for section in SECTIONS:
+        for image in section.drawn:
+            stem, _, name = image.rpartition("-")
+            found.setdefault(stem, []).append(name)
+    return found
+
+
+def main(folder):
+    """Draw, write the table, and say in a line each what is missing."""
+    with ProcessPoolExecutor(2) as pool:
+        drawn = [pool.submit(draw, folder, *each) for each in drawings().items()]
+        missing = write(folder)
+        for each in drawn:
+            each.result()
+    for each in missing:
+        print(f"paper: {each}", file=sys.stderr)
+    print(f"written to {folder.with_suffix('.md')}")
+    return BAD_FILE if missing else DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))

@@ -1,0 +1,336 @@
+"""What the paper says, figure by figure, and where result files hold what pgran found."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgran.physics.phase import fit_line
+
+BEAD, SPEED = 0.5, 5700.0  # cm and cm/s, measured (paper: velobs)
+DEEP = 10.0  # dB: a sharp decrease
+MEASURED = "measured: not to be computed by the model"
+
+
+class Row(NamedTuple):
+    """What the paper says of a quantity, and the function of results that says what pgran found."""
+
+    what: str
+    paper: str
+    form: str
+    found: callable
+
+
+class Section(NamedTuple):
+    """A figure of the paper, or numbers beyond figures: files of figures, and rows."""
+
+    title: str
+    drawn: tuple
+    rows: tuple
+
+
+def within(curve, low, high):
+    """Return omega and |A| of a curve in an interval."""
+    inside = (curve.omega >= low) & (curve.omega < high)
+    return curve.omega[inside], curve.amplitude.reshape(len(curve.omega))[inside]
+
+
+def maxima(curve, low, high):
+    """Return where |A| is larger than at both neighbours, and |A| there."""
+    omega, size = within(curve, low, high)
+    top = 1 + np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]))
+    return omega[top], size[top]
+
+
+def dips(curve, low=0.3, high=1.0):
+    """Return by how many dB |A| falls between neighbouring maxima, below the lower of both."""
+    omega, size = within(curve, low, high)
+    places, tops = maxima(curve, low, high)
+    ends = list(zip(places, places[1:], tops, tops[1:], strict=False))
+    least = [size[(omega >= a) & (omega <= b)].min() for a, b, _, _ in ends]
+    return 20 * np.log10([min(t) / s for (_, _, *t), s in zip(ends, least, strict=True)])
+
+
+def apart(count, low=0.3, high=1.0):
+    """Return the mean distance of so many in an interval; infinite of none."""
+    return (high - low) / count if count else np.inf
+
+
+def deep(*results):
+    """Return how many dips are deeper than DEEP, of each response."""
+    return [int(np.count_nonzero(dips(result.response) > DEEP)) for result in results]
+
+
+def count(modes, low, high):
+    """Return how many modes an interval has."""
+    return int(np.count_nonzero((modes.omega >= low) & (modes.omega < high)))
+
+
+def nearest(modes, omega):
+    """Return the frequency of the mode nearest to one, and its participation ratio."""
+    at = np.abs(modes.omega - omega).argmin()
+    return modes.omega[at], modes.participation[at]
+
+
+def participation(modes):
+    """Return the medians of three ranges of frequencies."""
+    ends = [0.0, 0.3, 1.0, np.inf]
+    split = np.digitize(modes.omega, ends) - 1
+    return [np.median(modes.participation[split == part]) for part in range(3)]
+
+
+def spread(values):
+    """Return mean, standard deviation and range of what is certain, and how many that are."""
+    known = values[np.isfinite(values)]
+    if known.size < 2:
+        return [np.nan] * 4 + [known.size]
+    return known.mean(), known.std(ddof=1), known.min(), known.max(), known.size
+
+
+def off_drive(projection, low, high):
+    """Return how far the dominant mode is from the drive on the mean, and its slope."""
+    omega = projection.omega
+    inside = (omega >= low) & (omega < high) & (projection.converged_reason > 0)
+    mode = projection.mode_omega[projection.dominant[inside]]
+    return np.abs(mode - omega[inside]).mean(), fit_line(omega[inside], mode)[0]
+
+
+def width(projection):
+    """Return the full width at half power of the most excited mode; NaN beyond the sweep."""
+    power = np.abs(projection.coefficient) ** 2
+    power = power[:, power.max(axis=0).argmax()]
+    below, top = np.flatnonzero(power < power.max() / 2), power.argmax()
+    lower, upper = below[below < top], below[below > top]
+    if not (lower.size and upper.size):
+        return np.nan
+    return projection.omega[upper[0]] - projection.omega[lower[-1]]
+
+
+def excited(projection, drive=0.6):
+    """Return the mode of the largest |c_i|, the share near the drive, the rank of the nearest."""
+    at = np.abs(projection.omega - drive).argmin()
+    size = np.abs(projection.coefficient[at])
+    away = np.abs(projection.mode_omega - projection.omega[at])
+    share = (size**2)[away < 0.05].sum() / (size**2).sum()
+    rank = 1 + np.count_nonzero(size > size[away.argmin()])
+    return projection.mode_omega[size.argmax()], share, rank
+
+
+def power_of_damping(*results):
+    """Return the exponent with which the phase velocity grows with beta."""
+    beta = [result.lattice.damping for result in results]
+    velocity = [result.response.phase_velocity[0] for result in results]
+    return fit_line(np.log(beta), np.log(velocity))[0]
+
+
+def bonds(lattice):
+    """Return the constants of all bonds of a plane lattice."""
+    return np.concatenate([lattice.stiffness_x.ravel(), lattice.stiffness_y.ravel()])
+
+
+R = Row
+SECTIONS = (
+    Section("exptime, expfreq (section 1): the experiment of Liu and Nagel", (), (
+        R("(exptime) exponent of the power spectrum", "2 from 1e-5 to 1e-1 Hz", MEASURED,
+          lambda: ()),
+        R("(exptime) driving frequency, acceleration", "4 kHz, 1.4 g", MEASURED, lambda: ()),
+        R("change of the amplitude when a bead .8 K warmer is 1000 A larger (section 6)", "25 %",
+          MEASURED, lambda: ()),
+    )),
+    Section("sprlat (section 2): balls and springs, one wall driven; here 4 x 4",
+            ("lattice-bonds",), (
+        R("balls", "", "{} x {}", lambda lattice: lattice.lattice.shape),
+    )),
+    Section("exactpl (section 3): the homogeneous box at (.47, .52)",
+            ("continuum_undamped-exactpl", "continuum_damped-exactpl"), (
+        R("(a) beta = 0: first maxima of |A|", "at the resonances (simpfreq)",
+          "{:.2f}, {:.2f}, {:.2f}; resonances {:.3f}, {:.3f}, {:.3f}",
+          lambda continuum_undamped: [*maxima(continuum_undamped.continuum, 0, 40)[0][:3],
+                                      *np.unique(continuum_undamped.continuum.resonance)[:3]]),
+        R("(a) largest |A| on the grid", "much greater than the wall's", "{:.3g}",
+          lambda continuum_undamped: continuum_undamped.continuum.amplitude.max()),
+        R("(b) beta = .003: first maxima", "at the resonances", "{:.2f}, {:.2f}, {:.2f}",
+          lambda continuum_damped: maxima(continuum_damped.continuum, 0, 40)[0][:3]),
+        R("(b) maxima up to 40, and resonances", "higher modes merge", "{}, and {}",
+          lambda continuum_damped: (len(maxima(continuum_damped.continuum, 0, 40)[0]),
+                                    len(continuum_damped.continuum.resonance))),
+        R("(b) median |A| for omega in 10-20, 30-40", "overall decrease", "{:.2f}, {:.2f}",
+          lambda continuum_damped: [np.median(within(continuum_damped.continuum, a, a + 10)[1])
+                                    for a in (10, 30)]),
+    )),
+    Section("sprpic (section 4): the lattice", ("response-bonds",), (
+        R("balls; bonds", "20 x 20; (840 by counting)", "{} x {}; {}",
+          lambda response: [*response.lattice.shape, bonds(response.lattice).size]),
+        R("bond constants", "random in [0, .25]", "{:.4f} to {:.4f}",
+          lambda response: (bonds(response.lattice).min(), bonds(response.lattice).max())),
+        R("detecting ball, and spacings to the driven wall", "(8, 10), 12", "({}, {}), {}",
+          lambda response: [*response.response.detector[0],
+                            response.lattice.shape[0] - response.response.detector[0, 0]]),
+        R("omega_mx = sqrt(4 Kmax/m) (omxdef)", "1.0", "{:.4g}",
+          lambda response: response.lattice.omega_mx),
+    )),
+    Section("freqres (section 4): the frequency response of ball (8, 10)",
+            ("response-amplitude",), (
+        R("frequencies", ".01 to 1.3", "{:.3g} to {:.3g}, {} of them",
+          lambda response: (*response.response.omega[[0, -1]], len(response.response.omega))),
+        R("relative error of every amplitude", "1 part in 10000", "at most {:.1e}, proven",
+          lambda response: np.max(response.response.error_bound / response.response.amplitude)),
+        R("(a) below .3: maxima, and modes", "peaks with little overlap", "{}, and {}",
+          lambda response, modes: (len(maxima(response.response, 0, 0.3)[0]),
+                                   count(modes.modes, 0, 0.3))),
+        R("(a) first maximum, |A| there, and lowest mode", "at the mode",
+          "{:.5f}, {:.0f}, and {:.5f}",
+          lambda response, modes: [*(x[0] for x in maxima(response.response, 0, 0.3)),
+                                   modes.modes.omega[0]]),
+        R("(b) .3 to 1: maxima, and modes", "no one-to-one identification", "{}, and {}",
+          lambda response, modes: (len(maxima(response.response, 0.3, 1)[0]),
+                                   count(modes.modes, 0.3, 1))),
+        R("(b) median |A| in .3-.4 and .9-1", "overall decrease", "{:.3g}, {:.3g}",
+          lambda response: [np.median(within(response.response, a, a + 0.1)[1])
+                            for a in (0.3, 0.9)]),
+        R("(c) above 1: maxima", "very smooth", "{}",
+          lambda response: len(maxima(response.response, 1, 2)[0])),
+        R("(c) |A| at 1 and at 1.3", "decreases very quickly", "{:.2g}, {:.2g}",
+          lambda response: [within(response.response, 1, 2)[1][k] for k in (0, -1)]),
+    )),
+    Section("phaseres (section 4): the phase of the same ball", ("response-phase",), (
+        R("slope mu between .3 and 1, rad per omega_mx", "linear; 200 by velobs",
+          "{:.1f} +- {:.1f}", lambda response: (-response.response.phase_slope[0],
+                                                response.response.phase_slope_error[0])),
+        R("phase velocity X/mu (phsvel, velobs), d omega_mx", ".06", "{:.4f} +- {:.4f}",
+          lambda response: (response.response.phase_velocity[0],
+                            response.response.phase_velocity_error[0])),
+        R("phase velocity over samples", ".06 of one",
+          "{:.4f} +- {:.4f}, {:.4f} to {:.4f}, {} samples",
+          lambda ensemble_response: spread(ensemble_response.ensemble.velocity)),
+        R("phase velocity in cm, d = .5 cm", ".03 omega_mx", "{:.4f} omega_mx",
+          lambda response: BEAD * response.response.phase_velocity[0]),
+        R("omega_mx that makes it the measured 57 m/s (expomx)", "200,000 / s",
+          "{:.3g} / s; over samples {:.3g} to {:.3g}",
+          lambda response, ensemble_response: [
+              SPEED / (BEAD * v) for v in (response.response.phase_velocity[0],
+                                           *spread(ensemble_response.ensemble.velocity)[3:1:-1])]),
+        R("Delta omega over which |A| changes, in omega_mx: mean distance of dips deeper than "
+          "10 dB, of all maxima", ".1 (20 kHz of 200,000 / s; measured: 3 kHz)", "{:.3f}, {:.3f}",
+          lambda response: [apart(deep(response)[0]),
+                            apart(len(maxima(response.response, 0.3, 1)[0]))]),
+        R("slope above omega_mx, 1 to 1.3", "distinctly different", "{:.1f}",
+          lambda response: -fit_line(*(x[response.response.omega >= 1] for x in (
+              response.response.omega, response.response.phase[:, 0])))[0]),
+    )),
+    Section("modepic (section 4): three modes", ("modes-shapes", "modes-participation"), (
+        R("(a) second mode; how many balls take part", ".1013; extended", "{:.4f}; {:.0f}",
+          lambda modes: (modes.modes.omega[1], modes.modes.participation[1])),
+        R("second mode over samples", ".1013 of one",
+          "{:.4f} +- {:.4f}, {:.4f} to {:.4f}, {} samples",
+          lambda ensemble_modes: spread(ensemble_modes.ensemble.mode_omega[:, 1])),
+        R("(b) mode nearest to .6053; balls", "some localization", "{:.4f}; {:.0f}",
+          lambda modes: nearest(modes.modes, 0.6053)),
+        R("(c) mode nearest to 1.000; balls", "striking localization", "{:.4f}; {:.0f}",
+          lambda modes: nearest(modes.modes, 1.0)),
+        R("median of balls that take part: below .3, .3 to 1, above 1",
+          "extended, some localization, localized", "{:.0f}, {:.0f}, {:.1f}",
+          lambda modes: participation(modes.modes)),
+        R("modes above omega_mx, of all", "density very low", "{} of {}",
+          lambda modes: (count(modes.modes, 1, np.inf), len(modes.modes.omega))),
+        R("modes above omega_mx over samples", "", "{:.1f} +- {:.1f}, {:.0f} to {:.0f}, {} samples",
+          lambda ensemble_modes: spread(ensemble_modes.ensemble.above)),
+    )),
+    Section("onefreq (section 4): |c_i| at .6", ("projection_dominant-onefreq",), (
+        R("mode of the largest |c_i|", "omega_i close to omega", "{:.4f}",
+          lambda projection_dominant: excited(projection_dominant.projection)[0]),
+        R("part of sum |c_i|^2 within .05 of the drive", "the most important", "{:.2f}",
+          lambda projection_dominant: excited(projection_dominant.projection)[1]),
+        R("rank by |c_i| of the mode nearest to the drive", "not by |omega - omega_i| alone",
+          "{}", lambda projection_dominant: excited(projection_dominant.projection)[2]),
+    )),
+    Section("maxci (section 4): the dominant mode", ("projection_dominant-maxci",), (
+        R("slope of omega_i over omega in .1-.9", "1", "{1:.4f}",
+          lambda projection_dominant: off_drive(projection_dominant.projection, 0.1, 0.9)),
+        R("mean |omega_i - omega| in .1-.9, above 1", "breaks down above 1", "{:.4f}, {:.3f}",
+          lambda projection_dominant: [off_drive(projection_dominant.projection, *ends)[0]
+                                       for ends in ((0.1, 0.9), (1.0, 2.0))]),
+    )),
+    Section("cifreq (section 4): three successive modes", ("projection_three_modes-cifreq",), (
+        R("their omega_i", "near .6", "{:.4f}, {:.4f}, {:.4f}",
+          lambda projection_three_modes: projection_three_modes.projection.mode_omega),
+        R("drive of the largest |c_i|", "approaches omega_i", "{:.4f}, {:.4f}, {:.4f}",
+          lambda projection_three_modes: [
+              projection_three_modes.projection.omega[k] for k in
+              np.abs(projection_three_modes.projection.coefficient).argmax(axis=0)]),
+        R("largest |c_i|", "to a different degree", "{:.3g}, {:.3g}, {:.3g}",
+          lambda projection_three_modes: np.abs(
+              projection_three_modes.projection.coefficient).max(axis=0)),
+    )),
+    Section("timeres (section 5): relaxation, one bond a step", ("relaxation_long-timeres",), (
+        R("omega, beta", ".6, .01", "{:.2g}, {:.2g}", lambda relaxation_long: (
+            relaxation_long.relaxation.omega, relaxation_long.lattice.damping)),
+        R("exponent psi of S(f) ~ f^-psi, plain f", "1.9 (measured: 2 to 2.2)", "{:.3f} +- {:.3f}",
+          lambda relaxation_long: (relaxation_long.spectrum.exponent_plain,
+                                   relaxation_long.spectrum.exponent_error)),
+        R("decades", "1.5", "{:.2f}", lambda relaxation_long: np.log10(
+            relaxation_long.spectrum.fit_max / relaxation_long.spectrum.fit_min)),
+        R("psi of the sampled form (2 sin pi f)^-psi; the series forgets its first sample, so that "
+          "other seeds differ by the error", "", "{:.3f} +- {:.3f}",
+          lambda relaxation_long: (relaxation_long.spectrum.exponent,
+                                   relaxation_long.spectrum.exponent_error)),
+        R("correlation of B and Delta B", "asked: are they uncorrelated?", "{:.3f} +- {:.3f}",
+          lambda relaxation_long: (relaxation_long.memory.increment,
+                                   relaxation_long.memory.increment_error)),
+        R("correlation of successive Delta B", "asked: are they uncorrelated?",
+          "{:.3f} +- {:.3f}", lambda relaxation_long: (relaxation_long.memory.successive,
+                                                       relaxation_long.memory.successive_error)),
+    )),
+    Section("Units (section 4): glass beads of .5 cm", (), (
+        R("omega_mx under the weight of a bead (omxest)",
+          "> 45 kHz, from numbers for the beads that it does not give", "{}, {}",
+          lambda units_weight: (units_weight["frequency omega_mx/(2 pi)"],
+                                units_weight["omega_mx = sqrt(4 kmax/m)"].rsplit(maxsplit=1)[0])),
+        R("force of a contact for omega_mx = 200,000 / s (expomx)", "none given", "{}",
+          lambda units_speed: " ".join(units_speed["force of a contact"].split())),
+        R("speed of sound", "57 m/s", MEASURED, lambda: ()),
+    )),
+    Section("Where the paper and pgran differ", (), (
+        R("simpfreq: which n2", "n2 > 0: lowest resonance 9.93", "n2 >= 0: first maximum at {:.2f}",
+          lambda continuum_damped: maxima(continuum_damped.continuum, 0, 40)[0][0]),
+        R("eigenfunc", "sin(2 q pi x/L), lowest omega^2 = 8 pi^2",
+          "sin(q pi x/L): {:.3f} pi^2, as in eigvalues", lambda continuum_damped:
+          continuum_damped.continuum.resonance[0] ** 2 / np.pi**2),
+        R("cidef: sums over", "0 to N", "0 to N - 1: shapes of {} x {} balls",
+          lambda modes: modes.modes.vector.shape[1:]),
+        R("width of the peak of |c_i| at beta = .001, .003",
+          "much sharper for a larger beta (section 4, at its end)",
+          "{:.4f}, {:.4f}: wider for a larger beta",
+          lambda projection_damping_small, projection_three_modes: [
+              width(x.projection) for x in (projection_damping_small, projection_three_modes)]),
+        R("maxima of |A| in .3-1 at beta = .001, .003, .03", "many more for a smaller beta",
+          "{}, {}, {}: so it is",
+          lambda response_damping_small, response, response_damping_large: [
+              len(maxima(x.response, 0.3, 1)[0])
+              for x in (response_damping_small, response, response_damping_large)]),
+        R("dips deeper than 10 dB in .3-1 at these beta", "much shallower for a smaller beta",
+          "{}, {}, {}: more of them, and deeper",
+          lambda response_damping_small, response, response_damping_large: deep(
+              response_damping_small, response, response_damping_large)),
+        R("phase velocity at these beta", "one velocity, compared with that of sound; its slope "
+          "depends on beta", "{:.3f}, {:.3f}, {:.3f} d omega_mx",
+          lambda response_damping_small, response, response_damping_large: [
+              x.response.phase_velocity[0]
+              for x in (response_damping_small, response, response_damping_large)]),
+        R("the power of beta that it grows like", "",
+          "{:.2f}; it is 1/2 for waves that diffuse and are absorbed",
+          lambda response_damping_small, response, response_damping_large: power_of_damping(
+              response_damping_small, response, response_damping_large)),
+        R("highest frequency at which a ball oscillates by itself", "omega_mx",
+          "{:.3f}; over samples {:.3f} to {:.3f}", lambda modes, ensemble_modes: (
+              modes.modes.omega[-1], *spread(ensemble_modes.ensemble.mode_omega[:, -1])[2:4])),
+        R("the system of equations", "real and not symmetric, by BiCG",
+          "complex symmetric, by {} factorizations for the whole curve",
+          lambda response: response.response.factorizations),
+        R("run time of response, modes, projections and relaxation",
+          "150 hours of a SPARCstation IPX", "{:.0f} s on {} ranks",
+          lambda response, modes, projection_dominant, projection_three_modes, relaxation_long: (
+              sum(x.seconds for x in (response, modes, projection_dominant,
+                                      projection_three_modes, relaxation_long)),
+              response.mpi_size)),
+    )),
+)  # fmt: skip

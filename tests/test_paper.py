@@ -1,0 +1,189 @@
+"""The table of the paper's figures and numbers, made by jobs/paper.sh from result files."""
+
+import inspect
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+
+PROJECT = Path(__file__).parents[1]
+sys.path.append(str(PROJECT / "jobs"))
+
+import paper  # noqa: E402
+import paper_table  # noqa: E402
+
+FIGURES = (
+    "exptime", "expfreq", "sprlat", "exactpl", "sprpic", "freqres", "phaseres", "modepic",
+    "onefreq", "maxci", "cifreq", "timeres",
+)  # fmt: skip
+# What is said instead of carried out.
+STAND_INS = """
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+mpirun() { echo "${@:3}"; }
+pgran() { echo "$@" >&3; }
+python() { :; }
+exec 3>units
+"""
+
+
+@pytest.fixture
+def commands(tmp_path):
+    """What the script carries out: the words of each run, and of each `pgran units`."""
+    (tmp_path / "jobs").mkdir()
+    shutil.copy(PROJECT / "jobs" / "paper.sh", tmp_path / "jobs")
+    (tmp_path / "jobs" / "setup.sh").write_text(STAND_INS)
+    words = ["bash", tmp_path / "jobs" / "paper.sh"]
+    said = subprocess.run(words, check=True, capture_output=True, text=True).stdout
+    runs = [row.split() for row in said.splitlines() if row.startswith("pgran run")]
+    return runs, [row.split() for row in (tmp_path / "units").read_text().splitlines()]
+
+
+SMALL = {
+    "-lattice_shape": "8,8", "-detectors": "3,4", "-sweep_points": "141", "-relax_steps": "3000",
+    "-ensemble_samples": "2",
+}  # fmt: skip
+
+
+@pytest.fixture
+def folder(commands, call, tmp_path, monkeypatch):
+    """The script's results, on small lattices."""
+    monkeypatch.chdir(tmp_path)
+    for _, run, experiment, *words in commands[0]:
+        given = set((PROJECT / experiment).read_text().split()) - set(words)
+        given |= {"-ensemble_samples"} & set(words)
+        fewer = [word for key in SMALL if key in given for word in (key, SMALL[key])]
+        done = call(run, str(PROJECT / experiment), *words, *fewer, "-output_progress", "none")
+        assert done.returncode in (0, 3), done.stderr
+    for name, words in zip(("weight", "speed"), commands[1], strict=True):
+        path = tmp_path / "results" / "paper" / f"units_{name}.txt"
+        path.write_text(call(*words).stdout)
+    return tmp_path / "results" / "paper"
+
+
+def cells(text):
+    """The rows of all tables: what, paper, found, from."""
+    rows = [re.split(r" (?<!\\)\| ", row[2:-2]) for row in text.splitlines() if row[:2] == "| "]
+    assert all(len(row) == 4 for row in rows)
+    return {row[0].replace("\\", ""): row[1:] for row in rows if row[0] != "what"}
+
+
+def numbers(text):
+    return [float(x) for x in re.findall(r"-?\d+\.?\d*(?:e[-+]\d+)?", text)]
+
+
+def test_the_table_holds_what_the_files_hold(folder, here, monkeypatch):
+    saved = []
+    monkeypatch.setattr(paper.figures, "save", lambda made, path: saved.append((path, *made)))
+    for stem, names in paper.drawings().items():
+        paper.draw(folder, stem, names)
+    assert paper.write(folder) == []
+    text = folder.with_suffix(".md").read_text()
+    titles = "\n".join(row for row in text.splitlines() if row.startswith("## "))
+    assert all(re.search(rf"\b{name}\b", titles) for name in FIGURES)
+    images = re.findall(r"!\[.*?\]\((.*?)\)", text)
+    drawn = {f"paper/{path.stem}-{name}{path.suffix}" for path, *names in saved for name in names}
+    assert set(images) == drawn
+    assert len(images) == len(drawn) > 10
+
+    rows = cells(text)
+    for _, _, files in rows.values():
+        assert all((folder / name).exists() for name in files.split(", ") if name)
+    found = {name: numbers(row[1]) for name, row in rows.items()}
+    with h5py.File(folder / "response.h5") as file:
+        response = file["response"]
+        slope = [-response.attrs["phase_slope"][0], response.attrs["phase_slope_error"][0]]
+        assert found["slope mu between .3 and 1, rad per omega_mx"] == pytest.approx(
+            slope, abs=0.06
+        )
+        velocity = response.attrs["phase_velocity"][0]
+        name = "phase velocity X/mu (phsvel, velobs), d omega_mx"
+        assert found[name][0] == pytest.approx(velocity, abs=1e-4)
+        omega_mx = 57 / (0.005 * velocity)  # m/s, and d in m
+        name = "omega_mx that makes it the measured 57 m/s (expomx)"
+        assert found[name][0] == pytest.approx(omega_mx, rel=5e-3)
+        bound, size = response["error_bound"][:, 0], response["amplitude"][:, 0]
+        name = "relative error of every amplitude"
+        assert found[name] == pytest.approx([max(bound / size)], rel=0.05)
+    with h5py.File(folder / "modes.h5") as file:
+        omega = file["modes/omega"][:]
+        above = [sum(omega > 1), 64]
+    assert found["modes above omega_mx, of all"] == above
+    with h5py.File(folder / "ensemble_modes.h5") as file:
+        many = file["ensemble/above"][:]
+    spread = [many.mean(), many.std(ddof=1), many.min(), many.max(), 2]
+    assert found["modes above omega_mx over samples"] == pytest.approx(spread, abs=0.06)
+    with h5py.File(folder / "relaxation_long.h5") as file:
+        psi = [file["spectrum"].attrs[name] for name in ("exponent_plain", "exponent_error")]
+    name = "exponent psi of S(f) ~ f^-psi, plain f"
+    assert found[name] == pytest.approx(psi, abs=6e-4)
+    with h5py.File(folder / "continuum_damped.h5") as file:
+        size = file["continuum/amplitude"][:]
+        first = file["continuum/omega"][
+            1 + np.argmax((size[1:-1] > size[:-2]) & (size[1:-1] > size[2:]))
+        ]
+    assert found["simpfreq: which n2"][-1] == pytest.approx(first, abs=6e-3)
+    (weight,) = (
+        row for row in (folder / "units_weight.txt").read_text().splitlines() if "Hz" in row
+    )
+    name = "omega_mx under the weight of a bead (omxest)"
+    assert found[name][0] == numbers(weight)[1]
+
+
+def test_what_is_missing_is_said_in_a_line_each(tmp_path, capsys):
+    assert paper.main(tmp_path / "paper") == 4
+    files = {
+        name
+        for rows in cells((tmp_path / "paper.md").read_text()).values()
+        for name in rows[2].split(", ")
+    } - {""}
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == len(files)
+    for name in files:
+        (row,) = (row for row in said if f"/{name}: " in row)
+        assert row == f"paper: {tmp_path}/paper/{name}: No such file or directory"
+
+
+def test_every_file_of_the_table_is_made_by_the_script(commands):
+    made = {word for words in commands[0] for word in words if word.endswith(".h5")}
+    made = {Path(name).stem for name in made} | {"units_weight", "units_speed"}
+    rows = [row for section in paper_table.SECTIONS for row in section.rows]
+    used = {name for row in rows for name in inspect.signature(row.found).parameters}
+    used |= {image.rpartition("-")[0] for part in paper_table.SECTIONS for image in part.drawn}
+    assert used == made
+    assert len({row.what for row in rows}) == len(rows)
+    for words in commands[0]:
+        assert (PROJECT / words[2]).exists()
+
+
+def test_maxima_dips_and_widths():
+    """Of a comb whose dips are 20 and 3 dB deep, and of a resonance."""
+    omega = np.linspace(0.3, 1.0, 71)
+    size = np.interp(omega, [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0], [0, 10, 0.5, 5, 3.54, 7, 0])
+    curve = SimpleNamespace(omega=omega, amplitude=size[:, None])
+    places, tops = paper_table.maxima(curve, 0.3, 1.0)
+    assert places == pytest.approx([0.4, 0.6, 0.8])
+    assert list(tops) == [10, 5, 7]
+    assert paper_table.dips(curve) == pytest.approx([20, 3], abs=0.01)
+    assert paper_table.deep(SimpleNamespace(response=curve)) == [1]
+    assert paper_table.apart(0) == np.inf
+    drive = np.linspace(0.5, 0.7, 20001)
+    weak, strong = 1 / (drive - 0.61 - 0.03j), 5 / (drive - 0.6 - 0.01j)
+    projection = SimpleNamespace(omega=drive, coefficient=np.stack([weak, strong], axis=1))
+    assert paper_table.width(projection) == pytest.approx(0.02, abs=2e-5)
+    cut = SimpleNamespace(omega=drive[:10001], coefficient=projection.coefficient[:10001])
+    assert np.isnan(paper_table.width(cut))
+
+
+def test_power_of_damping():
+    results = [
+        SimpleNamespace(lattice=SimpleNamespace(damping=beta),
+                        response=SimpleNamespace(phase_velocity=[3 * beta**0.5]))
+        for beta in (0.001, 0.003, 0.03)
+    ]  # fmt: skip
+    assert paper_table.power_of_damping(*results) == pytest.approx(0.5)
