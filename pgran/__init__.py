@@ -23,6 +23,7 @@ _HOMES = {
     "PgranError": "pgran.errors",
     "continuum": "pgran.scenes.continuum",
     "count_modes": "pgran.scenes.density",
+    "ensemble": "pgran.scenes.ensemble",
     "export": "pgran.command.export",
     "find_modes": "pgran.scenes.modes",
     "heat": "pgran.scenes.heat",
@@ -32,6 +33,7 @@ _HOMES = {
     "pulse": "pgran.scenes.pulse",
     "relax": "pgran.scenes.relaxation",
     "sensitivity": "pgran.scenes.sensitivity",
+    "statistics": "pgran.scenes.noise",
     "sweep": "pgran.scenes.response",
 }
 __all__ = sorted(_HOMES)

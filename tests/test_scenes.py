@@ -1,19 +1,21 @@
 """Every option of a scene counts: whoever changes it gets another result."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 from mpi4py import MPI
 from samples import run_scene
 
-from pgran.command.resolve import SCENES, options_of, resolve
+from pgran.command.resolve import SCENES, resolve
 from pgran.files.reading import read_words
 from pgran.physics.continuum import Continuum
 from pgran.physics.lattice import Lattice
 from pgran.record import Record, Result
 from pgran.results import record_of
 from pgran.results.space import as_network
+from pgran.scenes.ensemble import ENSEMBLE, KEPT
 from pgran.scenes.sensitivity import joins
 from pgran.solve.database import holding
 
@@ -24,6 +26,11 @@ BASE = {
     "projection": "-lattice_shape 5,4 -sweep_points 9",
     "pulse": "-lattice_shape 5,4 -detectors 2,2 -pulse_width 5 -pulse_time 100 -pulse_points 60",
     "sensitivity": "-lattice_shape 5,4 -detectors 2,2 -sweep_points 9",
+    "ensemble response": "-lattice_shape 5,4 -detectors 2,2 -sweep_points 700 "
+    "-sweep_method points -ensemble_samples 3 -ensemble_keep curves",
+    "ensemble modes": "-lattice_shape 5,4 -ensemble_samples 3 -ensemble_keep curves",
+    "ensemble pulse": "-lattice_shape 5,4 -detectors 2,2 -pulse_width 5 -pulse_time 100 "
+    "-pulse_points 60 -ensemble_samples 2",
     "relaxation": "-lattice_shape 5,4 -detectors 2,2 -relax_steps 150 -spectrum_fit_min .14",
 }
 # Units of two frequencies: the second differs.
@@ -85,20 +92,38 @@ CHANGES = {
     "heat_overlap": (".02", f"{HERTZ} -heat_overlap .01"),
     "heat_balls": ("2,2,3,3", "-heat_factor 1.01"),
     "heat_cut": "true",
+    "ensemble_samples": "4",
+    "ensemble_keep": "measures",
 }
-# test_command_line.py, test_motion.py, test_network.py
+# test_command_line.py, test_motion.py, test_network.py, test_ensemble.py
 SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "detectors_component"),
+    *("ensemble_of", "statistics_windows"),
 }
-# Normal modes are those without damping; below a floor no derivative is as accurate as asked.
-IDLE = {"modes": ["lattice_damping"]}
+# Normal modes are those without damping.
+IDLE = {"modes": ["lattice_damping"], "ensemble modes": ["lattice_damping"]}
+
+
+def options_in(scene):
+    """The options of a scene, of an ensemble those of its experiment."""
+    scene, _, repeated = scene.partition(" ")
+    if not repeated:
+        return SCENES[scene].options
+    return [
+        option
+        for option in SCENES[scene].options
+        if option.name in {o.name for o in (*ENSEMBLE, *SCENES[repeated].options)}
+        and (option.name != "ensemble_keep" or repeated in KEPT)
+    ]
 
 
 def result(scene, text, world):
     """What a scene computes: the bytes of its records, their times and the lattice left out."""
-    known = options_of(scene)
+    known = {option.name for option in options_in(scene)}
     pairs = zip(text.split()[::2], text.split()[1::2], strict=True)
     words = [w for pair in pairs for w in pair if pair[0][1:] in known or "_pc_" in pair[0]]
+    scene, _, repeated = scene.partition(" ")
+    words += ["-ensemble_of", repeated] if repeated else []
     options = resolve(read_words(["-scene", scene, "-output_progress", "none", *words]))
     with holding(options.solver):
         records = run_scene(options, world)
@@ -136,14 +161,14 @@ def test_the_record_of_the_continuum(damping):
 def test_every_option_counts(scene, world):
     """And how many ranks there are does not: bit for bit."""
     idle, plain = [], {}
-    for option in SCENES[scene].options:
+    for option in options_in(scene):
         if option.name in SEEN_ELSEWHERE:
             continue
         change = CHANGES[option.name]
         value, needed = change if isinstance(change, tuple) else (change, "")
         base = f"{BASE[scene]} {needed}"
         if option.name == "sweep_omega":
-            base = base.replace("-sweep_points 9", "")
+            base = re.sub("-sweep_points \\d+", "", base)
         if base not in plain:
             plain[base] = result(scene, base, world)
         if plain[base] == result(scene, f"{base} -{option.name} {value}", world):

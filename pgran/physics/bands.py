@@ -17,6 +17,8 @@ def over_samples(curves):
     ----------
     curves : numpy.ndarray, shape (samples, ...)
     """
+    if len(curves) < 2:
+        return np.full((len(STATISTICS), *curves.shape[1:]), np.nan)
     known = np.isfinite(curves)
     count = np.count_nonzero(known, axis=0)
     with np.errstate(all="ignore"):

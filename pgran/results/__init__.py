@@ -14,6 +14,7 @@ from pgran.results.ensemble import Ensemble as Ensemble
 from pgran.results.medium import LatticeRecord as LatticeRecord
 from pgran.results.medium import NetworkRecord as NetworkRecord
 from pgran.results.medium import record_of as record_of
+from pgran.results.noise import NoiseStatistics as NoiseStatistics
 from pgran.results.response import BOUND, DETECTOR, FLOOR, PHASE
 from pgran.results.response import Models as Models
 from pgran.results.response import Response as Response

@@ -35,6 +35,10 @@ class Ensemble(Record):
     )  # fmt: skip
     ln_amplitude: np.ndarray | None = array("ln|A|", "1", "statistic", *CURVE, optional=True)
     delay: np.ndarray | None = array("group delay", "sqrt(m/k)", "statistic", *CURVE, optional=True)
+    delay_samples: np.ndarray | None = array(
+        "how many samples have a group delay that is certain", "1", *CURVE, dtype=int,
+        optional=True,
+    )  # fmt: skip
     coherent: np.ndarray | None = array(
         "mean of the displacement", "1", *CURVE, dtype=complex, optional=True
     )
@@ -45,6 +49,10 @@ class Ensemble(Record):
     )
     exponent: np.ndarray | None = array("exponent psi of the spectrum", "1", "seed", optional=True)
     exponent_error: np.ndarray | None = array("its standard error", "1", "seed", optional=True)
+    order: np.ndarray | None = array(
+        "bonds that act jointly, kbar of a relaxation", "1", "seed", optional=True
+    )
+    modes: np.ndarray | None = array("how many modes were found", "1", "seed", optional=True)
     above: np.ndarray | None = array("modes above omega_mx", "1", "seed", optional=True)
     arrival: np.ndarray | None = array("arrival of the front", "sqrt(m/k)", *VALUE, optional=True)
     centre: np.ndarray | None = array(
@@ -58,7 +66,7 @@ class Ensemble(Record):
         *VALUE, optional=True,
     )  # fmt: skip
     mode_omega: np.ndarray | None = array(
-        "mode frequencies", "sqrt(k/m)", "seed", "mode", optional=True
+        "mode frequencies, NaN after the last", "sqrt(k/m)", "seed", "mode", optional=True
     )
     participation: np.ndarray | None = array(
         "participation ratios", "1", "seed", "mode", optional=True
@@ -66,3 +74,11 @@ class Ensemble(Record):
     displacement: np.ndarray | None = array(
         "amplitudes of each sample", "1", "seed", *CURVE, dtype=complex, optional=True
     )
+    sample_delay: np.ndarray | None = array(
+        "group delay of each sample", "sqrt(m/k)", "seed", *CURVE, optional=True
+    )
+
+    @property
+    def failures(self):
+        """How many samples failed, or missed the accuracy asked for."""
+        return self.left_out

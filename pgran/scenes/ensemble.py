@@ -1,89 +1,221 @@
 """Scene `ensemble`: one experiment on many samples, and what holds over them."""
 
-import contextlib
-from dataclasses import dataclass
+import inspect
+from functools import partial
 
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.files.options import INTEGER, TEXT, Option
-from pgran.machine import check_memory
-from pgran.parallel.task import Task, carry_out
-from pgran.physics.bands import STATISTICS, over_samples
-from pgran.results import Ensemble, record_of
-from pgran.scenes import common, modes, pulse, relaxation, response, sensitivity
+from pgran.files.options import INTEGER, REALS, TEXT, Option
+from pgran.parallel.task import carry_out
+from pgran.physics.lattice import Lattice
+from pgran.results import record_of
+from pgran.scenes import common, modes, noise, pulse, relaxation, response, sensitivity
+from pgran.scenes.interface import in_parallel
+from pgran.scenes.sampling import Samples
 from pgran.scenes.scene import Scene
 
+# Of each experiment its module, the function that carries it out, and what it is told here.
 EXPERIMENTS = {
-    "response": response,
-    "modes": modes,
-    "relaxation": relaxation,
-    "pulse": pulse,
-    "sensitivity": sensitivity,
+    "response": (response, response.sweep, {"resolve": 0.0, "keep_models": False}),
+    "modes": (modes, modes.find_modes, {}),
+    "relaxation": (relaxation, relaxation.relax, {}),
+    "pulse": (pulse, pulse.pulse, {}),
+    "sensitivity": (sensitivity, sensitivity.sensitivity, {}),
 }
 ENSEMBLE = (
     Option(
         "ensemble_of", TEXT, "response", "the experiment that is repeated",
         choices=tuple(EXPERIMENTS),
     ),
-    Option("ensemble_samples", INTEGER, 100, "samples, of seeds from -bonds_seed on", low=2),
+    Option(
+        "ensemble_samples", INTEGER, 100,
+        "samples, of seeds from -bonds_seed on, of a relaxation from -relax_seed on, too", low=2
+    ),
     Option(
         "ensemble_keep", TEXT, "measures",
-        "what is stored of each sample: measures, a few numbers; curves, its curves as well",
+        "what is stored of each sample: measures, a few numbers; curves, of a response its "
+        "amplitudes, of modes all frequencies and participation ratios, as well",
         choices=("measures", "curves"),
     ),
+    Option(
+        "statistics_windows", REALS, None,
+        "of responses: measure the noise of their curves in these windows, low,high or "
+        "low,high,low,high; needs -ensemble_keep curves", "angular", above=0,
+    ),
 )  # fmt: skip
+# Options of the experiments that make no sense for many samples, and what stands for them.
+LEFT_OUT = {"output_fields": False, "output_models": False, "sweep_resolve": 0.0}
+LEFT_OUT |= {"modes_target": None, "modes_count": None, "modes_density": None}
+NOT_TAKEN = {"crew", "seed", "progress", "fields", "shapes", "resolve", "keep_models", "solver"}
+NOT_TAKEN |= {"targets", "count"}
+KEPT = ("response", "modes")  # what has curves
 # Numbers of a sample, what to call them, and their unit.
 MEASURES = {
     "velocity": ("phase velocity", " spacings x omega_mx"),
     "exponent": ("exponent psi", ""),
+    "order": ("bonds that act jointly", ""),
+    "modes": ("modes found", ""),
     "above": ("modes above omega_mx", ""),
     "arrival": ("arrival of the front", ""),
     "centre": ("centre of the envelope", ""),
     "decay": ("rate of decay", ""),
     "effective_bonds": ("bonds that matter, on the mean over frequencies,", ""),
 }
-# What an experiment is told here that it would decide by itself.
-FIXED = {
-    "response": {"sweep_resolve": 0.0, "output_models": False, "output_fields": False},
-    "modes": {"output_fields": False, "modes_density": None},
-    "pulse": {"output_fields": False},
-    "sensitivity": {},
-    "relaxation": {},
-}
+SEEDS = 2**63  # that options and files can hold
 
 
 def check(values, given):
     """Raise unless the options are those of the experiment; unset all others. Not collective."""
     kind = values["ensemble_of"]
-    experiment = EXPERIMENTS[kind].SCENE
+    experiment = EXPERIMENTS[kind][0].SCENE
     used = {option.name for option in (*experiment.options, *ENSEMBLE)}
     for name in [option.name for option in SCENE.options if option.name not in used]:
         if name in given:
             raise InputError(f"-{name}{given[name].where}: -ensemble_of {kind} does not use it")
         values[name] = None
-    for name, value in FIXED[kind].items():
-        if name in given and values[name] != value:
-            raise InputError(f"-{name}{given[name].where}: not of many samples")
     if values["ranks_per_lattice"] > 1 and not experiment.shares_lattice:
         raise InputError("-ranks_per_lattice: of modes, each lattice has one rank only")
+    values |= LEFT_OUT
     experiment.check(values, given)
+    check_kept(kind, values["ensemble_keep"])
     if values["network_file"] is not None or values["bonds_law"] == "file":
         raise InputError("-ensemble_of: samples are drawn by a law, and a file holds one only")
-    values |= FIXED[kind]
+    if values["statistics_windows"] is not None:
+        if (kind, values["ensemble_keep"]) != ("response", "curves"):
+            raise InputError(
+                "-statistics_windows: needs -ensemble_of response and -ensemble_keep curves"
+            )
+        noise.windows_of(values["statistics_windows"])
+
+
+def check_kept(of, keep):
+    """Raise unless an experiment has curves that are to be kept. Not collective."""
+    if keep == "curves" and of not in KEPT:
+        raise InputError(f"-ensemble_keep curves: of {' and '.join(KEPT)} only, not of {of}")
 
 
 def run(options, world, crew):
-    """Return the first sample's lattice and the ensemble, on rank 0; None on the others.
+    """Return the first sample's lattice, the ensemble, and its noise if asked for, on rank 0.
 
-    Collective. Parameters are those of `pgran.scenes.scene.Scene`.
+    Collective; None on the other ranks. Parameters are those of `pgran.scenes.scene.Scene`.
     """
-    lattice = common.make_lattice(options, world)
-    shared = EXPERIMENTS[options.ensemble_of].SCENE.shares_lattice
+    from pgran.parallel.crew import AgreeingCrew
+
+    lattice, of = common.make_lattice(options, world), options.ensemble_of
+    experiment = EXPERIMENTS[of][0]
+    seeds = seeds_of(options.bonds_seed, options.ensemble_samples)
+    seeds_of(options.relax_seed or 0, options.ensemble_samples)
+    swept = common.SWEEP[0] in experiment.SCENE.options
+    omegas = common.driving_frequencies(options) if swept else None
+    windows = options.statistics_windows
+    if windows is not None:
+        windows = noise.windows_of(windows, omegas)
+
+    def solve(seed, group):
+        changed = {"bonds_seed": seed, "output_progress": "none"}
+        if of == "relaxation":  # else all samples would become the same network
+            changed["relax_seed"] = options.relax_seed + seed - options.bonds_seed
+        sample = options.changed(**changed)
+        return experiment.run(sample, group, lambda _: AgreeingCrew(group, group.size))
+
+    shared = experiment.SCENE.shares_lattice
     ranks = common.ranks_per_lattice(options, lattice, world) if shared else 1
+    whole = of == "modes" and not modes.chosen(options)
+    chosen = options.ensemble_keep, omegas, options.detectors, whole
     with crew(ranks) as workers:
-        ensemble = carry_out(Samples(options, lattice), workers, options.output_progress)
-    return ensemble and [record_of(lattice), ensemble]
+        task = Samples(of, seeds, solve, lattice, *chosen)
+        found = [carry_out(task, workers, options.output_progress)]
+        if found[0] and windows is not None and not workers.dry:
+            found.append(noise.statistics(found[0], windows))
+    return [record_of(lattice), *found] if found[0] else None
+
+
+def seeds_of(first, samples):
+    """Return the seeds of so many samples, or raise where there are none. Not collective."""
+    if first + samples > SEEDS:
+        raise InputError(f"-ensemble_samples {samples}: no seeds are left beyond {SEEDS - 1}")
+    return range(first, first + samples)
+
+
+@in_parallel()
+def ensemble(
+    of, samples, crew=None, *, lattice, seed=1993, keep="measures", progress="none", **experiment
+):
+    """Repeat an experiment on many samples.
+
+    Collective. Ranks share out the samples.
+
+        found = pgran.ensemble(
+            "response", 100, lattice={"shape": (20, 20)}, omegas=omegas, detectors=[(8, 10)]
+        )
+
+    Parameters
+    ----------
+    of : {"response", "modes", "relaxation", "pulse", "sensitivity"}
+        `sweep`, `find_modes`, `relax`, `pulse` or `sensitivity` is repeated.
+    samples : int
+    crew : pgran.parallel.crew.Crew, optional
+        All ranks unless given.
+    lattice : dict or callable
+        What `pgran.Lattice.random` takes besides the seed; or a function of the seed that returns
+        a lattice or a network, each of the same size, the same on every rank.
+    seed : int
+        Of the first sample; the others' follow one by one.
+    keep : {"measures", "curves"}
+        What is kept of each sample: a few numbers; of responses the amplitudes, of modes their
+        frequencies and participation ratios as well.
+    progress : str
+        Style of `pgran.parallel.progress.Progress`.
+    **experiment
+        What the repeated function takes besides the lattice. A relaxation's changes are those of
+        the seeds 1, 2, ..., one a sample.
+
+    Returns
+    -------
+    pgran.results.Ensemble or None
+        With a crew of the caller's None on all ranks but rank 0.
+
+    Raises
+    ------
+    InputError
+        If a value is impossible.
+    TypeError
+        If the experiment lacks a value, or does not know one.
+    """
+    asked = {"ensemble_of": of, "ensemble_samples": samples, "ensemble_keep": keep}
+    common.check_values((*ENSEMBLE, *common.LATTICE), **asked, bonds_seed=seed)
+    check_kept(of, keep)
+    if refused := NOT_TAKEN & experiment.keys():
+        raise InputError(f"ensemble: many samples have no {sorted(refused)[0]} of their own")
+    make = lattice if callable(lattice) else partial(_random, lattice)
+    first, (_, function, told) = make(seed), EXPERIMENTS[of]
+    inspect.signature(function).bind(first, **experiment)  # TypeErrors before any work
+
+    def solve(number, group):
+        from pgran.parallel.crew import AgreeingCrew
+
+        sample = make(number)
+        choices = experiment | told
+        if of == "relaxation":
+            choices["seed"] = 1 + number - seed
+        with AgreeingCrew(group, group.size) as one:
+            found = function(sample, crew=one, **choices)
+        if of == "relaxation":
+            found = relaxation.measured(found, relaxation.FIT, sample.bonds)
+        return [sample, *(found if isinstance(found, list) else [found])]
+
+    whole = of == "modes" and "interval" not in experiment
+    given = experiment.get("omegas"), experiment.get("detectors"), whole
+    task = Samples(of, seeds_of(seed, samples), solve, first, keep, *given)
+    return carry_out(task, crew, progress)
+
+
+def _random(keywords, seed):
+    """Return the sample of a seed. Not collective."""
+    if "seed" in keywords:
+        raise InputError("ensemble: seed says which samples, not lattice")
+    return Lattice.random(seed=seed, **keywords)
 
 
 def summary(result):
@@ -110,157 +242,23 @@ def summary(result):
             else:
                 line += "unknown"
             yield line + (f"; {missing} samples have none that is certain" if missing else "")
-
-
-@dataclass(frozen=True)
-class Reading:
-    """What is read of an experiment's records: fields of a row, and the function that fills it."""
-
-    fields: tuple
-    read: callable
-
-
-def reading_of(options, lattice):
-    """Return the Reading of the experiment that options name. Not collective."""
-    kind, keep = options.ensemble_of, options.ensemble_keep == "curves"
-    nd = len(lattice.sites(options.detectors)) if options.detectors is not None else 0
-    if kind == "response":
-        nw = len(common.driving_frequencies(options))
-        curves = ("displacement", complex, (nw, nd)), ("delay", float, (nw, nd))
-        return Reading(
-            (*curves, ("slope", float, (nd,)), ("velocity", float, (nd,))), read_response
-        )
-    if kind == "modes":
-        whole = not modes.chosen(options)
-        fields = [("above", float)]
-        if keep and whole:
-            fields += [(name, float, (lattice.balls,)) for name in ("mode_omega", "participation")]
-        return Reading(tuple(fields), read_modes)
-    if kind == "relaxation":
-        return Reading((("exponent", float), ("exponent_error", float)), read_relaxation)
-    if kind == "pulse":
-        return Reading(tuple((n, float, (nd,)) for n in ("arrival", "centre", "decay")), read_pulse)
-    return Reading((("effective_bonds", float, (nd,)),), read_sensitivity)
-
-
-def read_response(row, lattice, response):
-    """Fill a row with a response; say if it is as accurate as asked. Not collective."""
-    for name in ("displacement", "delay"):
-        row[name] = getattr(response, name)
-    row["slope"], row["velocity"] = response.phase_slope, response.phase_velocity
-    return response.failures == 0
-
-
-def read_modes(row, lattice, modes):
-    """Fill a row with normal modes; say if they are certified. Not collective."""
-    row["above"] = np.count_nonzero(modes.omega > lattice.omega_mx)
-    if "mode_omega" in row.dtype.names and len(modes.omega) == len(row["mode_omega"]):
-        row["mode_omega"], row["participation"] = modes.omega, modes.participation
-    return modes.count_certified
-
-
-def read_relaxation(row, lattice, relaxation, spectrum=None):
-    """Fill a row with a relaxation; say if all its states are accurate. Not collective."""
-    row["exponent"] = row["exponent_error"] = np.nan
-    if spectrum is not None:
-        row["exponent"], row["exponent_error"] = spectrum.exponent, spectrum.exponent_error
-    return relaxation.failures == 0
-
-
-def read_pulse(row, lattice, signals):
-    """Fill a row with a pulse; say if its signals are as accurate as asked. Not collective."""
-    for name in ("arrival", "centre", "decay"):
-        row[name] = getattr(signals, name)
-    largest = np.abs(signals.displacement).max(axis=0)
-    return bool(np.all(signals.error.max(axis=0) <= signals.tolerance * largest))
-
-
-def read_sensitivity(row, lattice, found, heat=None):
-    """Fill a row with the participation ratio of squared derivatives. Not collective."""
-    squares = found.log_amplitude**2
-    row["effective_bonds"] = np.mean(squares.sum(axis=2) ** 2 / (squares**2).sum(axis=2), axis=0)
-    return found.failures == 0 and (heat is None or heat.failures == 0)
-
-
-class Samples(Task):
-    """The experiment on each sample, a seed a unit.
-
-    Parameters
-    ----------
-    options : pgran.files.options.Options
-    lattice : pgran.physics.lattice.Lattice
-        Of the first seed.
-    """
-
-    items = "samples"
-
-    def __init__(self, options, lattice):
-        """Say what a sample's numbers travel in."""
-        self.options, self.lattice = options, lattice
-        self.reading = reading_of(options, lattice)
-        self.row = np.dtype([("good", np.int8), *self.reading.fields])
-        check_memory("ensemble_samples", options.ensemble_samples * self.row.itemsize)
-        first = options.bonds_seed
-        self.units = list(range(first, first + options.ensemble_samples))
-
-    @contextlib.contextmanager
-    def open(self, group):
-        """See `Task`."""
-        from pgran.parallel.crew import AgreeingCrew
-
-        experiment = EXPERIMENTS[self.options.ensemble_of]
-
-        def work(seed):
-            options = self.options.changed(bonds_seed=seed, output_progress="none")
-            records = experiment.run(options, group, lambda _: AgreeingCrew(group, group.size))
-            rows = np.zeros(1, self.row)
-            if records is not None:
-                lattice, *found = records
-                rows[0]["good"] = self.reading.read(rows[0], lattice, *found)
-            return rows
-
-        yield work
-
-    def length(self, unit):
-        """See `Task`."""
-        return 1
-
-    def collect(self, rows, seconds):
-        """See `Task`; bands are over those samples that are good."""
-        good, kept = rows["good"] > 0, {}
-        names = rows.dtype.names
-        for name in names[1:]:
-            if name not in ("displacement", "delay"):
-                kept[name] = rows[name].copy()
-        if "displacement" in names:
-            curves = rows[good]
-            with np.errstate(divide="ignore"):
-                logs = np.log(np.abs(curves["displacement"]))
-            kept["statistic"] = np.array(STATISTICS)
-            kept["ln_amplitude"] = over_samples(logs)
-            kept["delay"] = over_samples(curves["delay"])
-            kept["coherent"] = curves["displacement"].mean(axis=0)
-            kept["intensity"] = np.mean(np.abs(curves["displacement"]) ** 2, axis=0)
-            kept["omega"] = common.driving_frequencies(self.options)
-            if self.options.ensemble_keep == "curves":
-                kept["displacement"] = rows["displacement"].copy()
-        detectors = self.options.detectors
-        return Ensemble(
-            of=self.options.ensemble_of,
-            solve_seconds=seconds,
-            left_out=int(np.count_nonzero(~good)),
-            seed=np.array(self.units),
-            good=rows["good"].copy(),
-            detector=None if detectors is None else self.lattice.sites(detectors),
-            **kept,
-        )
+    if found.delay_samples is not None:
+        unknown = np.count_nonzero(found.good) - found.delay_samples
+        if unknown.any():
+            yield f"group delays: up to {unknown.max()} samples have none that is certain"
+    if getattr(result, "statistics", None):
+        yield from noise.summary(result.statistics)
 
 
 SCENE = Scene(
     options=tuple(
         {
-            o.name: o
-            for o in (*ENSEMBLE, *(o for e in EXPERIMENTS.values() for o in e.SCENE.options))
+            option.name: option
+            for option in (
+                *ENSEMBLE,
+                *(o for e, *_ in EXPERIMENTS.values() for o in e.SCENE.options),
+            )
+            if option.name not in LEFT_OUT
         }.values()
     ),
     run=run,

@@ -40,6 +40,7 @@ SPECTRUM = (
     Option("spectrum_fit_max", REAL, 0.3, "window of the exponent's fit", "cycles/step", above=0),
 )
 LAGS = 60  # at which the memory is looked at
+FIT = tuple(option.default for option in SPECTRUM)
 STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windows
 
 
@@ -83,9 +84,15 @@ def run(options, world, crew):
         )
     if relaxation is None:
         return None
-    spectrum = None if workers.dry else spectrum_of(relaxation, window, lattice.bonds)
-    memory = memory_of(relaxation, lattice.bonds) if spectrum else None
-    return [record for record in (record_of(lattice), relaxation, spectrum, memory) if record]
+    found = [relaxation] if workers.dry else measured(relaxation, window, lattice.bonds)
+    return [record_of(lattice), *found]
+
+
+def measured(relaxation, window, bonds):
+    """Return a relaxation, and its spectrum and its memory where it has them. Not collective."""
+    spectrum = spectrum_of(relaxation, window, bonds)
+    memory = memory_of(relaxation, bonds) if spectrum else None
+    return [record for record in (relaxation, spectrum, memory) if record]
 
 
 def spectrum_of(relaxation, window, memory):

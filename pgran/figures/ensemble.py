@@ -1,0 +1,222 @@
+"""The figures of an ensemble: curves with their band, histograms of numbers, densities of modes."""
+
+import math
+
+import numpy as np
+
+from pgran.figures import style
+
+# Numbers of a sample, by their names in `pgran.results.Ensemble`, and their axes.
+NUMBERS = {
+    "velocity": r"phase velocity ($d\,\omega_{mx}$)",
+    "exponent": r"exponent $\psi$ of the spectrum",
+    "order": r"bonds that act jointly, $\bar k$",
+    "arrival": r"arrival of the front ($\sqrt{m/k}$)",
+    "centre": r"centre of the envelope ($\sqrt{m/k}$)",
+    "decay": r"rate of decay ($\sqrt{k/m}$)",
+    "effective_bonds": "bonds that matter",
+    "modes": "modes found",
+    "above": r"modes above $\omega_{mx}$",
+}
+SINGLE = ("#0072B2", "#E69F00", "#009E73")  # three samples
+BAND, BINS = "#C8C8C8", 30
+
+
+def figures(result, **_):
+    """Yield what there is: bands of curves, densities of modes, and histograms of numbers."""
+    found, lattice = result.ensemble, result.medium
+    style.check_any(found.seed[found.good > 0], "sample that is as accurate as asked")
+    made = {}
+    if found.omega is not None:
+        for name, panel in (("amplitude", amplitude), ("delay", delay)):
+            if np.isfinite(getattr(found, "delay" if name == "delay" else "ln_amplitude")).any():
+                made[name] = _curves_page(found, lattice, panel)
+    if found.mode_omega is not None and len(np.unique(known(found, "mode_omega"))) > 1:
+        for panel in (density, participation):
+            figure, (ax,) = style.page(style.COLUMN, 2.5)
+            panel(ax, found, lattice)
+            style.legend_above([ax], columns=2)
+            made[panel.__name__] = figure
+    for name in NUMBERS:
+        values = getattr(found, name)
+        columns = range(0 if values is None else np.size(values[:1]))
+        shown = [d for d in columns if len(np.unique(known(found, name, d))) > 1]
+        if shown:
+            figure, panels = style.page(style.COLUMN, 0.4 + 1.9 * len(shown), nrows=len(shown))
+            for ax, d in zip(panels, shown, strict=True):
+                histogram(ax, found, name, d)
+            made[name] = figure
+    for name, figure in made.items():
+        if found.left_out:
+            style.note(figure, f"{found.left_out} of {len(found.seed)} samples are left out")
+        yield name, figure
+
+
+def known(found, name, detector=None):
+    """Return a number of all samples that are good and have it, shape (n,).
+
+    Parameters
+    ----------
+    found : pgran.results.Ensemble
+    name : str
+    detector : int, optional
+    """
+    values = getattr(found, name)[found.good > 0]
+    if detector is not None and values.ndim > 1:
+        values = values[:, detector]
+    return values[np.isfinite(values)]
+
+
+def amplitude(ax, found, lattice, detector=0):
+    """Draw the band, the median, some samples, and the coherent part |<A>|; return the median.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    found : pgran.results.Ensemble
+        Of responses.
+    lattice : pgran.results.LatticeRecord
+    detector : int
+    """
+    single = None
+    if found.displacement is not None:
+        single = np.abs(found.displacement[:, :, detector])
+    drawn = _band(ax, found, lattice, np.exp(found.ln_amplitude[:, :, detector]), single)
+    coherent = np.abs(found.coherent[:, detector])
+    look = {"color": "#D55E00", "linestyle": (0, (3, 1)), "linewidth": 1.2}
+    ax.plot(
+        found.omega / lattice.omega_mx, coherent, label=r"coherent, $|\langle A\rangle|$", **look
+    )
+    ax.set(yscale="log", ylabel=style.AMPLITUDE)
+    return drawn
+
+
+def delay(ax, found, lattice, detector=0):
+    """Draw the band of the group delay, its median, and some samples; return the median.
+
+    Linear up to the power of ten next to the median, logarithmic beyond. Parameters are those of
+    `amplitude`.
+    """
+    values = found.delay[:, :, detector] * lattice.omega_mx
+    single = None
+    if found.sample_delay is not None:
+        single = found.sample_delay[:, :, detector] * lattice.omega_mx
+    drawn = _band(ax, found, lattice, values, single)
+    middle = np.nanmedian(np.abs(values[found.statistic.tolist().index("median")]))
+    ax.set_yscale("symlog", linthresh=10.0 ** round(math.log10(middle)) if middle > 0 else 1.0)
+    ax.set_ylabel(r"group delay ($1/\omega_{mx}$)")
+    return drawn
+
+
+def _band(ax, found, lattice, values, single):
+    """Draw the band of curves, shape (statistics, nw), three of them, and their median."""
+    x, row = found.omega / lattice.omega_mx, found.statistic.tolist().index
+    band = values[row("low")], values[row("high")]
+    ax.fill_between(x, *band, color=BAND, linewidth=0, label="10 to 90 % of the samples")
+    if single is not None:
+        for n, shade in zip(np.flatnonzero(found.good)[:3], SINGLE, strict=False):
+            ax.plot(x, single[n], color=shade, linewidth=0.4, label=f"seed {found.seed[n]}")
+    (median,) = ax.plot(x, values[row("median")], color="black", linewidth=1.0, label="median")
+    ax.set(xlim=style.limits(x), xlabel=style.FREQUENCY)
+    return median
+
+
+def _curves_page(found, lattice, panel):
+    """Return a figure with a panel a detector."""
+    names, rows = style.ball_names(found.detector), len(found.detector)
+    figure, panels = style.page(style.PAGE, 0.5 + 2.4 * rows, nrows=rows)
+    for d, ax in enumerate(panels):
+        panel(ax, found, lattice, d)
+        if rows > 1:
+            ax.set_title(names[d])
+    style.legend_above([panels[0]], columns=3)
+    return figure
+
+
+def histogram(ax, found, name, detector=0):
+    """Draw the histogram of a number over the samples, its mean and the mean's error.
+
+    Returns the outline.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    found : pgran.results.Ensemble
+    name : str
+        A key of NUMBERS.
+    detector : int
+    """
+    values = known(found, name, detector)
+    whole = np.all(values == np.round(values)) and np.ptp(values) <= BINS
+    bins = np.arange(values.min() - 0.5, values.max() + 1) if whole else _bins(values)
+    counts, edges = np.histogram(values, bins)
+    ax.stairs(counts, edges, fill=True, color=style.pale(style.ACCENT))
+    outline = ax.stairs(counts, edges, color=style.ACCENT)
+    mean, error = values.mean(), values.std(ddof=1) / math.sqrt(len(values))
+    ax.axvspan(mean - error, mean + error, color="black", alpha=0.35, linewidth=0)
+    ax.axvline(mean, color="black")
+    where = "" if found.detector is None else f"{style.ball_names(found.detector)[detector]}, "
+    places = max(0, 1 - math.floor(math.log10(error)))
+    numbers = rf"${mean:.{places}f} \pm {error:.{places}f}$"
+    ax.set_title(f"{where}{len(values)} samples: mean {numbers}")
+    ax.set(xlabel=NUMBERS[name], ylabel="samples")
+    ax.set_ylim(bottom=0)
+    ax.locator_params("x", nbins=6)
+    ax.locator_params("y", integer=True)
+    return outline
+
+
+def _bins(values):
+    """Return edges of bins as wide as 2 IQR / n^(1/3) (Freedman and Diaconis), few at most."""
+    width = 2 * np.subtract(*np.percentile(values, [75, 25])) / len(values) ** (1 / 3)
+    count = math.ceil(np.ptp(values) / width) if width > 0 else BINS
+    return np.linspace(values.min(), values.max(), min(max(count, 4), BINS) + 1)
+
+
+def _frequency_bins(x):
+    """Return edges of bins from the lowest to the highest mode."""
+    count = np.count_nonzero(np.isfinite(x))
+    return np.linspace(np.nanmin(x), np.nanmax(x), min(60, max(10, round(math.sqrt(count)))) + 1)
+
+
+def density(ax, found, lattice):
+    """Draw the density of modes a sample, with its standard error; return the outline.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    found : pgran.results.Ensemble
+        Of modes, with those of each sample.
+    lattice : pgran.results.LatticeRecord
+    """
+    x = found.mode_omega[found.good > 0] / lattice.omega_mx
+    edges = _frequency_bins(x)
+    counts = np.array([np.histogram(row, edges)[0] for row in x]) / np.diff(edges)
+    mean, error = counts.mean(axis=0), counts.std(axis=0, ddof=1) / math.sqrt(len(x))
+    low, high = mean - error, mean + error
+    ax.stairs(high, edges, baseline=low, fill=True, color="#999999", label="its standard error")
+    outline = ax.stairs(mean, edges, color="black", label=f"mean of {len(x)} samples")
+    ax.set_ylim(bottom=0)
+    ax.set(xlabel=style.MODE_FREQUENCY, ylabel=r"density of modes (modes per $\omega_{mx}$)")
+    return outline
+
+
+def participation(ax, found, lattice):
+    """Draw the participation ratio against frequency, its band and median over the modes of a bin.
+
+    Returns the median. Parameters are those of `density`.
+    """
+    x, values = known(found, "mode_omega") / lattice.omega_mx, known(found, "participation")
+    edges = _frequency_bins(x)
+    bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    band = np.full((3, len(edges) - 1), np.nan)
+    for n in np.unique(bins):
+        band[:, n] = np.percentile(values[bins == n], (10, 50, 90))
+    ax.stairs(
+        band[2], edges, baseline=band[0], fill=True, color=BAND, label="10 to 90 % of the modes"
+    )
+    median = ax.stairs(band[1], edges, baseline=None, color="black", label="median")
+    balls = lattice.free_balls
+    ax.set(yscale="log", ylim=(1, max(balls, 10)), xlabel=style.MODE_FREQUENCY)
+    ax.set_ylabel(f"participation ratio $P_i$ (of {balls} balls)")
+    return median

@@ -1,0 +1,162 @@
+"""The noise of an ensemble's responses, in windows of frequencies, beside the Gaussian laws."""
+
+import logging
+from functools import partial
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.results import NoiseStatistics
+
+log = logging.getLogger(__name__)
+
+EDGES = np.append(np.arange(0.0, 4.0, 0.25), np.arange(4.0, 8.5, 0.5))  # of I/<I>
+SHIFTS = 60  # at which correlations are stored, as far as half of the window
+FIELDS = "whole", "incoherent"
+MEASURED = "contrast", "spread", "half_width", "maxima_spacing"
+
+
+def windows_of(values, omegas=None):
+    """Return numbers low, high, low, high ... as windows, shape (n, 2).
+
+    Not collective. Raises InputError unless they are such, and within the sweep if it is given.
+    """
+    numbers = np.asarray(values, dtype=float).ravel()
+    if not numbers.size or numbers.size % 2:
+        raise InputError(
+            f"-statistics_windows: a window has two ends, so {numbers.size} numbers make none"
+        )
+    windows = numbers.reshape(-1, 2)
+    for low, high in windows:
+        if not low < high:
+            raise InputError(f"-statistics_windows: {low:g} is not below {high:g}")
+        if omegas is not None and not omegas[0] <= low < high <= omegas[-1]:
+            raise InputError(
+                f"-statistics_windows: {low:g} to {high:g} is not within the sweep, "
+                f"{omegas[0]:g} to {omegas[-1]:g}"
+            )
+    return windows
+
+
+def statistics(ensemble, windows):
+    """Measure the noise of an ensemble's responses (paper: freqres, "noisy").
+
+    Not collective. Only samples count that are good. What cannot be measured, because a curve is
+    not resolved, say, is NaN, which is said.
+
+    Parameters
+    ----------
+    ensemble : pgran.results.Ensemble
+        Of responses, with their curves.
+    windows : array_like of float, shape (n, 2)
+        Lowest and highest frequency of each, angular.
+
+    Returns
+    -------
+    pgran.results.NoiseStatistics
+
+    Raises
+    ------
+    InputError
+        If the ensemble has no curves, or a window lies outside the sweep, or samples are too few.
+    """
+    from pgran.physics.statistics import NoisyCurves
+
+    if ensemble.displacement is None:
+        raise InputError(
+            "statistics: this ensemble has no curves; -ensemble_keep curves keeps them"
+        )
+    windows = windows_of(windows, ensemble.omega)
+    A = ensemble.displacement[ensemble.good > 0]
+    shifts, found = np.empty((len(windows), SHIFTS)), {}
+    for w, window in enumerate(windows):
+        for d in range(A.shape[2]):
+            whole, rest = (
+                NoisyCurves(ensemble.omega, A[:, :, d], window, s) for s in (False, True)
+            )
+            shifts[w] = _shifts(whole.uniform.omega)
+            where = f"{window[0]:g} to {window[1]:g}, detector {d}"
+            both = [_measure(curves, shifts[w], where) for curves in (whole, rest)]
+            coherent = whole.estimate(_coherent_part, whole.amplitude)
+            for name in both[0]:
+                parts = [one[name] for one in both]
+                for part in ("value", "error"):
+                    key = name if part == "value" else f"{name}_error"
+                    found.setdefault(key, []).append([getattr(one, part) for one in parts])
+            found.setdefault("coherent_part", []).append(coherent.value)
+            found.setdefault("coherent_part_error", []).append(coherent.error)
+    across = len(windows), A.shape[2]
+    arrays = {n: np.array(v).reshape(*across, *np.shape(v)[1:]) for n, v in found.items()}
+    return NoiseStatistics(
+        samples=len(A),
+        low=windows[:, 0].copy(),
+        high=windows[:, 1].copy(),
+        field=np.array(FIELDS),
+        detector=ensemble.detector,
+        edge=EDGES,
+        shift=shifts,
+        **arrays,
+    )
+
+
+def _shifts(omega):
+    """Return shifts that are multiples of the step, as correlations are known there."""
+    stride = -(-(len(omega) - 1) // (2 * SHIFTS))
+    return stride * (omega[1] - omega[0]) * np.arange(SHIFTS)
+
+
+def _coherent_part(A, weights):
+    """Return |<A>|^2 / <|A|^2>, its mean over the window."""
+    return np.average(np.abs(A.mean(axis=0)) ** 2 / (np.abs(A) ** 2).mean(axis=0), weights=weights)
+
+
+def _measure(curves, shifts, where):
+    """Return the measures of some curves by name; NaN, aloud, where there is none."""
+    from pgran.physics import statistics as measures
+    from pgran.physics.estimate import Estimate
+
+    wanted = {name: ((), partial(getattr(measures, name), curves)) for name in MEASURED}
+    wanted["density"] = (len(EDGES) - 1,), partial(measures.histogram, curves, EDGES)
+    omega = curves.uniform.omega
+    known = np.flatnonzero(shifts < omega[len(omega) // 2] - omega[0])
+    wanted["correlation"] = known.shape, partial(measures.correlation, curves, shifts[known])
+    found = {}
+    for name, (shape, measure) in wanted.items():
+        try:
+            found[name] = measure()
+        except InputError as error:
+            log.warning("no %s in %s: %s", name.replace("_", " "), where, error)
+            found[name] = Estimate(*[np.full(shape, np.nan)] * 2)
+    beyond = (0, len(shifts) - len(known))
+    padded = [
+        np.pad(x, beyond, constant_values=np.nan) for x in vars(found["correlation"]).values()
+    ]
+    found["correlation"] = Estimate(*padded)
+    return found
+
+
+def summary(found):
+    """Return in words what the noise is like, beside Gaussian laws. Not collective."""
+    from pgran.physics.statistics import GAUSSIAN_CONTRAST, GAUSSIAN_SPREAD, MAXIMA_SPACING
+
+    for w, d in np.ndindex(found.coherent_part.shape):
+        ball = tuple(found.detector[d].tolist())
+        yield (
+            f"ball {ball}, {found.low[w]:g} to {found.high[w]:g}: "
+            f"{_said(found, 'coherent_part', (w, d))} of <|A|^2> is coherent, |<A>|^2"
+        )
+        for f, field in enumerate(found.field):
+            contrast, spread, width, spacing = (_said(found, n, (w, d, f)) for n in MEASURED)
+            ratio = found.maxima_spacing[w, d, f] / found.half_width[w, d, f]
+            beside = f", {ratio:.3g} half widths ({MAXIMA_SPACING:.3g})" if ratio > 0 else ""
+            yield (
+                f"  {field}: <I^2>/<I>^2 {contrast} (Gaussian: {GAUSSIAN_CONTRAST:g}), spread "
+                f"{spread} dB ({GAUSSIAN_SPREAD:.3g}), half width of the correlation {width}, "
+                f"spacing of maxima {spacing}{beside}"
+            )
+
+
+def _said(found, name, place):
+    """Return a measure with its error."""
+    value, error = (getattr(found, n)[place] for n in (name, f"{name}_error"))
+    return f"{value:.3g} +- {error:.1g}" if np.isfinite(error) else "unknown"

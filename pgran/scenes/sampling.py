@@ -1,0 +1,192 @@
+"""One experiment on many samples: what is read of each, and the task that repeats it."""
+
+import contextlib
+import logging
+
+import numpy as np
+
+from pgran.errors import PgranError, is_bad_input, is_petsc
+from pgran.machine import check_memory
+from pgran.parallel.task import Task
+from pgran.physics.bands import STATISTICS, over_samples
+from pgran.results import Ensemble
+
+log = logging.getLogger(__name__)
+
+CURVES = "displacement", "ln_amplitude", "delay"  # of a response
+
+
+def fields_of(of, lattice, omegas, detectors, curves, whole):
+    """Return what is read of each sample, pairs of a name and a shape. Not collective.
+
+    Parameters
+    ----------
+    of : str
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    omegas : numpy.ndarray or None
+    detectors : array_like of int or None
+    curves : bool
+        Whether to read spectra of modes.
+    whole : bool
+        Whether modes are all there are.
+    """
+    if of == "modes":
+        above = [("above", ())] if whole else []
+        spectra = ("mode_omega", "participation") if curves else ()
+        return [("modes", ()), *above, *((name, (lattice.balls,)) for name in spectra)]
+    if of == "relaxation":
+        return [(name, ()) for name in ("exponent", "exponent_error", "order")]
+    nd = len(lattice.sites(detectors))
+    names = {
+        "response": ("slope", "velocity"),
+        "pulse": ("arrival", "centre", "decay"),
+        "sensitivity": ("effective_bonds",),
+    }[of]
+    curves = [(name, (len(omegas), nd)) for name in CURVES] if of == "response" else []
+    return curves + [(name, (nd,)) for name in names]
+
+
+def read_response(row, lattice, response):
+    """Fill a row with a response. Not collective."""
+    floored, failed = response.at_floor > 0, response.converged_reason <= 0
+    row["displacement"], row["delay"] = response.displacement, response.delay
+    with np.errstate(divide="ignore"):
+        logs = np.log(response.amplitude)
+    row["ln_amplitude"] = np.where(floored | failed[:, None], np.nan, logs)
+    row["slope"], row["velocity"] = response.phase_slope, response.phase_velocity
+
+
+def read_modes(row, lattice, modes):
+    """Fill a row with normal modes. Not collective."""
+    row["modes"] = len(modes.omega)
+    if "above" in row.dtype.names:
+        row["above"] = np.count_nonzero(modes.omega > lattice.omega_mx)
+    if "mode_omega" in row.dtype.names:  # NaN where there are less
+        found = slice(min(len(modes.omega), len(row["mode_omega"])))
+        for name, values in (("mode_omega", modes.omega), ("participation", modes.participation)):
+            row[name][found] = values[found]
+
+
+def read_relaxation(row, lattice, relaxation, spectrum=None, memory=None):
+    """Fill a row with a relaxation's spectrum and memory, if it has them. Not collective."""
+    if spectrum is not None:
+        row["exponent"], row["exponent_error"] = spectrum.exponent, spectrum.exponent_error
+    if memory is not None:
+        row["order"] = memory.order
+
+
+def read_pulse(row, lattice, signals):
+    """Fill a row with the times of a pulse. Not collective."""
+    for name in ("arrival", "centre", "decay"):
+        row[name] = getattr(signals, name)
+
+
+def read_sensitivity(row, lattice, found, heat=None):
+    """Fill a row with the participation ratio of squared derivatives. Not collective."""
+    squares = found.log_amplitude**2
+    row["effective_bonds"] = np.mean(squares.sum(axis=2) ** 2 / (squares**2).sum(axis=2), axis=0)
+
+
+READ = {
+    "response": read_response,
+    "modes": read_modes,
+    "relaxation": read_relaxation,
+    "pulse": read_pulse,
+    "sensitivity": read_sensitivity,
+}
+
+
+class Samples(Task):
+    """The experiment on each sample, a seed a unit.
+
+    Parameters
+    ----------
+    of : str
+        What the experiment is, a key of READ.
+    seeds : sequence of int
+    solve : callable
+        Takes a seed and the ranks of a group; returns the sample's lattice and the experiment's
+        records on the first of them. Collective over the group.
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+        Of the first seed; all are of its size.
+    keep : {"measures", "curves"}
+    omegas, detectors : array_like, optional
+        Of the experiment, if it has them.
+    whole : bool
+        Whether modes are all there are.
+    """
+
+    items = "samples"
+
+    def __init__(self, of, seeds, solve, lattice, keep, omegas=None, detectors=None, whole=False):
+        """Say what a sample's numbers travel in."""
+        self.of, self.units, self.solve, self.curves = of, list(seeds), solve, keep == "curves"
+        self.omegas = None if omegas is None else np.asarray(omegas, dtype=float)
+        self.sites = None if detectors is None else lattice.sites(detectors)
+        fields = fields_of(of, lattice, self.omegas, detectors, self.curves, whole)
+        kinds = {"displacement": complex}
+        self.row = np.dtype(
+            [("good", np.int8), *((n, kinds.get(n, float), shape) for n, shape in fields)]
+        )
+        check_memory("ensemble_samples", len(self.units) * self.row.itemsize)
+
+    @contextlib.contextmanager
+    def open(self, group):
+        """See `Task`; a sample that cannot be computed is no good, which is said."""
+
+        def work(seed):
+            rows = np.zeros(1, self.row)
+            for name in self.row.names[1:]:
+                rows[name] = np.nan
+            try:
+                records = self.solve(seed, group)
+            except Exception as error:  # which all ranks of the group meet alike
+                if type(error) is not PgranError and (not is_petsc(error) or is_bad_input(error)):
+                    raise
+                if group.rank == 0:
+                    log.warning("sample of seed %d is left out: %s", seed, error)
+                return rows
+            if records is not None:
+                READ[self.of](rows[0], *records)
+                rows["good"] = not any(getattr(r, "failures", 0) for r in records[1:])
+            return rows
+
+        yield work
+
+    def length(self, unit):
+        """See `Task`."""
+        return 1
+
+    def collect(self, rows, seconds):
+        """See `Task`; bands are over those samples that are good."""
+        good = rows["good"] > 0
+        kept = {name: rows[name].copy() for name in rows.dtype.names[1:] if name not in CURVES}
+        if self.of == "response":
+            kept |= self._bands(rows[good])
+            if self.curves:
+                kept["displacement"] = rows["displacement"].copy()
+                kept["sample_delay"] = rows["delay"].copy()
+        return Ensemble(
+            of=self.of,
+            solve_seconds=seconds,
+            left_out=int(np.count_nonzero(~good)),
+            seed=np.array(self.units),
+            good=rows["good"].copy(),
+            detector=self.sites,
+            omega=self.omegas if self.of == "response" else None,
+            **kept,
+        )
+
+    def _bands(self, rows):
+        """Return what the curves of good samples have in common."""
+        A, count = rows["displacement"], np.float64(len(rows))
+        with np.errstate(invalid="ignore"):  # without any sample NaN
+            coherent, intensity = A.sum(axis=0) / count, (np.abs(A) ** 2).sum(axis=0) / count
+        return {
+            "statistic": np.array(STATISTICS),
+            "ln_amplitude": over_samples(rows["ln_amplitude"]),
+            "delay": over_samples(rows["delay"]),
+            "delay_samples": np.count_nonzero(np.isfinite(rows["delay"]), axis=0),
+            "coherent": coherent,
+            "intensity": intensity,
+        }

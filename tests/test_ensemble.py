@@ -1,0 +1,327 @@
+"""Many samples: each as it comes out alone, what they have in common, and what is left out."""
+
+import time
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from samples import assert_same, run_scene
+from test_journal import stop_at
+
+import pgran
+from pgran.command.forecast import forecast
+from pgran.command.resolve import SCENES, resolve
+from pgran.errors import InputError, PgranError, StoppedError
+from pgran.files.reading import read_words
+from pgran.parallel.journal import Journal
+from pgran.physics.bands import over_samples
+from pgran.physics.memory import Series, mean_order
+from pgran.physics.spectrum import power_spectrum
+from pgran.scenes import response
+from pgran.scenes.ensemble import KEPT
+
+SEEDS = range(1993, 1998)
+LATTICE = {"shape": (5, 4)}
+OMEGAS = np.linspace(0.3, 0.9, 25)
+RELAXATION = {"omega": 0.5, "detectors": (2, 2), "steps": 2100, "law": pgran.BondLaw("uniform")}
+# Of each kind: its options, the keywords in Python, and what it is alone.
+KINDS = {
+    "response": (
+        "-detectors 2,2,4,0 -sweep_min .3 -sweep_max .9 -sweep_points 25",
+        {"omegas": OMEGAS, "detectors": (2, 2, 4, 0)},
+    ),
+    "modes": ("", {}),
+    "relaxation": (
+        "-detectors 2,2 -relax_steps 2100 -relax_omega .5",
+        RELAXATION,
+    ),
+    "pulse": (
+        "-detectors 2,2 -pulse_width 5 -pulse_time 300 -pulse_points 400",
+        {"detectors": (2, 2), "width": 5.0, "time": 300.0, "points": 400},
+    ),
+    "sensitivity": (
+        "-detectors 2,2 -sweep_omega .4,.5",
+        {"omegas": [0.4, 0.5], "detectors": (2, 2)},
+    ),
+}
+
+
+def keep_of(of):
+    return "curves" if of in KEPT else "measures"
+
+
+def chosen(of, text=""):
+    """The options of five samples."""
+    words = f"-scene ensemble -ensemble_of {of} -ensemble_samples 5 -ensemble_keep {keep_of(of)}"
+    words += f" -lattice_shape 5,4 -output_progress none {text}"
+    return resolve(read_words(words.split()), "a.h5")
+
+
+def ran(of, text, world, journal=None):
+    """The records of five samples, on every rank."""
+    return world.bcast(run_scene(chosen(of, f"{KINDS[of][0]} {text}"), world, journal))
+
+
+def lattice_of(seed):
+    return pgran.Lattice.random(seed=seed, **LATTICE)
+
+
+def alone(of, seed):
+    """The numbers of one sample by the function of its experiment."""
+    lattice, given = lattice_of(seed), KINDS[of][1]
+    if of == "response":
+        found = pgran.sweep(lattice, **given, resolve=0)
+        return {
+            "displacement": found.displacement,
+            "slope": found.phase_slope,
+            "velocity": found.phase_velocity,
+        }
+    if of == "modes":
+        found = pgran.find_modes(lattice)
+        above = np.count_nonzero(found.omega > lattice.omega_mx)
+        return {
+            "modes": len(found.omega),
+            "above": above,
+            "mode_omega": found.omega,
+            "participation": found.participation,
+        }
+    if of == "relaxation":
+        # with changes of its own: in the end the bonds are what these have made them
+        walk = pgran.relax(lattice, **given, seed=1 + seed - SEEDS[0])
+        found = power_spectrum(walk.amplitude[:, :, 0], memory=lattice.bonds)
+        kbar = mean_order(Series(np.abs(walk.displacement[:, :, 0]), lattice.bonds))
+        exponent = {"exponent": found.exponent, "exponent_error": found.exponent_error}
+        return exponent | {"order": kbar.value}
+    if of == "pulse":
+        found = pgran.pulse(lattice, **given)
+        return {name: getattr(found, name) for name in ("arrival", "centre", "decay")}
+    found = pgran.sensitivity(lattice, **given)
+    weights = found.log_amplitude**2
+    effective = [
+        np.mean([w[d].sum() ** 2 / (w[d] ** 2).sum() for w in weights])
+        for d in range(weights.shape[1])
+    ]
+    return {"effective_bonds": np.array(effective)}
+
+
+@pytest.mark.parametrize("of", KINDS)
+def test_each_sample_is_what_it_is_alone(world, of):
+    """Exactly; and by the command as in Python, on any number of ranks."""
+    lattice, found = ran(of, "", world)
+    assert (found.of, found.left_out, found.failures) == (of, 0, 0)
+    assert np.array_equal(found.seed, SEEDS)
+    assert np.array_equal(lattice.stiffness[0], lattice_of(SEEDS[0]).stiffness[0])
+    for n, seed in enumerate(SEEDS):
+        for name, value in alone(of, seed).items():
+            kept = getattr(found, name)[n]
+            if name == "effective_bonds":
+                np.testing.assert_allclose(kept, value, rtol=1e-13)
+            else:
+                assert np.array_equal(kept, value, equal_nan=True), (name, seed)
+    assert_same(found, ran(of, "", MPI.COMM_SELF)[1])
+    python = pgran.ensemble(of, 5, lattice=LATTICE, keep=keep_of(of), **KINDS[of][1])
+    assert_same(python, found)
+    assert_same(pgran.ensemble(of, 5, lattice=lattice_of, keep=keep_of(of), **KINDS[of][1]), found)
+
+
+def test_bands_and_means_are_those_of_the_curves(world):
+    _, found = ran("response", "", world)
+    single = [pgran.sweep(lattice_of(seed), OMEGAS, (2, 2, 4, 0), resolve=0) for seed in SEEDS]
+    logs = np.log([one.amplitude for one in single])
+    expected = [
+        logs.mean(axis=0),
+        logs.std(axis=0, ddof=1) / np.sqrt(5),
+        *np.percentile(logs, [50, 10, 90], axis=0),
+    ]
+    np.testing.assert_allclose(found.ln_amplitude, expected, rtol=1e-12)
+    assert found.statistic.tolist() == ["mean", "error", "median", "low", "high"]
+    amplitudes = np.array([one.displacement for one in single])
+    np.testing.assert_allclose(found.coherent, amplitudes.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(found.intensity, np.mean(abs(amplitudes) ** 2, axis=0), rtol=1e-12)
+    assert np.array_equal(found.omega, OMEGAS)
+    measures = ran("response", "-ensemble_keep measures", world)[1]
+    assert measures.displacement is None
+    assert np.array_equal(measures.ln_amplitude, found.ln_amplitude)
+
+
+def test_what_is_not_known_of_a_sample_is_left_out_at_that_place():
+    """Against numpy, which leaves out NaN; where less than two are left there is nothing."""
+    rng = np.random.default_rng(3)
+    curves = rng.normal(size=(9, 40))
+    curves[rng.random(curves.shape) < 0.3] = np.nan
+    curves[2, 5] = np.inf
+    curves[1:, 7] = np.nan
+    known = np.where(np.isfinite(curves), curves, np.nan)
+    known[:, 7] = np.nan
+    with pytest.warns(RuntimeWarning):
+        expected = [
+            np.nanmean(known, axis=0),
+            np.nanstd(known, axis=0, ddof=1) / np.sqrt(np.isfinite(known).sum(axis=0)),
+            *np.nanpercentile(known, [50, 10, 90], axis=0),
+        ]
+    np.testing.assert_allclose(over_samples(curves), expected, rtol=1e-12)
+    assert np.isnan(over_samples(curves[:1])).all()
+    assert over_samples(curves[:0]).shape == (5, 40)
+
+
+def test_delays_and_velocities_that_are_not_certain_are_counted(world):
+    """Those of a phase fit through 25 points are not, nor is a delay without its bound."""
+    records = ran("response", "", world)
+    found = records[1]
+    delays = np.array(
+        [pgran.sweep(lattice_of(s), OMEGAS, (2, 2, 4, 0), resolve=0).delay for s in SEEDS]
+    )
+    assert np.array_equal(found.delay_samples, np.isfinite(delays).sum(axis=0))
+    unknown = np.isnan(found.velocity).sum(axis=0)
+    assert unknown.any()
+    said = "\n".join(SCENES["ensemble"].summary(pgran.record.Result(records)))
+    for count in unknown[unknown > 0]:
+        assert f"{count} samples have none that is certain" in said
+
+
+def test_a_sample_that_misses_its_accuracy_is_left_out(world):
+    """Driven without damping at a mode of its own, to the last bit."""
+    omega = pgran.find_modes(lattice_of(1995)).omega[3]
+    asked = {"omegas": [omega], "detectors": (2, 2), "error_tolerance": 1e-10}
+    undamped = LATTICE | {"damping": 0.0}
+    found = pgran.ensemble("response", 5, lattice=undamped, keep="curves", **asked)
+    assert found.good.tolist() == [1, 1, 0, 1, 1]
+    assert found.left_out == found.failures == 1
+    others = found.displacement[found.good > 0]
+    np.testing.assert_allclose(found.coherent, others.mean(axis=0), rtol=1e-14)
+    np.testing.assert_allclose(found.ln_amplitude[0], np.log(np.abs(others)).mean(axis=0))
+
+
+@pytest.mark.parametrize("failing", [{1994}, set(SEEDS)])
+def test_a_sample_that_cannot_be_computed_is_left_out_aloud(world, monkeypatch, caplog, failing):
+    run = response.run
+
+    def broken(options, group, crew):
+        if options.bonds_seed in failing:
+            raise PgranError("it is broken")
+        return run(options, group, crew)
+
+    monkeypatch.setattr(response, "run", broken)
+    records = ran("response", "", world)
+    found = records[1]
+    assert set(found.seed[found.good == 0]) == failing
+    assert np.isnan(found.displacement[found.good == 0]).all()
+    assert np.isnan(found.coherent).all() == (failing == set(SEEDS))
+    said = sum(world.allgather(caplog.text.count("it is broken")))
+    assert said == len(failing)
+    lines = list(SCENES["ensemble"].summary(pgran.record.Result(records)))
+    assert lines[1].startswith(f"{len(failing)} of them are left out")
+
+
+def test_wrong_input_is_the_runs_and_not_a_samples(world, monkeypatch):
+    def broken(*given):
+        raise InputError("wrong")
+
+    monkeypatch.setattr(response, "run", broken)
+    if world.size == 1:
+        with pytest.raises(InputError, match="wrong"):
+            ran("response", "", world)
+
+
+def test_a_run_that_went_on_equals_one_never_stopped(world, shared_path):
+    """Stopped after each sample, of which each of three ranks has several."""
+    of, more, stopped = "response", "-ensemble_samples 12", 0
+    options = chosen(of, f"{KINDS[of][0]} {more}")
+    while True:
+        try:
+            with Journal(world, shared_path / "a.h5", options.identity()) as journal:
+                stop_at(journal, 1, 0)
+                found = run_scene(options, world, journal)
+            break
+        except StoppedError:
+            stopped += 1
+    assert stopped > 0
+    if world.rank == 0:
+        assert_same(found[1], ran(of, more, MPI.COMM_SELF)[1])
+
+
+WRONG = {
+    "-ensemble_of modes -detectors 2,2": "-detectors: -ensemble_of modes does not use it",
+    "-ensemble_of pulse -sweep_points 9": "-sweep_points: -ensemble_of pulse does not use it",
+    "-network_file a.h5": "a file holds one only",
+    "-bonds_law file -bonds_file a.h5": "a file holds one only",
+    "-output_fields": "-output_fields: scene ensemble does not use it",
+    "-sweep_resolve .1": "-sweep_resolve: scene ensemble does not use it",
+    "-output_models": "-output_models: scene ensemble does not use it",
+    "-ensemble_samples 1": "1 is not >= 2",
+    "-ensemble_of heat": "choose response, modes",
+    "-ensemble_of modes -ranks_per_lattice 2": "each lattice has one rank only",
+    "-ensemble_of pulse -ensemble_keep curves": "of response and modes only, not of pulse",
+    "-ensemble_of modes -modes_target .5 -modes_count 3": "-modes_target: scene ensemble does not",
+    "-ensemble_of modes -modes_density 9": "-modes_density: scene ensemble does not",
+    "-statistics_windows .4,.5": "needs -ensemble_of response and -ensemble_keep curves",
+    "-ensemble_keep curves -statistics_windows .4,.5,.6": "so 3 numbers make none",
+    "-ensemble_keep curves -statistics_windows .5,.4": "0.5 is not below 0.4",
+}
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_options_that_an_ensemble_cannot_have(text):
+    with pytest.raises(InputError) as caught:
+        resolve(read_words(f"-scene ensemble {text}".split()))
+    assert WRONG[text] in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f"-bonds_seed {2**63 - 3}", "no seeds are left"),
+        ("-statistics_windows .4,2 -ensemble_keep curves", "0.4 to 2 is not within the sweep"),
+        ("-detectors 5,0", "detectors"),
+    ],
+)
+def test_what_only_the_run_can_see(world, text, said):
+    with pytest.raises(InputError, match=said):
+        ran("response", text, world)
+
+
+def test_relaxations_need_seeds_of_changes_too(world):
+    with pytest.raises(InputError, match="no seeds are left"):
+        ran("relaxation", f"-relax_seed {2**63 - 3}", world)
+
+
+@pytest.mark.parametrize(
+    ("of", "given", "error", "said"),
+    [
+        ("heat", {}, InputError, "choose response"),
+        ("response", {"keep": "all"}, InputError, "choose measures"),
+        ("response", {"samples": 1}, InputError, "1 is not >= 2"),
+        ("response", {"seed": -1}, InputError, "bonds_seed"),
+        ("pulse", {"keep": "curves"}, InputError, "not of pulse"),
+        ("modes", {"targets": [0.5], "count": 2}, InputError, "have no count"),
+        ("response", {"fields": True}, InputError, "many samples have no fields"),
+        ("response", {"lattice": LATTICE | {"seed": 3}}, InputError, "seed says which"),
+        ("response", {"steps": 3}, TypeError, "omegas"),
+        ("modes", {"omegas": OMEGAS}, TypeError, "omegas"),
+    ],
+)
+def test_wrong_values_in_python(of, given, error, said):
+    given = {"samples": 5, "lattice": LATTICE} | given
+    with pytest.raises(error, match=said):
+        pgran.ensemble(of, **given)
+
+
+def test_modes_of_an_interval_are_counted(world):
+    found = ran("modes", "-modes_omega_min .3 -modes_omega_max .5", world)[1]
+    expected = [len(pgran.find_modes(lattice_of(s), interval=(0.3, 0.5)).omega) for s in SEEDS]
+    assert np.array_equal(found.modes, expected)
+    assert found.above is None
+    for omega, count in zip(found.mode_omega, expected, strict=True):
+        assert np.all((omega[:count] >= 0.3) & (omega[:count] <= 0.5))
+        assert np.isnan(omega[count:]).all()
+
+
+@pytest.mark.parametrize("of", KINDS)
+def test_a_dry_run_foresees_it(world, of):
+    """The samples, memory, time and disk, without doing them all."""
+    options = chosen(of, KINDS[of][0])
+    lines = world.bcast(forecast(SCENES["ensemble"], options, world, time.perf_counter()))
+    said = dict(line.split(maxsplit=1) for line in lines)
+    assert said["work"].startswith("5 samples")
+    assert set(said) >= {"unknowns", "work", "memory", "time", "disk"}

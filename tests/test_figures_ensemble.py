@@ -1,0 +1,162 @@
+"""Figures of ensembles and of the noise of their responses, read off the axes."""
+
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from figure_reading import draw, labels, note
+
+import pgran
+from pgran import figures
+from pgran.errors import FileError
+from pgran.figures import ensemble, statistics
+from pgran.results import record_of
+
+LATTICE = {"shape": (5, 4), "mass": 0.25}
+FIRST = pgran.Lattice.random(seed=1993, **LATTICE)
+MEDIUM, UNIT = record_of(FIRST), FIRST.omega_mx
+DETECTORS = (2, 2, 4, 0)
+GIVEN = {
+    "response": {"omegas": np.linspace(0.5, 2.1, 801), "detectors": DETECTORS},
+    "modes": {},
+    "relaxation": {"omega": 1.0, "detectors": (2, 2), "steps": 2100,
+                   "law": pgran.BondLaw("uniform")},
+    "pulse": {"detectors": DETECTORS, "width": 3.0, "time": 200.0, "points": 300},
+    "sensitivity": {"omegas": [1.0], "detectors": (2, 2)},
+}  # fmt: skip
+
+
+@cache
+def found_of(of, keep="measures"):
+    return pgran.ensemble(of, 12, lattice=LATTICE, keep=keep, **GIVEN[of])
+
+
+def result_of(found, **others):
+    return SimpleNamespace(scene="ensemble", medium=MEDIUM, ensemble=found, **others)
+
+
+@pytest.mark.parametrize(
+    ("of", "keep", "expected"),
+    [
+        ("response", "curves", ["amplitude", "delay", "velocity"]),
+        ("response", "measures", ["amplitude", "delay", "velocity"]),
+        ("modes", "curves", ["density", "participation", "above"]),
+        ("modes", "measures", ["above"]),
+        ("relaxation", "measures", ["exponent", "order"]),
+        ("pulse", "measures", ["arrival", "centre", "decay"]),
+        ("sensitivity", "measures", ["effective_bonds"]),
+    ],
+)
+def test_what_is_shown_depends_on_what_there_is(of, keep, expected):
+    made = figures.make(result_of(found_of(of, keep)))
+    assert list(made) == expected
+    for figure in made.values():
+        figure.draw_without_rendering()
+        assert note(figure) == ""
+
+
+@pytest.mark.parametrize("panel", [ensemble.amplitude, ensemble.delay])
+def test_bands_medians_samples_and_the_coherent_part(panel):
+    found, d = found_of("response", "curves"), 1
+    ax = draw(panel, found, MEDIUM, d)
+    if panel is ensemble.amplitude:
+        every = np.abs(found.displacement[:, :, d])
+        low, middle, high = np.exp(np.percentile(np.log(every), (10, 50, 90), axis=0))
+    else:
+        every = found.sample_delay[:, :, d] * UNIT
+        low, middle, high = np.percentile(every, (10, 50, 90), axis=0)
+    lines = {line.get_label(): line for line in ax.get_lines()}
+    for n in range(3):
+        assert np.array_equal(lines[f"seed {1993 + n}"].get_ydata(), every[n])
+    np.testing.assert_allclose(lines["median"].get_ydata(), middle, rtol=1e-10)
+    assert np.array_equal(lines["median"].get_xdata(), found.omega / UNIT)
+    (band,) = ax.collections
+    x, y = band.get_paths()[0].vertices.T
+    for at in (0, 200, 800):
+        edge = np.unique(y[np.isclose(x, found.omega[at] / UNIT)])
+        np.testing.assert_allclose(edge[[0, -1]], [low[at], high[at]], rtol=1e-10)
+    coherent = [line for name, line in lines.items() if name.startswith("coherent")]
+    assert len(coherent) == (panel is ensemble.amplitude)
+    for line in coherent:
+        mean = np.abs(found.displacement[:, :, d].mean(axis=0))
+        np.testing.assert_allclose(line.get_ydata(), mean, rtol=1e-12)
+
+
+def test_samples_that_are_left_out_are_not_drawn_and_said():
+    found = found_of("response", "curves")
+    good = found.good.copy()
+    good[[0, 5]] = 0
+    part = replace(found, good=good, left_out=2)
+    made = figures.make(result_of(part))
+    assert {note(figure) for figure in made.values()} == {"2 of 12 samples are left out"}
+    drawn = labels(made["amplitude"].axes[0])
+    assert "seed 1993" not in drawn
+    assert "seed 1996" in drawn
+    nothing = replace(found, good=0 * good, left_out=12)
+    with pytest.raises(FileError, match="nothing to draw in this result: no sample"):
+        figures.make(result_of(nothing))
+
+
+@pytest.mark.parametrize(
+    ("of", "name", "d"), [("pulse", "arrival", 1), ("modes", "above", None), ("pulse", "decay", 0)]
+)
+def test_histograms_count_every_sample_that_has_the_number(of, name, d):
+    found = found_of(of)
+    values = getattr(found, name).copy()
+    values[3] = np.nan
+    found = replace(found, **{name: values})
+    ax = draw(ensemble.histogram, found, name, d or 0)
+    known = np.delete(values if d is None else values[:, d], 3)
+    counts, edges, _ = ensemble.histogram(ax, found, name, d or 0).get_data()
+    assert counts.sum() == len(known) == 11
+    assert edges[0] <= known.min() <= known.max() <= edges[-1]
+    assert ax.get_lines()[0].get_xdata()[0] == pytest.approx(known.mean())
+    assert f"11 samples: mean ${known.mean():.1g}"[:18] in ax.get_title("left") + ax.get_title()
+
+
+def test_the_density_of_modes_is_that_of_a_sample():
+    found = found_of("modes", "curves")
+    counts, edges, _ = ensemble.density(draw(lambda ax: None), found, MEDIUM).get_data()
+    assert np.sum(counts * np.diff(edges)) == pytest.approx(FIRST.balls)
+    ax = draw(ensemble.density, found, MEDIUM)
+    each = [np.histogram(row / UNIT, edges)[0] / np.diff(edges) for row in found.mode_omega]
+    error = np.std(each, axis=0, ddof=1) / np.sqrt(12)
+    top, _, bottom = ax.patches[0].get_data()
+    np.testing.assert_allclose(top - bottom, 2 * error, atol=1e-9)
+
+
+def test_participation_in_bins():
+    found = found_of("modes", "curves")
+    ax = draw(ensemble.participation, found, MEDIUM)
+    middle, edges, _ = ax.patches[1].get_data()
+    x = found.mode_omega.ravel() / UNIT
+    for n in (2, 9):
+        inside = (edges[n] <= x) & (x < edges[n + 1])
+        assert middle[n] == pytest.approx(np.median(found.participation.ravel()[inside]))
+
+
+def test_noise_beside_its_laws():
+    found = pgran.statistics(found_of("response", "curves"), [(0.6, 1.1), (0.9, 1.5)])
+    result = result_of(found_of("response", "curves"), statistics=found)
+    made = figures.make(result)
+    assert list(made)[-2:] == ["intensity", "correlation"]
+    for name in ("intensity", "correlation"):
+        made[name].draw_without_rendering()
+        titles = [ax.get_title() + ax.get_title("left") for ax in made[name].axes]
+        assert len(titles) == 4
+        assert "1.5, ball (4, 0)" in titles[3]
+    ax = draw(statistics.intensity, found, 1, 0)
+    law, measured, rest = ax.get_lines()
+    bins = np.diff(found.edge)
+    assert np.sum(law.get_ydata() * bins) == pytest.approx(1 - np.exp(-8))
+    for line, value in ((measured, found.density[1, 0, 0]), (rest, found.density[1, 0, 1])):
+        assert np.array_equal(line.get_ydata(), np.where(value > 0, value, np.nan), equal_nan=True)
+    ax = draw(statistics.correlation, found, 1, 0)
+    law, measured, *_ = ax.get_lines()
+    assert np.interp(1.0, law.get_xdata(), law.get_ydata()) == pytest.approx(0.5, abs=1e-3)
+    x = measured.get_xdata()
+    shifts = found.shift[1, : len(x)]
+    np.testing.assert_allclose(x * found.half_width[1, 0, 0], shifts, rtol=1e-12)
+    assert np.array_equal(measured.get_ydata(), found.correlation[1, 0, 0, : len(x)])
