@@ -317,6 +317,27 @@ def test_modes_of_an_interval_are_counted(world):
         assert np.isnan(omega[count:]).all()
 
 
+def test_samples_of_networks(world):
+    """From a function of the seed: here a ring of contacts on the paper's model."""
+
+    def ring(seed):
+        rng = np.random.default_rng(seed)
+        bond = [(n, (n + 1) % 8) for n in range(8)]
+        return pgran.Network(bond, rng.uniform(0.1, 0.3, 8), held=[2, 0, 0, 0, 1, 0, 0, 0])
+
+    found = pgran.ensemble("modes", 3, lattice=ring, seed=4, keep="curves")
+    for n in range(3):
+        assert np.array_equal(found.mode_omega[n], pgran.find_modes(ring(4 + n)).omega)
+    assert found.seed.tolist() == [4, 5, 6]
+
+
+def test_samples_of_another_size_are_refused():
+    with pytest.raises(InputError, match="the sample of seed 5 is of another size"):
+        pgran.ensemble(
+            "modes", 3, seed=4, lattice=lambda seed: pgran.Lattice.random((3, 3 + seed % 2))
+        )
+
+
 @pytest.mark.parametrize("of", KINDS)
 def test_a_dry_run_foresees_it(world, of):
     """The samples, memory, time and disk, without doing them all."""

@@ -196,6 +196,8 @@ def ensemble(
         from pgran.parallel.crew import AgreeingCrew
 
         sample = make(number)
+        if sample.balls != first.balls:
+            raise InputError(f"ensemble: the sample of seed {number} is of another size")
         choices = experiment | told
         if of == "relaxation":
             choices["seed"] = 1 + number - seed
