@@ -47,8 +47,8 @@ def test_gaussian_fields_have_the_gaussian_laws(gaussian):
     for w in range(2):
         close(found, "coherent_part", (w, 0), 0.0)
         close(found, "coherent_part", (w, 1), 1 / 3)
-        for field, d in ((0, 0), (1, 0), (1, 1)):  # without the coherent part both are the same
-            place = w, d, field
+        for part, d in ((0, 0), (1, 0), (1, 1)):  # without the coherent part both are the same
+            place = w, d, part
             close(found, "contrast", place, statistics.GAUSSIAN_CONTRAST)
             close(found, "spread", place, statistics.GAUSSIAN_SPREAD)
             close(found, "half_width", place, GAMMA)

@@ -37,9 +37,9 @@ def intensity(ax, found, window=0, detector=0):
     # of a Gaussian field the mean over each bin, as the points are
     law = -np.diff(np.exp(-found.edge)) / np.diff(found.edge)
     (line,) = ax.plot(middle, law, color="#777777", linewidth=1.2, label=r"Gaussian, $e^{-x}$")
-    for f, field in enumerate(found.field):
+    for f, which in enumerate(found.part):
         value, error = (part[window, detector, f] for part in (found.density, found.density_error))
-        _points(ax, middle, np.where(value > 0, value, np.nan), error, field)
+        _points(ax, middle, np.where(value > 0, value, np.nan), error, which)
     ax.set(yscale="log", xlabel=r"$x = I/\langle I\rangle$", ylabel="density $P(x)$")
     return line
 
@@ -54,13 +54,13 @@ def correlation(ax, found, window=0, detector=0):
     furthest = min(WIDTHS, np.max(reach, where=known & np.isfinite(reach), initial=1.0))
     x = np.linspace(0, furthest, 200)
     (line,) = ax.plot(x, 1 / (1 + x**2), color="#777777", linewidth=1.2, label="Lorentzian")
-    for f, field in enumerate(found.field):
+    for f, which in enumerate(found.part):
         place = window, detector, f
         shift, inside = reach[f], reach[f] <= furthest
         value, error = (
             part[place][inside] for part in (found.correlation, found.correlation_error)
         )
-        _points(ax, shift[inside], value, error, field)
+        _points(ax, shift[inside], value, error, which)
     ax.axhline(0, color="black", linewidth=0.4)
     ax.set(
         xlim=(0, furthest), xlabel="shift of $\\omega$ (half widths)", ylabel="correlation of $I$"
@@ -68,10 +68,10 @@ def correlation(ax, found, window=0, detector=0):
     return line
 
 
-def _points(ax, x, value, error, field):
-    """Draw points with their errors, a shade and a mark a field."""
-    look = {"marker": "o" if field == "whole" else "s", "markersize": 2.5, "elinewidth": 0.6}
+def _points(ax, x, value, error, which):
+    """Draw points with their errors, a shade and a mark for each part of the field."""
+    look = {"marker": "o" if which == "whole" else "s", "markersize": 2.5, "elinewidth": 0.6}
     ax.errorbar(
-        x, value, error, linestyle="none", color=SHADES[field], label=NAMES[field],
-        markerfacecolor=SHADES[field] if field == "whole" else "white", markeredgewidth=0.6, **look,
+        x, value, error, linestyle="none", color=SHADES[which], label=NAMES[which],
+        markerfacecolor=SHADES[which] if which == "whole" else "white", markeredgewidth=0.6, **look,
     )  # fmt: skip

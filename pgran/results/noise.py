@@ -8,7 +8,7 @@ from pgran.record import Record, array
 from pgran.results.response import DETECTOR
 
 PLACE = "window", "detector_number"
-EACH = *PLACE, "field"
+EACH = *PLACE, "part"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -24,7 +24,7 @@ class NoiseStatistics(Record):
     samples: int
     low: np.ndarray = array("lower end of the window, angular", "sqrt(k/m)", "window")
     high: np.ndarray = array("upper end of the window, angular", "sqrt(k/m)", "window")
-    field: np.ndarray = array("of which field", "1", dtype=str)
+    part: np.ndarray = array("of which part of the field A", "1", dtype=str)
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     edge: np.ndarray = array("edges of the bins of I/<I>", "1")
     shift: np.ndarray = array("shift along omega", "sqrt(k/m)", "window", "shift_number")

@@ -179,7 +179,8 @@ def steady_choices(given):
 
 def steady_of(options):
     """Return those keywords of `STEADY` that the options of a run have. Not collective."""
-    return {k: getattr(options, o.name) for k, o in STEADY.items() if hasattr(options, o.name)}
+    given = {keyword: getattr(options, o.name, None) for keyword, o in STEADY.items()}
+    return {keyword: value for keyword, value in given.items() if value is not None}
 
 
 def check_ends(name, values):

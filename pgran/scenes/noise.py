@@ -12,7 +12,7 @@ log = logging.getLogger(__name__)
 
 EDGES = np.append(np.arange(0.0, 4.0, 0.25), np.arange(4.0, 8.5, 0.5))  # of I/<I>
 SHIFTS = 60  # at which correlations are stored, as far as half of the window
-FIELDS = "whole", "incoherent"
+PARTS = "whole", "incoherent"
 MEASURED = "contrast", "spread", "half_width", "maxima_spacing"
 
 
@@ -80,9 +80,8 @@ def statistics(ensemble, windows):
             coherent = whole.estimate(_coherent_part, whole.amplitude)
             for name in both[0]:
                 parts = [one[name] for one in both]
-                for part in ("value", "error"):
-                    key = name if part == "value" else f"{name}_error"
-                    found.setdefault(key, []).append([getattr(one, part) for one in parts])
+                for key, kind in ((name, "value"), (f"{name}_error", "error")):
+                    found.setdefault(key, []).append([getattr(one, kind) for one in parts])
             found.setdefault("coherent_part", []).append(coherent.value)
             found.setdefault("coherent_part_error", []).append(coherent.error)
     across = len(windows), A.shape[2]
@@ -91,7 +90,7 @@ def statistics(ensemble, windows):
         samples=len(A),
         low=windows[:, 0].copy(),
         high=windows[:, 1].copy(),
-        field=np.array(FIELDS),
+        part=np.array(PARTS),
         detector=ensemble.detector,
         edge=EDGES,
         shift=shifts,
@@ -145,12 +144,12 @@ def summary(found):
             f"ball {ball}, {found.low[w]:g} to {found.high[w]:g}: "
             f"{_said(found, 'coherent_part', (w, d))} of <|A|^2> is coherent, |<A>|^2"
         )
-        for f, field in enumerate(found.field):
+        for f, part in enumerate(found.part):
             contrast, spread, width, spacing = (_said(found, n, (w, d, f)) for n in MEASURED)
             ratio = found.maxima_spacing[w, d, f] / found.half_width[w, d, f]
             beside = f", {ratio:.3g} half widths ({MAXIMA_SPACING:.3g})" if ratio > 0 else ""
             yield (
-                f"  {field}: <I^2>/<I>^2 {contrast} (Gaussian: {GAUSSIAN_CONTRAST:g}), spread "
+                f"  {part}: <I^2>/<I>^2 {contrast} (Gaussian: {GAUSSIAN_CONTRAST:g}), spread "
                 f"{spread} dB ({GAUSSIAN_SPREAD:.3g}), half width of the correlation {width}, "
                 f"spacing of maxima {spacing}{beside}"
             )
