@@ -35,6 +35,7 @@ _HOMES = {
     "sensitivity": "pgran.scenes.sensitivity",
     "statistics": "pgran.scenes.noise",
     "sweep": "pgran.scenes.response",
+    "transport": "pgran.scenes.transport",
 }
 __all__ = sorted(_HOMES)
 

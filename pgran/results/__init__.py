@@ -20,6 +20,7 @@ from pgran.results.response import Models as Models
 from pgran.results.response import Response as Response
 from pgran.results.sensitivity import Heat as Heat
 from pgran.results.sensitivity import Sensitivity as Sensitivity
+from pgran.results.transport import Transport as Transport
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,6 +1,7 @@
 """Scene `ensemble`: one experiment on many samples, and what holds over them."""
 
 import inspect
+import logging
 from functools import partial
 
 import numpy as np
@@ -10,10 +11,12 @@ from pgran.files.options import INTEGER, REALS, TEXT, Option
 from pgran.parallel.task import carry_out
 from pgran.physics.lattice import Lattice
 from pgran.results import record_of
-from pgran.scenes import common, modes, noise, pulse, relaxation, response, sensitivity
+from pgran.scenes import common, modes, noise, pulse, relaxation, response, sensitivity, transport
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.sampling import Samples
 from pgran.scenes.scene import Scene
+
+log = logging.getLogger(__name__)
 
 # Of each experiment its module, the function that carries it out, and what it is told here.
 EXPERIMENTS = {
@@ -128,6 +131,12 @@ def run(options, world, crew):
         found = [carry_out(task, workers, options.output_progress)]
         if found[0] and windows is not None and not workers.dry:
             found.append(noise.statistics(found[0], windows))
+        kept = found[0] and found[0].displacement is not None and not workers.dry
+        if kept and transport.is_line(lattice, found[0].detector):
+            try:
+                found.append(transport.transport(lattice, found[0]))
+            except InputError as error:
+                log.warning("no transport: %s", error)
     return [record_of(lattice), *found] if found[0] else None
 
 
@@ -250,6 +259,8 @@ def summary(result):
             yield f"group delays: up to {unknown.max()} samples have none that is certain"
     if getattr(result, "statistics", None):
         yield from noise.summary(result.statistics)
+    if getattr(result, "transport", None):
+        yield from transport.summary(result.transport)
 
 
 SCENE = Scene(
