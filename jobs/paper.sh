@@ -25,11 +25,9 @@ run lattice response -lattice_shape 4,4 -detectors 1,2 -sweep_points 50
 run projection_damping_small projection_three_modes -lattice_damping .001
 
 # The paper's sample is not known: how much depends on it.
-samples=(-scene ensemble -ensemble_keep measures)
-run ensemble_response response "${samples[@]}" -ensemble_of response -ensemble_samples 10 \
+run ensemble_response ensemble_response -ensemble_keep measures -ensemble_samples 10 \
   -sweep_min .3 -sweep_max 1 -sweep_points 2801 # so fine that every phase is certain
-run ensemble_modes modes "${samples[@]}" -ensemble_of modes -ensemble_samples 20 \
-  -ensemble_keep curves -output_fields false
+run ensemble_modes ensemble_modes
 
 beads=(--diameter 5e-3 --material glass) # under a ball's weight; so that 57 m/s is .03 omega_mx cm
 pgran units "${beads[@]}" --load 1.6e-3 >"$folder/units_weight.txt"
