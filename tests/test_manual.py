@@ -25,7 +25,7 @@ from pgran.record import Record
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "pgran" / "manual"
-PAGES = sorted(FOLDER.glob("*.md"))
+PAGES = [ROOT / "README.md", *sorted(FOLDER.glob("*.md"))]
 TEXT = {path: path.read_text(encoding="utf-8") for path in PAGES}
 # <!-- slow --> before a block: it is read, not run
 BLOCK = re.compile(r"^(<!-- slow -->\n)?```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -206,6 +206,11 @@ def test_all_that_results_hold_is_named(kind):
     elsewhere = {"part", "of_run"}
     names = [f.name for f in dataclasses.fields(kind) if not elsewhere & f.metadata.keys()]
     assert [name for name in names if f"`{name}`" not in row] == []
+
+
+def test_the_readme_is_short():
+    assert len(TEXT[ROOT / "README.md"].splitlines()) <= 150
+    assert (FOLDER / "response.png").stat().st_size < 100_000
 
 
 def test_topics_are_the_pages():
