@@ -40,6 +40,8 @@ pgran: sound in a granular material, a lattice of balls and random springs
                                     balls in Hertzian contacts; --help says more
   pgran verify RESULT               say whether a result is as it was written, by its checksum
   pgran options [SCENE]             list every option: type, unit, default, range, meaning
+  pgran manual [TOPIC]              show a page of the manual; without a topic list them
+  pgran cite                        say how to cite pgran and what it stands on
   pgran doctor                      say what is installed, and what is wrong with it
   pgran --help, pgran --version
 
@@ -57,6 +59,8 @@ COMMANDS = {
     "verify": ("verify", "verify"),
     "import": ("imports", "run"),
     "units": ("units", "run"),
+    "manual": ("manual", "run"),
+    "cite": ("manual", "cite"),
 }
 
 

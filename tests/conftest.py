@@ -45,7 +45,7 @@ WORLD = MPI.COMM_WORLD
 ALIKE = {
     "continuum", "export", "figures", "figures_ensemble", "figures_networks", "figures_pulse",
     "figures_scenes", "figures_sensitivity", "figures_together", "graph", "hertz", "import",
-    "import_refused", "levels", "memory", "network_files", "options", "packings", "paper",
+    "import_refused", "levels", "manual", "memory", "network_files", "options", "packings", "paper",
     "reference", "spectrum", "statistics", "transport",
 }  # fmt: skip
 SECONDS_PER_TEST = 120  # the slowest takes about ten

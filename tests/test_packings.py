@@ -15,6 +15,7 @@ from pgran.physics.springs import FREE
 
 ROOT = Path(__file__).parents[1]
 PACKINGS = ROOT / "options" / "packings"
+PAGE = ROOT / "pgran" / "manual" / "networks.md"
 HELD = {
     "discs": ["--law", "harmonic", "--cut", "x", "--rest", "x<1.5", "--drive", "x>max-1.5"],
     "spheres": ["--law", "hertz", "--rest", "type==3", "--drive", "type==4"],
@@ -90,9 +91,9 @@ def test_experiments_on_packings_listen_to_free_balls(path, monkeypatch):
     assert np.all(network.held[list(getattr(options, "detectors", ()))] == FREE)
 
 
-def test_the_network_that_the_readme_writes(tmp_path, monkeypatch):
+def test_the_network_that_the_manual_writes(tmp_path, monkeypatch):
     """Three contacts of one free ball: K is the sum of k n n^T."""
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
     (lines,) = (block for block in blocks if "network/bond" in block)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "results").mkdir()

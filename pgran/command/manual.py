@@ -1,0 +1,58 @@
+"""`pgran manual` and `pgran cite`: the pages of the manual, and what to cite."""
+
+import difflib
+import pydoc
+import re
+from pathlib import Path
+
+from pgran.command.words import Parser
+from pgran.errors import DONE, InputError
+from pgran.parallel import launch
+
+PAGES = Path(__file__).parents[1] / "manual"
+LISTED = re.compile(r"- \[(\w+)\]\(\1\.md\): (.+)")
+HIDDEN = re.compile(r"<!--.*?-->\n?", re.DOTALL)  # as on a forge
+
+
+def run(words):
+    """Show a page of the manual, in a pager on a terminal; without a topic list the topics."""
+    parser = Parser("pgran manual", description=run.__doc__)
+    parser.add_argument("topic", nargs="?", help="a page; pgran manual lists them")
+    topic = parser.parse_args(words).topic
+    if launch.rank() > 0:
+        return DONE
+    if topic is None:
+        print("pgran manual TOPIC shows one of these:\n")
+        print("".join(f"  {name:<12} {line}\n" for name, line in topics().items()), end="")
+    else:
+        pydoc.pager(HIDDEN.sub("", page(topic)))
+    return DONE
+
+
+def cite(words):
+    """Say how to cite pgran, the paper whose model it computes, and the libraries it stands on."""
+    Parser("pgran cite", description=cite.__doc__).parse_args(words)
+    if launch.rank() == 0:
+        print((PAGES / "CITATION").read_text(encoding="utf-8"), end="")
+    return DONE
+
+
+def topics():
+    """Return what each page is about, by its name, in the order of the manual. Not collective."""
+    return dict(LISTED.findall((PAGES / "README.md").read_text(encoding="utf-8")))
+
+
+def page(topic):
+    """Return a page of the manual, Markdown. Not collective.
+
+    Raises
+    ------
+    InputError
+        If there is no such page.
+    """
+    if topic not in topics():
+        near = difflib.get_close_matches(topic.lower(), topics(), n=3, cutoff=0.5)
+        near = [*near, *(name for name, line in topics().items() if topic.lower() in line.lower())]
+        hint = f"see {', '.join(dict.fromkeys(near))}" if near else "pgran manual lists the topics"
+        raise InputError(f"manual: there is no topic {topic}; {hint}")
+    return (PAGES / f"{topic}.md").read_text(encoding="utf-8")

@@ -1,0 +1,275 @@
+"""The manual: its commands and snippets work, it names all there is, and it is shown."""
+
+import dataclasses
+import os
+import pty
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import pgran
+from pgran.__main__ import COMMANDS
+from pgran.command import manual
+from pgran.command.resolve import SCENES, options_of, resolve
+from pgran.files import solver_keys
+from pgran.files.options import text_of
+from pgran.files.reading import read_file, read_words
+from pgran.record import Record
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "pgran" / "manual"
+PAGES = [ROOT / "README.md", *sorted(FOLDER.glob("*.md"))]
+TEXT = {path: path.read_text(encoding="utf-8") for path in PAGES}
+# <!-- slow --> before a block: it is read, not run
+BLOCK = re.compile(r"^(<!-- slow -->\n)?```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+OPTIONS = {option.name: option for scene in SCENES for option in options_of(scene).values()}
+
+
+def name_of(path):
+    return path.relative_to(ROOT).with_suffix("").as_posix().replace("/", "-")
+
+
+def blocks(language):
+    """Return the blocks in a language with the names of their pages, and whether they are slow."""
+    return [
+        SimpleNamespace(page=path, name=f"{name_of(path)}-{n}", slow=bool(slow), lines=lines)
+        for path, text in TEXT.items()
+        for n, (slow, said, lines) in enumerate(BLOCK.findall(text), 1)
+        if said == language
+    ]
+
+
+SHELL = {block.lines: block for block in blocks("sh")}.values()  # each once
+PYTHON = blocks("python")
+
+# Small experiments instead of those of the same names, and what makes them small
+SMALL = [
+    (r"-lattice_shape 20,20", "-lattice_shape 6,5"), (r"-detectors 8,10", "-detectors 2,3"),
+    (r"-detectors 19,10.*", "-detectors 5,3,2,3"), (r"-sweep_points \d{3,}", "-sweep_points 200"),
+    (r"-pulse_time 600", "-pulse_time 200"), (r"-pulse_points 2401", "-pulse_points 401"),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """Return a folder of the experiments made small, and what makes their results, each once."""
+    folder = tmp_path_factory.mktemp("small")
+    shutil.copytree(ROOT / "options", folder / "options")
+    for path in (folder / "options").glob("*.opts"):
+        text = path.read_text()
+        for long, short in SMALL:
+            text = re.sub(long, short, text)
+        path.write_text(text)
+    (folder / "results").mkdir()
+    return folder
+
+
+@pytest.fixture
+def scratch(small, clean_environment, tmp_path):
+    """Return what runs a program in a folder with small experiments and the results it reads."""
+    (tmp_path / "bin").mkdir()
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    (tmp_path / ".venv" / "bin" / "activate").touch()
+    program = tmp_path / "bin" / "pgran"
+    program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m pgran "$@"\n')
+    program.chmod(0o755)
+    (tmp_path / "options").symlink_to(small / "options")
+    (tmp_path / "results").mkdir()
+    path = f"{tmp_path / 'bin'}{os.pathsep}{clean_environment['PATH']}"
+    environment = clean_environment | {"PATH": path, "PYTHONPATH": str(ROOT)}
+
+    def run(folder, *words):
+        done = subprocess.run(
+            words, cwd=folder, env=environment, capture_output=True, text=True, timeout=60
+        )
+        assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+        return done.stdout
+
+    def prepare(lines):
+        for name in dict.fromkeys(re.findall(r"results/(\w+)\.h5", lines)):
+            experiment = f"options/{name}.opts"
+            if f"run {experiment}" in lines or not (small / experiment).exists():
+                continue
+            if not (small / "results" / f"{name}.h5").exists():
+                run(small, program, "run", experiment)
+            shutil.copy(small / "results" / f"{name}.h5", tmp_path / "results")
+
+    return SimpleNamespace(run=lambda *words: run(tmp_path, *words), prepare=prepare, path=tmp_path)
+
+
+@pytest.mark.parametrize("block", [b for b in SHELL if not b.slow], ids=lambda b: b.name)
+def test_commands_run(scratch, block):
+    if "meshio" not in sys.modules and ".vtu" in block.lines:
+        pytest.importorskip("meshio")
+    scratch.prepare(block.lines)
+    scratch.run("bash", "-euo", "pipefail", "-c", block.lines)
+
+
+@pytest.mark.parametrize("page", dict.fromkeys(b.page for b in PYTHON), ids=name_of)
+def test_snippets_run(scratch, page, monkeypatch):
+    """Those of one page after each other."""
+    if "to_xarray" in TEXT[page]:
+        pytest.importorskip("xarray")
+    monkeypatch.chdir(scratch.path)
+    names = {}
+    for block in (block for block in PYTHON if block.page == page):
+        code = compile(block.lines, block.name, "exec")
+        scratch.prepare(block.lines)
+        if not block.slow:
+            exec(code, names)
+
+
+def read_command(line):
+    """Raise unless a command is one that there is, with files and options that there are."""
+    words = [word for word in shlex.split(line) if not re.fullmatch(r"\w+=.*", word)]
+    if words[0] == "mpirun":
+        assert words[1] == "-n"
+        del words[:3]
+    while words[0] in ("bash", "python", "sbatch") or words[0].startswith("--"):
+        del words[0]
+    if words[0] != "pgran":
+        assert (ROOT / words[0]).is_file(), line
+        if words[0].endswith(".sbatch"):
+            resolve(read_file(ROOT / words[1]) + read_words(words[2:]))
+    elif words[1] == "run":
+        resolve(read_file(ROOT / words[2]) + read_words(words[3:]))
+    else:
+        assert words[1] in COMMANDS, line
+
+
+@pytest.mark.parametrize("block", [b for b in SHELL if b.slow], ids=lambda b: b.name)
+def test_slow_commands_are_possible(block, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    for line in block.lines.replace("\\\n", " ").splitlines():
+        read_command(line)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_nothing_vanishes_on_a_forge(path):
+    """Which takes <A> for HTML, unless it is code."""
+    prose = re.sub(r"`[^`]*`", "", BLOCK.sub("", TEXT[path]))
+    assert re.findall(r"</?\w[^>]*>", prose) == []
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_what_is_named_exists(path, monkeypatch):
+    """In the midst of sentences: commands, files, options, pages."""
+    monkeypatch.chdir(ROOT)
+    prose = BLOCK.sub("", TEXT[path])
+    spans = [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", prose)]
+    for span in spans:
+        if re.match(r"(mpirun -n \d |pgran run options|bash jobs|python tests)", span):
+            read_command(span.split(" [")[0])
+        if re.fullmatch(r"(options|jobs|tests|pgran)/[\w./]+", span):
+            assert (ROOT / span).exists(), span
+        if key := re.match(r"-([a-z]+_\w+)", span):
+            known = key[1] in OPTIONS or key[1] == "plot_with" or span.endswith("_*")
+            solver = solver_keys.is_solver_key(key[1]) or solver_keys.is_petsc_key(key[1])
+            assert known or solver or key[1].endswith("_"), span
+        if topic := re.match(r"pgran manual ([a-z]+)", span):
+            manual.page(topic[1])
+    for target in re.findall(r"\]\(([^)]+)\)", prose):
+        assert (path.parent / target).exists(), target
+
+
+def test_all_experiments_are_named():
+    page = TEXT[FOLDER / "experiments.md"]
+    paths = sorted((ROOT / "options").rglob("*.opts"))
+    assert [p for p in paths if f"`{p.relative_to(ROOT).as_posix()}`" not in page] == []
+
+
+def test_all_options_are_named():
+    """With their defaults."""
+    page = TEXT[FOLDER / "options.md"]
+    rows = dict(re.findall(r"^\| `-(\w+)` \| ([^|]*) \|", page, re.MULTILINE))
+    defaults = {
+        name: "" if option.default is None else text_of(option.default)
+        for name, option in OPTIONS.items()
+    }
+    assert {name: text.strip() for name, text in rows.items()} == {"scene": ""} | defaults
+    for prefix in solver_keys.SOLVER_PREFIXES:
+        assert f"| `-{prefix}*` |" in page
+
+
+@pytest.mark.parametrize("kind", Record.__subclasses__(), ids=lambda kind: kind.__name__)
+def test_all_that_results_hold_is_named(kind):
+    page = TEXT[FOLDER / "results.md"]
+    group = f"/{kind.within}/{kind.group}" if kind.within else f"/{kind.group}"
+    (row,) = re.findall(rf"^\| `{group}` \|.*$", page, re.MULTILINE)
+    elsewhere = {"part", "of_run"}
+    names = [f.name for f in dataclasses.fields(kind) if not elsewhere & f.metadata.keys()]
+    assert [name for name in names if f"`{name}`" not in row] == []
+
+
+def test_the_readme_is_short():
+    assert len(TEXT[ROOT / "README.md"].splitlines()) <= 150
+    assert (FOLDER / "response.png").stat().st_size < 100_000
+
+
+def test_topics_are_the_pages():
+    assert {path.stem for path in PAGES if path.parent == FOLDER} == {*manual.topics(), "README"}
+    package_data = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    assert package_data["package-data"]["pgran"] == ["manual/*"]
+
+
+def test_a_page_is_shown(call):
+    assert call("manual", "developing").stdout == manual.HIDDEN.sub("", manual.page("developing"))
+    listed = call("manual").stdout
+    assert all(f"  {name} " in listed for name in manual.topics())
+
+
+@pytest.mark.parametrize(
+    ("topic", "said"),
+    [
+        ("acuracy", "there is no topic acuracy; see accuracy"),
+        ("LAMMPS", "see networks"),
+        ("zzz", "pgran manual lists the topics"),
+    ],
+)
+def test_no_such_page(call, topic, said):
+    done = call("manual", topic)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert said in done.stderr
+
+
+def test_a_pager_on_a_terminal_only(start, clean_environment):
+    pager = {"PAGER": "sed s/^/paged:/", "TERM": "xterm"}
+    plain = start("manual", "curve", MANPAGER="", **pager)
+    assert plain.stdout.startswith("# The curve")
+    master, slave = pty.openpty()
+    shown = subprocess.Popen(
+        [sys.executable, "-m", "pgran", "manual", "curve"], stdin=slave, stdout=slave,
+        env=clean_environment | pager | {"PYTHONPATH": str(ROOT), "MANPAGER": ""},
+    )  # fmt: skip
+    os.close(slave)
+    said = b""
+    while not said.startswith(b"paged:# The curve") and (more := os.read(master, 4096)):
+        said += more
+    shown.terminate()
+    shown.wait(timeout=60)
+    os.close(master)
+    assert said.startswith(b"paged:# The curve")
+
+
+def test_what_to_cite(call, start):
+    """All that PETSc says of a run with MUMPS and of modes, and pgran's own version."""
+    text = call("cite").stdout
+    assert f"Version {pgran.__version__}" in text
+    assert "cond-mat/9301032" in text
+    small = "-lattice_shape 6,5 -citations -output_file"
+    mumps = "-sweep_method points -steady_pc_type lu -steady_pc_factor_mat_solver_type mumps"
+    words = [*mumps.split(), *small.split()]
+    found = start("run", "a.opts", *words, "a.h5").stdout
+    modes = str(ROOT / "options" / "modes.opts")
+    found += start("run", modes, *small.split(), "b.h5").stdout
+    keys = re.findall(r"^@\w+\{([\w-]+),", found, re.MULTILINE)
+    assert {"petsc-user-ref", "MUMPS01", "slepc-toms"} <= {*keys}
+    assert [key for key in keys if f"{{{key}," not in text] == []
