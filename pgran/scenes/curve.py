@@ -26,6 +26,7 @@ UNIT = 22
 MOST_UNITS = 64
 # A curve pays where so many frequencies are asked for in each interval that it is expected to need.
 PAYS = 4
+ALONE = 20  # the same where no others are wanted, which points would not give: only time counts
 FEW_BYTES = 2**24  # of models that are few
 FEW = 8  # frequencies in an interval: with fewer asked for, others are looked at as well
 
@@ -75,7 +76,8 @@ def choose_method(method, lattice, omegas, resolve, fields):
     if why_not:
         return "points"
     counts, _ = expected_intervals(lattice, omegas[0], omegas[-1])
-    return "curve" if len(omegas) >= PAYS * max(counts[-1], FEW) else "points"
+    pays = ALONE if resolve == 0 else PAYS
+    return "curve" if len(omegas) >= pays * max(counts[-1], FEW) else "points"
 
 
 class IntervalSweep(Task):
