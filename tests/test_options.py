@@ -97,6 +97,12 @@ def test_more_than_fits_into_memory():
         driving_frequencies(asked)
 
 
+def test_a_size_with_a_cross_is_told_how_to_write_it():
+    shape = next(option for option in OPTIONS if option.name == "lattice_shape")
+    with pytest.raises(InputError, match="did you mean 20,30"):
+        shape.read("20x30")
+
+
 @pytest.mark.parametrize(
     ("key", "meant"),
     [

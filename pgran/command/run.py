@@ -99,7 +99,7 @@ def _compute(scene, options, words, world, started):
                     log.info(line)
             except Exception as error:  # no reason to fail: the result is there
                 log.warning("no summary: %s: %s", type(error).__name__, error)
-            log.info("written to %s after %.1f s", output, seconds)
+            log.info("written to %s after %.1f s; pgran plot draws it", output, seconds)
             if failures:
                 log.warning("%d results miss the accuracy asked for; the file marks them", failures)
             return failures

@@ -3,6 +3,7 @@
 import difflib
 import math
 import operator
+import re
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -131,8 +132,10 @@ class Option:
         return f"-{self.name}\n    {self.meaning}\n    ({facts})\n{choices}"
 
     def _wrong_type(self, text, where=""):
+        size = re.fullmatch(r"\d+(x\d+)+", text.strip())
+        hint = f"; did you mean {text.strip().replace('x', ',')}?" if size else ""
         return InputError(
-            f"-{self.name} {text}{where}: needs a value of the type `{self.kind.name}`"
+            f"-{self.name} {text}{where}: needs a value of the type `{self.kind.name}`{hint}"
         )
 
 

@@ -136,7 +136,7 @@ class ModeSolver(Owner):
             eps.setDimensions(min(count, self.lattice.balls))
             eps.setTolerances(ROUGHLY, 20)
             self._start(eps, 0)
-            with contextlib.suppress(PETSc.Error):
+            with contextlib.suppress(PETSc.Error), plain_errors():
                 eps.solve()
                 found = [eps.getEigenvalue(number).real for number in range(eps.getConverged())]
         eps.destroy()
