@@ -13,7 +13,7 @@ from pgran.scenes.modes import find_modes
 from pgran.solve.certify import smallest_damping
 from pgran.solve.counting import ModeCounter
 from pgran.solve.linear import factor_package
-from pgran.solve.slicing import hermitian_stiffness
+from pgran.solve.slicing import hermitian_operators
 
 
 def samples():
@@ -138,7 +138,7 @@ def test_counts_are_right_or_none(name, options, solver_options):
     solver_options(options)
     network, sure = costly()[name], 0
     values, rng = eigenvalues(network), np.random.default_rng(2)
-    with hermitian_stiffness(network) as operators, ModeCounter(operators.K, network) as counter:
+    with hermitian_operators(network) as operators, ModeCounter(operators.K, network) as counter:
         assert counter.costly
         assert (counter._factor == counter._by_petsc) == bool(options)
         pivots = operators.K.getDiagonal().getArray().real[:3]  # the first of them is zero there

@@ -203,7 +203,7 @@ def counting_modes(lattice):
     with Operators(lattice, MPI.COMM_SELF) as operators:
         for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
             operators.K.setOption(flag, True)
-        with counting.ModeCounter(operators.K) as counter:
+        with counting.ModeCounter(operators.K, operators.lattice) as counter:
             yield counter, Reference(lattice.stiffness).eigenvalues()
 
 

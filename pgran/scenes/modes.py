@@ -166,9 +166,9 @@ def find_modes(
     started = time.perf_counter()
     lattice, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
     check_frequency(lattice, max(targets if targets is not None else interval or (0.0,)))
-    from pgran.solve.slicing import find_slices, hermitian_stiffness
+    from pgran.solve.slicing import find_slices, hermitian_operators
 
-    with hermitian_stiffness(lattice) as operators:
+    with hermitian_operators(lattice) as operators:
         slices = find_slices(operators, crew, interval, targets, count)
         task = Slices(operators, slices, shapes, targets, count)
         modes = carry_out(task, crew, progress)

@@ -36,8 +36,8 @@ class ModeCounter(Owner):
     ----------
     K : petsc4py.PETSc.Mat
         Flagged symmetric and Hermitian, of this rank alone.
-    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network, optional
-        What K belongs to: whether it is semidefinite, and numbered in the order to factor in.
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+        What K, or C, belongs to: whether it is semidefinite, and in which order it is factored.
 
     Attributes
     ----------
@@ -49,25 +49,24 @@ class ModeCounter(Owner):
 
     owns = ("_pc", "_shifted", "_x", "_rhs", "_residual")
 
-    def __init__(self, K, lattice=None):
+    def __init__(self, K, lattice):
         """Set up the factorization from its options, prefix `normal_count_`."""
         self.K, self.norm = K, K.norm(PETSc.NormType.INFINITY) or 1.0
         self.order, self.comm = K.getSize()[0], MPI.COMM_SELF
-        self.semidefinite = lattice is None or lattice.semidefinite
+        self.semidefinite = lattice.semidefinite
         self._shifted = K.duplicate(copy=True)
         for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
             self._shifted.setOption(flag, True)
         self._x, self._rhs = K.createVecs()
         self._residual = self._rhs.duplicate()
         self._rhs.setArray(np.random.Generator(np.random.Philox(1)).standard_normal(self.order))
-        irregular = lattice is not None and lattice.irregular
-        self.costly = irregular and factor_package(lattice, ranks=1) != "petsc"
+        self.costly = lattice.irregular and factor_package(lattice, ranks=1) != "petsc"
         chosen = PETSc.Options("normal_count_").hasName("pc_type")
         self._factor = self._by_superlu if self.costly and not chosen else self._by_petsc
         self._pc = PETSc.PC().create(K.getComm())
         self._pc.setOptionsPrefix("normal_count_")
         self._pc.setType("cholesky")
-        if irregular:
+        if lattice.irregular:  # its unknowns are numbered in that order
             self._pc.setFactorOrdering("natural")
         self._pc.setOperators(self._shifted)
         self._pc.setFromOptions()

@@ -36,7 +36,7 @@ class Layout(Owner):
 
     def gathered(self, vectors):
         """Return vectors as arrays, one after the other, on rank 0, None on others. Collective."""
-        if self.like.getComm().getSize() == 1:
+        if self.comm.size == 1:
             return self.fields(np.stack([x.getArray(readonly=True) for x in vectors]))
         found = [self.field(x) for x in vectors]
         return None if found[0] is None else np.stack(found)

@@ -39,9 +39,9 @@ SHIFTS = (0.5, 0.43, 0.57, 0.36, 0.64)
 # only for what has lost a digit saves a quarter of the time; else modes are missed. A search that
 # fails is repeated with SLEPc's own eta, .71.
 ETA, ETA_BALLS = 0.3, 5000
-# Multiplications of a factorization for each unknown up to which PETSc's own is faster in all, as
-# its solves are; beyond that MUMPS, unless SLEPc is to make slices, by inertias.
-PETSC_WORK = 30_000
+# Multiplications of a network's factorization for each unknown up to which PETSc's own is faster
+# for the many solves of an EPS; beyond that MUMPS, unless SLEPc is to make slices, by inertias.
+PETSC_SOLVES = 30_000
 
 
 @contextlib.contextmanager
@@ -175,7 +175,7 @@ class ModeSolver(Owner):
             if self.lattice.irregular:
                 ksp.getPC().setFactorOrdering("natural")
                 own_slices = PETSc.Options("normal_").getBool("eps_all", False)
-                if self.lattice.graph.work > PETSC_WORK * self.lattice.balls and not own_slices:
+                if self.lattice.graph.work > PETSC_SOLVES * self.lattice.balls and not own_slices:
                     # MUMPS has no LDL^T of Hermitian matrices
                     ksp.getPC().setType("lu")
                     ksp.getPC().setFactorSolverType("mumps")

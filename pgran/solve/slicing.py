@@ -14,7 +14,7 @@ SPARE = 4  # modes that are searched for beyond those that are wanted
 
 
 @contextlib.contextmanager
-def hermitian_stiffness(lattice):
+def hermitian_operators(lattice):
     """Return, for a `with`, the operators of a lattice on this rank, K flagged as what it is.
 
     Not collective.

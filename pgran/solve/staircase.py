@@ -4,7 +4,7 @@ import contextlib
 
 from pgran.solve.condensation import Condensation
 from pgran.solve.counting import ATTEMPTS, ModeCounter
-from pgran.solve.slicing import hermitian_stiffness
+from pgran.solve.slicing import hermitian_operators
 
 # In mean distances of eigenvalues: how far a count stays clear of them, the next one where rounding
 # is larger than that; and how far it is moved first where one is closer.
@@ -25,7 +25,7 @@ def counter_of(lattice):
     if not lattice.irregular:
         yield Condensation(lattice)
         return
-    with hermitian_stiffness(lattice) as operators, ModeCounter(operators.K, lattice) as counter:
+    with hermitian_operators(lattice) as operators, ModeCounter(operators.K, lattice) as counter:
         yield counter
 
 
