@@ -175,7 +175,7 @@ def test_counting_modes_instead_of_computing_them(written):
         ("-sweep_min 1 -sweep_max 1", "sweep_min"), ("-sweep_omega 1,1", "sweep_omega"),
         ("-sweep_omega 1,2 -sweep_points 3", "sweep_points"),
         ("-bonds_law file", "bonds_file"), ("-bonds_file x.h5", "bonds_law"),
-        ("-bonds_law file -bonds_file x.h5 -bonds_kmax 1", "bonds_kmax"),
+        ("-bonds_law file -bonds_file x.h5 -bonds_kmin 1", "bonds_kmin"),
         ("-scene relaxation -spectrum_fit_min .3", "spectrum_fit_min"),
         ("-scene relaxation -bonds_law file -bonds_file a.h5", "bonds_law"),
         ("-scene modes -modes_omega_min .5 -modes_omega_max .4", "modes_omega_min"),
@@ -188,6 +188,8 @@ def test_counting_modes_instead_of_computing_them(written):
         ("-scene modes -modes_density 9 -modes_omega_min .5", "modes_omega_max"),
         ("-scene modes -output_fields -modes_density 9", "output_fields"),
         ("-scene ensemble -ensemble_of modes -modes_density 9", "modes_density"),
+        ("-scene ensemble -bonds_law hertz -sweep_unit omega_mx", "bonds_kmax says which"),
+        ("-scene continuum -sweep_unit omega_mx", "sweep_unit"),
         *[(f"-scene {scene} -ranks_per_lattice 2", "ranks_per_lattice")
           for scene in ("modes", "projection", "continuum")],
     ],

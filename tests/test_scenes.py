@@ -54,6 +54,7 @@ CHANGES = {
     "sweep_max": ".9",
     "sweep_points": "8",
     "sweep_omega": (".3,.4", "-sweep_omega .3,.5"),
+    "sweep_unit": ("omega_mx", "-lattice_mass 2"),
     "sweep_method": "curve",
     "sweep_resolve": (".1", "-sweep_method curve"),
     "error_tolerance": ("1e-12", f"{PAIRS} -steady_pc_type jacobi"),

@@ -152,7 +152,7 @@ def make_study(options, lattice, world):
         solve = partial(modes.find_modes, lattice, **modes.chosen(options))
         return Study("modes", solve, partial(read_modes, lattice, RESIDUAL), {}, MODES_REFERENCE)
     if options.accuracy_of == "response":
-        omegas = common.driving_frequencies(options)
+        omegas = common.driving_frequencies(options, lattice)
         solve = partial(
             response.sweep, lattice, omegas, options.detectors, resolve=0.0, error_floor=0.0
         )

@@ -26,7 +26,11 @@ LATTICE = (
         choices=(*LAWS, "file"),
     ),
     Option("bonds_kmin", REAL, 0.0, "smallest bond constant", "mass x frequency^2", low=0),
-    Option("bonds_kmax", REAL, 0.25, "largest bond constant", "mass x frequency^2", above=0),
+    Option(
+        "bonds_kmax", REAL, 0.25,
+        "largest bond constant; of hertz and file what omega_mx belongs to, where given",
+        "mass x frequency^2", above=0
+    ),
     Option("bonds_fraction", REAL, 0.5, "bimodal: part of the bonds that is kmax", low=0, high=1),
     Option("bonds_force", REAL, 1.0, "hertz: mean contact force", "force", above=0),
     Option("bonds_hertz", REAL, 1.0, "hertz: c in F = c h^(3/2)", "force / length^(3/2)", above=0),
@@ -55,7 +59,7 @@ DETECTORS = (
         choices=("drive", "x", "y", "z")
     ),
 )  # fmt: skip
-SWEEP = (
+FREQUENCIES = (
     Option("sweep_min", REAL, 0.01, "lowest driving frequency", "angular", above=0),
     Option("sweep_max", REAL, 1.3, "highest driving frequency", "angular", above=0),
     Option("sweep_points", INTEGER, 1291, "frequencies of the linear grid", low=1),
@@ -63,6 +67,14 @@ SWEEP = (
         "sweep_omega", REALS, None, "driving frequencies, instead of a grid", "angular", above=0
     ),
 )
+SWEEP = (
+    *FREQUENCIES,
+    Option(
+        "sweep_unit", TEXT, "absolute", "what the frequencies of a sweep are given in",
+        choices=("absolute", "omega_mx")
+    ),
+)  # fmt: skip
+OWN_KMAX = ("hertz", "file")  # laws of bonds whose largest constant is not known beforehand
 # What a user may ask of the driven steady states, by the keywords of `SteadySolver`.
 STEADY = {
     "error_tolerance": Option(
@@ -132,8 +144,12 @@ def check_lattice(values, given, law=()):
     from_file = values["bonds_law"] == "file"
     if from_file != (values["bonds_file"] is not None):
         raise InputError("-bonds_file and -bonds_law file belong together: give both or neither")
+    if values["bonds_law"] in OWN_KMAX:  # a kmax from a source before the law's is another law's
+        kmax = given.get("bonds_kmax")
+        if kmax is None or kmax.rank < given["bonds_law"].rank:
+            values["bonds_kmax"] = None
     if from_file:
-        for name in ("lattice_shape", "bonds_kmin", "bonds_kmax"):
+        for name in ("lattice_shape", "bonds_kmin"):
             if name in given and given[name].rank >= given["bonds_file"].rank:
                 raise InputError(f"-{name}{given[name].where}: contradicts -bonds_file")
             values[name] = None
@@ -223,6 +239,8 @@ def make_lattice(options, world):
             mass=options.lattice_mass,
             damping=options.lattice_damping,
         )
+    if options.network_file is None and options.bonds_law in OWN_KMAX and options.bonds_kmax:
+        lattice = dataclasses.replace(lattice, kmax=options.bonds_kmax)
     if len(set(world.allgather(lattice.bonds_sha256))) > 1:
         raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
     return lattice
@@ -322,12 +340,26 @@ def automatic_ranks(lattice, ranks):
     return ranks if lattice.balls > LARGE[lattice.axes] else 1
 
 
-def driving_frequencies(options):
-    """Return the frequencies of the sweep, increasing. Not collective."""
+def driving_frequencies(options, lattice=None):
+    """Return the frequencies of the sweep, angular, increasing; the lattice may be their unit.
+
+    Not collective.
+
+    Raises
+    ------
+    InputError
+        If the lattice has no omega_mx to measure them in.
+    """
     if options.sweep_omega:
-        return np.array(options.sweep_omega)
-    check_memory("sweep_points", 8 * options.sweep_points)
-    return np.linspace(options.sweep_min, options.sweep_max, options.sweep_points)
+        omegas = np.array(options.sweep_omega)
+    else:
+        check_memory("sweep_points", 8 * options.sweep_points)
+        omegas = np.linspace(options.sweep_min, options.sweep_max, options.sweep_points)
+    if lattice is None or options.sweep_unit == "absolute":
+        return omegas
+    if not lattice.omega_mx > 0:
+        raise InputError("-sweep_unit omega_mx: without stiff bonds omega_mx is 0")
+    return omegas * lattice.omega_mx
 
 
 def reached_accuracy(record, good):

@@ -9,7 +9,7 @@ from pgran.parallel.task import Task, carry_out
 from pgran.physics.continuum import Continuum
 from pgran.physics.phase import phase_of_sign
 from pgran.results import ContinuumResponse
-from pgran.scenes.common import SWEEP, check_sweep, driving_frequencies
+from pgran.scenes.common import FREQUENCIES, check_sweep, driving_frequencies
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
 from pgran.scenes.sweeping import checked_frequencies
@@ -148,5 +148,9 @@ class Series(Task):
 
 
 SCENE = Scene(
-    options=(*CONTINUUM, *SWEEP), run=run, summary=summary, check=check_sweep, needs_petsc=False
+    options=(*CONTINUUM, *FREQUENCIES),
+    run=run,
+    summary=summary,
+    check=check_sweep,
+    needs_petsc=False,
 )

@@ -84,6 +84,11 @@ def check(values, given):
     check_kept(kind, values["ensemble_keep"])
     if values["network_file"] is not None or values["bonds_law"] == "file":
         raise InputError("-ensemble_of: samples are drawn by a law, and a file holds one only")
+    jumps = values["bonds_law"] == "hertz" and values["bonds_kmax"] is None
+    if jumps and values["sweep_unit"] == "omega_mx":
+        raise InputError(
+            "-sweep_unit omega_mx: differs between samples of hertz; -bonds_kmax says which it is"
+        )
     if values["statistics_windows"] is not None:
         if (kind, values["ensemble_keep"]) != ("response", "curves"):
             raise InputError(
@@ -110,7 +115,7 @@ def run(options, world, crew):
     seeds = seeds_of(options.bonds_seed, options.ensemble_samples)
     seeds_of(options.relax_seed or 0, options.ensemble_samples)
     swept = common.SWEEP[0] in experiment.SCENE.options
-    omegas = common.driving_frequencies(options) if swept else None
+    omegas = common.driving_frequencies(options, lattice) if swept else None
     windows = options.statistics_windows
     if windows is not None:
         windows = noise.windows_of(windows, omegas)

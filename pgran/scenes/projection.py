@@ -33,7 +33,7 @@ def run(options, world, crew):
     Collective. Parameters are those of `pgran.scenes.scene.Scene`.
     """
     lattice = common.make_lattice(options, world)
-    omegas = common.driving_frequencies(options)
+    omegas = common.driving_frequencies(options, lattice)
     with crew(1) as workers:
         projection = project(
             lattice,

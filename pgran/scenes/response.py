@@ -68,7 +68,7 @@ def run(options, world, crew):
     with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
         response = sweep(
             lattice,
-            common.driving_frequencies(options),
+            common.driving_frequencies(options, lattice),
             options.detectors,
             workers,
             method=options.sweep_method,

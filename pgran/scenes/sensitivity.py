@@ -33,7 +33,7 @@ def run(options, world, crew):
     Collective; None on the other ranks. Parameters are those of `pgran.scenes.scene.Scene`.
     """
     lattice = common.make_lattice(options, world)
-    omegas, asked = common.driving_frequencies(options), common.steady_of(options)
+    omegas, asked = common.driving_frequencies(options, lattice), common.steady_of(options)
     asked["progress"] = options.output_progress
     with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
         given = lattice, omegas, options.detectors, workers
