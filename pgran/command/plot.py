@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pgran
 from pgran import figures
-from pgran.command.words import Parser
+from pgran.command.words import Parser, positive
 from pgran.errors import DONE, FileError, InputError
 from pgran.files.columns import read_measured
 from pgran.files.options import options_in
+from pgran.results.si import SI
 
 log = logging.getLogger("pgran")
 
@@ -17,7 +18,7 @@ LONGEST = 120  # characters of a label
 LAID_OVER = {"response": "modes", "pulse": "response"}  # and over what
 
 
-def plot(result, output=None, modes=None, response=None, measured=None):
+def plot(result, output=None, modes=None, response=None, measured=None, units=None):
     """Return the figures of a result by their names, `plot("a.h5")["amplitude"]`; save them too.
 
     Not collective.
@@ -37,6 +38,9 @@ def plot(result, output=None, modes=None, response=None, measured=None):
     measured : str or os.PathLike, optional
         Text file of columns of numbers, laid over a response: omega (angular, in the result's
         unit), amplitude relative to the drive, and maybe a phase.
+    units : tuple of float, optional
+        The program's units of length and time in m and s, each may be None: axes are in mm, ms and
+        Hz then. By default those that the run was given.
 
     Returns
     -------
@@ -58,18 +62,36 @@ def plot(result, output=None, modes=None, response=None, measured=None):
     names = [Path(path).name if path else str(n) for n, path in enumerate(paths, 1)]
     if len(shown) > 1 and not (modes is None and response is None):
         raise InputError("modes and a response are laid over one result only")
-    made = _make(shown, names, measured, modes=modes, response=response)
+    made = _make(
+        shown, names, units_of(shown, *units or ()), measured, modes=modes, response=response
+    )
     if output is not None:
         figures.save(made, output)
     return made
 
 
-def _make(shown, names, measured=None, **over):
+def units_of(results, length=None, time=None):
+    """Return the SI units of results, those given here if any; none where results disagree.
+
+    Not collective.
+    """
+    if length is not None or time is not None:
+        found = {SI(length, time)}
+    else:
+        found = {SI.of(result) for result in results}
+    scales = {result.medium.omega_mx for result in results if hasattr(result, "medium")}
+    if len(found) > 1 or (found != {SI()} and len(scales) > 1):
+        log.warning("the results have different units: axes are in units of each one's omega_mx")
+        return SI()
+    return found.pop()
+
+
+def _make(shown, names, units, measured=None, **over):
     """Return the figures of results whose files have these names. See `plot`."""
     if len(shown) == 1:
-        made = figures.make(shown[0], **over)
+        made = figures.make(shown[0], units, **over)
     else:
-        made = figures.compare(shown, labels_of(shown, names))
+        made = figures.compare(shown, labels_of(shown, names), units)
     if measured is not None:
         missed = figures.add_measured(made, shown, read_measured(measured), Path(measured).name)
         if missed:
@@ -89,6 +111,9 @@ def run(words):
     parser.add_argument(
         "-plot_with", metavar="DATA", help="columns to lay over a response: omega amplitude [phase]"
     )
+    for name, unit in (("length", "m"), ("time", "s")):
+        words_of = f"the unit of {name} in {unit}, if not the one that the run was given"
+        parser.add_argument(f"-units_{name}", type=positive, metavar=unit.upper(), help=words_of)
     given = parser.parse_intermixed_args(words)
     paths, over = [Path(each) for each in given.result], {}
     if len({os.path.realpath(each) for each in given.result}) < len(given.result):
@@ -100,7 +125,8 @@ def run(words):
         over[name] = record.omega if name == "modes" else record
         if name == "modes" and not record.count_certified:
             log.warning("modes are missing or inaccurate, so not all are marked")
-    made = _make(shown, [path.name for path in paths], given.plot_with, **over)
+    units = units_of(shown, given.units_length, given.units_time)
+    made = _make(shown, [path.name for path in paths], units, given.plot_with, **over)
     several = "-compared" if len(shown) > 1 else ""
     output = given.output or paths[0].with_name(f"{paths[0].stem}{several}.png")
     for written in figures.save(made, output):

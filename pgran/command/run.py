@@ -95,7 +95,7 @@ def _compute(scene, options, words, world, started):
             store.write(output, attributes, records)
             try:
                 _warn_of_unused(options)
-                for line in scene.summary(Result(records)):
+                for line in scene.summary(Result(records, **attributes)):
                     log.info(line)
             except Exception as error:  # no reason to fail: the result is there
                 log.warning("no summary: %s: %s", type(error).__name__, error)
@@ -184,6 +184,7 @@ def _run_attributes(options, words, world, failures, seconds):
     """Return what a result file says of its run. Not collective."""
     import numpy
 
+    units = {name: getattr(options, name) for name in ("units_length", "units_time")}
     return {
         "pgran_version": pgran.__version__,
         "scene": options.scene,
@@ -196,7 +197,7 @@ def _run_attributes(options, words, world, failures, seconds):
         "mpi_size": world.size,
         "seconds": seconds,
         "time_convention": "exp(+i omega t)",
-    }
+    } | {name: value for name, value in units.items() if value is not None}
 
 
 def _loaded_version(name):

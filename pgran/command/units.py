@@ -152,4 +152,6 @@ def table(scale, damping=None):
 def option_words(scale, damping=None):
     """Return what an options file needs for a lattice in these units. Not collective."""
     words = f"-lattice_mass 1 -bonds_kmax {scale.kmax!r}"
-    return words if damping is None else f"{words} -lattice_damping {scale.own_damping(damping)!r}"
+    if damping is not None:
+        words += f" -lattice_damping {scale.own_damping(damping)!r}"
+    return f"{words} -units_length {scale.diameter!r} -units_time {1 / scale.omega_mx!r}"

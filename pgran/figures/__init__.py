@@ -16,7 +16,7 @@ from pathlib import Path
 from pgran.errors import FileError, PgranError
 
 
-def make(result, **over):
+def make(result, si, **over):
     """Return all figures of a result by their names. See `pgran.plot`. Not collective."""
     groups = [m.name for m in pkgutil.iter_modules(__path__) if hasattr(result, m.name)]
     if not groups:
@@ -27,17 +27,20 @@ def make(result, **over):
         for group in groups:
             module = importlib.import_module(f"pgran.figures.{group}")
             made |= dict(module.figures(result, **over))
+        _in_units(made, result, si)
     return made
 
 
-def compare(results, labels):
+def compare(results, labels, si):
     """Return figures of results of one scene over each other. See `pgran.plot`. Not collective."""
     for result in results:
         _check_unit(result)
     with _style():
         from pgran.figures import together
 
-        return dict(together.figures(results, labels))
+        made = dict(together.figures(results, labels))
+        _in_units(made, results[0], si)
+    return made
 
 
 def add_measured(made, results, data, label):
@@ -46,6 +49,15 @@ def add_measured(made, results, data, label):
         from pgran.figures import together
 
         return together.add_measured(made, results, data, label)
+
+
+def _in_units(made, result, si):
+    """Give the axes of figures SI units, where these are known."""
+    from pgran.figures import physical
+
+    if hasattr(result, "medium"):
+        for figure in made.values():
+            physical.label_axes(figure, result.medium, si)
 
 
 def _check_unit(result):

@@ -159,6 +159,8 @@ RUN = (
         choices=("auto", "bar", "lines", "none"),
     ),
     Option("output_log", TEXT, None, "log file; a log that is there already goes on"),
+    Option("units_length", REAL, None, "unit of length, the spacing of a lattice", "m", above=0),
+    Option("units_time", REAL, None, "unit of time: figures and summaries in Hz", "s", above=0),
     Option("dry_run", FLAG, False, "say what the run will need, and stop"),
 )  # fmt: skip
 

@@ -4,6 +4,7 @@ import contextlib
 
 import numpy as np
 
+from pgran.errors import InputError
 from pgran.files.options import REAL, REALS, Option
 from pgran.parallel.task import Task, carry_out
 from pgran.physics.continuum import Continuum
@@ -22,6 +23,13 @@ CONTINUUM = (
     Option("continuum_damping", REAL, 0.003, "beta", low=0),
 )
 LONGEST_UNIT = 256  # frequencies
+
+
+def check(values, given):
+    """Raise where options contradict each other. Not collective."""
+    check_sweep(values, given)
+    if values["units_length"] is not None or values["units_time"] is not None:
+        raise InputError("-units_length, -units_time: the box has its own, -continuum_size ...")
 
 
 def run(options, world, crew):
@@ -151,6 +159,6 @@ SCENE = Scene(
     options=(*CONTINUUM, *FREQUENCIES),
     run=run,
     summary=summary,
-    check=check_sweep,
+    check=check,
     needs_petsc=False,
 )

@@ -1,0 +1,92 @@
+"""Axes in SI units: what is drawn stays, in units of omega_mx; ticks and labels are in Hz, s, m."""
+
+import numpy as np
+from matplotlib.ticker import (
+    AutoLocator,
+    FuncFormatter,
+    Locator,
+    LogLocator,
+    NullLocator,
+    SymmetricalLogLocator,
+)
+
+from pgran.figures import style
+from pgran.results.si import prefix_of
+
+# What an axis shows, by its label: the quantity, its unit, the power of omega_mx that its numbers
+# are measured in.
+SHOWN = {
+    style.FREQUENCY: ("driving frequency", "Hz", 1),
+    style.MODE_FREQUENCY: ("mode frequency", "Hz", 1),
+}
+
+
+class Ticks(Locator):
+    """Ticks at round numbers of another unit."""
+
+    def __init__(self, base, factor):
+        """Put ticks where `base` has them, when the axis is measured in 1 / factor."""
+        self.base, self.factor = base, factor
+
+    def set_axis(self, axis):
+        """Tell both whose ticks they make."""
+        super().set_axis(axis)
+        self.base.set_axis(axis)
+
+    def __call__(self):
+        """Return the ticks of the axis."""
+        return self.tick_values(*sorted(self.axis.get_view_interval()))
+
+    def tick_values(self, vmin, vmax):
+        """Return the ticks between two ends."""
+        return (
+            np.asarray(self.base.tick_values(vmin * self.factor, vmax * self.factor)) / self.factor
+        )
+
+
+def label_axes(figure, medium, si):
+    """Give the axes of a figure that show frequencies, times or lengths SI units.
+
+    Not collective.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
+    si : pgran.results.si.SI
+        Quantities whose unit is unknown stay as they are.
+    """
+    found, below = {}, {}
+    for ax in reversed(figure.axes):  # an axis without a label shows what the panel below it does
+        spec = getattr(ax, "get_subplotspec", lambda: None)()  # colour bars have none
+        for name, axis in (("x", ax.xaxis), ("y", ax.yaxis)):
+            label = axis.get_label_text()
+            if name == "x" and spec is not None:
+                column = spec.colspan.start
+                label = below[column] = label or below.get(column, "")
+            if label in SHOWN and si.factor(SHOWN[label][1]) is not None:
+                found.setdefault(label, []).append(axis)
+    for label, axes in found.items():
+        quantity, unit, power = SHOWN[label]
+        factor = si.factor(unit) * medium.omega_mx**power
+        largest = max(np.abs(axis.get_view_interval()).max() for axis in axes)
+        shift, unit = prefix_of(factor * largest, unit)
+        for axis in axes:
+            _convert(axis, factor * shift)
+            if axis.get_label_text():
+                axis.set_label_text(f"{quantity} ({unit})")
+
+
+def _convert(axis, factor):
+    """Put ticks at round numbers of the axis times `factor`, and those numbers beside them."""
+    kind, minor = axis.get_scale(), NullLocator()
+    if kind == "log":
+        major, minor = LogLocator(), LogLocator(subs=range(2, 10))
+    elif kind == "symlog":
+        linear = axis.get_transform().linthresh * factor
+        major = SymmetricalLogLocator(base=10, linthresh=linear)
+    else:
+        major = AutoLocator()
+    axis.set_major_locator(Ticks(major, factor))
+    axis.set_minor_locator(Ticks(minor, factor))
+    axis.set_major_formatter(FuncFormatter(lambda x, _: f"${x * factor:.4g}$"))
