@@ -13,6 +13,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.physics.bondlaw import BondLaw, unit_numbers
 from pgran.physics.network import Network
+from pgran.physics.packing import nearest_images
 from pgran.physics.parts import part, without_floating
 from pgran.physics.springs import AT_REST, DRIVEN, FREE
 
@@ -186,9 +187,8 @@ def in_box(position, bond, stiffness, held, box, **others):
         If values are impossible.
     """
     position, bond = np.asarray(position, dtype=float), np.asarray(bond, dtype=int)
-    box = np.asarray(box, dtype=float)
-    away = position[bond[:, 1]] - position[bond[:, 0]]
-    away -= box * np.rint(np.divide(away, box, out=np.zeros_like(away), where=box > 0))
+    periods = np.where(np.asarray(box) > 0, box, np.inf)
+    away, _ = nearest_images(position[bond[:, 1]] - position[bond[:, 0]], periods)
     distance = np.linalg.norm(away, axis=1)
     if not np.all(distance > 0):
         raise InputError(f"network: the balls {bond[np.argmin(distance)]} are at the same place")
