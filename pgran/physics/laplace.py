@@ -40,7 +40,16 @@ def largest_amplitudes(limits, s):
 
 
 def largest_speed(limits, pulse, t):
-    """Return no less than |u'|_2 up to some times. Not collective."""
+    """Return no less than |u'|_2 up to some times.
+
+    Not collective.
+
+    Parameters
+    ----------
+    limits : pgran.physics.limits.Limits
+    pulse : pgran.physics.pulse.Pulse or pgran.physics.pulse.Samples
+    t : float or numpy.ndarray
+    """
     moved, turned = pulse.sizes(t)
     return (limits.drive * moved + limits.drive_damping * turned) / limits.mass
 

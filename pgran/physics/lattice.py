@@ -28,7 +28,7 @@ from pgran.physics.bonds import (
     driven_bonds,
 )
 from pgran.physics.springs import Springs
-from pgran.physics.units import check_magnitudes, own_unit
+from pgran.physics.units import check_magnitudes, einstein_frequency, own_unit
 
 
 @dataclass(frozen=True)
@@ -155,8 +155,8 @@ class Lattice(ElasticBonds):
 
     @property
     def omega_mx(self):
-        """The Einstein frequency of a ball on springs kmax, unit of frequency (paper: omxdef)."""
-        return math.sqrt(2 * self.axes * self.kmax / self.mass)
+        """The unit of frequency, angular: see `einstein_frequency`."""
+        return einstein_frequency(self.axes, self.kmax, self.mass)
 
     @property
     def bonds(self):
@@ -168,7 +168,10 @@ class Lattice(ElasticBonds):
         return bond_places(self.shape, bonds)
 
     def check_driven(self):
-        """Raise InputError where a drive has no bounded answer, which a lattice always has."""
+        """Raise InputError where a drive has no bounded answer, which a lattice always has.
+
+        Not collective.
+        """
 
     def sites(self, detectors, name="detectors"):
         """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
@@ -193,11 +196,14 @@ class Lattice(ElasticBonds):
         return sites
 
     def depths(self, sites):
-        """Return how far balls are from the driven wall, in spacings, shape (nd,)."""
+        """Return how far balls are from the driven wall, in spacings, shape (nd,).
+
+        Not collective.
+        """
         return self.shape[0] - sites[:, 0]
 
     def displacements(self, field):
-        """Return an array of unknowns as displacements, which they are here."""
+        """Return an array of unknowns as displacements, which they are here. Not collective."""
         return field
 
     components = 1  # how many unknowns a ball has
@@ -217,7 +223,10 @@ class Lattice(ElasticBonds):
         return 1.0
 
     def per_ball(self, squares):
-        """Return sums over the components of each ball, of which there is one, shape (n, balls)."""
+        """Return sums over the components of each ball, of which there is one, shape (n, balls).
+
+        Not collective.
+        """
         return squares.reshape(len(squares), math.prod(squares.shape[1:]))
 
     def in_own_unit(self):

@@ -87,7 +87,7 @@ def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993,
     if others.setdefault("displacement", "vector") == "rotations":
         others.setdefault("radius", np.full(balls.size, HALF))
     others = {"position": position, "normal": normal, "distance": np.ones(len(bond))} | others
-    stiffness = drawn(stiffness, len(bond), seed)
+    stiffness = _drawn(stiffness, len(bond), seed)
     return _moving(Network(bond, stiffness, np.ravel(held), **others))
 
 
@@ -165,7 +165,7 @@ def random_geometric(
     others.setdefault("displacement", "vector")
     if others["displacement"] == "rotations":
         others.setdefault("radius", np.full(count, radius / 2))
-    stiffness = drawn(stiffness, len(bond), seed)
+    stiffness = _drawn(stiffness, len(bond), seed)
     return without_floating(_moving(in_box(position, bond, stiffness, held, box, **others)))[0]
 
 
@@ -222,8 +222,8 @@ def diluted(network, missing, seed=1993):
     return without_floating(part(network, contacts=kept))[0]
 
 
-def drawn(stiffness, count, seed):
-    """Return as many bond constants: given, or drawn by a law. Not collective."""
+def _drawn(stiffness, count, seed):
+    """Return as many bond constants: given, or drawn by a law."""
     if isinstance(stiffness, BondLaw):
         return stiffness(unit_numbers(seed, 0, count, generation=1))
     if callable(stiffness):

@@ -170,6 +170,15 @@ def bounds(lags, bonds, order):
 
     Not collective. ((1 - kbar/M)^t, (1 - 1/M)^t): the first is Jensen's inequality, equal where all
     parts have one order; the second holds as no part has an order below 1.
+
+    Parameters
+    ----------
+    lags : array_like of int, shape (n,)
+        t, in steps.
+    bonds : int
+        M.
+    order : float
+        kbar, from 1 to M.
     """
     if not 1 <= order <= bonds:
         raise InputError(f"order: kbar must lie between 1 and the number of bonds, not {order:g}")

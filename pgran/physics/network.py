@@ -8,7 +8,6 @@ stays symmetric.
 
 import dataclasses
 import hashlib
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,7 +19,7 @@ from pgran.physics.checks import check_network, checked_array, unit_direction
 from pgran.physics.graph import Graph
 from pgran.physics.parts import anchored
 from pgran.physics.springs import DRIVEN, FREE, Elastic, springs_of
-from pgran.physics.units import check_magnitudes, own_unit
+from pgran.physics.units import check_magnitudes, einstein_frequency, own_unit
 
 KINDS = ("scalar", "vector", "rotations")
 
@@ -174,8 +173,8 @@ class Network(Elastic):
 
     @property
     def omega_mx(self):
-        """Sqrt(2 d kmax / m), unit of frequency, as on the square lattice (paper: omxdef)."""
-        return math.sqrt(2 * self.axes * abs(self.kmax) / self.mass)
+        """The unit of frequency, angular, as on the square lattice: see `einstein_frequency`."""
+        return einstein_frequency(self.axes, abs(self.kmax), self.mass)
 
     @cached_property
     def bonds_sha256(self):
@@ -201,7 +200,10 @@ class Network(Elastic):
         return len(self.bond)
 
     def bond_places(self, bonds):
-        """Return axis and index of numbered contacts, as of an array of one axis."""
+        """Return axis and index of numbered contacts, as of an array of one axis.
+
+        Not collective.
+        """
         return np.zeros_like(bonds), bonds[..., None]
 
     @cached_property
@@ -220,7 +222,10 @@ class Network(Elastic):
         return self.displacement == "scalar" or (self.damped == "all" and not self.turns)
 
     def check_driven(self):
-        """Raise InputError if nothing is driven, or balls float that no drive can bound."""
+        """Raise InputError if nothing is driven, or balls float that no drive can bound.
+
+        Not collective.
+        """
         if not np.any(self.held == DRIVEN):
             raise InputError("network: no ball is driven; /network/held has 2 for those that are")
         floating = np.flatnonzero(~anchored(self.bond, self.held))
@@ -248,7 +253,10 @@ class Network(Elastic):
         return sites
 
     def readings(self, sites):
-        """Return the unknowns that detectors read, and their weights, shape (nd, axes)."""
+        """Return the unknowns that detectors read, and their weights, shape (nd, axes).
+
+        Not collective.
+        """
         first = np.searchsorted(self.free, np.asarray(sites)[:, 0]) * self.components
         unknowns = first[:, None] + np.arange(self.axes)
         along = self.direction
@@ -257,7 +265,10 @@ class Network(Elastic):
         return unknowns, along * self.weights[unknowns]
 
     def depths(self, sites):
-        """Return how far balls are from the nearest driven one, NaN if unknown, shape (nd,)."""
+        """Return how far balls are from the nearest driven one, NaN if unknown, shape (nd,).
+
+        Not collective.
+        """
         driven = np.flatnonzero(self.held == DRIVEN)
         if self.position is None or not len(driven):
             return np.full(len(sites), np.nan)
@@ -265,7 +276,7 @@ class Network(Elastic):
         return np.sqrt(np.sum(away**2, axis=2)).min(axis=1)
 
     def displacements(self, field):
-        """Return mass-weighted unknowns as displacements, shape (..., unknowns)."""
+        """Return mass-weighted unknowns as displacements, shape (..., unknowns). Not collective."""
         return self.weights * field
 
     @property
@@ -283,7 +294,10 @@ class Network(Elastic):
         return self.mass / self.masses[self.free]
 
     def per_ball(self, squares):
-        """Return sums over the components of each free ball, shape (n, free balls)."""
+        """Return sums over the components of each free ball, shape (n, free balls).
+
+        Not collective.
+        """
         return squares.reshape(len(squares), -1, self.components).sum(axis=2)
 
     def in_own_unit(self):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.physics.estimate import FEWEST_SAMPLES, Estimate, mean_of, jackknife_samples
+from pgran.physics.estimate import FEWEST_SAMPLES, Estimate, jackknife_samples, mean_of
 
 log = logging.getLogger(__name__)
 
