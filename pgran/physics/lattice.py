@@ -168,10 +168,7 @@ class Lattice(ElasticBonds):
         return bond_places(self.shape, bonds)
 
     def check_driven(self):
-        """Raise InputError where a drive has no bounded answer, which a lattice always has.
-
-        Not collective.
-        """
+        """Do nothing: a driven lattice always has a bounded answer. Not collective."""
 
     def sites(self, detectors, name="detectors"):
         """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
@@ -196,10 +193,7 @@ class Lattice(ElasticBonds):
         return sites
 
     def depths(self, sites):
-        """Return how far balls are from the driven wall, in spacings, shape (nd,).
-
-        Not collective.
-        """
+        """Return distances of balls from the driven wall, in spacings, (nd,). Not collective."""
         return self.shape[0] - sites[:, 0]
 
     def displacements(self, field):
@@ -223,10 +217,7 @@ class Lattice(ElasticBonds):
         return 1.0
 
     def per_ball(self, squares):
-        """Return sums over the components of each ball, of which there is one, shape (n, balls).
-
-        Not collective.
-        """
+        """Return squares by ball, which has one unknown, shape (n, balls). Not collective."""
         return squares.reshape(len(squares), math.prod(squares.shape[1:]))
 
     def in_own_unit(self):

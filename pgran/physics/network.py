@@ -200,10 +200,7 @@ class Network(Elastic):
         return len(self.bond)
 
     def bond_places(self, bonds):
-        """Return axis and index of numbered contacts, as of an array of one axis.
-
-        Not collective.
-        """
+        """Return axis, which is 0, and index of numbered contacts. Not collective."""
         return np.zeros_like(bonds), bonds[..., None]
 
     @cached_property
@@ -222,10 +219,7 @@ class Network(Elastic):
         return self.displacement == "scalar" or (self.damped == "all" and not self.turns)
 
     def check_driven(self):
-        """Raise InputError if nothing is driven, or balls float that no drive can bound.
-
-        Not collective.
-        """
+        """Raise InputError if nothing is driven, or if balls float. Not collective."""
         if not np.any(self.held == DRIVEN):
             raise InputError("network: no ball is driven; /network/held has 2 for those that are")
         floating = np.flatnonzero(~anchored(self.bond, self.held))
@@ -253,10 +247,7 @@ class Network(Elastic):
         return sites
 
     def readings(self, sites):
-        """Return the unknowns that detectors read, and their weights, shape (nd, axes).
-
-        Not collective.
-        """
+        """Return unknowns that detectors read and their weights, (nd, axes). Not collective."""
         first = np.searchsorted(self.free, np.asarray(sites)[:, 0]) * self.components
         unknowns = first[:, None] + np.arange(self.axes)
         along = self.direction
@@ -265,10 +256,7 @@ class Network(Elastic):
         return unknowns, along * self.weights[unknowns]
 
     def depths(self, sites):
-        """Return how far balls are from the nearest driven one, NaN if unknown, shape (nd,).
-
-        Not collective.
-        """
+        """Return distances from the nearest driven ball, NaN if unknown. Not collective."""
         driven = np.flatnonzero(self.held == DRIVEN)
         if self.position is None or not len(driven):
             return np.full(len(sites), np.nan)
@@ -294,10 +282,7 @@ class Network(Elastic):
         return self.mass / self.masses[self.free]
 
     def per_ball(self, squares):
-        """Return sums over the components of each free ball, shape (n, free balls).
-
-        Not collective.
-        """
+        """Return sums over the components of each free ball, (n, balls). Not collective."""
         return squares.reshape(len(squares), -1, self.components).sum(axis=2)
 
     def in_own_unit(self):
