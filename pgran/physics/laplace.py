@@ -14,8 +14,6 @@ part of the error is bounded:
 - frequencies left out: |A| <= |S^-1| |f|, and U is known;
 - later turns: with E the energy, dE/dt <= |u'| |f|, and so |u'|_2 <= (1/m) int |f|, never more;
   earlier ones, and frequencies above the pulse's highest, are below 1e-16 of what the wall does.
-
-NumPy only.
 """
 
 import math
