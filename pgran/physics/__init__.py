@@ -1,1 +1,1 @@
-"""What is computed: NumPy only. No PETSc, no MPI, no files."""
+"""What is computed: NumPy and SciPy only. No PETSc, no MPI, no files."""

@@ -1,4 +1,4 @@
-"""The bonds of a lattice: how many, in which order, which balls they join, how they are stretched.
+"""The bonds of a lattice: which balls they join, how they are stretched, and what follows from it.
 
 Bonds join nearest neighbours, and every ball at a wall to that wall: along an axis there is one
 bond more than balls, and bond `i` joins the balls `i - 1` and `i`. They are numbered axis after
@@ -8,6 +8,8 @@ axis, each array in C order.
 import math
 
 import numpy as np
+
+from pgran.physics.rounding import EPSILON, residual_rounding
 
 AXES = "xyz"
 SIGNS = np.array([-1.0, 1.0])  # in a row of B, of the ball below a bond and of that above
@@ -108,3 +110,78 @@ def spread(tensions):
     for axis, t in enumerate(tensions, -len(tensions)):
         total -= np.diff(t, axis=axis)  # the bond below a ball counts +, as in B
     return total
+
+
+class ElasticBonds:
+    """What follows from the bonds of a lattice; a part of `pgran.physics.lattice.Lattice`.
+
+    Of a network `pgran.physics.springs.Elastic` says the same.
+    """
+
+    def stretched(self, fields, wall):
+        """Yield how far fields (n, *shape) lengthen bonds, (n, bonds), constants, parts of beta.
+
+        Not collective. The driven wall moves by `wall`, shape (n,).
+        """
+        for axis, longer in enumerate(stretch(fields, self.axes)):
+            if axis == 0:
+                longer[:, -1] += wall.reshape(-1, *[1] * (self.axes - 1))  # above the last bond
+            k = self.stiffness[axis].ravel()
+            yield longer.reshape(len(fields), -1), k, np.ones(len(k))
+
+    @property
+    def irregular(self):
+        """Whether a graph of its own knows in which order to eliminate the balls."""
+        return False
+
+    @property
+    def semidefinite(self):
+        """Whether K has no negative eigenvalues."""
+        return True
+
+    def restoring_forces(self, fields):
+        """Return K f = B^T diag(k) B f for fields of shape (count, *shape). Not collective."""
+        stretches = stretch(fields, self.axes)
+        return spread(k * t for k, t in zip(self.stiffness, stretches, strict=True))
+
+    @property
+    def rows(self):
+        """|b|_2 of a bond between balls, and what rounding adds to b^T x beside its own."""
+        return math.sqrt(2), 0.0
+
+    @property
+    def drive_norms(self):
+        """|f|_2 of what the springs at the driven wall do, and of their dashpots for beta = 1."""
+        driven = self.stiffness[0][-1]
+        return math.sqrt(np.sum(driven**2)), math.sqrt(driven.size)
+
+    def pull(self, s):
+        """Return the force that moves the driven wall by 1 while all balls stay, sum k + s beta.
+
+        Not collective.
+        """
+        driven = self.stiffness[0][-1]
+        return driven.sum() + s * (self.damping * driven.size)
+
+    def pull_rounding(self, size):
+        """Return how much rounding changes `pull(s)`, at most, for an |s|. Not collective."""
+        return (self.stiffness[0][-1].size + 8) * EPSILON * self.pull(size)
+
+    @property
+    def damping_norm(self):
+        """No less than |C|_2."""
+        return 4 * self.axes
+
+    @property
+    def stiffness_norm(self):
+        """No less than |K|_2: |K|_inf, twice its largest diagonal entry."""
+        diagonal = 0.0
+        for axis, k in enumerate(self.stiffness):
+            k = np.moveaxis(k, axis, 0)
+            diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
+        return 2 * float(np.max(diagonal))
+
+    @property
+    def rounding(self):
+        """How much rounding moves a residual: see `residual_rounding`."""
+        return residual_rounding(self.axes)

@@ -27,7 +27,10 @@ class Changes:
         return len(self.bond)
 
     def extended(self, count):
-        """Return at least `count` changes, the last one repeated, which changes nothing more."""
+        """Return at least `count` changes, the last one repeated, which changes nothing more.
+
+        Not collective.
+        """
         return self[np.minimum(np.arange(max(count, len(self))), len(self) - 1)]
 
 

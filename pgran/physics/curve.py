@@ -1,4 +1,4 @@
-"""The curve between computed frequencies: where straight lines are right, and points where not.
+"""A resolved curve: about how many intervals it needs, and where straight lines are right.
 
 With the derivatives at both ends the amplitude between two neighbours is a cubic (Hermite's). Where
 that cubic leaves the straight line between them, the line is wrong; where it does so by a large
@@ -12,6 +12,40 @@ SHARE = 0.8  # aim at this part of the deviation allowed, which the cubic only e
 DOUBT = 0.3  # of that part: where the cubic says more, the line is looked at once more
 MOST_ADDED = 7  # frequencies between two neighbours in one pass
 PASSES = 40
+
+
+def interval_length(lattice, omega):
+    """Return about how long an interval is at some frequencies, which is where a march begins.
+
+    Not collective. Where modes overlap it follows their width, beta / m near the bottom and about
+    four times that at omega_mx; where they do not, an interval holds some five modes. Measured on
+    lattices of 1 to 3 axes, 200 to 40,000 balls.
+    """
+    unit = lattice.omega_mx
+    overlapping = lattice.damping / lattice.mass * (1 + 3 * np.asarray(omega) / unit)
+    return np.maximum(overlapping, 5 * unit / lattice.balls)
+
+
+def expected_intervals(lattice, low, high):
+    """Return how many intervals a sweep is expected to need, and frequencies among them.
+
+    Not collective.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    low, high : float
+        The ends of the sweep.
+
+    Returns
+    -------
+    counts, omega : numpy.ndarray, shape (n,)
+        How many intervals end below each frequency.
+    """
+    omega = np.linspace(low, high, 1001)
+    density = 1 / interval_length(lattice, omega)
+    steps = 0.5 * (density[1:] + density[:-1]) * np.diff(omega)
+    return np.append(0.0, np.cumsum(steps)), omega
 
 
 def deviation(omega, amplitude, derivative):

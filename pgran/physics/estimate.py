@@ -51,7 +51,7 @@ def jackknife(measure, parts):
     return Estimate(value, error) if np.ndim(value) else Estimate(float(value), float(error))
 
 
-def over_samples(measure, samples):
+def jackknife_samples(measure, samples):
     """Return a statistic of independent samples with its standard error.
 
     Not collective. As `jackknife`, with the samples dealt out to at most `MOST` parts.

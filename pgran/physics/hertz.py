@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 
 from pgran.errors import InputError
+from pgran.physics.units import einstein_frequency
 
 LARGE = 0.2  # contact radius over that of the ball, beyond which Hertz's law is a poor one
 
@@ -62,23 +63,11 @@ def contact_constant(material, diameter):
     return 4 / 3 * effective * math.sqrt(diameter / 4)
 
 
-def contact_force(constant, overlap):
-    """Return the force F = c h^(3/2) of a contact (paper: hertz). Not collective."""
-    return constant * overlap**1.5
-
-
-def overlap_of(constant, force):
-    """Return by how much two balls approach each other under a force. Not collective."""
-    return (force / constant) ** (2 / 3)
-
-
-def contact_stiffness(constant, force):
-    """Return k = dF/dh = 3/2 F/h of a contact under a force (paper: basespr). Not collective."""
-    return 1.5 * force / overlap_of(constant, force)
-
-
 def force_of_stiffness(constant, stiffness):
-    """Return the force under which a contact has a stiffness k = 3/2 c^(2/3) F^(1/3)."""
+    """Return the force F at which a contact has a stiffness k = 3/2 c^(2/3) F^(1/3).
+
+    Not collective.
+    """
     return (stiffness / 1.5) ** 3 / constant**2
 
 
@@ -104,6 +93,15 @@ def damping_of_quality(stiffness, quality, omega):
 
     Not collective. beta omega = k / Q: the loss angle of a contact, and with equal contacts
     omega over the full width at half power of a mode.
+
+    Parameters
+    ----------
+    stiffness : float
+        k.
+    quality : float
+        Q.
+    omega : float
+        Angular.
     """
     return stiffness / (quality * omega)
 
@@ -112,13 +110,28 @@ def damping_of_restitution(stiffness, mass, restitution):
     """Return beta of a linear contact between two balls that part with a part e of their speed.
 
     Not collective. e = exp(-pi zeta / sqrt(1 - zeta^2)), beta = 2 zeta sqrt(k m/2).
+
+    Parameters
+    ----------
+    stiffness, mass : float
+        k of the contact, m of a ball.
+    restitution : float
+        e, above 0 and up to 1.
     """
     loss = -math.log(restitution)
     return 2 * loss / math.hypot(math.pi, loss) * math.sqrt(stiffness * mass / 2)
 
 
 def restitution_of_damping(stiffness, mass, damping):
-    """Return the coefficient of restitution of a linear contact, 0 if it is overdamped."""
+    """Return the coefficient of restitution of a linear contact, 0 if it is overdamped.
+
+    Not collective. The inverse of `damping_of_restitution`.
+
+    Parameters
+    ----------
+    stiffness, mass, damping : float
+        k and beta of the contact, m of a ball.
+    """
     zeta = damping / math.sqrt(2 * stiffness * mass)
     return math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2)) if zeta < 1 else 0.0
 
@@ -159,32 +172,32 @@ class Scale:
 
     @property
     def mass(self):
-        """Of a ball."""
+        """The mass of a ball."""
         return ball_mass(self.material, self.diameter)
 
     @property
     def constant(self):
-        """Of the contact law."""
+        """The c of the contact law."""
         return contact_constant(self.material, self.diameter)
 
     @property
     def overlap(self):
-        """Of two balls in contact."""
-        return overlap_of(self.constant, self.force)
+        """By how much two balls approach each other: h = (F/c)^(2/3) (paper: hertz)."""
+        return (self.force / self.constant) ** (2 / 3)
 
     @property
     def stiffness(self):
-        """Of a contact: kmax."""
-        return contact_stiffness(self.constant, self.force)
+        """The stiffness kmax of a contact: k = dF/dh = 3/2 F/h (paper: basespr)."""
+        return 1.5 * self.force / self.overlap
 
     @property
     def omega_mx(self):
-        """The unit of frequency, angular (paper: omxdef)."""
-        return math.sqrt(2 * self.dimensions * self.stiffness / self.mass)
+        """The unit of frequency, angular: see `einstein_frequency`."""
+        return einstein_frequency(self.dimensions, self.stiffness, self.mass)
 
     @property
     def velocity(self):
-        """Of long waves along an axis of the uniform lattice of contacts kmax: d sqrt(k/m)."""
+        """The speed of long waves along an axis of the uniform lattice of kmax: d sqrt(k/m)."""
         return self.diameter * math.sqrt(self.stiffness / self.mass)
 
     @property
@@ -194,9 +207,9 @@ class Scale:
 
     @property
     def contact_radius(self):
-        """Over that of the ball: sqrt(R* h) / R = sqrt(h/d)."""
+        """The radius of a contact over that of a ball: sqrt(R* h) / R = sqrt(h/d)."""
         return math.sqrt(self.overlap / self.diameter)
 
     def own_damping(self, damping):
-        """Return a damping in the program's units, of mass times frequency."""
+        """Return a damping in the program's units, of mass times frequency. Not collective."""
         return damping / (self.mass * self.omega_mx)

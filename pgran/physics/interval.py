@@ -311,31 +311,3 @@ def poles(own, low, high):
     with np.errstate(all="ignore"):
         found = middle + (1 / inverse).real
     return np.where((low < found) & (found < high), found, np.nan)
-
-
-def interval_length(lattice, omega):
-    """Return about how long an interval is at some frequencies, which is where a march begins.
-
-    Not collective. Where modes overlap it follows their width, beta / m near the bottom and about
-    four times that at omega_mx; where they do not, an interval holds some five modes. Measured on
-    lattices of 1 to 3 axes, 200 to 40,000 balls.
-    """
-    unit = lattice.omega_mx
-    overlapping = lattice.damping / lattice.mass * (1 + 3 * np.asarray(omega) / unit)
-    return np.maximum(overlapping, 5 * unit / lattice.balls)
-
-
-def expected_intervals(lattice, low, high):
-    """Return how many intervals a sweep is expected to need, and frequencies among them.
-
-    Not collective.
-
-    Returns
-    -------
-    counts, omega : numpy.ndarray, shape (n,)
-        How many intervals end below each frequency.
-    """
-    omega = np.linspace(low, high, 1001)
-    density = 1 / interval_length(lattice, omega)
-    steps = 0.5 * (density[1:] + density[:-1]) * np.diff(omega)
-    return np.append(0.0, np.cumsum(steps)), omega

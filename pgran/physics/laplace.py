@@ -14,8 +14,6 @@ part of the error is bounded:
 - frequencies left out: |A| <= |S^-1| |f|, and U is known;
 - later turns: with E the energy, dE/dt <= |u'| |f|, and so |u'|_2 <= (1/m) int |f|, never more;
   earlier ones, and frequencies above the pulse's highest, are below 1e-16 of what the wall does.
-
-NumPy only.
 """
 
 import math
@@ -40,7 +38,16 @@ def largest_amplitudes(limits, s):
 
 
 def largest_speed(limits, pulse, t):
-    """Return no less than |u'|_2 up to some times. Not collective."""
+    """Return no less than |u'|_2 up to some times.
+
+    Not collective.
+
+    Parameters
+    ----------
+    limits : pgran.physics.limits.Limits
+    pulse : pgran.physics.pulse.Pulse or pgran.physics.pulse.Samples
+    t : float or numpy.ndarray
+    """
     moved, turned = pulse.sizes(t)
     return (limits.drive * moved + limits.drive_damping * turned) / limits.mass
 

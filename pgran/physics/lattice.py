@@ -19,22 +19,20 @@ from pgran.physics.bondlaw import BondLaw, unit_numbers
 from pgran.physics.bonds import (
     AXES,
     SIGNS,
+    ElasticBonds,
     bond_arrays,
     bond_count,
     bond_ends,
     bond_places,
     bond_shape,
     driven_bonds,
-    spread,
-    stretch,
 )
-from pgran.physics.rounding import EPSILON, residual_rounding
 from pgran.physics.springs import Springs
-from pgran.physics.units import check_magnitudes, own_unit
+from pgran.physics.units import check_magnitudes, einstein_frequency, own_unit
 
 
 @dataclass(frozen=True)
-class Lattice:
+class Lattice(ElasticBonds):
     """Balls of one mass, springs of individual stiffness, one damping constant.
 
     Solvers and scenes ask the same of it as of a `pgran.physics.network.Network`.
@@ -131,11 +129,6 @@ class Lattice:
         return len(self.stiffness)
 
     @property
-    def rounding(self):
-        """How much rounding moves a residual: see `residual_rounding`."""
-        return residual_rounding(self.axes)
-
-    @property
     def balls(self):
         """How many balls there are."""
         return math.prod(self.shape)
@@ -162,57 +155,20 @@ class Lattice:
 
     @property
     def omega_mx(self):
-        """The Einstein frequency of a ball on springs kmax, unit of frequency (paper: omxdef)."""
-        return math.sqrt(2 * self.axes * self.kmax / self.mass)
+        """The unit of frequency, angular: see `einstein_frequency`."""
+        return einstein_frequency(self.axes, self.kmax, self.mass)
 
     @property
     def bonds(self):
         """How many bonds there are, wall bonds included."""
         return bond_count(self.shape)
 
-    @property
-    def rows(self):
-        """|b|_2 of a bond between balls, and what rounding adds to b^T x beside its own."""
-        return math.sqrt(2), 0.0
-
     def bond_places(self, bonds):
         """Return axis and index of numbered bonds: see `bond_places`. Not collective."""
         return bond_places(self.shape, bonds)
 
-    @property
-    def drive_norms(self):
-        """|f|_2 of what the springs at the driven wall do, and of their dashpots for beta = 1."""
-        driven = self.stiffness[0][-1]
-        return math.sqrt(np.sum(driven**2)), math.sqrt(driven.size)
-
-    def pull(self, s):
-        """Return the force that moves the driven wall by 1 while all balls stay, sum k + s beta.
-
-        Not collective.
-        """
-        driven = self.stiffness[0][-1]
-        return driven.sum() + s * (self.damping * driven.size)
-
-    def pull_rounding(self, size):
-        """Return how much rounding changes `pull(s)`, at most, for an |s|. Not collective."""
-        return (self.stiffness[0][-1].size + 8) * EPSILON * self.pull(size)
-
-    @property
-    def damping_norm(self):
-        """No less than |C|_2."""
-        return 4 * self.axes
-
-    @property
-    def stiffness_norm(self):
-        """No less than |K|_2: |K|_inf, twice its largest diagonal entry."""
-        diagonal = 0.0
-        for axis, k in enumerate(self.stiffness):
-            k = np.moveaxis(k, axis, 0)
-            diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
-        return 2 * float(np.max(diagonal))
-
     def check_driven(self):
-        """Raise InputError where a drive has no bounded answer, which a lattice always has."""
+        """Do nothing: a driven lattice always has a bounded answer. Not collective."""
 
     def sites(self, detectors, name="detectors"):
         """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
@@ -237,11 +193,11 @@ class Lattice:
         return sites
 
     def depths(self, sites):
-        """Return how far balls are from the driven wall, in spacings, shape (nd,)."""
+        """Return distances of balls from the driven wall, in spacings, (nd,). Not collective."""
         return self.shape[0] - sites[:, 0]
 
     def displacements(self, field):
-        """Return an array of unknowns as displacements, which they are here."""
+        """Return an array of unknowns as displacements, which they are here. Not collective."""
         return field
 
     components = 1  # how many unknowns a ball has
@@ -261,34 +217,8 @@ class Lattice:
         return 1.0
 
     def per_ball(self, squares):
-        """Return sums over the components of each ball, of which there is one, shape (n, balls)."""
+        """Return squares by ball, which has one unknown, shape (n, balls). Not collective."""
         return squares.reshape(len(squares), math.prod(squares.shape[1:]))
-
-    def stretched(self, fields, wall):
-        """Yield how far fields (n, *shape) lengthen bonds, (n, bonds), constants, parts of beta.
-
-        Not collective. The driven wall moves by `wall`, shape (n,).
-        """
-        for axis, longer in enumerate(stretch(fields, self.axes)):
-            if axis == 0:
-                longer[:, -1] += wall.reshape(-1, *[1] * (self.axes - 1))  # above the last bond
-            k = self.stiffness[axis].ravel()
-            yield longer.reshape(len(fields), -1), k, np.ones(len(k))
-
-    @property
-    def irregular(self):
-        """Whether a graph of its own knows in which order to eliminate the balls."""
-        return False
-
-    @property
-    def semidefinite(self):
-        """Whether K has no negative eigenvalues."""
-        return True
-
-    def restoring_forces(self, fields):
-        """Return K f = B^T diag(k) B f for fields of shape (count, *shape). Not collective."""
-        stretches = stretch(fields, self.axes)
-        return spread(k * t for k, t in zip(self.stiffness, stretches, strict=True))
 
     def in_own_unit(self):
         """Return the same lattice with its largest bond constant between 1 and 2, and the unit.

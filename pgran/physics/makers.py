@@ -13,6 +13,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.physics.bondlaw import BondLaw, unit_numbers
 from pgran.physics.network import Network
+from pgran.physics.packing import nearest_images
 from pgran.physics.parts import part, without_floating
 from pgran.physics.springs import AT_REST, DRIVEN, FREE
 
@@ -86,7 +87,7 @@ def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993,
     if others.setdefault("displacement", "vector") == "rotations":
         others.setdefault("radius", np.full(balls.size, HALF))
     others = {"position": position, "normal": normal, "distance": np.ones(len(bond))} | others
-    stiffness = drawn(stiffness, len(bond), seed)
+    stiffness = _drawn(stiffness, len(bond), seed)
     return _moving(Network(bond, stiffness, np.ravel(held), **others))
 
 
@@ -164,7 +165,7 @@ def random_geometric(
     others.setdefault("displacement", "vector")
     if others["displacement"] == "rotations":
         others.setdefault("radius", np.full(count, radius / 2))
-    stiffness = drawn(stiffness, len(bond), seed)
+    stiffness = _drawn(stiffness, len(bond), seed)
     return without_floating(_moving(in_box(position, bond, stiffness, held, box, **others)))[0]
 
 
@@ -186,9 +187,8 @@ def in_box(position, bond, stiffness, held, box, **others):
         If values are impossible.
     """
     position, bond = np.asarray(position, dtype=float), np.asarray(bond, dtype=int)
-    box = np.asarray(box, dtype=float)
-    away = position[bond[:, 1]] - position[bond[:, 0]]
-    away -= box * np.rint(np.divide(away, box, out=np.zeros_like(away), where=box > 0))
+    periods = np.where(np.asarray(box) > 0, box, np.inf)
+    away, _ = nearest_images(position[bond[:, 1]] - position[bond[:, 0]], periods)
     distance = np.linalg.norm(away, axis=1)
     if not np.all(distance > 0):
         raise InputError(f"network: the balls {bond[np.argmin(distance)]} are at the same place")
@@ -222,8 +222,8 @@ def diluted(network, missing, seed=1993):
     return without_floating(part(network, contacts=kept))[0]
 
 
-def drawn(stiffness, count, seed):
-    """Return as many bond constants: given, or drawn by a law. Not collective."""
+def _drawn(stiffness, count, seed):
+    """Return as many bond constants: given, or drawn by a law."""
     if isinstance(stiffness, BondLaw):
         return stiffness(unit_numbers(seed, 0, count, generation=1))
     if callable(stiffness):

@@ -31,9 +31,9 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.physics.estimate import FEWEST, MOST, jackknife
+from pgran.physics.series import ROUNDING, checked_series
 
 MEMORIES_IN_PART = 3  # length of a part that errors are taken from, in M
-ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,16 +58,7 @@ class Series:
 
     def __post_init__(self):
         """Check the values and cut each trajectory into parts."""
-        if np.iscomplexobj(self.values):
-            raise InputError("series: the memory is that of a real series, such as |A_d|")
-        values = np.atleast_2d(np.asarray(self.values, dtype=float))
-        if values.ndim > 2 or values.size == 0:
-            raise InputError(f"series: shape {values.shape} is not trajectories by steps")
-        if not np.all(np.isfinite(values)):
-            row, step = np.argwhere(~np.isfinite(values))[0]
-            raise InputError(f"series: step {step} of trajectory {row} is {values[row, step]}")
-        if np.ptp(values) <= ROUNDING * np.abs(values).max():
-            raise InputError("series: the amplitude never changes, so it has no memory")
+        values = checked_series(self.values, "memory")
         if self.bonds < 1:
             raise InputError(f"bonds: there must be one at least, not {self.bonds}")
         if self.parts < FEWEST:
@@ -179,6 +170,15 @@ def bounds(lags, bonds, order):
 
     Not collective. ((1 - kbar/M)^t, (1 - 1/M)^t): the first is Jensen's inequality, equal where all
     parts have one order; the second holds as no part has an order below 1.
+
+    Parameters
+    ----------
+    lags : array_like of int, shape (n,)
+        t, in steps.
+    bonds : int
+        M.
+    order : float
+        kbar, from 1 to M.
     """
     if not 1 <= order <= bonds:
         raise InputError(f"order: kbar must lie between 1 and the number of bonds, not {order:g}")

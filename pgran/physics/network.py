@@ -8,7 +8,6 @@ stays symmetric.
 
 import dataclasses
 import hashlib
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,10 +15,11 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.physics.bonds import AXES
+from pgran.physics.checks import check_network, checked_array, unit_direction
 from pgran.physics.graph import Graph
 from pgran.physics.parts import anchored
-from pgran.physics.springs import AT_REST, DRIVEN, FREE, Elastic, springs_of
-from pgran.physics.units import check_magnitudes, own_unit
+from pgran.physics.springs import DRIVEN, FREE, Elastic, springs_of
+from pgran.physics.units import check_magnitudes, einstein_frequency, own_unit
 
 KINDS = ("scalar", "vector", "rotations")
 
@@ -98,8 +98,8 @@ class Network(Elastic):
             self._keep(name, float, (), contacts)
         for name in ("masses", "radius"):
             self._keep(name, float, (), balls)
-        self._check(contacts, balls)
-        object.__setattr__(self, "direction", self._unit_direction())
+        check_network(self)
+        object.__setattr__(self, "direction", unit_direction(self.direction, self.axes))
         if self.kmax is None:
             object.__setattr__(self, "kmax", self.stiffest)
         check_magnitudes(self.axes, self.mass, self.damping, max(self.kmax, self.stiffest))
@@ -107,23 +107,8 @@ class Network(Elastic):
     def _keep(self, name, dtype, rest, count=None):
         """Keep an array, if there is one, as a copy that nobody can change."""
         value = getattr(self, name)
-        if value is None:
-            return
-        try:
-            array = np.array(value, dtype=dtype)
-        except (TypeError, ValueError):
-            raise InputError(f"network: {name} must be an array of numbers") from None
-        wanted = (count if count is not None else len(array) if array.ndim else 0, *rest)
-        if dtype is int and not np.array_equal(array, value):
-            raise InputError(f"network: {name}: whole numbers are needed")
-        if array.ndim != len(wanted) or any(
-            n not in (None, m) for n, m in zip(wanted, array.shape, strict=True)
-        ):
-            raise InputError(f"network: {name}: shape {array.shape} is not {wanted}")
-        if not np.all(np.isfinite(array)):
-            raise InputError(f"network: {name}: every number must be finite")
-        array.flags.writeable = False
-        object.__setattr__(self, name, array)
+        if value is not None:
+            object.__setattr__(self, name, checked_array(name, value, dtype, rest, count))
 
     def _find_normals(self):
         """Find normals and distances by the positions."""
@@ -138,50 +123,6 @@ class Network(Elastic):
         object.__setattr__(self, "normal", away / distance[:, None])
         if self.distance is None:
             object.__setattr__(self, "distance", distance)
-
-    def _check(self, contacts, balls):
-        """Raise where values are impossible."""
-        if contacts == 0 or balls == 0:
-            raise InputError("network: it has no contacts")
-        wrong = np.flatnonzero(np.any((self.bond < 0) | (self.bond >= balls), axis=1))
-        if wrong.size:
-            pair = tuple(self.bond[wrong[0]].tolist())
-            raise InputError(f"network: contact {wrong[0]}: no balls {pair} among {balls}")
-        if np.any(self.bond[:, 0] == self.bond[:, 1]):
-            raise InputError("network: a ball touches itself")
-        if not np.all(np.isin(self.held, (FREE, AT_REST, DRIVEN))):
-            raise InputError("network: held must be 0 (free), 1 (at rest) or 2 (driven)")
-        if not np.any(self.held == FREE):
-            raise InputError("network: every ball is held")
-        if not np.any(self.held[self.bond] == FREE):
-            raise InputError("network: no free ball has a contact")
-        if not np.all(self.masses[self.held == FREE] > 0):
-            raise InputError("network: masses must be positive")
-        if self.damped not in ("all", "normal"):
-            raise InputError(f"network: damped is {self.damped!r}, not 'all' or 'normal'")
-        if self.displacement != "scalar":
-            if self.normal.shape[1] not in (2, 3):
-                raise InputError("network: vectors have 2 or 3 components")
-            if np.any(np.abs(np.linalg.norm(self.normal, axis=1) - 1) > 1e-6):
-                raise InputError("network: normals must have the length 1")
-        if self.force is not None and (self.distance is None or not np.all(self.distance > 0)):
-            raise InputError("network: forces need positive distances")
-        if self.turns and self.radius is None:
-            raise InputError("network: rotations need radii")
-        if self.turns and not np.all(self.radius[self.held == FREE] > 0):
-            raise InputError("network: radii must be positive")
-        if self.component not in ("drive", *AXES[: self.axes if self.axes > 1 else 0]):
-            raise InputError(f"-detectors_component {self.component}: this network has no such one")
-
-    def _unit_direction(self):
-        """Return the direction of the drive, of length 1."""
-        if self.direction is None:
-            return np.eye(self.axes)[0]
-        direction = np.asarray(self.direction, dtype=float)
-        size = np.linalg.norm(direction)
-        if direction.shape != (self.axes,) or not 0 < size < math.inf:
-            raise InputError(f"network: the direction of the drive has {self.axes} components")
-        return direction / size
 
     @property
     def axes(self):
@@ -232,8 +173,8 @@ class Network(Elastic):
 
     @property
     def omega_mx(self):
-        """Sqrt(2 d kmax / m), unit of frequency, as on the square lattice (paper: omxdef)."""
-        return math.sqrt(2 * self.axes * abs(self.kmax) / self.mass)
+        """The unit of frequency, angular, as on the square lattice: see `einstein_frequency`."""
+        return einstein_frequency(self.axes, abs(self.kmax), self.mass)
 
     @cached_property
     def bonds_sha256(self):
@@ -259,7 +200,7 @@ class Network(Elastic):
         return len(self.bond)
 
     def bond_places(self, bonds):
-        """Return axis and index of numbered contacts, as of an array of one axis."""
+        """Return axis, which is 0, and index of numbered contacts. Not collective."""
         return np.zeros_like(bonds), bonds[..., None]
 
     @cached_property
@@ -278,7 +219,7 @@ class Network(Elastic):
         return self.displacement == "scalar" or (self.damped == "all" and not self.turns)
 
     def check_driven(self):
-        """Raise InputError if nothing is driven, or balls float that no drive can bound."""
+        """Raise InputError if nothing is driven, or if balls float. Not collective."""
         if not np.any(self.held == DRIVEN):
             raise InputError("network: no ball is driven; /network/held has 2 for those that are")
         floating = np.flatnonzero(~anchored(self.bond, self.held))
@@ -306,7 +247,7 @@ class Network(Elastic):
         return sites
 
     def readings(self, sites):
-        """Return the unknowns that detectors read, and their weights, shape (nd, axes)."""
+        """Return unknowns that detectors read and their weights, (nd, axes). Not collective."""
         first = np.searchsorted(self.free, np.asarray(sites)[:, 0]) * self.components
         unknowns = first[:, None] + np.arange(self.axes)
         along = self.direction
@@ -315,7 +256,7 @@ class Network(Elastic):
         return unknowns, along * self.weights[unknowns]
 
     def depths(self, sites):
-        """Return how far balls are from the nearest driven one, NaN if unknown, shape (nd,)."""
+        """Return distances from the nearest driven ball, NaN if unknown. Not collective."""
         driven = np.flatnonzero(self.held == DRIVEN)
         if self.position is None or not len(driven):
             return np.full(len(sites), np.nan)
@@ -323,7 +264,7 @@ class Network(Elastic):
         return np.sqrt(np.sum(away**2, axis=2)).min(axis=1)
 
     def displacements(self, field):
-        """Return mass-weighted unknowns as displacements, shape (..., unknowns)."""
+        """Return mass-weighted unknowns as displacements, shape (..., unknowns). Not collective."""
         return self.weights * field
 
     @property
@@ -341,7 +282,7 @@ class Network(Elastic):
         return self.mass / self.masses[self.free]
 
     def per_ball(self, squares):
-        """Return sums over the components of each free ball, shape (n, free balls)."""
+        """Return sums over the components of each free ball, (n, balls). Not collective."""
         return squares.reshape(len(squares), -1, self.components).sum(axis=2)
 
     def in_own_unit(self):

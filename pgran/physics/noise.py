@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.physics.estimate import FEWEST, FEWEST_SAMPLES, Estimate, jackknife, over_samples
+from pgran.physics.estimate import FEWEST, FEWEST_SAMPLES, Estimate, jackknife, jackknife_samples
 
 log = logging.getLogger(__name__)
 
@@ -192,7 +192,7 @@ class NoisyCurves:
         """
         data, w = self.intensity if data is None else data, self.weights
         if self.samples > 1:
-            return over_samples(lambda kept: measure(data[kept], w), self.samples)
+            return jackknife_samples(lambda kept: measure(data[kept], w), self.samples)
         count, factor = self.stretches
         found = jackknife(
             lambda part: measure(data, w if part is None else w * (self.stretch != part)),

@@ -126,6 +126,13 @@ def group_delay(amplitude, derivative, error_bound, derivative_bound):
 
     Not collective. With A and its derivative A' wrong by at most a and b, A'/A is wrong by at most
     (b + |A'/A| a) / (|A| - a); NaN and infinite where A may vanish.
+
+    Parameters
+    ----------
+    amplitude, derivative : numpy.ndarray of complex
+        A, A'.
+    error_bound, derivative_bound : numpy.ndarray of float, of the same shape
+        a, b.
     """
     with np.errstate(all="ignore"):
         ratio = derivative / amplitude

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.signal import periodogram
 
 from pgran.errors import InputError
+from pgran.physics.series import ROUNDING, checked_series
 from pgran.results import Spectrum
 
 log = logging.getLogger(__name__)
@@ -31,7 +32,6 @@ BINS_PER_DECADE = 10
 CORNERS_ABOVE = 5  # the local slope of a series of one memory is 2 / (1 + 1/25) there
 ALIASED = 0.44  # sin(pi f) / (pi f) < 1 / sqrt(2): most of a random walk's power is aliased
 FLATTER, FLATTER_ERRORS = 0.25, 5  # slope missing at the low end that is warned about; in errors
-ROUNDING = 1e-12  # relative differences that may be rounding
 
 
 def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
@@ -65,7 +65,7 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     InputError
         If the window is impossible, or the series too short for it, not finite or constant.
     """
-    series = _checked(series)
+    series = checked_series(series, "spectrum")
     segment = _segment_length(*series.shape, fit_min, fit_max)
     frequency, parts, segments = _powers(series, segment)
     power = parts.sum(axis=0) / segments
@@ -128,21 +128,6 @@ def check_window(fit_min, fit_max):
             f"spectrum_fit_max: must be at least twice spectrum_fit_min, {fit_min}, and at most "
             f".5 cycles per step, not {fit_max}"
         )
-
-
-def _checked(series):
-    """Return the series as an array (R, T) of finite reals that are not all the same."""
-    if np.iscomplexobj(series):
-        raise InputError("series: the spectrum is that of a real series, such as |A_d|")
-    series = np.atleast_2d(np.asarray(series, dtype=float))
-    if series.ndim > 2 or series.size == 0:
-        raise InputError(f"series: shape {series.shape} is not trajectories by steps")
-    if not np.all(np.isfinite(series)):
-        row, step = np.argwhere(~np.isfinite(series))[0]
-        raise InputError(f"series: step {step} of trajectory {row} is {series[row, step]}")
-    if np.ptp(series) <= ROUNDING * np.abs(series).max():
-        raise InputError("series: the amplitude never changes, so it has no spectrum")
-    return series
 
 
 def _powers(series, segment):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.physics.estimate import FEWEST_SAMPLES, Estimate, mean_of, over_samples
+from pgran.physics.estimate import FEWEST_SAMPLES, Estimate, jackknife_samples, mean_of
 
 log = logging.getLogger(__name__)
 
@@ -167,7 +167,7 @@ def delay_profile(depth, amplitude, derivative):
     def measure(some):
         return np.mean(flow[some].mean(axis=0) / intensity[some].mean(axis=0), axis=0)
 
-    return Profile(depths, over_samples(measure, len(flow)))
+    return Profile(depths, jackknife_samples(measure, len(flow)))
 
 
 def _checked(depth, amplitude):

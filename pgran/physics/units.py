@@ -6,7 +6,17 @@ from pgran.errors import InputError
 
 
 def check_magnitudes(axes, mass, damping, stiffest):
-    """Raise InputError where mass, damping and stiffness make no vibrations. Not collective."""
+    """Raise InputError where mass, damping and stiffness make no vibrations.
+
+    Not collective.
+
+    Parameters
+    ----------
+    axes : int
+    mass, damping : float
+    stiffest : float
+        The largest constant, or kmax where that is larger.
+    """
     if not (math.isfinite(mass) and mass > 0):
         raise InputError(f"lattice_mass: must be positive and finite, not {mass}")
     if not (math.isfinite(damping) and damping >= 0):
@@ -18,10 +28,35 @@ def check_magnitudes(axes, mass, damping, stiffest):
         )
 
 
-def own_unit(stiffest, mass, damping):
-    """Return the unit in which the largest bond constant lies between 1 and 2. Not collective.
+def einstein_frequency(axes, stiffness, mass):
+    """Return sqrt(2 d k / m), of a ball on 2 d springs whose other ends rest (paper: omxdef).
 
-    Raises InputError if mass or damping do not fit into doubles in that unit.
+    Not collective. With k = kmax it is the unit of frequency.
+
+    Parameters
+    ----------
+    axes : int
+        d.
+    stiffness, mass : float
+        k, m.
+    """
+    return math.sqrt(2 * axes * stiffness / mass)
+
+
+def own_unit(stiffest, mass, damping):
+    """Return the unit in which the largest bond constant lies between 1 and 2.
+
+    Not collective.
+
+    Parameters
+    ----------
+    stiffest, mass, damping : float
+        The largest constant first.
+
+    Raises
+    ------
+    InputError
+        If mass or damping do not fit into doubles in that unit.
     """
     unit = 2.0 ** (math.frexp(stiffest)[1] - 1)
     for name, value in (("mass", mass), ("damping", damping)):

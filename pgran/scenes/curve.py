@@ -9,16 +9,8 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.machine import check_memory
 from pgran.parallel.task import Task, carry_out
-from pgran.physics.curve import resolve
-from pgran.physics.interval import (
-    ARRAYS,
-    MOMENTS,
-    evaluate,
-    expected_intervals,
-    interval_length,
-    model_dtype,
-    point_dtype,
-)
+from pgran.physics.curve import expected_intervals, interval_length, resolve
+from pgran.physics.interval import ARRAYS, MOMENTS, evaluate, model_dtype, point_dtype
 from pgran.results import Models
 
 # Intervals that a unit of work is expected to need; it begins with a factorization of its own.
