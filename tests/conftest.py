@@ -46,7 +46,7 @@ ALIKE = {
     "continuum", "export", "figures", "figures_ensemble", "figures_networks", "figures_pulse",
     "figures_scenes", "figures_sensitivity", "figures_together", "graph", "hertz", "import",
     "import_refused", "levels", "manual", "memory", "network_files", "options", "packings", "paper",
-    "reference", "spectrum", "statistics", "transport", "unit_of_frequency",
+    "reference", "si", "spectrum", "statistics", "transport", "unit_of_frequency",
 }  # fmt: skip
 SECONDS_PER_TEST = 120  # the slowest takes about ten
 SECONDS_FOR_OTHERS = 15  # that a rank whose test has failed waits for the others to finish theirs

@@ -14,9 +14,10 @@ import pkgutil
 from pathlib import Path
 
 from pgran.errors import FileError, PgranError
+from pgran.results.si import SI
 
 
-def make(result, si, **over):
+def make(result, si=None, **over):
     """Return all figures of a result by their names. See `pgran.plot`. Not collective."""
     groups = [m.name for m in pkgutil.iter_modules(__path__) if hasattr(result, m.name)]
     if not groups:
@@ -27,11 +28,11 @@ def make(result, si, **over):
         for group in groups:
             module = importlib.import_module(f"pgran.figures.{group}")
             made |= dict(module.figures(result, **over))
-        _in_units(made, result, si)
+        _in_units(made, result, si or SI.of(result))
     return made
 
 
-def compare(results, labels, si):
+def compare(results, labels, si=None):
     """Return figures of results of one scene over each other. See `pgran.plot`. Not collective."""
     for result in results:
         _check_unit(result)
@@ -39,7 +40,7 @@ def compare(results, labels, si):
         from pgran.figures import together
 
         made = dict(together.figures(results, labels))
-        _in_units(made, results[0], si)
+        _in_units(made, results[0], si or SI())
     return made
 
 

@@ -18,6 +18,7 @@ from pgran.results.si import prefix_of
 SHOWN = {
     style.FREQUENCY: ("driving frequency", "Hz", 1),
     style.MODE_FREQUENCY: ("mode frequency", "Hz", 1),
+    r"density of modes (modes per $\omega_{mx}$)": ("density of modes", "1/Hz", -1),
 }
 
 
@@ -72,12 +73,12 @@ def label_axes(figure, medium, si):
         largest = max(np.abs(axis.get_view_interval()).max() for axis in axes)
         shift, unit = prefix_of(factor * largest, unit)
         for axis in axes:
-            _convert(axis, factor * shift)
+            convert(axis, factor * shift)
             if axis.get_label_text():
                 axis.set_label_text(f"{quantity} ({unit})")
 
 
-def _convert(axis, factor):
+def convert(axis, factor):
     """Put ticks at round numbers of the axis times `factor`, and those numbers beside them."""
     kind, minor = axis.get_scale(), NullLocator()
     if kind == "log":
@@ -89,4 +90,10 @@ def _convert(axis, factor):
         major = AutoLocator()
     axis.set_major_locator(Ticks(major, factor))
     axis.set_minor_locator(Ticks(minor, factor))
-    axis.set_major_formatter(FuncFormatter(lambda x, _: f"${x * factor:.4g}$"))
+    axis.set_major_formatter(FuncFormatter(lambda x, _: _written(x * factor)))
+
+
+def _written(number):
+    """Return a number as it stands beside a tick."""
+    mantissa, _, power = f"{number:.4g}".partition("e")
+    return rf"${mantissa} \cdot 10^{{{int(power)}}}$" if power else f"${mantissa}$"

@@ -30,7 +30,7 @@ class SI:
     @classmethod
     def of(cls, result):
         """Return the units that the run of a `pgran.record.Result` was given. Not collective."""
-        return cls(*(result.attributes.get(f"units_{name}") for name in ("length", "time")))
+        return cls(*(getattr(result, f"units_{name}", None) for name in ("length", "time")))
 
     def factor(self, unit):
         """Return what a number is to be multiplied with to be in a key of QUANTITIES, or None."""

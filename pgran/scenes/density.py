@@ -11,6 +11,7 @@ from pgran.files.options import INTEGER, Option
 from pgran.parallel.task import Task, carry_out
 from pgran.physics.units import check_frequency
 from pgran.results import Density
+from pgran.results.si import SI
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
 
@@ -150,7 +151,7 @@ class Counts(Task):
 
 def summary(result):
     """Return in words what a run found. Not collective."""
-    density = result.density
+    density, si = result.density, SI.of(result)
     yield f"modes counted below {len(density.omega)} frequencies in {density.solve_seconds:.2f} s"
     if density.failures:
         yield f"NOT CERTIFIED: {density.failures} of the counts"
@@ -166,5 +167,5 @@ def summary(result):
         yield f"UNSTABLE: {density.count[0]} modes have omega^2 < 0"
     yield (
         f"{density.count[0]} modes below omega = {density.omega[0]:.6g}, {density.count[-1]} below "
-        f"{density.omega[-1]:.6g}"
+        f"{density.omega[-1]:.6g}{si.say('Hz', density.omega[-1])}"
     )

@@ -265,7 +265,7 @@ def summary(result):
     if getattr(result, "statistics", None):
         yield from noise.summary(result.statistics)
     if getattr(result, "transport", None):
-        yield from transport.summary(result.transport)
+        yield from transport.summary(result)
 
 
 SCENE = Scene(

@@ -13,6 +13,7 @@ from pgran.parallel.task import Task, carry_out
 from pgran.physics.modes import RESIDUAL, participation
 from pgran.physics.units import check_frequency
 from pgran.results import Modes, record_of
+from pgran.results.si import SI
 from pgran.scenes import common, density
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
@@ -90,11 +91,12 @@ def summary(result):
     if hasattr(result, "density"):
         yield from density.summary(result)
         return
-    modes = result.modes
+    modes, si = result.modes, SI.of(result)
     yield f"{len(modes.omega)} modes in {modes.solve_seconds:.2f} s"
     yield certificate(modes, len(modes.omega))
     if len(modes.omega):
-        yield f"omega from {modes.omega[0]:.6g} to {modes.omega[-1]:.6g}"
+        ends = modes.omega[0], modes.omega[-1]
+        yield "omega from {:.6g} to {:.6g}".format(*ends) + si.say("Hz", *ends)
         unstable = np.count_nonzero(modes.omega < 0)
         if unstable:
             yield (

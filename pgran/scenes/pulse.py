@@ -11,6 +11,7 @@ from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.pulse import SHAPES, Pulse, Samples
 from pgran.results import record_of
+from pgran.results.si import SI
 from pgran.scenes import common
 from pgran.scenes.integration import integrate
 from pgran.scenes.interface import in_parallel
@@ -94,7 +95,7 @@ def chosen(options, world):
 
 def summary(result):
     """Return in words what a run found. Not collective."""
-    signals = result.pulse
+    signals, si = result.pulse, SI.of(result)
     proven = signals.method == "laplace"
     how = f"an integration of {signals.solves} steps and coarser ones"
     if proven:
@@ -111,11 +112,15 @@ def summary(result):
             line += ", not as accurate as asked: a smaller -error_tolerance may help"
             line += ", or -pulse_method integrate" if proven else ""
         if np.isfinite(signals.arrival[d]):
-            line += f"; front at {signals.arrival[d]:.4g}, centre at {signals.centre[d]:.4g}"
+            front, centre = signals.arrival[d], signals.centre[d]
+            line += f"; front at {front:.4g}{si.say('s', front)}"
+            line += f", centre at {centre:.4g}{si.say('s', centre)}"
         if np.isfinite(signals.decay[d]):
             line += f", then decay at {signals.decay[d]:.3g} +- {signals.decay_error[d]:.1g}"
+            line += si.say("1/s", signals.decay[d])
         yield line
-    yield f"the wall's own front is at {signals.wall_arrival:.4g}"
+    front = signals.wall_arrival
+    yield f"the wall's own front is at {front:.4g}{si.say('s', front)}"
     line = f"work of the wall {signals.work[-1]:.6g}"
     if signals.energy is not None:
         line += f", of which {signals.energy[-1]:.3g} is left in balls and springs"

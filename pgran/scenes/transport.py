@@ -4,6 +4,7 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.results import Transport
+from pgran.results.si import SI
 
 FEWEST_DEPTHS = 3
 
@@ -78,15 +79,17 @@ def is_line(medium, detectors):
     return bool(np.all(np.isfinite(depth)) and len(np.unique(depth)) >= FEWEST_DEPTHS)
 
 
-def summary(found):
+def summary(result):
     """Return in words how far sound gets. Not collective."""
+    found, si = result.transport, SI.of(result)
     known = np.isfinite(found.length)
     if not known.any():
         yield "no attenuation length: amplitudes do not fall with depth for certain"
         return
     shortest = np.flatnonzero(known)[np.argmin(found.length[known])]
+    length, omega = found.length[shortest], found.omega[shortest]
     yield (
         f"amplitudes fall with depth at {np.count_nonzero(known)} of {len(known)} frequencies; the "
-        f"shortest attenuation length is {found.length[shortest]:.3g} +- "
-        f"{found.length_error[shortest]:.1g} spacings, at omega = {found.omega[shortest]:.4g}"
+        f"shortest attenuation length is {length:.3g} +- {found.length_error[shortest]:.1g} "
+        f"spacings{si.say('m', length)}, at omega = {omega:.4g}{si.say('Hz', omega)}"
     )

@@ -1,0 +1,189 @@
+"""Numbers of results in SI units: summaries, axes of figures, files."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from samples import run_scene
+
+import pgran
+from pgran.command.resolve import SCENES, resolve
+from pgran.errors import InputError
+from pgran.figures import physical
+from pgran.files.reading import read_words
+from pgran.record import Result
+from pgran.results import record_of
+from pgran.results.si import PREFIXES, SI, prefix_of
+
+BEADS = SI(length=5e-3, time=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("unit", "expected"),
+    [
+        ("Hz", 1e5 / (2 * math.pi)), ("1/Hz", 2e-5 * math.pi), ("s", 1e-5), ("1/s", 1e5),
+        ("m", 5e-3), ("m/s", 500.0),
+    ],
+)  # fmt: skip
+def test_factors(unit, expected):
+    assert BEADS.factor(unit) == pytest.approx(expected, rel=1e-15)
+    assert SI().factor(unit) is None
+    assert SI().say(unit, 1.0) == ""
+
+
+def test_what_is_known_of_one_unit_alone():
+    assert SI(time=1.0).factor("m/s") is None
+    assert SI(time=2.0).factor("Hz") == pytest.approx(0.25 / math.pi)
+    assert SI(length=2.0).factor("m") == 2.0
+
+
+@pytest.mark.parametrize("unit", ["Hz", "1/Hz", "s", "m", "m/s"])
+def test_prefixes_keep_the_value(unit):
+    """Number times prefix is the value, and the number lies between 1 and 1000."""
+    powers = {prefix: 1000.0**step for step, prefix in PREFIXES.items()}
+    for value in np.geomspace(2e-12, 3e14, 100) * np.array([1, -1] * 50):
+        shift, name = prefix_of(value, unit)
+        base, inverse = unit.removeprefix("1/"), unit.startswith("1/")
+        prefix = name.removeprefix("1/")[: -len(base)]
+        power = powers[prefix] ** (-1 if inverse else 1)
+        assert value * shift * power == pytest.approx(value, rel=1e-12)
+        assert 1 - 1e-8 <= abs(value * shift) < 1000
+
+
+@pytest.mark.parametrize("value", [0.0, math.nan, math.inf])
+def test_numbers_without_a_prefix(value):
+    assert prefix_of(value, "Hz") == (1.0, "Hz")
+
+
+def test_in_words():
+    assert BEADS.say("Hz", 1.0, 0.01) == " (15.92 kHz to 159.2 Hz)"
+    assert BEADS.say("m/s", 0.06) == " (30 m/s)"
+
+
+SAID = "-units_length 5e-3 -units_time 1e-5"
+CASES = {
+    "response": ("-lattice_shape 5,4 -detectors 2,2 -sweep_points 150", "m/s"),
+    "modes": ("-lattice_shape 5,4", "Hz"),
+    "modes density": ("-scene modes -lattice_shape 5,4 -modes_density 9", "Hz"),
+    "pulse": (
+        "-lattice_shape 5,4 -detectors 2,2 -pulse_width 5 -pulse_time 99 -pulse_points 60",
+        "s",
+    ),
+    "sensitivity": ("-lattice_shape 5,4 -detectors 2,2 -sweep_omega .3", "Hz"),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_summaries(name):
+    """Beside each number of the program stands its own in SI, which is nowhere without a unit."""
+    words, unit = CASES[name]
+    scene = name.split()[0]
+    options = resolve(read_words(f"-scene {scene} {words} -output_progress none".split()))
+    records = run_scene(options, MPI.COMM_SELF)
+    plain = "\n".join(SCENES[scene].summary(Result(records)))
+    said = "\n".join(
+        SCENES[scene].summary(Result(records, units_length=BEADS.length, units_time=BEADS.time))
+    )
+    added = re.findall(rf" \([^()]* [mkµ]?{unit}\)", said)
+    assert added
+    assert not re.findall(rf"[mkµ]?{unit}\)", plain)
+    for text in re.findall(r" \([^()]* (?:[mkµnM]?(?:Hz|s|m|m/s)|1/s)\)", said):
+        said = said.replace(text, "")
+    assert said == plain
+    if name == "modes":
+        ends = records[1].omega[[0, -1]] / (2 * math.pi * BEADS.time)
+        numbers = [float(each) for each in re.findall(r"[\d.]+(?= k?Hz)", added[0])]
+        assert np.array(numbers) * 1e3 == pytest.approx(ends, rel=1e-3)
+
+
+def frequencies_at_ticks(axis, unit_of_axis, figure):
+    """What the ticks say, and what stands there, both in Hz."""
+    figure.draw_without_rendering()
+    low, high = sorted(axis.get_view_interval())
+    ticks = [t for t in axis.get_major_ticks() if low <= t.get_loc() <= high]
+    texts = [t.label1.get_text().strip("$") for t in ticks]
+    scale = {"Hz": 1.0, "kHz": 1e3, "s": 1.0, "ms": 1e-3}[unit_of_axis]
+    there = np.array([t.get_loc() for t in ticks])
+    return np.array([float(text) for text in texts]) * scale, there
+
+
+def test_axes():
+    """A tick that says 12 kHz stands at that frequency; curves and limits stay where they were."""
+    lattice = pgran.Lattice.random((5, 4), mass=2.0)
+    response = pgran.sweep(lattice, np.linspace(0.01, 0.9, 150), (2, 2))
+    modes = pgran.find_modes(lattice)
+    medium = record_of(lattice)
+    result = Result([medium, response])
+    plain, made = pgran.plot(result), pgran.plot(result, units=(None, 1e-5))
+    made |= pgran.plot(Result([medium, modes]), units=(None, 1e-5))
+    plain |= pgran.plot(Result([medium, modes]))
+    to_hertz = medium.omega_mx / (2 * math.pi * 1e-5)
+    for name in ("amplitude", "phase", "wall", "participation", "density"):
+        figure, seen = made[name], 0
+        for ax, before in zip(figure.axes, plain[name].axes, strict=True):
+            assert ax.get_xlim() == before.get_xlim()
+            for line, same in zip(ax.lines, before.lines, strict=True):
+                assert np.array_equal(line.get_xdata(), same.get_xdata())
+            said, there = frequencies_at_ticks(ax.xaxis, "kHz", figure)
+            assert len(said) >= 2
+            assert said == pytest.approx(to_hertz * there, rel=1e-3)
+            seen += ax.get_xlabel().endswith("frequency (kHz)")
+        assert seen
+    assert made["density"].axes[0].get_ylabel() == "density of modes (1/kHz)"
+
+
+@pytest.mark.parametrize("scale", ["linear", "log", "symlog"])
+def test_ticks_of_any_scale(scale):
+    """They stand at round numbers of the other unit, and within the axis."""
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    ax = figure.subplots()
+    ax.plot([1.0, 70.0], [1.0, 2.0])
+    ax.set_xscale(scale)
+    physical.convert(ax.xaxis, 0.37)
+    said, there = frequencies_at_ticks(ax.xaxis, "Hz", figure)
+    assert len(said) >= 2
+    assert said == pytest.approx(0.37 * there, rel=1e-3)
+    digits = {f"{abs(number):e}".partition("e")[0].rstrip("0.") for number in said if number}
+    assert max(map(len, digits)) <= 3
+
+
+def test_a_run_says_it(call, place, shared_path):
+    """In its file, for later figures; other units may be given to these."""
+    place("m.opts", f"-scene modes -lattice_shape 5,4 {SAID}")
+    assert call("run", "m.opts").returncode == 0
+    path = shared_path / "results" / "m.h5"
+    result = pgran.load(path)
+    assert SI.of(result) == BEADS
+    assert result.options.count("-units_") == 2
+    assert pgran.plot(result)["density"].axes[0].get_xlabel() == "mode frequency (kHz)"
+    assert call("plot", str(path), "-units_time", "1").returncode == 0
+    assert "(mHz)" in pgran.plot(result, units=(None, 1.0))["density"].axes[0].get_xlabel()
+
+
+def test_results_with_different_units(caplog):
+    """Laid over each other they have none."""
+    lattice = pgran.Lattice.random((5, 4))
+    records = [record_of(lattice), pgran.find_modes(lattice)]
+    several = [Result(records, scene="modes", units_time=t) for t in (1.0, 2.0)]
+    figures = pgran.plot(several)
+    assert "different units" in caplog.text
+    assert all("Hz" not in ax.get_xlabel() for f in figures.values() for ax in f.axes)
+    alike = [Result(records, scene="modes", units_time=1.0)] * 2
+    assert "mHz" in pgran.plot(alike)["participation"].axes[0].get_xlabel()
+
+
+@pytest.mark.parametrize(
+    ("words", "key"),
+    [
+        ("-scene continuum -units_time 1", "the box has its own"),
+        ("-scene response -units_time 0", "units_time 0"),
+        ("-scene response -units_length -1", "units_length -1"),
+    ],
+)
+def test_impossible_units(words, key):
+    with pytest.raises(InputError, match=key):
+        resolve(read_words(words.split()))
