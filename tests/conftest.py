@@ -43,7 +43,8 @@ from pgran.solve.database import holding
 WORLD = MPI.COMM_WORLD
 # Files that know nothing of ranks, and run on one only.
 ALIKE = {
-    "continuum", "export", "figures", "figures_ensemble", "figures_networks", "figures_pulse",
+    "columns", "continuum", "export", "figures", "figures_ensemble", "figures_heat",
+    "figures_networks", "figures_pulse",
     "figures_scenes", "figures_sensitivity", "figures_together", "graph", "hertz", "import",
     "import_refused", "levels", "manual", "memory", "network_files", "options", "packings", "paper",
     "reference", "spectrum", "statistics", "transport", "unit_of_frequency",
