@@ -1,6 +1,9 @@
 """Results to store and to damage: a record of every kind, as it is declared."""
 
 import dataclasses
+import functools
+import tempfile
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -43,9 +46,18 @@ def make(kind, shape=(4, 5), without=()):
     return kind(**values)
 
 
+@functools.cache
+def content():
+    """The bytes of a result with a record of every kind."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.h5"
+        store.write(path, ATTRIBUTES, map(make, KINDS))
+        return path.read_bytes()
+
+
 def stored(path):
     """Write a result with a record of every kind."""
-    store.write(path, ATTRIBUTES, map(make, KINDS))
+    path.write_bytes(content())
     return path
 
 

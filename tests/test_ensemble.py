@@ -36,8 +36,8 @@ KINDS = {
         RELAXATION,
     ),
     "pulse": (
-        "-detectors 2,2 -pulse_width 5 -pulse_time 300 -pulse_points 400",
-        {"detectors": (2, 2), "width": 5.0, "time": 300.0, "points": 400},
+        "-detectors 2,2 -pulse_width 5 -pulse_time 150 -pulse_points 200",
+        {"detectors": (2, 2), "width": 5.0, "time": 150.0, "points": 200},
     ),
     "sensitivity": (
         "-detectors 2,2 -sweep_omega .4,.5",
@@ -118,7 +118,8 @@ def test_each_sample_is_what_it_is_alone(world, of):
                 np.testing.assert_allclose(kept, value, rtol=1e-13)
             else:
                 assert np.array_equal(kept, value, equal_nan=True), (name, seed)
-    assert_same(found, ran(of, "", MPI.COMM_SELF)[1])
+    if world.size > 1:
+        assert_same(found, ran(of, "", MPI.COMM_SELF)[1])
     python = pgran.ensemble(of, 5, lattice=LATTICE, keep=keep_of(of), **KINDS[of][1])
     assert_same(python, found)
     assert_same(pgran.ensemble(of, 5, lattice=lattice_of, keep=keep_of(of), **KINDS[of][1]), found)
