@@ -51,6 +51,17 @@ def uniform_lattice(shape, stiffness=0.25, damping=0.003, mass=1.0):
     return Lattice(bond_arrays(shape, lambda size: np.full(size, stiffness)), mass, damping)
 
 
+def islands(shape, seed):
+    """A lattice half of whose bonds are missing, and two balls are loose."""
+    rng = np.random.default_rng(seed)
+    stiffness = bond_arrays(shape, lambda size: rng.choice([0.0, 0.25], size))
+    for axis, k in enumerate(stiffness):
+        for ball in ((1,) * len(shape), tuple(n // 2 for n in shape)):
+            k[ball] = 0
+            k[tuple(i + (a == axis) for a, i in enumerate(ball))] = 0
+    return Lattice(stiffness, 1.0, 0.003, kmax=0.25)
+
+
 def reference_of(lattice):
     """The dense reference of a lattice."""
     return Reference(lattice.stiffness, lattice.mass, lattice.damping)

@@ -8,7 +8,7 @@ import pytest
 from mpi4py import MPI
 from network_samples import random_network
 from reference import uniform_frequencies
-from samples import assert_same, bond_arrays, random_lattice, run_scene, uniform_lattice
+from samples import assert_same, islands, random_lattice, reference_of, run_scene, uniform_lattice
 
 import pgran
 from pgran.command.resolve import resolve
@@ -18,12 +18,6 @@ from pgran.physics.lattice import Lattice
 from pgran.scenes import density
 from pgran.solve import staircase
 from pgran.solve.condensation import Condensation
-
-
-def squares_of(lattice):
-    """All omega^2, by NumPy."""
-    moved = lattice.restoring_forces(np.eye(lattice.balls).reshape(-1, *lattice.shape))
-    return np.linalg.eigvalsh(moved.reshape(lattice.balls, -1)) / lattice.mass
 
 
 def check(found, squares):
@@ -41,28 +35,17 @@ def check(found, squares):
     assert np.sum(found.density * widths) * found.balls == pytest.approx(np.ptp(found.count))
 
 
-def islands(shape):
-    """Half of the bonds are missing, and two balls are loose."""
-    rng = np.random.default_rng(3)
-    stiffness = bond_arrays(shape, lambda size: rng.choice([0.0, 0.25], size))
-    for axis, k in enumerate(stiffness):
-        for ball in ((1,) * len(shape), tuple(n // 2 for n in shape)):
-            k[ball] = 0
-            k[tuple(i + (a == axis) for a, i in enumerate(ball))] = 0
-    return Lattice(stiffness, 1.0, 0.003, kmax=0.25)
-
-
 @pytest.mark.parametrize(
     "lattice",
     [
         random_lattice((20, 20), seed=1, mass=1.7), random_lattice((31, 11), law="wide"),
         random_lattice((40,)), random_lattice((6, 7, 8)), random_lattice((1, 1)),
-        random_lattice((90, 1)), random_lattice((2, 3, 40), law="bimodal"), islands((12, 13)),
+        random_lattice((90, 1)), random_lattice((2, 3, 40), law="bimodal"), islands((12, 13), 3),
     ],
     ids=lambda lattice: "x".join(map(str, lattice.shape)),
 )  # fmt: skip
 def test_counts_are_those_of_the_dense_spectrum(lattice):
-    squares = squares_of(lattice)
+    squares = reference_of(lattice).eigenvalues() / lattice.mass
     top = 1.1 * np.sqrt(squares[-1])
     check(pgran.count_modes(lattice, np.linspace(0, top, 15)), squares)
 

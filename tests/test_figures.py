@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from figure_reading import curves, draw, gaps, labels, lines, marks, note
-from figure_results import SWEEP, UNIT, find_modes, listen, respond, result_of
+from figure_results import SWEEP, UNIT, count_modes, find_modes, listen, respond, result_of
 from matplotlib.figure import Figure
 from samples import random_lattice
 
@@ -154,10 +154,16 @@ def test_a_large_lattice_is_an_image_of_means(shape):
     assert image.get_array()[(*ball[1:2], 0)[0], 5] == pytest.approx(mean)
 
 
-@pytest.mark.parametrize(("ending", "begin"), [("PNG", b"\x89PNG"), ("pdf", b"%PDF")])
-def test_plot_saves_one_file_a_figure(tmp_path, ending, begin):
-    pgran.plot(respond([0.5]), tmp_path / "new" / f"my.run.{ending}", modes=[0.9])
-    for name in ("amplitude", "phase", "wall", "bonds"):
+@pytest.mark.parametrize(
+    ("ending", "begin", "make", "names"),
+    [
+        ("PNG", b"\x89PNG", lambda: respond([0.5]), ["amplitude", "phase", "wall", "bonds"]),
+        ("pdf", b"%PDF", count_modes, ["staircase", "density"]),
+    ],
+)
+def test_plot_saves_one_file_a_figure(tmp_path, ending, begin, make, names):
+    pgran.plot(make(), tmp_path / "new" / f"my.run.{ending}", modes=[0.9])
+    for name in names:
         assert (tmp_path / "new" / f"my.run-{name}.{ending}").read_bytes().startswith(begin)
 
 

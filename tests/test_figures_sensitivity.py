@@ -1,86 +1,32 @@
-"""Figures of what a signal depends on, read off the axes: bonds, flux, warm balls, cut bonds."""
+"""Figures of what a signal depends on, read off the axes: bonds, flux; pages with warm balls."""
 
 import logging
 from dataclasses import replace
 from itertools import product
 
-import figure_results
 import numpy as np
 import pytest
-from figure_reading import curves, draw, gaps, labels, lines, note
-from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
-from matplotlib.colors import to_rgb
+from figure_reading import draw, labels, lines, note
+from map_samples import (
+    LATTICE,
+    OMEGAS,
+    bond_lines,
+    depends,
+    discs,
+    heated,
+    joined,
+    result_of,
+    strip,
+    title,
+    wedges,
+)
 from samples import random_lattice
 
 import pgran
 from pgran import figures
 from pgran.figures import balls, heat, maps, sensitivity, style
-from pgran.physics.makers import crystal
 from pgran.results import record_of
 from pgran.results.space import as_network
-
-OMEGAS = [0.3, 0.6, 0.8, 1.1]
-LATTICE = random_lattice((4, 3), seed=5, damping=0.05)
-
-
-def result_of(record, medium=LATTICE):
-    return figure_results.result_of(record, medium)
-
-
-def title(ax):
-    """The title of a panel, which this style has on the left, and others in the middle."""
-    return ax.get_title(loc="left") or ax.get_title()
-
-
-def depends(lattice=LATTICE, detectors=((1, 1),), omegas=OMEGAS, **wanted):
-    return pgran.sensitivity(lattice, omegas, np.ravel(detectors), **wanted)
-
-
-def heated(lattice=LATTICE, detectors=((1, 1),), omegas=OMEGAS, **wanted):
-    wanted = {"factor": 1.1, "cut": True} | wanted
-    return pgran.heat(lattice, omegas, np.ravel(detectors), **wanted)
-
-
-def strip():
-    """A strip of discs, periodic across, with stiffness at random."""
-    return crystal(
-        "triangular", (4, 3), lambda rng, count: rng.uniform(0.5, 1, count),
-        periodic=(False, True), damping=0.05,
-    )  # fmt: skip
-
-
-def joined(shape):
-    """Where each bond begins and ends, axis after axis, each in C order."""
-    ends = []
-    for axis in range(len(shape)):
-        for index in product(*(range(n + (a == axis)) for a, n in enumerate(shape))):
-            lower = np.array(index) - (np.arange(len(shape)) == axis)
-            ends.append([lower, np.array(index)])
-    return np.array(ends)
-
-
-def bond_lines(ax):
-    """The lines that have colours of their own, and the white ones that make them hollow."""
-    found = [c for c in ax.collections if isinstance(c, LineCollection)]
-    (coloured,) = (c for c in found if c.get_array() is not None)
-    (hollow,) = (c for c in found if c.get_label() == "negative")
-    assert np.all(hollow.get_colors()[:, :3] == to_rgb("white"))
-    return coloured, hollow
-
-
-def discs(ax):
-    """The balls that have colours."""
-    (drawn,) = (c for c in ax.collections
-                if isinstance(c, EllipseCollection) and c.get_array() is not None)  # fmt: skip
-    return drawn
-
-
-def wedges(ax):
-    """Where each wedge begins and ends, and how broad it is."""
-    (drawn,) = (c for c in ax.collections if isinstance(c, PolyCollection))
-    corners = np.array([path.vertices[:3] for path in drawn.get_paths()])
-    start = corners[:, :2].mean(axis=1)
-    return start, corners[:, 2], np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
 
 
 @pytest.mark.parametrize(
@@ -190,69 +136,6 @@ def test_many_fluxes_are_summed_in_cells(monkeypatch):
     assert along / np.linalg.norm(along) == pytest.approx(total / np.linalg.norm(total))
 
 
-def test_the_heaters_map():
-    """Colours are what a lattice with those bonds stiffer does; balls not warmed are grey."""
-    found = heated(balls=[(0, 0), (2, 1), (3, 2)], cut=False, detectors=[(1, 1)])
-    ax = draw(heat.warm, found, record_of(LATTICE), 1)
-    colours = discs(ax).get_array()
-    assert np.array_equal(np.flatnonzero(~np.ma.getmaskarray(colours)), [0, 7, 11])
-    before = pgran.sweep(LATTICE, [0.6], [(1, 1)], error_tolerance=1e-10).amplitude[0, 0]
-    expected = []
-    for site in ((0, 0), (2, 1), (3, 2)):
-        stiffness = [k.copy() for k in LATTICE.stiffness]
-        for axis, k in enumerate(stiffness):
-            for side in (0, 1):
-                k[tuple(np.array(site) + side * (np.arange(2) == axis))] *= 1.1
-        changed = replace(LATTICE, stiffness=tuple(stiffness))
-        after = pgran.sweep(changed, [0.6], [(1, 1)], error_tolerance=1e-10).amplitude[0, 0]
-        expected.append(after / before - 1)
-    expected = np.array(expected)
-    largest = np.abs(expected).max()
-    assert largest * colours.compressed() == pytest.approx(expected, abs=1e-5)
-    assert f"largest {100 * largest:.3g} %" in title(ax)
-
-
-def test_bars_on_balls_that_make_it_fall():
-    found = heated(cut=False)
-    ax = draw(heat.warm, found, record_of(LATTICE), 1)
-    grown = np.abs(found.warmed[1, 0]) / np.abs(found.displacement[1, 0]) - 1
-    below = np.flatnonzero(grown < -maps.FAINT * np.abs(grown).max())
-    (bars,) = lines(ax, label="negative")
-    places = np.stack([bars.get_xdata(), bars.get_ydata()], axis=1)
-    assert len(below) > 0
-    assert places == pytest.approx(np.stack(np.unravel_index(below, (4, 3)), axis=1))
-
-
-def test_cut_bonds_in_decibels_and_what_is_not_known():
-    found = heated(factor=None)
-    found.cut_bound[1, 0, 3] = np.inf
-    ax = draw(heat.cut, found, record_of(LATTICE), 1)
-    coloured, _ = bond_lines(ax)
-    level = 20 * np.log10(np.abs(found.cut[1, 0]) / np.abs(found.displacement[1, 0]))
-    level = np.delete(level, 3)
-    assert len(coloured.get_segments()) == len(level)
-    largest = np.abs(level).max()
-    assert f"largest {largest:.3g} dB" in title(ax)
-    assert sorted(coloured.get_array() * largest) == pytest.approx(sorted(level))
-    found.cut[1, 0, 4] = 0.0
-    assert heat.decibels(found, 1, 0)[4] == -60
-
-
-def test_means_where_cut_bonds_are_too_many(monkeypatch):
-    monkeypatch.setattr(maps, "CLEAR", 10)
-    found = heated(factor=None)
-    found.cut_bound[1, 0, 3] = np.inf
-    level = heat.decibels(found, 1, 0)
-    ends, expected = joined((4, 3)), []
-    for site in product(range(4), range(3)):
-        own = (ends == np.array(site)).all(axis=2).any(axis=1)
-        expected.append(np.nanmean(level[own]))
-    colours = np.array(discs(draw(heat.cut, found, record_of(LATTICE), 1)).get_array())
-    assert colours * np.abs(expected).max() == pytest.approx(expected)
-    made = figures.make(result_of(found))
-    assert "mean over its bonds" in note(made["cut"]).replace("\n", " ")
-
-
 def test_shares_of_bonds_and_balls():
     found, warm = depends(detectors=[(1, 1), (3, 2)]), heated(detectors=[(1, 1), (3, 2)])
     ax = draw(sensitivity.distribution, found, record_of(LATTICE))
@@ -268,20 +151,6 @@ def test_shares_of_bonds_and_balls():
     quarter = np.mean(moved >= 0.25)
     assert f"ball (3, 2), ball warmed: {100 * quarter:.2g} % of cases above" in labels(ax)
     assert quarter == pytest.approx(warm.heard[:, 1].mean())
-
-
-def test_changes_over_frequency():
-    warm = heated(omegas=np.linspace(0.2, 1.2, 8))
-    warm.converged_reason[3] = 0
-    ax = draw(heat.over_frequency, warm, record_of(LATTICE))
-    moved = 100 * np.abs(warm.warmed / warm.displacement[..., None] - 1)[:, 0]
-    median, largest = curves(ax)[:2]
-    assert gaps(median) == gaps(largest) == [3]
-    good = warm.converged_reason > 0
-    assert median.get_ydata().compressed() == pytest.approx(np.median(moved, axis=1)[good])
-    assert largest.get_ydata().compressed() == pytest.approx(moved.max(axis=1)[good])
-    (cross,) = lines(ax, marker="x")
-    assert cross.get_xdata() == pytest.approx(warm.omega[3:4] / LATTICE.omega_mx)
 
 
 @pytest.mark.parametrize(

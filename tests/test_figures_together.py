@@ -17,7 +17,6 @@ from pgran.command.plot import run as plot
 from pgran.command.resolve import resolve
 from pgran.errors import FileError, InputError
 from pgran.figures import together
-from pgran.files.columns import read_measured
 from pgran.files.options import options_in
 from pgran.files.reading import read_words
 from pgran.physics.spectrum import power_spectrum
@@ -251,29 +250,6 @@ def test_what_was_measured_lies_over_a_response(written, damped, text, caplog):
 def test_without_phases_the_phase_is_left_alone(written, damped):
     made = pgran.plot(damped[0], measured=written("0.4 2\n", "a.csv"))
     assert not lines(made["phase"].axes[0], marker="o")
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("omega,amplitude\n1,2\n3\n", "a.csv:3: 1 numbers; each line has omega, amplitude and"),
-        ("1 2\n1 2 3\n", "a.csv:2: 3 numbers"),
-        ("1\n2\n", "a.csv:1: 1 numbers"),
-        ("omega amplitude\n1 2 3\n", "a.csv:2: 3 numbers"),
-        ("f,A\n1,2\n", "a.csv:1: a header names omega, amplitude and maybe phase"),
-        ("omega amplitude omega\n1 2 1\n", "a.csv:1: a header names"),
-        ("omega amplitude\n", "a.csv: holds no numbers"),
-        ("", "a.csv: holds no numbers"),
-        ("1 2\n2 x\n", "a.csv:2: '2 x' is no number"),
-        ("1 2\n2 inf\n", "a.csv:2: '2 inf' is not finite"),
-        ("1 2\n0 1\n", "a.csv:2: omega 0 is not > 0"),
-        ("amplitude omega\n1 2\n-3 1\n", "a.csv:3: amplitude -3 is not > 0"),
-    ],
-)
-def test_columns_that_are_no_measurement(written, text, said):
-    with pytest.raises(FileError) as refused:
-        read_measured(written(text, "a.csv"))
-    assert said in str(refused.value)
 
 
 def test_measurements_that_fit_no_figure(written, damped):

@@ -8,8 +8,7 @@ from samples import TIME, listened, random_lattice
 from scipy.integrate import quad
 
 from pgran.command.resolve import resolve
-from pgran.errors import FileError, InputError
-from pgran.files.columns import read_columns
+from pgran.errors import InputError
 from pgran.files.reading import read_words
 from pgran.physics.pulse import Pulse, Samples
 
@@ -101,30 +100,6 @@ def test_what_is_refused_says_what_to_change(world, said):
         listened(random_lattice((5, 4), 2), choices.pop("sites"), world, **choices)
     assert said in str(refused.value)
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("0\n1\n\n# end\n2 three\n", "a.txt:5: '2 three' is no number; begin comments with #"),
-        ("0 0\n1\n", "a.txt:2: 1 numbers; each line has one, or a time and one"),
-        ("0 0 0\n", "a.txt:1: 3 numbers"),
-        ("0\nnan\n1\n", "a.txt:2: 'nan' is not finite; fill the gap"),
-        ("0,1\n1,1e999", "a.txt:2: '1,1e999' is not finite"),
-        ("# nothing\n\n", "a.txt: holds no numbers"),
-    ],
-)
-def test_files_that_hold_no_motion(written, text, said):
-    with pytest.raises(FileError) as refused:
-        read_columns(written(text, "a.txt"))
-    assert said in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
-def test_columns_of_a_file(written):
-    """Comments, empty lines, a mark of the encoding, any of three separators."""
-    content = "\ufeff# t u\n0, 1\n\n 1;2 # note\n2\t3e-1\n"
-    assert read_columns(written(content)).tolist() == [[0, 1], [1, 2], [2, 0.3]]
 
 
 def test_a_file_and_a_shape_are_alternatives():

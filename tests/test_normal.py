@@ -8,7 +8,7 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 from reference import Reference, uniform_frequencies
-from samples import bond_arrays, random_lattice, uniform_lattice
+from samples import islands, random_lattice, uniform_lattice
 
 from pgran.errors import InputError
 from pgran.parallel.crew import Crew
@@ -41,15 +41,9 @@ def make(kind, shape, seed=5):
     """A lattice of random bonds, of equal ones, or of many missing ones and two loose balls."""
     if kind == "equal":
         return uniform_lattice(shape, mass=0.8)
-    if kind != "islands":
-        return random_lattice(shape, seed, mass=1.7, law=kind)
-    rng = np.random.default_rng(seed)
-    stiffness = bond_arrays(shape, lambda size: rng.choice([0.0, 0.25], size))
-    for axis, k in enumerate(stiffness):
-        for ball in ((1,) * len(shape), tuple(n // 2 for n in shape)):
-            k[ball] = 0
-            k[tuple(i + (a == axis) for a, i in enumerate(ball))] = 0
-    return Lattice(stiffness, 1.0, 0.003, kmax=0.25)
+    if kind == "islands":
+        return islands(shape, seed)
+    return random_lattice(shape, seed, mass=1.7, law=kind)
 
 
 def check(lattice, modes, interval=(0.0, np.inf)):

@@ -5,47 +5,20 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from campaigns.sensitivity import Exact, derivative_faults, faults, missed, number, random_case
-from mpi4py import MPI
+from campaigns.sensitivity import derivative_faults, faults, random_case
 from mpmath import mp, mpf
 from network_samples import as_network, exactly
 from samples import assert_same, random_lattice, swept
+from sensitivity_samples import STALE, Exact, derived, missed, number, packing
 
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.files.reading import read_words
-from pgran.parallel.crew import Crew
 from pgran.physics.lattice import Lattice
 from pgran.physics.network import Network
 from pgran.scenes import sweeping
-from pgran.scenes.sensitivity import sensitivity
 
 DERIVATIVES = "by_stiffness", "by_mass", "by_damping", "by_tangential", "by_force"
-
-
-def derived(medium, omegas, sites, comm=MPI.COMM_SELF, ranks=1, **choices):
-    """The derivatives, on every rank of `comm`; so many of them share a lattice."""
-    with Crew(comm, ranks) as crew:
-        return comm.bcast(sensitivity(medium, omegas, sites, crew, **choices))
-
-
-TOUCH = [[0, 1], [1, 2], [2, 3], [3, 1], [4, 2], [3, 4], [1, 3], [2, 1], [0, 4], [2, 0], [0, 3]]
-
-
-def packing(displacement, d=2, unit=1.0, damping=0.02, seed=7, **others):
-    """Five balls, all of which touch, two of them twice; the first is driven, the last at rest."""
-    rng, contacts = np.random.default_rng(seed), len(TOUCH)
-    given = {}
-    if displacement != "scalar":
-        given = {"position": rng.uniform(0, 2, (5, d)), "direction": rng.uniform(1, 2, d)}
-        given["tangential"] = unit * rng.uniform(0.2, 1, contacts)
-        given["force"] = unit * rng.uniform(0.01, 0.03, contacts)
-    if displacement == "rotations":
-        given["radius"] = rng.uniform(0.3, 1, 5)
-    return Network(
-        TOUCH, unit * rng.uniform(0.5, 1, contacts), [2, 0, 0, 0, 1], unit * rng.uniform(0.3, 3, 5),
-        unit * damping, displacement, **given | others
-    )  # fmt: skip
 
 
 def with_zeros(lattice):
@@ -274,9 +247,6 @@ def test_what_fails_is_marked(solver_options):
     assert np.all(np.isnan(found.by_stiffness) & np.isnan(found.flux)[:, None])
     assert np.all(np.isnan(found.by_mass))
     assert np.all(np.isnan(found.by_damping))
-
-
-STALE = "-steady_ksp_type bcgs -steady_pc_type cholesky"
 
 
 @pytest.mark.parametrize("solver", [STALE, "-steady_ksp_type gmres -steady_pc_type ilu", ""])

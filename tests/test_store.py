@@ -1,11 +1,10 @@
-"""Results on disk: everything comes back, nothing half-written stays, damage does no harm."""
+"""Results on disk: everything comes back, and damage does no harm."""
 
 import contextlib
 import dataclasses
 import hashlib
 import os
 import pickle
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from result_samples import ATTRIBUTES, KINDS, change, make, stored
 from samples import assert_same, random_lattice
 
 from pgran import __main__ as command_line
@@ -21,46 +21,13 @@ from pgran.errors import DONE, FileError, PgranError
 from pgran.files import store
 from pgran.record import Result
 
-ATTRIBUTES = {"scene": "modes", "status": "complete", "options": "# é\n", "slepc_version": "",
-              "mpi_size": 2, "seconds": 1.5}  # fmt: skip
 VERSION_1 = Path(__file__).with_name("version1.h5")
-PLAIN = {int: 7, float: 0.3, bool: True, str: "é", tuple[float, ...]: (0.5, 1.0)}
-# a result belongs to a lattice or to another network
-KINDS = [kind for kind in results.RECORDS.values() if kind is not results.NetworkRecord]
-
-
-def fill(size, dtype):
-    """Return an array of entries that are all different, among real numbers a NaN."""
-    numbers = np.arange(np.prod(size)).reshape(size)
-    if dtype is str:
-        return np.char.mod("é%d", numbers)
-    return (np.where(numbers == 1, np.nan, 1.5 * numbers) if dtype is float else numbers).astype(
-        dtype
-    )
-
-
-def make(kind, shape=(4, 5), without=()):
-    """Return a record as it is declared, every axis of another length."""
-    if kind is results.LatticeRecord:
-        return kind.of(random_lattice(shape))
-    lengths, values = {"axis": len(shape), "balls": shape}, {}
-    for item in dataclasses.fields(kind):
-        axes = item.metadata.get("axes", item.metadata.get("along"))
-        if "part" in item.metadata and item.name not in without:
-            values[item.name] = make(item.metadata["part"], shape)
-        elif axes is None or item.name in without:
-            values[item.name] = PLAIN.get(item.type)
-        else:
-            size = [lengths.setdefault(n, 2 + len(lengths)) for n in axes or [item.name]]
-            values[item.name] = fill(np.hstack(size), item.metadata["dtype"])
-    return kind(**values)
 
 
 @pytest.fixture
 def path(tmp_path):
     """A result with a record of every kind; each rank has its own folder."""
-    store.write(tmp_path / "a.h5", ATTRIBUTES, map(make, KINDS))
-    return tmp_path / "a.h5"
+    return stored(tmp_path / "a.h5")
 
 
 @pytest.mark.parametrize("shape", [(7,), (4, 5), (2, 3, 4), (1, 1)])
@@ -120,99 +87,6 @@ def test_a_result_by_name(monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(PgranError, match="pip install xarray"):
         modes.to_xarray()
-
-
-# Whole or not at all
-
-
-def test_a_result_replaces_an_older_one_whole(path):
-    """What a killed run left is in nobody's way; a folder that was removed is made anew."""
-    path.with_name(".a.h5.part").write_bytes(b"half")
-    for place in (path, path.parent / "removed" / "a.h5"):
-        store.write(place, {"status": "new"}, [make(results.LatticeRecord, (7,))])
-        assert load(place).status == "new"
-        assert load(place).lattice.stiffness_y is None
-        assert os.listdir(place.parent) == ["a.h5"]
-
-
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-@pytest.mark.parametrize(
-    ("module", "name"), [(store, "_attach"), (store.os, "replace"), (store.os, "fsync")]
-)
-def test_a_failing_write_leaves_the_old_file(path, monkeypatch, module, name, error):
-    def fail(*arguments):
-        raise error
-
-    before, disk = path.read_bytes(), isinstance(error, OSError)
-    monkeypatch.setattr(module, name, fail)
-    words = r"a\.h5: cannot be written: No space left" if disk else None
-    with pytest.raises(FileError if disk else KeyboardInterrupt, match=words):
-        store.write(path, ATTRIBUTES, [make(results.Modes)])
-    assert path.read_bytes() == before
-    assert os.listdir(path.parent) == ["a.h5"]
-
-
-@pytest.mark.parametrize("room", [0, 100, 3000, 20000])
-def test_no_room(path, room, capfd):
-    """A disk that is full at the beginning, in the middle, at the end: one error, no more words."""
-    before, limits = path.read_bytes(), resource.getrlimit(resource.RLIMIT_FSIZE)
-    large = make(results.LatticeRecord, (60, 50))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
-    try:
-        with pytest.raises(FileError, match=r"a\.h5: cannot be written: File too large"):
-            store.write(path, ATTRIBUTES, [large])
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert path.read_bytes() == before
-    assert os.listdir(path.parent) == ["a.h5"]
-    assert capfd.readouterr().err == ""
-
-
-# What may be replaced
-
-
-def change(path, name="/@note", value="mine"):
-    """Change an attribute (`group@name`) or a dataset of a result by h5py, which drops the seal."""
-    group, attribute, key = name.partition("@")
-    with h5py.File(path, "r+") as file:
-        members = file[group].attrs if attribute else file
-        members.pop(key or name, None)
-        if value is not None:
-            members[key or name] = value
-    return path
-
-
-def test_existing_output_needs_leave(path):
-    with pytest.raises(FileError, match="exists already; -output_overwrite"):
-        store.check_output(path, False)
-    before = path.read_bytes()
-    store.check_output(change(path), True)
-    path.write_bytes(before.replace(b"lattice", b"lettuce"))  # damaged, and still a result
-    store.check_output(path, True)
-    assert path.exists()
-
-
-@pytest.mark.parametrize("content", [b"mine", b"", b"\x89HDF\r\n\x1a\n" + bytes(600)])
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_only_results_are_replaced(tmp_path, content, overwrite):
-    path, pipe = tmp_path / "a.h5", tmp_path / "pipe"
-    path.write_bytes(content)
-    os.mkfifo(pipe)
-    for place in (path, pipe, tmp_path):
-        with pytest.raises(FileError, match="no result of pgran: move it away yourself"):
-            store.check_output(place, overwrite)
-    assert path.read_bytes() == content
-
-
-@pytest.mark.parametrize("name", ["a" * 300, "a" * 248, "a\0b", "file/a.h5", "/proc/a.h5"])
-def test_outputs_that_cannot_be_written(tmp_path, name):
-    """Found out before the work: the temporary name is longer than the name itself."""
-    (tmp_path / "file").touch()
-    with pytest.raises(FileError, match="cannot be written"):
-        store.check_output(tmp_path / name, False)
-    assert os.listdir(tmp_path) == ["file"]
-    store.check_output(tmp_path / "new" / "er" / "a.h5", False)
-    assert os.listdir(tmp_path / "new" / "er") == []
 
 
 # Changed and damaged files; tests/test_foreign.py has those that point elsewhere

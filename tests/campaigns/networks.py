@@ -95,18 +95,18 @@ def mode_faults(case, reference, seen):
         yield f"NOT CERTIFIED case {case.seed}: {len(modes.omega)} of {modes.count_expected}"
 
 
-def main(first, last):
-    """Carry out random cases; print what is false, and what was seen."""
+def carry_out(random_case, faults, first, last):
+    """Print what is false of random cases, each made from its seed, and what was seen."""
     logging.disable()
     seen = Counter()
     for seed in range(first, last):
         try:
-            for fault in faults(random_network(seed), seen):
+            for fault in faults(random_case(seed), seen):
                 print(fault, flush=True)
         except Exception as error:
             print(f"RAISED case {seed}: {type(error).__name__}: {error}", flush=True)
-    print(f"networks {first} to {last}:", ", ".join(f"{n} {name}" for name, n in seen.items()))
+    print(f"cases {first} to {last}:", ", ".join(f"{n} {name}" for name, n in seen.items()))
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]))
+    carry_out(random_network, faults, *map(int, sys.argv[1:]))

@@ -6,19 +6,18 @@ prints what it finds. tests/test_sensitivity.py and tests/test_heat.py have the 
 """
 
 import dataclasses
-import logging
 import sys
-from collections import Counter
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[1]))
 
-import mpmath
 import numpy as np
+from campaigns.networks import carry_out
 from mpi4py import MPI
-from mpmath import mp, mpf
-from network_samples import NetworkReference, as_network, exactly, random_network
+from mpmath import mp
+from network_samples import exactly, random_network
 from samples import SOLVERS, bond_arrays, option_values
+from sensitivity_samples import Exact, missed
 
 from pgran.errors import InputError
 from pgran.parallel.crew import Crew
@@ -28,113 +27,6 @@ from pgran.scenes.sensitivity import sensitivity
 from pgran.solve.database import holding
 
 DIGITS = 60
-number = np.frompyfunc(lambda x: mpmath.mpmathify(complex(x)), 1, 1)
-
-
-class Exact(NetworkReference):
-    """Driven states to all digits, and what changes when K, C or M of some balls do."""
-
-    def __init__(self, medium):
-        """Take a lattice as the network that it is."""
-        super().__init__(as_network(medium) if isinstance(medium, Lattice) else medium)
-        net, width = self.network, self.axes + self.turns
-        self.ends, self.beta = net.bond, mpf(float(net.damping))
-        self.free = np.repeat(net.held == 0, width)
-        self.motion = np.full((len(net.held), width), mpf(0))
-        self.motion[net.held == 2, : self.axes] = exactly(net.direction)
-        self.motion = self.motion.ravel()
-        self.inertia = np.full((len(net.held), width), mpf(0))
-        self.inertia.ravel()[self.free] = self.M
-        self.elastic, self.lossy = (np.full((self.motion.size,) * 2, mpf(0)) for _ in range(2))
-        for n in range(len(self.contacts)):
-            here, elastic, lossy = self.contact(n)
-            self.elastic[here] += elastic
-            self.lossy[here] += lossy
-
-    def states(self, s, sites, changes=()):
-        """The amplitudes A, and each detector's adjoint, of all balls; None if S is singular.
-
-        `changes` are pairs of a place and what is added to S there.
-        """
-        s = mpmath.mpmathify(complex(s))
-        S = self.elastic + s * self.beta * self.lossy
-        S[np.diag_indices_from(S)] += s * s * self.inertia.ravel()
-        for here, added in changes:
-            S[here] += added
-        reading = np.full((len(sites), *self.inertia.shape), mpf(0))
-        for row, site in zip(reading, sites, strict=True):
-            row[site, : self.axes] = self.read
-        reading = reading.reshape(len(sites), -1).T
-        fixed = ~self.free
-        force = -S[np.ix_(self.free, fixed)] @ self.motion[fixed] + s * 0
-        found = solved(
-            S[np.ix_(self.free, self.free)], np.column_stack([force, reading[self.free]])
-        )
-        if found is None:
-            return None
-        A, z = self.motion.copy() + s * 0, reading * 0
-        A[self.free], z[self.free] = found[:, 0], found[:, 1:]
-        return A, z.T, reading.T @ A
-
-    def derivatives(self, s, A, z):
-        """Derivatives of what detectors read, by name, exact because S is linear in everything."""
-        s, width = mpmath.mpmathify(complex(s)), self.axes + self.turns
-        found = {name: [] for name in ("stiffness", "tangential", "force", "damping", "mass")}
-        for here, *parts, lossy in self.contacts:
-            at = here[1].ravel()
-            for name, part in zip(found, [*parts, s * lossy], strict=False):
-                found[name].append(-(z[:, at] @ part @ A[at]))
-        found = {name: np.array(rows).T for name, rows in found.items() if rows}
-        found["damping"] = found["damping"].sum(axis=1)
-        products = -s * s * z * A
-        inertia = self.inertia.ravel() / np.repeat(exactly(self.network.masses), width)
-        found["mass"] = (products * inertia).reshape(len(z), -1, width).sum(axis=2)
-        found["mass"] = found["mass"][:, self.network.held == 0]
-        return found
-
-    def grown(self, contact, factor=None, overlap=None, hertz=None):
-        """What heating a contact adds to K: Hertz's law, as it stands in the paper."""
-        here, along, slip, *_ = self.contacts[contact]
-        net = self.network
-        k = mpf(float(net.stiffness[contact]))
-        if factor is None and k:
-            h = (2 * k / (3 * mpf(hertz))) ** 2
-            if net.force is not None:
-                h = mpf(3) / 2 * mpf(float(net.force[contact])) / k
-            factor = mp.sqrt((h + mpf(overlap)) / h) if h + overlap > 0 and h else mpf(not h)
-        elif factor is None:
-            return here, mpf(3) / 2 * hertz * mp.sqrt(overlap) * along
-        added = k * along
-        if net.displacement != "scalar" and net.tangential is not None:
-            added = added + mpf(float(net.tangential[contact])) * slip
-        return here, (mpf(factor) - 1) * added
-
-    def warmed(self, s, sites, ball, **by):
-        """The amplitudes with a ball warm; None if S is singular."""
-        warm = np.flatnonzero(np.any(self.ends == ball, axis=1))
-        found = self.states(s, sites, [self.grown(contact, **by) for contact in warm])
-        return None if found is None else found[2]
-
-    def cut(self, s, sites, contact):
-        """The amplitudes without a contact; None if S is singular."""
-        here, elastic, lossy = self.contact(contact)
-        added = -elastic - mpmath.mpmathify(complex(s)) * self.beta * lossy
-        found = self.states(s, sites, [(here, added)])
-        return None if found is None else found[2]
-
-
-def solved(S, f):
-    """The solutions of S x = f, a column each, with row pivoting; None where S is singular."""
-    A, order = np.column_stack([S, f]), len(S)
-    for n in range(order):
-        pivot = n + int(np.argmax([abs(x) for x in A[n:, n]]))
-        A[[n, pivot]] = A[[pivot, n]]
-        if not abs(A[n, n]) > mpf(10) ** (5 - mp.dps) * max(map(abs, S[n])):
-            return None
-        A[n, n:] /= A[n, n]
-        rows = [p for p in range(order) if p != n and A[p, n]]
-        A[rows, n:] -= np.multiply.outer(A[rows, n], A[n, n:])
-    return A[:, order:]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,16 +84,6 @@ def random_case(seed):
     solver = "default" if rng.random() < 0.4 else list(SOLVERS)[rng.integers(len(SOLVERS))]
     tolerance = 10 ** rng.uniform(-10, -1)
     return Case(seed, medium, np.unique(omegas), sites, solver, tolerance, by)
-
-
-def missed(found, exact, bound):
-    """Where a finite bound is broken, and the errors, as arrays."""
-    with np.errstate(all="ignore"):
-        errors = abs(number(found) - exact)
-        finite, wrong = np.isfinite(bound), np.zeros(np.shape(found), dtype=bool)
-        known = zip(errors[finite], bound[finite], strict=True)
-        wrong[finite] = [not e <= mpf(float(b)) for e, b in known]
-        return wrong, errors.astype(float)
 
 
 def faults(case, seen, comm=MPI.COMM_SELF):
@@ -310,18 +192,5 @@ def heat_faults(case, hot, n, exact, states, numbers, seen):
                 yield f"BROKEN {name} {one} {case.by}: {errors} > {bound[:, one]}, {after[:, one]}"
 
 
-def main(first, last):
-    """Carry out random cases; print what is false, and what was seen."""
-    logging.disable()
-    seen = Counter()
-    for seed in range(first, last):
-        try:
-            for fault in faults(random_case(seed), seen):
-                print(fault, flush=True)
-        except Exception as error:
-            print(f"RAISED case {seed}: {type(error).__name__}: {error}", flush=True)
-    print(f"cases {first} to {last}:", ", ".join(f"{n} {name}" for name, n in seen.items()))
-
-
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]))
+    carry_out(random_case, faults, *map(int, sys.argv[1:]))

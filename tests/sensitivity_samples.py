@@ -1,0 +1,161 @@
+"""What a signal depends on: small media, pgran's answers for them, and those to all digits."""
+
+import mpmath
+import numpy as np
+from mpi4py import MPI
+from mpmath import mp, mpf
+from network_samples import NetworkReference, as_network, exactly
+
+from pgran.parallel.crew import Crew
+from pgran.physics.lattice import Lattice
+from pgran.physics.network import Network
+from pgran.scenes.heat import heat
+from pgran.scenes.sensitivity import sensitivity
+
+number = np.frompyfunc(lambda x: mpmath.mpmathify(complex(x)), 1, 1)
+STALE = "-steady_ksp_type bcgs -steady_pc_type cholesky"
+TOUCH = [[0, 1], [1, 2], [2, 3], [3, 1], [4, 2], [3, 4], [1, 3], [2, 1], [0, 4], [2, 0], [0, 3]]
+
+
+def derived(medium, omegas, sites, comm=MPI.COMM_SELF, ranks=1, **choices):
+    """The derivatives, on every rank of `comm`; so many of them share a lattice."""
+    with Crew(comm, ranks) as crew:
+        return comm.bcast(sensitivity(medium, omegas, sites, crew, **choices))
+
+
+def heated(medium, omegas, sites, comm=MPI.COMM_SELF, ranks=1, **choices):
+    """The amplitudes after each change, on every rank; so many of them share a lattice."""
+    with Crew(comm, ranks) as crew:
+        return comm.bcast(heat(medium, omegas, sites, crew, **choices))
+
+
+def packing(displacement, d=2, unit=1.0, damping=0.02, seed=7, **others):
+    """Five balls, all of which touch, two of them twice; the first is driven, the last at rest."""
+    rng, contacts = np.random.default_rng(seed), len(TOUCH)
+    given = {}
+    if displacement != "scalar":
+        given = {"position": rng.uniform(0, 2, (5, d)), "direction": rng.uniform(1, 2, d)}
+        given["tangential"] = unit * rng.uniform(0.2, 1, contacts)
+        given["force"] = unit * rng.uniform(0.01, 0.03, contacts)
+    if displacement == "rotations":
+        given["radius"] = rng.uniform(0.3, 1, 5)
+    return Network(
+        TOUCH, unit * rng.uniform(0.5, 1, contacts), [2, 0, 0, 0, 1], unit * rng.uniform(0.3, 3, 5),
+        unit * damping, displacement, **given | others
+    )  # fmt: skip
+
+
+class Exact(NetworkReference):
+    """Driven states to all digits, and what changes when K, C or M of some balls do."""
+
+    def __init__(self, medium):
+        """Take a lattice as the network that it is."""
+        super().__init__(as_network(medium) if isinstance(medium, Lattice) else medium)
+        net, width = self.network, self.axes + self.turns
+        self.ends, self.beta = net.bond, mpf(float(net.damping))
+        self.free = np.repeat(net.held == 0, width)
+        self.motion = np.full((len(net.held), width), mpf(0))
+        self.motion[net.held == 2, : self.axes] = exactly(net.direction)
+        self.motion = self.motion.ravel()
+        self.inertia = np.full((len(net.held), width), mpf(0))
+        self.inertia.ravel()[self.free] = self.M
+        self.elastic, self.lossy = (np.full((self.motion.size,) * 2, mpf(0)) for _ in range(2))
+        for n in range(len(self.contacts)):
+            here, elastic, lossy = self.contact(n)
+            self.elastic[here] += elastic
+            self.lossy[here] += lossy
+
+    def states(self, s, sites, changes=()):
+        """The amplitudes A, and each detector's adjoint, of all balls; None if S is singular.
+
+        `changes` are pairs of a place and what is added to S there.
+        """
+        s = mpmath.mpmathify(complex(s))
+        S = self.elastic + s * self.beta * self.lossy
+        S[np.diag_indices_from(S)] += s * s * self.inertia.ravel()
+        for here, added in changes:
+            S[here] += added
+        reading = np.full((len(sites), *self.inertia.shape), mpf(0))
+        for row, site in zip(reading, sites, strict=True):
+            row[site, : self.axes] = self.read
+        reading = reading.reshape(len(sites), -1).T
+        fixed = ~self.free
+        force = -S[np.ix_(self.free, fixed)] @ self.motion[fixed] + s * 0
+        found = solved(
+            S[np.ix_(self.free, self.free)], np.column_stack([force, reading[self.free]])
+        )
+        if found is None:
+            return None
+        A, z = self.motion.copy() + s * 0, reading * 0
+        A[self.free], z[self.free] = found[:, 0], found[:, 1:]
+        return A, z.T, reading.T @ A
+
+    def derivatives(self, s, A, z):
+        """Derivatives of what detectors read, by name, exact because S is linear in everything."""
+        s, width = mpmath.mpmathify(complex(s)), self.axes + self.turns
+        found = {name: [] for name in ("stiffness", "tangential", "force", "damping", "mass")}
+        for here, *parts, lossy in self.contacts:
+            at = here[1].ravel()
+            for name, part in zip(found, [*parts, s * lossy], strict=False):
+                found[name].append(-(z[:, at] @ part @ A[at]))
+        found = {name: np.array(rows).T for name, rows in found.items() if rows}
+        found["damping"] = found["damping"].sum(axis=1)
+        products = -s * s * z * A
+        inertia = self.inertia.ravel() / np.repeat(exactly(self.network.masses), width)
+        found["mass"] = (products * inertia).reshape(len(z), -1, width).sum(axis=2)
+        found["mass"] = found["mass"][:, self.network.held == 0]
+        return found
+
+    def grown(self, contact, factor=None, overlap=None, hertz=None):
+        """What heating a contact adds to K: Hertz's law, as it stands in the paper."""
+        here, along, slip, *_ = self.contacts[contact]
+        net = self.network
+        k = mpf(float(net.stiffness[contact]))
+        if factor is None and k:
+            h = (2 * k / (3 * mpf(hertz))) ** 2
+            if net.force is not None:
+                h = mpf(3) / 2 * mpf(float(net.force[contact])) / k
+            factor = mp.sqrt((h + mpf(overlap)) / h) if h + overlap > 0 and h else mpf(not h)
+        elif factor is None:
+            return here, mpf(3) / 2 * hertz * mp.sqrt(overlap) * along
+        added = k * along
+        if net.displacement != "scalar" and net.tangential is not None:
+            added = added + mpf(float(net.tangential[contact])) * slip
+        return here, (mpf(factor) - 1) * added
+
+    def warmed(self, s, sites, ball, **by):
+        """The amplitudes with a ball warm; None if S is singular."""
+        warm = np.flatnonzero(np.any(self.ends == ball, axis=1))
+        found = self.states(s, sites, [self.grown(contact, **by) for contact in warm])
+        return None if found is None else found[2]
+
+    def cut(self, s, sites, contact):
+        """The amplitudes without a contact; None if S is singular."""
+        here, elastic, lossy = self.contact(contact)
+        added = -elastic - mpmath.mpmathify(complex(s)) * self.beta * lossy
+        found = self.states(s, sites, [(here, added)])
+        return None if found is None else found[2]
+
+
+def solved(S, f):
+    """The solutions of S x = f, a column each, with row pivoting; None where S is singular."""
+    A, order = np.column_stack([S, f]), len(S)
+    for n in range(order):
+        pivot = n + int(np.argmax([abs(x) for x in A[n:, n]]))
+        A[[n, pivot]] = A[[pivot, n]]
+        if not abs(A[n, n]) > mpf(10) ** (5 - mp.dps) * max(map(abs, S[n])):
+            return None
+        A[n, n:] /= A[n, n]
+        rows = [p for p in range(order) if p != n and A[p, n]]
+        A[rows, n:] -= np.multiply.outer(A[rows, n], A[n, n:])
+    return A[:, order:]
+
+
+def missed(found, exact, bound):
+    """Where a finite bound is broken, and the errors, as arrays."""
+    with np.errstate(all="ignore"):
+        errors = abs(number(found) - exact)
+        finite, wrong = np.isfinite(bound), np.zeros(np.shape(found), dtype=bool)
+        known = zip(errors[finite], bound[finite], strict=True)
+        wrong[finite] = [not e <= mpf(float(b)) for e, b in known]
+        return wrong, errors.astype(float)

@@ -1,0 +1,91 @@
+"""Figures of warm balls and cut bonds, read off the axes."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from figure_reading import curves, draw, gaps, lines, note
+from map_samples import LATTICE, bond_lines, discs, heated, joined, result_of, title
+
+import pgran
+from pgran import figures
+from pgran.figures import heat, maps
+from pgran.results import record_of
+
+
+def test_the_heaters_map():
+    """Colours are what a lattice with those bonds stiffer does; balls not warmed are grey."""
+    found = heated(balls=[(0, 0), (2, 1), (3, 2)], cut=False, detectors=[(1, 1)])
+    ax = draw(heat.warm, found, record_of(LATTICE), 1)
+    colours = discs(ax).get_array()
+    assert np.array_equal(np.flatnonzero(~np.ma.getmaskarray(colours)), [0, 7, 11])
+    before = pgran.sweep(LATTICE, [0.6], [(1, 1)], error_tolerance=1e-10).amplitude[0, 0]
+    expected = []
+    for site in ((0, 0), (2, 1), (3, 2)):
+        stiffness = [k.copy() for k in LATTICE.stiffness]
+        for axis, k in enumerate(stiffness):
+            for side in (0, 1):
+                k[tuple(np.array(site) + side * (np.arange(2) == axis))] *= 1.1
+        changed = replace(LATTICE, stiffness=tuple(stiffness))
+        after = pgran.sweep(changed, [0.6], [(1, 1)], error_tolerance=1e-10).amplitude[0, 0]
+        expected.append(after / before - 1)
+    expected = np.array(expected)
+    largest = np.abs(expected).max()
+    assert largest * colours.compressed() == pytest.approx(expected, abs=1e-5)
+    assert f"largest {100 * largest:.3g} %" in title(ax)
+
+
+def test_bars_on_balls_that_make_it_fall():
+    found = heated(cut=False)
+    ax = draw(heat.warm, found, record_of(LATTICE), 1)
+    grown = np.abs(found.warmed[1, 0]) / np.abs(found.displacement[1, 0]) - 1
+    below = np.flatnonzero(grown < -maps.FAINT * np.abs(grown).max())
+    (bars,) = lines(ax, label="negative")
+    places = np.stack([bars.get_xdata(), bars.get_ydata()], axis=1)
+    assert len(below) > 0
+    assert places == pytest.approx(np.stack(np.unravel_index(below, (4, 3)), axis=1))
+
+
+def test_cut_bonds_in_decibels_and_what_is_not_known():
+    found = heated(factor=None)
+    found.cut_bound[1, 0, 3] = np.inf
+    ax = draw(heat.cut, found, record_of(LATTICE), 1)
+    coloured, _ = bond_lines(ax)
+    level = 20 * np.log10(np.abs(found.cut[1, 0]) / np.abs(found.displacement[1, 0]))
+    level = np.delete(level, 3)
+    assert len(coloured.get_segments()) == len(level)
+    largest = np.abs(level).max()
+    assert f"largest {largest:.3g} dB" in title(ax)
+    assert sorted(coloured.get_array() * largest) == pytest.approx(sorted(level))
+    found.cut[1, 0, 4] = 0.0
+    assert heat.decibels(found, 1, 0)[4] == -60
+
+
+def test_means_where_cut_bonds_are_too_many(monkeypatch):
+    monkeypatch.setattr(maps, "CLEAR", 10)
+    found = heated(factor=None)
+    found.cut_bound[1, 0, 3] = np.inf
+    level = heat.decibels(found, 1, 0)
+    ends, expected = joined((4, 3)), []
+    for site in product(range(4), range(3)):
+        own = (ends == np.array(site)).all(axis=2).any(axis=1)
+        expected.append(np.nanmean(level[own]))
+    colours = np.array(discs(draw(heat.cut, found, record_of(LATTICE), 1)).get_array())
+    assert colours * np.abs(expected).max() == pytest.approx(expected)
+    made = figures.make(result_of(found))
+    assert "mean over its bonds" in note(made["cut"]).replace("\n", " ")
+
+
+def test_changes_over_frequency():
+    warm = heated(omegas=np.linspace(0.2, 1.2, 8))
+    warm.converged_reason[3] = 0
+    ax = draw(heat.over_frequency, warm, record_of(LATTICE))
+    moved = 100 * np.abs(warm.warmed / warm.displacement[..., None] - 1)[:, 0]
+    median, largest = curves(ax)[:2]
+    assert gaps(median) == gaps(largest) == [3]
+    good = warm.converged_reason > 0
+    assert median.get_ydata().compressed() == pytest.approx(np.median(moved, axis=1)[good])
+    assert largest.get_ydata().compressed() == pytest.approx(moved.max(axis=1)[good])
+    (cross,) = lines(ax, marker="x")
+    assert cross.get_xdata() == pytest.approx(warm.omega[3:4] / LATTICE.omega_mx)
