@@ -11,7 +11,17 @@ from pgran.files.options import INTEGER, REALS, TEXT, Option
 from pgran.parallel.task import carry_out
 from pgran.physics.lattice import Lattice
 from pgran.results import record_of
-from pgran.scenes import common, modes, noise, pulse, relaxation, response, sensitivity, transport
+from pgran.scenes import (
+    common,
+    modes,
+    noise,
+    pulse,
+    relaxation,
+    response,
+    sensitivity,
+    series,
+    transport,
+)
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.sampling import Samples
 from pgran.scenes.scene import Scene
@@ -218,7 +228,7 @@ def ensemble(
         with AgreeingCrew(group, group.size) as one:
             found = function(sample, crew=one, **choices)
         if of == "relaxation":
-            found = relaxation.measured(found, relaxation.FIT, sample.bonds)
+            found = series.measured(found, series.FIT, sample.bonds)
         return [sample, *(found if isinstance(found, list) else [found])]
 
     whole = of == "modes" and "interval" not in experiment
