@@ -16,7 +16,7 @@ from pgran.physics.phase import (
 )
 from pgran.physics.rounding import EPSILON
 from pgran.results import Response
-from pgran.scenes import common
+from pgran.scenes import driven
 from pgran.scenes.sweeping import FrequencySweep
 
 GOOD = 2  # the reason of a frequency that a model gives
@@ -45,7 +45,7 @@ class ResponseSweep(FrequencySweep):
             ("converged_reason", np.int64),
             *([("field", complex, lattice.shape)] if fields else []),
         ]
-        choices = common.steady_choices(steady) | {"whole_field": fields, "derivatives": True}
+        choices = driven.steady_choices(steady) | {"whole_field": fields, "derivatives": True}
         super().__init__(lattice, omegas, sites, kept, choices)
 
     def at(self, omegas):

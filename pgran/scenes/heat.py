@@ -8,7 +8,7 @@ from pgran.parallel.task import carry_out
 from pgran.physics import heat as warming
 from pgran.physics.finite import changed_amplitudes
 from pgran.results import Heat
-from pgran.scenes import common
+from pgran.scenes import common, driven
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.sweeping import FrequencySweep
 
@@ -131,7 +131,7 @@ def heat(
         raise InputError("heat: give a factor or an overlap, or cut=True")
     common.check_values(HEAT[:2], **{k: values[k] for k in values if values[k] is not None})
     common.check_values(common.LATTICE, bonds_hertz=hertz)
-    common.check_driven(lattice, crew.world)
+    driven.check_driven(lattice, crew.world)
     check_solver(lattice, crew)
     task = HeatSweep(
         lattice, omegas, detectors, (factor, overlap, hertz), balls, cut, error_tolerance
@@ -184,7 +184,7 @@ class HeatSweep(FrequencySweep):
         for name in self.kinds:
             kept.append((name, complex, (nd, sizes[name])))
             kept.append((f"{name}_bound", float, (nd, sizes[name])))
-        choices = {"error_tolerance": common.STEADY["error_tolerance"].check(error_tolerance)}
+        choices = {"error_tolerance": driven.STEADY["error_tolerance"].check(error_tolerance)}
         choices |= {"whole_field": True, "whole_adjoints": True}
         super().__init__(lattice, omegas, sites, kept, choices)
 

@@ -13,7 +13,7 @@ from pgran.physics.accuracy import below_relative_accuracy
 from pgran.physics.changes import draw_changes
 from pgran.physics.units import check_frequency
 from pgran.results import Relaxation, record_of
-from pgran.scenes import common, series
+from pgran.scenes import common, driven, series
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
 
@@ -71,7 +71,7 @@ def run(options, world, crew):
             method=options.relax_method,
             window=options.relax_window,
             progress=options.output_progress,
-            **common.steady_of(options),
+            **driven.steady_of(options),
         )
     if relaxation is None:
         return None
@@ -87,7 +87,7 @@ def summary(result):
         f"{steps} steps with {relaxation.factorizations} factorizations in "
         f"{relaxation.solve_seconds:.2f} s"
     )
-    yield from common.reached_accuracy(relaxation, ~np.isnan(relaxation.displacement).any(axis=2))
+    yield from driven.reached_accuracy(relaxation, ~np.isnan(relaxation.displacement).any(axis=2))
     if relaxation.drift > 0:
         yield (
             f"largest relative difference between a window's end and the next one's start: "
@@ -155,8 +155,8 @@ def relax(
         "relax_window": window,
     }
     common.check_values(RELAXATION, **chosen)
-    common.check_driven(lattice, crew.world)
-    task = Steps(lattice, law, detectors, chosen, common.steady_choices(steady))
+    driven.check_driven(lattice, crew.world)
+    task = Steps(lattice, law, detectors, chosen, driven.steady_choices(steady))
     return carry_out(task, crew, progress)
 
 
@@ -282,7 +282,7 @@ class Steps(Task):
 SCENE = Scene(
     options=(
         *(*common.LATTICE, *common.DETECTORS, *RELAXATION, *series.SPECTRUM),
-        *common.STEADY.values(),
+        *driven.STEADY.values(),
     ),
     run=run,
     summary=summary,

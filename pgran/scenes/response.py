@@ -10,7 +10,7 @@ from pgran.parallel.task import carry_out
 from pgran.physics.phase import and_more
 from pgran.results import record_of
 from pgran.results.response import LINES
-from pgran.scenes import common
+from pgran.scenes import common, driven
 from pgran.scenes.amplitudes import ResponseSweep, phase_lines
 from pgran.scenes.curve import choose_method, solve_curve
 from pgran.scenes.interface import in_parallel
@@ -64,7 +64,7 @@ def run(options, world, crew):
             fields=options.output_fields,
             phase_window=(options.phase_fit_min, options.phase_fit_max),
             progress=options.output_progress,
-            **common.steady_of(options),
+            **driven.steady_of(options),
         )
     return response and [record_of(lattice), response]
 
@@ -78,7 +78,7 @@ def summary(result):
         f"{nw} frequencies{added} with {response.factorizations} factorizations in "
         f"{response.solve_seconds:.2f} s"
     )
-    yield from common.reached_accuracy(response, response.converged_reason > 0)
+    yield from driven.reached_accuracy(response, response.converged_reason > 0)
     yield from unresolved(response, lattice.damping > 0)
     window = response.phase_fit_min, response.phase_fit_max
     curves = response.omega, response.phase, response.line_error
@@ -175,7 +175,7 @@ def sweep(
     ends = dict(zip(("phase_fit_min", "phase_fit_max"), phase_window, strict=True))
     common.check_values(PHASE, **ends)
     common.check_ends("phase_fit", ends)
-    common.check_driven(lattice, crew.world)
+    driven.check_driven(lattice, crew.world)
     task = ResponseSweep(lattice, omegas, detectors, fields, steady)
     method, models = choose_method(method, task.scaled, task.omegas, resolve, fields), None
     if method == "points":
@@ -194,7 +194,7 @@ def sweep(
 SCENE = Scene(
     options=(
         *(*common.LATTICE, *common.DETECTORS, *common.SWEEP),
-        *(METHOD, RESOLVE, *common.STEADY.values(), *PHASE, FIELDS, MODELS),
+        *(METHOD, RESOLVE, *driven.STEADY.values(), *PHASE, FIELDS, MODELS),
     ),
     run=run,
     summary=summary,

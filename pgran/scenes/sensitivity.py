@@ -7,7 +7,7 @@ from pgran.parallel.task import carry_out
 from pgran.physics.bonds import bond_places
 from pgran.physics.gradient import energy_flux, gradient
 from pgran.results import Sensitivity, record_of
-from pgran.scenes import common, heat
+from pgran.scenes import common, driven, heat
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
 from pgran.scenes.sweeping import FrequencySweep
@@ -33,7 +33,7 @@ def run(options, world, crew):
     Collective; None on the other ranks. Parameters are those of `pgran.scenes.scene.Scene`.
     """
     lattice = common.make_lattice(options, world)
-    omegas, asked = common.driving_frequencies(options, lattice), common.steady_of(options)
+    omegas, asked = common.driving_frequencies(options, lattice), driven.steady_of(options)
     asked["progress"] = options.output_progress
     with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
         given = lattice, omegas, options.detectors, workers
@@ -116,7 +116,7 @@ def sensitivity(
         If a detector lies outside the lattice, or a value is impossible.
     """
     common.check_values((MOST,), sensitivity_most=most)
-    common.check_driven(lattice, crew.world)
+    driven.check_driven(lattice, crew.world)
     return carry_out(
         GradientSweep(lattice, omegas, detectors, most, error_tolerance), crew, progress
     )
@@ -155,7 +155,7 @@ class GradientSweep(FrequencySweep):
             kept.append((f"by_{name}_bound", float, (nd, size)))
         if most:
             kept += [("bond", np.int64, (nd, bonds)), ("ball", np.int64, (nd, balls))]
-        choices = {"error_tolerance": common.STEADY["error_tolerance"].check(error_tolerance)}
+        choices = {"error_tolerance": driven.STEADY["error_tolerance"].check(error_tolerance)}
         choices |= {"whole_field": True, "whole_adjoints": True}
         super().__init__(lattice, omegas, sites, kept, choices)
         self._waiting = []  # states of this unit that derivatives are still to be computed of
@@ -265,7 +265,7 @@ class GradientSweep(FrequencySweep):
 SCENE = Scene(
     options=(
         *(*common.LATTICE, *common.DETECTORS, *common.SWEEP, MOST, *heat.HEAT),
-        common.STEADY["error_tolerance"],
+        driven.STEADY["error_tolerance"],
     ),
     run=run,
     summary=summary,
