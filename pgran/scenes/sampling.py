@@ -139,16 +139,17 @@ class Samples(Task):
             for name in self.row.names[1:]:
                 rows[name] = np.nan
             try:
-                records = self.solve(seed, group)
+                found = self.solve(seed, group)
             except Exception as error:  # which all ranks of the group meet alike
                 if type(error) is not PgranError and (not is_petsc(error) or is_bad_input(error)):
                     raise
                 if group.rank == 0:
                     log.warning("sample of seed %d is left out: %s", seed, error)
                 return rows
-            if records is not None:
-                READ[self.of](rows[0], *records)
-                rows["good"] = not any(getattr(r, "failures", 0) for r in records[1:])
+            if found is not None:
+                medium, *records = found
+                READ[self.of](rows[0], medium, *records)
+                rows["good"] = not any(record.failures for record in records)
             return rows
 
         yield work
