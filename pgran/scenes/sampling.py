@@ -124,7 +124,7 @@ class Samples(Task):
         self.omegas = None if omegas is None else np.asarray(omegas, dtype=float)
         self.sites = None if detectors is None else lattice.sites(detectors)
         fields = fields_of(of, lattice, self.omegas, detectors, self.curves, whole)
-        kinds = {"displacement": complex}
+        self.names, kinds = [name for name, _ in fields], {"displacement": complex}
         self.row = np.dtype(
             [("good", np.int8), *((n, kinds.get(n, float), shape) for n, shape in fields)]
         )
@@ -136,7 +136,7 @@ class Samples(Task):
 
         def work(seed):
             rows = np.zeros(1, self.row)
-            for name in self.row.names[1:]:
+            for name in self.names:
                 rows[name] = np.nan
             try:
                 found = self.solve(seed, group)
@@ -161,7 +161,7 @@ class Samples(Task):
     def collect(self, rows, seconds):
         """See `Task`; bands are over those samples that are good."""
         good = rows["good"] > 0
-        kept = {name: rows[name].copy() for name in rows.dtype.names[1:] if name not in CURVES}
+        kept = {name: rows[name].copy() for name in self.names if name not in CURVES}
         if self.of == "response":
             kept |= self._bands(rows[good])
             if self.curves:
