@@ -14,6 +14,18 @@ from pgran.results import Ensemble
 log = logging.getLogger(__name__)
 
 CURVES = "displacement", "ln_amplitude", "delay"  # of a response
+# Numbers of a sample, what to call them, and their unit.
+MEASURES = {
+    "velocity": ("phase velocity", " spacings x omega_mx"),
+    "exponent": ("exponent psi", ""),
+    "order": ("bonds that act jointly", ""),
+    "modes": ("modes found", ""),
+    "above": ("modes above omega_mx", ""),
+    "arrival": ("arrival of the front", ""),
+    "centre": ("centre of the envelope", ""),
+    "decay": ("rate of decay", ""),
+    "effective_bonds": ("bonds that matter, on the mean over frequencies,", ""),
+}
 
 
 def fields_of(of, lattice, omegas, detectors, curves, whole):
@@ -191,3 +203,45 @@ class Samples(Task):
             "coherent": coherent,
             "intensity": intensity,
         }
+
+
+def measures(found):
+    """Yield in words the numbers of samples, measure by measure. Not collective."""
+    for name, (words, unit) in MEASURES.items():
+        values = getattr(found, name)
+        if values is not None:
+            sites = [None] if values.ndim == 1 else found.detector.tolist()
+            yield from told(words, unit, np.atleast_2d(values[found.good > 0].T), sites)
+
+
+def told(words, unit, columns, sites):
+    """Yield in words a measure at each detector; where it is unknown at several, in one line.
+
+    Not collective.
+
+    Parameters
+    ----------
+    words, unit : str
+        What to call the measure, and its unit.
+    columns : numpy.ndarray, shape (nd, samples)
+        Its values at each detector, NaN where they are not certain.
+    sites : list
+        The detectors' indices; None of what is no detector's.
+    """
+    known = [column[np.isfinite(column)] for column in columns]
+    few = [len(values) for values in known if len(values) < 2]
+    for site, values in zip(sites, known, strict=True):
+        line = words if site is None else f"ball {tuple(site)}: {words}"
+        if len(values) > 1:
+            spread = values.std(ddof=1)
+            error = spread / np.sqrt(len(values))
+            line += f" {values.mean():.4g} +- {error:.1g}{unit}, spread {spread:.2g}"
+        elif len(few) == 1:
+            line += " unknown"
+        else:
+            continue
+        missing = columns.shape[1] - len(values)
+        yield line + (f"; {missing} samples have none that is certain" if missing else "")
+    if len(few) > 1:
+        line, missing = f"{words} unknown at {len(few)} balls", columns.shape[1] - min(few)
+        yield line + (f"; up to {missing} samples have none that is certain" if missing else "")
