@@ -112,10 +112,12 @@ def in_part(name):
 class Record:
     """One group of a result; each subclass names it and declares what it holds.
 
-    A record with `within` is a part of that group's record.
+    A record with `within` is a part of that group's record. `failures` says how many of its results
+    miss the accuracy asked for.
     """
 
     group = within = None
+    failures = 0
 
     def check(self, lattice_axes):
         """Raise a MisfitError unless every array has its declared axes, each as long everywhere.

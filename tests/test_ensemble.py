@@ -1,5 +1,6 @@
 """Many samples: each as it comes out alone, what they have in common, and what is left out."""
 
+import dataclasses
 import time
 
 import numpy as np
@@ -178,6 +179,23 @@ def test_delays_and_velocities_that_are_not_certain_are_counted(world):
     said = "\n".join(SCENES["ensemble"].summary(pgran.record.Result(records)))
     for count in unknown[unknown > 0]:
         assert f"{count} samples have none that is certain" in said
+
+
+def test_what_is_unknown_at_several_balls_is_said_in_one_line(world):
+    records = ran("response", "", world)
+    good = np.flatnonzero(records[1].good)
+    velocity = np.full((len(SEEDS), 3), np.nan)
+    velocity[good, 1] = 1 + np.arange(len(good))
+    velocity[good[0], 2] = 1.0
+    changed = {"velocity": velocity, "detector": np.array([[2, 2], [4, 0], [1, 1]])}
+    found = dataclasses.replace(records[1], **changed)
+    lines = SCENES["ensemble"].summary(pgran.record.Result([records[0], found]))
+    one, several = (line for line in lines if "phase velocity" in line)
+    assert one.startswith("ball (4, 0): phase velocity ")
+    assert "unknown" not in one
+    assert several == (
+        f"phase velocity unknown at 2 balls; up to {len(good)} samples have none that is certain"
+    )
 
 
 def test_a_sample_that_misses_its_accuracy_is_left_out(world):

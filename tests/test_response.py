@@ -11,7 +11,8 @@ from pgran.physics.lattice import Lattice
 from pgran.physics.phase import BLOCKS, CERTAIN, fit_phase, unwrap
 from pgran.record import Result
 from pgran.results import LatticeRecord
-from pgran.scenes.response import ResponseSweep, summary
+from pgran.scenes.amplitudes import ResponseSweep
+from pgran.scenes.response import summary
 
 PAPER, LATTICE = np.linspace(0.01, 1.3, 1291), random_lattice((20, 20))
 

@@ -89,7 +89,7 @@ def _compute(scene, options, words, world, started):
         records = scene.run(options, world, lambda ranks: Crew(world, ranks, journal))
 
         def finish():
-            failures = sum(int(numpy.sum(getattr(r, "failures", 0))) for r in records)
+            failures = sum(int(numpy.sum(r.failures)) for r in records)
             seconds = time.perf_counter() - started
             attributes = _run_attributes(options, words, world, failures, seconds)
             store.write(output, attributes, records)

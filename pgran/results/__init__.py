@@ -15,7 +15,7 @@ from pgran.results.medium import LatticeRecord as LatticeRecord
 from pgran.results.medium import NetworkRecord as NetworkRecord
 from pgran.results.medium import record_of as record_of
 from pgran.results.noise import NoiseStatistics as NoiseStatistics
-from pgran.results.response import BOUND, DETECTOR, FLOOR, PHASE
+from pgran.results.response import BOUND, DETECTOR, FLOOR, PHASE, Frequencies
 from pgran.results.response import Models as Models
 from pgran.results.response import Response as Response
 from pgran.results.sensitivity import Heat as Heat
@@ -132,7 +132,7 @@ class Modes(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Projection(Record):
+class Projection(Frequencies, Record):
     """The driven lattice in terms of its normal modes (paper: cidef, onefreq, maxci, cifreq).
 
     `nw` driving frequencies, `nm` modes. A frequency whose `converged_reason` is not positive
@@ -160,8 +160,7 @@ class Projection(Record):
     @property
     def failures(self):
         """How many frequencies missed their accuracy, and how many modes are missing."""
-        failed = int(np.count_nonzero(self.converged_reason <= 0))
-        return failed + _missing(self, len(self.mode_omega))
+        return super().failures + _missing(self, len(self.mode_omega))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -48,8 +48,17 @@ class Models(ModelLimits, Record):
     drive_sizes: np.ndarray = array("|Z|^T |f|", "k", "interval", "detector_number", "column")
 
 
+class Frequencies:
+    """What records with a `converged_reason` for each frequency have in common."""
+
+    @property
+    def failures(self):
+        """How many frequencies missed the accuracy asked for."""
+        return int(np.count_nonzero(self.converged_reason <= 0))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Response(Record):
+class Response(Frequencies, Record):
     """The frequency response of single balls (paper: freqres, phaseres).
 
     `nw` frequencies, `nd` detectors. A point whose `converged_reason` is not positive failed or
@@ -127,11 +136,6 @@ class Response(Record):
         "1", "omega", "balls", dtype=complex, optional=True,
     )  # fmt: skip
     models: Models | None = part(Models)
-
-    @property
-    def failures(self):
-        """How many frequencies missed the accuracy asked for."""
-        return int(np.count_nonzero(self.converged_reason <= 0))
 
     @property
     def dynamic_mass(self):

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.record import Record, array
-from pgran.results.response import BOUND, DETECTOR
+from pgran.results.response import BOUND, DETECTOR, Frequencies
 
 WHERE = "omega", "detector_number"
 OF_BOND = "1", *WHERE, "bond_number"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sensitivity(Record):
+class Sensitivity(Frequencies, Record):
     """What the amplitude at each detector depends on, and the power through every bond.
 
     Bonds are numbered axis after axis, each array in C order, the contacts of a network as there;
@@ -79,11 +79,6 @@ class Sensitivity(Record):
         "bound of its error", "1/force", *OF_BOND[1:], optional=True
     )
 
-    @property
-    def failures(self):
-        """How many frequencies missed the accuracy asked for."""
-        return int(np.count_nonzero(self.converged_reason <= 0))
-
     def on_bonds(self, number, d):
         """Return d ln|A| / d ln k of all bonds, NaN of those that are not kept, shape (bonds,).
 
@@ -102,7 +97,7 @@ class Sensitivity(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Heat(Record):
+class Heat(Frequencies, Record):
     """Amplitudes after each ball is warmed, or each bond is cut, one at a time.
 
     A warm ball's bonds are `factor` times as stiff, or overlap by `overlap` more (NaN: not so). A
@@ -137,8 +132,3 @@ class Heat(Record):
         "amplitude with each bond cut", "1", *WHERE, "every_bond", dtype=complex, optional=True
     )
     cut_bound: np.ndarray | None = array(BOUND, "1", *WHERE, "every_bond", optional=True)
-
-    @property
-    def failures(self):
-        """How many frequencies missed the accuracy asked for."""
-        return int(np.count_nonzero(self.converged_reason <= 0))

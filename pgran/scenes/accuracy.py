@@ -14,7 +14,7 @@ from pgran.parallel.task import carry_out
 from pgran.physics.accuracy import read_modes, read_pulse, read_relaxation, read_response
 from pgran.physics.modes import RESIDUAL
 from pgran.results import record_of
-from pgran.scenes import common, modes, pulse, relaxation, response
+from pgran.scenes import common, driven, modes, pulse, relaxation, response
 from pgran.scenes.scene import Scene
 from pgran.scenes.study import Comparison, Configuration, Reference, Study
 
@@ -178,7 +178,7 @@ SCENE = Scene(
     # Of the experiments' options, a study takes those of the one that it repeats.
     options=(
         *(*STUDY, *common.LATTICE, *common.DETECTORS, *common.SWEEP, response.METHOD),
-        *(common.STEADY["refresh_iterations"], *relaxation.RELAXATION, *modes.WHICH),
+        *(driven.STEADY["refresh_iterations"], *relaxation.RELAXATION, *modes.WHICH),
         *pulse.PULSE,
     ),
     run=run,

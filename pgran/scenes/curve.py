@@ -195,7 +195,7 @@ def solve_curve(task, crew, resolve, keep_models, progress):
 
     Parameters
     ----------
-    task : pgran.scenes.response.ResponseSweep
+    task : pgran.scenes.amplitudes.ResponseSweep
         That solves for the frequencies one by one.
     crew : pgran.parallel.crew.Crew
     resolve : float

@@ -11,9 +11,19 @@ from pgran.files.options import INTEGER, REALS, TEXT, Option
 from pgran.parallel.task import carry_out
 from pgran.physics.lattice import Lattice
 from pgran.results import record_of
-from pgran.scenes import common, modes, noise, pulse, relaxation, response, sensitivity, transport
+from pgran.scenes import (
+    common,
+    modes,
+    noise,
+    pulse,
+    relaxation,
+    response,
+    sensitivity,
+    series,
+    transport,
+)
 from pgran.scenes.interface import in_parallel
-from pgran.scenes.sampling import Samples
+from pgran.scenes.sampling import Samples, measures
 from pgran.scenes.scene import Scene
 
 log = logging.getLogger(__name__)
@@ -53,18 +63,6 @@ LEFT_OUT |= {"modes_target": None, "modes_count": None, "modes_density": None}
 NOT_TAKEN = {"crew", "seed", "progress", "fields", "shapes", "resolve", "keep_models", "solver"}
 NOT_TAKEN |= {"targets", "count"}
 KEPT = ("response", "modes")  # what has curves
-# Numbers of a sample, what to call them, and their unit.
-MEASURES = {
-    "velocity": ("phase velocity", " spacings x omega_mx"),
-    "exponent": ("exponent psi", ""),
-    "order": ("bonds that act jointly", ""),
-    "modes": ("modes found", ""),
-    "above": ("modes above omega_mx", ""),
-    "arrival": ("arrival of the front", ""),
-    "centre": ("centre of the envelope", ""),
-    "decay": ("rate of decay", ""),
-    "effective_bonds": ("bonds that matter, on the mean over frequencies,", ""),
-}
 SEEDS = 2**63  # that options and files can hold
 
 
@@ -218,7 +216,7 @@ def ensemble(
         with AgreeingCrew(group, group.size) as one:
             found = function(sample, crew=one, **choices)
         if of == "relaxation":
-            found = relaxation.measured(found, relaxation.FIT, sample.bonds)
+            found = series.measured(found, series.FIT, sample.bonds)
         return [sample, *(found if isinstance(found, list) else [found])]
 
     whole = of == "modes" and "interval" not in experiment
@@ -243,21 +241,7 @@ def summary(result):
             f"{found.left_out} of them are left out of all that follows: they failed, or missed "
             "the accuracy asked for (good)"
         )
-    for name, (words, unit) in MEASURES.items():
-        values = getattr(found, name)
-        if values is None:
-            continue
-        for d, column in enumerate(np.atleast_2d(values[found.good > 0].T)):
-            where = f"ball {tuple(found.detector[d].tolist())}: " if values.ndim > 1 else ""
-            known = column[np.isfinite(column)]
-            line, missing = f"{where}{words} ", len(column) - len(known)
-            if len(known) > 1:
-                spread = known.std(ddof=1)
-                error = spread / np.sqrt(len(known))
-                line += f"{known.mean():.4g} +- {error:.1g}{unit}, spread {spread:.2g}"
-            else:
-                line += "unknown"
-            yield line + (f"; {missing} samples have none that is certain" if missing else "")
+    yield from measures(found)
     if found.delay_samples is not None:
         unknown = np.count_nonzero(found.good) - found.delay_samples
         if unknown.any():

@@ -7,10 +7,11 @@ from pgran.files.options import FLAG, INTEGERS, REAL, Option
 from pgran.parallel.task import carry_out
 from pgran.physics import heat as warming
 from pgran.physics.finite import changed_amplitudes
+from pgran.physics.rounding import EPSILON
 from pgran.results import Heat
-from pgran.scenes import common
+from pgran.scenes import common, driven
+from pgran.scenes.adjoint import MISSED, AdjointSweep
 from pgran.scenes.interface import in_parallel
-from pgran.scenes.sweeping import FrequencySweep
 
 HEAT = (
     Option(
@@ -131,7 +132,7 @@ def heat(
         raise InputError("heat: give a factor or an overlap, or cut=True")
     common.check_values(HEAT[:2], **{k: values[k] for k in values if values[k] is not None})
     common.check_values(common.LATTICE, bonds_hertz=hertz)
-    common.check_driven(lattice, crew.world)
+    driven.check_driven(lattice, crew.world)
     check_solver(lattice, crew)
     task = HeatSweep(
         lattice, omegas, detectors, (factor, overlap, hertz), balls, cut, error_tolerance
@@ -152,7 +153,7 @@ def check_solver(lattice, crew):
         )
 
 
-class HeatSweep(FrequencySweep):
+class HeatSweep(AdjointSweep):
     """The amplitudes after all changes, frequency by frequency.
 
     Parameters are those of `heat`.
@@ -160,84 +161,89 @@ class HeatSweep(FrequencySweep):
 
     def __init__(self, lattice, omegas, detectors, law, balls, cut, error_tolerance):
         """Find the springs that change."""
-        sites = lattice.sites(detectors)
+        sites, free = lattice.sites(detectors), lattice.ball_numbers
         self.factor, self.overlap, hertz = law
-        self.cut, self.contacts, free = cut, None, lattice.ball_numbers
-        self.balls = free[:0]
+        self.balls, self.groups = free[:0], {}  # the springs of each change, kind by kind
         if self.factor is not None or self.overlap is not None:
             chosen = np.arange(len(free))
             if balls is not None:
                 chosen = np.unique(lattice.numbers_of(lattice.sites(balls, "-heat_balls")))
-            self.balls, self.contacts = free[chosen], warming.contacts_of(lattice, chosen)
             if self.overlap is None:
                 growth = (self.factor - 1) * lattice.springs.elastic
             else:
                 growth = warming.grown_by_overlap(lattice, self.overlap, hertz)
-            self.groups, self.delta = warming.changes(lattice, self.contacts, growth)
-        nd = len(sites)
-        kept = [
-            ("displacement", complex, (nd,)), ("error_bound", float, (nd,)),
-            ("field_bound", float), ("converged_reason", np.int64),
-        ]  # fmt: skip
-        sizes = {"warmed": len(self.balls), "cut": lattice.bonds if cut else 0}
-        self.kinds = [name for name, size in sizes.items() if size]
-        for name in self.kinds:
-            kept.append((name, complex, (nd, sizes[name])))
-            kept.append((f"{name}_bound", float, (nd, sizes[name])))
-        choices = {"error_tolerance": common.STEADY["error_tolerance"].check(error_tolerance)}
-        choices |= {"whole_field": True, "whole_adjoints": True}
-        super().__init__(lattice, omegas, sites, kept, choices)
+            contacts, self.balls = warming.contacts_of(lattice, chosen), free[chosen]
+            groups, self.delta = warming.changes(lattice, contacts, growth)
+            self.groups["warmed"] = np.where(self.delta != 0, groups, -1)
+        if cut:
+            groups, delta = warming.cuts(lattice, 1j)  # what is zero is so for any other s
+            self.groups["cut"] = np.where(delta != 0, groups, -1)
+        self.groups = {name: groups for name, groups in self.groups.items() if len(groups)}
+        kept = []
+        for name, groups in self.groups.items():
+            kept.append((name, complex, (len(sites), len(groups))))
+            kept.append((f"{name}_bound", float, (len(sites), len(groups))))
+        super().__init__(lattice, omegas, sites, kept, error_tolerance)
+
+    def prepare(self, operators):
+        """See `FrequencySweep`."""
+        from pgran.solve.flexibility import Flexibility
+
+        self.flexibilities = {
+            name: Flexibility(operators, groups) for name, groups in self.groups.items()
+        }
 
     def keep(self, point, solver):
         """See `FrequencySweep`. Collective over a group."""
-        solver.restart()  # what is solved with a factorization of another frequency says nothing
-        for name in self.kinds:
+        from pgran.solve.columns import Columns
+
+        super().keep(point, solver)
+        for name in self.groups:
             point[name], point[f"{name}_bound"] = np.nan, np.inf
-        if point["converged_reason"] <= 0 or not solver.bounds.proven or solver.factor is None:
-            point["converged_reason"] = min(point["converged_reason"], 0)
+        if solver.factor is None:
+            point["converged_reason"] = min(point["converged_reason"], MISSED)
+        if point["converged_reason"] <= 0:
             return
-        s = solver.operators.s
-        for name in self.kinds:
-            if name == "cut":
-                groups, delta = warming.cuts(self.scaled, s)
-            else:
-                groups, delta = self.groups, self.delta / self.unit
-            with np.errstate(all="ignore"):  # what is not finite has no bound
-                after, bound = self._after(point, solver, groups, delta)
-            point[name], point[f"{name}_bound"] = after, bound
+        with Columns(solver) as columns, np.errstate(all="ignore"):  # not finite: without a bound
+            known = self._fields(point, solver)
+            for name in self.groups:
+                point[name], point[f"{name}_bound"] = self._after(point, columns, *known, name)
 
-    def _after(self, point, solver, groups, delta):
-        """Return the amplitudes after changes of groups of springs, and their bounds."""
-        from pgran.solve.flexibility import Flexibility
+    def _fields(self, point, solver):
+        """Return this rank's rows of the field and the adjoints, and bounds of their errors.
 
-        operators, bounds, springs = solver.operators, solver.bounds, self.scaled.springs
-        systems = [solver.primal, *solver.adjoints]
+        Collective. What rounds while a spring's stretch is computed of them is within the bounds.
+        """
+        systems, errors = self.systems(point, solver)
         fields = np.stack([x.solution.getArray(readonly=True) for x in systems], axis=1)
-        involved, place = np.unique(groups, return_inverse=True)
-        there = (groups >= 0) & (delta != 0)
-        longer = operators.stretch(fields, np.maximum(involved, 0)).T
-        longer[0] += springs.drive[involved]
-        longer = np.where(there, longer[:, place.reshape(groups.shape)], 0.0)
-        residuals = [bounds.adjoint_residual(adjoint) for adjoint in solver.adjoints]
-        errors = np.array(
-            [point["field_bound"], *(1.01 * bounds.inverse_norm * np.array(residuals))]
-        )
-        rounding = [x.solution.norm() for x in systems]
-        errors += (springs.columns.shape[1] + 2) * np.finfo(float).eps * np.array(rounding)
+        norms = np.array([x.solution.norm() for x in systems])
+        return fields, errors + (self.scaled.springs.columns.shape[1] + 2) * EPSILON * norms
+
+    def _after(self, point, columns, fields, errors, kind):
+        """Return the amplitudes after changes of groups of springs, and their bounds."""
+        operators, springs = columns.operators, self.scaled.springs
+        groups, flexibility = self.groups[kind], self.flexibilities[kind]
+        if kind == "cut":
+            delta = warming.cuts(self.scaled, operators.s)[1]
+        else:
+            delta = self.delta / self.unit
+        there = groups >= 0
+        longer = operators.stretch(fields, np.maximum(flexibility.springs, 0)).T
+        longer[0] += springs.drive[flexibility.springs]
+        longer = np.where(there, longer[:, flexibility.place], 0.0)
         sizes = np.linalg.norm(np.where(there, springs.lengths[groups], 0.0), axis=1)
         wrong = 1.01 * errors[:, None] * sizes
-        wrong += 4 * np.finfo(float).eps * np.linalg.norm(longer, axis=2)
-        with Flexibility(solver, np.where(there, groups, -1)) as flexibility:
-            matrices = flexibility.matrices()
+        wrong += 4 * EPSILON * np.linalg.norm(longer, axis=2)
         before = point["displacement"], point["error_bound"]
         stretched = longer[0], wrong[0], longer[1:], wrong[1:]
+        matrices = flexibility.matrices(columns)
         return changed_amplitudes(before, stretched, matrices, np.where(there, delta, 0.0))
 
     def collect(self, rows, seconds):
         """See `Task`."""
         found = {name: rows[name].copy() for name in rows.dtype.names}
         heard = None
-        if "warmed" in self.kinds:
+        if "warmed" in self.groups:
             before, known = (found[n][..., None] for n in ("displacement", "error_bound"))
             moved = np.abs(found["warmed"] - before) - found["warmed_bound"] - known
             heard = np.mean(moved >= QUARTER * (np.abs(before) + known), axis=-1)

@@ -10,7 +10,7 @@ from pgran.parallel.task import carry_out
 from pgran.physics.phase import fit_line
 from pgran.physics.units import check_frequency
 from pgran.results import Projection, record_of
-from pgran.scenes import common
+from pgran.scenes import common, driven
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.modes import WHICH, certificate, check_modes, chosen, find_modes
 from pgran.scenes.scene import Scene
@@ -41,7 +41,7 @@ def run(options, world, crew):
             workers,
             which_modes(options, lattice.balls, omegas),
             progress=options.output_progress,
-            **common.steady_of(options),
+            **driven.steady_of(options),
         )
     return projection and [record_of(lattice), projection]
 
@@ -108,8 +108,8 @@ def project(lattice, omegas, crew=None, which=None, *, progress="none", **steady
     pgran.results.Projection or None
         With a crew of the caller's None on all ranks but rank 0.
     """
-    started, choices = time.perf_counter(), common.steady_choices(steady)
-    common.check_driven(lattice, crew.world)
+    started, choices = time.perf_counter(), driven.steady_choices(steady)
+    driven.check_driven(lattice, crew.world)
     scaled, _ = lattice.in_own_unit()
     check_frequency(scaled, checked_frequencies(omegas)[-1])  # before any work
     modes = find_modes(lattice, crew, **(which or {}), shapes=True, progress=progress)
@@ -188,7 +188,7 @@ def _on_all_ranks(vectors, world):
 SCENE = Scene(
     options=(
         *(*common.LATTICE, *common.SWEEP, *WHICH),
-        *(common.STEADY["error_tolerance"], common.STEADY["refresh_iterations"]),
+        *(driven.STEADY["error_tolerance"], driven.STEADY["refresh_iterations"]),
     ),
     run=run,
     summary=summary,

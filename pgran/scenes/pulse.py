@@ -12,7 +12,7 @@ from pgran.parallel.task import carry_out
 from pgran.physics.pulse import SHAPES, Pulse, Samples
 from pgran.results import record_of
 from pgran.results.si import SI
-from pgran.scenes import common
+from pgran.scenes import common, driven
 from pgran.scenes.integration import integrate
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.listening import Listening
@@ -48,7 +48,7 @@ PULSE = (
     ),
 )  # fmt: skip
 FIELDS = Option("output_fields", FLAG, False, "store the displacement of all balls at four times")
-TOLERANCE = common.STEADY["error_tolerance"]
+TOLERANCE = driven.STEADY["error_tolerance"]
 PROVABLE = 1e-6  # tolerance below which rounding leaves little to be proven
 EQUAL = 0.01  # of a step: how far the times of a motion may be from equal ones
 AT_REST = 0.01  # of a motion's largest: where it may begin
@@ -197,7 +197,7 @@ def pulse(
     sent = Pulse(shape, float(omega), float(width)) if wall is None else samples_of(wall, step)
     listening = Listening(lattice, detectors, sent, time, points, error_tolerance, fields)
     check_times(listening)
-    common.check_driven(lattice, crew.world, in_time=True)
+    driven.check_driven(lattice, crew.world, in_time=True)
     task = None if method == "integrate" else PulseLine(listening)
     if method == "auto":
         transform, integrations = predicted_seconds(listening, len(task.omegas))

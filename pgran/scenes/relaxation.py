@@ -1,7 +1,6 @@
 """Scene `relaxation`: the amplitude at the detectors while one bond a step is redrawn."""
 
 import contextlib
-import logging
 from functools import partial
 
 import numpy as np
@@ -13,12 +12,10 @@ from pgran.parallel.task import Task, carry_out
 from pgran.physics.accuracy import below_relative_accuracy
 from pgran.physics.changes import draw_changes
 from pgran.physics.units import check_frequency
-from pgran.results import Memory, Relaxation, record_of
-from pgran.scenes import common
+from pgran.results import Relaxation, record_of
+from pgran.scenes import common, driven, series
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
-
-log = logging.getLogger(__name__)
 
 RELAXATION = (
     Option("relax_steps", INTEGER, 20000, "steps, one bond each", low=1),
@@ -35,12 +32,6 @@ RELAXATION = (
         "relax_trajectories", INTEGER, 1, "independent trajectories, all from the same bonds", low=1
     ),
 )  # fmt: skip
-SPECTRUM = (
-    Option("spectrum_fit_min", REAL, 0.01, "window of the exponent's fit", "cycles/step", above=0),
-    Option("spectrum_fit_max", REAL, 0.3, "window of the exponent's fit", "cycles/step", above=0),
-)
-LAGS = 60  # at which the memory is looked at
-FIT = tuple(option.default for option in SPECTRUM)
 STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windows
 
 
@@ -80,96 +71,12 @@ def run(options, world, crew):
             method=options.relax_method,
             window=options.relax_window,
             progress=options.output_progress,
-            **common.steady_of(options),
+            **driven.steady_of(options),
         )
     if relaxation is None:
         return None
-    found = [relaxation] if workers.dry else measured(relaxation, window, lattice.bonds)
+    found = [relaxation] if workers.dry else series.measured(relaxation, window, lattice.bonds)
     return [record_of(lattice), *found]
-
-
-def measured(relaxation, window, bonds):
-    """Return a relaxation, and its spectrum and its memory where it has them. Not collective."""
-    spectrum = spectrum_of(relaxation, window, bonds)
-    memory = memory_of(relaxation, bonds) if spectrum else None
-    return [record for record in (relaxation, spectrum, memory) if record]
-
-
-def spectrum_of(relaxation, window, memory):
-    """Return the power spectrum of the first detector's amplitude; None, aloud, if it has none.
-
-    Not collective.
-
-    Parameters
-    ----------
-    relaxation : pgran.results.Relaxation
-    window : tuple of float
-        Of the exponent's fit, in cycles per step.
-    memory : float
-        Longest correlation time, in steps.
-    """
-    from pgran.physics.spectrum import power_spectrum
-
-    if relaxation.failures:
-        log.warning("no spectrum: some steps have no amplitude")
-    elif relaxation.at_floor[:, :, 0].any():
-        log.warning("no spectrum: some amplitudes have an upper limit only (at_floor)")
-    else:
-        try:
-            return power_spectrum(relaxation.amplitude[:, :, 0], *window, memory=memory)
-        except InputError as error:
-            log.warning("no spectrum: %s", error)
-    return None
-
-
-def memory_of(relaxation, bonds):
-    """Return what the first detector's amplitude remembers; None where the series is too short.
-
-    Not collective.
-
-    Parameters
-    ----------
-    relaxation : pgran.results.Relaxation
-        All of whose states are accurate.
-    bonds : int
-        M, one of which is redrawn a step.
-    """
-    from pgran.physics import memory
-
-    values = np.abs(relaxation.displacement[:, :, 0])
-    if len(values) > 1:  # they know of each other until most bonds are redrawn
-        values = values[:, bonds:]
-    try:
-        series = memory.Series(values, bonds)
-    except InputError as error:
-        log.info("no memory: %s", error)
-        return None
-    longest = min(3 * bonds, values.shape[1] // 2)
-    lags = np.unique(np.append(0, np.geomspace(1, longest, LAGS).astype(int)))
-    found = memory.autocorrelation(series, lags)
-    order, increment, successive = (
-        measure(series)
-        for measure in (
-            memory.mean_order,
-            memory.increment_correlation,
-            memory.successive_correlation,
-        )
-    )
-    lowest, highest = memory.bounds(lags, bonds, min(max(order.value, 1.0), bonds))
-    return Memory(
-        bonds=bonds,
-        order=order.value,
-        order_error=order.error,
-        increment=increment.value,
-        increment_error=increment.error,
-        successive=successive.value,
-        successive_error=successive.error,
-        lag=lags,
-        correlation=found.value,
-        correlation_error=found.error,
-        lowest=lowest,
-        highest=highest,
-    )
 
 
 def summary(result):
@@ -180,26 +87,13 @@ def summary(result):
         f"{steps} steps with {relaxation.factorizations} factorizations in "
         f"{relaxation.solve_seconds:.2f} s"
     )
-    yield from common.reached_accuracy(relaxation, ~np.isnan(relaxation.displacement).any(axis=2))
+    yield from driven.reached_accuracy(relaxation, ~np.isnan(relaxation.displacement).any(axis=2))
     if relaxation.drift > 0:
         yield (
             f"largest relative difference between a window's end and the next one's start: "
             f"{relaxation.drift:.1e}"
         )
-    spectrum = getattr(result, "spectrum", None)
-    if spectrum:
-        yield (
-            f"power spectrum S(f) ~ f^-psi with psi = {spectrum.exponent:.3f} +- "
-            f"{spectrum.exponent_error:.3f} between {spectrum.fit_min:g} and "
-            f"{spectrum.fit_max:g} cycles per step"
-        )
-    memory = getattr(result, "memory", None)
-    if memory:
-        yield (
-            f"memory: {memory.order:.3g} +- {memory.order_error:.1g} of {memory.bonds} bonds act "
-            "jointly on average; the amplitude and its next increment have the correlation "
-            f"{memory.increment:.3g} +- {memory.increment_error:.1g}"
-        )
+    yield from series.summary(result)
 
 
 @in_parallel(shares_lattice=True)
@@ -261,8 +155,8 @@ def relax(
         "relax_window": window,
     }
     common.check_values(RELAXATION, **chosen)
-    common.check_driven(lattice, crew.world)
-    task = Steps(lattice, law, detectors, chosen, common.steady_choices(steady))
+    driven.check_driven(lattice, crew.world)
+    task = Steps(lattice, law, detectors, chosen, driven.steady_choices(steady))
     return carry_out(task, crew, progress)
 
 
@@ -387,8 +281,8 @@ class Steps(Task):
 
 SCENE = Scene(
     options=(
-        *(*common.LATTICE, *common.DETECTORS, *RELAXATION, *SPECTRUM),
-        *common.STEADY.values(),
+        *(*common.LATTICE, *common.DETECTORS, *RELAXATION, *series.SPECTRUM),
+        *driven.STEADY.values(),
     ),
     run=run,
     summary=summary,

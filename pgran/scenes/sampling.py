@@ -14,6 +14,18 @@ from pgran.results import Ensemble
 log = logging.getLogger(__name__)
 
 CURVES = "displacement", "ln_amplitude", "delay"  # of a response
+# Numbers of a sample, what to call them, and their unit.
+MEASURES = {
+    "velocity": ("phase velocity", " spacings x omega_mx"),
+    "exponent": ("exponent psi", ""),
+    "order": ("bonds that act jointly", ""),
+    "modes": ("modes found", ""),
+    "above": ("modes above omega_mx", ""),
+    "arrival": ("arrival of the front", ""),
+    "centre": ("centre of the envelope", ""),
+    "decay": ("rate of decay", ""),
+    "effective_bonds": ("bonds that matter, on the mean over frequencies,", ""),
+}
 
 
 def fields_of(of, lattice, omegas, detectors, curves, whole):
@@ -124,7 +136,7 @@ class Samples(Task):
         self.omegas = None if omegas is None else np.asarray(omegas, dtype=float)
         self.sites = None if detectors is None else lattice.sites(detectors)
         fields = fields_of(of, lattice, self.omegas, detectors, self.curves, whole)
-        kinds = {"displacement": complex}
+        self.names, kinds = [name for name, _ in fields], {"displacement": complex}
         self.row = np.dtype(
             [("good", np.int8), *((n, kinds.get(n, float), shape) for n, shape in fields)]
         )
@@ -136,19 +148,20 @@ class Samples(Task):
 
         def work(seed):
             rows = np.zeros(1, self.row)
-            for name in self.row.names[1:]:
+            for name in self.names:
                 rows[name] = np.nan
             try:
-                records = self.solve(seed, group)
+                found = self.solve(seed, group)
             except Exception as error:  # which all ranks of the group meet alike
                 if type(error) is not PgranError and (not is_petsc(error) or is_bad_input(error)):
                     raise
                 if group.rank == 0:
                     log.warning("sample of seed %d is left out: %s", seed, error)
                 return rows
-            if records is not None:
-                READ[self.of](rows[0], *records)
-                rows["good"] = not any(getattr(r, "failures", 0) for r in records[1:])
+            if found is not None:
+                medium, *records = found
+                READ[self.of](rows[0], medium, *records)
+                rows["good"] = not any(record.failures for record in records)
             return rows
 
         yield work
@@ -160,7 +173,7 @@ class Samples(Task):
     def collect(self, rows, seconds):
         """See `Task`; bands are over those samples that are good."""
         good = rows["good"] > 0
-        kept = {name: rows[name].copy() for name in rows.dtype.names[1:] if name not in CURVES}
+        kept = {name: rows[name].copy() for name in self.names if name not in CURVES}
         if self.of == "response":
             kept |= self._bands(rows[good])
             if self.curves:
@@ -190,3 +203,45 @@ class Samples(Task):
             "coherent": coherent,
             "intensity": intensity,
         }
+
+
+def measures(found):
+    """Yield in words the numbers of samples, measure by measure. Not collective."""
+    for name, (words, unit) in MEASURES.items():
+        values = getattr(found, name)
+        if values is not None:
+            sites = [None] if values.ndim == 1 else found.detector.tolist()
+            yield from told(words, unit, np.atleast_2d(values[found.good > 0].T), sites)
+
+
+def told(words, unit, columns, sites):
+    """Yield in words a measure at each detector; where it is unknown at several, in one line.
+
+    Not collective.
+
+    Parameters
+    ----------
+    words, unit : str
+        What to call the measure, and its unit.
+    columns : numpy.ndarray, shape (nd, samples)
+        Its values at each detector, NaN where they are not certain.
+    sites : list
+        The detectors' indices; None of what is no detector's.
+    """
+    known = [column[np.isfinite(column)] for column in columns]
+    few = [len(values) for values in known if len(values) < 2]
+    for site, values in zip(sites, known, strict=True):
+        line = words if site is None else f"ball {tuple(site)}: {words}"
+        if len(values) > 1:
+            spread = values.std(ddof=1)
+            error = spread / np.sqrt(len(values))
+            line += f" {values.mean():.4g} +- {error:.1g}{unit}, spread {spread:.2g}"
+        elif len(few) == 1:
+            line += " unknown"
+        else:
+            continue
+        missing = columns.shape[1] - len(values)
+        yield line + (f"; {missing} samples have none that is certain" if missing else "")
+    if len(few) > 1:
+        line, missing = f"{words} unknown at {len(few)} balls", columns.shape[1] - min(few)
+        yield line + (f"; up to {missing} samples have none that is certain" if missing else "")

@@ -7,17 +7,16 @@ from pgran.parallel.task import carry_out
 from pgran.physics.bonds import bond_places
 from pgran.physics.gradient import energy_flux, gradient
 from pgran.results import Sensitivity, record_of
-from pgran.scenes import common, heat
+from pgran.scenes import common, driven, heat
+from pgran.scenes.adjoint import MISSED, AdjointSweep
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
-from pgran.scenes.sweeping import FrequencySweep
 
 MOST = Option(
     "sensitivity_most", INTEGER, 0,
     "keep the derivatives by so many bonds and balls, the largest; 0 = by all", low=0
 )  # fmt: skip
 TOGETHER = 2**22  # bytes of fields that derivatives are computed of at a time
-MISSED = 0  # the reason of a frequency whose derivatives miss the accuracy asked for
 
 
 def check(values, given):
@@ -33,7 +32,7 @@ def run(options, world, crew):
     Collective; None on the other ranks. Parameters are those of `pgran.scenes.scene.Scene`.
     """
     lattice = common.make_lattice(options, world)
-    omegas, asked = common.driving_frequencies(options, lattice), common.steady_of(options)
+    omegas, asked = common.driving_frequencies(options, lattice), driven.steady_of(options)
     asked["progress"] = options.output_progress
     with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
         given = lattice, omegas, options.detectors, workers
@@ -116,13 +115,13 @@ def sensitivity(
         If a detector lies outside the lattice, or a value is impossible.
     """
     common.check_values((MOST,), sensitivity_most=most)
-    common.check_driven(lattice, crew.world)
+    driven.check_driven(lattice, crew.world)
     return carry_out(
         GradientSweep(lattice, omegas, detectors, most, error_tolerance), crew, progress
     )
 
 
-class GradientSweep(FrequencySweep):
+class GradientSweep(AdjointSweep):
     """The derivatives at each frequency, in the lattice's own unit.
 
     Parameters are those of `sensitivity`.
@@ -145,8 +144,7 @@ class GradientSweep(FrequencySweep):
             for name, kinds in self.blocks.items()
         }
         kept = [
-            ("displacement", complex, (nd,)), ("error_bound", float, (nd,)),
-            ("field_bound", float), ("iterations", np.int64), ("converged_reason", np.int64),
+            ("iterations", np.int64),
             ("by_damping", complex, (nd,)), ("by_damping_bound", float, (nd,)),
             ("flux", float, (lattice.bonds,)), ("loss", float, (lattice.bonds,)),
         ]  # fmt: skip
@@ -155,23 +153,18 @@ class GradientSweep(FrequencySweep):
             kept.append((f"by_{name}_bound", float, (nd, size)))
         if most:
             kept += [("bond", np.int64, (nd, bonds)), ("ball", np.int64, (nd, balls))]
-        choices = {"error_tolerance": common.STEADY["error_tolerance"].check(error_tolerance)}
-        choices |= {"whole_field": True, "whole_adjoints": True}
-        super().__init__(lattice, omegas, sites, kept, choices)
+        super().__init__(lattice, omegas, sites, kept, error_tolerance)
         self._waiting = []  # states of this unit that derivatives are still to be computed of
 
     def keep(self, point, solver):
         """See `FrequencySweep`; the fields come to the first rank of a group."""
-        solver.restart()  # derivatives need more of the fields than iterations are asked for
-        systems, bounds = [solver.primal, *solver.adjoints], solver.bounds
+        super().keep(point, solver)
+        systems, errors = self.systems(point, solver)
         fields = solver.operators.layout.gathered([system.solution for system in systems])
-        errors = [1.01 * bounds.inverse_norm * bounds.adjoint_residual(z) for z in solver.adjoints]
-        if not bounds.proven:
-            point["converged_reason"] = min(point["converged_reason"], MISSED)
         if fields is None:
             return
         fields = fields.reshape(len(systems), -1)
-        self._waiting.append((point, solver.operators.s, fields, [point["field_bound"], *errors]))
+        self._waiting.append((point, solver.operators.s, fields, errors))
         if len(self._waiting) * fields.nbytes > TOGETHER:
             self.complete(None)
 
@@ -183,7 +176,7 @@ class GradientSweep(FrequencySweep):
         self._waiting.clear()
         s, fields = np.array(s), np.stack(fields)
         with np.errstate(all="ignore"):  # what failed is marked below
-            found = gradient(self.scaled, s, fields, np.array(errors))
+            found = gradient(self.scaled, s, fields, np.stack(errors))
             flux, loss = energy_flux(self.scaled, s, fields[:, 0])
         values = self._kept(found) | {"flux": flux, "loss": loss}
         good = np.ones(len(rows), dtype=bool)
@@ -240,7 +233,7 @@ class GradientSweep(FrequencySweep):
             logs = k * arrays["by_stiffness"] / A
             wrong = arrays["by_stiffness_bound"] + np.abs(arrays["by_stiffness"] / A) * known
             log_bound = 1.01 * k * wrong / (np.abs(A) - known)
-        log_bound[~(np.abs(A) > known) & np.ones_like(log_bound, dtype=bool)] = np.inf
+            log_bound = np.where(np.abs(A) > known, log_bound, np.inf)
         return Sensitivity(
             factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,
@@ -265,7 +258,7 @@ class GradientSweep(FrequencySweep):
 SCENE = Scene(
     options=(
         *(*common.LATTICE, *common.DETECTORS, *common.SWEEP, MOST, *heat.HEAT),
-        common.STEADY["error_tolerance"],
+        driven.STEADY["error_tolerance"],
     ),
     run=run,
     summary=summary,

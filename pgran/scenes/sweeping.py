@@ -43,6 +43,9 @@ class FrequencySweep(Task):
         check_frequency(self.scaled, self.omegas[-1])
         self.units = ranges(len(self.omegas))
 
+    def prepare(self, operators):
+        """Make what `keep` needs of the lattice at all frequencies. Collective over a group."""
+
     def keep(self, point, solver):
         """Put into a row, besides what a `SteadyState` has, what is wanted of the solver.
 
@@ -64,6 +67,7 @@ class FrequencySweep(Task):
             Operators(self.scaled, group) as operators,
             SteadySolver(operators, self.sites, **self.choices) as solver,
         ):
+            self.prepare(operators)
 
             def work(unit):
                 solver.restart()

@@ -3,30 +3,32 @@
 import numpy as np
 
 from pgran.physics.rounding import EPSILON
-from pgran.solve.columns import Columns
-from pgran.solve.owner import Owner
 
 
-class Flexibility(Owner):
-    """The matrices G of many small groups of springs; destroy with `destroy` or `with`.
+class Flexibility:
+    """The matrices G of many small groups of springs, at any frequency.
 
-    Collective. Each unknown at these springs is solved for once, however many groups it is in.
+    Not collective. Each unknown at these springs is solved for once, however many groups it is in.
 
     Parameters
     ----------
-    solver : pgran.solve.steady.SteadySolver
+    operators : pgran.solve.operators.Operators
     groups : numpy.ndarray of int, shape (count, r)
         Springs; -1 fills up a row.
+
+    Attributes
+    ----------
+    springs : numpy.ndarray of int
+        All springs of the groups, each once; -1 too, if it is there.
+    place : numpy.ndarray of int, shape (count, r)
+        Where among these each spring of a group is.
     """
 
-    owns = ("_columns",)
-
-    def __init__(self, solver, groups):
+    def __init__(self, operators, groups):
         """Find the unknowns to solve for, and where what they give belongs."""
-        self.operators, layout = solver.operators, solver.operators.layout
-        self._columns, self._shape = Columns(solver), groups.shape
-        self._springs, place = np.unique(groups, return_inverse=True)
-        place = place.reshape(groups.shape)
+        self.operators, layout, self._shape = operators, operators.layout, groups.shape
+        self.springs, place = np.unique(groups, return_inverse=True)
+        self.place = place = place.reshape(groups.shape)
         there = groups >= 0
         ends = np.where(there[..., None], layout.ends[groups], -1)  # (count, r, w)
         entries = layout.entries[groups if len(layout.entries) > 1 else 0 * groups]
@@ -41,12 +43,17 @@ class Flexibility(Owner):
         columns = np.broadcast_to(self._number[:, None], shape).ravel()
         self._order = np.argsort(columns, kind="stable")
         self._rows, self._at = rows[self._order], columns[self._order]
-        self._void = int(self._unknowns[0] < 0), int(self._springs[0] < 0)
+        self._void = int(self._unknowns[0] < 0), int(self.springs[0] < 0)
 
-    def matrices(self):
+    def matrices(self, columns):
         """Return G for each group, and a bound of its error in Frobenius' norm.
 
         Collective. S is factored and the bounds are prepared for it.
+
+        Parameters
+        ----------
+        columns : pgran.solve.columns.Columns
+            Of a solver with these operators.
 
         Returns
         -------
@@ -54,14 +61,14 @@ class Flexibility(Owner):
             Zero in rows and columns that only fill up.
         error : numpy.ndarray, shape (count,)
         """
-        bounds, layout = self._columns.solver.bounds, self.operators.layout
-        springs = self._springs[self._void[1] :]
+        bounds, layout = columns.solver.bounds, self.operators.layout
+        springs = self.springs[self._void[1] :]
         taken = np.zeros(len(self._order), dtype=complex)
         wrong = np.zeros(len(self._unknowns))
         start = self._void[0]
-        solved = self._columns.solved(self._unknowns[start:], self._units, 1.0)
+        solved = columns.solved(self._unknowns[start:], self._units, 1.0)
         for part, found, norms, residuals in solved:
-            longer = np.zeros((len(self._springs), len(part)), dtype=complex)
+            longer = np.zeros((len(self.springs), len(part)), dtype=complex)
             longer[self._void[1] :] = self.operators.stretch(found, springs)
             stop = start + len(part)
             here = slice(*np.searchsorted(self._at, [start, stop]))

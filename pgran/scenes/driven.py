@@ -1,0 +1,112 @@
+"""What scenes of driven steady states share: what is asked of these, and what is said of them."""
+
+import logging
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.files.options import INTEGER, REAL, Option
+from pgran.parallel.agreement import on_root
+
+log = logging.getLogger(__name__)
+
+# What a user may ask of the driven steady states, by the keywords of `SteadySolver`.
+STEADY = {
+    "error_tolerance": Option(
+        "error_tolerance", REAL, 1e-4, "relative accuracy asked of each amplitude",
+        above=0, high=0.5
+    ),
+    "error_floor": Option(
+        "error_floor", REAL, 1e-20,
+        "an amplitude whose error bound is below this part of the wall's amplitude is good without "
+        "relative accuracy",
+        low=0
+    ),
+    "refresh_iterations": Option(
+        "steady_refresh_iterations", INTEGER, 0,
+        "factor anew after a frequency that took more Krylov iterations; 0 = when it pays", low=0
+    ),
+}  # fmt: skip
+
+
+def steady_choices(given):
+    """Return all keywords of `STEADY`, those given checked like options. Not collective.
+
+    Raises
+    ------
+    TypeError, InputError
+        For a keyword or a value that is impossible.
+    """
+    if unknown := given.keys() - STEADY.keys():
+        raise TypeError(f"unexpected keywords {unknown}; of the solver there are {[*STEADY]}")
+    return {name: o.check(given.get(name, o.default)) for name, o in STEADY.items()}
+
+
+def steady_of(options):
+    """Return those keywords of `STEADY` that the options of a run have. Not collective."""
+    given = {keyword: getattr(options, o.name, None) for keyword, o in STEADY.items()}
+    return {keyword: value for keyword, value in given.items() if value is not None}
+
+
+def check_driven(lattice, world, in_time=False):
+    """Raise where a drive has no bounded answer; warn where steady states could not last.
+
+    Collective.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    world : mpi4py.MPI.Comm
+    in_time : bool
+        Whether motions in time are wanted, which must not grow for ever.
+
+    Raises
+    ------
+    InputError
+        If nothing is driven, or balls float, or motions would grow.
+    """
+    lattice.check_driven()
+    if lattice.semidefinite:
+        return
+    from pgran.solve.certify import is_stable
+
+    if on_root(world, lambda: is_stable(lattice.in_own_unit()[0])):
+        return
+    unstable = "springs of negative constants (pre-stress) make this network unstable"
+    if in_time:
+        raise InputError(f"-network_file: {unstable}; after a pulse it would move without bound")
+    if world.rank == 0:
+        log.warning(
+            "%s: its steady states are computed as if it stayed where it is; scene modes says how "
+            "unstable", unstable,
+        )  # fmt: skip
+
+
+def reached_accuracy(record, good):
+    """Yield in words how accurate amplitudes are. Not collective.
+
+    Parameters
+    ----------
+    record : pgran.results.Response or pgran.results.Relaxation
+    good : numpy.ndarray of bool, shape (...)
+        Which of its states have the accuracy asked for.
+    """
+    floored = record.at_floor[good] > 0
+    bound, amplitude = record.error_bound[good][~floored], record.amplitude[good][~floored]
+    if np.isnan(bound).any():
+        yield (
+            "no error bounds: none is known of an undamped lattice that ranks share "
+            "(-ranks_per_lattice 1 gives them)"
+        )
+    elif bound.size:
+        relative = np.divide(bound, amplitude, out=np.zeros_like(bound), where=bound > 0).max()
+        total = record.at_floor.size
+        which = "every amplitude" if bound.size == total else f"{bound.size} of {total} amplitudes"
+        yield f"relative error of {which} at most {relative:.1e} (error_bound)"
+    else:
+        yield "no amplitude has the relative accuracy asked for"
+    if floored.any():
+        yield (
+            f"{np.count_nonzero(floored)} of {record.at_floor.size} amplitudes are known to "
+            "-error_floor of the wall's only, not relative to themselves (at_floor)"
+        )
