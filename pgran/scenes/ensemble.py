@@ -241,7 +241,7 @@ def summary(result):
             f"{found.left_out} of them are left out of all that follows: they failed, or missed "
             "the accuracy asked for (good)"
         )
-    yield from measures(found)
+    yield from measures(result)
     if found.delay_samples is not None:
         unknown = np.count_nonzero(found.good) - found.delay_samples
         if unknown.any():

@@ -10,6 +10,7 @@ from pgran.parallel.task import carry_out
 from pgran.physics.phase import and_more
 from pgran.results import record_of
 from pgran.results.response import LINES
+from pgran.results.si import SI
 from pgran.scenes import common, driven
 from pgran.scenes.amplitudes import ResponseSweep, phase_lines
 from pgran.scenes.curve import choose_method, solve_curve
@@ -71,7 +72,7 @@ def run(options, world, crew):
 
 def summary(result):
     """Return in words what a run found. Not collective."""
-    lattice, response = result.medium, result.response
+    lattice, response, si = result.medium, result.response, SI.of(result)
     nw, asked = len(response.omega), np.count_nonzero(response.requested)
     added = f", {nw - asked} of them added to resolve the curve," if nw > asked else ""
     yield (
@@ -95,7 +96,7 @@ def summary(result):
             yield (
                 f"ball {tuple(site)}: phase slope {line.slope:.4g} +- {line.slope_error:.1g} rad "
                 f"per omega_mx, phase velocity {velocity:.4g} +- {error:.1g} "
-                f"{lattice.length} x omega_mx"
+                f"{lattice.length} x omega_mx{si.say('m/s', velocity * lattice.omega_mx)}"
             )
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+from functools import partial
 
 import numpy as np
 
@@ -10,21 +11,22 @@ from pgran.machine import check_memory
 from pgran.parallel.task import Task
 from pgran.physics.bands import STATISTICS, over_samples
 from pgran.results import Ensemble
+from pgran.results.si import SI
 
 log = logging.getLogger(__name__)
 
 CURVES = "displacement", "ln_amplitude", "delay"  # of a response
-# Numbers of a sample, what to call them, and their unit.
+# Numbers of a sample, what to call them, their unit, and that in SI.
 MEASURES = {
-    "velocity": ("phase velocity", " spacings x omega_mx"),
-    "exponent": ("exponent psi", ""),
-    "order": ("bonds that act jointly", ""),
-    "modes": ("modes found", ""),
-    "above": ("modes above omega_mx", ""),
-    "arrival": ("arrival of the front", ""),
-    "centre": ("centre of the envelope", ""),
-    "decay": ("rate of decay", ""),
-    "effective_bonds": ("bonds that matter, on the mean over frequencies,", ""),
+    "velocity": ("phase velocity", " spacings x omega_mx", "m/s"),
+    "exponent": ("exponent psi", "", None),
+    "order": ("bonds that act jointly", "", None),
+    "modes": ("modes found", "", None),
+    "above": ("modes above omega_mx", "", None),
+    "arrival": ("arrival of the front", "", "s"),
+    "centre": ("centre of the envelope", "", "s"),
+    "decay": ("rate of decay", "", "1/s"),
+    "effective_bonds": ("bonds that matter, on the mean over frequencies,", "", None),
 }
 
 
@@ -205,16 +207,24 @@ class Samples(Task):
         }
 
 
-def measures(found):
+def measures(result):
     """Yield in words the numbers of samples, measure by measure. Not collective."""
-    for name, (words, unit) in MEASURES.items():
+    found = result.ensemble
+    for name, (words, unit, physical) in MEASURES.items():
         values = getattr(found, name)
         if values is not None:
             sites = [None] if values.ndim == 1 else found.detector.tolist()
-            yield from told(words, unit, np.atleast_2d(values[found.good > 0].T), sites)
+            say = partial(_in_si, result, unit, physical)
+            yield from told(words, unit, say, np.atleast_2d(values[found.good > 0].T), sites)
 
 
-def told(words, unit, columns, sites):
+def _in_si(result, unit, physical, mean):
+    """Return in words what a mean is in SI units, nothing where it has none."""
+    factor = result.medium.omega_mx if "omega_mx" in unit else 1.0
+    return SI.of(result).say(physical, factor * mean) if physical else ""
+
+
+def told(words, unit, say, columns, sites):
     """Yield in words a measure at each detector; where it is unknown at several, in one line.
 
     Not collective.
@@ -223,6 +233,8 @@ def told(words, unit, columns, sites):
     ----------
     words, unit : str
         What to call the measure, and its unit.
+    say : callable
+        Takes its mean; returns in words what that is in SI units.
     columns : numpy.ndarray, shape (nd, samples)
         Its values at each detector, NaN where they are not certain.
     sites : list
@@ -233,9 +245,9 @@ def told(words, unit, columns, sites):
     for site, values in zip(sites, known, strict=True):
         line = words if site is None else f"ball {tuple(site)}: {words}"
         if len(values) > 1:
-            spread = values.std(ddof=1)
+            mean, spread = values.mean(), values.std(ddof=1)
             error = spread / np.sqrt(len(values))
-            line += f" {values.mean():.4g} +- {error:.1g}{unit}, spread {spread:.2g}"
+            line += f" {mean:.4g} +- {error:.1g}{unit}{say(mean)}, spread {spread:.2g}"
         elif len(few) == 1:
             line += " unknown"
         else:

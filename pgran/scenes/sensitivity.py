@@ -7,6 +7,7 @@ from pgran.parallel.task import carry_out
 from pgran.physics.bonds import bond_places
 from pgran.physics.gradient import energy_flux, gradient
 from pgran.results import Sensitivity, record_of
+from pgran.results.si import SI
 from pgran.scenes import common, driven, heat
 from pgran.scenes.adjoint import MISSED, AdjointSweep
 from pgran.scenes.interface import in_parallel
@@ -59,9 +60,10 @@ def summary(result):
             at, bond = np.unravel_index(np.argmax(size), size.shape)
             number = bond if found.bond is None else found.bond[good][at, d, bond]
             most, joined = found.log_amplitude[good][at, d, bond], joins(result.medium, number)
+            omega = found.omega[good][at]
             yield (
-                f"ball {tuple(site)}: depends most on bond {number}, {joined}, "
-                f"at omega = {found.omega[good][at]:.6g}: d ln|A| / d ln k = {most:.4g} "
+                f"ball {tuple(site)}: depends most on bond {number}, {joined}, at omega = "
+                f"{omega:.6g}{SI.of(result).say('Hz', omega)}: d ln|A| / d ln k = {most:.4g} "
                 f"+- {found.log_bound[good][at, d, bond]:.1g}"
             )
     if getattr(result, "heat", None):
