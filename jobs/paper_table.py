@@ -3,11 +3,25 @@
 from typing import NamedTuple
 
 import numpy as np
+from paper_measures import (
+    apart,
+    bonds,
+    count,
+    deep,
+    excited,
+    maxima,
+    nearest,
+    off_drive,
+    participation,
+    power_of_damping,
+    spread,
+    width,
+    within,
+)
 
 from pgran.physics.phase import fit_line
 
 BEAD, SPEED = 0.5, 5700.0  # cm and cm/s, measured (paper: velobs)
-DEEP = 10.0  # dB: a sharp decrease
 MEASURED = "measured: not to be computed by the model"
 
 
@@ -26,105 +40,6 @@ class Section(NamedTuple):
     title: str
     drawn: tuple
     rows: tuple
-
-
-def within(curve, low, high):
-    """Return omega and |A| of a curve in an interval."""
-    inside = (curve.omega >= low) & (curve.omega < high)
-    return curve.omega[inside], curve.amplitude.reshape(len(curve.omega))[inside]
-
-
-def maxima(curve, low, high):
-    """Return where |A| is larger than at both neighbours, and |A| there."""
-    omega, size = within(curve, low, high)
-    top = 1 + np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:]))
-    return omega[top], size[top]
-
-
-def dips(curve, low=0.3, high=1.0):
-    """Return by how many dB |A| falls between neighbouring maxima, below the lower of both."""
-    omega, size = within(curve, low, high)
-    places, tops = maxima(curve, low, high)
-    ends = list(zip(places, places[1:], tops, tops[1:], strict=False))
-    least = [size[(omega >= a) & (omega <= b)].min() for a, b, _, _ in ends]
-    return 20 * np.log10([min(t) / s for (_, _, *t), s in zip(ends, least, strict=True)])
-
-
-def apart(count, low=0.3, high=1.0):
-    """Return the mean distance of so many in an interval; infinite of none."""
-    return (high - low) / count if count else np.inf
-
-
-def deep(*results):
-    """Return how many dips are deeper than DEEP, of each response."""
-    return [int(np.count_nonzero(dips(result.response) > DEEP)) for result in results]
-
-
-def count(modes, low, high):
-    """Return how many modes an interval has."""
-    return int(np.count_nonzero((modes.omega >= low) & (modes.omega < high)))
-
-
-def nearest(modes, omega):
-    """Return the frequency of the mode nearest to one, and its participation ratio."""
-    at = np.abs(modes.omega - omega).argmin()
-    return modes.omega[at], modes.participation[at]
-
-
-def participation(modes):
-    """Return the medians of three ranges of frequencies."""
-    ends = [0.0, 0.3, 1.0, np.inf]
-    split = np.digitize(modes.omega, ends) - 1
-    return [np.median(modes.participation[split == part]) for part in range(3)]
-
-
-def spread(values):
-    """Return mean, standard deviation and range of what is certain, and how many that are."""
-    known = values[np.isfinite(values)]
-    if known.size < 2:
-        return [np.nan] * 4 + [known.size]
-    return known.mean(), known.std(ddof=1), known.min(), known.max(), known.size
-
-
-def off_drive(projection, low, high):
-    """Return how far the dominant mode is from the drive on the mean, and its slope."""
-    omega = projection.omega
-    inside = (omega >= low) & (omega < high) & (projection.converged_reason > 0)
-    mode = projection.mode_omega[projection.dominant[inside]]
-    return np.abs(mode - omega[inside]).mean(), fit_line(omega[inside], mode)[0]
-
-
-def width(projection):
-    """Return the full width at half power of the most excited mode; NaN beyond the sweep."""
-    power = np.abs(projection.coefficient) ** 2
-    power = power[:, power.max(axis=0).argmax()]
-    below, top = np.flatnonzero(power < power.max() / 2), power.argmax()
-    lower, upper = below[below < top], below[below > top]
-    if not (lower.size and upper.size):
-        return np.nan
-    return projection.omega[upper[0]] - projection.omega[lower[-1]]
-
-
-def excited(projection, drive=0.6):
-    """Return the mode of the largest |c_i|, the share near the drive, the rank of the nearest."""
-    at = np.abs(projection.omega - drive).argmin()
-    size = np.abs(projection.coefficient[at])
-    away = np.abs(projection.mode_omega - projection.omega[at])
-    share = (size**2)[away < 0.05].sum() / (size**2).sum()
-    rank = 1 + np.count_nonzero(size > size[away.argmin()])
-    return projection.mode_omega[size.argmax()], share, rank
-
-
-def power_of_damping(*results):
-    """Return the exponent with which the phase velocity grows with beta."""
-    beta = [result.lattice.damping for result in results]
-    velocity = [result.response.phase_velocity[0] for result in results]
-    return fit_line(np.log(beta), np.log(velocity))[0]
-
-
-def bonds(lattice):
-    """Return the constants of all bonds of a plane lattice."""
-    return np.concatenate([lattice.stiffness_x.ravel(), lattice.stiffness_y.ravel()])
 
 
 R = Row

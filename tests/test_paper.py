@@ -16,6 +16,7 @@ PROJECT = Path(__file__).parents[1]
 sys.path.append(str(PROJECT / "jobs"))
 
 import paper  # noqa: E402
+import paper_measures  # noqa: E402
 import paper_table  # noqa: E402
 
 FIGURES = (
@@ -166,18 +167,18 @@ def test_maxima_dips_and_widths():
     omega = np.linspace(0.3, 1.0, 71)
     size = np.interp(omega, [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0], [0, 10, 0.5, 5, 3.54, 7, 0])
     curve = SimpleNamespace(omega=omega, amplitude=size[:, None])
-    places, tops = paper_table.maxima(curve, 0.3, 1.0)
+    places, tops = paper_measures.maxima(curve, 0.3, 1.0)
     assert places == pytest.approx([0.4, 0.6, 0.8])
     assert list(tops) == [10, 5, 7]
-    assert paper_table.dips(curve) == pytest.approx([20, 3], abs=0.01)
-    assert paper_table.deep(SimpleNamespace(response=curve)) == [1]
-    assert paper_table.apart(0) == np.inf
+    assert paper_measures.dips(curve) == pytest.approx([20, 3], abs=0.01)
+    assert paper_measures.deep(SimpleNamespace(response=curve)) == [1]
+    assert paper_measures.apart(0) == np.inf
     drive = np.linspace(0.5, 0.7, 20001)
     weak, strong = 1 / (drive - 0.61 - 0.03j), 5 / (drive - 0.6 - 0.01j)
     projection = SimpleNamespace(omega=drive, coefficient=np.stack([weak, strong], axis=1))
-    assert paper_table.width(projection) == pytest.approx(0.02, abs=2e-5)
+    assert paper_measures.width(projection) == pytest.approx(0.02, abs=2e-5)
     cut = SimpleNamespace(omega=drive[:10001], coefficient=projection.coefficient[:10001])
-    assert np.isnan(paper_table.width(cut))
+    assert np.isnan(paper_measures.width(cut))
 
 
 def test_power_of_damping():
@@ -186,4 +187,4 @@ def test_power_of_damping():
                         response=SimpleNamespace(phase_velocity=[3 * beta**0.5]))
         for beta in (0.001, 0.003, 0.03)
     ]  # fmt: skip
-    assert paper_table.power_of_damping(*results) == pytest.approx(0.5)
+    assert paper_measures.power_of_damping(*results) == pytest.approx(0.5)
