@@ -112,9 +112,19 @@ def console():
             sys.stdout.flush()
             raise
         sys.stdout.flush()
+        if code in (errors.INACCURATE, errors.STOPPED):  # of a run, on all ranks
+            leave_in_order(code)
     except BaseException as error:
         end_all_ranks(error)
     sys.exit(code)
+
+
+def leave_in_order(code):
+    """End all ranks with the exit code of a run that has come to its end. Collective."""
+    if "petsc4py.PETSc" in sys.modules:
+        sys.modules["petsc4py.PETSc"]._finalize()  # which writes what -log_view asks for
+    sys.stderr.flush()
+    launch.leave(sys.modules["mpi4py.MPI"].COMM_WORLD, code)
 
 
 def tell_warning(message, category, *where):
@@ -134,7 +144,7 @@ def end_all_ranks(error):
             first, alike = agreement.who_reports(world, kind)
             if world.rank != first:  # that one ends all
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
-                time.sleep(5 * agreement.SECONDS_FOR_OTHERS)
+                time.sleep(launch.SECONDS_TO_BE_ENDED)
             if not alike:
                 name_rank(world)
         elif isinstance(error, InputError) and launch.rank() > 0:
@@ -148,8 +158,7 @@ def end_all_ranks(error):
             sys.stdout.flush()
     finally:  # whatever else goes wrong: no rank must be left waiting
         if world:
-            time.sleep(agreement.SECONDS_FOR_MPIRUN)
-            world.Abort(code)
+            launch.abort(world, code)
     if is_petsc(error):
         os._exit(code)  # after an error of its own PETSc can crash while it is shut down
     sys.exit(code)
