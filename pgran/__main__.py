@@ -101,7 +101,7 @@ def console():
     streams.guard()
     log.propagate = False
     handler = logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("pgran: %(message)s"))
+    handler.setFormatter(streams.Messages("pgran"))
     log.addHandler(handler)
     log.setLevel(logging.INFO)
     warnings.showwarning = tell_warning

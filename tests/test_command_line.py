@@ -15,12 +15,16 @@ from pgran import __version__, load
 from pgran.command.resolve import SCENES
 from pgran.errors import FileError
 from pgran.files import store
+from pgran.files.network import write_network
+
+OPENING = "pgran: response of a 6 x 5 lattice, uniform bonds on [0, 0.25], seed 1993, beta 0.003, "
 
 
 def assert_one_line(done, code, *parts):
-    """One line that holds all parts, and the exit code."""
+    """One line that holds all parts, after what is to be solved if work began; the exit code."""
     assert done.returncode == code, done.stderr
-    (line,) = (line for line in done.stderr.splitlines() if line.startswith("pgran"))
+    (line,) = (line for line in done.stderr.splitlines() if not line.startswith(OPENING))
+    assert line.startswith("pgran")
     assert [part for part in parts if part not in line] == []
     assert "Traceback" not in done.stderr
 
@@ -57,6 +61,46 @@ def test_a_run_and_its_own_options(call, place, shared_path, world):
         assert call("plot", name).returncode == 0
 
 
+BETA = "beta 0.003, omega_mx 1, "
+SMALL = "-lattice_shape 4,3"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (f"response {SMALL} -detectors 2,1 -bonds_law constant -sweep_omega .3 -lattice_damping .1",
+         "response of a 4 x 3 lattice, constant bonds 0.25, seed 1993, beta 0.1, omega_mx 1, "),
+        (f"modes {SMALL} -bonds_law bimodal -bonds_kmax 1",
+         "modes of a 4 x 3 lattice, bimodal bonds 0 and 1, 0.5 of them the latter, seed 1993, "
+         "omega_mx 2, "),
+        ("modes -network_file a.h5", "modes of the network a.h5, 2 free balls, 3 contacts, "
+         "scalar displacements, omega_mx 1, "),
+        (f"ensemble -ensemble_of modes {SMALL} -ensemble_samples 3 -bonds_seed 7",
+         "ensemble of modes of 3 lattices of 4 x 3, uniform bonds on [0, 0.25], seeds 7 to 9, "
+         "omega_mx 1, "),
+        (f"ensemble {SMALL} -detectors 2,1 -ensemble_samples 3 -sweep_points 2",
+         "ensemble of response of 3 lattices of 4 x 3, uniform bonds on [0, 0.25], "
+         f"seeds 1993 to 1995, {BETA}"),
+        ("continuum -sweep_points 3", "continuum of a homogeneous box of 1 x 1, beta 0.003, "),
+    ],
+)  # fmt: skip
+def test_a_run_begins_with_what_it_solves(call, place, shared_path, world, words, said):
+    """In a line, once, however many samples there are; so does a dry run."""
+    if world.rank == 0:
+        chain = {"bond": [[0, 1], [1, 2], [2, 3]], "held": [2, 0, 0, 1]}
+        chain |= {"stiffness": [0.25, 0.5, 0.125], "mass": np.ones(4)}
+        write_network(shared_path / "a.h5", chain, {"displacement": "scalar", "damping": 0.003})
+    place("b.opts", f"-scene {words} -output_progress none")
+    ranks = "1 rank" if world.size == 1 else f"{world.size} ranks"
+    done = call("run", "b.opts")
+    assert done.stderr.splitlines()[0] == f"pgran: {said}{ranks}"
+    assert done.stderr.count("omega_mx") + done.stderr.count("box") < 3
+    dry = call("run", "b.opts", "-dry_run", "-output_file", "c.h5")
+    assert dry.stdout.splitlines()[0] == f"run       {said}{ranks}"
+    assert dry.stdout.count(said) == 1
+    assert said not in dry.stderr
+
+
 def test_results_do_not_depend_on_the_number_of_ranks(call, start, shared_path):
     """Nor is a .petscrc read, or SLEPc loaded, by a program of its own."""
     assert call("run", "a.opts", "-output_fields").returncode == 0
@@ -77,7 +121,11 @@ def test_a_hopeless_solver_is_reported_and_marked(call, shared_path):
     words = "-steady_ksp_type gmres -steady_pc_type none -steady_ksp_max_it 1 -steady_ksp_typo 1"
     done = call("run", "a.opts", *words.split())
     assert done.returncode == 3, done.stderr
-    assert "miss the accuracy" in done.stderr
+    opening, *lines = done.stderr.splitlines()
+    wrong = [line.startswith("pgran: warning: ") for line in lines]
+    assert wrong == sorted(wrong, reverse=True)  # before all figures
+    assert opening.startswith(OPENING)
+    assert "miss the accuracy" in lines[0]
     unused = [line for line in done.stderr.splitlines() if "not used" in line]
     assert ["-steady_ksp_typo" in line for line in unused] == [True]
     result = load(shared_path / "results" / "a.h5")
@@ -154,9 +202,7 @@ def test_bad_input_is_told_once(start, shared_path, words, ranks, parts):
 
     MPI does not add that ranks called for an abort.
     """
-    done = start(*words.split(), ranks=ranks)
-    assert_one_line(done, 2, *parts)
-    assert len(done.stderr.splitlines()) == 1
+    assert_one_line(start(*words.split(), ranks=ranks), 2, *parts)
     assert not [*shared_path.glob("results/*")]
 
 
@@ -218,7 +264,7 @@ def test_questions_load_no_library(start, word):
     """And a library's warning is one line."""
     done = start(word, program=[sys.executable, "-c", QUESTION])
     assert done.stdout.endswith("LOADED set()\n")
-    assert done.stderr == "pgran: RuntimeWarning: a first line and another\n"
+    assert done.stderr == "pgran: warning: RuntimeWarning: a first line and another\n"
 
 
 # Standard streams

@@ -13,6 +13,7 @@ from pathlib import Path
 import pgran
 from pgran import errors
 from pgran.errors import InputError, PgranError
+from pgran.files import streams
 from pgran.parallel import launch
 from pgran.parallel.agreement import on_root
 
@@ -86,25 +87,53 @@ def _compute(scene, options, words, world, started):
     with Journal(world, output, identity, overwrite) as journal:
         # again: another run may have written it just before the journal was locked
         on_root(world, lambda: store.check_output(output, overwrite))
-        records = scene.run(options, world, lambda ranks: Crew(world, ranks, journal))
+        begin = _say_once(scene, options, world.size)
+        records = scene.run(options, world, lambda ranks: Crew(world, ranks, journal, begin))
 
         def finish():
             failures = sum(int(numpy.sum(r.failures)) for r in records)
             seconds = time.perf_counter() - started
             attributes = _run_attributes(options, words, world, failures, seconds)
             store.write(output, attributes, records)
-            try:
-                _warn_of_unused(options)
-                for line in scene.summary(Result(records, **attributes)):
-                    log.info(line)
-            except Exception as error:  # no reason to fail: the result is there
-                log.warning("no summary: %s: %s", type(error).__name__, error)
-            log.info("written to %s after %.1f s; pgran plot draws it", output, seconds)
             if failures:
                 log.warning("%d results miss the accuracy asked for; the file marks them", failures)
+            try:
+                _warn_of_unused(options)
+                lines = sorted(scene.summary(Result(records, **attributes)), key=_is_figure)
+                for line in lines:  # what is wrong comes first
+                    log.log(logging.INFO if _is_figure(line) else logging.WARNING, "%s", line)
+            except Exception as error:  # no reason to fail: the result is there
+                log.warning("no summary: %s: %s", type(error).__name__, error)
+            log.info(
+                "written after %.1f s; to draw it: pgran plot %s", seconds, shlex.quote(output)
+            )
             return failures
 
         return errors.INACCURATE if on_root(world, finish) else errors.DONE
+
+
+def _say_once(scene, options, ranks):
+    """Return what says, the first time it is called, what a run solves. Not collective."""
+    from pgran.command.opening import opening
+
+    told = []
+    if scene.needs_petsc:
+        options.on_lattice = lambda lattice: told.append(opening(options, ranks, lattice))
+    else:
+        told.append(opening(options, ranks))
+
+    def begin():
+        while told:
+            log.info("%s", told.pop())
+
+    return begin
+
+
+def _is_figure(line):
+    """Return whether a line of a summary is none that says what is wrong. Not collective."""
+    from pgran.scenes.scene import Caution
+
+    return not isinstance(line, Caution)
 
 
 def _run_identity(options):
@@ -219,4 +248,4 @@ def _warn_of_unused(options):
 
 def name_rank(world):
     """Begin all further messages of this process with its rank. Not collective."""
-    log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))
+    log.handlers[0].setFormatter(streams.Messages(f"pgran (rank {world.rank})"))
