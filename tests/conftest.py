@@ -238,6 +238,8 @@ def call(experiment, shared_path, monkeypatch, capsys):
             monkeypatch.setattr(running, "start_petsc", keys_of)
             try:
                 code = program.main([*words])
+            except SystemExit as ended:  # after a help text
+                code = ended.code
             except Exception as error:
                 code, text = program.explain(error)
                 log.error("%s", text)

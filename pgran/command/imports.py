@@ -49,7 +49,13 @@ def run(words):
 
 def _parser():
     """Return the parser of the command line."""
-    parser = Parser("pgran import", description=DESCRIPTION, allow_abbrev=False)
+    parser = Parser(
+        "import",
+        DESCRIPTION,
+        "pgran import beads.atoms beads.contacts -o beads.h5 --rest 'x<1.5' --drive 'x>max-1.5'",
+        "pgran import balls.csv contacts.csv -o beads.h5 --law hertz --drive 12,15,30-40",
+        "pgran import graph.graphml -o graph.h5 --drive 1",
+    )
     add = parser.add_argument
     add("balls", metavar="ATOMS", help="dump custom, CSV (id,x,y[,z],radius,mass) or GraphML")
     add("contacts", metavar="CONTACTS", nargs="?", help="dump local, or CSV (i,j,force or ...)")

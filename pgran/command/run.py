@@ -1,5 +1,6 @@
 """`pgran run`: MPI and PETSc started, a scene computed under its journal, its result written."""
 
+import contextlib
 import faulthandler
 import hashlib
 import importlib
@@ -12,12 +13,35 @@ from pathlib import Path
 
 import pgran
 from pgran import errors
-from pgran.errors import InputError, PgranError
+from pgran.errors import FileError, InputError, PgranError
 from pgran.files import streams
 from pgran.parallel import launch
 from pgran.parallel.agreement import on_root
 
 log = logging.getLogger("pgran")
+
+DOES = """\
+Compute the experiment in an options file, and write its result to results/NAME.h5. Keys given here
+win over the file's. The same command goes on with a run that was stopped."""
+EXAMPLES = (
+    "pgran run options/response.opts",
+    "mpirun -n 2 pgran run options/response.opts -bonds_seed 7 -output_file results/seven.h5",
+    "pgran run options/response.opts -lattice_shape 40,40 -dry_run",
+)
+MORE = """\
+keys:
+  pgran options {scene} lists all, with their units, ranges and defaults.
+  pgran manual options says how they are written, pgran manual experiments which
+  options files there are.
+
+exit codes:
+  0   done
+  2   bad input; nothing was computed
+  3   computed, but some numbers miss the accuracy asked for; they are marked
+  4   files, or an output that is full
+  75  stopped by a signal; the same command goes on
+  1   anything else
+"""
 
 
 def run(words):
@@ -25,22 +49,25 @@ def run(words):
 
     Collective over all ranks.
     """
+    if {"-h", "--help", "-help"} & set(words):
+        _help(words[0]).print_help()
+        return errors.DONE
     # Signals to stop wait until the journal listens, and do no harm once the result is written;
     # blocked before anything starts threads, which else would get them.
     signal.pthread_sigmask(signal.SIG_BLOCK, launch.SIGNALS)
     faulthandler.enable()  # a crash in a library names the line that called it
 
     from pgran.command.resolve import SCENES, resolve
-    from pgran.files.reading import check_word, read_environment, read_file, read_words
+    from pgran.files.reading import check_word, read_environment, read_words
 
     if not words or words[0].startswith("-"):
-        raise InputError("run: an options file is needed, as in pgran run options/response.opts")
+        raise InputError(f"run: an options file comes first, as in {EXAMPLES[0]}")
     started = time.perf_counter()
     path, *rest = words
     check_word(path)
     world = start_mpi()
     environment = world.bcast(read_environment())  # each rank's own is not to be read by PETSc
-    given = environment + on_root(world, lambda: read_file(path)) + read_words(rest)
+    given = environment + on_root(world, lambda: _read(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
     if options.output_log:
         _start_log(options, words, world)
@@ -55,6 +82,49 @@ def run(words):
         if world.rank == 0:
             log.info("%s", stopped)
         return errors.STOPPED
+
+
+def _help(path):
+    """Return what prints a help; it names the scene of an options file, if that is one."""
+    from pgran.command.words import Parser
+    from pgran.files.reading import read_file
+
+    scene = None
+    with contextlib.suppress(PgranError):
+        scene = next((i.text for i in read_file(path) if i.key.lower() == "scene"), None)
+    usage, more = "pgran run FILE [-key value ...]", MORE.format(scene=scene or "SCENE")
+    return Parser("run", DOES, *EXAMPLES, more=more, usage=usage, add_help=False)
+
+
+def _read(path):
+    """Return what an options file gives; say what may have been meant if it is none."""
+    from pgran.files.reading import read_file
+
+    try:
+        return read_file(path)
+    except FileError as error:
+        hint = _meant(Path(path))
+        raise FileError(f"{error}; {hint}" if hint else error) from None
+
+
+def _meant(path):
+    """Return what may have been meant by a name that is no options file's, or None."""
+    from pgran.command.resolve import SCENES
+    from pgran.files.options import nearest
+
+    if path.is_file():
+        result = path.suffix == ".h5"
+        return f"pgran plot {path} draws a result" if result \
+            else None  # fmt: skip
+    if path.is_dir():
+        return f"pgran run takes one options file, {path}/NAME.opts"
+    folders = (path.parent, Path("options"))
+    files = {each.stem: each for folder in folders for each in folder.glob("*.opts")}
+    if near := nearest(path.stem, sorted(files)):
+        return f"did you mean {files[near]}?"
+    if path.name in SCENES:
+        return f"{path} is a scene; pgran run takes an options file that says -scene {path}"
+    return None
 
 
 def _foresee(scene, options, world, started):
@@ -104,9 +174,8 @@ def _compute(scene, options, words, world, started):
                     log.log(logging.INFO if _is_figure(line) else logging.WARNING, "%s", line)
             except Exception as error:  # no reason to fail: the result is there
                 log.warning("no summary: %s: %s", type(error).__name__, error)
-            log.info(
-                "written after %.1f s; to draw it: pgran plot %s", seconds, shlex.quote(output)
-            )
+            shown = shlex.quote(output)
+            log.info("written after %.1f s; to draw it: pgran plot %s", seconds, shown)
             return failures
 
         return errors.INACCURATE if on_root(world, finish) else errors.DONE
