@@ -9,14 +9,13 @@ import sys
 import time
 import traceback
 import warnings
-from pathlib import Path
 
 import pgran
 from pgran import errors
+from pgran.command import meant
 from pgran.command.run import name_rank
 from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
 from pgran.files import streams
-from pgran.files.options import nearest
 from pgran.parallel import agreement, launch
 
 log = logging.getLogger("pgran")
@@ -68,23 +67,12 @@ def main(words):
         print(f"pgran {pgran.__version__}")
         return errors.DONE
     if words[0] not in COMMANDS:
-        raise InputError(f"{words[0]}: no such command; {meant(words[0])}")
+        raise InputError(f"{words[0]}: no such command; {meant.command(words[0], COMMANDS)}")
     if sys.version_info < (3, 11) and words[0] != "doctor":
         raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
     module, function = COMMANDS[words[0]]
     command = getattr(importlib.import_module(f"pgran.command.{module}"), function)
     return command(words[1:])
-
-
-def meant(word):
-    """Return which command may have been meant."""
-    for ending, command in ((".opts", "run"), (".h5", "plot")):
-        if word.endswith(ending):
-            return f"did you mean pgran {command} {word}?"
-    for path in sorted(Path("options").glob(f"{word}*.opts"))[:1]:
-        return f"did you mean pgran run {path}?"
-    near = nearest(word, [*COMMANDS, "--help", "--version"])
-    return f"did you mean pgran {near}?" if near else "pgran --help lists them"
 
 
 def console():

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import logging
 import math
 import re
 
@@ -17,6 +18,8 @@ from pgran.files.recognise import read_contacts
 from pgran.parallel import launch
 from pgran.physics.network import KINDS
 from pgran.physics.springs import FREE
+
+log = logging.getLogger("pgran")
 
 DESCRIPTION = """\
 Make a network from the balls and contacts that another program has written: two dumps of LAMMPS or
@@ -42,6 +45,10 @@ def run(words):
             made.members["id"] = np.char.encode(names, "utf-8")[made.kept.balls]
         made.network()
     write_network(given.output, made.members, made.attributes, given.overwrite)
+    if not made.members["held"].any():
+        log.warning(
+            "no ball is held: the network floats and cannot be driven; see --rest and --drive"
+        )
     for line in _summary(made, found, given):
         print(line)
     return DONE
@@ -158,8 +165,6 @@ def _summary(made, found, given):
         yield f"forces {stress}; the largest unbalanced one on a free ball is " \
             f"{made.unbalanced:.2g} of the mean contact force"  # fmt: skip
     yield _rigidity(network)
-    if not rest + driven:
-        yield "no ball is held: the network floats and cannot be driven; see --rest and --drive"
     ball = _middle(network)
     name = members["id"][ball]
     name = name.decode() if isinstance(name, bytes) else name

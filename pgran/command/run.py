@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pgran
 from pgran import errors
-from pgran.errors import FileError, InputError, PgranError
+from pgran.errors import InputError, PgranError
 from pgran.files import streams
 from pgran.parallel import launch
 from pgran.parallel.agreement import on_root
@@ -57,17 +57,18 @@ def run(words):
     signal.pthread_sigmask(signal.SIG_BLOCK, launch.SIGNALS)
     faulthandler.enable()  # a crash in a library names the line that called it
 
+    from pgran.command import meant
     from pgran.command.resolve import SCENES, resolve
     from pgran.files.reading import check_word, read_environment, read_words
 
+    started = time.perf_counter()
+    world = start_mpi()  # before any error: without MPI mpirun would have more to say of it
     if not words or words[0].startswith("-"):
         raise InputError(f"run: an options file comes first, as in {EXAMPLES[0]}")
-    started = time.perf_counter()
     path, *rest = words
     check_word(path)
-    world = start_mpi()
     environment = world.bcast(read_environment())  # each rank's own is not to be read by PETSc
-    given = environment + on_root(world, lambda: _read(path)) + read_words(rest)
+    given = environment + on_root(world, lambda: meant.read(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
     if options.output_log:
         _start_log(options, words, world)
@@ -94,37 +95,6 @@ def _help(path):
         scene = next((i.text for i in read_file(path) if i.key.lower() == "scene"), None)
     usage, more = "pgran run FILE [-key value ...]", MORE.format(scene=scene or "SCENE")
     return Parser("run", DOES, *EXAMPLES, more=more, usage=usage, add_help=False)
-
-
-def _read(path):
-    """Return what an options file gives; say what may have been meant if it is none."""
-    from pgran.files.reading import read_file
-
-    try:
-        return read_file(path)
-    except FileError as error:
-        hint = _meant(Path(path))
-        raise FileError(f"{error}; {hint}" if hint else error) from None
-
-
-def _meant(path):
-    """Return what may have been meant by a name that is no options file's, or None."""
-    from pgran.command.resolve import SCENES
-    from pgran.files.options import nearest
-
-    if path.is_file():
-        result = path.suffix == ".h5"
-        return f"pgran plot {path} draws a result" if result \
-            else None  # fmt: skip
-    if path.is_dir():
-        return f"pgran run takes one options file, {path}/NAME.opts"
-    folders = (path.parent, Path("options"))
-    files = {each.stem: each for folder in folders for each in folder.glob("*.opts")}
-    if near := nearest(path.stem, sorted(files)):
-        return f"did you mean {files[near]}?"
-    if path.name in SCENES:
-        return f"{path} is a scene; pgran run takes an options file that says -scene {path}"
-    return None
 
 
 def _foresee(scene, options, world, started):
