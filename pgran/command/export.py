@@ -54,8 +54,6 @@ def export(result, output):
 
 def run(words):
     """Write a result for other programs, in space or as a table."""
-    if launch.rank() > 0:
-        return DONE
     parser = Parser(
         "export",
         run.__doc__,
@@ -70,6 +68,8 @@ def run(words):
         "NAME.csv: a row a frequency, time or mode",
     )
     given = parser.parse_intermixed_args(words)
+    if launch.rank() > 0:
+        return DONE
     export(given.result, given.output)
     print(given.output)
     return DONE

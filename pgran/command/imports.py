@@ -33,9 +33,9 @@ def run(words):
 
     Not collective: rank 0 does it alone.
     """
+    given = _parser().parse_intermixed_args(words)
     if launch.rank() > 0:
         return DONE
-    given = _parser().parse_intermixed_args(words)
     _check(given)
     check_output(given.output, given.overwrite)
     with np.errstate(all="ignore"):  # of absurd numbers in a file: what comes of them is checked

@@ -19,9 +19,9 @@ the strongest contacts, kmax."""
 
 def run(words):
     """Print a table of units, and the words of an options file."""
+    given = _parser().parse_args(words)
     if launch.rank() > 0:
         return DONE
-    given = _parser().parse_args(words)
     try:
         material = _material(given)
         scale = hertz.Scale(material, given.diameter, _force(given, material), given.dimensions)
