@@ -25,7 +25,7 @@ class Crew:
     journal : pgran.parallel.journal.Journal, optional
         Keeps finished units, and says when to stop.
     begin : callable, optional
-        Called whenever work begins, when all that is given has been checked.
+        Called before the progress of a task, when all that is given has been checked.
 
     Attributes
     ----------
@@ -86,8 +86,6 @@ class Crew:
         StoppedError
             If a signal asked for it; on every rank.
         """
-        if self.begin is not None:
-            self.begin()
         # A tag of its own keeps a fast rank's next results apart from a slow one's present ones.
         self._shared += 1
         results = _Results(self, FIRST_TAG + self._shared, task, deliver)
