@@ -197,7 +197,8 @@ def test_damage_is_refused_or_harmless(call, place, shared_path, kind):
             (shared_path / name).write_bytes(bad)
             done = call("import", "a.atoms", "a.contacts", "-o", "n.h5", "--law", "hertz")
             assert done.returncode in (0, 2, 4), done.stderr
-            assert len(done.stderr.splitlines()) == (done.returncode > 0)
+            warned = done.stderr.count("pgran: warning: no ball is held")
+            assert len(done.stderr.splitlines()) == (1 if done.returncode else warned)
             assert (shared_path / "n.h5").exists() == (done.returncode == 0)
             (shared_path / "n.h5").unlink(missing_ok=True)
             codes.add(done.returncode)

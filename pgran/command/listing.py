@@ -16,7 +16,7 @@ HEADINGS = {
     "detectors and sweep": ("detectors", "sweep_"),
     OWN: (),
     "accuracy and solvers": ("error_", "steady_"),
-    "output and run": ("output_", "ranks_", "dry_run"),
+    "output and run": ("output_", "units_", "ranks_", "dry_run"),
 }
 
 
