@@ -12,6 +12,7 @@ import warnings
 
 import pgran
 from pgran import errors
+from pgran.command import meant
 from pgran.command.run import name_rank
 from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
 from pgran.files import streams
@@ -22,29 +23,20 @@ log = logging.getLogger("pgran")
 USAGE = """\
 pgran: sound in a granular material, a lattice of balls and random springs
 
-  pgran run FILE [-key value ...]   compute the experiment in an options file; keys given here win
-  pgran plot RESULT [OTHER ...] [-plot_with DATA] [-o FIGURE]
-                                    draw the figures of a result; of a response and modes of the
-                                    same lattice: the response, with the modes marked; of a pulse
-                                    and a response: the pulse, the response under its spectra;
-                                    several results of one scene over each other, labelled by the
-                                    options in which they differ; DATA, columns of a measurement
-                                    (omega amplitude [phase]), over a response
-  pgran import ATOMS CONTACTS -o NETWORK [--law hertz] [--rest CONDITION] [--drive CONDITION] ...
-                                    make a network of balls and contacts that another program
-                                    (LAMMPS, LIGGGHTS, CSV, GraphML) wrote; --help says more
-  pgran export RESULT TO.vtu        write balls, contacts, modes and fields for ParaView and others;
-                                    TO.csv: the response, the signals, ... as a table
-  pgran units --diameter M --material glass --load N ...
-                                    say what omega_mx, stiffness and damping are in SI units for
-                                    balls in Hertzian contacts; --help says more
-  pgran verify RESULT               say whether a result is as it was written, by its checksum
-  pgran options [SCENE]             list every option: type, unit, default, range, meaning
-  pgran manual [TOPIC]              show a page of the manual; without a topic list them
-  pgran cite                        say how to cite pgran and what it stands on
-  pgran doctor                      say what is installed, and what is wrong with it
-  pgran --help, pgran --version
+  pgran run FILE [-key value ...]     compute the experiment in an options file
+  pgran plot RESULT [OTHER ...]       draw the figures of a result, or of several
+  pgran export RESULT TO              write it as a table, or for ParaView
+  pgran verify RESULT                 say whether it is as it was written
 
+  pgran import ATOMS CONTACTS -o TO   make a network of another program's balls
+  pgran units --diameter M ...        say what the numbers are in SI units
+
+  pgran options [SCENE]               list every option
+  pgran manual [TOPIC]                show a page of the manual, or list them
+  pgran doctor                        say what is installed, and what is wrong
+  pgran cite                          say how to cite pgran
+
+pgran COMMAND --help says more; pgran --version says which this is.
 In parallel: mpirun -n 2 pgran run options/response.opts
 """
 
@@ -54,7 +46,7 @@ COMMANDS = {
     "run": ("run", "run"),
     "plot": ("plot", "run"),
     "export": ("export", "run"),
-    "options": ("resolve", "list_options"),
+    "options": ("listing", "list_options"),
     "doctor": ("doctor", "examine"),
     "verify": ("verify", "verify"),
     "import": ("imports", "run"),
@@ -66,6 +58,8 @@ COMMANDS = {
 
 def main(words):
     """Carry out one command and return its exit code."""
+    if words[:1] == ["help"] and words[1:]:
+        words = [words[1], "--help"]
     if not words or words[0] in ("-h", "--help", "help"):
         print(USAGE, end="")
         return errors.DONE if words else errors.BAD_INPUT
@@ -73,11 +67,7 @@ def main(words):
         print(f"pgran {pgran.__version__}")
         return errors.DONE
     if words[0] not in COMMANDS:
-        raise InputError(f"{words[0]}: no such command; pgran --help lists them")
-    if words[0] in ("run", "options", "doctor") and {"-h", "--help", "-help"} & set(words):
-        if launch.rank() == 0:
-            print(USAGE + more_help(words[1]), end="")
-        return errors.DONE
+        raise InputError(f"{words[0]}: no such command; {meant.command(words[0], COMMANDS)}")
     if sys.version_info < (3, 11) and words[0] != "doctor":
         raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
     module, function = COMMANDS[words[0]]
@@ -85,23 +75,12 @@ def main(words):
     return command(words[1:])
 
 
-def more_help(path):
-    """Say how to list the options of the experiment in a file, if it is one."""
-    from pgran.files.reading import read_file
-
-    with contextlib.suppress(PgranError):
-        for item in read_file(path):
-            if item.key.lower() == "scene":
-                return f"\npgran options {item.text} lists the options of {path}\n"
-    return ""
-
-
 def console():
     """Run the command line; whatever goes wrong on one rank ends all of them at once."""
     streams.guard()
     log.propagate = False
     handler = logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("pgran: %(message)s"))
+    handler.setFormatter(streams.Messages("pgran"))
     log.addHandler(handler)
     log.setLevel(logging.INFO)
     warnings.showwarning = tell_warning
@@ -112,9 +91,19 @@ def console():
             sys.stdout.flush()
             raise
         sys.stdout.flush()
+        if code in (errors.INACCURATE, errors.STOPPED):  # of a run, on all ranks
+            leave_in_order(code)
     except BaseException as error:
         end_all_ranks(error)
     sys.exit(code)
+
+
+def leave_in_order(code):
+    """End all ranks with the exit code of a run that has come to its end. Collective."""
+    if "petsc4py.PETSc" in sys.modules:
+        sys.modules["petsc4py.PETSc"]._finalize()  # which writes what -log_view asks for
+    sys.stderr.flush()
+    launch.leave(sys.modules["mpi4py.MPI"].COMM_WORLD, code)
 
 
 def tell_warning(message, category, *where):
@@ -134,7 +123,7 @@ def end_all_ranks(error):
             first, alike = agreement.who_reports(world, kind)
             if world.rank != first:  # that one ends all
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
-                time.sleep(5 * agreement.SECONDS_FOR_OTHERS)
+                time.sleep(launch.SECONDS_TO_BE_ENDED)
             if not alike:
                 name_rank(world)
         elif isinstance(error, InputError) and launch.rank() > 0:
@@ -148,8 +137,7 @@ def end_all_ranks(error):
             sys.stdout.flush()
     finally:  # whatever else goes wrong: no rank must be left waiting
         if world:
-            time.sleep(agreement.SECONDS_FOR_MPIRUN)
-            world.Abort(code)
+            launch.abort(world, code)
     if is_petsc(error):
         os._exit(code)  # after an error of its own PETSc can crash while it is shut down
     sys.exit(code)

@@ -37,7 +37,7 @@ from samples import option_values
 
 import pgran.__main__ as program
 from pgran.command import run as running
-from pgran.files import hdf5
+from pgran.files import hdf5, streams
 from pgran.solve.database import holding
 
 WORLD = MPI.COMM_WORLD
@@ -227,7 +227,7 @@ def call(experiment, shared_path, monkeypatch, capsys):
     def call(*words):
         said, mask = io.StringIO(), signal.pthread_sigmask(signal.SIG_BLOCK, ())
         log.handlers, level = [logging.StreamHandler(said)], log.level
-        log.handlers[0].setFormatter(logging.Formatter("pgran: %(message)s"))
+        log.handlers[0].setFormatter(streams.Messages("pgran"))
         log.setLevel(logging.INFO)
         with contextlib.ExitStack() as held:
             held.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
@@ -238,6 +238,8 @@ def call(experiment, shared_path, monkeypatch, capsys):
             monkeypatch.setattr(running, "start_petsc", keys_of)
             try:
                 code = program.main([*words])
+            except SystemExit as ended:  # after a help text
+                code = ended.code
             except Exception as error:
                 code, text = program.explain(error)
                 log.error("%s", text)

@@ -1,6 +1,7 @@
 """The command line: exit codes, messages, results; as a program of its own where it must be."""
 
 import os
+import re
 import shlex
 import signal
 import sys
@@ -11,16 +12,20 @@ import pytest
 from campaigns import inject
 
 import pgran.__main__ as program
-from pgran import __version__, load
+from pgran import __version__, errors, load
 from pgran.command.resolve import SCENES
 from pgran.errors import FileError
 from pgran.files import store
+from pgran.files.network import write_network
+
+OPENING = "pgran: response of a 6 x 5 lattice, uniform bonds on [0, 0.25], seed 1993, beta 0.003, "
 
 
 def assert_one_line(done, code, *parts):
-    """One line that holds all parts, and the exit code."""
+    """One line that holds all parts, after what is to be solved if work began; the exit code."""
     assert done.returncode == code, done.stderr
-    (line,) = (line for line in done.stderr.splitlines() if line.startswith("pgran"))
+    (line,) = (line for line in done.stderr.splitlines() if not line.startswith(OPENING))
+    assert line.startswith("pgran")
     assert [part for part in parts if part not in line] == []
     assert "Traceback" not in done.stderr
 
@@ -57,6 +62,46 @@ def test_a_run_and_its_own_options(call, place, shared_path, world):
         assert call("plot", name).returncode == 0
 
 
+BETA = "beta 0.003, omega_mx 1, "
+SMALL = "-lattice_shape 4,3"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (f"response {SMALL} -detectors 2,1 -bonds_law constant -sweep_omega .3 -lattice_damping .1",
+         "response of a 4 x 3 lattice, constant bonds 0.25, seed 1993, beta 0.1, omega_mx 1, "),
+        (f"modes {SMALL} -bonds_law bimodal -bonds_kmax 1",
+         "modes of a 4 x 3 lattice, bimodal bonds 0 and 1, 0.5 of them the latter, seed 1993, "
+         "omega_mx 2, "),
+        ("modes -network_file a.h5", "modes of the network a.h5, 2 free balls, 3 contacts, "
+         "scalar displacements, omega_mx 1, "),
+        (f"ensemble -ensemble_of modes {SMALL} -ensemble_samples 3 -bonds_seed 7",
+         "ensemble of modes of 3 lattices of 4 x 3, uniform bonds on [0, 0.25], seeds 7 to 9, "
+         "omega_mx 1, "),
+        (f"ensemble {SMALL} -detectors 2,1 -ensemble_samples 3 -sweep_points 2",
+         "ensemble of response of 3 lattices of 4 x 3, uniform bonds on [0, 0.25], "
+         f"seeds 1993 to 1995, {BETA}"),
+        ("continuum -sweep_points 3", "continuum of a homogeneous box of 1 x 1, beta 0.003, "),
+    ],
+)  # fmt: skip
+def test_a_run_begins_with_what_it_solves(call, place, shared_path, world, words, said):
+    """In a line, once, however many samples there are; so does a dry run."""
+    if world.rank == 0:
+        chain = {"bond": [[0, 1], [1, 2], [2, 3]], "held": [2, 0, 0, 1]}
+        chain |= {"stiffness": [0.25, 0.5, 0.125], "mass": np.ones(4)}
+        write_network(shared_path / "a.h5", chain, {"displacement": "scalar", "damping": 0.003})
+    place("b.opts", f"-scene {words} -output_progress none")
+    ranks = "1 rank" if world.size == 1 else f"{world.size} ranks"
+    done = call("run", "b.opts")
+    assert done.stderr.splitlines()[0] == f"pgran: {said}{ranks}"
+    assert done.stderr.count("omega_mx") + done.stderr.count("box") < 3
+    dry = call("run", "b.opts", "-dry_run", "-output_file", "c.h5")
+    assert dry.stdout.splitlines()[0] == f"run       {said}{ranks}"
+    assert dry.stdout.count(said) == 1
+    assert said not in dry.stderr
+
+
 def test_results_do_not_depend_on_the_number_of_ranks(call, start, shared_path):
     """Nor is a .petscrc read, or SLEPc loaded, by a program of its own."""
     assert call("run", "a.opts", "-output_fields").returncode == 0
@@ -77,12 +122,25 @@ def test_a_hopeless_solver_is_reported_and_marked(call, shared_path):
     words = "-steady_ksp_type gmres -steady_pc_type none -steady_ksp_max_it 1 -steady_ksp_typo 1"
     done = call("run", "a.opts", *words.split())
     assert done.returncode == 3, done.stderr
-    assert "miss the accuracy" in done.stderr
+    opening, *lines = done.stderr.splitlines()
+    wrong = [line.startswith("pgran: warning: ") for line in lines]
+    assert wrong == sorted(wrong, reverse=True)  # before all figures
+    assert opening.startswith(OPENING)
+    assert "miss the accuracy" in lines[0]
     unused = [line for line in done.stderr.splitlines() if "not used" in line]
     assert ["-steady_ksp_typo" in line for line in unused] == [True]
     result = load(shared_path / "results" / "a.h5")
     assert result.status == "unconverged"
     assert np.all(result.response.converged_reason <= 0)
+
+
+def test_an_end_in_order_is_told_by_nobody_else(start, shared_path):
+    """mpirun does not call a run with inaccurate results aborted; -log_view is still written."""
+    words = "-steady_ksp_type gmres -steady_pc_type none -steady_ksp_max_it 1 -log_view"
+    done = start("run", "a.opts", *words.split(), ranks=2)
+    assert done.returncode == 3, done.stderr
+    assert {line.partition(":")[0] for line in done.stderr.splitlines()} == {"pgran"}
+    assert "PETSc Performance Summary" in done.stdout
 
 
 def test_a_relaxation_too_short_for_a_spectrum(call, place, shared_path):
@@ -141,7 +199,10 @@ def test_bad_input(call, shared_path, words, parts):
     ],
 )
 def test_bad_input_is_told_once(start, shared_path, words, ranks, parts):
-    """As programs: PETSc, too, ends in order after an error of its own, and nothing is left."""
+    """As programs: PETSc, too, ends in order after an error of its own, and nothing is left.
+
+    MPI does not add that ranks called for an abort.
+    """
     assert_one_line(start(*words.split(), ranks=ranks), 2, *parts)
     assert not [*shared_path.glob("results/*")]
 
@@ -173,17 +234,75 @@ def test_a_missing_scipy_is_said_at_the_start(start, shared_path):
 def test_questions(call):
     for words in ("", "run", "run -scene response", "rum"):
         assert call(*words.split()).returncode == 2
-    assert_one_line(call("options", "respons"), 2, "did you mean response?")
+    assert_one_line(call("options", "respons"), 2, "no scene respons; did you mean response?")
     assert call("--version").stdout == f"pgran {__version__}\n"
-    for words in ("--help", "-h", "help", "options -h", "doctor -h", "run a.opts --help", "run -h"):
+    for words in ("--help", "-h", "help"):
         done = call(*words.split())
         assert (done.returncode, done.stderr) == (0, "")
-        assert "pgran run FILE" in done.stdout
-        told = "pgran options response lists the options of a.opts" in done.stdout
-        assert told == ("a.opts" in words)
+        assert [name for name in program.COMMANDS if f"  pgran {name} " not in done.stdout] == []
     for scene in SCENES:
         assert scene in call("options").stdout
         assert scene in call("options", scene).stdout
+
+
+@pytest.mark.parametrize("command", program.COMMANDS)
+def test_every_command_has_a_help_of_one_style(call, command):
+    """Usage, what it does, and examples, which it could carry out."""
+    done = call(command, "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert call("help", command).stdout == done.stdout
+    usage, does, *_ = done.stdout.split("\n\n")
+    assert usage.startswith(f"usage: pgran {command}")
+    assert does[0].isupper()
+    assert does[-1] == "."
+    examples = done.stdout.partition("\nexamples:\n")[2].partition("\n\n")[0].splitlines()
+    assert examples
+    for line in examples:
+        assert re.match(f"  (mpirun -n 2 )?pgran {command}( |$)", line)
+    assert max(map(len, done.stdout.splitlines())) <= 90
+
+
+def test_the_help_of_a_run(call):
+    """Exit codes, and where the options of a scene are listed."""
+    text = call("run", "a.opts", "--help").stdout
+    assert "pgran options response lists all" in text
+    assert "pgran options SCENE lists all" in call("run", "-h").stdout
+    for code in (errors.DONE, errors.BAD_INPUT, errors.INACCURATE, errors.BAD_FILE, errors.STOPPED):
+        assert f"\n  {code:<3} " in text
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ("rn a.opts", 2, "rn: no such command; did you mean pgran run?"),
+        ("a.opts", 2, "did you mean pgran run a.opts?"),
+        ("results/a.h5", 2, "did you mean pgran plot results/a.h5?"),
+        ("response", 2, "did you mean pgran run options/response.opts?"),
+        ("--verison", 2, "did you mean pgran --version?"),
+        ("zzz", 2, "pgran --help lists them"),
+        ("run", 2, "run: an options file comes first"),
+        ("run -dry_run a.opts", 2, "run: an options file comes first"),
+        ("run respons", 4, "No such file or directory; did you mean options/response.opts?"),
+        ("run pulse", 4, "pulse is a scene; pgran run takes an options file that says -sc"),
+        ("run zzz.opts", 4, "zzz.opts: No such file or directory"),
+        ("run options", 4, "is a directory; pgran run takes one options file, options/NAME.opts"),
+        ("run b.h5", 4, "not a text file (line 1); pgran plot b.h5 draws a result"),
+        ("run a.opts -relax_steps 3", 2, "but accuracy, ensemble and relaxation do"),
+        ("run a.opts -accuracy_repeats 2", 2, "but accuracy does"),
+        ("plot a.opts", 2, "a.opts is an options file; pgran run a.opts computes a result"),
+        ("options a.opts", 2, "options: there is no scene a.opts; there are accuracy, "),
+        ("options modes pulse", 2, "options: unrecognized arguments: pulse; see pgran options"),
+        ("doctor twice", 2, "doctor: unrecognized arguments: twice; see pgran doctor --help"),
+        ("export b.h5", 2, "export: the following arguments are required: TO; see pgran export"),
+        ("verify", 2, "verify: the following arguments are required: RESULT; see pgran verify"),
+    ],
+)  # fmt: skip
+def test_what_was_meant_is_told(call, place, shared_path, world, words, code, said):
+    if world.rank == 0:
+        (shared_path / "options").mkdir()
+        (shared_path / "b.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
+    place("options/response.opts", "-scene response")
+    assert_one_line(call(*words.split()), code, said)
 
 
 QUESTION = """
@@ -204,7 +323,7 @@ def test_questions_load_no_library(start, word):
     """And a library's warning is one line."""
     done = start(word, program=[sys.executable, "-c", QUESTION])
     assert done.stdout.endswith("LOADED set()\n")
-    assert done.stderr == "pgran: RuntimeWarning: a first line and another\n"
+    assert done.stderr == "pgran: warning: RuntimeWarning: a first line and another\n"
 
 
 # Standard streams

@@ -229,7 +229,7 @@ def test_a_sample_that_cannot_be_computed_is_left_out_aloud(world, monkeypatch, 
     said = sum(world.allgather(caplog.text.count("it is broken")))
     assert said == len(failing)
     lines = list(SCENES["ensemble"].summary(pgran.record.Result(records)))
-    assert lines[1].startswith(f"{len(failing)} of them are left out")
+    assert lines[1].startswith(f"{len(failing)} of {len(found.seed)} samples are left out")
 
 
 def test_wrong_input_is_the_runs_and_not_a_samples(world, monkeypatch):

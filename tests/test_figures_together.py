@@ -273,7 +273,7 @@ def test_the_command(written, damped, monkeypatch, capsys):
     assert plot(["b.h5", "-plot_with", str(path), "-o", "c.pdf"]) == errors.DONE
     assert capsys.readouterr().out == "c.pdf\n"
     assert "delay" in saved[1]
-    with pytest.raises(InputError, match=r"plot: .* required: result; see pgran plot --help"):
+    with pytest.raises(InputError, match=r"plot: .* required: RESULT; see pgran plot --help"):
         plot([])
 
 

@@ -130,7 +130,7 @@ def test_what_does_not_fit_is_not_tried(world, monkeypatch):
     assert forecast.lattice_memory((300, 300), 4) < 0.5 * forecast.lattice_memory((300, 300), 1)
     monkeypatch.setattr(forecast, "free_memory", lambda: int(0.9 * needed))
     lines = foreseen(world, chosen("response"))
-    assert "nothing was tried" in lines["WARNING"]
+    assert "nothing was tried" in lines["warning"]
     assert "time" not in lines
 
 
@@ -144,8 +144,8 @@ def test_warnings_of_memory_and_disk(monkeypatch):
         "disk      about 1 MB in a.h5; 2 MB free",
     ]
     memory, disk = forecast.report(options, memory, 2e10, 1000.0, 3e6)[3:]
-    assert memory.split()[:3] == ["WARNING", "20", "GB"]
-    assert disk.split()[:3] == ["WARNING", "3", "MB"]
+    assert memory.split()[:3] == ["warning", "20", "GB"]
+    assert disk.split()[:3] == ["warning", "3", "MB"]
 
 
 def test_memory_that_is_free(monkeypatch):

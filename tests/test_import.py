@@ -136,6 +136,15 @@ def chain(place):
     place("a.contacts", dump("ENTRIES", {"i": bond[0], "j": bond[1], "stiffness": ones}))
 
 
+def test_what_floats_is_warned_of(call, place, here):
+    """Before what is told of the network, which is written: its modes are defined."""
+    chain(place)
+    done = call("import", "a.atoms", "a.contacts", "-o", "n.h5")
+    assert done.returncode == 0
+    assert done.stderr.startswith("pgran: warning: no ball is held: the network floats")
+    assert not read_network("n.h5").held.any()
+
+
 def test_what_is_held_cut_and_left_out(call, place, here):
     chain(place)
     words = ["--rest", "x<min+0.6", "--drive", "x>max-0.6 and y<1.5 or x>4.7 and y<1.5"]

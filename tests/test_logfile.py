@@ -3,6 +3,7 @@
 import logging
 import os
 import re
+import shlex
 import sys
 
 import pytest
@@ -12,6 +13,9 @@ from pgran.errors import FileError
 from pgran.files import logfile
 
 STAMP = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4} "
+
+
+UNRESOLVED = ("-sweep_method", "points")
 
 
 def lines_of(path):
@@ -24,12 +28,13 @@ def lines_of(path):
 def test_a_log_says_what_the_terminal_says(call, place, shared_path, world):
     """And goes on below what it held before."""
     place("a.log", "2020-01-01T00:00:00+0000 pgran: earlier\n")
-    done = call("run", "a.opts", "-output_log", "a.log")
+    done = call("run", "a.opts", "-output_log", "a.log", *UNRESOLVED)
     assert done.returncode == 0, done.stderr
+    assert "pgran: warning: the curve is not resolved" in done.stderr
     earlier, first, *logged = lines_of(shared_path / "a.log")
     ranks = "1 rank" if world.size == 1 else f"{world.size} ranks"
     assert earlier == "pgran: earlier"
-    assert first == f"pgran: pgran run a.opts -output_log a.log on {ranks}"
+    assert first == f"pgran: pgran run a.opts -output_log a.log {shlex.join(UNRESOLVED)} on {ranks}"
     assert logged == done.stderr.splitlines() != []
 
 
@@ -38,7 +43,7 @@ def test_errors_are_logged(start, shared_path):
     done = start("run", "a.opts", "-output_log", "logs/a.log", ranks=3, program=fault)
     assert done.returncode == 1
     last = lines_of(shared_path / "logs" / "a.log")[-1]
-    assert last == "pgran (rank 2) error: RuntimeError: planted"
+    assert last == "pgran (rank 2): error: RuntimeError: planted"
 
 
 def test_a_log_is_refused_before_any_work(call, place, shared_path, monkeypatch):

@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from pgran.command.resolve import SCENES, describe_options, options_of, resolve
+from pgran.command.listing import HEADINGS, describe, describe_options, heading_of, users_of
+from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.errors import InputError
 from pgran.files.options import INTEGER, INTEGERS, text_of
 from pgran.files.reading import read_environment, read_file, read_words
@@ -61,11 +62,11 @@ def test_wrong_types_are_refused(option):
         with pytest.raises(InputError) as caught:
             option.read(text, " (here)")
         message = str(caught.value)
-        assert message.startswith(f"-{option.name} {text[:99]}")
+        assert message.startswith(f"-{option.name} {text[:99]}".rstrip())
         assert message.endswith(f" (here): needs a value of the type `{option.kind.name}`")
         assert len(message) < 1100
     for value in values:
-        with pytest.raises(InputError, match=f"^-{option.name} "):
+        with pytest.raises(InputError, match=f"^-{option.name}[ :]"):
             option.check(value)
     if option.choices:
         with pytest.raises(InputError, match="choose"):
@@ -97,23 +98,32 @@ def test_more_than_fits_into_memory():
         driving_frequencies(asked)
 
 
-def test_a_size_with_a_cross_is_told_how_to_write_it():
-    shape = next(option for option in OPTIONS if option.name == "lattice_shape")
-    with pytest.raises(InputError, match="did you mean 20,30"):
-        shape.read("20x30")
+@pytest.mark.parametrize(
+    ("name", "text", "meant"),
+    [("lattice_shape", "20x30", "20,30"), ("sweep_points", "1.5e3", "1500")],
+)
+def test_a_number_written_otherwise_is_told_how(name, text, meant):
+    option = next(option for option in OPTIONS if option.name == name)
+    with pytest.raises(InputError, match=f"did you mean {meant}"):
+        option.read(text)
 
 
 @pytest.mark.parametrize(
     ("key", "meant"),
     [
         ("latice_shape", "lattice_shape"), ("detector", "detectors"), ("qqqqqqq", None),
-        ("pc_mg_levels", "steady_pc_mg_levels"), ("eps_tol", "normal_eps_tol"), ("steady_", None),
+        ("o", "output_file"), ("pc_mg_levels", "steady_pc_mg_levels"),
+        ("eps_tol", "normal_eps_tol"), ("steady_", None),
     ],
 )  # fmt: skip
 def test_unknown_keys_suggest_the_nearest(key, meant):
     message = refusal(f"-scene response -{key} 1", key)
     hint = f"; did you mean -{meant}?" if meant else ""
     assert message == f"-{key}: unknown option{hint} (pgran options response lists all)"
+
+
+def test_ranks_are_no_option():
+    assert "mpirun -n N" in refusal("-scene response -n 2", "n")
 
 
 def test_missing_and_wrong_scene():
@@ -235,12 +245,44 @@ def test_a_run_is_what_decides_its_numbers():
 @pytest.mark.parametrize("scene", [None, *SCENES])
 def test_list(scene):
     """Each option of a scene, or of all, with meaning, type, unit, range, default and choices."""
-    text = "\n" + describe_options(scene)
+    text = describe_options(scene)
     declared = [o for o in OPTIONS if scene is None or options_of(scene).get(o.name) == o]
     for option in declared:
-        default = "" if option.default is None else f"default {text_of(option.default)})"
-        facts = f"-{option.name}\n    {option.meaning}\n", option.unit, option.range(), default
-        assert option.describe() in text
-        assert all(fact in option.describe() for fact in (option.kind.name, *facts))
-    names = {"scene", *(o.name for o in declared), *(f"{prefix}*" for prefix in SOLVER_PREFIXES)}
-    assert set(re.findall(r"\n-(\S+)", text)) == names
+        lines = describe(option)
+        assert "\n".join(lines) in text
+        said = " ".join(" ".join(lines).split())
+        default = "" if option.default is None else text_of(option.default)
+        for fact in (option.meaning, option.kind.name, option.unit, default, *option.choices):
+            assert fact in said
+        assert option.range().replace(" and ", ", ") in said
+    prefixes = {f"{prefix}*" for prefix in SOLVER_PREFIXES}
+    names = {"scene", *(o.name for o in declared), *prefixes}
+    used = text.partition("\nnot used by")[0]
+    assert set(re.findall(r"^  -([\w*]+) ", used + " ", re.MULTILINE)) == names
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_a_list_stands_under_headings():
+    """And says what a scene does not use, though others do."""
+    text = describe_options("modes")
+    sections = {part.partition("\n")[0]: part for part in text.split("\n\n")}
+    used = [heading_of(name) for name in options_of("modes")]
+    assert {*sections} & {*HEADINGS} == {*used}
+    for name in options_of("modes"):
+        assert f"  -{name} " in sections[heading_of(name)]
+    unused = sections["not used by modes"]
+    assert {"-detectors,", "-sweep_max,"} < {*unused.split()}
+    assert not re.search("-(lattice_|pulse_|modes_)", unused)
+
+
+def test_a_list_says_of_what_an_option_is():
+    """Where experiments are repeated, of which; in the list of all, of which scenes."""
+    options = options_of("ensemble")
+    assert users_of(options["relax_steps"], "ensemble") == "only of relaxation"
+    assert users_of(options["lattice_mass"], "ensemble") == ""
+    assert users_of(options["ensemble_keep"], "ensemble") == ""
+    assert users_of(options["lattice_mass"]) == "not of continuum"
+    assert users_of(options["relax_steps"]) == "only of accuracy, ensemble, relaxation"
+    assert users_of(options["relax_steps"], "relaxation") == ""
+    assert "\nthe sample (not of continuum)\n" in describe_options()
+    assert "\n      only of relaxation\n" in describe_options("ensemble")

@@ -16,6 +16,8 @@ SHIPPED = sorted((Path(__file__).parents[1] / "options").rglob("*.opts"))
     ("line", "hint"),
     [
         ("-detectors 3 ,4", "a list has no blanks: -detectors 3,4"),
+        ("-detectors = 3,4", "write -detectors 3,4"),
+        ("-detectors 3,4 units lj", "keys look like -key"),
         ("-sweep_points=3", "-sweep_points=3 (a.opts, line 2): write -sweep_points 3"),
         ("-output_fields true Sweep_points 3", "did you mean -sweep_points?"),
         ("// it's the paper's", "a comment begins with #"),

@@ -12,6 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from pgran.command.words import Parser
 from pgran.parallel import launch
 
 INSTALL = "bash jobs/setup.sh makes .venv, and .venv/bin/pgran has all it needs"
@@ -27,6 +28,8 @@ def examine(words=()):
 
     Collective where MPI works: rank 0 prints its own findings, and what is wrong with other ranks.
     """
+    does = "Say what is installed, what is wrong with it, and how to mend that."
+    Parser("doctor", does, "pgran doctor", "mpirun -n 2 pgran doctor").parse_args(words)
     found = [finding for check in CHECKS for finding in guarded(check)]
     MPI = sys.modules.get("mpi4py.MPI")
     for rank, theirs in enumerate(MPI.COMM_WORLD.allgather(found) if MPI else ()):

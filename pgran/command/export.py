@@ -1,12 +1,12 @@
 """`pgran export`: a result for other programs, in space (.vtu) or as a table (.csv)."""
 
-import argparse
 import csv
 import dataclasses
 import os
 from pathlib import Path
 
 import pgran
+from pgran.command.words import Parser
 from pgran.errors import DONE, FileError, PgranError
 from pgran.parallel import launch
 
@@ -53,13 +53,23 @@ def export(result, output):
 
 
 def run(words):
-    """Write a result for other programs."""
+    """Write a result for other programs, in space or as a table."""
+    parser = Parser(
+        "export",
+        run.__doc__,
+        "pgran export results/modes.h5 results/modes.vtu",
+        "pgran export results/response.h5 results/response.csv",
+    )
+    parser.add_argument("result", metavar="RESULT", help="HDF5 file that pgran run has written")
+    parser.add_argument(
+        "output",
+        metavar="TO",
+        help="file to write; NAME.vtu: balls, contacts and displacements, for ParaView and others; "
+        "NAME.csv: a row a frequency, time or mode",
+    )
+    given = parser.parse_intermixed_args(words)
     if launch.rank() > 0:
         return DONE
-    parser = argparse.ArgumentParser("pgran export", description=run.__doc__)
-    parser.add_argument("result", help="HDF5 file that pgran run has written")
-    parser.add_argument("output", help=".vtu: balls, contacts, displacements; .csv: a table")
-    given = parser.parse_intermixed_args(words)
     export(given.result, given.output)
     print(given.output)
     return DONE

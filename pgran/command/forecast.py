@@ -15,12 +15,14 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
+from pgran.command.opening import opening
 from pgran.machine import free_memory, most_resident
 from pgran.parallel.crew import Crew
 from pgran.physics.bonds import bond_count
 from pgran.record import Record
 from pgran.scenes.common import make_lattice, ranks_per_lattice
 
+WARNING = "warning"  # begins a line that tells of what is wrong; such lines come first
 LAUNCH = 0.3  # seconds that mpirun and the interpreter take to start and to end
 FILE_BYTES = 20_000  # of HDF5 itself: names, attributes, tables of datasets
 # Trials of a task go on for so many seconds; whole units are tried if one takes no longer than
@@ -127,9 +129,9 @@ def forecast(scene, options, world, started):
     PgranError
         If the options are impossible, as the run itself would.
     """
-    lines = []
-    if scene.needs_petsc:
-        lattice = make_lattice(options, world)
+    lattice = make_lattice(options, world) if scene.needs_petsc else None
+    lines = [f"run       {opening(options, world.size, lattice)}"]
+    if lattice is not None:
         shape, balls = lattice.shape, " x ".join(map(str, lattice.shape))
         if options.network_file is not None:
             balls = len(lattice.free)
@@ -140,9 +142,10 @@ def forecast(scene, options, world, started):
         needed = _machine_total(world, lattice_memory(shape, ranks, factored))
         free = free_memory()
         if any(world.allgather(free and needed > free)):  # on one machine of several
-            lines.append(
-                f"WARNING   matrices and factors take about {in_bytes(needed)} of memory on this "
-                f"machine, where {in_bytes(free or 0)} are free: nothing was tried"
+            lines.insert(
+                0,
+                f"{WARNING}   matrices and factors take about {in_bytes(needed)} of memory on this "
+                f"machine, where {in_bytes(free or 0)} are free: nothing was tried",
             )
             return lines if world.rank == 0 else []
     crews = []
@@ -160,7 +163,8 @@ def forecast(scene, options, world, started):
     seconds = time.perf_counter() - started - sum(crew.spent for crew in crews) + LAUNCH
     seconds += sum(trial.seconds for trial in trials)
     lines.append(f"work      {'; '.join(trial.work for trial in trials)}")
-    return lines + report(options, memory, together, seconds, stored_bytes(records))
+    lines += report(options, memory, together, seconds, stored_bytes(records))
+    return sorted(lines, key=lambda line: not line.startswith(WARNING))
 
 
 def report(options, memory, together, seconds, disk):
@@ -189,9 +193,9 @@ def report(options, memory, together, seconds, disk):
         f"disk      about {in_bytes(disk)} in {options.output_file}; {in_bytes(room)} free",
     ]
     if free and together > free:
-        lines.append(f"WARNING   {in_bytes(together)} of memory are more than is free here")
+        lines.append(f"{WARNING}   {in_bytes(together)} of memory are more than is free here")
     if disk > room:
-        lines.append(f"WARNING   {in_bytes(disk)} are more than is free on the disk")
+        lines.append(f"{WARNING}   {in_bytes(disk)} are more than is free on the disk")
     return lines
 
 

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import logging
 import math
 import re
 
@@ -18,6 +19,8 @@ from pgran.parallel import launch
 from pgran.physics.network import KINDS
 from pgran.physics.springs import FREE
 
+log = logging.getLogger("pgran")
+
 DESCRIPTION = """\
 Make a network from the balls and contacts that another program has written: two dumps of LAMMPS or
 LIGGGHTS (dump custom and dump local), two CSV files with a header, or one GraphML file. Of several
@@ -30,9 +33,9 @@ def run(words):
 
     Not collective: rank 0 does it alone.
     """
+    given = _parser().parse_intermixed_args(words)
     if launch.rank() > 0:
         return DONE
-    given = _parser().parse_intermixed_args(words)
     _check(given)
     check_output(given.output, given.overwrite)
     with np.errstate(all="ignore"):  # of absurd numbers in a file: what comes of them is checked
@@ -42,6 +45,10 @@ def run(words):
             made.members["id"] = np.char.encode(names, "utf-8")[made.kept.balls]
         made.network()
     write_network(given.output, made.members, made.attributes, given.overwrite)
+    if not made.members["held"].any():
+        log.warning(
+            "no ball is held: the network floats and cannot be driven; see --rest and --drive"
+        )
     for line in _summary(made, found, given):
         print(line)
     return DONE
@@ -49,7 +56,13 @@ def run(words):
 
 def _parser():
     """Return the parser of the command line."""
-    parser = Parser("pgran import", description=DESCRIPTION, allow_abbrev=False)
+    parser = Parser(
+        "import",
+        DESCRIPTION,
+        "pgran import beads.atoms beads.contacts -o beads.h5 --rest 'x<1.5' --drive 'x>max-1.5'",
+        "pgran import balls.csv contacts.csv -o beads.h5 --law hertz --drive 12,15,30-40",
+        "pgran import graph.graphml -o graph.h5 --drive 1",
+    )
     add = parser.add_argument
     add("balls", metavar="ATOMS", help="dump custom, CSV (id,x,y[,z],radius,mass) or GraphML")
     add("contacts", metavar="CONTACTS", nargs="?", help="dump local, or CSV (i,j,force or ...)")
@@ -152,8 +165,6 @@ def _summary(made, found, given):
         yield f"forces {stress}; the largest unbalanced one on a free ball is " \
             f"{made.unbalanced:.2g} of the mean contact force"  # fmt: skip
     yield _rigidity(network)
-    if not rest + driven:
-        yield "no ball is held: the network floats and cannot be driven; see --rest and --drive"
     ball = _middle(network)
     name = members["id"][ball]
     name = name.decode() if isinstance(name, bytes) else name

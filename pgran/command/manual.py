@@ -16,8 +16,8 @@ HIDDEN = re.compile(r"<!--.*?-->\n?", re.DOTALL)  # as on a forge
 
 def run(words):
     """Show a page of the manual, in a pager on a terminal; without a topic list the topics."""
-    parser = Parser("pgran manual", description=run.__doc__)
-    parser.add_argument("topic", nargs="?", help="a page; pgran manual lists them")
+    parser = Parser("manual", run.__doc__, "pgran manual", "pgran manual accuracy")
+    parser.add_argument("topic", metavar="TOPIC", nargs="?", help="a page; pgran manual lists them")
     topic = parser.parse_args(words).topic
     if launch.rank() > 0:
         return DONE
@@ -31,7 +31,7 @@ def run(words):
 
 def cite(words):
     """Say how to cite pgran, the paper whose model it computes, and the libraries it stands on."""
-    Parser("pgran cite", description=cite.__doc__).parse_args(words)
+    Parser("cite", cite.__doc__, "pgran cite").parse_args(words)
     if launch.rank() == 0:
         print((PAGES / "CITATION").read_text(encoding="utf-8"), end="")
     return DONE

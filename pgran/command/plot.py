@@ -100,21 +100,30 @@ def _make(shown, names, units, measured=None, **over):
 
 
 def run(words):
-    """Draw the figures of a result.
+    """Draw the figures of a result, into files beside it, and print their names.
 
     With another one of the same lattice its modes are marked in a response, or its response is laid
-    over the spectra of a pulse. Several of one scene are laid over each other.
+    over the spectra of a pulse. Several of one scene are laid over each other, labelled by the
+    options in which they differ.
     """
-    parser = Parser("pgran plot", description=run.__doc__)
-    parser.add_argument("result", nargs="+", help="HDF5 file that pgran run has written")
-    parser.add_argument("-o", "--output", help="figure file; its ending decides the format")
-    parser.add_argument(
-        "-plot_with", metavar="DATA", help="columns to lay over a response: omega amplitude [phase]"
+    parser = Parser(
+        "plot",
+        run.__doc__,
+        "pgran plot results/response.h5",
+        "pgran plot results/response.h5 results/modes.h5 -o results/both.pdf",
+        "pgran plot results/damping_*.h5 -o results/damping.png",
     )
+    add = parser.add_argument
+    add("result", metavar="RESULT", nargs="+", help="HDF5 file that pgran run has written")
+    add("-o", "--output", metavar="FIGURE", help="file; its ending decides the format (.png)")
+    add("-plot_with", metavar="DATA", help="columns over a response: omega amplitude [phase]")
     for name, unit in (("length", "m"), ("time", "s")):
         words_of = f"the unit of {name} in {unit}, if not the one that the run was given"
-        parser.add_argument(f"-units_{name}", type=positive, metavar=unit.upper(), help=words_of)
+        add(f"-units_{name}", type=positive, metavar=unit.upper(), help=words_of)
     given = parser.parse_intermixed_args(words)
+    if files := [each for each in given.result if each.endswith(".opts")]:
+        computes = f"pgran run {files[0]} computes a result, which pgran plot draws"
+        raise InputError(f"plot: {files[0]} is an options file; {computes}")
     paths, over = [Path(each) for each in given.result], {}
     if len({os.path.realpath(each) for each in given.result}) < len(given.result):
         raise InputError("plot: the same result is given twice")

@@ -4,7 +4,7 @@ import importlib
 import pkgutil
 
 from pgran import scenes
-from pgran.errors import DONE, InputError
+from pgran.errors import InputError
 from pgran.files import solver_keys
 from pgran.files.options import RUN, TEXT, Option, Options, nearest
 
@@ -64,31 +64,21 @@ def _check_foreign(key, item, scene):
     users = [name for name in SCENES if key in options_of(name)]
     if users:
         raise InputError(
-            f"-{key}{item.where}: scene {scene} does not use it, but {', '.join(users)} does"
+            f"-{key}{item.where}: scene {scene} does not use it, but "
+            f"{' and '.join(filter(None, [', '.join(users[:-1]), users[-1]]))} "
+            f"{'do' if len(users) > 1 else 'does'}"
         )
     if solver_keys.is_solver_key(key) or solver_keys.is_petsc_key(key):
         solver_keys.check_in_file(key, item)
         return
     near = nearest(key, ["scene", *options_of(scene)])
+    if key in ("n", "np"):
+        raise InputError(f"-{key}{item.where}: ranks are started by mpirun -n N pgran run ...")
+    if key == "o":
+        near = "output_file"
     if key.startswith(("ksp_", "pc_")):
         near = f"steady_{key}"
     elif key.startswith(("eps_", "st_")):
         near = f"normal_{key}"
     hint = f"; did you mean -{near}?" if near else ""
     raise InputError(f"-{key}{item.where}: unknown option{hint} (pgran options {scene} lists all)")
-
-
-def list_options(words):
-    """Carry out `pgran options [SCENE]`: list every option of one scene, or of all."""
-    print(describe_options(SCENE_OPTION.read(words[0]) if words else None), end="")
-    return DONE
-
-
-def describe_options(scene=None):
-    """Return a table of the options of one scene, or of all. Not collective."""
-    names = [scene] if scene else SCENES
-    all_options = (option for name in names for option in options_of(name).values())
-    lines = [option.describe() for option in dict.fromkeys([SCENE_OPTION, *all_options])]
-    prefixes = solver_keys.SOLVER_PREFIXES.items()
-    lines += [f"-{prefix}*\n    PETSc options of {what}\n" for prefix, what in prefixes]
-    return "".join(lines)

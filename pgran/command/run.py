@@ -1,5 +1,6 @@
 """`pgran run`: MPI and PETSc started, a scene computed under its journal, its result written."""
 
+import contextlib
 import faulthandler
 import hashlib
 import importlib
@@ -13,10 +14,34 @@ from pathlib import Path
 import pgran
 from pgran import errors
 from pgran.errors import InputError, PgranError
+from pgran.files import streams
 from pgran.parallel import launch
 from pgran.parallel.agreement import on_root
 
 log = logging.getLogger("pgran")
+
+DOES = """\
+Compute the experiment in an options file, and write its result to results/NAME.h5. Keys given here
+win over the file's. The same command goes on with a run that was stopped."""
+EXAMPLES = (
+    "pgran run options/response.opts",
+    "mpirun -n 2 pgran run options/response.opts -bonds_seed 7 -output_file results/seven.h5",
+    "pgran run options/response.opts -lattice_shape 40,40 -dry_run",
+)
+MORE = """\
+keys:
+  pgran options {scene} lists all, with their units, ranges and defaults.
+  pgran manual options says how they are written, pgran manual experiments which
+  options files there are.
+
+exit codes:
+  0   done
+  2   bad input; nothing was computed
+  3   computed, but some numbers miss the accuracy asked for; they are marked
+  4   files, or an output that is full
+  75  stopped by a signal; the same command goes on
+  1   anything else
+"""
 
 
 def run(words):
@@ -24,22 +49,26 @@ def run(words):
 
     Collective over all ranks.
     """
+    if {"-h", "--help", "-help"} & set(words):
+        _help(words[0]).print_help()
+        return errors.DONE
     # Signals to stop wait until the journal listens, and do no harm once the result is written;
     # blocked before anything starts threads, which else would get them.
     signal.pthread_sigmask(signal.SIG_BLOCK, launch.SIGNALS)
     faulthandler.enable()  # a crash in a library names the line that called it
 
+    from pgran.command import meant
     from pgran.command.resolve import SCENES, resolve
-    from pgran.files.reading import check_word, read_environment, read_file, read_words
+    from pgran.files.reading import check_word, read_environment, read_words
 
-    if not words or words[0].startswith("-"):
-        raise InputError("run: an options file is needed, as in pgran run options/response.opts")
     started = time.perf_counter()
+    world = start_mpi()  # before any error: without MPI mpirun would have more to say of it
+    if not words or words[0].startswith("-"):
+        raise InputError(f"run: an options file comes first, as in {EXAMPLES[0]}")
     path, *rest = words
     check_word(path)
-    world = start_mpi()
     environment = world.bcast(read_environment())  # each rank's own is not to be read by PETSc
-    given = environment + on_root(world, lambda: read_file(path)) + read_words(rest)
+    given = environment + on_root(world, lambda: meant.read(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
     if options.output_log:
         _start_log(options, words, world)
@@ -54,6 +83,18 @@ def run(words):
         if world.rank == 0:
             log.info("%s", stopped)
         return errors.STOPPED
+
+
+def _help(path):
+    """Return what prints a help; it names the scene of an options file, if that is one."""
+    from pgran.command.words import Parser
+    from pgran.files.reading import read_file
+
+    scene = None
+    with contextlib.suppress(PgranError):
+        scene = next((i.text for i in read_file(path) if i.key.lower() == "scene"), None)
+    usage, more = "pgran run FILE [-key value ...]", MORE.format(scene=scene or "SCENE")
+    return Parser("run", DOES, *EXAMPLES, more=more, usage=usage, add_help=False)
 
 
 def _foresee(scene, options, world, started):
@@ -86,25 +127,52 @@ def _compute(scene, options, words, world, started):
     with Journal(world, output, identity, overwrite) as journal:
         # again: another run may have written it just before the journal was locked
         on_root(world, lambda: store.check_output(output, overwrite))
-        records = scene.run(options, world, lambda ranks: Crew(world, ranks, journal))
+        begin = _say_once(scene, options, world.size)
+        records = scene.run(options, world, lambda ranks: Crew(world, ranks, journal, begin))
 
         def finish():
             failures = sum(int(numpy.sum(r.failures)) for r in records)
             seconds = time.perf_counter() - started
             attributes = _run_attributes(options, words, world, failures, seconds)
             store.write(output, attributes, records)
-            try:
-                _warn_of_unused(options)
-                for line in scene.summary(Result(records, **attributes)):
-                    log.info(line)
-            except Exception as error:  # no reason to fail: the result is there
-                log.warning("no summary: %s: %s", type(error).__name__, error)
-            log.info("written to %s after %.1f s; pgran plot draws it", output, seconds)
             if failures:
                 log.warning("%d results miss the accuracy asked for; the file marks them", failures)
+            try:
+                _warn_of_unused(options)
+                lines = sorted(scene.summary(Result(records, **attributes)), key=_is_figure)
+                for line in lines:  # what is wrong comes first
+                    log.log(logging.INFO if _is_figure(line) else logging.WARNING, "%s", line)
+            except Exception as error:  # no reason to fail: the result is there
+                log.warning("no summary: %s: %s", type(error).__name__, error)
+            shown = shlex.quote(output)
+            log.info("written after %.1f s; to draw it: pgran plot %s", seconds, shown)
             return failures
 
         return errors.INACCURATE if on_root(world, finish) else errors.DONE
+
+
+def _say_once(scene, options, ranks):
+    """Return what says, the first time it is called, what a run solves. Not collective."""
+    from pgran.command.opening import opening
+
+    told = []
+    if scene.needs_petsc:
+        options.on_lattice = lambda lattice: told.append(opening(options, ranks, lattice))
+    else:
+        told.append(opening(options, ranks))
+
+    def begin():
+        while told:
+            log.info("%s", told.pop())
+
+    return begin
+
+
+def _is_figure(line):
+    """Return whether a line of a summary is none that says what is wrong. Not collective."""
+    from pgran.scenes.scene import Caution
+
+    return not isinstance(line, Caution)
 
 
 def _run_identity(options):
@@ -219,4 +287,4 @@ def _warn_of_unused(options):
 
 def name_rank(world):
     """Begin all further messages of this process with its rank. Not collective."""
-    log.handlers[0].setFormatter(logging.Formatter(f"pgran (rank {world.rank}): %(message)s"))
+    log.handlers[0].setFormatter(streams.Messages(f"pgran (rank {world.rank})"))

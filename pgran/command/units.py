@@ -19,9 +19,9 @@ the strongest contacts, kmax."""
 
 def run(words):
     """Print a table of units, and the words of an options file."""
+    given = _parser().parse_args(words)
     if launch.rank() > 0:
         return DONE
-    given = _parser().parse_args(words)
     try:
         material = _material(given)
         scale = hertz.Scale(material, given.diameter, _force(given, material), given.dimensions)
@@ -44,10 +44,20 @@ def run(words):
 
 def _parser():
     """Return the parser of the command line."""
-    parser = Parser("pgran units", description=DESCRIPTION, allow_abbrev=False)
+    parser = Parser(
+        "units",
+        DESCRIPTION,
+        "pgran units --diameter 5e-3 --material glass --load 1.6e-3 --restitution .9",
+        "pgran units --diameter 1e-3 --material steel --pressure 1e5",
+    )
     add = parser.add_argument
     add("--diameter", type=positive, required=True, metavar="M", help="of a ball, in m")
-    add("--material", choices=hertz.MATERIALS, help="its modulus, Poisson's ratio and density")
+    add(
+        "--material",
+        type=str.lower,
+        choices=hertz.MATERIALS,
+        help="its modulus, Poisson's ratio and density",
+    )
     add("--modulus", type=positive, metavar="PA", help="Young's modulus, in Pa")
     add("--poisson", type=float, metavar="NU", help="Poisson's ratio")
     add("--density", type=positive, metavar="RHO", help="in kg/m^3")
@@ -75,7 +85,7 @@ def _material(given):
     values = {k: getattr(base, k, None) if v is None else v for k, v in values.items()}
     lacks = [f"--{name}" for name, value in values.items() if value is None]
     if lacks:
-        raise InputError(f"units: without --material {', '.join(lacks)} must be given")
+        raise InputError(f"units: --material is needed, or else {', '.join(lacks)}")
     return hertz.Material(**values)
 
 

@@ -1,14 +1,14 @@
 """`pgran verify`: whether a result is as it was written."""
 
-import argparse
-
 from pgran import errors
+from pgran.command.words import Parser
 
 
 def verify(words):
     """Say whether a result is as it was written, by its checksum. Not collective."""
-    parser = argparse.ArgumentParser("pgran verify", description=verify.__doc__.split(". ")[0])
-    parser.add_argument("result", help="HDF5 file that pgran run has written")
+    does = "Say whether a result is as it was written, by its checksum (exit code 4 if not)."
+    parser = Parser("verify", does, "pgran verify results/response.h5")
+    parser.add_argument("result", metavar="RESULT", help="HDF5 file that pgran run has written")
     given = parser.parse_args(words)
     from pgran.files.seal import check_seal
 

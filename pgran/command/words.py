@@ -3,16 +3,53 @@
 import argparse
 import contextlib
 import math
+import textwrap
 
 from pgran.errors import InputError
+from pgran.parallel import launch
+
+WIDTH = 80
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are pgran's."""
+    """A parser whose errors are pgran's, and whose help is: usage, what it does, words, examples.
+
+    Parameters
+    ----------
+    command : str
+    does : str
+        What the command does.
+    *examples : str
+        Command lines.
+    more : str
+        What its help ends with.
+    **others
+        Of `argparse.ArgumentParser`.
+    """
+
+    def __init__(self, command, does, *examples, more="", **others):
+        """Say what the help holds."""
+        self.command = command
+        epilog = "examples:\n" + "".join(f"  {line}\n" for line in examples) if examples else ""
+        super().__init__(
+            f"pgran {command}",
+            description=textwrap.fill(" ".join(does.split()), WIDTH),
+            epilog="\n".join(filter(None, [epilog, more])),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+            **others,
+        )
 
     def error(self, message):
         """Raise an InputError."""
-        raise InputError(f"{self.prog.removeprefix('pgran ')}: {message}; see {self.prog} --help")
+        if message.startswith("argument "):
+            message = message[len("argument ") :]
+        raise InputError(f"{self.command}: {message}; see {self.prog} --help")
+
+    def print_help(self, file=None):
+        """Print it on one rank."""
+        if launch.rank() == 0:
+            super().print_help(file)
 
 
 def magnitude(text):
@@ -20,11 +57,12 @@ def magnitude(text):
     with contextlib.suppress(ValueError):
         if 0 <= float(text) < math.inf:
             return float(text)
-    raise argparse.ArgumentTypeError(f"{text} is not 0 or more and finite")
+    raise argparse.ArgumentTypeError(f"{text} is no finite number of 0 or more")
 
 
 def positive(text):
     """Return a positive number. Not collective."""
-    if magnitude(text) == 0:
-        raise argparse.ArgumentTypeError(f"{text} is not positive")
-    return float(text)
+    with contextlib.suppress(ValueError):
+        if 0 < float(text) < math.inf:
+            return float(text)
+    raise argparse.ArgumentTypeError(f"{text} is no positive number")

@@ -53,9 +53,9 @@ class LogFile(logging.Handler):
     def emit(self, record):
         """Append a message, a stamp before each of its lines."""
         stamp = time.strftime(STAMP, time.localtime(record.created))
-        level = "" if record.levelno <= logging.INFO else f" {record.levelname.lower()}"
+        level = "" if record.levelno <= logging.INFO else f"{record.levelname.lower()}: "
         lines = record.getMessage().splitlines() or [""]
-        text = "".join(f"{stamp} pgran{self.name_of_rank}{level}: {line}\n" for line in lines)
+        text = "".join(f"{stamp} pgran{self.name_of_rank}: {level}{line}\n" for line in lines)
         try:
             if self._file is None:
                 self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)

@@ -62,6 +62,15 @@ def _without_numpy(value):
     return tuple(map(_without_numpy, value)) if isinstance(value, (list, tuple)) else value
 
 
+def _meant(text):
+    """Return how to write 20x20, or 1e3 where a whole number is needed, or None."""
+    if re.fullmatch(r"\d+(x\d+)+", text):
+        return text.replace("x", ",")
+    if re.fullmatch(r"\d(\.\d*)?e\+?\d{1,2}|\d+\.0*", text) and float(text).is_integer():
+        return f"{float(text):.0f}"
+    return None
+
+
 @dataclass(frozen=True)
 class Option:
     """One option: `-name`, and what its value may be.
@@ -104,7 +113,7 @@ class Option:
 
     def range(self):
         """Return the range in words."""
-        return " and ".join(f"{sign} {bound:g}" for sign, _, bound in self._bounds())
+        return " and ".join(f"{sign} {bound:.3g}" for sign, _, bound in self._bounds())
 
     def _bounds(self):
         """Return the sign of each bound that there is, what it means, and the bound."""
@@ -124,18 +133,12 @@ class Option:
             raise self._wrong_type(text_of(plain))
         return read
 
-    def describe(self):
-        """Return what there is to know of the option, over several lines."""
-        default = "" if self.default is None else f"default {text_of(self.default)}"
-        facts = "; ".join(filter(None, [self.kind.name, self.unit, self.range(), default]))
-        choices = f"    choices: {', '.join(self.choices)}\n" if self.choices else ""
-        return f"-{self.name}\n    {self.meaning}\n    ({facts})\n{choices}"
-
     def _wrong_type(self, text, where=""):
-        size = re.fullmatch(r"\d+(x\d+)+", text.strip())
-        hint = f"; did you mean {text.strip().replace('x', ',')}?" if size else ""
+        meant = _meant(text.strip())
+        hint = f"; did you mean {meant}?" if meant else ""
         return InputError(
-            f"-{self.name} {text}{where}: needs a value of the type `{self.kind.name}`{hint}"
+            f"{f'-{self.name} {text}'.rstrip()}{where}: needs a value of the type "
+            f"`{self.kind.name}`{hint}"
         )
 
 
@@ -184,11 +187,17 @@ class Options:
         By the names of the declared options.
     solver : dict of str
         The keys that go to PETSc.
+
+    Attributes
+    ----------
+    on_lattice : callable
+        Called with the lattice that these options make, but not with those of `changed` ones.
     """
 
     def __init__(self, scene, declared, values, solver):
         """Keep the values of the options that a scene declares."""
         self.scene, self._declared, self._values, self.solver = scene, declared, values, solver
+        self.on_lattice = lambda lattice: None
 
     def __getattr__(self, name):
         """Return the value of an option of this scene."""

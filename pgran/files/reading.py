@@ -102,9 +102,11 @@ def _hint(word, given=()):
         return "a comment begins with #"
     if word.startswith(DASHES):
         return "begins with a long dash; keys begin with -"
-    if re.fullmatch("[a-z]+(_[a-z]+)*", word.lower()):
+    if re.fullmatch("[a-z]+(_[a-z]+)+|scene|detectors", word.lower()):
         return f"a value without a key; did you mean -{word.lower()}?"
-    if given:
+    if given and given[-1].text in ("=", ":"):
+        return f"write -{given[-1].key} {word}"
+    if given and re.fullmatch(r"[\d.,e+-]+", word):
         both = f"{given[-1].text.strip(',')},{word.strip(',')}"
         return f"a value without a key; a list has no blanks: -{given[-1].key} {both}"
     return None

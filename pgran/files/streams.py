@@ -1,6 +1,7 @@
 """Standard output and standard error, which may be closed, a closed pipe, or a full device."""
 
 import io
+import logging
 import os
 import sys
 
@@ -25,6 +26,20 @@ class Stream(io.FileIO):
                 text = f"standard output: cannot be written: {error.strerror}"
                 raise FileError(text) from None
             return len(data)
+
+
+class Messages(logging.Formatter):
+    """How messages look on a terminal: who says it, and whether it warns."""
+
+    def __init__(self, name):
+        """Keep who says it."""
+        super().__init__()
+        self.name = name
+
+    def format(self, record):
+        """Return the line of a message."""
+        warns = "warning: " if record.levelno == logging.WARNING else ""
+        return f"{self.name}: {warns}{record.getMessage()}"
 
 
 def guard():

@@ -17,7 +17,6 @@ from pgran.errors import (
 )
 
 SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail alike
-SECONDS_FOR_MPIRUN = 0.1  # to hand on a message: MPICH's loses some that an abort follows at once
 FAILED = 0  # tag of the message in which it tells them
 
 

@@ -24,6 +24,8 @@ class Crew:
         How many ranks share a lattice.
     journal : pgran.parallel.journal.Journal, optional
         Keeps finished units, and says when to stop.
+    begin : callable, optional
+        Called before the progress of a task, when all that is given has been checked.
 
     Attributes
     ----------
@@ -42,14 +44,14 @@ class Crew:
 
     dry = False
 
-    def __init__(self, world, ranks_per_lattice, journal=None):
+    def __init__(self, world, ranks_per_lattice, journal=None, begin=None):
         """Split the world."""
         if world.size % ranks_per_lattice:
             raise InputError(
                 f"-ranks_per_lattice {ranks_per_lattice}: {world.size} ranks cannot be cut into "
                 "groups of that size"
             )
-        self.world, self.journal = world, journal
+        self.world, self.journal, self.begin = world, journal, begin
         self.groups = world.size // ranks_per_lattice
         self.number = world.rank // ranks_per_lattice
         self.group = world.Split(self.number, world.rank)

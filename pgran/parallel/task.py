@@ -63,13 +63,16 @@ def carry_out(task, crew, progress="none"):
     started, root = time.perf_counter(), crew.world.rank == 0
     style = progress if root and not crew.dry else "none"
     total, parts = sum(map(task.length, task.units)), {}
-    with task.open(crew.group) as work, Progress(total, task.items, style) as counter:
+    with task.open(crew.group) as work:
+        if crew.begin is not None:
+            crew.begin()
+        with Progress(total, task.items, style) as counter:
 
-        def deliver(position, rows):
-            parts[position] = rows
-            counter.advance(task.length(task.units[position]))
+            def deliver(position, rows):
+                parts[position] = rows
+                counter.advance(task.length(task.units[position]))
 
-        crew.share(task, work, deliver)
+            crew.share(task, work, deliver)
     seconds = time.perf_counter() - started
     return on_root(crew.world, lambda: task.collect(_joined(parts, task.row), seconds), keep=True)
 

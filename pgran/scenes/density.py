@@ -14,6 +14,7 @@ from pgran.results import Density
 from pgran.results.si import SI
 from pgran.scenes import common
 from pgran.scenes.interface import in_parallel
+from pgran.scenes.scene import Caution
 
 DENSITY = Option(
     "modes_density", INTEGER, None,
@@ -154,7 +155,7 @@ def summary(result):
     density, si = result.density, SI.of(result)
     yield f"modes counted below {len(density.omega)} frequencies in {density.solve_seconds:.2f} s"
     if density.failures:
-        yield f"NOT CERTIFIED: {density.failures} of the counts"
+        yield Caution(f"NOT CERTIFIED: {density.failures} of the counts")
     else:
         yield "all counts certified"
     moved = np.count_nonzero(density.margin)
@@ -164,7 +165,7 @@ def summary(result):
             f"{density.margin.max():.1e} below them"
         )
     if density.omega[0] == 0 and density.count[0] > 0:
-        yield f"UNSTABLE: {density.count[0]} modes have omega^2 < 0"
+        yield Caution(f"UNSTABLE: {density.count[0]} modes have omega^2 < 0")
     yield (
         f"{density.count[0]} modes below omega = {density.omega[0]:.6g}, {density.count[-1]} below "
         f"{density.omega[-1]:.6g}{si.say('Hz', density.omega[-1])}"

@@ -7,6 +7,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.files.options import INTEGER, REAL, Option
 from pgran.parallel.agreement import on_root
+from pgran.scenes.scene import Caution
 
 log = logging.getLogger(__name__)
 
@@ -94,7 +95,7 @@ def reached_accuracy(record, good):
     floored = record.at_floor[good] > 0
     bound, amplitude = record.error_bound[good][~floored], record.amplitude[good][~floored]
     if np.isnan(bound).any():
-        yield (
+        yield Caution(
             "no error bounds: none is known of an undamped lattice that ranks share "
             "(-ranks_per_lattice 1 gives them)"
         )
@@ -104,9 +105,9 @@ def reached_accuracy(record, good):
         which = "every amplitude" if bound.size == total else f"{bound.size} of {total} amplitudes"
         yield f"relative error of {which} at most {relative:.1e} (error_bound)"
     else:
-        yield "no amplitude has the relative accuracy asked for"
+        yield Caution("no amplitude has the relative accuracy asked for")
     if floored.any():
-        yield (
+        yield Caution(
             f"{np.count_nonzero(floored)} of {record.at_floor.size} amplitudes are known to "
             "-error_floor of the wall's only, not relative to themselves (at_floor)"
         )

@@ -24,7 +24,7 @@ from pgran.scenes import (
 )
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.sampling import Samples, measures
-from pgran.scenes.scene import Scene
+from pgran.scenes.scene import Caution, Scene
 
 log = logging.getLogger(__name__)
 
@@ -237,9 +237,9 @@ def summary(result):
     found = result.ensemble
     yield f"{len(found.seed)} samples of scene {found.of} in {found.solve_seconds:.2f} s"
     if found.left_out:
-        yield (
-            f"{found.left_out} of them are left out of all that follows: they failed, or missed "
-            "the accuracy asked for (good)"
+        yield Caution(
+            f"{found.left_out} of {len(found.seed)} samples are left out of all that follows: they "
+            "failed, or missed the accuracy asked for (good)"
         )
     yield from measures(result)
     if found.delay_samples is not None:

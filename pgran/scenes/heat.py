@@ -12,6 +12,7 @@ from pgran.results import Heat
 from pgran.scenes import common, driven
 from pgran.scenes.adjoint import MISSED, AdjointSweep
 from pgran.scenes.interface import in_parallel
+from pgran.scenes.scene import Caution
 
 HEAT = (
     Option(
@@ -59,7 +60,7 @@ def summary(found):
     """Return in words what heating or cutting does. Not collective."""
     good = found.converged_reason > 0
     if found.failures:
-        yield f"{found.failures} of {len(good)} frequencies of the heater failed"
+        yield Caution(f"{found.failures} of {len(good)} frequencies of the heater failed")
     for d, site in enumerate(found.detector.tolist()):
         for name, what in (("warmed", "warm ball"), ("cut", "cut bond")):
             changed = getattr(found, name)

@@ -16,7 +16,7 @@ from pgran.results import Modes, record_of
 from pgran.results.si import SI
 from pgran.scenes import common, density
 from pgran.scenes.interface import in_parallel
-from pgran.scenes.scene import Scene
+from pgran.scenes.scene import Caution, Scene
 
 WHICH = (
     Option("modes_omega_min", REAL, None, "interval of modes: its lower end", "angular", low=0),
@@ -99,7 +99,7 @@ def summary(result):
         yield "omega from {:.6g} to {:.6g}".format(*ends) + si.say("Hz", *ends)
         unstable = np.count_nonzero(modes.omega < 0)
         if unstable:
-            yield (
+            yield Caution(
                 f"UNSTABLE: {unstable} modes have omega^2 < 0, given as a negative omega; the "
                 "network leaves these positions at a rate of |omega|"
             )
@@ -115,8 +115,10 @@ def certificate(record, found):
     if record.count_certified:
         return f"all {record.count_expected} modes found, certified by their count"
     if found != record.count_expected:
-        return f"NOT ALL MODES: {found} found where there are {record.count_expected}"
-    return f"NOT CERTIFIED: the residuals of some of the {found} modes are above {RESIDUAL:g}"
+        return Caution(f"NOT ALL MODES: {found} found where there are {record.count_expected}")
+    return Caution(
+        f"NOT CERTIFIED: the residuals of some of the {found} modes are above {RESIDUAL:g}"
+    )
 
 
 @in_parallel()

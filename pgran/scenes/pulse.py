@@ -16,7 +16,7 @@ from pgran.scenes import common, driven
 from pgran.scenes.integration import integrate
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.listening import Listening
-from pgran.scenes.scene import Scene
+from pgran.scenes.scene import Caution, Scene
 from pgran.scenes.transform import PulseLine
 
 PULSE = (
@@ -109,8 +109,9 @@ def summary(result):
         known = "wrong by at most" if proven else "wrong by an estimated"
         line = f"ball {tuple(site)}: largest displacement {largest:.3g}, {known} {wrong:.1e}"
         if not wrong <= signals.tolerance * largest:
-            line += ", not as accurate as asked: a smaller -error_tolerance may help"
-            line += ", or -pulse_method integrate" if proven else ""
+            helps = "a smaller -error_tolerance may help"
+            helps += ", or -pulse_method integrate" if proven else ""
+            yield Caution(f"ball {tuple(site)}: not as accurate as asked: {helps}")
         if np.isfinite(signals.arrival[d]):
             front, centre = signals.arrival[d], signals.centre[d]
             line += f"; front at {front:.4g}{si.say('s', front)}"

@@ -15,7 +15,7 @@ from pgran.scenes import common, driven
 from pgran.scenes.amplitudes import ResponseSweep, phase_lines
 from pgran.scenes.curve import choose_method, solve_curve
 from pgran.scenes.interface import in_parallel
-from pgran.scenes.scene import Scene
+from pgran.scenes.scene import Caution, Scene
 
 METHOD = Option(
     "sweep_method", TEXT, "auto",
@@ -107,7 +107,7 @@ def unresolved(response, damped):
         first = places[0]
         helps = damped and response.method == "points"
         hint = "; -sweep_method curve resolves it" if helps else ""
-        yield (
+        yield Caution(
             f"the curve is not resolved between {omega[first]:.6g} and {omega[first + 1]:.6g}"
             f"{and_more(places.size - 1)}{hint}"
         )

@@ -8,6 +8,10 @@ def no_check(values, given):
     """Accept all values that are possible one by one. Not collective."""
 
 
+class Caution(str):
+    """A line of a summary that says what is wrong with a result: told first, as a warning."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """The facts of an experiment. Its module has the task, and this under the name SCENE.
@@ -20,7 +24,8 @@ class Scene:
         Takes the options, all ranks, and what makes a crew of them: `run(options, world, crew)`.
         Returns the records of the result on rank 0, None on the others. Collective.
     summary : callable
-        Takes the `pgran.record.Result`; returns in words, line by line, what a run found.
+        Takes the `pgran.record.Result`; returns in words, line by line, what a run found; what is
+        wrong with it as a Caution.
     check : callable
         Takes the values of the options and what was given; raises InputError where values that are
         possible one by one contradict each other, and unsets what an alternative replaces.

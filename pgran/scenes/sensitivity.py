@@ -11,7 +11,7 @@ from pgran.results.si import SI
 from pgran.scenes import common, driven, heat
 from pgran.scenes.adjoint import MISSED, AdjointSweep
 from pgran.scenes.interface import in_parallel
-from pgran.scenes.scene import Scene
+from pgran.scenes.scene import Caution, Scene
 
 MOST = Option(
     "sensitivity_most", INTEGER, 0,
@@ -53,7 +53,9 @@ def summary(result):
         f"{found.solve_seconds:.2f} s: derivatives by {what} {bonds} bonds, by masses and beta"
     )
     if found.failures:
-        yield f"{found.failures} of {nw} frequencies failed or missed the accuracy asked for"
+        yield Caution(
+            f"{found.failures} of {nw} frequencies failed or missed the accuracy asked for"
+        )
     for d, site in enumerate(found.detector.tolist()):
         size = np.abs(found.log_amplitude[good, d])
         if size.size:

@@ -236,8 +236,9 @@ def plant(number):
     said = str(job)
     if "YOUR APPLICATION" in said:  # MPICH names no rank, but a signal, perhaps one that it sent
         codes, cause, who = [fault.code - 128, 9, 15], "(signal ", "(signal "
-    speakers = ("pgran", "mpirun", "YOUR APPLICATION")
-    messages = [line for line in said.splitlines() if line.startswith(speakers)]
+    # but for what the run is, which it says before: response of a ...
+    speakers = "^(?:pgran(?!: [a-z]+ of )|mpirun|YOUR APPLICATION).*"
+    messages = re.findall(speakers, said, re.MULTILINE)
     assert (folder / "fault").exists(), f"the fault did not happen {job}"
     assert seconds < SECONDS_TO_STOP, f"ends after {seconds:.1f} s {job}"
     assert code in codes, f"exit code {code}, not {codes} {job}"

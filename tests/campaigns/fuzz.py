@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import multiprocessing
 import os
+import re
 import resource
 import shutil
 import signal
@@ -179,7 +180,8 @@ def run_options(path, tiny):
         capture_output=True, cwd=room, text=True, errors="replace",
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(FOLDER), *sys.path])},
     )  # fmt: skip
-    said = [line for line in done.stderr.splitlines() if line.startswith("pgran")]
+    # but for what a run is, which it may say before it meets the error: response of a ...
+    said = re.findall("^pgran(?!: [a-z]+ of ).*", done.stderr, re.MULTILINE)
     if done.returncode not in (0, 2, 3, 4) or "Traceback" in done.stderr:
         return f"exit code {done.returncode}: {done.stderr[-300:]}"
     if done.returncode in (2, 4) and len(said) != 1:

@@ -128,7 +128,8 @@ def judge(path, run):
     """Return the values of a run, what they or the run came out as, and every fault."""
     wanted, values, faults = musts(path, run.shared), [], []
     if run.result is None:
-        lines = [line for line in run.said.splitlines() if line.startswith("pgran")]
+        # but for what a run is, which it may say before it meets the error: response of a ...
+        lines = re.findall("^pgran(?!: [a-z]+ of ).*", run.said, re.MULTILINE)
         came = {"refused" if run.code == 2 and len(lines) == 1 else f"nothing, code {run.code}"}
     else:
         options = options_of(path)

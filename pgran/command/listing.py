@@ -1,0 +1,115 @@
+"""`pgran options`: every option of one scene, or of all, under headings, within 80 columns."""
+
+import textwrap
+
+from pgran.command.resolve import SCENE_OPTION, SCENES, options_of
+from pgran.command.words import WIDTH, Parser
+from pgran.errors import DONE, InputError
+from pgran.files import solver_keys
+from pgran.files.options import nearest, text_of
+from pgran.parallel import launch
+
+OWN = "what the scene does"
+# What options are about, by what their names begin with; all others are a scene's own.
+HEADINGS = {
+    "the sample": ("lattice_", "bonds_", "network_"),
+    "detectors and sweep": ("detectors", "sweep_"),
+    OWN: (),
+    "accuracy and solvers": ("error_", "steady_"),
+    "output and run": ("output_", "units_", "ranks_", "dry_run"),
+}
+
+
+def list_options(words):
+    """List every option of one scene, or of all: type, unit, range, default, meaning."""
+    parser = Parser("options", list_options.__doc__, "pgran options", "pgran options response")
+    parser.add_argument("scene", metavar="SCENE", nargs="?", help=", ".join(SCENES))
+    scene = parser.parse_args(words).scene
+    if scene is not None and scene not in SCENES:
+        near = nearest(scene, SCENES)
+        hint = f"did you mean {near}?" if near else f"there are {', '.join(SCENES)}"
+        raise InputError(f"options: there is no scene {scene}; {hint}")
+    if launch.rank() == 0:
+        print(describe_options(scene), end="")
+    return DONE
+
+
+def describe_options(scene=None):
+    """Return a table of the options of one scene, or of all. Not collective."""
+    names = [scene] if scene else SCENES
+    options = dict.fromkeys(option for name in names for option in options_of(name).values())
+    lines = [_row("key", "default", "unit", "type and range")]
+    lines += describe(SCENE_OPTION)
+    for heading in HEADINGS:
+        found = [option for option in options if heading_of(option.name) == heading]
+        users = [users_of(option, scene) for option in found]
+        same = users[0] if len(set(users)) == 1 and users[0] else None  # said once
+        if found:
+            lines += ["", heading + (f" ({same})" if same else "")]
+        for option, who in zip(found, users, strict=True):
+            lines += describe(option, "" if same else who)
+    lines += ["", "PETSc's and SLEPc's options of these solvers"]
+    for prefix, what in solver_keys.SOLVER_PREFIXES.items():
+        lines += _filled(f"{f'-{prefix}*':<20} {what}", 2, 23)
+    if scene:
+        everywhere = dict.fromkeys(name for each in SCENES for name in options_of(each))
+        others = [name for name in everywhere if name not in options_of(scene)]
+        unused = [f"-{name}" for name in others if heading_of(name) != OWN]
+        if unused:
+            lines += ["", f"not used by {scene}", *_filled(", ".join(unused), 2)]
+    return "\n".join(lines) + "\n"
+
+
+def describe(option, users=""):
+    """Return the lines of an option. Not collective.
+
+    Parameters
+    ----------
+    option : pgran.files.options.Option
+    users : str
+        Which scenes or experiments use it, if not all do.
+    """
+    default = "" if option.default is None else text_of(option.default)
+    facts = f"{option.kind.name} {option.range().replace(' and ', ', ')}"
+    lines = [_row(f"-{option.name}", default, option.unit, facts)]
+    if len(lines[0]) > WIDTH:  # of a long default
+        lines = [_row(f"-{option.name}", default, "", ""), _row("", "", option.unit, facts)]
+    lines += _filled(option.meaning, 6)
+    if option.choices:
+        lines += _filled(f"choices: {', '.join(option.choices)}", 6)
+    return lines + _filled(users, 6)
+
+
+def heading_of(name):
+    """Return the heading that an option stands under. Not collective."""
+    return next((h for h, begins in HEADINGS.items() if begins and name.startswith(begins)), OWN)
+
+
+def users_of(option, scene=None):
+    """Return in words who uses an option, if not all do. Not collective.
+
+    Of all scenes those that have it; of a scene that repeats an experiment the experiments.
+    """
+    of = options_of(scene).get(f"{scene}_of") if scene else None
+    if scene and of is None:
+        return ""
+    possible = of.choices if of else SCENES
+    users = [name for name in possible if options_of(name).get(option.name) == option]
+    if not users or len(users) == len(possible):
+        return ""
+    if len(users) > len(possible) / 2:
+        return f"not of {', '.join(name for name in possible if name not in users)}"
+    return f"only of {', '.join(users)}"
+
+
+def _row(key, default, unit, facts):
+    """Return a line of the table."""
+    return f"{f'  {key:<20} {default}':<32} {unit:<20} {facts}".rstrip()
+
+
+def _filled(text, indent, later=None):
+    """Return a text in lines of at most 80 characters, whole words, maybe of a later indent."""
+    margin, others = " " * indent, " " * (indent if later is None else later)
+    return textwrap.wrap(
+        text, WIDTH, initial_indent=margin, subsequent_indent=others, break_on_hyphens=False
+    )
