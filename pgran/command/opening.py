@@ -1,5 +1,7 @@
 """The first line of a run: what it solves."""
 
+from pgran.results.si import SI
+
 
 def opening(options, ranks, lattice=None):
     """Return in words what a run solves, and on how many ranks.
@@ -22,9 +24,9 @@ def opening(options, ranks, lattice=None):
         size = " x ".join(f"{length:g}" for length in options.continuum_size)
         facts = [f"a homogeneous box of {size}", f"beta {options.continuum_damping:g}"]
     elif options.network_file is not None:
-        facts = [*_network(options, lattice), *_constants(lattice, of or scene)]
+        facts = [*_network(options, lattice), *_constants(options, lattice, of or scene)]
     else:
-        facts = [*_lattice(options, lattice, samples), *_constants(lattice, of or scene)]
+        facts = [*_lattice(options, lattice, samples), *_constants(options, lattice, of or scene)]
     facts.append("1 rank" if ranks == 1 else f"{ranks} ranks")
     return f"{scene} of {f'{of} of ' if of else ''}{', '.join(facts)}"
 
@@ -58,8 +60,8 @@ def _lattice(options, lattice, samples):
     yield f"seed {first}" if samples is None else f"seeds {first} to {first + samples - 1}"
 
 
-def _constants(lattice, experiment):
+def _constants(options, lattice, experiment):
     """Return damping, which modes have not, and the unit of frequency."""
     if experiment != "modes":
         yield f"beta {lattice.damping:g}"
-    yield f"omega_mx {lattice.omega_mx:.6g}"
+    yield f"omega_mx {lattice.omega_mx:.6g}{SI.of(options).say('Hz', lattice.omega_mx)}"
