@@ -28,6 +28,7 @@ FILE_BYTES = 20_000  # of HDF5 itself: names, attributes, tables of datasets
 # Trials of a task go on for so many seconds; whole units are tried if one takes no longer than
 # that, parts of them else, and a single part if that takes longer still.
 TRIAL, UNIT, PART = 0.3, 1.0, 10.0
+TRIED = 0.75  # of the free memory; what is needed is an estimate, and can be too low
 # Of the entries that nested dissection predicts, a factor has this part: 1.2 of them for a chain,
 # .9 to .66 for 20 x 20 to 500 x 500, .73 to .61 for 6^3 to 15^3, .8 for 20^3.
 FILLED = 0.75
@@ -141,7 +142,7 @@ def forecast(scene, options, world, started):
         ranks = ranks_per_lattice(options, lattice, world) if scene.shares_lattice else 1
         needed = _machine_total(world, lattice_memory(shape, ranks, factored))
         free = free_memory()
-        if any(world.allgather(free and needed > free)):  # on one machine of several
+        if any(world.allgather(free and needed > TRIED * free)):  # on one machine of several
             lines.insert(
                 0,
                 f"{WARNING}   matrices and factors take about {in_bytes(needed)} of memory on this "
