@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from pgran.figures import balls, style
+from pgran.figures import balls, marks, style
 from pgran.figures.maps import Map
 from pgran.figures.sensitivity import MOST, detectors, few, logarithmic, note_failed, page, title
 
@@ -14,6 +14,10 @@ QUARTER = 25.0  # %, what the heater of the experiment changed
 CHANGE = r"change $|A' - A|\,/\,|A|$ (%)"
 SIGNS = "red: |A| grows; blue, with a bar: it falls"
 MEANS = "each ball: mean over its bonds; red: |A| grows; blue: it falls"
+SAID = (
+    "Share of balls warmed, or bonds cut, that change the amplitude by more, at all frequencies.",
+    "Median and largest change against the driving frequency.",
+)
 HOLLOW = "red: |A| grows; blue, hollow: it falls; width: square root"
 
 
@@ -36,14 +40,13 @@ def figures(result, **_):
                 text = f"each bond cut alone; {MEANS if many else HOLLOW}"
                 yield f"cut{name}", page(heat, medium, d, panels, "change in dB", text)
     rows = 1 + (np.count_nonzero(heat.converged_reason > 0) > MOST)
-    entries = sum(x is not None for x in (heat.warmed, heat.cut)) * len(heat.detector)
-    size = style.COLUMN, 2.3 * rows + 0.3 + 0.14 * entries
-    figure, panels = style.page(*size, nrows=rows)
-    for letter, panel, ax in zip("ab", (distribution, over_frequency), panels, strict=False):
+    figure, panels = style.page(style.COLUMN, 2.1 * rows + 0.2, nrows=rows)
+    lines = 0
+    for panel, ax in zip((distribution, over_frequency), panels, strict=False):
         panel(ax, heat, medium)
-        if rows > 1:
-            ax.set_title(f"({letter})")
-        style.legend_above([ax], columns=1)
+        lines += style.legend_above([ax])
+    figure.set_figheight(figure.get_figheight() + 0.13 * lines)
+    figure.caption = style.lettered(SAID[:rows])
     note_failed(figure, heat)
     yield "changes", figure
 
@@ -142,7 +145,8 @@ def distribution(ax, heat, medium=None):
             size = np.sort(moved[:, d][np.isfinite(moved[:, d])])[::-1]
             share = np.arange(1, len(size) + 1) / max(len(size), 1)
             quarter = np.count_nonzero(size >= QUARTER) / max(len(size), 1)
-            said = f"{name}, {label}: {100 * quarter:.2g} % of cases above"
+            said = f"{label}: {100 * quarter:.2g} % of cases above"
+            said = f"{name}, {said}" if len(heat.detector) > 1 else said
             look = {"linestyle": "-" if n == 0 else "--", "label": said}
             drawn += ax.plot(size, share, color=style.colours(len(heat.detector))[d], **look)
     ax.axvline(QUARTER, color=style.UNRESOLVED, linestyle=":", label="a quarter")
@@ -162,18 +166,24 @@ def over_frequency(ax, heat, medium):
     """
     x, drawn = heat.omega / medium.omega_mx, []
     shades = style.colours(len(heat.detector))
-    for line, (label, moved) in zip(("-", "--"), shares(heat), strict=False):
+    few = len(x) <= style.FEW  # points, where a line would be a polygon
+    looks = ("-", "full"), ("--", "none")
+    for (line, fill), (label, moved) in zip(looks, shares(heat), strict=False):
         known = np.isfinite(moved)
         good = known.any(axis=-1)
         largest = np.where(known, moved, 0.0).max(axis=-1, initial=0.0)
         median = np.full(good.shape, np.nan)
         median[good] = np.nanmedian(moved[good], axis=-1)
-        for what, y, width in (("median", median, 0.7), ("largest", largest, 1.4)):
+        for what, y, width, mark in (("median", median, 0.7, "."), ("largest", largest, 1.4, "^")):
             look = {"linestyle": line, "linewidth": width}
+            if few:
+                look = {"linestyle": "none", "marker": mark, "fillstyle": fill, "markersize": 3}
+                look["markeredgewidth"] = 0.5
             for d, shade in enumerate(shades):
                 text = [f"{what}, {label}"] if d == 0 else None
-                drawn += style.curves(ax, x, y[:, d], good[:, d], text, color=shade, **look)
+                drawn += marks.curves(ax, x, y[:, d], good[:, d], text, color=shade, **look)
     ax.axhline(QUARTER, color=style.UNRESOLVED, linestyle=":")
-    ax.set(yscale="log", xlabel=style.FREQUENCY, ylabel=CHANGE, xlim=style.limits(x))
-    style.mark_failed(ax, x[heat.converged_reason <= 0])
+    ax.set(yscale="log", ylabel=CHANGE)
+    style.frequencies(ax, x)
+    marks.failed(ax, x[heat.converged_reason <= 0])
     return drawn

@@ -18,7 +18,7 @@ from pgran.results.si import prefix_of
 SHOWN = {
     style.FREQUENCY: ("driving frequency", "Hz", 1),
     style.MODE_FREQUENCY: ("mode frequency", "Hz", 1),
-    r"density of modes (modes per $\omega_{mx}$)": ("density of modes", "1/Hz", -1),
+    style.DENSITY: ("density of modes per ball", "1/Hz", -1),
 }
 
 

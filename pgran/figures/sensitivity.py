@@ -1,7 +1,6 @@
 """The figures of what a signal depends on: derivatives by bonds, and the power through them."""
 
 import logging
-import textwrap
 from functools import partial
 
 import numpy as np
@@ -11,7 +10,6 @@ from pgran.figures.maps import Map
 
 log = logging.getLogger("pgran")
 MOST = 3  # frequencies in maps, and detectors with maps of their own
-LETTERS = 15  # an inch of a figure's width has so many
 SIGNS = "red: |A| grows with k; blue, hollow: it falls; width: square root"
 SUMS = "each ball: sum over its bonds; red: |A| grows with k; blue: it falls"
 SLOPE = r"$|d\,\ln|A|\,/\,d\,\ln k|$"
@@ -33,9 +31,10 @@ def figures(result, **_):
         panels = [partial(flux, record=found, medium=medium, at=n) for n in chosen]
         text = "wedges: power, from the broad end to the point; width: square root"
         yield "flux", page(found, medium, 0, panels, "power lost at a ball", text)
-    figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.13 * len(chosen) * len(found.detector))
+    figure, (ax,) = style.page(style.COLUMN, 2.5)
     distribution(ax, found, medium)
-    style.legend_above([ax], columns=1)
+    figure.set_figheight(2.3 + 0.13 * style.legend_above([ax]))
+    figure.caption = "Share of the bonds whose logarithmic derivative is larger."
     note_failed(figure, found)
     yield "distribution", figure
     if medium.group == "lattice":
@@ -119,7 +118,7 @@ def distribution(ax, record, medium):
             size = np.sort(np.abs(record.log_amplitude[n, d]))[::-1]
             share = np.arange(1, len(size) + 1) / total
             x = record.omega[n] / medium.omega_mx
-            label = rf"$\omega$ = {x:.4g} $\omega_{{mx}}$, {name}"
+            label = rf"{x:.4g} $\omega_{{mx}}$" + f", {name}" * (len(names) > 1)
             drawn += ax.plot(size, share, label=label)
     for curve, shade in zip(drawn, style.colours(len(drawn)), strict=True):
         curve.set_color(shade)
@@ -156,12 +155,11 @@ def page(record, medium, d, panels, what, text):
     figure = balls.page(seen.extent, panels, what)
     name, plane = style.ball_names(record.detector[d : d + 1])[0], seen.view.plane
     held = "driven wall: blue" if seen.lattice else "balls at rest: dark; driven: blue"
-    lines = [f"{plane}; " * bool(plane) + f"circle: {name}; {held}", text, failed(record)]
-    width = int(LETTERS * figure.get_figwidth())
-    lines = [part for line in lines for part in textwrap.wrap(line, width)]
+    where = f"{plane}; " * bool(plane) + f"circle: {name}; {held}"
     shade = style.FAILED if record.failures else "black"
-    figure.suptitle("\n".join(lines), fontsize="medium", color=shade)
-    figure.set_figheight(figure.get_figheight() + 0.14 * len(lines))
+    rows = style.above(figure, where, text, failed(record), color=shade)
+    figure.set_figheight(figure.get_figheight() + 0.14 * rows)
+    figure.caption = f"Map of the {what}: {text}; {where}."
     return figure
 
 
@@ -174,5 +172,4 @@ def failed(record):
 def note_failed(figure, record):
     """Say so in a figure that has no other words above it."""
     if record.failures:
-        width = int(LETTERS * figure.get_figwidth())
-        style.note(figure, "\n".join(textwrap.wrap(failed(record), width)))
+        style.note(figure, failed(record))

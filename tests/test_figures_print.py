@@ -1,0 +1,242 @@
+"""Figures as they are printed: 85 and 170 mm wide, in grey, with captions."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from figure_reading import curves, draw, labels, lines, marks
+from figure_results import (
+    SWEEP,
+    UNIT,
+    compare,
+    count_modes,
+    find_modes,
+    listen,
+    project,
+    relax,
+    respond,
+    respond_box,
+    result_of,
+)
+from matplotlib import colormaps
+from matplotlib.collections import PolyCollection
+from matplotlib.markers import TICKUP
+from samples import random_lattice
+
+import pgran
+from pgran import errors, figures
+from pgran.command.plot import run as plot
+from pgran.errors import FileError, InputError
+from pgran.figures import accuracy, bonds, captions, modes, response, style
+
+FINE = np.linspace(0.1, 1.1, 201)
+LARGER = random_lattice((12, 11), seed=5, mass=0.25)
+
+
+def sensitivity():
+    found = pgran.sensitivity(LARGER, UNIT * np.array([0.3, 0.6, 0.9]), [(4, 5)])
+    result = result_of(found, LARGER)
+    result.heat = pgran.heat(LARGER, UNIT * np.linspace(0.2, 0.9, 5), [(4, 5)], cut=True)
+    return result
+
+
+SCENES = {
+    "response": lambda: respond(lattice=LARGER, detectors=[(4, 5)]),
+    "two balls": lambda: respond(detectors=[(1, 1), (3, 0)]),
+    "continuum": respond_box,
+    "modes": lambda: find_modes((12, 11)),
+    "chain": lambda: find_modes((30,)),
+    "density": count_modes,
+    "one frequency": lambda: project([0.6], (6, 5)),
+    "dominant": lambda: project(FINE, (6, 5)),
+    "relaxation": relax,
+    "pulse": lambda: listen(sites=[(1, 1), (3, 0)]),
+    "sensitivity": sensitivity,
+    "accuracy": lambda: compare([1e-3, 1e-5, 1e-4, 1e-6]),
+    "equally accurate": lambda: compare([1e-9, 2e-9, 1.5e-9]),
+}
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def result(request):
+    return SCENES[request.param]()
+
+
+def texts(figure):
+    """The texts of a figure that are seen, each with its box on paper."""
+    figure.draw_without_rendering()
+    shown = list(figure.texts)
+    for ax in (ax for ax in figure.axes if ax.axison):
+        shown += [ax.title, ax._left_title, ax._right_title, *ax.texts]
+        if ax.get_legend():
+            shown += ax.get_legend().get_texts()
+        for axis in (ax.xaxis, ax.yaxis):
+            if axis.get_visible():
+                ticks = axis._update_ticks()
+                shown += [axis.label, axis.offsetText, *(tick.label1 for tick in ticks)]
+    with style.applied():
+        seen = [text for text in shown if text.get_visible() and text.get_text().strip()]
+        return [(text.get_text(), text.get_window_extent()) for text in seen]
+
+
+@pytest.mark.parametrize("width", [85, 170])
+def test_nothing_overlaps_on_paper(result, width):
+    """Texts are apart, within the figure, and 7 or 8 points high; the legend is a small part.
+
+    Axes end where data do; several panels have letters.
+    """
+    for name, figure in figures.make(result, width=width).items():
+        _check_panels(figure)
+        seen, paper = texts(figure), figure.bbox.padded(1.5)
+        assert figure.get_figwidth() == pytest.approx(width / 25.4)
+        for text, box in seen:
+            assert paper.contains(*box.min), (name, text)
+            assert paper.contains(*box.max), (name, text)
+        for (one, box), (other, beside) in combinations(seen, 2):
+            shared = box.padded(-1).intersection(box.padded(-1), beside.padded(-1))
+            assert shared is None or min(shared.size) <= 0, (name, one, other)
+        for ax in figure.axes:
+            if ax.get_legend():
+                box = ax.get_legend().get_window_extent()
+                assert box.width * box.height < 0.15 * figure.bbox.width * figure.bbox.height
+            sizes = {tick.label1.get_size() for tick in ax.xaxis.get_major_ticks()}
+            assert sizes | {ax.xaxis.label.get_size(), ax._left_title.get_size()} <= {7, 8}
+
+
+def _check_panels(figure):
+    for ax in figure.panels:
+        data = [line.get_xdata() for line in curves(ax)]
+        if data and "time" not in ax.get_xlabel():
+            every = np.concatenate(data)
+            assert every.min() <= ax.get_xlim()[0] < ax.get_xlim()[1] <= every.max()
+    titles = [ax.get_title(loc="left") for ax in figure.panels]
+    letters = [f"({n})" for n in style.LETTER[: len(titles)]]
+    assert (len(titles) == 1) == (not titles[0].startswith("(a)"))
+    assert len(titles) == 1 or [title[:3] for title in titles] == letters
+    said = [letter for letter in letters if letter in figure.caption]
+    assert said in ([], letters)
+    assert figure.caption[0] in "(ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+    assert figure.caption.endswith(".")
+
+
+def test_captions_say_the_numbers_of_the_record():
+    result = respond(detectors=[(1, 1)])
+    result.response.converged_reason[7] = -3
+    result.options = "-scene response\n-bonds_law uniform\n-bonds_kmin 0.0\n-bonds_kmax 0.25\n"
+    result.options += "-bonds_seed 1993\n-output_file results/a.h5"
+    made = figures.make(result)
+    shown = result.response
+    good = np.arange(260) != 7
+    largest = (shown.error_bound / shown.amplitude)[good].max()
+    for name, figure in made.items():
+        for part in (r"$4 \times 3$ balls", "of mass 0.25", "uniform on [0, 0.25]; seed 1993",
+                     r"$\beta$ = 0.003", r"$\omega_{mx}$ = 2", captions.number(largest),
+                     "1 of 260 amplitudes missed"):  # fmt: skip
+            assert part in figure.caption, (name, part)
+    assert f"{shown.phase_slope[0]:.4g}" in made["phase"].caption
+    assert "low frequencies" in made["amplitude"].caption
+    del result.options
+    assert result.medium.bonds_sha256[:12] in figures.make(result)["phase"].caption
+    found = find_modes()
+    found.modes.residual[:] = 3e-14
+    for words, more in (("12 of 12 normal modes, certified", {}),
+                        ("residuals at most $3\\times10^{-14}$", {}),
+                        ("not certified", {"count_certified": False})):  # fmt: skip
+        assert words in captions.bound(result_of(replace(found.modes, **more)))
+    sent = listen()
+    assert "(proven)" in captions.bound(sent)
+    assert captions.number(0.003) == "0.003"
+    assert captions.number(4.13e-5) == r"$4.1\times10^{-5}$"
+
+
+def test_marks_of_modes_can_be_told_apart_or_are_a_density():
+    result = respond()
+    few, many = UNIT * np.linspace(0.2, 1.1, 40), UNIT * np.linspace(0.2, 1.1, 900)
+    ax = draw(response.phase, result.response, result.lattice, few)
+    assert marks(ax, TICKUP) == pytest.approx(few / UNIT)
+    ax = draw(response.phase, result.response, result.lattice, many)
+    assert not marks(ax, TICKUP)
+    assert labels(ax)[-1] == "density of normal modes"
+    (filled,) = (x for x in ax.collections if isinstance(x, PolyCollection))
+    x, height = filled.get_paths()[0].vertices.T
+    assert height.max() == pytest.approx(0.1)  # of the panel
+    assert 0.15 < x[height > 0].min() < x[height > 0].max() < 1.15
+    (unit,) = (line for line in ax.get_lines() if list(line.get_xdata()) == [1, 1])
+    assert unit.get_linestyle() != "-"
+
+
+def test_few_points_that_are_no_curve_are_points():
+    few = respond(SWEEP[::20])
+    (line,) = curves(draw(response.amplitude, few.response, few.lattice))
+    assert line.get_linestyle() == "-"  # these are resolved
+    few.response.line_error[1:] = 1.0
+    for panel in (response.amplitude, response.phase, response.force, response.power):
+        (line,) = curves(draw(panel, few.response, few.lattice))
+        assert (line.get_linestyle(), line.get_marker()) == ("None", ".")
+    whole = respond()
+    whole.response.line_error[1:] = 1.0
+    (line,) = curves(draw(response.amplitude, whole.response, whole.lattice))
+    assert line.get_linestyle() == "-"
+
+
+def test_signs_are_seen_in_grey_and_the_driven_wall_is_marked():
+    """Colours get lighter all the way from -1 to 1, in the luminance of a print in grey."""
+    grey = colormaps[style.SIGNED](np.linspace(0, 1, 101))[:, :3] @ [0.299, 0.587, 0.114]
+    assert np.all(np.diff(grey) > 0)
+    assert grey[-1] - grey[50] == pytest.approx(grey[50] - grey[0], abs=0.1)
+    result = find_modes((6, 5))
+    ax = draw(modes.shape, result.modes, result.lattice, 3)
+    (wall,) = lines(ax, color=style.ACCENT)
+    assert list(wall.get_xdata()) == [5.5, 5.5]
+    assert ax.images[0].get_cmap().name == style.SIGNED
+
+
+@pytest.mark.parametrize(("shape", "count"), [((6,), 1), ((4, 3), 3), ((4, 3, 5), 3)])
+def test_walls_at_rest_are_hatched_and_no_bonds(shape, count):
+    lattice = random_lattice(shape)
+    shown = pgran.results.record_of(lattice)
+    ax = draw(bonds.bonds, shown, np.zeros((1, len(shape)), dtype=int))
+    walls = [patch for patch in ax.patches if patch.get_hatch()]
+    assert len(walls) == count
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    assert right == shape[0]
+    for wall in walls:  # outside of all bonds, within the panel
+        x, y, (width, height) = *wall.get_xy(), (wall.get_width(), wall.get_height())
+        assert x + width < -0.99 or y + height < -0.99 or y >= shape[1]
+        assert left - 1e-9 <= x < x + width <= right + 1e-9
+        assert low - 1e-9 <= y < y + height <= high + 1e-9
+
+
+def test_equally_accurate_configurations_are_bars_of_their_run_times():
+    result = compare([1e-9, 2e-9, 1.5e-9, 1e-9, np.nan])
+    study = result.accuracy
+    bars = draw(accuracy.times, study).patches
+    assert [bar.get_width() for bar in bars] == [1, 2, 3, 4]
+    assert bars[3].get_facecolor()[:3] == (1, 1, 1)  # failed
+    (ax,) = figures.make(result)["front"].axes
+    assert [text.get_text() for text in ax.get_yticklabels()] == list(study.label[:4])
+    assert "1.0e-09 to 2.0e-09" in ax.get_title(loc="left")
+    (ax,) = figures.make(compare([1e-9, 2e-8]))["front"].axes
+    assert ax.get_yscale() == "log"
+
+
+def test_the_command_has_a_width_and_captions(monkeypatch, tmp_path, capsys):
+    result, target = relax(), tmp_path / "a.png"
+    monkeypatch.setattr(pgran, "load", lambda path: result)
+    assert plot(["a.h5", "-o", str(target), "-width", "100", "-caption"]) == errors.DONE
+    written = [tmp_path / f"a-timeres.{ending}" for ending in ("png", "txt")]
+    assert capsys.readouterr().out.splitlines() == [str(path) for path in written]
+    made = pgran.plot(result, target, width=60, caption=True)
+    assert made["timeres"].get_figwidth() == pytest.approx(60 / 25.4)
+    assert pgran.plot(result)["timeres"].get_figwidth() == pytest.approx(85 / 25.4)
+    assert written[1].read_text(encoding="utf-8") == made["timeres"].caption + "\n"
+    for width in ("20", "1000", "nan"):
+        with pytest.raises(InputError, match="width: a figure is 60 to 400 mm wide, not"):
+            plot(["a.h5", "-width", width])
+    with pytest.raises(InputError, match="plot: argument -width: invalid float value: 'wide'"):
+        plot(["a.h5", "-width", "wide"])
+    written[1].unlink()
+    written[1].mkdir()
+    with pytest.raises(FileError, match=r"a-timeres\.txt: cannot be written"):
+        pgran.plot(result, target, caption=True)
