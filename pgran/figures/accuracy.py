@@ -50,10 +50,10 @@ def times(ax, accuracy):
     ax.hlines(place, *ends, color="black", linewidth=0.8)
     ax.set_yticks(place, accuracy.label[rows])
     ax.invert_yaxis()
-    ax.set(xlabel=f"run time (s), median of {accuracy.repeats}", xlim=(0, 1.02 * ends[1].max()))
-    low, high = accuracy.error_max[rows].min(), accuracy.error_max[rows].max()
-    text = f"largest relative errors: {low:.1e} to {high:.1e}"
-    ax.set_title(text + "; hollow: some failed" * bool(failed.any()))
+    text = f"run time (s), median of {accuracy.repeats}"
+    text += "; hollow: some failed" if failed.any() else ""
+    text += f"\nrelative errors at most {accuracy.error_max[rows].max():.1e}"
+    ax.set(xlabel=text, xlim=(0, 1.02 * ends[1].max()))
     return drawn
 
 
@@ -75,8 +75,8 @@ def front(ax, accuracy):
     if np.any(accuracy.failures[drawn]):
         hollow = {"marker": "o", "markerfacecolor": "white", "label": "hollow: some failed"}
         ax.plot([], [], color="#777777", **hollow, **alone)
-    ax.plot([], [], color="#aaaaaa", marker="_", label="bound by the solver", **alone)
-    dotted = {"linewidth": 0.6, "linestyle": ":", "label": "bound of the reference"}
+    ax.plot([], [], color="#aaaaaa", marker="_", label="solver's bound", **alone)
+    dotted = {"linewidth": 0.6, "linestyle": ":", "label": "reference's bound"}
     ax.axhline(accuracy.reference_bound, color="#777777", **dotted)
     low, high = ax.get_ylim()
     ax.set_ylim(low / 2, max(high, 1000 * low))

@@ -6,7 +6,6 @@ from pgran.figures import marks, style
 
 COEFFICIENT = "coefficient $|c_i|$ (drive = 1)"
 SHOWN = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes of cifreq lie
-HANDFUL = 10  # frequencies or modes that make no curve
 
 SAID = {
     "onefreq": "Coefficients of the driven lattice in its normal modes at one driving frequency, "
@@ -25,7 +24,7 @@ def figures(result, **_):
     """
     projection = result.projection
     style.check_any(projection.mode_omega, "modes")
-    sweep, many = len(projection.omega) > HANDFUL, len(projection.mode_omega) > HANDFUL
+    sweep, many = len(projection.omega) > style.HANDFUL, len(projection.mode_omega) > style.HANDFUL
     if not sweep:
         name, draw = "onefreq", coefficients
     else:
@@ -110,7 +109,7 @@ def single_modes(ax, projection, lattice):
     x, modes, accurate = _in_units(projection, lattice)
     chosen = successive(modes, SHOWN if x[0] <= SHOWN <= x[-1] else (x[0] + x[-1]) / 2)
     near = (x >= modes[chosen[0]] - 0.05) & (x <= modes[chosen[-1]] + 0.05)
-    if np.count_nonzero(near) <= HANDFUL:
+    if np.count_nonzero(near) <= style.HANDFUL:
         near[:] = True
     values = np.abs(projection.coefficient[near][:, chosen])
     good = accurate[near, None] & np.isfinite(values) & (values > 0)

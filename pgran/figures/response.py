@@ -94,7 +94,7 @@ def _look(response):
     few = len(response.omega) <= style.FEW and 2 * np.count_nonzero(response.unresolved) >= len(
         response.unresolved
     )
-    return {"linestyle": "none"} if few else {}
+    return {"linestyle": "none", "clip_on": False} if few else {}
 
 
 def known(response):
@@ -265,20 +265,24 @@ def amplitude_page(shown, modes=None):
     modes : array_like, optional
         Angular frequencies of normal modes, marked by pluses.
     """
-    reached = [_regimes(response.omega / lattice.omega_mx) for response, lattice, *_ in shown]
+    few = all(len(response.omega) <= style.HANDFUL for response, *_ in shown)
+    edges = EDGES[:1] + EDGES[-1:] if few else EDGES
+    reached = [
+        _regimes(response.omega / lattice.omega_mx, edges) for response, lattice, *_ in shown
+    ]
     present = np.unique(np.concatenate(reached))
     figure, panels = style.page(style.PAGE, 0.4 + 1.75 * len(present), nrows=len(present))
     for regime, ax in zip(present, panels, strict=True):
         drawn, ends = [], []
         for (response, lattice, names, look), there in zip(shown, reached, strict=True):
             if regime in there:
-                within = EDGES[regime : regime + 2]
+                within = edges[regime : regime + 2]
                 drawn += amplitude(ax, response, lattice, modes, within, names, **look)
                 ends.append(ax.get_xlim())
         ax.set_xlim(np.min(ends), np.max(ends))
         if len(shown) == len(drawn) == 1:
             drawn[0].set_label("")
-        ax.set_title(REGIMES[regime])
+        ax.set_title("" if few else REGIMES[regime])
         ax.set(xlabel="", ylabel="")
     rows = style.legend_above(panels)
     figure.set_figheight(figure.get_figheight() + 0.13 * rows)
@@ -289,7 +293,7 @@ def amplitude_page(shown, modes=None):
     return figure
 
 
-def _regimes(x):
-    """Return the regimes that frequencies in units of omega_mx reach."""
+def _regimes(x, edges):
+    """Return the regimes between edges that frequencies in units of omega_mx reach."""
     # An edge belongs to the regime below, the first point of all to the one above.
-    return np.unique(np.searchsorted(EDGES[1:-1], [np.nextafter(x[0], math.inf), *x[1:]]))
+    return np.unique(np.searchsorted(edges[1:-1], [np.nextafter(x[0], math.inf), *x[1:]]))

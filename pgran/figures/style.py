@@ -10,12 +10,13 @@ import matplotlib
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.transforms import offset_copy
 
 from pgran.errors import FileError
 
 MM = 1 / 25.4  # in inches
 COLUMN, PAGE = 85 * MM, 170 * MM  # widths: one column of a journal, and two
-FEW = 100  # points that are marked by dots
+FEW, HANDFUL = 100, 10  # points that are marked by dots, and that make no curve
 LETTERS, SMALL = 15, 17  # so many to an inch, and of a legend's
 SIGNED = "cividis"  # from -1 to 1: the sign is seen in grey, too
 LETTER = "abcdefghijklmnopqrstuvwxyz"  # of panels
@@ -127,8 +128,8 @@ def driven(lattice):
 
 
 def limits(x):
-    """Return the range of an axis for the points `x`: theirs."""
-    margin = 0.0 if np.ptp(x) else 0.02 * (abs(np.max(x)) or 1.0)
+    """Return the range of an axis for the points `x`: theirs, and a margin around a handful."""
+    margin = 0.05 * (np.ptp(x) or np.max(np.abs(x)) or 1.0) if len(x) <= HANDFUL else 0.0
     return np.min(x) - margin, np.max(x) + margin
 
 
@@ -202,8 +203,8 @@ def _letters(text):
 def legend_above(panels):
     """Put one legend of all panels above the upper right of the first, where no data can be.
 
-    What several curves of a panel have in common comes last. There are as many columns as fit
-    beside the title. Returns how many rows there are.
+    What several curves of a panel have in common comes last. It is beside the title, or above that
+    if there is no room, in as many columns as fit. Returns how many rows there are.
     """
     handles, shared = {}, {}
     for ax in panels:
@@ -211,14 +212,20 @@ def legend_above(panels):
         for handle, label in zip(drawn, labels, strict=True):
             (shared if labels.count(label) > 1 else handles).setdefault(label, handle)
     handles |= shared
-    columns, figure = 1, panels[0].figure
-    if handles:
-        title = _letters(panels[0].get_title(loc="left"))
-        title = (title + 4 * (len(getattr(figure, "panels", ())) > 1)) / LETTERS
-        room = SMALL * (figure.get_figwidth() - 0.5 - title)
-        columns = max(1, min(4, int(room / (7 + max(map(_letters, handles))))))
-        place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "columnspacing": 1.2}
-        panels[0].legend(handles.values(), handles.keys(), ncol=columns, **place)
+    if not handles:
+        return 0
+    figure, one = panels[0].figure, 7 + max(map(_letters, handles))
+    title = _letters(panels[0].get_title(loc="left"))
+    title += 4 * (len(getattr(figure, "panels", ())) > 1)
+    width, place = figure.get_figwidth() - 0.5, panels[0].transAxes
+    beside = SMALL * (width - title / LETTERS) >= one
+    if beside:
+        width -= title / LETTERS
+    else:
+        place = offset_copy(place, figure, y=1.5 * RC["font.size"], units="points")
+    columns = max(1, min(4, int(SMALL * width / one)))
+    look = {"loc": "lower right", "bbox_to_anchor": (1, 1), "bbox_transform": place}
+    panels[0].legend(handles.values(), handles.keys(), ncol=columns, columnspacing=1.2, **look)
     return math.ceil(len(handles) / columns)
 
 
