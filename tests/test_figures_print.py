@@ -135,6 +135,8 @@ def test_captions_say_the_numbers_of_the_record():
                      r"$\beta$ = 0.003", r"$\omega_{mx}$ = 2", captions.number(largest),
                      "1 of 260 amplitudes missed"):  # fmt: skip
             assert part in figure.caption, (name, part)
+        assert "heard at ball (1, 1)" in figure.caption
+        assert ("Dotted line" in figure.caption) == (name not in ("amplitude", "bonds"))
     assert f"{shown.phase_slope[0]:.4g}" in made["phase"].caption
     assert "low frequencies" in made["amplitude"].caption
     del result.options
@@ -147,6 +149,8 @@ def test_captions_say_the_numbers_of_the_record():
         assert words in captions.bound(result_of(replace(found.modes, **more)))
     sent = listen()
     assert "(proven)" in captions.bound(sent)
+    undamped = respond(lattice=random_lattice((4, 3), damping=0.0))
+    assert "(certified)" in captions.bound(undamped)
     assert captions.number(0.003) == "0.003"
     assert captions.number(4.13e-5) == r"$4.1\times10^{-5}$"
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from pgran.figures import style
 
+HEARD, MOST = ("response", "pulse", "relaxation", "sensitivity", "heat", "ensemble"), 6
 AXES = {1: "chain", 2: "square lattice", 3: "cubic lattice"}
 LAWS = {
     "uniform": "uniform on [{kmin}, {kmax}]",
@@ -28,21 +29,21 @@ def number(value, digits=2):
     return rf"${mantissa}\times10^{{{int(exponent)}}}$"
 
 
-def complete(caption, results):
+def complete(figure, results):
     """Return a figure's own caption with the sample, and the bound reached, of each result.
 
     Not collective.
 
     Parameters
     ----------
-    caption : str
+    figure : pgran.figures.style.Page
     results : sequence of pgran.record.Result
     """
     samples = dict.fromkeys(sample(result) for result in results)
     reached = dict.fromkeys(bound(result) for result in results)
-    marks = r"Dotted: $\omega_{mx}$, the largest frequency of equal bonds of the largest constant."
-    parts = [caption, *samples, *reached, marks if hasattr(results[0], "medium") else ""]
-    return " ".join(filter(None, parts))
+    marked = any(line.get_gid() == style.UNIT for ax in figure.panels for line in ax.get_lines())
+    unit = r"Dotted line: $\omega_{mx}$." if marked else ""
+    return " ".join(filter(None, [figure.caption, *samples, *reached, unit]))
 
 
 def slopes(response):
@@ -87,7 +88,19 @@ def sample(result):
     else:
         text += f"; SHA-256 of the bonds {medium.bonds_sha256[:12]}"
     unit = rf"$\omega_{{mx}}$ = {number(medium.omega_mx, 4)}"
-    return rf"{text}; damping $\beta$ = {number(medium.damping)}; {unit}."
+    text += rf"; damping $\beta$ = {number(medium.damping)}; {unit}"
+    return f"{text}{_heard(result)}."
+
+
+def _heard(result):
+    """Return where the detectors of a result are."""
+    for record in (getattr(result, name, None) for name in HEARD):
+        sites = getattr(record, "detector", None)
+        if sites is not None:
+            names = style.ball_names(sites)
+            more = f" and {len(names) - MOST} more" if len(names) > MOST else ""
+            return f"; heard at {', '.join(names[:MOST])}{more}"
+    return ""
 
 
 def _plain(text):
@@ -110,7 +123,8 @@ def bound(result):
     Not collective.
     """
     said = [BOUNDS[name](record) for name in BOUNDS if (record := getattr(result, name, None))]
-    return " ".join(filter(None, said))
+    how = "proven" if getattr(getattr(result, "medium", None), "damping", 0.0) else "certified"
+    return " ".join(dict.fromkeys(filter(None, said))).replace("(known)", f"({how})")
 
 
 def _amplitudes(record):
@@ -127,9 +141,7 @@ def _amplitudes(record):
     if not good.any() or not np.isfinite(relative).all():
         said = "No bound of the errors is known."
     else:
-        said = (
-            f"Relative error of every amplitude drawn: at most {number(relative.max())} (proven)."
-        )
+        said = f"Relative error of every amplitude drawn: at most {number(relative.max())} (known)."
     if floored.any():
         said += f" {np.count_nonzero(floored)} amplitudes are upper limits, at the floor."
     if failed.any():
@@ -175,10 +187,8 @@ def _counts(record):
 
 def _samples(record):
     """Return how many samples are good."""
-    return (
-        f"Each of the {np.count_nonzero(record.good)} samples has the accuracy asked for; "
-        f"{record.left_out} are left out."
-    )
+    lost = f"; {record.left_out} more are left out" if record.left_out else ""
+    return f"Each of {np.count_nonzero(record.good)} samples has the accuracy asked for{lost}."
 
 
 def _study(record):

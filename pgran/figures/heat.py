@@ -21,7 +21,7 @@ from pgran.figures.maps import Map
 log = logging.getLogger("pgran")
 QUARTER = 25.0  # %, what the heater of the experiment changed
 CHANGE = r"change $|A' - A|\,/\,|A|$ (%)"
-WARMED = "each ball warmed alone; red: |A| grows; blue, with a bar: it falls"
+WARMED = "red: |A| grows; blue, with a bar: it falls"
 MEANS = "each ball: mean over its bonds; red: |A| grows; blue: it falls"
 SAID = (
     "Share of balls warmed, or bonds cut, that change the amplitude by more, at all frequencies.",
@@ -39,7 +39,7 @@ def figures(result, **_):
         return
     if has_places(medium):
         if heat.warmed is not None:
-            yield from pages("warmed", warm, heat, medium, "change of |A|", lambda *_: WARMED)
+            yield from pages("warmed", warm, heat, medium, "change of |A|", _warmth)
         if heat.cut is not None:
             yield from pages("cut", cut, heat, medium, "change in dB", _words)
     rows = 1 + (np.count_nonzero(heat.converged_reason > 0) > MOST)
@@ -116,6 +116,14 @@ def _words(record, medium, at, d):
     """Return what the map of the bonds cut shows, in words."""
     each = Map(medium, record.detector[d]).each(decibels(record, at, d))
     return f"each bond cut alone; {HOLLOW if each else MEANS}"
+
+
+def _warmth(record, *_):
+    """Return what the map of warm balls shows, in words."""
+    how = f"bonds {record.factor:g} times as stiff"
+    if not np.isfinite(record.factor):
+        how = f"overlaps larger by {record.overlap:g}"
+    return f"each ball warmed alone, {how}; {WARMED}"
 
 
 def decibels(heat, at, d):

@@ -13,7 +13,8 @@ def figures(result, **_):
     figure, (ax, *below) = style.page(style.COLUMN, 0.2 + 2.3 * rows, nrows=rows)
     series(ax, relaxation)
     style.legend_above([ax])
-    said = ["Amplitude against time, a step being one bond that is drawn anew."]
+    omega = rf"{relaxation.omega / result.medium.omega_mx:.4g} $\omega_{{mx}}$"
+    said = [f"Amplitude at {omega} against time, a step being one bond that is drawn anew."]
     drawn = [
         (spectrum, power, "Its power spectrum, the power law fitted to it, and slope -2."),
         (memory, remembered, "Its autocorrelation, and the band that it must lie in."),

@@ -16,6 +16,7 @@ from pgran.errors import FileError
 
 MM = 1 / 25.4  # in inches
 COLUMN, PAGE = 85 * MM, 170 * MM  # widths: one column of a journal, and two
+UNIT = "omega_mx"  # how the line that marks it is found
 FEW, HANDFUL = 100, 10  # points that are marked by dots, and that make no curve
 LETTERS, SMALL = 15, 17  # so many to an inch, and of a legend's
 SIGNED = "cividis"  # from -1 to 1: the sign is seen in grey, too
@@ -150,7 +151,8 @@ def frequencies(ax, x, label=FREQUENCY, within=(0.0, np.inf)):
     # how many does not depend on the layout, which depends on it
     ax.locator_params("x", nbins=6 if ax.figure.get_figwidth() < 1.5 * COLUMN else 10)
     if low < 1 < high:
-        ax.axvline(1.0, color=MODE, linewidth=0.6, linestyle=(0, (1, 2)), zorder=0.5)
+        look = {"color": MODE, "linewidth": 0.6, "linestyle": (0, (1, 2)), "gid": UNIT}
+        ax.axvline(1.0, zorder=0.5, **look)
 
 
 def letter(panels):
@@ -197,7 +199,8 @@ def characters(figure):
 
 def _letters(text):
     """Return about how many letters the longest line of a text has, when its formulas are drawn."""
-    return max(len(re.sub(r"\\[a-zA-Z]+", "x", line)) for line in text.split("\n"))
+    drawn = re.sub(r"[${}_^]|\\[,;]", "", re.sub(r"\\[a-zA-Z]+", "x", text))
+    return max(map(len, drawn.split("\n")))
 
 
 def legend_above(panels):

@@ -184,6 +184,8 @@ def add_measured(made, results, data, label):
     style.legend_above(made["amplitude"].panels)
     made["amplitude"].set_figheight(made["amplitude"].get_figheight() + 0.13)
     _finish(made["phase"])
+    for part in ("amplitude", "phase"):
+        made[part].caption += f" Circles: measured ({label})." if part in data else ""
     if not seen.any():
         raise FileError(f"{label}: none of its frequencies is one of the sweep; omega is angular, "
                         "in the unit of the result")  # fmt: skip
