@@ -18,8 +18,8 @@ def figures(result, response=None, **_):
     style.legend_above([ax])
     figure.caption = (
         f"A pulse ({signals.shape}): displacements of balls against time, by their distance from "
-        "what is driven, each in units of its largest; at the bottom the motion of the drive; thick "
-        "ticks: arrival of the front, a tenth of the largest displacement; pale: envelopes."
+        "what is driven, each in units of its largest; at the bottom the motion of the drive; "
+        "thick ticks: arrival of the front, a tenth of the largest displacement; pale: envelopes."
     )
     yield "signals", figure
     if signals.field is not None and getattr(lattice, "position", lattice.shape) is not None:
