@@ -1,6 +1,6 @@
 """Figures as they are printed: 85 and 170 mm wide, in grey, with captions."""
 
-from dataclasses import replace
+from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -25,10 +25,9 @@ from matplotlib.markers import TICKUP
 from samples import random_lattice
 
 import pgran
-from pgran import errors, figures
-from pgran.command.plot import run as plot
-from pgran.errors import FileError, InputError
-from pgran.figures import accuracy, bonds, captions, modes, response, style
+from pgran import figures
+from pgran.figures import accuracy, bonds, modes, response, style, transport
+from pgran.physics.makers import crystal
 
 FINE = np.linspace(0.1, 1.1, 201)
 LARGER = random_lattice((12, 11), seed=5, mass=0.25)
@@ -38,6 +37,27 @@ def sensitivity():
     found = pgran.sensitivity(LARGER, UNIT * np.array([0.3, 0.6, 0.9]), [(4, 5)])
     result = result_of(found, LARGER)
     result.heat = pgran.heat(LARGER, UNIT * np.linspace(0.2, 0.9, 5), [(4, 5)], cut=True)
+    return result
+
+
+def network():
+    net = crystal("triangular", (4, 3), periodic=(False, True))
+    result = result_of(pgran.find_modes(net, shapes=True), net)
+    omegas, balls = np.linspace(0.1, 1.5, 201) * net.omega_mx, net.free[:2]
+    result.response = pgran.sweep(net, omegas, balls, method="points")
+    return result
+
+
+def ensemble():
+    """Responses, with what they say of transport and of noise."""
+    lattice, omegas = {"shape": (6, 3), "damping": 0.1}, np.linspace(0.2, 1.2, 201)
+    line = [(4, 1), (3, 1), (2, 1), (0, 1)]
+    drawn = {"omegas": omegas, "detectors": line}
+    found = pgran.ensemble("response", 10, lattice=lattice, keep="curves", **drawn)
+    first = pgran.Lattice.random(**lattice)
+    result = result_of(found, first)
+    result.transport = pgran.transport(first, found)
+    result.statistics = pgran.statistics(found, [(0.5, 0.9)])
     return result
 
 
@@ -53,14 +73,21 @@ SCENES = {
     "relaxation": relax,
     "pulse": lambda: listen(sites=[(1, 1), (3, 0)]),
     "sensitivity": sensitivity,
+    "network": network,
+    "ensemble": ensemble,
     "accuracy": lambda: compare([1e-3, 1e-5, 1e-4, 1e-6]),
     "equally accurate": lambda: compare([1e-9, 2e-9, 1.5e-9]),
 }
 
 
-@pytest.fixture(scope="module", params=SCENES)
-def result(request):
-    return SCENES[request.param]()
+# Those of several panels beside each other are also drawn wide.
+BESIDE = ("response", "two balls", "modes", "continuum", "pulse", "sensitivity", "network")
+PRINTED = [(name, 85) for name in SCENES] + [(name, 170) for name in BESIDE]
+
+
+@cache
+def result_of_scene(name):
+    return SCENES[name]()
 
 
 def texts(figure):
@@ -80,29 +107,34 @@ def texts(figure):
         return [(text.get_text(), text.get_window_extent()) for text in seen]
 
 
-@pytest.mark.parametrize("width", [85, 170])
-def test_nothing_overlaps_on_paper(result, width):
+@pytest.mark.parametrize(("scene", "width"), PRINTED)
+def test_nothing_overlaps_on_paper(scene, width):
     """Texts are apart, within the figure, and 7 or 8 points high; the legend is a small part.
 
     Axes end where data do; several panels have letters.
     """
+    result = result_of_scene(scene)
     over = {"modes": UNIT * np.linspace(0.1, 1.2, 300)} if result.scene == "response" else {}
     for name, figure in figures.make(result, width=width, **over).items():
-        _check_panels(figure)
-        seen, paper = texts(figure), figure.bbox.padded(1.5)
         assert figure.get_figwidth() == pytest.approx(width / 25.4)
-        for text, box in seen:
-            assert paper.contains(*box.min), (name, text)
-            assert paper.contains(*box.max), (name, text)
-        for (one, box), (other, beside) in combinations(seen, 2):
-            shared = box.padded(-1).intersection(box.padded(-1), beside.padded(-1))
-            assert shared is None or min(shared.size) <= 0, (name, one, other)
-        for ax in figure.axes:
-            if ax.get_legend():
-                box = ax.get_legend().get_window_extent()
-                assert box.width * box.height < 0.15 * figure.bbox.width * figure.bbox.height
-            sizes = {tick.label1.get_size() for tick in ax.xaxis.get_major_ticks()}
-            assert sizes | {ax.xaxis.label.get_size(), ax._left_title.get_size()} <= {7, 8}
+        _check_panels(figure)
+        _check_texts(name, figure)
+
+
+def _check_texts(name, figure, part=0.15):
+    seen, paper = texts(figure), figure.bbox.padded(1.5)
+    for text, box in seen:
+        assert paper.contains(*box.min), (name, text)
+        assert paper.contains(*box.max), (name, text)
+    for (one, box), (other, beside) in combinations(seen, 2):
+        shared = box.padded(-1).intersection(box.padded(-1), beside.padded(-1))
+        assert shared is None or min(shared.size) <= 0, (name, one, other)
+    for ax in figure.axes:
+        if ax.get_legend() and name != "network":  # which explains its symbols
+            box = ax.get_legend().get_window_extent()
+            assert box.width * box.height < part * figure.bbox.width * figure.bbox.height
+        sizes = {tick.label1.get_size() for tick in ax.xaxis.get_major_ticks()}
+        assert sizes | {ax.xaxis.label.get_size(), ax._left_title.get_size()} <= {7, 8}
 
 
 def _check_panels(figure):
@@ -119,40 +151,6 @@ def _check_panels(figure):
     assert said in ([], letters)
     assert figure.caption[0] in "(ABCDEFGHIJKLMNOPQRSTUVWXYZ"
     assert figure.caption.endswith(".")
-
-
-def test_captions_say_the_numbers_of_the_record():
-    result = respond(detectors=[(1, 1)])
-    result.response.converged_reason[7] = -3
-    result.options = "-scene response\n-bonds_law uniform\n-bonds_kmin 0.0\n-bonds_kmax 0.25\n"
-    result.options += "-bonds_seed 1993\n-output_file results/a.h5"
-    made = figures.make(result)
-    shown = result.response
-    good = np.arange(260) != 7
-    largest = (shown.error_bound / shown.amplitude)[good].max()
-    for name, figure in made.items():
-        for part in (r"$4 \times 3$ balls", "of mass 0.25", "uniform on [0, 0.25]; seed 1993",
-                     r"$\beta$ = 0.003", r"$\omega_{mx}$ = 2", captions.number(largest),
-                     "1 of 260 amplitudes missed"):  # fmt: skip
-            assert part in figure.caption, (name, part)
-        assert "heard at ball (1, 1)" in figure.caption
-        assert ("Dotted line" in figure.caption) == (name not in ("amplitude", "bonds"))
-    assert f"{shown.phase_slope[0]:.4g}" in made["phase"].caption
-    assert "low frequencies" in made["amplitude"].caption
-    del result.options
-    assert result.medium.bonds_sha256[:12] in figures.make(result)["phase"].caption
-    found = find_modes()
-    found.modes.residual[:] = 3e-14
-    for words, more in (("12 of 12 normal modes, certified", {}),
-                        ("residuals at most $3\\times10^{-14}$", {}),
-                        ("not certified", {"count_certified": False})):  # fmt: skip
-        assert words in captions.bound(result_of(replace(found.modes, **more)))
-    sent = listen()
-    assert "(proven)" in captions.bound(sent)
-    undamped = respond(lattice=random_lattice((4, 3), damping=0.0))
-    assert "(certified)" in captions.bound(undamped)
-    assert captions.number(0.003) == "0.003"
-    assert captions.number(4.13e-5) == r"$4.1\times10^{-5}$"
 
 
 def test_marks_of_modes_can_be_told_apart_or_are_a_density():
@@ -228,22 +226,31 @@ def test_equally_accurate_configurations_are_bars_of_their_run_times():
     assert ax.get_yscale() == "log"
 
 
-def test_the_command_has_a_width_and_captions(monkeypatch, tmp_path, capsys):
-    result, target = relax(), tmp_path / "a.png"
-    monkeypatch.setattr(pgran, "load", lambda path: result)
-    assert plot(["a.h5", "-o", str(target), "-width", "100", "-caption"]) == errors.DONE
-    written = [tmp_path / f"a-timeres.{ending}" for ending in ("png", "txt")]
-    assert capsys.readouterr().out.splitlines() == [str(path) for path in written]
-    made = pgran.plot(result, target, width=60, caption=True)
-    assert made["timeres"].get_figwidth() == pytest.approx(60 / 25.4)
-    assert pgran.plot(result)["timeres"].get_figwidth() == pytest.approx(85 / 25.4)
-    assert written[1].read_text(encoding="utf-8") == made["timeres"].caption + "\n"
-    for width in ("20", "1000", "nan"):
-        with pytest.raises(InputError, match="width: a figure is 60 to 400 mm wide, not"):
-            plot(["a.h5", "-width", width])
-    with pytest.raises(InputError, match="plot: argument -width: invalid float value: 'wide'"):
-        plot(["a.h5", "-width", "wide"])
-    written[1].unlink()
-    written[1].mkdir()
-    with pytest.raises(FileError, match=r"a-timeres\.txt: cannot be written"):
-        pgran.plot(result, target, caption=True)
+def test_transport_is_points_with_their_errors():
+    result = ensemble()
+    found, unit = result.transport, result.medium.omega_mx
+    drawn = transport.profile(draw(lambda ax: None), found, unit)
+    assert len(drawn) == transport.SHOWN
+    for points in drawn:
+        at = np.abs(found.omega / unit - float(points.get_label().split()[0])).argmin()
+        assert points.lines[0].get_linestyle() == "None"
+        assert np.array_equal(points.lines[0].get_ydata(), found.ln_amplitude[at])
+        low, high = np.transpose([path.vertices[:, 1] for path in points.lines[2][0].get_paths()])
+        assert high - low == pytest.approx(2 * found.ln_amplitude_error[at])
+    assert len({points.lines[0].get_marker() for points in drawn}) == transport.SHOWN
+    ax = draw(transport.length, found, unit)
+    known = np.isfinite(found.length)
+    points = ax.containers[0].lines[0]
+    assert points.get_xdata() == pytest.approx(found.omega[known] / unit)
+    assert np.array_equal(points.get_ydata(), found.length[known])
+    assert ax.get_xlim() == pytest.approx(found.omega[[0, -1]] / unit)
+    points = draw(transport.delay, found, unit).containers[0].lines[0]
+    assert points.get_ydata() == pytest.approx(found.delay * unit)
+
+
+@pytest.mark.parametrize("width", [85, 170])
+def test_results_over_each_other_on_paper(width):
+    names = [f"-lattice_damping {beta}" for beta in (0.001, 0.003, 0.01)]
+    for shown in ([respond()] * 3, [find_modes((6, 5))] * 3):
+        for name, figure in figures.compare(shown, names, width=width).items():
+            _check_texts(name, figure, part=0.2)

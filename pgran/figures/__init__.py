@@ -50,7 +50,7 @@ def _finished(made, results, si):
         if hasattr(results[0], "medium"):
             physical.label_axes(figure, results[0].medium, si)
         style.letter(figure.panels)
-        figure.caption = captions.complete(figure, results)
+        figure.caption = captions.complete(figure, results, si)
     return made
 
 

@@ -29,7 +29,7 @@ def number(value, digits=2):
     return rf"${mantissa}\times10^{{{int(exponent)}}}$"
 
 
-def complete(figure, results):
+def complete(figure, results, si):
     """Return a figure's own caption with the sample, and the bound reached, of each result.
 
     Not collective.
@@ -38,8 +38,10 @@ def complete(figure, results):
     ----------
     figure : pgran.figures.style.Page
     results : sequence of pgran.record.Result
+    si : pgran.results.si.SI
+        The program's units.
     """
-    samples = dict.fromkeys(sample(result) for result in results)
+    samples = dict.fromkeys(sample(result, si) for result in results)
     reached = dict.fromkeys(bound(result) for result in results)
     marked = any(line.get_gid() == style.UNIT for ax in figure.panels for line in ax.get_lines())
     unit = r"Dotted line: $\omega_{mx}$." if marked else ""
@@ -57,10 +59,10 @@ def slopes(response):
     return f" Slopes: {', '.join(said)}, in {unit}." if said else ""
 
 
-def sample(result):
+def sample(result, si):
     """Return what was computed on: size, law and seed of the bonds or the network's file, damping.
 
-    Not collective.
+    Not collective. Parameters are as above.
     """
     medium = getattr(result, "medium", None)
     if medium is None:
@@ -87,7 +89,7 @@ def sample(result):
         text += f"; seed {bonds['seed']}"
     else:
         text += f"; SHA-256 of the bonds {medium.bonds_sha256[:12]}"
-    unit = rf"$\omega_{{mx}}$ = {number(medium.omega_mx, 4)}"
+    unit = rf"$\omega_{{mx}}$ = {number(medium.omega_mx, 4)}{si.say('Hz', medium.omega_mx)}"
     text += rf"; damping $\beta$ = {number(medium.damping)}; {unit}"
     return f"{text}{_heard(result)}."
 

@@ -128,6 +128,8 @@ def motion(ax, network, view, values, drive=0.0, beyond=False):
     arrows = longest * in_space(moves[:, :axes])[chosen][:, view.axes] / unit
     look = {"angles": "xy", "scale_units": "xy", "scale": 1, "units": "inches", "width": 0.008}
     look |= {"minlength": 0, "zorder": 3, "clip_on": False, "in_layout": False}
+    if numbers is not None:  # seen on dark balls, too
+        look |= {"edgecolor": "white", "linewidth": 0.3}
     drawn_arrows = ax.quiver(*view.xy[chosen].T, *arrows.T, **look)
     return (drawn_arrows if numbers is None else drawn), unit
 
@@ -138,7 +140,8 @@ def explain(figure, network, *more):
     said = {"scalar": "each panel scaled by itself", "vector": arrows}
     turns = "; colours: radius times angle" if network.built.turns == 1 else ""
     said["rotations"] = arrows + turns
-    held = "dark: balls at rest; blue: driven balls" if network.held.any() else ""
+    rim = " rim" if turns or network.displacement == "scalar" else ""
+    held = f"dark{rim}: balls at rest; blue{rim}: driven balls" if network.held.any() else ""
     text = "; ".join([text for text in (*more, held) if text])
     rows = style.above(figure, said[network.displacement], text)
     figure.set_figheight(figure.get_figheight() + 0.15 * rows)

@@ -2,7 +2,6 @@
 
 import numpy as np
 from matplotlib.ticker import (
-    AutoLocator,
     FuncFormatter,
     Locator,
     LogLocator,
@@ -87,7 +86,7 @@ def convert(axis, factor):
         linear = axis.get_transform().linthresh * factor
         major = SymmetricalLogLocator(base=10, linthresh=linear)
     else:
-        major = AutoLocator()
+        major = style.round_ticks(axis.figure)
     axis.set_major_locator(Ticks(major, factor))
     axis.set_minor_locator(Ticks(minor, factor))
     axis.set_major_formatter(FuncFormatter(lambda x, _: _written(x * factor)))

@@ -10,6 +10,7 @@ import matplotlib
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import offset_copy
 
 from pgran.errors import FileError
@@ -148,8 +149,7 @@ def frequencies(ax, x, label=FREQUENCY, within=(0.0, np.inf)):
     low, high = limits(x)
     low, high = max(low, within[0]), min(high, within[1])
     ax.set(xlim=(low, high), xlabel=label)
-    # how many does not depend on the layout, which depends on it
-    ax.locator_params("x", nbins=6 if ax.figure.get_figwidth() < 1.5 * COLUMN else 10)
+    ax.xaxis.set_major_locator(round_ticks(ax.figure))
     if low < 1 < high:
         look = {"color": MODE, "linewidth": 0.6, "linestyle": (0, (1, 2)), "gid": UNIT}
         ax.axvline(1.0, zorder=0.5, **look)
@@ -159,6 +159,11 @@ def letter(panels):
     """Put (a), (b) and so on before the titles of several panels."""
     for name, ax in zip(LETTER, panels if len(panels) > 1 else (), strict=False):
         ax.set_title(f"({name}) {ax.get_title(loc='left')}".strip())
+
+
+def round_ticks(figure):
+    """Return what makes ticks, as many whatever the layout is: that depends on them."""
+    return MaxNLocator(6 if figure.get_figwidth() < 1.5 * COLUMN else 10, steps=[1, 2, 2.5, 5, 10])
 
 
 def symmetric(ax, values, threshold):

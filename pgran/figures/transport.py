@@ -33,7 +33,7 @@ def profile(ax, found, unit):
     ax.set(xlabel=DISTANCE, ylabel=r"$\langle\ln|A|\rangle$")
     drawn = []
     for number, mark, shade in zip(chosen, "osv^", style.colours(SHOWN), strict=False):
-        label = rf"$\omega$ = {found.omega[number] / unit:.3g} $\omega_{{mx}}$"
+        label = rf"{found.omega[number] / unit:.3g} $\omega_{{mx}}$"
         error = found.ln_amplitude_error[number]
         look = {"fmt": mark, "markersize": 3, "elinewidth": 0.8, "label": label, "color": shade}
         drawn.append(ax.errorbar(found.depth, found.ln_amplitude[number], error, **look))
