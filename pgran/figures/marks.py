@@ -5,7 +5,7 @@ from matplotlib.markers import TICKUP
 
 from pgran.figures import style
 
-RUG = 1.2  # points on paper that modes are apart at least to be marked one by one
+RUG = 1.0  # points on paper that modes are apart at least to be marked one by one
 
 
 def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
@@ -92,6 +92,6 @@ def _mark(ax, x, height, **mark):
     low, high = ax.get_xlim()
     inside = np.asarray(x)[(low <= x) & (x <= high)]
     if inside.size:
-        mark |= {"linestyle": "none", "markeredgewidth": 0.5, "clip_on": False, "zorder": 5}
+        mark |= {"linestyle": "none", "markeredgewidth": 0.4, "clip_on": False, "zorder": 5}
         place = {"transform": ax.get_xaxis_transform(), "scalex": False, "scaley": False}
         ax.plot(inside, np.full(inside.size, height), **place, **mark)
