@@ -71,7 +71,7 @@ def test_the_command_has_a_width_and_captions(monkeypatch, tmp_path, capsys):
     for width in ("20", "1000", "nan"):
         with pytest.raises(InputError, match="width: a figure is 60 to 400 mm wide, not"):
             plot(["a.h5", "-width", width])
-    with pytest.raises(InputError, match="plot: argument -width: invalid float value: 'wide'"):
+    with pytest.raises(InputError, match="plot: -width: invalid float value: 'wide'"):
         plot(["a.h5", "-width", "wide"])
     written[1].unlink()
     written[1].mkdir()
