@@ -15,8 +15,8 @@ run() { # NAME EXPERIMENT WORDS ...
 }
 
 same=(
-  continuum_undamped continuum_damped response modes projection_dominant projection_three_modes
-  relaxation_long response_damping_small response_damping_large
+  continuum_undamped continuum_damped response modes projection_one_frequency projection_dominant
+  projection_three_modes relaxation_long response_damping_small response_damping_large
 )
 for name in "${same[@]}"; do
   run "$name" "$name"

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from pgran.figures.modes import pick
 from pgran.physics.phase import fit_line
 
 DEEP = 10.0  # dB: a sharp decrease
@@ -47,6 +48,12 @@ def count(modes, low, high):
 def nearest(modes, omega):
     """Return the frequency of the mode nearest to one, and its participation ratio."""
     at = np.abs(modes.omega - omega).argmin()
+    return modes.omega[at], modes.participation[at]
+
+
+def usual(modes):
+    """Return frequency and participation ratio of the second of the modes that are pictured."""
+    at = pick(modes.omega, modes.participation)[1]
     return modes.omega[at], modes.participation[at]
 
 

@@ -63,6 +63,7 @@ def compare(errors):
     arrays |= {"seconds": seconds, "seconds_min": 0.9 * seconds, "seconds_max": 1.1 * seconds}
     arrays |= {"failures": np.where(seconds == 4, 4, 0), "on_front": seconds < 3}
     arrays["solver"] = np.array([f"solver{n}" for n in range(len(errors))])
-    unseen = dict.fromkeys(["label", "tolerance", "error_median", "iterations"])
+    arrays["label"] = arrays["solver"]
+    unseen = dict.fromkeys(["tolerance", "error_median", "iterations"])
     study = {"experiment": "response", "repeats": 3, "values": 1, "compared": 1}
     return result_of(results.Accuracy(reference_bound=1e-14, **study, **arrays, **unseen))

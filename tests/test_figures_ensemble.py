@@ -119,10 +119,10 @@ def test_histograms_count_every_sample_that_has_the_number(of, name, d):
 def test_the_density_of_modes_is_that_of_a_sample():
     found = found_of("modes", "curves")
     counts, edges, _ = ensemble.density(draw(lambda ax: None), found, MEDIUM).get_data()
-    assert np.sum(counts * np.diff(edges)) == pytest.approx(FIRST.balls)
+    assert np.sum(counts * np.diff(edges)) == pytest.approx(1)  # per ball
     ax = draw(ensemble.density, found, MEDIUM)
     each = [np.histogram(row / UNIT, edges)[0] / np.diff(edges) for row in found.mode_omega]
-    error = np.std(each, axis=0, ddof=1) / np.sqrt(12)
+    error = np.std(each, axis=0, ddof=1) / np.sqrt(12) / FIRST.balls
     top, _, bottom = ax.patches[0].get_data()
     np.testing.assert_allclose(top - bottom, 2 * error, atol=1e-9)
 

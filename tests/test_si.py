@@ -139,7 +139,7 @@ def test_axes():
             assert said == pytest.approx(to_hertz * there, rel=1e-3)
             seen += ax.get_xlabel().endswith("frequency (kHz)")
         assert seen
-    assert made["density"].axes[0].get_ylabel() == "density of modes (1/kHz)"
+    assert made["density"].axes[0].get_ylabel() == "density of modes per ball (1/MHz)"
 
 
 @pytest.mark.parametrize("scale", ["linear", "log", "symlog"])

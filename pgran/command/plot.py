@@ -14,11 +14,15 @@ from pgran.results.si import SI
 
 log = logging.getLogger("pgran")
 
+NARROWEST, WIDEST = 60, 400  # mm
 LONGEST = 120  # characters of a label
 LAID_OVER = {"response": "modes", "pulse": "response"}  # and over what
 
 
-def plot(result, output=None, modes=None, response=None, measured=None, units=None):
+def plot(
+    result, output=None, modes=None, response=None, measured=None, units=None, width=None,
+    caption=False,
+):  # fmt: skip
     """Return the figures of a result by their names, `plot("a.h5")["amplitude"]`; save them too.
 
     Not collective.
@@ -32,7 +36,7 @@ def plot(result, output=None, modes=None, response=None, measured=None, units=No
         Where to save: `results/a.png` gives `results/a-amplitude.png` and so on; the ending decides
         the format. A missing folder is made.
     modes : array_like, optional
-        Angular frequencies of normal modes, marked by pluses on the frequency axes of a response.
+        Angular frequencies of normal modes, marked by ticks on the frequency axes of a response.
     response : pgran.results.Response, optional
         Of the same lattice; its amplitudes are laid over the spectra of a pulse.
     measured : str or os.PathLike, optional
@@ -41,6 +45,11 @@ def plot(result, output=None, modes=None, response=None, measured=None, units=No
     units : tuple of float, optional
         The program's units of length and time in m and s, each may be None: axes are in mm, ms and
         Hz then. By default those that the run was given.
+    width : float, optional
+        Of the figures on paper, in mm, 60 to 400; letters stay as large. Else 85 or 170.
+    caption : bool
+        Save beside each figure a text, `results/a-amplitude.txt`: what it shows, of which sample,
+        how exactly. It is the figure's `caption` in any case.
 
     Returns
     -------
@@ -52,7 +61,7 @@ def plot(result, output=None, modes=None, response=None, measured=None, units=No
         If a file cannot be read or holds nothing to draw, results do not belong together, or a
         figure cannot be saved.
     InputError
-        If modes or a response are to be laid over several results.
+        If modes or a response are to be laid over several results, or the width is impossible.
     PgranError
         If there is no matplotlib.
     """
@@ -62,11 +71,12 @@ def plot(result, output=None, modes=None, response=None, measured=None, units=No
     names = [Path(path).name if path else str(n) for n, path in enumerate(paths, 1)]
     if len(shown) > 1 and not (modes is None and response is None):
         raise InputError("modes and a response are laid over one result only")
-    made = _make(
-        shown, names, units_of(shown, *units or ()), measured, modes=modes, response=response
-    )
+    units = units_of(shown, *units or ())
+    made = _make(shown, names, units, measured, width, modes=modes, response=response)
     if output is not None:
-        figures.save(made, output)
+        written = figures.save(made, output)
+        if caption:
+            figures.save_captions(made, written)
     return made
 
 
@@ -86,12 +96,14 @@ def units_of(results, length=None, time=None):
     return found.pop()
 
 
-def _make(shown, names, units, measured=None, **over):
+def _make(shown, names, units, measured=None, width=None, **over):
     """Return the figures of results whose files have these names. See `plot`."""
+    if width is not None and not NARROWEST <= width <= WIDEST:
+        raise InputError(f"width: a figure is {NARROWEST} to {WIDEST} mm wide, not {width:g}")
     if len(shown) == 1:
-        made = figures.make(shown[0], units, **over)
+        made = figures.make(shown[0], units, width, **over)
     else:
-        made = figures.compare(shown, labels_of(shown, names), units)
+        made = figures.compare(shown, labels_of(shown, names), units, width)
     if measured is not None:
         missed = figures.add_measured(made, shown, read_measured(measured), Path(measured).name)
         if missed:
@@ -120,6 +132,8 @@ def run(words):
     for name, unit in (("length", "m"), ("time", "s")):
         words_of = f"the unit of {name} in {unit}, if not the one that the run was given"
         add(f"-units_{name}", type=positive, metavar=unit.upper(), help=words_of)
+    add("-width", type=float, metavar="MM", help="of the figures on paper; else 85 or 170")
+    add("-caption", action="store_true", help="write a caption beside each figure, FIGURE.txt")
     given = parser.parse_intermixed_args(words)
     if files := [each for each in given.result if each.endswith(".opts")]:
         computes = f"pgran run {files[0]} computes a result, which pgran plot draws"
@@ -134,12 +148,15 @@ def run(words):
         over[name] = record.omega if name == "modes" else record
         if name == "modes" and not record.count_certified:
             log.warning("modes are missing or inaccurate, so not all are marked")
-    units = units_of(shown, given.units_length, given.units_time)
-    made = _make(shown, [path.name for path in paths], units, given.plot_with, **over)
+    units, names = units_of(shown, given.units_length, given.units_time), [p.name for p in paths]
+    made = _make(shown, names, units, given.plot_with, given.width, **over)
     several = "-compared" if len(shown) > 1 else ""
     output = given.output or paths[0].with_name(f"{paths[0].stem}{several}.png")
-    for written in figures.save(made, output):
-        print(written)
+    written = figures.save(made, output)
+    if given.caption:
+        written += figures.save_captions(made, written)
+    for path in written:
+        print(path)
     return DONE
 
 

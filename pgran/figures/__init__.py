@@ -5,7 +5,8 @@ kind of panel, which draws into axes of the user's, with labels for a legend, an
 drew: `response.amplitude(ax, result.response, result.medium)`. Its `figures(result, **over)`
 yields the names and the pages that `pgran plot` saves; `over` is what another result of the same
 lattice adds, `modes` or `response`. `together` lays results of one scene over each other.
-`pgran.figures.style.applied()` is their style.
+`pgran.figures.style.applied()` is their style. The `caption` of a page says what it shows, of which
+sample, and how exactly.
 """
 
 import contextlib
@@ -17,30 +18,39 @@ from pgran.errors import FileError, PgranError
 from pgran.results.si import SI
 
 
-def make(result, si=None, **over):
+def make(result, si=None, width=None, **over):
     """Return all figures of a result by their names. See `pgran.plot`. Not collective."""
     groups = [m.name for m in pkgutil.iter_modules(__path__) if hasattr(result, m.name)]
     if not groups:
         raise FileError(f"nothing to draw in this result (scene {result.scene})")
     _check_unit(result)
     made = {}
-    with _style():
+    with _style(width):
         for group in groups:
             module = importlib.import_module(f"pgran.figures.{group}")
             made |= dict(module.figures(result, **over))
-        _in_units(made, result, si or SI.of(result))
-    return made
+        return _finished(made, [result], si or SI.of(result))
 
 
-def compare(results, labels, si=None):
+def compare(results, labels, si=None, width=None):
     """Return figures of results of one scene over each other. See `pgran.plot`. Not collective."""
     for result in results:
         _check_unit(result)
-    with _style():
+    with _style(width):
         from pgran.figures import together
 
-        made = dict(together.figures(results, labels))
-        _in_units(made, results[0], si or SI())
+        return _finished(dict(together.figures(results, labels)), results, si or SI())
+
+
+def _finished(made, results, si):
+    """Return figures with what all of them have: SI units, letters of panels, whole captions."""
+    from pgran.figures import captions, physical, style
+
+    for figure in made.values():
+        if hasattr(results[0], "medium"):
+            physical.label_axes(figure, results[0].medium, si)
+        style.letter(figure.panels)
+        figure.caption = captions.complete(figure, results, si)
     return made
 
 
@@ -52,15 +62,6 @@ def add_measured(made, results, data, label):
         return together.add_measured(made, results, data, label)
 
 
-def _in_units(made, result, si):
-    """Give the axes of figures SI units, where these are known."""
-    from pgran.figures import physical
-
-    if hasattr(result, "medium"):
-        for figure in made.values():
-            physical.label_axes(figure, result.medium, si)
-
-
 def _check_unit(result):
     """Raise a FileError unless there is a unit of frequency, where one is needed."""
     if hasattr(result, "medium") and not result.medium.omega_mx > 0:
@@ -68,7 +69,7 @@ def _check_unit(result):
 
 
 @contextlib.contextmanager
-def _style():
+def _style(width=None):
     """Make the figures' style hold for a while."""
     try:
         from pgran.figures import style
@@ -77,7 +78,7 @@ def _style():
             f"figures need matplotlib, which cannot be imported ({error}): "
             "pip install matplotlib, or apt install python3-matplotlib"
         ) from None
-    with style.applied():
+    with style.applied(width):
         yield
 
 
@@ -101,4 +102,16 @@ def save(made, output):
         except OSError as error:
             raise FileError(f"{path}: cannot be written: {error.strerror or error}") from None
         written.append(path)
+    return written
+
+
+def save_captions(made, paths):
+    """Save the captions beside figures at these paths; return theirs. Not collective."""
+    written = []
+    for figure, path in zip(made.values(), paths, strict=True):
+        written.append(path.with_suffix(".txt"))
+        try:
+            written[-1].write_text(f"{figure.caption}\n", encoding="utf-8")
+        except OSError as error:
+            raise FileError(f"{written[-1]}: cannot be written: {error.strerror}") from None
     return written

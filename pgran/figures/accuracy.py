@@ -1,12 +1,12 @@
 """The figure of an accuracy study: error against run time, a colour and a mark a solver."""
 
-import textwrap
-
 import numpy as np
+from matplotlib.colors import to_rgb
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from pgran.figures import style
 
+ALIKE = 10  # errors that differ by less are one line: run times are what is to be seen
 MARKS = "os^Dv<>"  # 7, so that with 6 colours no two solvers of 42 look alike
 
 
@@ -15,13 +15,46 @@ def figures(result, **_):
     accuracy = result.accuracy
     drawn = np.isfinite(accuracy.error_max)
     style.check_any(np.flatnonzero(drawn), "configuration has computed anything")
-    figure, (ax,) = style.page(style.PAGE, 3.2)
-    front(ax, accuracy)
-    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1))
+    alike = np.nanmax(accuracy.error_max) < ALIKE * np.nanmin(accuracy.error_max)
+    if alike:
+        figure, (ax,) = style.page(style.PAGE, 0.9 + 0.18 * np.count_nonzero(drawn))
+        times(ax, accuracy)
+    else:
+        figure, (ax,) = style.page(style.PAGE, 2.9)
+        front(ax, accuracy)
+        figure.set_figheight(2.8 + 0.13 * style.legend_above([ax]))
     if not np.all(drawn):
         nothing = ", ".join(dict.fromkeys(accuracy.solver[~drawn]))
-        style.note(figure, textwrap.fill(f"without a result, at some tolerance: {nothing}", 100))
+        style.note(figure, f"without a result, at some tolerance: {nothing}")
+    figure.caption = (
+        f"Largest relative error against run time of {accuracy.experiment}, by solvers and the "
+        f"tolerances given to them; median of {accuracy.repeats} runs, bars: from the shortest to "
+        "the longest."
+    )
     yield "front", figure
+
+
+def times(ax, accuracy):
+    """Draw the run times as bars, of configurations that are equally accurate; return the bars.
+
+    Lines are the range of the repeats; hollow: some failed.
+    """
+    rows = np.flatnonzero(np.isfinite(accuracy.error_max))
+    rows = rows[np.argsort(accuracy.seconds[rows], kind="stable")]
+    seconds, place = accuracy.seconds[rows], np.arange(len(rows))
+    failed = accuracy.failures[rows] > 0
+    shades = np.where(failed[:, None], 1.0, to_rgb(style.pale(style.ACCENT)))
+    look = {"color": shades, "edgecolor": style.ACCENT, "linewidth": 0.6}
+    drawn = ax.barh(place, seconds, 0.7, **look)
+    ends = accuracy.seconds_min[rows], accuracy.seconds_max[rows]
+    ax.hlines(place, *ends, color="black", linewidth=0.8)
+    ax.set_yticks(place, accuracy.label[rows])
+    ax.invert_yaxis()
+    text = f"run time (s), median of {accuracy.repeats}"
+    text += "; hollow: some failed" if failed.any() else ""
+    text += f"\nrelative errors at most {accuracy.error_max[rows].max():.1e}"
+    ax.set(xlabel=text, xlim=(0, 1.02 * ends[1].max()))
+    return drawn
 
 
 def front(ax, accuracy):
@@ -42,8 +75,8 @@ def front(ax, accuracy):
     if np.any(accuracy.failures[drawn]):
         hollow = {"marker": "o", "markerfacecolor": "white", "label": "hollow: some failed"}
         ax.plot([], [], color="#777777", **hollow, **alone)
-    ax.plot([], [], color="#aaaaaa", marker="_", label="bound by the solver", **alone)
-    dotted = {"linewidth": 0.6, "linestyle": ":", "label": "bound of the reference"}
+    ax.plot([], [], color="#aaaaaa", marker="_", label="solver's bound", **alone)
+    dotted = {"linewidth": 0.6, "linestyle": ":", "label": "reference's bound"}
     ax.axhline(accuracy.reference_bound, color="#777777", **dotted)
     low, high = ax.get_ylim()
     ax.set_ylim(low / 2, max(high, 1000 * low))

@@ -5,6 +5,8 @@ import numpy as np
 from pgran.figures import style
 
 STILL = 1e-3  # of the largest: what moves less does not count among the balls that move
+DRIVEN = "Thick blue line: driven wall."
+NARROWEST = 1.3  # inches of a panel
 MANY = 1000  # balls that move; the colours of fewer reach to the largest
 
 
@@ -29,9 +31,9 @@ def beyond(drawn):
 
 
 def draw(ax, values, wall=0.0):
-    """Draw numbers, blue to white to red from -1 to 1; return the image or the line.
+    """Draw numbers from -1, dark blue, to 1, yellow; return the image or the line.
 
-    One axis: a line from wall to wall.
+    The driven wall is a thick blue line. One axis: a line from wall to wall.
 
     Parameters
     ----------
@@ -48,16 +50,18 @@ def draw(ax, values, wall=0.0):
         ax.set(xlim=(-1, nx), ylim=(-1.1, 1.1))
     else:
         place = {"origin": "lower", "extent": (-0.5, nx - 0.5, -0.5, ny - 0.5)}
-        colours = {"cmap": "RdBu_r", "vmin": -1.0, "vmax": 1.0, "interpolation": "nearest"}
+        colours = {"cmap": style.SIGNED, "vmin": -1.0, "vmax": 1.0, "interpolation": "nearest"}
         drawn = ax.imshow(values.T, **place, **colours)
         ax.set(aspect="equal" if 1 / 8 <= ny / nx <= 3 else "auto", ylabel="ball $j$")
+    end = nx - (0.0 if chain else 0.5)
+    ax.axvline(end, color=style.ACCENT, linewidth=3, clip_on=False, zorder=3, label="driven wall")
     ax.set_xlabel("ball $i$")
     ax.locator_params("x" if chain else "both", nbins=6, steps=[1, 2, 5, 10], integer=True)
     return drawn
 
 
 def page(shape, draws, what="displacement"):
-    """Return a figure of up to four panels, next to each other or long ones one below another.
+    """Return a figure of some panels, as many next to each other as fit; long ones stacked.
 
     Parameters
     ----------
@@ -70,24 +74,26 @@ def page(shape, draws, what="displacement"):
         That the colours are of.
     """
     (nx, ny), chain = (*shape, 1)[:2], len(shape) == 1
-    flat = chain or nx > 1.5 * ny
-    rows, columns = (len(draws), 1) if flat else (1, len(draws))
-    width = style.PAGE - 1.2 if flat else min(1.9, (style.PAGE - 1.2) / columns)
-    height = 1.1 if chain else min(max(width * ny / nx, 0.7), 6.0 / rows)
+    flat, room = chain or nx > 1.5 * ny, style.wide(style.PAGE) - 1.2
+    columns = 1 if flat else min(len(draws), max(1, int(room / NARROWEST)))
+    rows = -(-len(draws) // columns)
+    width = room if flat else min(2.2, room / columns)
+    height = 1.1 if chain else min(max(width * ny / nx, 0.7), 7.0 / rows)
     size = columns * width + 1.2, rows * (height + 0.35) + 0.5
     figure, panels = style.page(*size, nrows=rows, ncols=columns, sharex=True, sharey=True)
     figure.set_layout_engine("compressed")  # as many panels as fit, next to each other
+    for ax in panels[len(draws) :]:
+        ax.remove()
+    panels = figure.panels = panels[: len(draws)]
     shown = []
-    for letter, draw_into, ax in zip("abcd", draws, panels, strict=False):
+    for draw_into, ax in zip(draws, panels, strict=True):
         shown.append(draw_into(ax))
-        title = f"({letter}) {ax.get_title(loc='left')}"
-        ax.set_title(title if flat else title.replace(", ", "\n     ", 1))
+        if not flat:
+            ax.set_title(ax.get_title(loc="left").replace(", ", "\n     ", 1))
         ax.label_outer()
     if chain:
         figure.supylabel(f"{what} / largest", fontsize="medium")
-    elif shown[0].get_array() is None:
-        figure.set_figwidth(size[0] - 0.6)  # without a colour bar
-    else:
+    elif shown[0].get_array() is not None:
         few = any(map(beyond, shown))
         bar = {"ticks": [-1, -0.5, 0, 0.5, 1], "pad": 0.02, "extend": "both" if few else "neither"}
         of = "99th percentile" + "\nof balls that move" * (what == "displacement")

@@ -3,10 +3,12 @@
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from pgran.figures import style
 
+WALL, WALL_SHADE = 0.05, "#888888"  # inches
 ROOMY = 25  # points from ball to ball; with more, all balls are drawn
 
 
@@ -14,18 +16,20 @@ def page(lattice, detectors):
     """Return the figure of the bonds in a plane, with its scale of grey."""
     chain, (nx, ny) = len(lattice.shape) == 1, (*lattice.shape, 1)[:2]
     ratio, plane = (ny + 1) / (nx + 1), tuple(detectors[0][2:])
-    width = style.PAGE if chain or nx > 40 or ratio < 0.5 else style.COLUMN
+    width = style.wide(style.PAGE if chain or nx > 40 or ratio < 0.5 else style.COLUMN)
     height = 0.35 if chain else min(max((width - 0.8) * ratio, 0.8), 6.5)
-    columns = 3 if width == style.COLUMN else 6
-    height += 1.1 + 0.13 * (len(detectors) // columns) + 0.2 * len(plane)
-    figure, (ax,) = style.page(width, height)
+    figure, (ax,) = style.page(width, height + 1.0 + 0.2 * len(plane))
     drawn = bonds(ax, lattice, detectors)
     beyond = np.max(drawn.get_array()) > drawn.norm.vmax * (1 + 1e-9)
     look = {"aspect": 9 * width, "pad": 0.05, "extend": "max" if beyond else "neither"}
     bar = figure.colorbar(drawn, ax=ax, orientation="horizontal", **look)
     bar.set_label("bond constant $K$" + (", mean of each ball" if ax.images else ""))
     bar.outline.set_linewidth(0.6)
-    style.legend_above([ax], columns)
+    figure.set_figheight(figure.get_figheight() + 0.13 * style.legend_above([ax]))
+    figure.caption = (
+        "The lattice: a line is a bond, the darker the larger its constant $K$; hatched: walls at "
+        "rest; thick blue line with the arrow: driven wall; dots: detectors."
+    )
     if plane:
         figure.suptitle(f"bonds in the plane $z = {plane[0]}$", fontsize="medium")
     return figure
@@ -86,7 +90,7 @@ def _segments(stiffness):
 
 
 def walls(ax, nx, ny, axes, arrow=True):
-    """Draw the walls, the driven one in blue, and number the balls.
+    """Draw the walls, those at rest hatched and the driven one in blue, and number the balls.
 
     Parameters
     ----------
@@ -99,9 +103,17 @@ def walls(ax, nx, ny, axes, arrow=True):
         Whether a double arrow says what is driven.
     """
     ax.spines[:].set_visible(False)
-    rest = [[(-1, -1), (-1, ny)], [(-1, -1), (nx, -1)], [(-1, ny), (nx, ny)]]
-    rest = LineCollection(rest[: 2 * axes - 1], colors="black", linewidths=1.5, clip_on=False)
-    ax.add_collection(rest)
+    inch = ax.bbox.width / ax.figure.dpi / (nx + 1)  # of a spacing
+    thick = WALL / inch, WALL / inch if axes > 1 and ax.get_aspect() != "auto" else 0.03 * (ny + 1)
+    rest = [(-1 - thick[0], -1, thick[0], ny + 1)]
+    if axes > 1:
+        low, high = -1 - thick[1], ny
+        rest += [(-1 - thick[0], edge, nx + 1 + thick[0], thick[1]) for edge in (low, high)]
+    look = {"facecolor": "white", "edgecolor": WALL_SHADE, "hatch": "//////", "linewidth": 0}
+    for left, bottom, width, height in rest:
+        ax.add_patch(Rectangle((left, bottom), width, height, clip_on=False, **look))
+    ax.set_xlim(-1 - thick[0], nx)
+    ax.set_ylim(-1 - (axes > 1) * thick[1], ny + (axes > 1) * thick[1])
     driven = {"color": style.ACCENT, "linewidth": 3, "label": "driven wall"}
     ax.plot([nx, nx], [-1, ny], clip_on=False, **driven)
     if arrow:

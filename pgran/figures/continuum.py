@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from pgran.figures import style
+from pgran.figures import marks, style
 
 
 def figures(result, **_):
@@ -15,17 +15,23 @@ def figures(result, **_):
     phase(lower, box)
     upper.set_xlabel("")
     (x, y), (lx, ly) = box.point, box.size
-    upper.set_title(
+    numbers = (
         rf"$x$ = {x:g}, $y$ = {y:g}, $L_x$ = {lx:g}, $L_y$ = {ly:g}, "
         rf"$K_0$ = {box.stiffness:g}, $m$ = {box.mass:g}, $\beta$ = {box.damping:g}"
     )
-    style.legend_above([upper], columns=1)
+    style.above(figure, numbers)
+    style.legend_above([upper])
     figure.align_ylabels()
+    figure.caption = (
+        f"The homogeneous box, {numbers}: (a) amplitude at the point relative to the driven wall, "
+        "(b) its phase, against the driving frequency, by the exact series; ticks: resonances"
+        + ("." if box.damping else ", where the amplitude is infinite: peaks end where points lie.")
+    )
     yield "exactpl", figure
 
 
 def amplitude(ax, continuum):
-    """Draw the amplitude against frequency, driven resonances as pluses (paper: exactpl).
+    """Draw the amplitude against frequency, driven resonances as ticks (paper: exactpl).
 
     Amplitudes of zero, on a wall at rest, are gaps.
     """
@@ -34,7 +40,7 @@ def amplitude(ax, continuum):
 
 
 def phase(ax, continuum):
-    """Draw the phase against frequency, driven resonances as pluses (paper: exactpl).
+    """Draw the phase against frequency, driven resonances as ticks (paper: exactpl).
 
     Without damping the displacement is real and its phase 0 or pi.
     """
@@ -53,6 +59,6 @@ def _curve(ax, continuum, values, **line):
     x = continuum.omega / unit
     good = np.isfinite(continuum.amplitude) & (continuum.amplitude > 0)
     ax.set(xlim=style.limits(x), xlabel=r"driving frequency $\omega L_x/\sqrt{K_0/m}$")
-    (curve,) = style.curves(ax, x, values, good, **line)
-    style.mark_modes(ax, continuum.resonance / unit, "driven resonances")
+    (curve,) = marks.curves(ax, x, values, good, **line)
+    marks.modes(ax, continuum.resonance / unit, "driven resonances")
     return curve

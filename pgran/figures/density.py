@@ -5,6 +5,10 @@ import numpy as np
 from pgran.figures import style
 
 FREQUENCY = r"frequency $\omega/\omega_{mx}$"
+SAID = {
+    "staircase": "How many normal modes lie below a frequency: counts.",
+    "density": "Density of the normal modes between counted frequencies.",
+}
 WEYL = {"color": style.UNRESOLVED, "linestyle": "--", "label": "long waves (Weyl)"}
 
 
@@ -14,6 +18,7 @@ def figures(result, **_):
     for panel in (staircase, density):
         figure, (ax,) = style.page(style.COLUMN, 2.5)
         panel(ax, record, lattice)
+        figure.caption = SAID[panel.__name__]
         if record.failures:
             style.note(figure, f"NOT CERTIFIED: {record.failures} counts, left out")
         yield panel.__name__, figure
@@ -33,7 +38,8 @@ def staircase(ax, density, lattice):
     x, known = density.omega / density.omega_mx, density.certified
     dots = {"marker": "."} if len(x) <= 100 else {}
     (curve,) = ax.plot(x, np.where(known, density.count, np.nan), color="black", **dots)
-    ax.set(xlabel=FREQUENCY, ylabel=r"modes below $\omega$", xlim=(x[0], x[-1]))
+    ax.set_ylabel(r"modes below $\omega$")
+    style.frequencies(ax, x, FREQUENCY)
     ax.set_ylim(0, 1.05 * max(density.count.max(), 1))
     fine = np.linspace(density.omega[0], density.omega[-1], 300)
     _weyl(ax, fine, density.weyl(lattice, fine), density)
@@ -54,7 +60,8 @@ def density(ax, density, lattice):
     x = density.omega / density.omega_mx
     ax.stairs(density.density, x, fill=True, color=style.pale(style.ACCENT))
     outline = ax.stairs(density.density, x, color=style.ACCENT)
-    ax.set(xlabel=FREQUENCY, ylabel=r"modes per ball and $\omega_{mx}$", xlim=(x[0], x[-1]))
+    ax.set_ylabel(style.DENSITY)
+    style.frequencies(ax, x, FREQUENCY)
     ax.set_ylim(0, 1.05 * (np.nanmax(density.density, initial=0.0) or 1.0))
     below = density.weyl(lattice, density.omega)
     if below is not None:

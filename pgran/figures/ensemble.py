@@ -19,6 +19,17 @@ NUMBERS = {
     "above": r"modes above $\omega_{mx}$",
 }
 SINGLE = ("#0072B2", "#E69F00", "#009E73")  # three samples
+SAID = {
+    "amplitude": "Amplitude against the driving frequency over samples: the band of 80 % of them, "
+    "their median, three single ones, and the coherent part $|\\langle A\\rangle|$.",
+    "delay": "Group delay against the driving frequency over samples: the band of 80 % of them, "
+    "their median, and three single ones; the axis is linear up to a power of ten next to the "
+    "median, logarithmic beyond.",
+    "density": "Density of the normal modes of a sample per ball and $\\omega_{mx}$, with its "
+    "standard error.",
+    "participation": "Participation ratio of the normal modes against their frequency: the band of "
+    "80 % of them, and their median.",
+}
 BAND, BINS = "#C8C8C8", 30
 
 
@@ -35,7 +46,8 @@ def figures(result, **_):
         for panel in (density, participation):
             figure, (ax,) = style.page(style.COLUMN, 2.5)
             panel(ax, found, lattice)
-            style.legend_above([ax], columns=2)
+            style.legend_above([ax])
+            figure.caption = SAID[panel.__name__]
             made[panel.__name__] = figure
     for name in NUMBERS:
         values = getattr(found, name)
@@ -45,6 +57,10 @@ def figures(result, **_):
             figure, panels = style.page(style.COLUMN, 0.4 + 1.9 * len(shown), nrows=len(shown))
             for ax, d in zip(panels, shown, strict=True):
                 histogram(ax, found, name, d)
+            figure.caption = (
+                f"Histogram over samples: {NUMBERS[name]}; line and band: mean and its standard "
+                "error."
+            )
             made[name] = figure
     for name, figure in made.items():
         if found.left_out:
@@ -103,7 +119,8 @@ def delay(ax, found, lattice, detector=0):
         single = found.sample_delay[:, :, detector] * lattice.omega_mx
     drawn = _band(ax, found, lattice, values, single)
     middle = np.nanmedian(np.abs(values[found.statistic.tolist().index("median")]))
-    ax.set_yscale("symlog", linthresh=10.0 ** round(math.log10(middle)) if middle > 0 else 1.0)
+    threshold = 10.0 ** round(math.log10(middle)) if middle > 0 else 1.0
+    style.symmetric(ax, values[np.isfinite(values)], threshold)
     ax.set_ylabel(r"group delay ($1/\omega_{mx}$)")
     return drawn
 
@@ -117,7 +134,7 @@ def _band(ax, found, lattice, values, single):
         for n, shade in zip(np.flatnonzero(found.good)[:3], SINGLE, strict=False):
             ax.plot(x, single[n], color=shade, linewidth=0.4, label=f"seed {found.seed[n]}")
     (median,) = ax.plot(x, values[row("median")], color="black", linewidth=1.0, label="median")
-    ax.set(xlim=style.limits(x), xlabel=style.FREQUENCY)
+    style.frequencies(ax, x)
     return median
 
 
@@ -129,7 +146,9 @@ def _curves_page(found, lattice, panel):
         panel(ax, found, lattice, d)
         if rows > 1:
             ax.set_title(names[d])
-    style.legend_above([panels[0]], columns=3)
+    rows_above = style.legend_above([panels[0]])
+    figure.set_figheight(figure.get_figheight() + 0.13 * (rows_above - 1))
+    figure.caption = SAID[panel.__name__]
     return figure
 
 
@@ -191,13 +210,14 @@ def density(ax, found, lattice):
     """
     x = found.mode_omega[found.good > 0] / lattice.omega_mx
     edges = _frequency_bins(x)
-    counts = np.array([np.histogram(row, edges)[0] for row in x]) / np.diff(edges)
+    counts = np.array([np.histogram(row, edges)[0] for row in x])
+    counts = counts / np.diff(edges) / lattice.free_balls
     mean, error = counts.mean(axis=0), counts.std(axis=0, ddof=1) / math.sqrt(len(x))
     low, high = mean - error, mean + error
     ax.stairs(high, edges, baseline=low, fill=True, color="#999999", label="its standard error")
     outline = ax.stairs(mean, edges, color="black", label=f"mean of {len(x)} samples")
-    ax.set_ylim(bottom=0)
-    ax.set(xlabel=style.MODE_FREQUENCY, ylabel=r"density of modes (modes per $\omega_{mx}$)")
+    ax.set(ylim=(0, None), ylabel=style.DENSITY)
+    style.frequencies(ax, edges, style.MODE_FREQUENCY)
     return outline
 
 
@@ -217,6 +237,7 @@ def participation(ax, found, lattice):
     )
     median = ax.stairs(band[1], edges, baseline=None, color="black", label="median")
     balls = lattice.free_balls
-    ax.set(yscale="log", ylim=(1, max(balls, 10)), xlabel=style.MODE_FREQUENCY)
+    ax.set(yscale="log", ylim=(1, max(balls, 10)))
+    style.frequencies(ax, edges, style.MODE_FREQUENCY)
     ax.set_ylabel(f"participation ratio $P_i$ (of {balls} balls)")
     return median

@@ -1,19 +1,32 @@
 """The figures of what a warm ball, or a cut bond, does to a signal."""
 
 import logging
-from functools import partial
 
 import numpy as np
 
-from pgran.figures import balls, style
+from pgran.figures import balls, marks, style
+from pgran.figures.influence import (
+    MOST,
+    few,
+    has_places,
+    logarithmic,
+    note_failed,
+    on_bonds,
+    pages,
+    shares,
+    title,
+)
 from pgran.figures.maps import Map
-from pgran.figures.sensitivity import MOST, detectors, few, logarithmic, note_failed, page, title
 
 log = logging.getLogger("pgran")
 QUARTER = 25.0  # %, what the heater of the experiment changed
 CHANGE = r"change $|A' - A|\,/\,|A|$ (%)"
-SIGNS = "red: |A| grows; blue, with a bar: it falls"
+WARMED = "red: |A| grows; blue, with a bar: it falls"
 MEANS = "each ball: mean over its bonds; red: |A| grows; blue: it falls"
+SAID = (
+    "Share of balls warmed, or bonds cut, that change the amplitude by more, at all frequencies.",
+    "Median and largest change against the driving frequency.",
+)
 HOLLOW = "red: |A| grows; blue, hollow: it falls; width: square root"
 
 
@@ -24,26 +37,19 @@ def figures(result, **_):
     if not len(chosen):
         log.warning("no frequency of the heater is as accurate as asked: none is drawn")
         return
-    if getattr(medium, "position", medium.shape) is not None:
-        for name, d in detectors(heat):
-            if heat.warmed is not None:
-                panels = [partial(warm, heat=heat, medium=medium, at=n, d=d) for n in chosen]
-                text = f"each ball warmed alone; {SIGNS}"
-                yield f"warmed{name}", page(heat, medium, d, panels, "change of |A|", text)
-            if heat.cut is not None:
-                panels = [partial(cut, heat=heat, medium=medium, at=n, d=d) for n in chosen]
-                many = not Map(medium, heat.detector[d]).each(decibels(heat, chosen[0], d))
-                text = f"each bond cut alone; {MEANS if many else HOLLOW}"
-                yield f"cut{name}", page(heat, medium, d, panels, "change in dB", text)
+    if has_places(medium):
+        if heat.warmed is not None:
+            yield from pages("warmed", warm, heat, medium, "change of |A|", _warmth)
+        if heat.cut is not None:
+            yield from pages("cut", cut, heat, medium, "change in dB", _words)
     rows = 1 + (np.count_nonzero(heat.converged_reason > 0) > MOST)
-    entries = sum(x is not None for x in (heat.warmed, heat.cut)) * len(heat.detector)
-    size = style.COLUMN, 2.3 * rows + 0.3 + 0.14 * entries
-    figure, panels = style.page(*size, nrows=rows)
-    for letter, panel, ax in zip("ab", (distribution, over_frequency), panels, strict=False):
+    figure, panels = style.page(style.COLUMN, 2.1 * rows + 0.2, nrows=rows)
+    lines = 0
+    for panel, ax in zip((distribution, over_frequency), panels, strict=False):
         panel(ax, heat, medium)
-        if rows > 1:
-            ax.set_title(f"({letter})")
-        style.legend_above([ax], columns=1)
+        lines += style.legend_above([ax])
+    figure.set_figheight(figure.get_figheight() + 0.13 * lines)
+    figure.caption = style.lettered(SAID[:rows])
     note_failed(figure, heat)
     yield "changes", figure
 
@@ -68,7 +74,7 @@ def change(heat, name):
     return np.where(known, grown, np.nan), np.where(known, moved, np.nan)
 
 
-def warm(ax, heat, medium, at, d=0):
+def warm(ax, record, medium, at, d=0):
     """Draw by how much each ball, warm, changes |A|, in units of the largest change that is seen.
 
     Grey: balls that were not warmed. Returns the balls.
@@ -76,23 +82,23 @@ def warm(ax, heat, medium, at, d=0):
     Parameters
     ----------
     ax : matplotlib.axes.Axes
-    heat : pgran.results.Heat
+    record : pgran.results.Heat
         With `warmed`.
     medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
         With positions.
     at, d : int
         Numbers of the frequency and of the detector.
     """
-    seen = Map(medium, heat.detector[d])
+    seen = Map(medium, record.detector[d])
     values = np.full(len(seen.network.held), np.nan)
-    values[heat.ball] = change(heat, "warmed")[0][at, d]
+    values[record.ball] = change(record, "warmed")[0][at, d]
     unit = balls.scale_of(np.nan_to_num(values[seen.free]))
     drawn = seen.discs(ax, values / unit)
-    title(ax, heat, medium, at, f"{100 * unit:.3g} %", balls.beyond(drawn))
+    title(ax, record, medium, at, f"{100 * unit:.3g} %", balls.beyond(drawn))
     return drawn
 
 
-def cut(ax, heat, medium, at, d=0):
+def cut(ax, record, medium, at, d=0):
     """Draw by how many dB each bond, cut, changes |A|, in units of the largest that is seen.
 
     What falls by more than 60 dB is drawn as if by 60. Where bonds are too many to be seen, each
@@ -100,18 +106,24 @@ def cut(ax, heat, medium, at, d=0):
 
     Parameters are those of `warm`.
     """
-    seen = Map(medium, heat.detector[d])
-    values = decibels(heat, at, d)
-    if seen.each(values):
-        unit = balls.scale_of(np.nan_to_num(values[seen.numbers]))
-        drawn = seen.lines(ax, values / unit)
-    else:
-        known = np.isfinite(values)
-        values = seen.summed(np.where(known, values, 0.0)) / np.maximum(seen.summed(known), 1)
-        unit = balls.scale_of(values[seen.free])
-        drawn = seen.discs(ax, values / unit)
-    title(ax, heat, medium, at, f"{unit:.3g} dB", balls.beyond(drawn))
+    seen = Map(medium, record.detector[d])
+    drawn, unit = on_bonds(ax, seen, decibels(record, at, d), mean=True)
+    title(ax, record, medium, at, f"{unit:.3g} dB", balls.beyond(drawn))
     return drawn
+
+
+def _words(record, medium, at, d):
+    """Return what the map of the bonds cut shows, in words."""
+    each = Map(medium, record.detector[d]).each(decibels(record, at, d))
+    return f"each bond cut alone; {HOLLOW if each else MEANS}"
+
+
+def _warmth(record, *_):
+    """Return what the map of warm balls shows, in words."""
+    how = f"bonds {record.factor:g} times as stiff"
+    if not np.isfinite(record.factor):
+        how = f"overlaps larger by {record.overlap:g}"
+    return f"each ball warmed alone, {how}; {WARMED}"
 
 
 def decibels(heat, at, d):
@@ -119,7 +131,7 @@ def decibels(heat, at, d):
     return 20 * np.log10(np.maximum(1 + change(heat, "cut")[0][at, d], 1e-3))
 
 
-def shares(heat):
+def changes(heat):
     """Yield what is changed, the changes in %, shape (nw, nd, count)."""
     for name, label in (("warmed", "ball warmed"), ("cut", "bond cut")):
         if getattr(heat, name) is not None:
@@ -137,12 +149,12 @@ def distribution(ax, heat, medium=None):
     heat : pgran.results.Heat
     """
     drawn = []
-    for n, (label, moved) in enumerate(shares(heat)):
+    for n, (label, moved) in enumerate(changes(heat)):
         for d, name in enumerate(style.ball_names(heat.detector)):
-            size = np.sort(moved[:, d][np.isfinite(moved[:, d])])[::-1]
-            share = np.arange(1, len(size) + 1) / max(len(size), 1)
+            size, share = shares(moved[:, d])
             quarter = np.count_nonzero(size >= QUARTER) / max(len(size), 1)
-            said = f"{name}, {label}: {100 * quarter:.2g} % of cases above"
+            said = f"{label}: {100 * quarter:.2g} % of cases above"
+            said = f"{name}, {said}" if len(heat.detector) > 1 else said
             look = {"linestyle": "-" if n == 0 else "--", "label": said}
             drawn += ax.plot(size, share, color=style.colours(len(heat.detector))[d], **look)
     ax.axvline(QUARTER, color=style.UNRESOLVED, linestyle=":", label="a quarter")
@@ -162,18 +174,24 @@ def over_frequency(ax, heat, medium):
     """
     x, drawn = heat.omega / medium.omega_mx, []
     shades = style.colours(len(heat.detector))
-    for line, (label, moved) in zip(("-", "--"), shares(heat), strict=False):
+    few = len(x) <= style.FEW  # points, where a line would be a polygon
+    looks = ("-", "full"), ("--", "none")
+    for (line, fill), (label, moved) in zip(looks, changes(heat), strict=False):
         known = np.isfinite(moved)
         good = known.any(axis=-1)
         largest = np.where(known, moved, 0.0).max(axis=-1, initial=0.0)
         median = np.full(good.shape, np.nan)
         median[good] = np.nanmedian(moved[good], axis=-1)
-        for what, y, width in (("median", median, 0.7), ("largest", largest, 1.4)):
+        for what, y, width, mark in (("median", median, 0.7, "."), ("largest", largest, 1.4, "^")):
             look = {"linestyle": line, "linewidth": width}
+            if few:
+                look = {"linestyle": "none", "marker": mark, "fillstyle": fill, "markersize": 3}
+                look["markeredgewidth"] = 0.5
             for d, shade in enumerate(shades):
                 text = [f"{what}, {label}"] if d == 0 else None
-                drawn += style.curves(ax, x, y[:, d], good[:, d], text, color=shade, **look)
+                drawn += marks.curves(ax, x, y[:, d], good[:, d], text, color=shade, **look)
     ax.axhline(QUARTER, color=style.UNRESOLVED, linestyle=":")
-    ax.set(yscale="log", xlabel=style.FREQUENCY, ylabel=CHANGE, xlim=style.limits(x))
-    style.mark_failed(ax, x[heat.converged_reason <= 0])
+    ax.set(yscale="log", ylabel=CHANGE)
+    style.frequencies(ax, x)
+    marks.failed(ax, x[heat.converged_reason <= 0])
     return drawn

@@ -9,6 +9,15 @@ from pgran.figures import balls, network, style
 from pgran.figures.view import View
 from pgran.results.space import everywhere
 
+SAID = {
+    "shapes": "Shapes of normal modes, each in units of its largest displacement; $P_i$: how many "
+    "balls take part.",
+    "participation": "Participation ratio $P_i$ of each normal mode against its frequency.",
+    "density": "Density of the normal modes per ball and $\\omega_{mx}$; its area is the share of "
+    "the modes that are shown.",
+}
+NEAR = 0.05  # omega_mx: modes around the middle one that is pictured
+
 
 def figures(result, **_):
     """Yield three shapes if they are stored, participation ratios, the density of many modes."""
@@ -20,6 +29,7 @@ def figures(result, **_):
     for panel in (participation, density) if many else (participation,):
         figure, (ax,) = style.page(style.COLUMN, 2.5)
         panel(ax, record, lattice)
+        figure.caption = SAID[panel.__name__]
         made[panel.__name__] = figure
     for name, figure in made.items():
         style.note_missing(figure, record)
@@ -29,9 +39,9 @@ def figures(result, **_):
 def shape(ax, modes, lattice, mode):
     """Draw the shape of one mode in units of its largest entry (paper: modepic).
 
-    Blue to white to red from -1 to 1. Three dimensions: the plane through the largest entry. One: a
-    line from wall to wall. Of a network the displacements, as `network.motion` draws them. Returns
-    the image, the line, or arrows or balls.
+    Colours from -1, dark blue, to 1, yellow. Three dimensions: the plane through the largest entry.
+    One: a line from wall to wall. Of a network the displacements, as `network.motion` draws them.
+    Returns the image, the line, or arrows or balls.
 
     Parameters
     ----------
@@ -70,13 +80,14 @@ def participation(ax, modes, lattice):
     x, balls = modes.omega / lattice.omega_mx, lattice.free_balls
     look = {"linestyle": "none", "marker": ".", "markeredgewidth": 0, "color": "black"}
     (points,) = ax.plot(x, modes.participation, clip_on=False, **look)
-    ax.set(yscale="log", ylim=(1, max(balls, 10)), xlabel=style.MODE_FREQUENCY)
+    ax.set(yscale="log", ylim=(1, max(balls, 10)))
+    style.frequencies(ax, x, style.MODE_FREQUENCY)
     ax.set_ylabel(f"participation ratio $P_i$ (of {balls} balls)")
     return points
 
 
 def density(ax, modes, lattice):
-    """Draw the histogram of the modes over frequency; its area is their number. Return the outline.
+    """Draw the histogram of the modes over frequency, per ball and omega_mx; return the outline.
 
     Parameters
     ----------
@@ -86,29 +97,44 @@ def density(ax, modes, lattice):
     """
     x = modes.omega / lattice.omega_mx
     counts, edges = np.histogram(x, bins=round(math.sqrt(len(x))))
-    ax.stairs(counts / np.diff(edges), edges, fill=True, color=style.pale(style.ACCENT))
-    outline = ax.stairs(counts / np.diff(edges), edges, color=style.ACCENT)
-    ax.set_ylim(bottom=0)
-    ax.set(xlabel=style.MODE_FREQUENCY, ylabel=r"density of modes (modes per $\omega_{mx}$)")
+    values = counts / np.diff(edges) / lattice.free_balls
+    ax.stairs(values, edges, fill=True, color=style.pale(style.ACCENT))
+    outline = ax.stairs(values, edges, color=style.ACCENT)
+    ax.set(ylim=(0, None), ylabel=style.DENSITY)
+    style.frequencies(ax, edges, style.MODE_FREQUENCY)
     return outline
 
 
-def pick(x):
+def pick(x, participation):
     """Return the indices of the modes to picture, ascending, each once; all if there are three.
 
-    The second lowest mode and those nearest to .6053 and 1, as the paper; `x` in units of omega_mx.
+    The second lowest mode, one near .6 that is extended as the median of those around it, and the
+    one nearest to 1 (paper: modepic).
+
+    Parameters
+    ----------
+    x : numpy.ndarray, shape (nm,)
+        Frequencies in units of omega_mx.
+    participation : numpy.ndarray, shape (nm,)
     """
     if len(x) <= 3:
         return list(range(len(x)))
-    return sorted({1, *(int(np.abs(x - wanted).argmin()) for wanted in (0.6053, 1.0))})
+    distance = np.abs(x - 0.6)
+    near = np.flatnonzero(distance <= max(NEAR, distance.min()))
+    usual = np.median(participation[near])
+    middle = near[np.abs(participation[near] - usual).argmin()]
+    return sorted({1, int(middle), int(np.abs(x - 1.0).argmin())})
 
 
 def _shapes_page(modes, lattice):
     """Return the figure of up to three modes."""
-    picked = pick(modes.omega / lattice.omega_mx)
+    picked = pick(modes.omega / lattice.omega_mx, modes.participation)
     panels = [partial(shape, modes=modes, lattice=lattice, mode=mode) for mode in picked]
     if lattice.group == "lattice":
-        return balls.page(lattice.shape, panels)
+        figure = balls.page(lattice.shape, panels)
+        figure.caption = f"{SAID['shapes']} {balls.DRIVEN}"
+        return figure
     figure = balls.page(View(lattice).extent, panels)
+    figure.caption = SAID["shapes"]
     network.explain(figure, lattice)
     return figure

@@ -32,13 +32,16 @@ def page(network, balls):
     """Return the figure of the contacts, with detectors at these balls."""
     view = View(network, balls[0] if len(balls) else None)
     ratio = view.extent[1] / view.extent[0]
-    width = style.PAGE if ratio < 0.4 else style.COLUMN
-    columns = 2 if width == style.COLUMN else 4
-    entries = 4 + len(balls)
-    height = min(max((width - 0.6) * ratio, 0.6), 7.0) + 0.5 + 0.14 * -(-entries // columns)
+    width = style.wide(style.PAGE if ratio < 0.4 else style.COLUMN)
+    height = min(max((width - 0.6) * ratio, 0.6), 7.0) + 0.5
     figure, (ax,) = style.page(width, height + 0.2 * bool(view.plane))
     contacts(ax, network, balls)
-    style.legend_above([ax], columns)
+    figure.set_figheight(figure.get_figheight() + 0.14 * style.legend_above([ax]))
+    what = "stiffness" if network.force is None else "force"
+    figure.caption = (
+        f"The network: a line is a contact, as thick as its {what}; circles: balls, dark ones at "
+        "rest, blue ones driven along the double arrow; dots: detectors."
+    )
     if view.plane:
         figure.suptitle(f"network in the {view.plane}", fontsize="medium")
     return figure
@@ -88,7 +91,7 @@ def contacts(ax, network, balls=()):
 
 
 def motion(ax, network, view, values, drive=0.0, beyond=False):
-    """Draw how all balls move: vectors as arrows, numbers from -1 to 1 blue to white to red.
+    """Draw how all balls move: vectors as arrows, numbers as colours of -1 to 1.
 
     The largest displacement of all is the unit. Rotations in a plane are such colours too, of
     radius times angle. Returns the balls, or the arrows if there are no colours, and the unit.
@@ -117,7 +120,7 @@ def motion(ax, network, view, values, drive=0.0, beyond=False):
         unit = scale_of(moves[view.seen])
     look = {}
     if numbers is not None:
-        look = {"array": numbers[view.seen, 0] / unit, "cmap": "RdBu_r", "clim": (-1.0, 1.0)}
+        look = {"array": numbers[view.seen, 0] / unit, "cmap": style.SIGNED, "clim": (-1.0, 1.0)}
     drawn = view.draw(ax, **look)
     if axes == 1:
         return drawn, unit
@@ -125,6 +128,8 @@ def motion(ax, network, view, values, drive=0.0, beyond=False):
     arrows = longest * in_space(moves[:, :axes])[chosen][:, view.axes] / unit
     look = {"angles": "xy", "scale_units": "xy", "scale": 1, "units": "inches", "width": 0.008}
     look |= {"minlength": 0, "zorder": 3, "clip_on": False, "in_layout": False}
+    if numbers is not None:  # seen on dark balls, too
+        look |= {"edgecolor": "white", "linewidth": 0.3}
     drawn_arrows = ax.quiver(*view.xy[chosen].T, *arrows.T, **look)
     return (drawn_arrows if numbers is None else drawn), unit
 
@@ -135,10 +140,12 @@ def explain(figure, network, *more):
     said = {"scalar": "each panel scaled by itself", "vector": arrows}
     turns = "; colours: radius times angle" if network.built.turns == 1 else ""
     said["rotations"] = arrows + turns
-    held = "dark: balls at rest; blue: driven balls" if network.held.any() else ""
+    rim = " rim" if turns or network.displacement == "scalar" else ""
+    held = f"dark{rim}: balls at rest; blue{rim}: driven balls" if network.held.any() else ""
     text = "; ".join([text for text in (*more, held) if text])
-    figure.suptitle(f"{said[network.displacement]}\n{text}".strip(), fontsize="medium")
-    figure.set_figheight(figure.get_figheight() + 0.3)
+    rows = style.above(figure, said[network.displacement], text)
+    figure.set_figheight(figure.get_figheight() + 0.15 * rows)
+    figure.caption += f" {said[network.displacement].capitalize()}; {text}."
 
 
 def _entry(ax, label, **look):

@@ -2,7 +2,6 @@
 
 import numpy as np
 from matplotlib.ticker import (
-    AutoLocator,
     FuncFormatter,
     Locator,
     LogLocator,
@@ -18,7 +17,7 @@ from pgran.results.si import prefix_of
 SHOWN = {
     style.FREQUENCY: ("driving frequency", "Hz", 1),
     style.MODE_FREQUENCY: ("mode frequency", "Hz", 1),
-    r"density of modes (modes per $\omega_{mx}$)": ("density of modes", "1/Hz", -1),
+    style.DENSITY: ("density of modes per ball", "1/Hz", -1),
 }
 
 
@@ -87,7 +86,7 @@ def convert(axis, factor):
         linear = axis.get_transform().linthresh * factor
         major = SymmetricalLogLocator(base=10, linthresh=linear)
     else:
-        major = AutoLocator()
+        major = style.round_ticks(axis.figure)
     axis.set_major_locator(Ticks(major, factor))
     axis.set_minor_locator(Ticks(minor, factor))
     axis.set_major_formatter(FuncFormatter(lambda x, _: _written(x * factor)))

@@ -2,40 +2,45 @@
 
 import numpy as np
 
-from pgran.figures import style
+from pgran.figures import marks, style
 
 COEFFICIENT = "coefficient $|c_i|$ (drive = 1)"
 SHOWN = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes of cifreq lie
-HANDFUL = 10  # frequencies or modes that make no curve
+
+SAID = {
+    "onefreq": "Coefficients of the driven lattice in its normal modes at one driving frequency, "
+    "against the frequency of the modes.",
+    "maxci": "Frequency of the mode that is excited most, against the driving frequency.",
+    "cifreq": "Coefficients of successive normal modes against the driving frequency; broken "
+    "lines: their own frequencies.",
+}
 
 
 def figures(result, **_):
-    """Yield what a projection can show.
+    """Yield what a projection is made for.
 
-    One driving frequency: its coefficients. A sweep: the dominant mode and three single modes. A
-    sweep on a handful of modes: these alone.
+    A few driving frequencies: the coefficients at one. A sweep: the dominant mode. A sweep on a
+    handful of modes: these.
     """
     projection = result.projection
     style.check_any(projection.mode_omega, "modes")
-    sweep, many = len(projection.omega) > HANDFUL, len(projection.mode_omega) > HANDFUL
-    panels = [
-        ("onefreq", coefficients, 1, many or not sweep),
-        ("maxci", dominant, 2, many and sweep),
-        ("cifreq", single_modes, 1, sweep),
-    ]
-    for name, draw, columns, shown in panels:
-        if shown:
-            figure, (ax,) = style.page(style.COLUMN, 2.7)
-            draw(ax, projection, result.medium)
-            style.legend_above([ax], columns)
-            style.note_missing(figure, projection)
-            yield name, figure
+    sweep, many = len(projection.omega) > style.HANDFUL, len(projection.mode_omega) > style.HANDFUL
+    if not sweep:
+        name, draw = "onefreq", coefficients
+    else:
+        name, draw = ("maxci", dominant) if many else ("cifreq", single_modes)
+    figure, (ax,) = style.page(style.COLUMN, 2.5)
+    draw(ax, projection, result.medium)
+    figure.set_figheight(2.3 + 0.13 * style.legend_above([ax]))
+    style.note_missing(figure, projection)
+    figure.caption = SAID[name]
+    yield name, figure
 
 
 def coefficients(ax, projection, lattice, drive=SHOWN):
     """Draw the coefficients against the frequency of the modes at one drive (paper: onefreq).
 
-    Returns the curve.
+    A point a mode, on a stem. Returns the points.
 
     Parameters
     ----------
@@ -50,13 +55,16 @@ def coefficients(ax, projection, lattice, drive=SHOWN):
     shown = np.where(accurate == accurate.any(), np.abs(x - drive), np.inf).argmin()
     values = np.abs(projection.coefficient[shown])
     good = accurate[shown] & np.isfinite(values) & (values > 0)
-    ax.set(xlim=style.limits(modes), xlabel=style.MODE_FREQUENCY, yscale="log", ylabel=COEFFICIENT)
+    ax.set(yscale="log", ylabel=COEFFICIENT)
+    style.frequencies(ax, modes, style.MODE_FREQUENCY)
     label = rf"driving frequency {x[shown]:.4g} $\omega_{{mx}}$"
     ax.axvline(x[shown], color=style.ACCENT, zorder=1, label=label)
-    look = {"color": "#999999", "markerfacecolor": "black", "linewidth": 0.5}
-    (curve,) = style.curves(ax, modes, values, good, dots=True, **look)
+    look = {"color": "black", "linestyle": "none", "clip_on": False}
+    (curve,) = marks.curves(ax, modes, values, good, dots=True, **look)
+    if good.any():
+        ax.vlines(modes[good], ax.get_ylim()[0], values[good], color="#bbbbbb", linewidth=0.4)
     if not accurate[shown]:
-        style.mark_failed(ax, x[[shown]])
+        marks.failed(ax, x[[shown]])
     return curve
 
 
@@ -74,13 +82,14 @@ def dominant(ax, projection, lattice):
     x, modes, accurate = _in_units(projection, lattice)
     good = accurate & (projection.dominant >= 0)
     ylabel = r"dominant mode $\omega_i/\omega_{mx}$"
-    ax.set(xlim=style.limits(x), xlabel=style.FREQUENCY, ylabel=ylabel)
+    ax.set_ylabel(ylabel)
+    style.frequencies(ax, x)
     ends = [max(x[0], modes[0]), min(x[-1], modes[-1])]
     if ends[0] < ends[1]:
         ax.plot(ends, ends, color=style.pale(style.ACCENT), linewidth=2.5, label="slope 1")
     look = {"color": "black", "linestyle": "none", "markersize": 2.5}
-    (points,) = style.curves(ax, x, modes[projection.dominant], good, dots=True, **look)
-    style.mark_failed(ax, x[~good])
+    (points,) = marks.curves(ax, x, modes[projection.dominant], good, dots=True, **look)
+    marks.failed(ax, x[~good])
     return points
 
 
@@ -100,16 +109,17 @@ def single_modes(ax, projection, lattice):
     x, modes, accurate = _in_units(projection, lattice)
     chosen = successive(modes, SHOWN if x[0] <= SHOWN <= x[-1] else (x[0] + x[-1]) / 2)
     near = (x >= modes[chosen[0]] - 0.05) & (x <= modes[chosen[-1]] + 0.05)
-    if np.count_nonzero(near) <= HANDFUL:
+    if np.count_nonzero(near) <= style.HANDFUL:
         near[:] = True
     values = np.abs(projection.coefficient[near][:, chosen])
     good = accurate[near, None] & np.isfinite(values) & (values > 0)
-    ax.set(xlim=x[near][[0, -1]], xlabel=style.FREQUENCY, yscale="log", ylabel=COEFFICIENT)
+    ax.set(yscale="log", ylabel=COEFFICIENT)
+    style.frequencies(ax, x[near])
     labels = [rf"$\omega_i$ = {modes[mode]:.5f} $\omega_{{mx}}$" for mode in chosen]
-    drawn = style.curves(ax, x[near], values, good, labels)
+    drawn = marks.curves(ax, x[near], values, good, labels)
     for mode, curve in zip(chosen, drawn, strict=True):
         ax.axvline(modes[mode], color=curve.get_color(), linestyle=":", zorder=1)
-    style.mark_failed(ax, x[near & ~accurate])
+    marks.failed(ax, x[near & ~accurate])
     return drawn
 
 

@@ -15,14 +15,20 @@ def figures(result, response=None, **_):
     signals, lattice = result.pulse, result.medium
     figure, (ax,) = style.page(style.PAGE, min(8.0, 1.6 + 0.7 * (1 + len(signals.detector))))
     seismogram(ax, signals, lattice)
-    style.legend_above([ax], columns=3)
+    style.legend_above([ax])
+    figure.caption = (
+        f"A pulse ({signals.shape}): displacements of balls against time, by their distance from "
+        "what is driven, each in units of its largest; at the bottom the motion of the drive; "
+        "thick ticks: arrival of the front, a tenth of the largest displacement; pale: envelopes."
+    )
     yield "signals", figure
     if signals.field is not None and getattr(lattice, "position", lattice.shape) is not None:
         yield "field", _field_page(signals, lattice)
     if signals.energy is not None:
-        figure, (ax,) = style.page(style.COLUMN, 2.5)
+        figure, (ax,) = style.page(style.COLUMN, 2.7)
         energy(ax, signals, lattice)
-        style.legend_above([ax], columns=1)
+        style.legend_above([ax])
+        figure.caption = "Work of the drive, energy of balls and springs, and what damping took."
         yield "energy", figure
     yield "spectrum", transfer.page(signals, lattice, response)
     if lattice.group == "lattice":
@@ -74,7 +80,7 @@ def seismogram(ax, signals, lattice):
 def field(ax, signals, lattice, number):
     """Draw the displacement of all balls at one time in units of its largest, or the wall's.
 
-    Blue to white to red from -1 to 1; of many balls a few may be beyond, as in `balls.scale_of`.
+    Colours from -1, dark blue, to 1, yellow; of many balls a few may be beyond `balls.scale_of`.
     The driven wall and the detectors are marked. Three dimensions: the plane of the first detector.
     One: a line from wall to wall. A network is drawn by `network.motion`. Returns the image, the
     line, or arrows or balls.
@@ -106,8 +112,6 @@ def field(ax, signals, lattice, number):
     dots = signals.detector[(signals.detector[:, 2:] == plane).all(axis=1), :2]
     heights = values[dots[:, 0]] / unit if chain else dots[:, 1]
     ax.plot(dots[:, 0], heights, label="detectors", **look)
-    end = len(values) - (0.0 if chain else 0.5)
-    ax.axvline(end, color=style.ACCENT, linewidth=3, clip_on=False, label="driven wall")
     ax.set_title(_title(time, lattice, unit, not chain and balls.beyond(drawn)))
     return drawn
 
@@ -145,13 +149,16 @@ def _field_page(signals, lattice):
     """Return the figure of the fields at all times."""
     times = range(len(signals.field_time))
     panels = [partial(field, signals=signals, lattice=lattice, number=n) for n in times]
+    said = "Displacements of all balls at some times."
     if lattice.group == "network":
         view = View(lattice, signals.detector[0, 0])
         figure = balls.page(view.extent, panels)
+        figure.caption = said
         network.explain(figure, lattice, view.plane, "circles: detectors")
         return figure
     figure = balls.page(lattice.shape, panels)
     text = "".join(f"plane $z$ = {z}, " for z in signals.detector[0, 2:])
-    text += "each scaled by itself; circles: detectors; thick blue line: driven wall"
-    figure.suptitle(text, fontsize="medium")
+    text += "each scaled by itself; circles: detectors"
+    style.above(figure, text)
+    figure.caption = f"{said} {text.capitalize()}. {balls.DRIVEN}"
     return figure

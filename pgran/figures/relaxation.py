@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pgran.figures import style
+from pgran.figures import marks, style
 
 
 def figures(result, **_):
@@ -12,15 +12,18 @@ def figures(result, **_):
     rows = 1 + bool(power) + bool(remembered)
     figure, (ax, *below) = style.page(style.COLUMN, 0.2 + 2.3 * rows, nrows=rows)
     series(ax, relaxation)
-    marks = len(ax.get_legend_handles_labels()[0]) > len(relaxation.detector)
-    style.legend_above([ax], columns=1 if marks else 2)
-    drawn = [(spectrum, power), (memory, remembered)]
-    for panel, (draw, record) in zip(below, [pair for pair in drawn if pair[1]], strict=True):
+    style.legend_above([ax])
+    omega = rf"{relaxation.omega / result.medium.omega_mx:.4g} $\omega_{{mx}}$"
+    said = [f"Amplitude at {omega} against time, a step being one bond that is drawn anew."]
+    drawn = [
+        (spectrum, power, "Its power spectrum, the power law fitted to it, and slope -2."),
+        (memory, remembered, "Its autocorrelation, and the band that it must lie in."),
+    ]
+    for panel, (draw, record, text) in zip(below, [d for d in drawn if d[1]], strict=True):
         draw(panel, record)
         panel.legend(loc="lower left", borderaxespad=0.8)
-    if below:
-        for letter, panel in zip("abc", [ax, *below], strict=False):
-            panel.set_title(f"({letter})")
+        said.append(text)
+    figure.caption = style.lettered(said)
     figure.align_ylabels()
     missed = np.isnan(relaxation.displacement).any(axis=2)
     if missed.any():
@@ -43,15 +46,15 @@ def series(ax, relaxation, steps=2000):
         How many are drawn.
     """
     amplitude = np.abs(relaxation.displacement[0, : steps + 1])
-    limit = style.upper_limits(relaxation)[0, : steps + 1]
+    limit = marks.upper_limits(relaxation)[0, : steps + 1]
     time, good = np.arange(len(amplitude)), np.isfinite(amplitude) & np.isnan(limit)
     ax.set(xlabel="time (steps of one bond)", ylabel=style.AMPLITUDE)
     ax.set_xlim(0, max(len(time) - 1, 1))
     ax.locator_params("x", nbins=5)
-    drawn = style.curves(ax, time, amplitude, good, style.ball_names(relaxation.detector), limit)
+    drawn = marks.curves(ax, time, amplitude, good, style.ball_names(relaxation.detector), limit)
     if np.isfinite(amplitude).any():
         ax.set_ylim(bottom=0)
-    style.mark_failed(ax, time[np.isnan(amplitude).any(axis=1)])
+    marks.failed(ax, time[np.isnan(amplitude).any(axis=1)])
     return drawn
 
 

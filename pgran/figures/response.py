@@ -4,26 +4,44 @@ import math
 
 import numpy as np
 
-from pgran.figures import bonds, style
+from pgran.figures import bonds, captions, marks, style
 from pgran.results.response import LINES
 
 EDGES = (0.0, 0.3, 1.0, math.inf)  # of the three regimes, in units of omega_mx
-REGIMES = ("low frequencies", "intermediate frequencies", "high frequencies")
+REGIMES = (
+    r"low frequencies, $\omega < 0.3\,\omega_{mx}$",
+    r"intermediate frequencies",
+    r"high frequencies, $\omega > \omega_{mx}$",
+)
+
+SAID = {
+    "amplitude": "Amplitude of the steady response relative to the driven wall, against the "
+    "driving frequency.",
+    "phase": "Unwrapped phase of the steady response against the driving frequency, and straight "
+    "lines fitted to it.",
+    "delay": "Group delay $-d \\arg A / d\\omega$ of the steady response; the axis is linear up to "
+    "the median, logarithmic beyond.",
+}
+WALL = (
+    "Magnitude of the force that drives the wall.",
+    "Its phase.",
+    "Mean power that the wall puts in.",
+)
 
 
 def figures(result, modes=None, **_):
     """Yield the amplitudes, a panel a regime, phases, group delay, wall's force, and bonds."""
     response, lattice = result.response, result.medium
     yield "amplitude", amplitude_page([(response, lattice, None, {})], modes)
-    figure, (ax,) = style.page(style.COLUMN, 2.5 + 0.13 * len(response.detector))
-    phase(ax, response, lattice, modes)
-    style.legend_above([ax], columns=1)
-    yield "phase", figure
+    single = {"phase": phase}
     if lattice.damping and response.delay is not None and np.isfinite(response.delay).any():
-        figure, (ax,) = style.page(style.COLUMN, 2.3 + 0.13 * len(response.detector))
-        delay(ax, response, lattice, modes)
-        style.legend_above([ax], columns=1)
-        yield "delay", figure
+        single["delay"] = delay
+    for name, panel in single.items():
+        figure, (ax,) = style.page(style.COLUMN, 2.3)
+        panel(ax, response, lattice, modes)
+        figure.set_figheight(2.3 + 0.13 * style.legend_above([ax]))
+        figure.caption = SAID[name] + (captions.slopes(response) if name == "phase" else "")
+        yield name, figure
     if response.force is not None and np.any(known_force(response)):
         panels = (force, force_phase, power)[: 3 if np.any(known_power(response)) else 2]
         figure, axes = style.page(style.COLUMN, 0.7 + 1.25 * len(panels), nrows=len(panels))
@@ -31,7 +49,8 @@ def figures(result, modes=None, **_):
             panel(ax, response, lattice, modes)
             ax.label_outer()
         figure.align_ylabels()
-        style.legend_above(axes, columns=1)
+        style.legend_above(axes)
+        figure.caption = style.lettered(WALL[: len(panels)])
         yield "wall", figure
     if lattice.group == "lattice":
         yield "bonds", bonds.page(lattice, response.detector)
@@ -59,12 +78,23 @@ def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf), labels=
     """
     x, values = response.omega / lattice.omega_mx, response.amplitude
     inside = (within[0] <= x) & (x <= within[1])
-    limit = np.where(inside[:, None], style.upper_limits(response), np.nan)
-    ax.set(yscale="log", ylabel=style.AMPLITUDE, xlim=style.limits(x[inside], within))
+    limit = np.where(inside[:, None], marks.upper_limits(response), np.nan)
+    ax.set(yscale="log", ylabel=style.AMPLITUDE)
+    style.frequencies(ax, x, within=within)
     names = labels or style.ball_names(response.detector)
-    drawn = style.curves(ax, x, values, inside[:, None] & known(response), names, limit, **line)
+    drawn = marks.curves(
+        ax, x, values, inside[:, None] & known(response), names, limit, **_look(response) | line
+    )
     _finish(ax, response, lattice, modes)
     return drawn
+
+
+def _look(response):
+    """Return how curves are drawn: few points that lines do not join rightly as points alone."""
+    few = len(response.omega) <= style.FEW and 2 * np.count_nonzero(response.unresolved) >= len(
+        response.unresolved
+    )
+    return {"linestyle": "none", "clip_on": False} if few else {}
 
 
 def known(response):
@@ -75,16 +105,16 @@ def known(response):
     response : pgran.results.Response
     """
     above = np.isfinite(response.amplitude) & (response.amplitude > 0)
-    above &= np.isnan(style.upper_limits(response))
+    above &= np.isnan(marks.upper_limits(response))
     return above & (response.converged_reason > 0)[:, None]
 
 
 def phase(ax, response, lattice, modes=None, labels=None, **line):
     """Draw the unwrapped phase with the straight lines fitted (paper: phaseres).
 
-    A line covers the points that it was fitted to; its slope and the phase velocity (`phsvel`) are
-    in the label of the curve. Points that missed the accuracy asked for are as in the amplitudes.
-    Returns the curves.
+    A line covers the points that it was fitted to; the phase velocity (`phsvel`), or without
+    positions its slope, is in the label of the curve. Points that missed the accuracy asked for
+    are as in the amplitudes. Returns the curves.
 
     Parameters
     ----------
@@ -104,19 +134,11 @@ def phase(ax, response, lattice, modes=None, labels=None, **line):
     fitted = np.flatnonzero(np.isfinite(response.phase_slope) & np.isfinite(ends[0]))
     labels = list(labels or style.ball_names(response.detector))
     for d in fitted:
-        slope, velocity = f"{response.phase_slope[d]:.4g}", f"{response.phase_velocity[d]:.3g}"
-        if response.phase_slope_error is not None:  # as it is in a file of version 0.1
-            slope += rf" \pm {response.phase_slope_error[d]:.2g}"
-            velocity += rf" \pm {response.phase_velocity_error[d]:.1g}"
-        labels[d] += f":\n$s = {slope}$ rad/$\\omega_{{mx}}$"
-        if np.isfinite(response.phase_velocity[d]):  # not without positions
-            labels[d] += f", $v = {velocity}\\;d\\,\\omega_{{mx}}$"
-    ax.set(ylabel=style.PHASE, xlim=style.limits(x))
-    ax.locator_params("x", nbins=7)
-    drawn = style.curves(ax, x, response.phase, good, labels, **line)
-    unit = "spacing" if lattice.group == "lattice" else "unit of length"
-    meaning = f"slope $s$, phase velocity $v$ ($d$: {unit})"
-    label = rf"fit, {low:g} to {high:g} $\omega_{{mx}}$: {meaning}"
+        labels[d] += f": {_velocity(response, lattice, d)}"
+    ax.set(ylabel=style.PHASE)
+    style.frequencies(ax, x)
+    drawn = marks.curves(ax, x, response.phase, good, labels, **_look(response) | line)
+    label = rf"fit, {low:g} to {high:g} $\omega_{{mx}}$"
     for d in fitted:
         fit = response.phase_slope[d] * ends[:, d] + response.phase_intercept[d]
         shade = style.pale(drawn[d].get_color())
@@ -126,6 +148,17 @@ def phase(ax, response, lattice, modes=None, labels=None, **line):
     return drawn
 
 
+def _velocity(response, lattice, d):
+    """Return the phase velocity of a detector, or the slope of its phase, as a label has it."""
+    name, unit = "phase_velocity", r"$d\,\omega_{mx}$"
+    if not np.isfinite(response.phase_velocity[d]):  # without positions
+        name, unit = "phase_slope", r"rad/$\omega_{mx}$"
+    said, error = f"{getattr(response, name)[d]:.3g}", getattr(response, f"{name}_error")
+    if error is not None:  # as it is in a file of version 0.1
+        said += rf" \pm {error[d]:.1g}"
+    return f"${'v' if 'velocity' in name else 's'} = {said}$ {unit}"
+
+
 def delay(ax, response, lattice, modes=None):
     """Draw the group delay -d arg A / d omega; linear up to the median, logarithmic beyond.
 
@@ -133,10 +166,13 @@ def delay(ax, response, lattice, modes=None):
     """
     x, values = response.omega / lattice.omega_mx, response.delay * lattice.omega_mx
     good = (response.converged_reason > 0)[:, None] & np.isfinite(values)
-    ax.set_yscale("symlog", linthresh=float(f"{np.median(np.abs(values[good])):.1g}") or 1.0)
-    ax.set(ylabel=r"group delay ($1/\omega_{mx}$)", xlim=style.limits(x))
-    ax.locator_params("x", nbins=7)
-    drawn = style.curves(ax, x, values, good, style.ball_names(response.detector))
+    middle = float(f"{np.median(np.abs(values[good])):.1g}")
+    style.symmetric(ax, values[good], middle or 1.0)
+    ax.set_ylabel(r"group delay ($1/\omega_{mx}$)")
+    style.frequencies(ax, x)
+    drawn = marks.curves(
+        ax, x, values, good, style.ball_names(response.detector), **_look(response)
+    )
     _finish(ax, response, lattice, modes)
     return drawn
 
@@ -193,9 +229,9 @@ def power(ax, response, lattice, modes=None):
 def _wall(ax, response, lattice, modes, values, good, name):
     """Draw a quantity of the wall against frequency."""
     x = response.omega / lattice.omega_mx
-    ax.set(ylabel=name, xlim=style.limits(x))
-    ax.locator_params("x", nbins=7)
-    drawn = style.curves(ax, x, values, good)
+    ax.set_ylabel(name)
+    style.frequencies(ax, x)
+    drawn = marks.curves(ax, x, values, good, **_look(response))
     _finish(ax, response, lattice, modes)
     return drawn
 
@@ -213,11 +249,10 @@ def _fitted_ends(response, x, good):
 def _finish(ax, response, lattice, modes):
     """Mark failed frequencies, unresolved ones and normal modes, and label the frequency axis."""
     x = response.omega / lattice.omega_mx
-    style.mark_failed(ax, x[response.converged_reason <= 0])
-    style.mark_unresolved(ax, 0.5 * (x[1:] + x[:-1])[response.unresolved])
+    marks.failed(ax, x[response.converged_reason <= 0])
+    marks.unresolved(ax, 0.5 * (x[1:] + x[:-1])[response.unresolved])
     if modes is not None:
-        style.mark_modes(ax, np.asarray(modes) / lattice.omega_mx)
-    ax.set_xlabel(style.FREQUENCY)
+        marks.modes(ax, np.asarray(modes) / lattice.omega_mx)
 
 
 def amplitude_page(shown, modes=None):
@@ -230,34 +265,35 @@ def amplitude_page(shown, modes=None):
     modes : array_like, optional
         Angular frequencies of normal modes, marked by pluses.
     """
-    reached = [_regimes(response.omega / lattice.omega_mx) for response, lattice, *_ in shown]
-    present, all_names = np.unique(np.concatenate(reached)), []
-    for response, _, names, _ in shown:
-        all_names += names or style.ball_names(response.detector)
-        if np.isfinite(style.upper_limits(response)).any():
-            all_names.append("")
-    columns, lines = style.columns_of(all_names), sum(1 + name.count("\n") for name in all_names)
-    height = 0.4 + 1.75 * len(present) + 0.13 * math.ceil(lines / columns)
-    figure, panels = style.page(style.PAGE, height, nrows=len(present))
-    for letter, regime, ax in zip("abc", present, panels, strict=False):
+    few = all(len(response.omega) <= style.HANDFUL for response, *_ in shown)
+    edges = EDGES[:1] + EDGES[-1:] if few else EDGES
+    reached = [
+        _regimes(response.omega / lattice.omega_mx, edges) for response, lattice, *_ in shown
+    ]
+    present = np.unique(np.concatenate(reached))
+    figure, panels = style.page(style.PAGE, 0.4 + 1.75 * len(present), nrows=len(present))
+    for regime, ax in zip(present, panels, strict=True):
         drawn, ends = [], []
         for (response, lattice, names, look), there in zip(shown, reached, strict=True):
             if regime in there:
-                within = EDGES[regime : regime + 2]
+                within = edges[regime : regime + 2]
                 drawn += amplitude(ax, response, lattice, modes, within, names, **look)
                 ends.append(ax.get_xlim())
         ax.set_xlim(np.min(ends), np.max(ends))
         if len(shown) == len(drawn) == 1:
             drawn[0].set_label("")
-        ax.set_title(f"({letter}) {REGIMES[regime]}" if len(present) > 1 else REGIMES[regime])
+        ax.set_title("" if few else REGIMES[regime])
         ax.set(xlabel="", ylabel="")
-    style.legend_above(panels, columns)
+    rows = style.legend_above(panels)
+    figure.set_figheight(figure.get_figheight() + 0.13 * rows)
     panels[-1].set_xlabel(style.FREQUENCY)
     figure.supylabel(style.AMPLITUDE, fontsize="medium")
+    several = [f"({letter}) {REGIMES[n]}" for letter, n in zip("abc", present, strict=False)]
+    figure.caption = SAID["amplitude"] + (f" {', '.join(several)}." if len(present) > 1 else "")
     return figure
 
 
-def _regimes(x):
-    """Return the regimes that frequencies in units of omega_mx reach."""
+def _regimes(x, edges):
+    """Return the regimes between edges that frequencies in units of omega_mx reach."""
     # An edge belongs to the regime below, the first point of all to the one above.
-    return np.unique(np.searchsorted(EDGES[1:-1], [np.nextafter(x[0], math.inf), *x[1:]]))
+    return np.unique(np.searchsorted(edges[1:-1], [np.nextafter(x[0], math.inf), *x[1:]]))

@@ -8,6 +8,11 @@ SHADES = {"whole": "black", "incoherent": "#0072B2"}
 NAMES = {"whole": "measured", "incoherent": r"less $\langle A\rangle$"}
 WIDTHS = 6  # half widths up to which correlations are drawn
 
+SAID = {
+    "intensity": "Density of the intensity $I = |A|^2$ over its mean, with standard errors.",
+    "correlation": "Correlation of the intensity along the driving frequency.",
+}
+
 
 def figures(result, **_):
     """Yield densities and correlations, a panel a window and detector."""
@@ -15,6 +20,7 @@ def figures(result, **_):
     places = list(np.ndindex(found.coherent_part.shape))
     for panel in (intensity, correlation):
         figure, panels = style.page(style.COLUMN, 0.5 + 2.2 * len(places), nrows=len(places))
+        figure.caption = SAID[panel.__name__]
         for ax, (w, d) in zip(panels, places, strict=True):
             panel(ax, found, w, d)
             where = rf"{found.low[w]:g} $\leq \omega \leq$ {found.high[w]:g}"
@@ -40,6 +46,7 @@ def intensity(ax, found, window=0, detector=0):
     for f, which in enumerate(found.part):
         value, error = (part[window, detector, f] for part in (found.density, found.density_error))
         _points(ax, middle, np.where(value > 0, value, np.nan), error, which)
+    ax.set_xlim(found.edge[0], found.edge[-1])
     ax.set(yscale="log", xlabel=r"$x = I/\langle I\rangle$", ylabel="density $P(x)$")
     return line
 

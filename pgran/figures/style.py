@@ -1,21 +1,34 @@
-"""One style for all figures, and the curves, marks and labels that several of them share."""
+"""One style for all figures, and the pages, axes, legends and words that several of them share."""
 
 import contextlib
+import math
+import re
+import textwrap
+from contextvars import ContextVar
 
 import matplotlib
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import offset_copy
 
 from pgran.errors import FileError
 
-COLUMN, PAGE = 3.4, 7.0  # widths in inches: one column of a journal, and two
+MM = 1 / 25.4  # in inches
+COLUMN, PAGE = 85 * MM, 170 * MM  # widths: one column of a journal, and two
+UNIT = "omega_mx"  # how the line that marks it is found
+FEW, HANDFUL = 100, 10  # points that are marked by dots, and that make no curve
+LETTERS, SMALL = 15, 17  # so many to an inch, and of a legend's
+SIGNED = "cividis"  # from -1 to 1: the sign is seen in grey, too
+LETTER = "abcdefghijklmnopqrstuvwxyz"  # of panels
 ACCENT, FAILED, MODE, UNRESOLVED = "#0072B2", "#D00000", "#555555", "#D55E00"
 COLOURS = ("black", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")
 
 AMPLITUDE = r"amplitude $|A|$ (drive = 1)"
 PHASE = "phase (rad)"
 FREQUENCY = r"driving frequency $\omega/\omega_{mx}$"
+DENSITY = r"modes per ball and $\omega_{mx}$"
 MODE_FREQUENCY = r"mode frequency $\omega_i/\omega_{mx}$"
 
 RC = {
@@ -39,17 +52,40 @@ for _tick in ("xtick", "ytick"):
     RC |= {f"{_tick}.labelsize": 7, f"{_tick}.major.size": 3, f"{_tick}.major.width": 0.6}
 
 
+_asked = ContextVar("width", default=None)
+
+
 @contextlib.contextmanager
-def applied():
-    """Make this style hold for a while, whatever the user's matplotlibrc says."""
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(RC)
-        yield
+def applied(width=None):
+    """Make this style hold for a while, whatever the user's matplotlibrc says.
+
+    Parameters
+    ----------
+    width : float, optional
+        Of all pages, in mm, instead of their own.
+    """
+    before = _asked.set(width and width * MM)
+    try:
+        with matplotlib.rc_context():
+            matplotlib.rcdefaults()
+            matplotlib.rcParams.update(RC)
+            yield
+    finally:
+        _asked.reset(before)
+
+
+def wide(width):
+    """Return how wide a page is in inches: as is asked for, else `width`."""
+    return _asked.get() or width
 
 
 class Page(Figure):
-    """A figure that is drawn in this style whenever it is drawn; it needs no window."""
+    """A figure that is drawn in this style whenever it is drawn; it needs no window.
+
+    Its `caption` says in words what its `panels` show.
+    """
+
+    caption, panels = "", ()
 
     def draw(self, renderer):
         """Draw: matplotlib makes ticks only now, in the style that holds now."""
@@ -59,8 +95,9 @@ class Page(Figure):
 
 def page(width, height, **panels):
     """Return an empty figure, sizes in inches, and an array of the panels of `Figure.subplots`."""
-    figure = Page(figsize=(width, height))
-    return figure, figure.subplots(squeeze=False, **panels).ravel()
+    figure = Page(figsize=(wide(width), height))
+    figure.panels = figure.subplots(squeeze=False, **panels).ravel()
+    return figure, figure.panels
 
 
 def check_any(values, what):
@@ -92,22 +129,90 @@ def driven(lattice):
     return "driven wall" if lattice.group == "lattice" else "driven balls"
 
 
-def limits(x, within=(0.0, np.inf)):
-    """Return the range of an axis for the points `x`, cut off at the ends of `within`."""
-    margin = 0.05 * np.ptp(x) or 0.02
-    return max(within[0], x.min() - margin), min(within[1], x.max() + margin)
+def limits(x):
+    """Return the range of an axis for the points `x`: theirs, and a margin around a handful."""
+    margin = 0.05 * (np.ptp(x) or np.max(np.abs(x)) or 1.0) if len(x) <= HANDFUL else 0.0
+    return np.min(x) - margin, np.max(x) + margin
 
 
-def columns_of(labels):
-    """Return in how many columns a legend of a page's width lists labels beside a title."""
-    longest = max(len(line) for label in labels for line in label.split("\n"))
-    return max(1, min(4, 90 // (longest + 8)))
+def frequencies(ax, x, label=FREQUENCY, within=(0.0, np.inf)):
+    """Make an axis one of the frequencies `x`, in units of omega_mx, which is a dotted line.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    x : numpy.ndarray
+    label : str
+    within : tuple of float
+        The part of them that is drawn.
+    """
+    low, high = limits(x)
+    low, high = max(low, within[0]), min(high, within[1])
+    ax.set(xlim=(low, high), xlabel=label)
+    ax.xaxis.set_major_locator(round_ticks(ax.figure))
+    if low < 1 < high:
+        look = {"color": MODE, "linewidth": 0.6, "linestyle": (0, (1, 2)), "gid": UNIT}
+        ax.axvline(1.0, zorder=0.5, **look)
 
 
-def legend_above(panels, columns):
+def letter(panels):
+    """Put (a), (b) and so on before the titles of several panels."""
+    for name, ax in zip(LETTER, panels if len(panels) > 1 else (), strict=False):
+        ax.set_title(f"({name}) {ax.get_title(loc='left')}".strip())
+
+
+def round_ticks(figure):
+    """Return what makes ticks, as many whatever the layout is: that depends on them."""
+    return MaxNLocator(6 if figure.get_figwidth() < 1.5 * COLUMN else 10, steps=[1, 2, 2.5, 5, 10])
+
+
+def symmetric(ax, values, threshold):
+    """Make the axis of y linear up to a threshold, logarithmic beyond, with few labels.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    values : numpy.ndarray
+        That are drawn.
+    threshold : float
+    """
+    ax.set_yscale("symlog", linthresh=threshold)
+    largest = np.max(np.abs(values), initial=threshold)
+    low, high = math.ceil(math.log10(threshold)), math.floor(math.log10(largest))
+    powers = 10.0 ** np.arange(low, high + 1)[:: -max(1, -(-(high - low + 1) // 3))]
+    ax.set_yticks([*-powers, 0.0, *powers])
+
+
+def lettered(said):
+    """Return what several panels show as one text."""
+    if len(said) == 1:
+        return said[0]
+    return " ".join(f"({name}) {text}" for name, text in zip(LETTER, said, strict=False))
+
+
+def above(figure, *lines, **look):
+    """Write lines above all panels, as long as the figure is wide."""
+    wrapped = [part for line in lines for part in textwrap.wrap(line, characters(figure))]
+    figure.suptitle("\n".join(wrapped), fontsize="medium", **look)
+    return len(wrapped)
+
+
+def characters(figure):
+    """Return how many letters a line above a figure has."""
+    return int(LETTERS * figure.get_figwidth())
+
+
+def _letters(text):
+    """Return about how many letters the longest line of a text has, when its formulas are drawn."""
+    drawn = re.sub(r"[${}_^]|\\[,;]", "", re.sub(r"\\[a-zA-Z]+", "x", text))
+    return max(map(len, drawn.split("\n")))
+
+
+def legend_above(panels):
     """Put one legend of all panels above the upper right of the first, where no data can be.
 
-    What several curves of a panel have in common comes last.
+    What several curves of a panel have in common comes last. It is beside the title, or above that
+    if there is no room, in as many columns as fit. Returns how many rows there are.
     """
     handles, shared = {}, {}
     for ax in panels:
@@ -115,14 +220,26 @@ def legend_above(panels, columns):
         for handle, label in zip(drawn, labels, strict=True):
             (shared if labels.count(label) > 1 else handles).setdefault(label, handle)
     handles |= shared
-    if handles:
-        place = {"loc": "lower right", "bbox_to_anchor": (1, 1)}
-        panels[0].legend(handles.values(), handles.keys(), ncol=columns, **place)
+    if not handles:
+        return 0
+    figure, one = panels[0].figure, 7 + max(map(_letters, handles))
+    title = _letters(panels[0].get_title(loc="left"))
+    title += 4 * (len(getattr(figure, "panels", ())) > 1)
+    width, place = figure.get_figwidth() - 0.5, panels[0].transAxes
+    beside = SMALL * (width - title / LETTERS) >= one
+    if beside:
+        width -= title / LETTERS
+    else:
+        place = offset_copy(place, figure, y=1.5 * RC["font.size"], units="points")
+    columns = max(1, min(4, int(SMALL * width / one)))
+    look = {"loc": "lower right", "bbox_to_anchor": (1, 1), "bbox_transform": place}
+    panels[0].legend(handles.values(), handles.keys(), ncol=columns, columnspacing=1.2, **look)
+    return math.ceil(len(handles) / columns)
 
 
 def note(figure, text):
     """Write above all panels what is wrong with a result."""
-    figure.suptitle(text, fontsize="medium", color=FAILED)
+    above(figure, text, color=FAILED)
 
 
 def note_missing(figure, record):
@@ -132,78 +249,3 @@ def note_missing(figure, record):
         note(figure, f"NOT ALL MODES: {found} of {record.count_expected} found")
     elif not record.count_certified:
         note(figure, "NOT CERTIFIED: some modes are inaccurate")
-
-
-def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
-    """Draw curves with gaps where points are not good; return them, masked there.
-
-    A good point that stands alone is a dot, upper limits are triangles that point down. Where
-    nothing is good the axis of `y` is hidden.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    x : numpy.ndarray, shape (n,)
-    y : numpy.ndarray, shape (n,) or (n, curves)
-    good : numpy.ndarray of bool, shape of `y`
-    labels : sequence of str, shape (curves,), optional
-    limit : numpy.ndarray, shape of `y`, optional
-        Upper limits; NaN: none.
-    dots : bool, optional
-        Mark every good point by a dot. By default those of at most 100.
-    **line
-        For `Axes.plot`.
-    """
-    y, good = np.reshape(y, (len(x), -1)), np.reshape(good, (len(x), -1))
-    shades, drawn = colours(y.shape[1]), []
-    dots = len(x) <= 100 if dots is None else dots
-    for n, shade in enumerate(shades):
-        padded = np.pad(good[:, n], 1)
-        lone = good[:, n] & ~padded[:-2] & ~padded[2:]
-        look = {"color": shade, "label": labels[n] if labels else None}
-        dotted = np.flatnonzero(good[:, n] if dots else lone).tolist()
-        if dotted:
-            look |= {"marker": ".", "markevery": dotted, "markeredgewidth": 0}
-        drawn += ax.plot(x, np.ma.masked_where(~good[:, n], y[:, n]), **(look | line))
-    label = "upper limit, at the floor"
-    look = {"linestyle": "none", "marker": "v", "markersize": 2.5, "markeredgewidth": 0}
-    for n in [] if limit is None else np.flatnonzero(np.isfinite(limit).any(axis=0)):
-        ax.plot(x, limit[:, n], color=drawn[n].get_color(), label=label, **look)
-        label = None
-    if not np.isfinite(ax.dataLim.height):
-        ax.yaxis.set_visible(False)
-    return drawn
-
-
-def upper_limits(record):
-    """Return the upper limits of amplitudes that are at the floor, NaN for all others."""
-    amplitude = np.abs(record.displacement)
-    at_floor = getattr(record, "at_floor", None)
-    if at_floor is None:  # a file of version 0.1
-        return np.full(amplitude.shape, np.nan)
-    return np.where(at_floor > 0, amplitude + record.error_bound, np.nan)
-
-
-def mark_failed(ax, x):
-    """Mark where there is no good result, by crosses on the upper edge."""
-    _mark(ax, x, 1.0, marker="x", color=FAILED, label="missed the accuracy asked for")
-
-
-def mark_unresolved(ax, x):
-    """Mark where straight lines between points are not the curve, by ticks on the lower edge."""
-    _mark(ax, x, 0.015, marker="|", color=UNRESOLVED, markersize=3, label="curve not resolved")
-
-
-def mark_modes(ax, x, label="normal modes"):
-    """Mark frequencies `x` of modes by pluses on the frequency axis (paper: freqres)."""
-    _mark(ax, x, 0.0, marker="+", color=MODE, label=label)
-
-
-def _mark(ax, x, height, **mark):
-    """Draw marks at a height in units of the axes, those inside the limits of `ax`."""
-    low, high = ax.get_xlim()
-    inside = np.asarray(x)[(low <= x) & (x <= high)]
-    if inside.size:
-        mark |= {"linestyle": "none", "markeredgewidth": 0.6, "clip_on": False, "zorder": 5}
-        place = {"transform": ax.get_xaxis_transform(), "scalex": False, "scaley": False}
-        ax.plot(inside, np.full(inside.size, height), **place, **mark)

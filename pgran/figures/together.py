@@ -9,7 +9,7 @@ import textwrap
 import numpy as np
 
 from pgran.errors import FileError
-from pgran.figures import pulse, relaxation, response, style
+from pgran.figures import modes, pulse, relaxation, response, style
 
 LINES = ("-", (0, (4, 1)), (0, (1, 0.8)), (0, (4, 1, 1, 1)), (0, (1.5, 2)), (0, (3, 1, 1, 1, 1, 1)))
 COLOURS = ("black", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
@@ -37,11 +37,11 @@ def _wrap(label):
 
 
 def _finish(figure):
-    """Put a legend of one column above a figure of one panel, and make it as high as that needs."""
-    style.legend_above(figure.axes, columns=1)
-    legend = figure.axes[0].get_legend()
-    lines = sum(text.get_text().count("\n") + 1 for text in legend.get_texts()) if legend else 0
-    figure.set_figheight(2.4 + 0.14 * lines)
+    """Put a legend above a figure of one panel, and make it as high as that needs."""
+    rows = style.legend_above(figure.panels)
+    legend = figure.panels[0].get_legend()
+    texts = [text.get_text() for text in legend.get_texts()] if legend else [""]
+    figure.set_figheight(2.4 + 0.14 * rows * max(1 + text.count("\n") for text in texts))
 
 
 def _look(number):
@@ -70,10 +70,11 @@ def _responses(results, labels):
         ends.append(ax.get_xlim())
     ax.set_xlim(np.min(ends), np.max(ends))
     _finish(figure)
+    figure.caption = response.SAID["phase"]
     yield "phase", figure
 
 
-def _modes(results, labels):
+def _all_modes(results, labels):
     """Yield participation ratios, and densities if each result has 20 modes or more."""
     found = [result.modes.omega / result.medium.omega_mx for result in results]
     for x in found:
@@ -85,19 +86,21 @@ def _modes(results, labels):
         look |= {"marker": MARKS[number], "color": COLOURS[number], "linestyle": "none"}
         ax.plot(x, result.modes.participation, label=label, **look)
     most = max(result.medium.free_balls for result in results)
-    ax.set(yscale="log", ylim=(1, max(most, 10)), xlabel=style.MODE_FREQUENCY)
-    ax.set_ylabel("participation ratio $P_i$ (balls)")
+    ax.set(yscale="log", ylim=(1, max(most, 10)), ylabel="participation ratio $P_i$ (balls)")
+    style.frequencies(ax, np.concatenate(found), style.MODE_FREQUENCY)
+    figure.caption = modes.SAID["participation"]
     made = {"participation": figure}
     if min(map(len, found)) >= 20:
         made["density"], (ax,) = style.page(style.COLUMN, 2.5)
         bins = round(max(map(len, found)) ** 0.5)
         edges = np.histogram_bin_edges(np.concatenate(found), bins)
-        for number, (_, x, label) in enumerate(shown):
-            counts = np.histogram(x, edges)[0] / np.diff(edges)
+        for number, (result, x, label) in enumerate(shown):
+            counts = np.histogram(x, edges)[0] / np.diff(edges) / result.medium.free_balls
             look = {"edgecolor": COLOURS[number], "linestyle": LINES[number]}
             ax.stairs(counts, edges, label=label, **look)
-        ax.set_ylim(bottom=0)
-        ax.set(xlabel=style.MODE_FREQUENCY, ylabel=r"density of modes (modes per $\omega_{mx}$)")
+        ax.set(ylim=(0, None), ylabel=style.DENSITY)
+        style.frequencies(ax, edges, style.MODE_FREQUENCY)
+        made["density"].caption = modes.SAID["density"]
     missing = sum(not result.modes.count_certified for result in results)
     for name, page in made.items():
         _finish(page)
@@ -118,6 +121,7 @@ def _relaxations(results, labels):
         look = _look(number)
         relaxation.power(ax, result.spectrum, said, look["color"], linestyle=look["linestyle"])
     _finish(figure)
+    figure.caption = "Power spectra of the amplitude, and the laws fitted to them."
     yield "spectrum", figure
 
 
@@ -135,10 +139,11 @@ def _pulses(results, labels):
     last = max(result.pulse.time[-1] * result.medium.omega_mx for result in results)
     ax.set(xlabel=pulse.TIME, ylabel="displacement", xlim=(0, last))
     _finish(figure)
+    figure.caption = "Displacement of a ball against time."
     yield "signals", figure
 
 
-PAGES = {"response": _responses, "modes": _modes, "relaxation": _relaxations, "pulse": _pulses}
+PAGES = {"response": _responses, "modes": _all_modes, "relaxation": _relaxations, "pulse": _pulses}
 
 
 def add_measured(made, results, data, label):
@@ -170,17 +175,17 @@ def add_measured(made, results, data, label):
     look |= {"color": "black", "markeredgewidth": 0.6, "zorder": 4}
     seen, name = np.zeros(len(x), dtype=bool), label.replace("$", r"\$")
     for part in ("amplitude", "phase"):
-        for ax in made[part].axes if part in data else ():
+        for ax in made[part].panels if part in data else ():
             low, high = ax.get_xlim()
             inside = (low <= x) & (x <= high)
             if inside.any():
                 ax.plot(x[inside], data[part][inside], label=name, scalex=False, **look)
             seen |= inside
-    legend = made["amplitude"].axes[0].get_legend()
-    entries = [text.get_text() for text in legend.get_texts()] if legend else []
-    style.legend_above(made["amplitude"].axes, style.columns_of([*entries, name]))
+    style.legend_above(made["amplitude"].panels)
     made["amplitude"].set_figheight(made["amplitude"].get_figheight() + 0.13)
     _finish(made["phase"])
+    for part in ("amplitude", "phase"):
+        made[part].caption += f" Circles: measured ({label})." if part in data else ""
     if not seen.any():
         raise FileError(f"{label}: none of its frequencies is one of the sweep; omega is angular, "
                         "in the unit of the result")  # fmt: skip

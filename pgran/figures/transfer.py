@@ -3,12 +3,13 @@
 import numpy as np
 
 from pgran.errors import FileError
-from pgran.figures import style
+from pgran.figures import marks, style
 from pgran.figures.response import known as known_amplitudes
 
 LOUD = 0.01  # of the largest of the wall's spectrum: what spectra are divided by
 FADING = 0.25  # part of the time, the last one, over which motions are faded out before that
 FINER = 8  # times as many frequencies as a signal has: peaks are round
+NARROWEST = 2.0  # inches of a column
 ROWS = 6  # of spectra, before there is another column
 
 
@@ -32,15 +33,16 @@ def spectrum(ax, signals, lattice, number, response=None):
     """
     omega, size, good = ratio(signals, number)
     x = omega / lattice.omega_mx
-    low, high = style.limits(x[np.isfinite(size)])
-    ax.set(yscale="log", xlim=(low, high), xlabel=style.FREQUENCY, ylabel=style.AMPLITUDE)
+    ax.set(yscale="log", ylabel=style.AMPLITUDE)
+    style.frequencies(ax, x[np.isfinite(size)])
+    low, high = ax.get_xlim()
     for d in [] if response is None else shared(signals.detector[number], response):
         swept, there = response.omega / lattice.omega_mx, known_amplitudes(response)[:, d]
         there &= (low <= swept) & (swept <= high)
         look = {"color": style.pale(style.ACCENT), "linewidth": 2.5, "dots": False}
-        style.curves(ax, swept, response.amplitude[:, d], there, ["steady response"], **look)
+        marks.curves(ax, swept, response.amplitude[:, d], there, ["steady response"], **look)
     look = {"color": "black", "dots": False}
-    (curve,) = style.curves(ax, x, size, good, ["signal / drive"], **look)
+    (curve,) = marks.curves(ax, x, size, good, ["signal / drive"], **look)
     speed = np.abs(signals.velocity[:, number])
     left = speed[-round(FADING * len(speed)) :].max() / (speed.max() or 1.0)
     ax.set_title(f"{style.ball_names(signals.detector[[number]])[0]}, {left:.1%} left")
@@ -98,7 +100,7 @@ def page(signals, lattice, response):
     count = len(signals.detector)
     if response and not any(shared(site, response).size for site in signals.detector):
         raise FileError("the pulse and the response have no detector in common")
-    columns = -(-count // ROWS)
+    columns = min(-(-count // ROWS), max(1, int(style.wide(style.PAGE) / NARROWEST)))
     rows = -(-count // columns)
     size = style.PAGE, 0.7 + max(1.2 * rows, 2.0)
     figure, panels = style.page(*size, nrows=rows, ncols=columns, sharex=True, sharey=True)
@@ -107,14 +109,16 @@ def page(signals, lattice, response):
         ax.set(xlabel="", ylabel="")
     for ax in panels[count:]:
         ax.remove()
+    figure.panels = panels[:count]
     if response:
-        style.legend_above([panels[columns - 1], *panels[:count]], columns=1)
+        style.legend_above([panels[columns - 1], *panels[:count]])
     end = signals.time[-1] * lattice.omega_mx
-    figure.suptitle(
+    text = (
         rf"signal / drive until $T$ = {end:.4g}$/\omega_{{mx}}$; what is left in the last quarter "
-        rf"blurs it over $2\pi/T$ = {2 * np.pi / end:.2g} $\omega_{{mx}}$ or more",
-        fontsize="medium",
+        rf"blurs it over $2\pi/T$ = {2 * np.pi / end:.2g} $\omega_{{mx}}$ or more"
     )
+    style.above(figure, text)
+    figure.caption = f"Spectra of balls over that of the drive: {text}."
     figure.supxlabel(style.FREQUENCY, fontsize="medium")
     figure.supylabel(style.AMPLITUDE, fontsize="medium")
     return figure

@@ -5,6 +5,13 @@ import numpy as np
 from pgran.figures import style
 
 SHOWN = 4  # frequencies
+DISTANCE = "distance from the driven wall (spacings)"
+SAID = (
+    "Mean logarithm of the amplitude against the distance from the driven wall, at some driving "
+    "frequencies.",
+    "Attenuation length against the driving frequency, where it is known.",
+    "Mean group delay against the distance. Bars: standard errors over samples.",
+)
 
 
 def figures(result, **_):
@@ -14,22 +21,21 @@ def figures(result, **_):
     profile(axes[0], found, unit)
     length(axes[1], found, unit)
     delay(axes[2], found, unit)
-    for letter, ax in zip("abc", axes, strict=True):
-        ax.set_title(f"({letter})")
-    axes[0].legend(loc="best", ncols=2)
+    style.legend_above(axes[:1])
     figure.align_ylabels()
+    figure.caption = style.lettered(SAID)
     yield "transport", figure
 
 
 def profile(ax, found, unit):
     """Draw <ln|A|> against depth at a few frequencies; return the curves."""
     chosen = np.unique(np.linspace(0, len(found.omega) - 1, SHOWN + 2).astype(int)[1:-1])
-    ax.set(xlabel="distance from the driven wall", ylabel=r"$\langle\ln|A|\rangle$")
+    ax.set(xlabel=DISTANCE, ylabel=r"$\langle\ln|A|\rangle$")
     drawn = []
-    for number, mark in zip(chosen, "osv^", strict=False):
-        label = rf"$\omega$ = {found.omega[number] / unit:.3g} $\omega_{{mx}}$"
+    for number, mark, shade in zip(chosen, "osv^", style.colours(SHOWN), strict=False):
+        label = rf"{found.omega[number] / unit:.3g} $\omega_{{mx}}$"
         error = found.ln_amplitude_error[number]
-        look = {"marker": mark, "markersize": 3, "linewidth": 0.8, "label": label}
+        look = {"fmt": mark, "markersize": 3, "elinewidth": 0.8, "label": label, "color": shade}
         drawn.append(ax.errorbar(found.depth, found.ln_amplitude[number], error, **look))
     return drawn
 
@@ -37,12 +43,8 @@ def profile(ax, found, unit):
 def length(ax, found, unit):
     """Draw the attenuation length by frequency, where it is known; return what was drawn."""
     known = np.isfinite(found.length)
-    ax.set(
-        xlabel=r"driving frequency $\omega / \omega_{mx}$",
-        ylabel="attenuation length",
-        yscale="log",
-    )
-    ax.set_xlim(0, 1.02 * found.omega[-1] / unit)
+    ax.set(ylabel="attenuation length (spacings)", yscale="log")
+    style.frequencies(ax, found.omega / unit)
     look = {"fmt": ".", "markersize": 3, "linewidth": 0.6, "color": style.ACCENT}
     values = found.omega[known] / unit, found.length[known], found.length_error[known]
     return ax.errorbar(*values, **look)
@@ -50,6 +52,6 @@ def length(ax, found, unit):
 
 def delay(ax, found, unit):
     """Draw the mean delay against depth; return what was drawn."""
-    ax.set(xlabel="distance from the driven wall", ylabel=r"delay $\times\,\omega_{mx}$")
-    look = {"fmt": "o-", "markersize": 3, "linewidth": 0.8, "color": "black"}
+    ax.set(xlabel=DISTANCE, ylabel=r"group delay ($1/\omega_{mx}$)")
+    look = {"fmt": "o", "markersize": 3, "elinewidth": 0.8, "color": "black"}
     return ax.errorbar(found.depth, found.delay * unit, found.delay_error * unit, **look)

@@ -9,6 +9,7 @@ from pgran.results.space import in_space, reaches
 
 FACES = np.array([to_rgb("#e4e4e4"), to_rgb("#8c8c8c"), style.pale(style.ACCENT)])  # held so
 EDGES = np.array(["#aaaaaa", "black", style.ACCENT])
+RIM = 1.2  # points, of balls that are held
 MANY = 5000  # contacts: above that they are pixels in a PDF, too
 
 
@@ -54,6 +55,8 @@ class View:
         size, held = self.size[chosen], self.network.held[chosen]
         place = {"units": "xy", "offset_transform": ax.transData}
         edge = 0.4 if "array" not in look else 0.2 if len(size) <= MANY / 2 else 0.0
+        if "array" in look:  # which hides the faces' colours
+            edge = np.where(held > 0, RIM, edge)
         look |= {"linewidths": edge, "rasterized": len(size) > MANY}
         look |= {"facecolors": FACES[held], "edgecolors": EDGES[held]}
         drawn = EllipseCollection(size, size, 0, offsets=self.xy[chosen], **place, **look)

@@ -1,0 +1,79 @@
+"""Captions of figures, and the command that writes them and says how wide figures are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from figure_results import find_modes, listen, relax, respond, result_of
+from samples import random_lattice
+
+import pgran
+from pgran import errors, figures
+from pgran.command.plot import run as plot
+from pgran.errors import FileError, InputError
+from pgran.figures import captions
+from pgran.physics.makers import crystal
+from pgran.results.si import SI
+
+
+def test_captions_say_the_numbers_of_the_record():
+    result = respond(detectors=[(1, 1)])
+    result.response.converged_reason[7] = -3
+    result.options = "-scene response\n-bonds_law uniform\n-bonds_kmin 0.0\n-bonds_kmax 0.25\n"
+    result.options += "-bonds_seed 1993\n-output_file results/a.h5"
+    made = figures.make(result)
+    shown = result.response
+    good = np.arange(260) != 7
+    largest = (shown.error_bound / shown.amplitude)[good].max()
+    for name, figure in made.items():
+        for part in (r"$4 \times 3$ balls", "of mass 0.25", "uniform on [0, 0.25]; seed 1993",
+                     r"$\beta$ = 0.003", r"$\omega_{mx}$ = 2", captions.number(largest),
+                     "1 of 260 amplitudes missed"):  # fmt: skip
+            assert part in figure.caption, (name, part)
+        assert "heard at ball (1, 1)" in figure.caption
+        assert ("Dotted line" in figure.caption) == (name not in ("amplitude", "bonds"))
+    assert f"{shown.phase_slope[0]:.4g}" in made["phase"].caption
+    told = figures.make(result, SI(time=1e-5))["phase"].caption
+    assert SI(time=1e-5).say("Hz", result.medium.omega_mx) in told
+    assert "low frequencies" in made["amplitude"].caption
+    del result.options
+    assert result.medium.bonds_sha256[:12] in figures.make(result)["phase"].caption
+    found = find_modes()
+    found.modes.residual[:] = 3e-14
+    for words, more in (("12 of 12 normal modes, certified", {}),
+                        ("residuals at most $3\\times10^{-14}$", {}),
+                        ("not certified", {"count_certified": False})):  # fmt: skip
+        assert words in captions.bound(result_of(replace(found.modes, **more)))
+    sent = listen()
+    assert "(proven)" in captions.bound(sent)
+    undamped = respond(lattice=random_lattice((4, 3), damping=0.0))
+    assert "(certified)" in captions.bound(undamped)
+    net = crystal("triangular", (4, 3), periodic=(False, True))
+    shown = result_of(pgran.find_modes(net), net)
+    shown.options = "-network_file mine.h5"
+    caption = figures.make(shown)["participation"].caption
+    for part in ("(file mine.h5)", f"{len(net.bond)} contacts", "displacements: vector"):
+        assert part in caption
+    assert captions.number(0.003) == "0.003"
+    assert captions.number(4.13e-5) == r"$4.1\times10^{-5}$"
+
+
+def test_the_command_has_a_width_and_captions(monkeypatch, tmp_path, capsys):
+    result, target = relax(), tmp_path / "a.png"
+    monkeypatch.setattr(pgran, "load", lambda path: result)
+    assert plot(["a.h5", "-o", str(target), "-width", "100", "-caption"]) == errors.DONE
+    written = [tmp_path / f"a-timeres.{ending}" for ending in ("png", "txt")]
+    assert capsys.readouterr().out.splitlines() == [str(path) for path in written]
+    made = pgran.plot(result, target, width=60, caption=True)
+    assert made["timeres"].get_figwidth() == pytest.approx(60 / 25.4)
+    assert pgran.plot(result)["timeres"].get_figwidth() == pytest.approx(85 / 25.4)
+    assert written[1].read_text(encoding="utf-8") == made["timeres"].caption + "\n"
+    for width in ("20", "1000", "nan"):
+        with pytest.raises(InputError, match="width: a figure is 60 to 400 mm wide, not"):
+            plot(["a.h5", "-width", width])
+    with pytest.raises(InputError, match="plot: -width: invalid float value: 'wide'"):
+        plot(["a.h5", "-width", "wide"])
+    written[1].unlink()
+    written[1].mkdir()
+    with pytest.raises(FileError, match=r"a-timeres\.txt: cannot be written"):
+        pgran.plot(result, target, caption=True)

@@ -1,0 +1,256 @@
+"""Figures as they are printed: 85 and 170 mm wide, in grey, with captions."""
+
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+import pytest
+from figure_reading import curves, draw, labels, lines, marks
+from figure_results import (
+    SWEEP,
+    UNIT,
+    compare,
+    count_modes,
+    find_modes,
+    listen,
+    project,
+    relax,
+    respond,
+    respond_box,
+    result_of,
+)
+from matplotlib import colormaps
+from matplotlib.collections import PolyCollection
+from matplotlib.markers import TICKUP
+from samples import random_lattice
+
+import pgran
+from pgran import figures
+from pgran.figures import accuracy, bonds, modes, response, style, transport
+from pgran.physics.makers import crystal
+
+FINE = np.linspace(0.1, 1.1, 201)
+LARGER = random_lattice((12, 11), seed=5, mass=0.25)
+
+
+def sensitivity():
+    found = pgran.sensitivity(LARGER, UNIT * np.array([0.3, 0.6, 0.9]), [(4, 5)])
+    result = result_of(found, LARGER)
+    result.heat = pgran.heat(LARGER, UNIT * np.linspace(0.2, 0.9, 5), [(4, 5)], cut=True)
+    return result
+
+
+def network():
+    net = crystal("triangular", (4, 3), periodic=(False, True))
+    result = result_of(pgran.find_modes(net, shapes=True), net)
+    omegas, balls = np.linspace(0.1, 1.5, 201) * net.omega_mx, net.free[:2]
+    result.response = pgran.sweep(net, omegas, balls, method="points")
+    return result
+
+
+def ensemble():
+    """Responses, with what they say of transport and of noise."""
+    lattice, omegas = {"shape": (6, 3), "damping": 0.1}, np.linspace(0.2, 1.2, 201)
+    line = [(4, 1), (3, 1), (2, 1), (0, 1)]
+    drawn = {"omegas": omegas, "detectors": line}
+    found = pgran.ensemble("response", 10, lattice=lattice, keep="curves", **drawn)
+    first = pgran.Lattice.random(**lattice)
+    result = result_of(found, first)
+    result.transport = pgran.transport(first, found)
+    result.statistics = pgran.statistics(found, [(0.5, 0.9)])
+    return result
+
+
+SCENES = {
+    "response": lambda: respond(lattice=LARGER, detectors=[(4, 5)]),
+    "two balls": lambda: respond(detectors=[(1, 1), (3, 0)]),
+    "continuum": respond_box,
+    "modes": lambda: find_modes((12, 11)),
+    "chain": lambda: find_modes((30,)),
+    "density": count_modes,
+    "one frequency": lambda: project([0.6], (6, 5)),
+    "dominant": lambda: project(FINE, (6, 5)),
+    "relaxation": relax,
+    "pulse": lambda: listen(sites=[(1, 1), (3, 0)]),
+    "sensitivity": sensitivity,
+    "network": network,
+    "ensemble": ensemble,
+    "accuracy": lambda: compare([1e-3, 1e-5, 1e-4, 1e-6]),
+    "equally accurate": lambda: compare([1e-9, 2e-9, 1.5e-9]),
+}
+
+
+# Those of several panels beside each other are also drawn wide.
+BESIDE = ("response", "two balls", "modes", "continuum", "pulse", "sensitivity", "network")
+PRINTED = [(name, 85) for name in SCENES] + [(name, 170) for name in BESIDE]
+
+
+@cache
+def result_of_scene(name):
+    return SCENES[name]()
+
+
+def texts(figure):
+    """The texts of a figure that are seen, each with its box on paper."""
+    figure.draw_without_rendering()
+    shown = list(figure.texts)
+    for ax in (ax for ax in figure.axes if ax.axison):
+        shown += [ax.title, ax._left_title, ax._right_title, *ax.texts]
+        if ax.get_legend():
+            shown += ax.get_legend().get_texts()
+        for axis in (ax.xaxis, ax.yaxis):
+            if axis.get_visible():
+                ticks = axis._update_ticks()
+                shown += [axis.label, axis.offsetText, *(tick.label1 for tick in ticks)]
+    with style.applied():
+        seen = [text for text in shown if text.get_visible() and text.get_text().strip()]
+        return [(text.get_text(), text.get_window_extent()) for text in seen]
+
+
+@pytest.mark.parametrize(("scene", "width"), PRINTED)
+def test_nothing_overlaps_on_paper(scene, width):
+    """Texts are apart, within the figure, and 7 or 8 points high; the legend is a small part.
+
+    Axes end where data do; several panels have letters.
+    """
+    result = result_of_scene(scene)
+    over = {"modes": UNIT * np.linspace(0.1, 1.2, 300)} if result.scene == "response" else {}
+    for name, figure in figures.make(result, width=width, **over).items():
+        assert figure.get_figwidth() == pytest.approx(width / 25.4)
+        _check_panels(figure)
+        _check_texts(name, figure)
+
+
+def _check_texts(name, figure, part=0.15):
+    seen, paper = texts(figure), figure.bbox.padded(1.5)
+    for text, box in seen:
+        assert paper.contains(*box.min), (name, text)
+        assert paper.contains(*box.max), (name, text)
+    for (one, box), (other, beside) in combinations(seen, 2):
+        shared = box.padded(-1).intersection(box.padded(-1), beside.padded(-1))
+        assert shared is None or min(shared.size) <= 0, (name, one, other)
+    for ax in figure.axes:
+        if ax.get_legend() and name != "network":  # which explains its symbols
+            box = ax.get_legend().get_window_extent()
+            assert box.width * box.height < part * figure.bbox.width * figure.bbox.height
+        sizes = {tick.label1.get_size() for tick in ax.xaxis.get_major_ticks()}
+        assert sizes | {ax.xaxis.label.get_size(), ax._left_title.get_size()} <= {7, 8}
+
+
+def _check_panels(figure):
+    for ax in figure.panels:
+        data = [line.get_xdata() for line in curves(ax)]
+        if data and len(data[0]) > style.HANDFUL and "time" not in ax.get_xlabel():
+            every = np.concatenate(data)
+            assert every.min() <= ax.get_xlim()[0] < ax.get_xlim()[1] <= every.max()
+    titles = [ax.get_title(loc="left") for ax in figure.panels]
+    letters = [f"({n})" for n in style.LETTER[: len(titles)]]
+    assert (len(titles) == 1) == (not titles[0].startswith("(a)"))
+    assert len(titles) == 1 or [title[:3] for title in titles] == letters
+    said = [letter for letter in letters if letter in figure.caption]
+    assert said in ([], letters)
+    assert figure.caption[0] in "(ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+    assert figure.caption.endswith(".")
+
+
+def test_marks_of_modes_can_be_told_apart_or_are_a_density():
+    result = respond()
+    few, many = UNIT * np.linspace(0.2, 1.1, 40), UNIT * np.linspace(0.2, 1.1, 900)
+    ax = draw(response.phase, result.response, result.lattice, few)
+    assert marks(ax, TICKUP) == pytest.approx(few / UNIT)
+    ax = draw(response.phase, result.response, result.lattice, many)
+    assert not marks(ax, TICKUP)
+    assert labels(ax)[-1] == "density of normal modes"
+    (filled,) = (x for x in ax.collections if isinstance(x, PolyCollection))
+    x, height = filled.get_paths()[0].vertices.T
+    assert height.max() == pytest.approx(0.1)  # of the panel
+    assert 0.15 < x[height > 0].min() < x[height > 0].max() < 1.15
+    (unit,) = (line for line in ax.get_lines() if list(line.get_xdata()) == [1, 1])
+    assert unit.get_linestyle() != "-"
+
+
+def test_few_points_that_are_no_curve_are_points():
+    few = respond(SWEEP[::20])
+    (line,) = curves(draw(response.amplitude, few.response, few.lattice))
+    assert line.get_linestyle() == "-"  # these are resolved
+    few.response.line_error[1:] = 1.0
+    (ax,) = figures.make(respond([0.2, 0.6, 1.1]))["amplitude"].axes  # one panel, points inside
+    assert ax.get_xlim() == pytest.approx((0.155, 1.145))
+    for panel in (response.amplitude, response.phase, response.force, response.power):
+        (line,) = curves(draw(panel, few.response, few.lattice))
+        assert (line.get_linestyle(), line.get_marker()) == ("None", ".")
+    whole = respond()
+    whole.response.line_error[1:] = 1.0
+    (line,) = curves(draw(response.amplitude, whole.response, whole.lattice))
+    assert line.get_linestyle() == "-"
+
+
+def test_signs_are_seen_in_grey_and_the_driven_wall_is_marked():
+    """Colours get lighter all the way from -1 to 1, in the luminance of a print in grey."""
+    grey = colormaps[style.SIGNED](np.linspace(0, 1, 101))[:, :3] @ [0.299, 0.587, 0.114]
+    assert np.all(np.diff(grey) > 0)
+    assert grey[-1] - grey[50] == pytest.approx(grey[50] - grey[0], abs=0.1)
+    result = find_modes((6, 5))
+    ax = draw(modes.shape, result.modes, result.lattice, 3)
+    (wall,) = lines(ax, color=style.ACCENT)
+    assert list(wall.get_xdata()) == [5.5, 5.5]
+    assert ax.images[0].get_cmap().name == style.SIGNED
+
+
+@pytest.mark.parametrize(("shape", "count"), [((6,), 1), ((4, 3), 3), ((4, 3, 5), 3)])
+def test_walls_at_rest_are_hatched_and_no_bonds(shape, count):
+    lattice = random_lattice(shape)
+    shown = pgran.results.record_of(lattice)
+    ax = draw(bonds.bonds, shown, np.zeros((1, len(shape)), dtype=int))
+    walls = [patch for patch in ax.patches if patch.get_hatch()]
+    assert len(walls) == count
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    assert right == shape[0]
+    for wall in walls:  # outside of all bonds, within the panel
+        x, y, (width, height) = *wall.get_xy(), (wall.get_width(), wall.get_height())
+        assert x + width < -0.99 or y + height < -0.99 or y >= shape[1]
+        assert left - 1e-9 <= x < x + width <= right + 1e-9
+        assert low - 1e-9 <= y < y + height <= high + 1e-9
+
+
+def test_equally_accurate_configurations_are_bars_of_their_run_times():
+    result = compare([1e-9, 2e-9, 1.5e-9, 1e-9, np.nan])
+    study = result.accuracy
+    bars = draw(accuracy.times, study).patches
+    assert [bar.get_width() for bar in bars] == [1, 2, 3, 4]
+    assert bars[3].get_facecolor()[:3] == (1, 1, 1)  # failed
+    (ax,) = figures.make(result)["front"].axes
+    assert [text.get_text() for text in ax.get_yticklabels()] == list(study.label[:4])
+    assert "errors at most 2.0e-09" in ax.get_xlabel()
+    (ax,) = figures.make(compare([1e-9, 2e-8]))["front"].axes
+    assert ax.get_yscale() == "log"
+
+
+def test_transport_is_points_with_their_errors():
+    result = ensemble()
+    found, unit = result.transport, result.medium.omega_mx
+    drawn = transport.profile(draw(lambda ax: None), found, unit)
+    assert len(drawn) == transport.SHOWN
+    for points in drawn:
+        at = np.abs(found.omega / unit - float(points.get_label().split()[0])).argmin()
+        assert points.lines[0].get_linestyle() == "None"
+        assert np.array_equal(points.lines[0].get_ydata(), found.ln_amplitude[at])
+        low, high = np.transpose([path.vertices[:, 1] for path in points.lines[2][0].get_paths()])
+        assert high - low == pytest.approx(2 * found.ln_amplitude_error[at])
+    assert len({points.lines[0].get_marker() for points in drawn}) == transport.SHOWN
+    ax = draw(transport.length, found, unit)
+    known = np.isfinite(found.length)
+    points = ax.containers[0].lines[0]
+    assert points.get_xdata() == pytest.approx(found.omega[known] / unit)
+    assert np.array_equal(points.get_ydata(), found.length[known])
+    assert ax.get_xlim() == pytest.approx(found.omega[[0, -1]] / unit)
+    points = draw(transport.delay, found, unit).containers[0].lines[0]
+    assert points.get_ydata() == pytest.approx(found.delay * unit)
+
+
+@pytest.mark.parametrize("width", [85, 170])
+def test_results_over_each_other_on_paper(width):
+    names = [f"-lattice_damping {beta}" for beta in (0.001, 0.003, 0.01)]
+    for shown in ([respond()] * 3, [find_modes((6, 5))] * 3):
+        for name, figure in figures.compare(shown, names, width=width).items():
+            _check_texts(name, figure, part=0.2)
