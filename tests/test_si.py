@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from figure_results import UNIT, count_modes, find_modes, listen, respond
 from mpi4py import MPI
 from samples import run_scene
 
@@ -109,37 +110,52 @@ def test_summaries(name):
 
 
 def at_ticks(axis, unit):
-    """What the ticks say, in Hz, and where on the axis they stand."""
+    """What the ticks say, in the unit without its prefix, and where on the axis they stand."""
     low, high = sorted(axis.get_view_interval())
     there = axis.get_majorticklocs()
     there = there[(low <= there) & (there <= high)]
     said = [float(text.strip("$")) for text in axis.get_major_formatter().format_ticks(there)]
-    return np.array(said) * {"Hz": 1.0, "kHz": 1e3}[unit], there
+    powers = {prefix: 1000.0**step for step, prefix in PREFIXES.items()}
+    inverse = unit.startswith("1/")
+    power = powers[unit[2 * inverse :][: -2 if unit.endswith("Hz") else -1]]
+    return np.array(said) * power ** (-1 if inverse else 1), there
 
 
-def test_axes():
+HERTZ = UNIT / (2e-5 * math.pi)  # omega_mx
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "axis", "quantity", "factor"),
+    [
+        (respond, "amplitude", "x", "driving frequency", HERTZ),
+        (respond, "phase", "x", "driving frequency", HERTZ),
+        (respond, "delay", "y", "group delay", 1e-5 / UNIT),
+        (respond, "wall", "x", "driving frequency", HERTZ),
+        (find_modes, "participation", "x", "mode frequency", HERTZ),
+        (count_modes, "density", "y", "density of modes per ball", 1 / HERTZ),
+        (count_modes, "staircase", "x", "frequency", HERTZ),
+        (listen, "signals", "x", "time", 1e-5 / UNIT),
+        (listen, "energy", "x", "time", 1e-5 / UNIT),
+        (listen, "spectrum", "x", "driving frequency", HERTZ),
+    ],
+)  # fmt: skip
+def test_axes(make, name, axis, quantity, factor):
     """A tick that says 12 kHz stands at that frequency; curves and limits stay where they were."""
-    lattice = pgran.Lattice.random((5, 4), mass=2.0)
-    response = pgran.sweep(lattice, np.linspace(0.01, 0.9, 150), (2, 2))
-    modes = pgran.find_modes(lattice)
-    medium = record_of(lattice)
-    result = Result([medium, response])
-    plain, made = pgran.plot(result), pgran.plot(result, units=(None, 1e-5))
-    made |= pgran.plot(Result([medium, modes]), units=(None, 1e-5))
-    plain |= pgran.plot(Result([medium, modes]))
-    to_hertz = medium.omega_mx / (2 * math.pi * 1e-5)
-    for name in ("amplitude", "phase", "wall", "participation", "density"):
-        seen = 0
-        for ax, before in zip(made[name].axes, plain[name].axes, strict=True):
-            assert ax.get_xlim() == before.get_xlim()
-            for line, same in zip(ax.lines, before.lines, strict=True):
-                assert np.array_equal(line.get_xdata(), same.get_xdata())
-            said, there = at_ticks(ax.xaxis, "kHz")
+    result = make()
+    plain, made = (pgran.plot(result, units=units)[name] for units in (None, (None, 1e-5)))
+    labels = {ax.xaxis.get_label_text() if axis == "x" else ax.get_ylabel() for ax in made.axes}
+    (label,) = {label for label in labels if label.startswith(f"{quantity} (")}
+    unit, seen = label.rpartition("(")[2].rstrip(")"), 0
+    for ax, before in zip(made.axes, plain.axes, strict=True):
+        assert (ax.get_xlim(), ax.get_ylim()) == (before.get_xlim(), before.get_ylim())
+        for line, same in zip(ax.lines, before.lines, strict=True):
+            assert np.array_equal(line.get_xdata(), same.get_xdata())
+        if isinstance(getattr(ax, f"{axis}axis").get_major_locator(), physical.Ticks):
+            said, there = at_ticks(getattr(ax, f"{axis}axis"), unit)
             assert len(said) >= 2
-            assert said == pytest.approx(to_hertz * there, rel=1e-3)
-            seen += ax.get_xlabel().endswith("frequency (kHz)")
-        assert seen
-    assert made["density"].axes[0].get_ylabel() == "density of modes per ball (1/MHz)"
+            assert said == pytest.approx(factor * there, rel=1e-3)
+            seen += 1
+    assert seen
 
 
 @pytest.mark.parametrize("scale", ["linear", "log", "symlog"])
@@ -157,6 +173,7 @@ def test_ticks_of_any_scale(scale):
     assert said == pytest.approx(0.37 * there, rel=1e-3)
     digits = {f"{abs(number):e}".partition("e")[0].rstrip("0.") for number in said if number}
     assert max(map(len, digits)) <= 3
+    assert not any(ax.xaxis.get_minor_formatter().format_ticks(ax.xaxis.get_minorticklocs()))
 
 
 def test_a_run_says_it(call, place, shared_path):

@@ -121,7 +121,7 @@ def delay(ax, found, lattice, detector=0):
     middle = np.nanmedian(np.abs(values[found.statistic.tolist().index("median")]))
     threshold = 10.0 ** round(math.log10(middle)) if middle > 0 else 1.0
     style.symmetric(ax, values[np.isfinite(values)], threshold)
-    ax.set_ylabel(r"group delay ($1/\omega_{mx}$)")
+    ax.set_ylabel(style.DELAY)
     return drawn
 
 

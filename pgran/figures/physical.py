@@ -5,19 +5,30 @@ from matplotlib.ticker import (
     FuncFormatter,
     Locator,
     LogLocator,
+    NullFormatter,
     NullLocator,
     SymmetricalLogLocator,
 )
 
-from pgran.figures import style
+from pgran.figures import density, ensemble, style
 from pgran.results.si import prefix_of
 
 # What an axis shows, by its label: the quantity, its unit, the power of omega_mx that its numbers
 # are measured in.
 SHOWN = {
     style.FREQUENCY: ("driving frequency", "Hz", 1),
+    density.FREQUENCY: ("frequency", "Hz", 1),
     style.MODE_FREQUENCY: ("mode frequency", "Hz", 1),
     style.DENSITY: ("density of modes per ball", "1/Hz", -1),
+    style.TIME: ("time", "s", -1),
+    style.DELAY: ("group delay", "s", -1),
+    style.DISTANCE: ("distance from the driven wall", "m", 0),
+    style.ATTENUATION: ("attenuation length", "m", 0),
+    ensemble.NUMBERS["velocity"]: ("phase velocity", "m/s", 1),
+    ensemble.NUMBERS["arrival"]: ("arrival of the front", "s", 0),
+    ensemble.NUMBERS["centre"]: ("centre of the envelope", "s", 0),
+    ensemble.NUMBERS["decay"]: ("rate of decay", "1/s", 0),
+    **{f"${name}$": (f"${name}$", "m", 0) for name in "xyz"},
 }
 
 
@@ -89,6 +100,7 @@ def convert(axis, factor):
         major = style.round_ticks(axis.figure)
     axis.set_major_locator(Ticks(major, factor))
     axis.set_minor_locator(Ticks(minor, factor))
+    axis.set_minor_formatter(NullFormatter())
     axis.set_major_formatter(FuncFormatter(lambda x, _: _written(x * factor)))
 
 

@@ -7,8 +7,6 @@ import numpy as np
 from pgran.figures import balls, bonds, network, style, transfer
 from pgran.figures.view import View
 
-TIME = r"time ($1/\omega_{mx}$)"
-
 
 def figures(result, response=None, **_):
     """Yield the signals, the field if it is stored, the energy if known, spectra, and the bonds."""
@@ -73,7 +71,7 @@ def seismogram(ax, signals, lattice):
     look["label"] = "front: a tenth of the largest displacement"
     ax.vlines(np.array(fronts) * lattice.omega_mx, *ends, **look)
     ax.set_yticks(range(len(rows)), rows)
-    ax.set(xlabel=TIME, xlim=time[[0, -1]], ylim=(-0.7, len(rows) - 0.3))
+    ax.set(xlabel=style.TIME, xlim=time[[0, -1]], ylim=(-0.7, len(rows) - 0.3))
     return drawn
 
 
@@ -140,7 +138,7 @@ def energy(ax, signals, lattice):
         (signals.energy, "energy of balls and springs", {"color": style.ACCENT}),
         (signals.dissipated, "taken by damping", {"color": style.UNRESOLVED}),
     ]
-    ax.set(xlabel=TIME, xlim=time[[0, -1]])
+    ax.set(xlabel=style.TIME, xlim=time[[0, -1]])
     ax.set_ylabel(r"energy ($m\,\omega_{mx}^2 \times$ displacement$^2$)")
     return [ax.plot(time, y / unit, label=label, **look)[0] for y, label, look in shown]
 

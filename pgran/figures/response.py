@@ -168,7 +168,7 @@ def delay(ax, response, lattice, modes=None):
     good = (response.converged_reason > 0)[:, None] & np.isfinite(values)
     middle = float(f"{np.median(np.abs(values[good])):.1g}")
     style.symmetric(ax, values[good], middle or 1.0)
-    ax.set_ylabel(r"group delay ($1/\omega_{mx}$)")
+    ax.set_ylabel(style.DELAY)
     style.frequencies(ax, x)
     drawn = marks.curves(
         ax, x, values, good, style.ball_names(response.detector), **_look(response)

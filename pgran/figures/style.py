@@ -14,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import offset_copy
 
 from pgran.errors import FileError
+from pgran.results.medium import ball_names as ball_names
 
 MM = 1 / 25.4  # in inches
 COLUMN, PAGE = 85 * MM, 170 * MM  # widths: one column of a journal, and two
@@ -29,6 +30,10 @@ AMPLITUDE = r"amplitude $|A|$ (drive = 1)"
 PHASE = "phase (rad)"
 FREQUENCY = r"driving frequency $\omega/\omega_{mx}$"
 DENSITY = r"modes per ball and $\omega_{mx}$"
+TIME = r"time ($1/\omega_{mx}$)"
+DELAY = r"group delay ($1/\omega_{mx}$)"
+DISTANCE = "distance from the driven wall (spacings)"
+ATTENUATION = "attenuation length (spacings)"
 MODE_FREQUENCY = r"mode frequency $\omega_i/\omega_{mx}$"
 
 RC = {
@@ -116,12 +121,6 @@ def colours(count):
 def pale(colour):
     """Return a colour mixed with white."""
     return tuple(1 - 0.4 * (1 - part) for part in to_rgb(colour))
-
-
-def ball_names(detectors):
-    """Return what each detector is called in a legend."""
-    sites = np.asarray(detectors).tolist()
-    return [f"ball {site[0] if len(site) == 1 else tuple(site)}" for site in sites]
 
 
 def driven(lattice):

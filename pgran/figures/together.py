@@ -9,7 +9,7 @@ import textwrap
 import numpy as np
 
 from pgran.errors import FileError
-from pgran.figures import modes, pulse, relaxation, response, style
+from pgran.figures import modes, relaxation, response, style
 
 LINES = ("-", (0, (4, 1)), (0, (1, 0.8)), (0, (4, 1, 1, 1)), (0, (1.5, 2)), (0, (3, 1, 1, 1, 1, 1)))
 COLOURS = ("black", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
@@ -137,7 +137,7 @@ def _pulses(results, labels):
     first = {style.ball_names(result.pulse.detector[:1])[0] for result in results}
     ax.set_title(first.pop() if len(first) == 1 else "first detectors")
     last = max(result.pulse.time[-1] * result.medium.omega_mx for result in results)
-    ax.set(xlabel=pulse.TIME, ylabel="displacement", xlim=(0, last))
+    ax.set(xlabel=style.TIME, ylabel="displacement", xlim=(0, last))
     _finish(figure)
     figure.caption = "Displacement of a ball against time."
     yield "signals", figure

@@ -107,6 +107,9 @@ def page(signals, lattice, response):
     for d, ax in zip(range(count), panels, strict=False):
         spectrum(ax, signals, lattice, d, response)
         ax.set(xlabel="", ylabel="")
+    for ax in panels[max(0, count - columns) : count]:  # nothing stands below these
+        ax.set_xlabel(style.FREQUENCY)
+        ax.tick_params(labelbottom=True)
     for ax in panels[count:]:
         ax.remove()
     figure.panels = panels[:count]
@@ -119,6 +122,5 @@ def page(signals, lattice, response):
     )
     style.above(figure, text)
     figure.caption = f"Spectra of balls over that of the drive: {text}."
-    figure.supxlabel(style.FREQUENCY, fontsize="medium")
     figure.supylabel(style.AMPLITUDE, fontsize="medium")
     return figure

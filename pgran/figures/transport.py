@@ -5,7 +5,6 @@ import numpy as np
 from pgran.figures import style
 
 SHOWN = 4  # frequencies
-DISTANCE = "distance from the driven wall (spacings)"
 SAID = (
     "Mean logarithm of the amplitude against the distance from the driven wall, at some driving "
     "frequencies.",
@@ -30,7 +29,7 @@ def figures(result, **_):
 def profile(ax, found, unit):
     """Draw <ln|A|> against depth at a few frequencies; return the curves."""
     chosen = np.unique(np.linspace(0, len(found.omega) - 1, SHOWN + 2).astype(int)[1:-1])
-    ax.set(xlabel=DISTANCE, ylabel=r"$\langle\ln|A|\rangle$")
+    ax.set(xlabel=style.DISTANCE, ylabel=r"$\langle\ln|A|\rangle$")
     drawn = []
     for number, mark, shade in zip(chosen, "osv^", style.colours(SHOWN), strict=False):
         label = rf"{found.omega[number] / unit:.3g} $\omega_{{mx}}$"
@@ -43,7 +42,7 @@ def profile(ax, found, unit):
 def length(ax, found, unit):
     """Draw the attenuation length by frequency, where it is known; return what was drawn."""
     known = np.isfinite(found.length)
-    ax.set(ylabel="attenuation length (spacings)", yscale="log")
+    ax.set(ylabel=style.ATTENUATION, yscale="log")
     style.frequencies(ax, found.omega / unit)
     look = {"fmt": ".", "markersize": 3, "linewidth": 0.6, "color": style.ACCENT}
     values = found.omega[known] / unit, found.length[known], found.length_error[known]
@@ -52,6 +51,6 @@ def length(ax, found, unit):
 
 def delay(ax, found, unit):
     """Draw the mean delay against depth; return what was drawn."""
-    ax.set(xlabel=DISTANCE, ylabel=r"group delay ($1/\omega_{mx}$)")
+    ax.set(xlabel=style.DISTANCE, ylabel=style.DELAY)
     look = {"fmt": "o", "markersize": 3, "elinewidth": 0.8, "color": "black"}
     return ax.errorbar(found.depth, found.delay * unit, found.delay_error * unit, **look)

@@ -137,3 +137,9 @@ class NetworkRecord(Record):
 def record_of(lattice):
     """Return the record of a lattice or of another network. Not collective."""
     return (NetworkRecord if isinstance(lattice, Network) else LatticeRecord).of(lattice)
+
+
+def ball_names(detectors):
+    """Return what each detector is called, "ball (8, 10)". Not collective."""
+    sites = np.asarray(detectors).tolist()
+    return [f"ball {site[0] if len(site) == 1 else tuple(site)}" for site in sites]

@@ -9,6 +9,7 @@ from pgran.physics import heat as warming
 from pgran.physics.finite import changed_amplitudes
 from pgran.physics.rounding import EPSILON
 from pgran.results import Heat
+from pgran.results.medium import ball_names
 from pgran.scenes import common, driven
 from pgran.scenes.adjoint import MISSED, AdjointSweep
 from pgran.scenes.interface import in_parallel
@@ -61,7 +62,7 @@ def summary(found):
     good = found.converged_reason > 0
     if found.failures:
         yield Caution(f"{found.failures} of {len(good)} frequencies of the heater failed")
-    for d, site in enumerate(found.detector.tolist()):
+    for d, ball in enumerate(ball_names(found.detector)):
         for name, what in (("warmed", "warm ball"), ("cut", "cut bond")):
             changed = getattr(found, name)
             if changed is None or not good.any():
@@ -71,7 +72,7 @@ def summary(found):
             with np.errstate(all="ignore"):  # a detector may be at rest
                 moved = np.abs(after - before) / np.abs(before)
             known &= np.isfinite(moved)
-            text = f"ball {tuple(site)}: one {what} changes its amplitude by "
+            text = f"{ball}: one {what} changes its amplitude by "
             if not known.any():
                 yield f"{text}what is not known"
                 continue

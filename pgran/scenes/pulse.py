@@ -11,6 +11,7 @@ from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.pulse import SHAPES, Pulse, Samples
 from pgran.results import record_of
+from pgran.results.medium import ball_names
 from pgran.results.si import SI
 from pgran.scenes import common, driven
 from pgran.scenes.integration import integrate
@@ -104,14 +105,14 @@ def summary(result):
             f"{signals.factorizations} factorizations"
         )
     yield f"{len(signals.time)} times from {how}, {signals.solve_seconds:.2f} s"
-    for d, site in enumerate(signals.detector.tolist()):
+    for d, ball in enumerate(ball_names(signals.detector)):
         largest, wrong = np.abs(signals.displacement[:, d]).max(), signals.error[:, d].max()
         known = "wrong by at most" if proven else "wrong by an estimated"
-        line = f"ball {tuple(site)}: largest displacement {largest:.3g}, {known} {wrong:.1e}"
+        line = f"{ball}: largest displacement {largest:.3g}, {known} {wrong:.1e}"
         if not wrong <= signals.tolerance * largest:
             helps = "a smaller -error_tolerance may help"
             helps += ", or -pulse_method integrate" if proven else ""
-            yield Caution(f"ball {tuple(site)}: not as accurate as asked: {helps}")
+            yield Caution(f"{ball}: not as accurate as asked: {helps}")
         if np.isfinite(signals.arrival[d]):
             front, centre = signals.arrival[d], signals.centre[d]
             line += f"; front at {front:.4g}{si.say('s', front)}"

@@ -9,6 +9,7 @@ from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.phase import and_more
 from pgran.results import record_of
+from pgran.results.medium import ball_names
 from pgran.results.response import LINES
 from pgran.results.si import SI
 from pgran.scenes import common, driven
@@ -83,18 +84,18 @@ def summary(result):
     yield from unresolved(response, lattice.damping > 0)
     window = response.phase_fit_min, response.phase_fit_max
     curves = response.omega, response.phase, response.line_error
-    for site, line, velocity, error in zip(
-        response.detector.tolist(),
+    for ball, line, velocity, error in zip(
+        ball_names(response.detector),
         phase_lines(lattice, *curves, window),
         response.phase_velocity,
         response.phase_velocity_error,
         strict=True,
     ):
         if line.why_not:
-            yield f"ball {tuple(site)}: no phase velocity: {line.why_not}"
+            yield f"{ball}: no phase velocity: {line.why_not}"
         else:
             yield (
-                f"ball {tuple(site)}: phase slope {line.slope:.4g} +- {line.slope_error:.1g} rad "
+                f"{ball}: phase slope {line.slope:.4g} +- {line.slope_error:.1g} rad "
                 f"per omega_mx, phase velocity {velocity:.4g} +- {error:.1g} "
                 f"{lattice.length} x omega_mx{si.say('m/s', velocity * lattice.omega_mx)}"
             )

@@ -11,6 +11,7 @@ from pgran.machine import check_memory
 from pgran.parallel.task import Task
 from pgran.physics.bands import STATISTICS, over_samples
 from pgran.results import Ensemble
+from pgran.results.medium import ball_names
 from pgran.results.si import SI
 
 log = logging.getLogger(__name__)
@@ -213,7 +214,7 @@ def measures(result):
     for name, (words, unit, physical) in MEASURES.items():
         values = getattr(found, name)
         if values is not None:
-            sites = [None] if values.ndim == 1 else found.detector.tolist()
+            sites = [None] if values.ndim == 1 else ball_names(found.detector)
             say = partial(_in_si, result, unit, physical)
             yield from told(words, unit, say, np.atleast_2d(values[found.good > 0].T), sites)
 
@@ -238,12 +239,12 @@ def told(words, unit, say, columns, sites):
     columns : numpy.ndarray, shape (nd, samples)
         Its values at each detector, NaN where they are not certain.
     sites : list
-        The detectors' indices; None of what is no detector's.
+        The detectors' names; None of what is no detector's.
     """
     known = [column[np.isfinite(column)] for column in columns]
     few = [len(values) for values in known if len(values) < 2]
     for site, values in zip(sites, known, strict=True):
-        line = words if site is None else f"ball {tuple(site)}: {words}"
+        line = words if site is None else f"{site}: {words}"
         if len(values) > 1:
             mean, spread = values.mean(), values.std(ddof=1)
             error = spread / np.sqrt(len(values))

@@ -7,6 +7,7 @@ from pgran.parallel.task import carry_out
 from pgran.physics.bonds import bond_places
 from pgran.physics.gradient import energy_flux, gradient
 from pgran.results import Sensitivity, record_of
+from pgran.results.medium import ball_names
 from pgran.results.si import SI
 from pgran.scenes import common, driven, heat
 from pgran.scenes.adjoint import MISSED, AdjointSweep
@@ -56,7 +57,7 @@ def summary(result):
         yield Caution(
             f"{found.failures} of {nw} frequencies failed or missed the accuracy asked for"
         )
-    for d, site in enumerate(found.detector.tolist()):
+    for d, ball in enumerate(ball_names(found.detector)):
         size = np.abs(found.log_amplitude[good, d])
         if size.size:
             at, bond = np.unravel_index(np.argmax(size), size.shape)
@@ -64,7 +65,7 @@ def summary(result):
             most, joined = found.log_amplitude[good][at, d, bond], joins(result.medium, number)
             omega = found.omega[good][at]
             yield (
-                f"ball {tuple(site)}: depends most on bond {number}, {joined}, at omega = "
+                f"{ball}: depends most on bond {number}, {joined}, at omega = "
                 f"{omega:.6g}{SI.of(result).say('Hz', omega)}: d ln|A| / d ln k = {most:.4g} "
                 f"+- {found.log_bound[good][at, d, bond]:.1g}"
             )
