@@ -123,13 +123,13 @@ def run(options, world, crew):
         if of == "relaxation":  # else all samples would become the same network
             changed["relax_seed"] = options.relax_seed + seed - options.bonds_seed
         sample = options.changed(**changed)
-        return experiment.run(sample, group, lambda _: AgreeingCrew(group, group.size))
+        return experiment.run(sample, group, lambda *_: AgreeingCrew(group, group.size))
 
     shared = experiment.SCENE.shares_lattice
     ranks = common.ranks_per_lattice(options, lattice, world) if shared else 1
     whole = of == "modes" and not modes.chosen(options)
     chosen = options.ensemble_keep, omegas, options.detectors, whole
-    with crew(ranks) as workers:
+    with crew(ranks, lattice) as workers:
         task = Samples(of, seeds, solve, lattice, *chosen)
         found = [carry_out(task, workers, options.output_progress)]
         if found[0] and windows is not None and not workers.dry:

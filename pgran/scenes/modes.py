@@ -62,7 +62,7 @@ def run(options, world, crew):
     Collective. Parameters are those of `pgran.scenes.scene.Scene`.
     """
     lattice, progress = common.make_lattice(options, world), options.output_progress
-    with crew(1) as workers:
+    with crew(1, lattice) as workers:
         if options.modes_density:
             omegas = density.frequencies(options, lattice)
             counts = density.count_modes(lattice, omegas, workers, progress=progress)

@@ -34,7 +34,7 @@ def run(options, world, crew):
     """
     lattice = common.make_lattice(options, world)
     omegas = common.driving_frequencies(options, lattice)
-    with crew(1) as workers:
+    with crew(1, lattice) as workers:
         projection = project(
             lattice,
             omegas,

@@ -58,7 +58,7 @@ def run(options, world, crew):
     window = options.spectrum_fit_min, options.spectrum_fit_max
     check_window(*window)  # before any work; too short a series only has no spectrum
     lattice = common.make_lattice(options, world)
-    with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
+    with crew(common.ranks_per_lattice(options, lattice, world), lattice) as workers:
         relaxation = relax(
             lattice,
             common.make_law(options) if options.bonds_law else None,
