@@ -8,7 +8,6 @@ from pgran.figures import balls, marks, style
 from pgran.figures.influence import (
     MOST,
     few,
-    has_places,
     logarithmic,
     note_failed,
     on_bonds,
@@ -37,7 +36,7 @@ def figures(result, **_):
     if not len(chosen):
         log.warning("no frequency of the heater is as accurate as asked: none is drawn")
         return
-    if has_places(medium):
+    if medium.has_places:
         if heat.warmed is not None:
             yield from pages("warmed", warm, heat, medium, "change of |A|", _warmth)
         if heat.cut is not None:

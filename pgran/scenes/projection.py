@@ -67,12 +67,12 @@ def which_modes(options, balls, omegas):
 def summary(result):
     """Return in words what a run found. Not collective."""
     lattice, projection = result.medium, result.projection
-    nm = len(projection.mode_omega)
+    nm = projection.count_found
     yield (
         f"{len(projection.omega)} frequencies on {nm} modes in {projection.solve_seconds:.2f} s, "
         f"with {projection.factorizations} factorizations"
     )
-    yield certificate(projection, nm)
+    yield certificate(projection)
     omega, modes, unit = projection.omega, projection.mode_omega, lattice.omega_mx
     inside = (omega > 0.1 * unit) & (omega < 0.9 * unit) & (projection.converged_reason > 0)
     if nm > 3:
