@@ -74,6 +74,10 @@ SMALL = "-lattice_shape 4,3"
         (f"modes {SMALL} -bonds_law bimodal -bonds_kmax 1",
          "modes of a 4 x 3 lattice, bimodal bonds 0 and 1, 0.5 of them the latter, seed 1993, "
          "omega_mx 2, "),
+        (f"modes {SMALL} -bonds_law loguniform -bonds_kmin .1",
+         "modes of a 4 x 3 lattice, loguniform bonds on [0.1, 0.25], seed 1993, omega_mx 1, "),
+        (f"modes {SMALL} -bonds_law hertz -bonds_force 2 -bonds_hertz 4 -bonds_kmax .25",
+         "modes of a 4 x 3 lattice, Hertzian bonds, mean force 2, c 4, seed 1993, omega_mx 1, "),
         ("modes -network_file a.h5", "modes of the network a.h5, 2 free balls, 3 contacts, "
          "scalar displacements, omega_mx 1, "),
         (f"ensemble -ensemble_of modes {SMALL} -ensemble_samples 3 -bonds_seed 7",
@@ -82,6 +86,8 @@ SMALL = "-lattice_shape 4,3"
         (f"ensemble {SMALL} -detectors 2,1 -ensemble_samples 3 -sweep_points 2",
          "ensemble of response of 3 lattices of 4 x 3, uniform bonds on [0, 0.25], "
          f"seeds 1993 to 1995, {BETA}"),
+        (f"sensitivity {SMALL} -detectors 2,1 -sweep_omega .3 -heat_factor 2",
+         f"sensitivity of a 4 x 3 lattice, uniform bonds on [0, 0.25], seed 1993, {BETA}"),
         ("continuum -sweep_points 3", "continuum of a homogeneous box of 1 x 1, beta 0.003, "),
     ],
 )  # fmt: skip
@@ -95,6 +101,7 @@ def test_a_run_begins_with_what_it_solves(call, place, shared_path, world, words
     ranks = "1 rank" if world.size == 1 else f"{world.size} ranks"
     done = call("run", "b.opts")
     assert done.stderr.splitlines()[0] == f"pgran: {said}{ranks}"
+    assert done.stderr.count(f"{said}{ranks}") == 1
     assert done.stderr.count("omega_mx") + done.stderr.count("box") < 3
     dry = call("run", "b.opts", "-dry_run", "-output_file", "c.h5")
     assert dry.stdout.splitlines()[0] == f"run       {said}{ranks}"

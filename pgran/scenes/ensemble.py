@@ -13,13 +13,13 @@ from pgran.physics.lattice import Lattice
 from pgran.results import record_of
 from pgran.scenes import (
     common,
+    fluctuations,
     modes,
     noise,
     pulse,
     relaxation,
     response,
     sensitivity,
-    series,
     transport,
 )
 from pgran.scenes.interface import in_parallel
@@ -216,7 +216,7 @@ def ensemble(
         with AgreeingCrew(group, group.size) as one:
             found = function(sample, crew=one, **choices)
         if of == "relaxation":
-            found = series.measured(found, series.FIT, sample.bonds)
+            found = fluctuations.measured(found, fluctuations.FIT, sample.bonds)
         return [sample, *(found if isinstance(found, list) else [found])]
 
     whole = of == "modes" and "interval" not in experiment
