@@ -77,6 +77,9 @@ def test_bands_medians_samples_and_the_coherent_part(panel):
     for at in (0, 200, 800):
         edge = np.unique(y[np.isclose(x, found.omega[at] / UNIT)])
         np.testing.assert_allclose(edge[[0, -1]], [low[at], high[at]], rtol=1e-10)
+    if panel is ensemble.delay:  # linear up to the power of ten next to the median of all
+        ends = np.nanmedian(np.abs(middle)) * np.array([0.31, 3.2])
+        assert ends[0] <= ax.yaxis.get_transform().linthresh <= ends[1]
     coherent = [line for name, line in lines.items() if name.startswith("coherent")]
     assert len(coherent) == (panel is ensemble.amplitude)
     for line in coherent:

@@ -52,6 +52,7 @@ def test_prefixes_keep_the_value(unit):
         power = powers[prefix] ** (-1 if inverse else 1)
         assert value * shift * power == pytest.approx(value, rel=1e-12)
         assert 1 - 1e-8 <= abs(value * shift) < 1000
+    assert prefix_of(990.0, unit) == (1.0, unit)
 
 
 @pytest.mark.parametrize(
