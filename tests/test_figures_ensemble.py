@@ -77,14 +77,23 @@ def test_bands_medians_samples_and_the_coherent_part(panel):
     for at in (0, 200, 800):
         edge = np.unique(y[np.isclose(x, found.omega[at] / UNIT)])
         np.testing.assert_allclose(edge[[0, -1]], [low[at], high[at]], rtol=1e-10)
-    if panel is ensemble.delay:  # linear up to the power of ten next to the median of all
-        ends = np.nanmedian(np.abs(middle)) * np.array([0.31, 3.2])
-        assert ends[0] <= ax.yaxis.get_transform().linthresh <= ends[1]
     coherent = [line for name, line in lines.items() if name.startswith("coherent")]
     assert len(coherent) == (panel is ensemble.amplitude)
     for line in coherent:
         mean = np.abs(found.displacement[:, :, d].mean(axis=0))
         np.testing.assert_allclose(line.get_ydata(), mean, rtol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [0.01, 1.0, 1000.0])
+def test_delays_are_linear_up_to_the_power_of_ten_next_to_their_median(scale):
+    found = found_of("response", "curves")
+    found = replace(found, delay=scale * found.delay)
+    ax = draw(ensemble.delay, found, MEDIUM, 1)
+    (median,) = (line for line in ax.get_lines() if line.get_label() == "median")
+    middle = np.nanmedian(np.abs(median.get_ydata()))
+    threshold = ax.yaxis.get_transform().linthresh
+    assert threshold == pytest.approx(10.0 ** round(np.log10(threshold)))
+    assert 0.31 * middle <= threshold <= 3.2 * middle
 
 
 def test_samples_that_are_left_out_are_not_drawn_and_said():
