@@ -56,6 +56,20 @@ def listen(sites=((1, 1),), lattice=LATTICE, **sent):
     return result_of(pgran.pulse(lattice, np.ravel(sites), **sent), lattice)
 
 
+def ensemble():
+    """Responses, with what they say of transport and of noise."""
+    lattice = {"shape": (6, 3), "mass": 0.25, "damping": 0.05}
+    omegas = UNIT * np.linspace(0.2, 1.2, 201)
+    line = [(4, 1), (3, 1), (2, 1), (0, 1)]
+    drawn = {"omegas": omegas, "detectors": line}
+    found = pgran.ensemble("response", 10, lattice=lattice, keep="curves", **drawn)
+    first = pgran.Lattice.random(**lattice)
+    result = result_of(found, first)
+    result.transport = pgran.transport(first, found)
+    result.statistics = pgran.statistics(found, [(0.5 * UNIT, 0.9 * UNIT)])
+    return result
+
+
 def compare(errors):
     """An accuracy study: configurations of one solver each, slower and slower."""
     seconds = np.arange(1.0, len(errors) + 1)

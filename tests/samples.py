@@ -76,7 +76,7 @@ def option_values(text):
 def run_scene(options, world, journal=None):
     """Run the scene of some options; return its records on rank 0, None on the others."""
     scene = SCENES[options.scene]
-    return scene.run(options, world, lambda ranks: Crew(world, ranks, journal))
+    return scene.run(options, world, lambda ranks, _=None: Crew(world, ranks, journal))
 
 
 @contextlib.contextmanager

@@ -1,7 +1,6 @@
 """The command line: exit codes, messages, results; as a program of its own where it must be."""
 
 import os
-import re
 import shlex
 import signal
 import sys
@@ -12,8 +11,7 @@ import pytest
 from campaigns import inject
 
 import pgran.__main__ as program
-from pgran import __version__, errors, load
-from pgran.command.resolve import SCENES
+from pgran import __version__, load
 from pgran.errors import FileError
 from pgran.files import store
 from pgran.files.network import write_network
@@ -74,6 +72,10 @@ SMALL = "-lattice_shape 4,3"
         (f"modes {SMALL} -bonds_law bimodal -bonds_kmax 1",
          "modes of a 4 x 3 lattice, bimodal bonds 0 and 1, 0.5 of them the latter, seed 1993, "
          "omega_mx 2, "),
+        (f"modes {SMALL} -bonds_law loguniform -bonds_kmin .1",
+         "modes of a 4 x 3 lattice, loguniform bonds on [0.1, 0.25], seed 1993, omega_mx 1, "),
+        (f"modes {SMALL} -bonds_law hertz -bonds_force 2 -bonds_hertz 4 -bonds_kmax .25",
+         "modes of a 4 x 3 lattice, Hertzian bonds, mean force 2, c 4, seed 1993, omega_mx 1, "),
         ("modes -network_file a.h5", "modes of the network a.h5, 2 free balls, 3 contacts, "
          "scalar displacements, omega_mx 1, "),
         (f"ensemble -ensemble_of modes {SMALL} -ensemble_samples 3 -bonds_seed 7",
@@ -82,6 +84,8 @@ SMALL = "-lattice_shape 4,3"
         (f"ensemble {SMALL} -detectors 2,1 -ensemble_samples 3 -sweep_points 2",
          "ensemble of response of 3 lattices of 4 x 3, uniform bonds on [0, 0.25], "
          f"seeds 1993 to 1995, {BETA}"),
+        (f"sensitivity {SMALL} -detectors 2,1 -sweep_omega .3 -heat_factor 2",
+         f"sensitivity of a 4 x 3 lattice, uniform bonds on [0, 0.25], seed 1993, {BETA}"),
         ("continuum -sweep_points 3", "continuum of a homogeneous box of 1 x 1, beta 0.003, "),
     ],
 )  # fmt: skip
@@ -95,6 +99,7 @@ def test_a_run_begins_with_what_it_solves(call, place, shared_path, world, words
     ranks = "1 rank" if world.size == 1 else f"{world.size} ranks"
     done = call("run", "b.opts")
     assert done.stderr.splitlines()[0] == f"pgran: {said}{ranks}"
+    assert done.stderr.count(f"{said}{ranks}") == 1
     assert done.stderr.count("omega_mx") + done.stderr.count("box") < 3
     dry = call("run", "b.opts", "-dry_run", "-output_file", "c.h5")
     assert dry.stdout.splitlines()[0] == f"run       {said}{ranks}"
@@ -226,104 +231,6 @@ def test_a_missing_scipy_is_said_at_the_start(start, shared_path):
     done = start("run", "b.opts", program=[sys.executable, "-c", code])
     assert_one_line(done, 1, "scipy", "pgran doctor says how to mend it")
     assert os.listdir(shared_path / "results") == []
-
-
-# Other commands
-
-
-def test_questions(call):
-    for words in ("", "run", "run -scene response", "rum"):
-        assert call(*words.split()).returncode == 2
-    assert_one_line(call("options", "respons"), 2, "no scene respons; did you mean response?")
-    assert call("--version").stdout == f"pgran {__version__}\n"
-    for words in ("--help", "-h", "help"):
-        done = call(*words.split())
-        assert (done.returncode, done.stderr) == (0, "")
-        assert [name for name in program.COMMANDS if f"  pgran {name} " not in done.stdout] == []
-    for scene in SCENES:
-        assert scene in call("options").stdout
-        assert scene in call("options", scene).stdout
-
-
-@pytest.mark.parametrize("command", program.COMMANDS)
-def test_every_command_has_a_help_of_one_style(call, command):
-    """Usage, what it does, and examples, which it could carry out."""
-    done = call(command, "--help")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert call("help", command).stdout == done.stdout
-    usage, does, *_ = done.stdout.split("\n\n")
-    assert usage.startswith(f"usage: pgran {command}")
-    assert does[0].isupper()
-    assert does[-1] == "."
-    examples = done.stdout.partition("\nexamples:\n")[2].partition("\n\n")[0].splitlines()
-    assert examples
-    for line in examples:
-        assert re.match(f"  (mpirun -n 2 )?pgran {command}( |$)", line)
-    assert max(map(len, done.stdout.splitlines())) <= 90
-
-
-def test_the_help_of_a_run(call):
-    """Exit codes, and where the options of a scene are listed."""
-    text = call("run", "a.opts", "--help").stdout
-    assert "pgran options response lists all" in text
-    assert "pgran options SCENE lists all" in call("run", "-h").stdout
-    for code in (errors.DONE, errors.BAD_INPUT, errors.INACCURATE, errors.BAD_FILE, errors.STOPPED):
-        assert f"\n  {code:<3} " in text
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "said"),
-    [
-        ("rn a.opts", 2, "rn: no such command; did you mean pgran run?"),
-        ("a.opts", 2, "did you mean pgran run a.opts?"),
-        ("results/a.h5", 2, "did you mean pgran plot results/a.h5?"),
-        ("response", 2, "did you mean pgran run options/response.opts?"),
-        ("--verison", 2, "did you mean pgran --version?"),
-        ("zzz", 2, "pgran --help lists them"),
-        ("run", 2, "run: an options file comes first"),
-        ("run -dry_run a.opts", 2, "run: an options file comes first"),
-        ("run respons", 4, "No such file or directory; did you mean options/response.opts?"),
-        ("run pulse", 4, "pulse is a scene; pgran run takes an options file that says -sc"),
-        ("run zzz.opts", 4, "zzz.opts: No such file or directory"),
-        ("run options", 4, "is a directory; pgran run takes one options file, options/NAME.opts"),
-        ("run b.h5", 4, "not a text file (line 1); pgran plot b.h5 draws a result"),
-        ("run a.opts -relax_steps 3", 2, "but accuracy, ensemble and relaxation do"),
-        ("run a.opts -accuracy_repeats 2", 2, "but accuracy does"),
-        ("plot a.opts", 2, "a.opts is an options file; pgran run a.opts computes a result"),
-        ("options a.opts", 2, "options: there is no scene a.opts; there are accuracy, "),
-        ("options modes pulse", 2, "options: unrecognized arguments: pulse; see pgran options"),
-        ("doctor twice", 2, "doctor: unrecognized arguments: twice; see pgran doctor --help"),
-        ("export b.h5", 2, "export: the following arguments are required: TO; see pgran export"),
-        ("verify", 2, "verify: the following arguments are required: RESULT; see pgran verify"),
-    ],
-)  # fmt: skip
-def test_what_was_meant_is_told(call, place, shared_path, world, words, code, said):
-    if world.rank == 0:
-        (shared_path / "options").mkdir()
-        (shared_path / "b.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
-    place("options/response.opts", "-scene response")
-    assert_one_line(call(*words.split()), code, said)
-
-
-QUESTION = """
-import sys, warnings
-import pgran.__main__ as program
-def ask(words, main=program.main):
-    warnings.warn("a first line\\nand another", RuntimeWarning)
-    code = main(words)
-    print("LOADED", {"petsc4py.PETSc", "mpi4py.MPI", "h5py", "scipy"} & set(sys.modules))
-    return code
-program.main = ask
-program.console()
-"""
-
-
-@pytest.mark.parametrize("word", ["options", "--help", "--version"])
-def test_questions_load_no_library(start, word):
-    """And a library's warning is one line."""
-    done = start(word, program=[sys.executable, "-c", QUESTION])
-    assert done.stdout.endswith("LOADED set()\n")
-    assert done.stderr == "pgran: warning: RuntimeWarning: a first line and another\n"
 
 
 # Standard streams

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from figure_results import find_modes, listen, relax, respond, result_of
+from figure_results import ensemble, find_modes, listen, relax, respond, result_of
 from samples import random_lattice
 
 import pgran
@@ -19,16 +19,18 @@ from pgran.results.si import SI
 def test_captions_say_the_numbers_of_the_record():
     result = respond(detectors=[(1, 1)])
     result.response.converged_reason[7] = -3
+    result.response.at_floor[9] = 1
+    result.response.error_bound[[7, 9]] = 1.0
     result.options = "-scene response\n-bonds_law uniform\n-bonds_kmin 0.0\n-bonds_kmax 0.25\n"
     result.options += "-bonds_seed 1993\n-output_file results/a.h5"
     made = figures.make(result)
     shown = result.response
-    good = np.arange(260) != 7
+    good = ~np.isin(np.arange(260), [7, 9])
     largest = (shown.error_bound / shown.amplitude)[good].max()
     for name, figure in made.items():
         for part in (r"$4 \times 3$ balls", "of mass 0.25", "uniform on [0, 0.25]; seed 1993",
                      r"$\beta$ = 0.003", r"$\omega_{mx}$ = 2", captions.number(largest),
-                     "1 of 260 amplitudes missed"):  # fmt: skip
+                     "1 amplitudes are upper limits", "1 of 260 amplitudes missed"):  # fmt: skip
             assert part in figure.caption, (name, part)
         assert "heard at ball (1, 1)" in figure.caption
         assert ("Dotted line" in figure.caption) == (name not in ("amplitude", "bonds"))
@@ -56,6 +58,31 @@ def test_captions_say_the_numbers_of_the_record():
         assert part in caption
     assert captions.number(0.003) == "0.003"
     assert captions.number(4.13e-5) == r"$4.1\times10^{-5}$"
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        ("uniform", "uniform on [0.1, 0.25]; seed 7"),
+        ("loguniform", "log-uniform on [0.1, 0.25]; seed 7"),
+        ("bimodal", "0.25 with probability 0.3, else 0.1; seed 7"),
+        ("constant", "all 0.25; SHA-256 of the bonds "),
+        ("hertz", "with $c$ = 4, of exponential forces of mean 2; seed 7"),
+        ("file", "read from my.h5; SHA-256 of the bonds "),
+    ],
+)
+def test_captions_say_the_law_of_the_bonds(law, said):
+    result = find_modes()
+    given = {"law": law, "kmin": "0.1", "kmax": "0.25", "fraction": "0.3", "force": "2.0"}
+    given |= {"hertz": "4.0", "file": "my.h5", "seed": "7"}
+    result.options = "\n".join(f"-bonds_{name} {value}" for name, value in given.items())
+    assert said in captions.sample(result, SI())
+
+
+def test_captions_say_which_samples_and_detectors():
+    assert "; 10 samples, seeds 1993 to 2002; " in captions.sample(ensemble(), SI())
+    balls = [(x, y) for x in range(4) for y in range(2)]
+    assert "(2, 1) and 2 more." in captions.sample(respond([0.5], balls), SI())
 
 
 def test_the_command_has_a_width_and_captions(monkeypatch, tmp_path, capsys):

@@ -84,6 +84,18 @@ def test_bands_medians_samples_and_the_coherent_part(panel):
         np.testing.assert_allclose(line.get_ydata(), mean, rtol=1e-12)
 
 
+@pytest.mark.parametrize("scale", [0.01, 1.0, 1000.0])
+def test_delays_are_linear_up_to_the_power_of_ten_next_to_their_median(scale):
+    found = found_of("response", "curves")
+    found = replace(found, delay=scale * found.delay)
+    ax = draw(ensemble.delay, found, MEDIUM, 1)
+    (median,) = (line for line in ax.get_lines() if line.get_label() == "median")
+    middle = np.nanmedian(np.abs(median.get_ydata()))
+    threshold = ax.yaxis.get_transform().linthresh
+    assert threshold == pytest.approx(10.0 ** round(np.log10(threshold)))
+    assert 0.31 * middle <= threshold <= 3.2 * middle
+
+
 def test_samples_that_are_left_out_are_not_drawn_and_said():
     found = found_of("response", "curves")
     good = found.good.copy()

@@ -11,6 +11,7 @@ from figure_results import (
     UNIT,
     compare,
     count_modes,
+    ensemble,
     find_modes,
     listen,
     project,
@@ -45,19 +46,6 @@ def network():
     result = result_of(pgran.find_modes(net, shapes=True), net)
     omegas, balls = np.linspace(0.1, 1.5, 201) * net.omega_mx, net.free[:2]
     result.response = pgran.sweep(net, omegas, balls, method="points")
-    return result
-
-
-def ensemble():
-    """Responses, with what they say of transport and of noise."""
-    lattice, omegas = {"shape": (6, 3), "damping": 0.1}, np.linspace(0.2, 1.2, 201)
-    line = [(4, 1), (3, 1), (2, 1), (0, 1)]
-    drawn = {"omegas": omegas, "detectors": line}
-    found = pgran.ensemble("response", 10, lattice=lattice, keep="curves", **drawn)
-    first = pgran.Lattice.random(**lattice)
-    result = result_of(found, first)
-    result.transport = pgran.transport(first, found)
-    result.statistics = pgran.statistics(found, [(0.5, 0.9)])
     return result
 
 

@@ -103,7 +103,7 @@ def test_work_and_disk_are_those_of_the_run(world, monkeypatch, name, words, wor
     options = chosen(name, *words.split())
     lines = foreseen(world, options)
     assert re.fullmatch(work, lines["work"])
-    records = SCENES[options.scene].run(options, world, lambda ranks: Crew(world, ranks))
+    records = SCENES[options.scene].run(options, world, lambda ranks, _=None: Crew(world, ranks))
     if world.rank == 0:
         value, unit = lines["disk"].split()[1:3]
         size = forecast.stored_bytes(records)

@@ -5,7 +5,8 @@ import re
 
 import numpy as np
 import pytest
-from figure_results import UNIT, count_modes, find_modes, listen, respond
+from figure_results import UNIT, count_modes, ensemble, find_modes, listen, respond
+from matplotlib.figure import Figure
 from mpi4py import MPI
 from samples import run_scene
 
@@ -51,11 +52,14 @@ def test_prefixes_keep_the_value(unit):
         power = powers[prefix] ** (-1 if inverse else 1)
         assert value * shift * power == pytest.approx(value, rel=1e-12)
         assert 1 - 1e-8 <= abs(value * shift) < 1000
+    assert prefix_of(990.0, unit) == (1.0, unit)
 
 
-@pytest.mark.parametrize("value", [0.0, math.nan, math.inf])
-def test_numbers_without_a_prefix(value):
-    assert prefix_of(value, "Hz") == (1.0, "Hz")
+@pytest.mark.parametrize(
+    ("value", "unit"), [(0.0, "Hz"), (math.nan, "Hz"), (math.inf, "Hz"), (5e4, "1/s")]
+)
+def test_numbers_without_a_prefix(value, unit):
+    assert prefix_of(value, unit) == (1.0, unit)
 
 
 def test_in_words():
@@ -116,8 +120,8 @@ def at_ticks(axis, unit):
     there = there[(low <= there) & (there <= high)]
     said = [float(text.strip("$")) for text in axis.get_major_formatter().format_ticks(there)]
     powers = {prefix: 1000.0**step for step, prefix in PREFIXES.items()}
-    inverse = unit.startswith("1/")
-    power = powers[unit[2 * inverse :][: -2 if unit.endswith("Hz") else -1]]
+    inverse, base = unit.startswith("1/"), re.search("(Hz|m/s|s|m)$", unit).group()
+    power = powers[unit[2 * inverse :].removesuffix(base)]
     return np.array(said) * power ** (-1 if inverse else 1), there
 
 
@@ -137,12 +141,16 @@ HERTZ = UNIT / (2e-5 * math.pi)  # omega_mx
         (listen, "signals", "x", "time", 1e-5 / UNIT),
         (listen, "energy", "x", "time", 1e-5 / UNIT),
         (listen, "spectrum", "x", "driving frequency", HERTZ),
+        (ensemble, "velocity", "x", "phase velocity", 500 * UNIT),
+        (ensemble, "transport", "x", "distance from the driven wall", 5e-3),
+        (ensemble, "transport", "y", "group delay", 1e-5 / UNIT),
+        (ensemble, "transport", "y", "attenuation length", 5e-3),
     ],
 )  # fmt: skip
 def test_axes(make, name, axis, quantity, factor):
     """A tick that says 12 kHz stands at that frequency; curves and limits stay where they were."""
     result = make()
-    plain, made = (pgran.plot(result, units=units)[name] for units in (None, (None, 1e-5)))
+    plain, made = (pgran.plot(result, units=units)[name] for units in (None, (5e-3, 1e-5)))
     labels = {ax.xaxis.get_label_text() if axis == "x" else ax.get_ylabel() for ax in made.axes}
     (label,) = {label for label in labels if label.startswith(f"{quantity} (")}
     unit, seen = label.rpartition("(")[2].rstrip(")"), 0
@@ -150,8 +158,10 @@ def test_axes(make, name, axis, quantity, factor):
         assert (ax.get_xlim(), ax.get_ylim()) == (before.get_xlim(), before.get_ylim())
         for line, same in zip(ax.lines, before.lines, strict=True):
             assert np.array_equal(line.get_xdata(), same.get_xdata())
-        if isinstance(getattr(ax, f"{axis}axis").get_major_locator(), physical.Ticks):
-            said, there = at_ticks(getattr(ax, f"{axis}axis"), unit)
+        shown = getattr(ax, f"{axis}axis")
+        if shown.get_label_text() in (label, "" if axis == "x" else label):  # "": as that below
+            assert isinstance(shown.get_major_locator(), physical.Ticks)
+            said, there = at_ticks(shown, unit)
             assert len(said) >= 2
             assert said == pytest.approx(factor * there, rel=1e-3)
             seen += 1
@@ -161,10 +171,7 @@ def test_axes(make, name, axis, quantity, factor):
 @pytest.mark.parametrize("scale", ["linear", "log", "symlog"])
 def test_ticks_of_any_scale(scale):
     """They stand at round numbers of the other unit, and within the axis."""
-    from matplotlib.figure import Figure
-
-    figure = Figure()
-    ax = figure.subplots()
+    ax = Figure().subplots()
     ax.plot([1.0, 70.0], [1.0, 2.0])
     ax.set_xscale(scale)
     physical.convert(ax.xaxis, 0.37)
@@ -174,6 +181,14 @@ def test_ticks_of_any_scale(scale):
     digits = {f"{abs(number):e}".partition("e")[0].rstrip("0.") for number in said if number}
     assert max(map(len, digits)) <= 3
     assert not any(ax.xaxis.get_minor_formatter().format_ticks(ax.xaxis.get_minorticklocs()))
+
+
+def test_ticks_of_an_axis_that_is_linear_up_to_a_threshold():
+    ax = Figure().subplots()
+    ax.plot([0.0, 7000.0], [1.0, 2.0])
+    ax.set_xscale("symlog", linthresh=100.0)
+    physical.convert(ax.xaxis, 0.01)
+    assert at_ticks(ax.xaxis, "Hz")[0].tolist() == [0, 1, 10]
 
 
 def test_a_run_says_it(call, place, shared_path):

@@ -129,7 +129,7 @@ def _write_mesh(result, output):
 
     if not hasattr(result, "medium"):
         raise FileError(f"no balls in this result (scene {result.scene})")
-    if getattr(result.medium, "position", result.medium.shape) is None:
+    if not result.medium.has_places:
         raise FileError("the network has no positions: there is nothing to write in space")
     points, lines, of_points, of_lines = mesh(result)
     cells = [("line", lines)]

@@ -151,7 +151,7 @@ def forecast(scene, options, world, started):
             return lines if world.rank == 0 else []
     crews = []
 
-    def rehearse(ranks):
+    def rehearse(ranks, _=None):
         crews.append(Rehearsal(world, ranks))
         return crews[-1]
 

@@ -116,6 +116,7 @@ def _compute(scene, options, words, world, started):
     """Compute a scene, or go on with it, and write its result. Collective."""
     import numpy
 
+    from pgran.command.opening import opening
     from pgran.files import store
     from pgran.parallel.crew import Crew
     from pgran.parallel.journal import Journal
@@ -127,8 +128,11 @@ def _compute(scene, options, words, world, started):
     with Journal(world, output, identity, overwrite) as journal:
         # again: another run may have written it just before the journal was locked
         on_root(world, lambda: store.check_output(output, overwrite))
-        begin = _say_once(scene, options, world.size)
-        records = scene.run(options, world, lambda ranks: Crew(world, ranks, journal, begin))
+
+        def crew(ranks, lattice=None):
+            return Crew(world, ranks, journal, opening(options, world.size, lattice))
+
+        records = scene.run(options, world, crew)
 
         def finish():
             failures = sum(int(numpy.sum(r.failures)) for r in records)
@@ -149,23 +153,6 @@ def _compute(scene, options, words, world, started):
             return failures
 
         return errors.INACCURATE if on_root(world, finish) else errors.DONE
-
-
-def _say_once(scene, options, ranks):
-    """Return what says, the first time it is called, what a run solves. Not collective."""
-    from pgran.command.opening import opening
-
-    told = []
-    if scene.needs_petsc:
-        options.on_lattice = lambda lattice: told.append(opening(options, ranks, lattice))
-    else:
-        told.append(opening(options, ranks))
-
-    def begin():
-        while told:
-            log.info("%s", told.pop())
-
-    return begin
 
 
 def _is_figure(line):

@@ -7,7 +7,7 @@ import numpy as np
 
 from pgran.figures import style
 
-HEARD, MOST = ("response", "pulse", "relaxation", "sensitivity", "heat", "ensemble"), 6
+MOST = 6  # detectors that are named
 AXES = {1: "chain", 2: "square lattice", 3: "cubic lattice"}
 LAWS = {
     "uniform": "uniform on [{kmin}, {kmax}]",
@@ -96,13 +96,12 @@ def sample(result, si):
 
 def _heard(result):
     """Return where the detectors of a result are."""
-    for record in (getattr(result, name, None) for name in HEARD):
-        sites = getattr(record, "detector", None)
-        if sites is not None:
-            names = style.ball_names(sites)
-            more = f" and {len(names) - MOST} more" if len(names) > MOST else ""
-            return f"; heard at {', '.join(names[:MOST])}{more}"
-    return ""
+    sites = style.heard(result)
+    if sites is None:
+        return ""
+    names = style.ball_names(sites)
+    more = f" and {len(names) - MOST} more" if len(names) > MOST else ""
+    return f"; heard at {', '.join(names[:MOST])}{more}"
 
 
 def _plain(text):
@@ -124,12 +123,13 @@ def bound(result):
 
     Not collective.
     """
-    said = [BOUNDS[name](record) for name in BOUNDS if (record := getattr(result, name, None))]
     how = "proven" if getattr(getattr(result, "medium", None), "damping", 0.0) else "certified"
-    return " ".join(dict.fromkeys(filter(None, said))).replace("(known)", f"({how})")
+    records = [(name, getattr(result, name, None)) for name in BOUNDS]
+    said = [BOUNDS[name](record, how) for name, record in records if record is not None]
+    return " ".join(dict.fromkeys(said))
 
 
-def _amplitudes(record):
+def _amplitudes(record, how):
     """Return the largest relative bound of amplitudes that are as accurate as asked."""
     size = np.abs(record.displacement)
     failed = np.isnan(size)
@@ -143,7 +143,7 @@ def _amplitudes(record):
     if not good.any() or not np.isfinite(relative).all():
         said = "No bound of the errors is known."
     else:
-        said = f"Relative error of every amplitude drawn: at most {number(relative.max())} (known)."
+        said = f"Relative error of every amplitude drawn: at most {number(relative.max())} ({how})."
     if floored.any():
         said += f" {np.count_nonzero(floored)} amplitudes are upper limits, at the floor."
     if failed.any():
@@ -155,17 +155,16 @@ def _amplitudes(record):
     return said
 
 
-def _signals(record):
+def _signals(record, *_):
     """Return the largest error of signals in units of their largest displacement."""
     relative = np.nanmax(record.error.max(axis=0) / np.abs(record.displacement).max(axis=0))
     how = "proven" if record.error_bound is not None else "estimated"
     return f"Error of every signal: at most {number(relative)} of its largest displacement ({how})."
 
 
-def _modes(record):
+def _modes(record, *_):
     """Return how many modes were found, and whether their count certifies them."""
-    found = len(getattr(record, "mode_omega", record.omega))
-    said = f"{found} of {record.count_expected} normal modes"
+    said = f"{record.count_found} of {record.count_expected} normal modes"
     if not record.count_certified:
         return f"{said} were found; they are not certified."
     residual = getattr(record, "residual", None)
@@ -174,7 +173,7 @@ def _modes(record):
     return f"{said}, certified by their count; residuals at most {number(residual.max())}."
 
 
-def _projection(record):
+def _projection(record, *_):
     """Return how many modes there are, and how many frequencies failed."""
     good = record.converged_reason > 0
     missed = np.count_nonzero(~good)
@@ -182,18 +181,18 @@ def _projection(record):
     return _modes(record) + lost
 
 
-def _counts(record):
+def _counts(record, *_):
     """Return how many counts are certain."""
     return f"{np.count_nonzero(record.certified)} of {len(record.omega)} counts are certified."
 
 
-def _samples(record):
+def _samples(record, *_):
     """Return how many samples are good."""
     lost = f"; {record.left_out} more are left out" if record.left_out else ""
     return f"Each of {np.count_nonzero(record.good)} samples has the accuracy asked for{lost}."
 
 
-def _study(record):
+def _study(record, *_):
     """Return what errors are relative to."""
     return f"The reference's own relative error: at most {number(record.reference_bound)}."
 

@@ -8,7 +8,6 @@ from pgran.figures import balls, marks, style
 from pgran.figures.influence import (
     MOST,
     few,
-    has_places,
     logarithmic,
     note_failed,
     on_bonds,
@@ -37,7 +36,7 @@ def figures(result, **_):
     if not len(chosen):
         log.warning("no frequency of the heater is as accurate as asked: none is drawn")
         return
-    if has_places(medium):
+    if medium.has_places:
         if heat.warmed is not None:
             yield from pages("warmed", warm, heat, medium, "change of |A|", _warmth)
         if heat.cut is not None:
@@ -174,7 +173,6 @@ def over_frequency(ax, heat, medium):
     """
     x, drawn = heat.omega / medium.omega_mx, []
     shades = style.colours(len(heat.detector))
-    few = len(x) <= style.FEW  # points, where a line would be a polygon
     looks = ("-", "full"), ("--", "none")
     for (line, fill), (label, moved) in zip(looks, changes(heat), strict=False):
         known = np.isfinite(moved)
@@ -184,7 +182,7 @@ def over_frequency(ax, heat, medium):
         median[good] = np.nanmedian(moved[good], axis=-1)
         for what, y, width, mark in (("median", median, 0.7, "."), ("largest", largest, 1.4, "^")):
             look = {"linestyle": line, "linewidth": width}
-            if few:
+            if len(x) <= style.FEW:  # where a line would be a polygon
                 look = {"linestyle": "none", "marker": mark, "fillstyle": fill, "markersize": 3}
                 look["markeredgewidth"] = 0.5
             for d, shade in enumerate(shades):

@@ -29,11 +29,6 @@ def detectors(record):
     return [("_" + "_".join(map(str, site)), d) for d, site in enumerate(sites[:MOST])]
 
 
-def has_places(medium):
-    """Return whether balls have positions, to be drawn at."""
-    return getattr(medium, "position", medium.shape) is not None
-
-
 def pages(name, draw, record, medium, what, words):
     """Yield a page of maps for each detector that has its own: its name, and the figure.
 

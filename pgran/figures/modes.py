@@ -23,7 +23,7 @@ def figures(result, **_):
     """Yield three shapes if they are stored, participation ratios, the density of many modes."""
     record, lattice, made = result.modes, result.medium, {}
     style.check_any(record.omega, "modes")
-    if record.vector is not None and getattr(lattice, "position", lattice.shape) is not None:
+    if record.vector is not None and lattice.has_places:
         made["shapes"] = _shapes_page(record, lattice)
     many = len(record.omega) >= 20 and np.ptp(record.omega) > 0
     for panel in (participation, density) if many else (participation,):

@@ -19,13 +19,11 @@ FAINT = 0.02  # of the largest: no arrow for what is smaller
 
 def figures(result, **_):
     """Yield the network with the detectors of the result, if it has positions."""
-    if result.network.position is None:
+    if not result.network.has_places:
         log.warning("the network has no positions: neither it nor a motion of it is drawn")
         return
-    names = ("response", "pulse", "relaxation", "sensitivity")
-    heard = [getattr(result, name, None) for name in names]
-    balls = [record.detector[:, 0] for record in heard if record is not None]
-    yield "network", page(result.network, balls[0] if balls else [])
+    sites = style.heard(result)
+    yield "network", page(result.network, [] if sites is None else sites[:, 0])
 
 
 def page(network, balls):

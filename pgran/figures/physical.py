@@ -92,7 +92,10 @@ def convert(axis, factor):
     """Put ticks at round numbers of the axis times `factor`, and those numbers beside them."""
     kind, minor = axis.get_scale(), NullLocator()
     if kind == "log":
-        major, minor = LogLocator(), LogLocator(subs=range(2, 10))
+        low, high = sorted(axis.get_view_interval())
+        narrow = high < 100 * low  # may hold a single power of ten
+        major = LogLocator(subs=(1, 2, 5) if narrow else (1,))
+        minor = LogLocator(subs=range(2, 10))
     elif kind == "symlog":
         linear = axis.get_transform().linthresh * factor
         major = SymmetricalLogLocator(base=10, linthresh=linear)

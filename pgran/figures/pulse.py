@@ -20,7 +20,7 @@ def figures(result, response=None, **_):
         "thick ticks: arrival of the front, a tenth of the largest displacement; pale: envelopes."
     )
     yield "signals", figure
-    if signals.field is not None and getattr(lattice, "position", lattice.shape) is not None:
+    if signals.field is not None and lattice.has_places:
         yield "field", _field_page(signals, lattice)
     if signals.energy is not None:
         figure, (ax,) = style.page(style.COLUMN, 2.7)

@@ -68,7 +68,7 @@ def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf), labels=
     response : pgran.results.Response
     lattice : pgran.results.LatticeRecord
     modes : array_like, optional
-        Angular frequencies of normal modes, marked by pluses.
+        Angular frequencies of normal modes, marked by ticks.
     within : tuple of float
         Range of the driving frequencies that are drawn, in units of omega_mx.
     labels : sequence of str, optional
@@ -122,7 +122,7 @@ def phase(ax, response, lattice, modes=None, labels=None, **line):
     response : pgran.results.Response
     lattice : pgran.results.LatticeRecord
     modes : array_like, optional
-        Angular frequencies of normal modes, marked by pluses.
+        Angular frequencies of normal modes, marked by ticks.
     labels : sequence of str, optional
         Of the curves, instead of the detectors' names.
     **line
@@ -263,7 +263,7 @@ def amplitude_page(shown, modes=None):
     shown : sequence of tuple
         Each a response, its lattice, labels of its curves or None, and their look.
     modes : array_like, optional
-        Angular frequencies of normal modes, marked by pluses.
+        Angular frequencies of normal modes, marked by ticks.
     """
     few = all(len(response.omega) <= style.HANDFUL for response, *_ in shown)
     edges = EDGES[:1] + EDGES[-1:] if few else EDGES

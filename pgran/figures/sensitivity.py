@@ -8,7 +8,6 @@ import numpy as np
 from pgran.figures import balls, bonds, style
 from pgran.figures.influence import (
     few,
-    has_places,
     logarithmic,
     note_failed,
     on_bonds,
@@ -32,7 +31,7 @@ def figures(result, **_):
     if not len(chosen):
         log.warning("no frequency of the sensitivity is as accurate as asked: none is drawn")
         return
-    if has_places(medium):
+    if medium.has_places:
         yield from pages("sensitivity", derivatives, found, medium, "derivative", _words)
         panels = [partial(flux, record=found, medium=medium, at=n) for n in chosen]
         text = "wedges: power, from the broad end to the point; width: square root"

@@ -22,6 +22,7 @@ UNIT = "omega_mx"  # how the line that marks it is found
 FEW, HANDFUL = 100, 10  # points that are marked by dots, and that make no curve
 LETTERS, SMALL = 15, 17  # so many to an inch, and of a legend's
 SIGNED = "cividis"  # from -1 to 1: the sign is seen in grey, too
+HEARD = ("response", "pulse", "relaxation", "sensitivity", "heat", "ensemble")
 LETTER = "abcdefghijklmnopqrstuvwxyz"  # of panels
 ACCENT, FAILED, MODE, UNRESOLVED = "#0072B2", "#D00000", "#555555", "#D55E00"
 COLOURS = ("black", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")
@@ -126,6 +127,13 @@ def pale(colour):
 def driven(lattice):
     """Return what is driven."""
     return "driven wall" if lattice.group == "lattice" else "driven balls"
+
+
+def heard(result):
+    """Return the detectors of a result, shape (nd, dim), None if it has none."""
+    records = (getattr(result, name, None) for name in HEARD)
+    found = (getattr(record, "detector", None) for record in records)
+    return next((sites for sites in found if sites is not None), None)
 
 
 def limits(x):
@@ -243,8 +251,7 @@ def note(figure, text):
 
 def note_missing(figure, record):
     """Say in a figure if modes are missing or inaccurate, in a record of modes or on modes."""
-    found = len(getattr(record, "mode_omega", record.omega))
-    if found != record.count_expected:
-        note(figure, f"NOT ALL MODES: {found} of {record.count_expected} found")
+    if record.count_found != record.count_expected:
+        note(figure, f"NOT ALL MODES: {record.count_found} of {record.count_expected} found")
     elif not record.count_certified:
         note(figure, "NOT CERTIFIED: some modes are inaccurate")

@@ -187,17 +187,11 @@ class Options:
         By the names of the declared options.
     solver : dict of str
         The keys that go to PETSc.
-
-    Attributes
-    ----------
-    on_lattice : callable
-        Called with the lattice that these options make, but not with those of `changed` ones.
     """
 
     def __init__(self, scene, declared, values, solver):
         """Keep the values of the options that a scene declares."""
         self.scene, self._declared, self._values, self.solver = scene, declared, values, solver
-        self.on_lattice = lambda lattice: None
 
     def __getattr__(self, name):
         """Return the value of an option of this scene."""

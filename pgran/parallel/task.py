@@ -64,8 +64,7 @@ def carry_out(task, crew, progress="none"):
     style = progress if root and not crew.dry else "none"
     total, parts = sum(map(task.length, task.units)), {}
     with task.open(crew.group) as work:
-        if crew.begin is not None:
-            crew.begin()
+        crew.begin()  # before the progress
         with Progress(total, task.items, style) as counter:
 
             def deliver(position, rows):

@@ -103,9 +103,9 @@ class Signals(Record):
         return int(np.count_nonzero(~(self.error.max(axis=0) <= self.tolerance * largest)))
 
 
-def _missing(record, found):
+def _missing(record):
     """Return how many modes are missing, at least 1 unless they are certified."""
-    return 0 if record.count_certified else max(1, abs(record.count_expected - found))
+    return 0 if record.count_certified else max(1, abs(record.count_expected - record.count_found))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -129,9 +129,14 @@ class Modes(Record):
     )  # fmt: skip
 
     @property
+    def count_found(self):
+        """How many modes there are here."""
+        return len(self.omega)
+
+    @property
     def failures(self):
         """How many modes are missing or inaccurate."""
-        return _missing(self, len(self.omega))
+        return _missing(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -161,9 +166,14 @@ class Projection(Frequencies, Record):
     converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
 
     @property
+    def count_found(self):
+        """How many modes there are here."""
+        return len(self.mode_omega)
+
+    @property
     def failures(self):
         """How many frequencies missed their accuracy, and how many modes are missing."""
-        return super().failures + _missing(self, len(self.mode_omega))
+        return super().failures + _missing(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -37,6 +37,7 @@ class LatticeRecord(Record):
             raise MisfitError(f"shape: {self.shape} does not fit {sum(there)} arrays stiffness_*")
 
     length = "spacings"  # what distances are in
+    has_places = True  # its balls, to be drawn at
 
     @property
     def stiffness(self):
@@ -104,6 +105,11 @@ class NetworkRecord(Record):
     )
 
     length = "lengths"
+
+    @property
+    def has_places(self):
+        """Whether its balls have positions, to be drawn at."""
+        return self.position is not None
 
     @property
     def axes(self):

@@ -80,7 +80,7 @@ def run(options, world, crew):
     lattice = common.make_lattice(options, world)
     shared = EXPERIMENTS[options.accuracy_of].SCENE.shares_lattice
     ranks = common.ranks_per_lattice(options, lattice, world) if shared else 1
-    with crew(world.size) as whole, AgreeingCrew(world, ranks) as workers:
+    with crew(world.size, lattice) as whole, AgreeingCrew(world, ranks) as workers:
         study = make_study(options, lattice, world)
         reference = carry_out(Reference(study, workers), whole)
         task = Comparison(study, configurations, options.accuracy_repeats, reference, workers)

@@ -204,7 +204,6 @@ def make_lattice(options, world):
         lattice = dataclasses.replace(lattice, kmax=options.bonds_kmax)
     if len(set(world.allgather(lattice.bonds_sha256))) > 1:
         raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
-    options.on_lattice(lattice)
     return lattice
 
 

@@ -13,13 +13,13 @@ from pgran.physics.lattice import Lattice
 from pgran.results import record_of
 from pgran.scenes import (
     common,
+    fluctuations,
     modes,
     noise,
     pulse,
     relaxation,
     response,
     sensitivity,
-    series,
     transport,
 )
 from pgran.scenes.interface import in_parallel
@@ -123,13 +123,13 @@ def run(options, world, crew):
         if of == "relaxation":  # else all samples would become the same network
             changed["relax_seed"] = options.relax_seed + seed - options.bonds_seed
         sample = options.changed(**changed)
-        return experiment.run(sample, group, lambda _: AgreeingCrew(group, group.size))
+        return experiment.run(sample, group, lambda *_: AgreeingCrew(group, group.size))
 
     shared = experiment.SCENE.shares_lattice
     ranks = common.ranks_per_lattice(options, lattice, world) if shared else 1
     whole = of == "modes" and not modes.chosen(options)
     chosen = options.ensemble_keep, omegas, options.detectors, whole
-    with crew(ranks) as workers:
+    with crew(ranks, lattice) as workers:
         task = Samples(of, seeds, solve, lattice, *chosen)
         found = [carry_out(task, workers, options.output_progress)]
         if found[0] and windows is not None and not workers.dry:
@@ -216,7 +216,7 @@ def ensemble(
         with AgreeingCrew(group, group.size) as one:
             found = function(sample, crew=one, **choices)
         if of == "relaxation":
-            found = series.measured(found, series.FIT, sample.bonds)
+            found = fluctuations.measured(found, fluctuations.FIT, sample.bonds)
         return [sample, *(found if isinstance(found, list) else [found])]
 
     whole = of == "modes" and "interval" not in experiment

@@ -62,7 +62,7 @@ def run(options, world, crew):
     Collective. Parameters are those of `pgran.scenes.scene.Scene`.
     """
     lattice, progress = common.make_lattice(options, world), options.output_progress
-    with crew(1) as workers:
+    with crew(1, lattice) as workers:
         if options.modes_density:
             omegas = density.frequencies(options, lattice)
             counts = density.count_modes(lattice, omegas, workers, progress=progress)
@@ -93,7 +93,7 @@ def summary(result):
         return
     modes, si = result.modes, SI.of(result)
     yield f"{len(modes.omega)} modes in {modes.solve_seconds:.2f} s"
-    yield certificate(modes, len(modes.omega))
+    yield certificate(modes)
     if len(modes.omega):
         ends = modes.omega[0], modes.omega[-1]
         yield "omega from {:.6g} to {:.6g}".format(*ends) + si.say("Hz", *ends)
@@ -110,10 +110,11 @@ def summary(result):
         )
 
 
-def certificate(record, found):
+def certificate(record):
     """Return in words whether all modes were found. Not collective."""
     if record.count_certified:
         return f"all {record.count_expected} modes found, certified by their count"
+    found = record.count_found
     if found != record.count_expected:
         return Caution(f"NOT ALL MODES: {found} found where there are {record.count_expected}")
     return Caution(

@@ -34,7 +34,7 @@ def run(options, world, crew):
     """
     lattice = common.make_lattice(options, world)
     omegas = common.driving_frequencies(options, lattice)
-    with crew(1) as workers:
+    with crew(1, lattice) as workers:
         projection = project(
             lattice,
             omegas,
@@ -67,12 +67,12 @@ def which_modes(options, balls, omegas):
 def summary(result):
     """Return in words what a run found. Not collective."""
     lattice, projection = result.medium, result.projection
-    nm = len(projection.mode_omega)
+    nm = projection.count_found
     yield (
         f"{len(projection.omega)} frequencies on {nm} modes in {projection.solve_seconds:.2f} s, "
         f"with {projection.factorizations} factorizations"
     )
-    yield certificate(projection, nm)
+    yield certificate(projection)
     omega, modes, unit = projection.omega, projection.mode_omega, lattice.omega_mx
     inside = (omega > 0.1 * unit) & (omega < 0.9 * unit) & (projection.converged_reason > 0)
     if nm > 3:

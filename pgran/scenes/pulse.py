@@ -72,7 +72,7 @@ def run(options, world, crew):
     Collective. Parameters are those of `pgran.scenes.scene.Scene`.
     """
     lattice = common.make_lattice(options, world)
-    with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
+    with crew(common.ranks_per_lattice(options, lattice, world), lattice) as workers:
         signals = pulse(
             lattice,
             options.detectors,

@@ -13,7 +13,7 @@ from pgran.physics.accuracy import below_relative_accuracy
 from pgran.physics.changes import draw_changes
 from pgran.physics.units import check_frequency
 from pgran.results import Relaxation, record_of
-from pgran.scenes import common, driven, series
+from pgran.scenes import common, driven, fluctuations
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
 
@@ -58,7 +58,7 @@ def run(options, world, crew):
     window = options.spectrum_fit_min, options.spectrum_fit_max
     check_window(*window)  # before any work; too short a series only has no spectrum
     lattice = common.make_lattice(options, world)
-    with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
+    with crew(common.ranks_per_lattice(options, lattice, world), lattice) as workers:
         relaxation = relax(
             lattice,
             common.make_law(options) if options.bonds_law else None,
@@ -75,7 +75,9 @@ def run(options, world, crew):
         )
     if relaxation is None:
         return None
-    found = [relaxation] if workers.dry else series.measured(relaxation, window, lattice.bonds)
+    found = (
+        [relaxation] if workers.dry else fluctuations.measured(relaxation, window, lattice.bonds)
+    )
     return [record_of(lattice), *found]
 
 
@@ -93,7 +95,7 @@ def summary(result):
             f"largest relative difference between a window's end and the next one's start: "
             f"{relaxation.drift:.1e}"
         )
-    yield from series.summary(result)
+    yield from fluctuations.summary(result)
 
 
 @in_parallel(shares_lattice=True)
@@ -281,7 +283,7 @@ class Steps(Task):
 
 SCENE = Scene(
     options=(
-        *(*common.LATTICE, *common.DETECTORS, *RELAXATION, *series.SPECTRUM),
+        *(*common.LATTICE, *common.DETECTORS, *RELAXATION, *fluctuations.SPECTRUM),
         *driven.STEADY.values(),
     ),
     run=run,

@@ -54,7 +54,7 @@ def run(options, world, crew):
     Collective. Parameters are those of `pgran.scenes.scene.Scene`.
     """
     lattice = common.make_lattice(options, world)
-    with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
+    with crew(common.ranks_per_lattice(options, lattice, world), lattice) as workers:
         response = sweep(
             lattice,
             common.driving_frequencies(options, lattice),

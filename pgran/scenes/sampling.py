@@ -2,7 +2,6 @@
 
 import contextlib
 import logging
-from functools import partial
 
 import numpy as np
 
@@ -210,37 +209,19 @@ class Samples(Task):
 
 def measures(result):
     """Yield in words the numbers of samples, measure by measure. Not collective."""
-    found = result.ensemble
-    for name, (words, unit, physical) in MEASURES.items():
-        values = getattr(found, name)
-        if values is not None:
-            sites = [None] if values.ndim == 1 else ball_names(found.detector)
-            say = partial(_in_si, result, unit, physical)
-            yield from told(words, unit, say, np.atleast_2d(values[found.good > 0].T), sites)
+    for name in MEASURES:
+        if getattr(result.ensemble, name) is not None:
+            yield from _told(result, name)
 
 
-def _in_si(result, unit, physical, mean):
-    """Return in words what a mean is in SI units, nothing where it has none."""
+def _told(result, name):
+    """Yield in words a measure at each detector; where it is unknown at several, in one line."""
+    words, unit, physical = MEASURES[name]
+    found, si = result.ensemble, SI.of(result)
+    values = getattr(found, name)
+    sites = [None] if values.ndim == 1 else ball_names(found.detector)
+    columns = np.atleast_2d(values[found.good > 0].T)
     factor = result.medium.omega_mx if "omega_mx" in unit else 1.0
-    return SI.of(result).say(physical, factor * mean) if physical else ""
-
-
-def told(words, unit, say, columns, sites):
-    """Yield in words a measure at each detector; where it is unknown at several, in one line.
-
-    Not collective.
-
-    Parameters
-    ----------
-    words, unit : str
-        What to call the measure, and its unit.
-    say : callable
-        Takes its mean; returns in words what that is in SI units.
-    columns : numpy.ndarray, shape (nd, samples)
-        Its values at each detector, NaN where they are not certain.
-    sites : list
-        The detectors' names; None of what is no detector's.
-    """
     known = [column[np.isfinite(column)] for column in columns]
     few = [len(values) for values in known if len(values) < 2]
     for site, values in zip(sites, known, strict=True):
@@ -248,7 +229,8 @@ def told(words, unit, say, columns, sites):
         if len(values) > 1:
             mean, spread = values.mean(), values.std(ddof=1)
             error = spread / np.sqrt(len(values))
-            line += f" {mean:.4g} +- {error:.1g}{unit}{say(mean)}, spread {spread:.2g}"
+            in_si = si.say(physical, factor * mean) if physical else ""
+            line += f" {mean:.4g} +- {error:.1g}{unit}{in_si}, spread {spread:.2g}"
         elif len(few) == 1:
             line += " unknown"
         else:

@@ -21,8 +21,9 @@ class Scene:
     options : tuple of pgran.files.options.Option
         Besides those of every run.
     run : callable
-        Takes the options, all ranks, and what makes a crew of them: `run(options, world, crew)`.
-        Returns the records of the result on rank 0, None on the others. Collective.
+        Takes the options, all ranks, and what makes a crew of them: `run(options, world, crew)`;
+        `crew(ranks, lattice)` takes how many share the lattice, and it, if there is one. Returns
+        the records of the result on rank 0, None on the others. Collective.
     summary : callable
         Takes the `pgran.record.Result`; returns in words, line by line, what a run found; what is
         wrong with it as a Caution.

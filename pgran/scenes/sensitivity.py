@@ -36,7 +36,7 @@ def run(options, world, crew):
     lattice = common.make_lattice(options, world)
     omegas, asked = common.driving_frequencies(options, lattice), driven.steady_of(options)
     asked["progress"] = options.output_progress
-    with crew(common.ranks_per_lattice(options, lattice, world)) as workers:
+    with crew(common.ranks_per_lattice(options, lattice, world), lattice) as workers:
         given = lattice, omegas, options.detectors, workers
         found = [sensitivity(*given, most=options.sensitivity_most, **asked)]
         if heating := heat.chosen(options):

@@ -24,13 +24,12 @@ from pgran.solve.certify import smallest_damping
 from pgran.solve.judging import Detectors
 from pgran.solve.linear import LEAST_NORM, make_ksp, set_up
 from pgran.solve.owner import Owner
-from pgran.solve.tall import qr_rounding, tall_qr
+from pgran.solve.tall import SUMMED, products, qr_rounding, squares, tall_qr
 
 log = logging.getLogger(__name__)
 
 CHECKS = 9  # Chebyshev points of an interval where its bound is checked
 SHARE = 0.5  # of what rounding leaves of the allowed, where it is checked; for what is between
-BLOCK = 256  # rows of a product over all balls that are summed up on their own
 ORDER = 4 * MOMENTS  # a bound falls like this power of the interval's length
 
 
@@ -112,9 +111,9 @@ class IntervalModels(Owner):
     def _limits(self):
         """Return what bounds the errors of all models."""
         operators, rounding = self.operators, self.operators.rounding
-        # a path through the sums of `_products`, over the ranks, and of the small algebra
-        terms = 2 * BLOCK + operators.balls / BLOCK + 2 * self.comm.size + 3 * self.width + 16
-        drive, damped = 1.01 * np.sqrt(self._total(_squares(self._loads[0])))
+        # a path through the sums of `products`, over the ranks, and of the small algebra
+        terms = 2 * SUMMED + operators.balls / SUMMED + 2 * self.comm.size + 3 * self.width + 16
+        drive, damped = 1.01 * np.sqrt(self._total(squares(self._loads[0])))
         return ModelLimits(
             stability=operators.damping * smallest_damping(operators.lattice),
             stiffness=2.02 * self._largest(self._diagonal).item(),
@@ -265,7 +264,7 @@ class IntervalModels(Owner):
         W = np.concatenate([self._loads, K[:-1], 1j * C[:-1], -self._mass * X], axis=-1)
         into["own"] = self._total(X.swapaxes(1, 2) @ W)
         into["triangle"] = self._triangle(X, W)
-        into["cross"] = self._total(_products(X[1:], W[0]))
+        into["cross"] = self._total(products(X[1:], W[0]))
         into["reading"] = self._total(self._loads[1:, :, 0].real @ X[0])
         sizes = high * high * self._mass * np.abs(X[0])
         if self.operators.layout.laplacian:
@@ -289,10 +288,10 @@ class IntervalModels(Owner):
         inside = self._total(across @ W)
         beside = W[..., :-p] - X @ inside[..., :-p]
         Q, R = tall_qr(beside, self.comm)
-        missed = self._total(_squares(beside - Q @ R))
-        good = np.all(missed <= qr_rounding(p) ** 2 * _squares(R))
+        missed = self._total(squares(beside - Q @ R))
+        good = np.all(missed <= qr_rounding(p) ** 2 * squares(R))
         # both parts of Q are orthonormal, and orthogonal to each other but for this
-        overlap = np.sqrt(_squares(self._total(across @ Q)).sum(axis=-1))
+        overlap = np.sqrt(squares(self._total(across @ Q)).sum(axis=-1))
         R = np.pad(R, [(0, 0), (0, 0), (0, p)])
         R = np.concatenate([inside, R], axis=1) * np.sqrt(1 + overlap)[:, None, None]
         return R if good else np.full_like(R, np.nan)
@@ -311,23 +310,3 @@ class IntervalModels(Owner):
             product = product.reshape(-1, len(blocks), width).swapaxes(0, 1)
             found.append(np.array(product, order="C"))
         return found[0], self.operators.damping * found[1]
-
-
-def _products(Z, W):
-    """Return Z^T W, rows summed up block by block: so rounding adds up over two short sums."""
-    if len(W) <= 2 * BLOCK:
-        return Z.swapaxes(-1, -2) @ W
-    blocks = -(-len(W) // BLOCK)
-    Z, W = (
-        np.pad(x, [*[(0, 0)] * (x.ndim - 2), (0, blocks * BLOCK - len(W)), (0, 0)])
-        .reshape(*x.shape[:-2], blocks, BLOCK, x.shape[-1])
-        for x in (Z, W)
-    )  # fmt: skip
-    return (Z.swapaxes(-1, -2) @ W).sum(axis=-3)
-
-
-def _squares(columns):
-    """Return the sums of squares down the columns."""
-    numbers = np.ascontiguousarray(columns).view(float)
-    both = np.einsum("...in,...in->...n", numbers, numbers)
-    return both[..., ::2] + both[..., 1::2]

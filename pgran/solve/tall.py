@@ -1,4 +1,4 @@
-"""QR factorizations of tall matrices whose rows several ranks hold, block by block."""
+"""Tall matrices whose rows several ranks hold, block by block: QR factorizations, products."""
 
 import math
 
@@ -7,6 +7,7 @@ import numpy as np
 from pgran.physics.rounding import EPSILON
 
 BLOCK = 400  # rows that are factored at once, and stay in the cache
+SUMMED = 256  # rows of a product that are summed up on their own
 
 
 def tall_qr(columns, comm):
@@ -42,3 +43,26 @@ def qr_rounding(width):
     Not collective. Each entry is a sum of `width` products of complex numbers.
     """
     return 2 * EPSILON * (width + 4) * math.sqrt(width)
+
+
+def products(Z, W):
+    """Return Z^T W of this rank's rows, summed up block by block: rounding adds up over short sums.
+
+    Not collective.
+    """
+    if len(W) <= 2 * SUMMED:
+        return Z.swapaxes(-1, -2) @ W
+    blocks = -(-len(W) // SUMMED)
+    Z, W = (
+        np.pad(x, [*[(0, 0)] * (x.ndim - 2), (0, blocks * SUMMED - len(W)), (0, 0)])
+        .reshape(*x.shape[:-2], blocks, SUMMED, x.shape[-1])
+        for x in (Z, W)
+    )  # fmt: skip
+    return (Z.swapaxes(-1, -2) @ W).sum(axis=-3)
+
+
+def squares(columns):
+    """Return the sums of squares down the columns of this rank's rows. Not collective."""
+    numbers = np.ascontiguousarray(columns).view(float)
+    both = np.einsum("...in,...in->...n", numbers, numbers)
+    return both[..., ::2] + both[..., 1::2]

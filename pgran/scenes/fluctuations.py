@@ -1,4 +1,4 @@
-"""What the series of a relaxation tell: the power spectrum of an amplitude, and its memory."""
+"""The fluctuations of a relaxation: the power spectrum of an amplitude, and its memory."""
 
 import logging
 
@@ -103,7 +103,7 @@ def memory_of(relaxation, bonds):
 
 
 def summary(result):
-    """Return in words what the series of a run tell. Not collective."""
+    """Return in words what the fluctuations tell. Not collective."""
     spectrum = getattr(result, "spectrum", None)
     if spectrum:
         yield (
