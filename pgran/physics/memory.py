@@ -31,7 +31,7 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.physics.estimate import FEWEST, MOST, jackknife
-from pgran.physics.series import checked_series
+from pgran.physics.series import ROUNDING, checked_series
 
 MEMORIES_IN_PART = 3  # length of a part that errors are taken from, in M
 
@@ -128,8 +128,8 @@ def _covariance(sums):
     return product / count - first * second / count**2
 
 
-def autocorrelation(series, lags):
-    """Return C(t) / C(0) at some lags, with errors, C(t) = <dB(0) dB(t)>. Not collective.
+def autocovariance(series, lags):
+    """Return C(t) = <dB(0) dB(t)> at some lags, with errors. Not collective.
 
     Parameters
     ----------
@@ -137,10 +137,24 @@ def autocorrelation(series, lags):
     lags : array_like of int, shape (n,)
         In steps, from 0 to half of a trajectory.
     """
+    lags = _checked_lags(lags)
+    return series.estimate(lambda C: C[lags], max(1, int(lags.max())))
+
+
+def autocorrelation(series, lags):
+    """Return C(t) / C(0) at some lags, with errors; parameters as `autocovariance`.
+
+    Not collective.
+    """
+    lags = _checked_lags(lags)
+    return series.estimate(lambda C: C[lags] / C[0], max(1, int(lags.max())))
+
+
+def _checked_lags(lags):
     lags = np.asarray(lags)
     if lags.size == 0 or lags.dtype.kind not in "iu" or np.any(lags < 0):
         raise InputError("lags: whole numbers of steps are needed, not negative")
-    return series.estimate(lambda C: C[lags] / C[0], max(1, int(lags.max())))
+    return lags
 
 
 def mean_order(series):
@@ -170,6 +184,31 @@ def bounds(lags, bonds, order):
         raise InputError(f"order: kbar must lie between 1 and the number of bonds, not {order:g}")
     lags = np.asarray(lags)
     return (1 - order / bonds) ** lags, (1 - 1 / bonds) ** lags
+
+
+def outside_bounds(series, lags):
+    """Return by how many errors C(t) / C(0) lies outside of its two bounds, 0 within.
+
+    Not collective. Negative: below the lower one. That is (1 - kbar/M)^t = (C(1)/C(0))^t by the
+    series' own kbar, so that the error is that of the difference of both.
+
+    Parameters
+    ----------
+    series : Series
+    lags : array_like of int, shape (n,)
+
+    Returns
+    -------
+    numpy.ndarray, shape (n,)
+    """
+    lags = _checked_lags(lags)
+    longest = max(1, int(lags.max()))
+    below = series.estimate(lambda C: C[lags] / C[0] - (C[1] / C[0]) ** lags, longest)
+    above = series.estimate(lambda C: C[lags] / C[0] - (1 - 1 / series.bonds) ** lags, longest)
+    with np.errstate(all="ignore"):  # at lags 0 and 1 they are equal
+        under = np.where(below.error > ROUNDING, below.value / below.error, 0.0)
+        over = np.where(above.error > ROUNDING, above.value / above.error, 0.0)
+    return np.minimum(under, 0.0) + np.maximum(over, 0.0)
 
 
 def increment_correlation(series):

@@ -16,7 +16,8 @@ sys.path.append(str(Path(__file__).parents[1]))
 import numpy as np
 from synthetic import BondSums, gaussian_fields
 
-from pgran.physics import memory, statistics
+from pgran.physics import levels, memory, statistics
+from pgran.physics.levels import GOE_SPACING_RATIO, POISSON_SPACING_RATIO
 from pgran.physics.statistics import NoisyCurves
 
 GAMMA, EDGES = 0.02, np.array([0.3, 1.0])
@@ -46,7 +47,7 @@ def judge(title, found, truths):
         bias, ratio = value.mean() - truths[name], spread / claim
         noise = 1 / np.sqrt(len(value))
         failed = abs(bias) > (0.2 + 3 * noise) * spread or abs(ratio - 1) > 0.2 + 2 * noise
-        failures += bool(failed)  # NumPy's would make an exit code that is none
+        failures += failed
         print(
             f"{name:24s} {value.mean() / truths[name]:9.4f}  {bias / spread / noise:9.2f}  "
             f"{ratio:11.3f}  {np.mean(np.abs(value - truths[name]) > 3 * error):9.3f}"
@@ -67,19 +68,31 @@ def curves(rng, repeats, samples, widths, incoherent=False):
     return judge(title, found, {name: truth for name, (_, truth) in MEASURES.items()})
 
 
+def spectra(rng, repeats):
+    """Judge spacing ratios."""
+    found = {"GOE": [], "Poisson": []}
+    for _ in range(repeats):
+        matrix = rng.standard_normal((300, 300))
+        found["GOE"].append(levels.spacing_ratio(np.linalg.eigvalsh(matrix + matrix.T)[75:225]))
+        found["Poisson"].append(levels.spacing_ratio(np.sort(rng.random(152))))
+    truths = {"GOE": GOE_SPACING_RATIO, "Poisson": POISSON_SPACING_RATIO}
+    return judge("spacing ratios of 150 levels", found, truths)
+
+
 def relaxations(rng, repeats, memories, trajectories):
     """Judge the memory of sums over products of bonds."""
     made = BondSums(60, {1: 0.5, 2: 0.6, 3: 0.8})
-    found = {"C(M/2)/C(0)": [], "kbar": [], "B with Delta B": []}
+    found = {"C(0)": [], "C(M/2)/C(0)": [], "kbar": [], "B with Delta B": []}
     for _ in range(repeats):
         rows = [made.series(rng, memories * made.bonds) for _ in range(trajectories)]
         run = memory.Series(rows, made.bonds)
+        found["C(0)"].append(memory.autocovariance(run, [0]))
         found["C(M/2)/C(0)"].append(memory.autocorrelation(run, [made.bonds // 2]))
         found["kbar"].append(memory.mean_order(run))
         found["B with Delta B"].append(memory.increment_correlation(run))
     C = made.covariance([0, made.bonds // 2])
-    step = -np.sqrt(made.order / (2 * made.bonds))
-    truths = dict(zip(found, [C[1] / C[0], made.order, step], strict=True))
+    truths = dict(zip(found, [C[0], C[1] / C[0], made.order, 0.0], strict=True))
+    truths["B with Delta B"] = -np.sqrt(made.order / (2 * made.bonds))
     return judge(f"{trajectories} trajectories of {memories} M steps", found, truths)
 
 
@@ -89,6 +102,7 @@ def main(repeats):
     for samples, widths in ((1, 100), (1, 300), (1, 1000), (40, 10), (60, 10), (300, 10)):
         failures += curves(rng, repeats, samples, widths, incoherent=False)
     failures += curves(rng, repeats, 60, 10, incoherent=True)
+    failures += spectra(rng, repeats)
     for memories, trajectories in ((20, 1), (100, 1), (10, 10)):
         failures += relaxations(rng, repeats, memories, trajectories)
     print(f"\n{failures} fail")

@@ -1,0 +1,250 @@
+"""Statistics of normal modes: their spacings, their number, their size and their width."""
+
+import itertools
+import math
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.physics.estimate import (
+    FEWEST,
+    FEWEST_SAMPLES,
+    MOST,
+    Estimate,
+    mean_of,
+)
+
+# Mean of min(s, s') / max(s, s') of neighbouring spacings: extended modes, whose matrices are as
+# good as those of the Gaussian orthogonal ensemble, and independent levels, as of localized modes,
+# 2 ln 2 - 1 (Oganesyan and Huse, Phys. Rev. B 75, 155111 (2007); Atas, Bogomolny, Giraud and Roux,
+# Phys. Rev. Lett. 110, 084101 (2013)).
+GOE_SPACING_RATIO = 0.5307
+POISSON_SPACING_RATIO = 2 * math.log(2) - 1
+RATIOS_IN_PART = 10  # a ratio knows of its neighbours, with which it shares spacings
+NUMBERS_AT_ONCE = 1 << 22
+
+
+def spacing_ratio(values, window=None):
+    """Return the mean ratio of neighbouring spacings, the smaller to the larger one.
+
+    Not collective. `GOE_SPACING_RATIO`, `POISSON_SPACING_RATIO`. It needs no density of modes, and
+    eigenvalues or their square roots do alike.
+
+    Parameters
+    ----------
+    values : array_like of float, shape (nm,), or sequence of these
+        All eigenvalues, or frequencies, of one sample or of several in the window, ascending. The
+        modes of one symmetry class: others know nothing of each other.
+    window : tuple of float, optional
+        Of the values.
+
+    Returns
+    -------
+    Estimate
+        Its error is that over samples where there are 8 or more, else over parts of the spectra.
+
+    Raises
+    ------
+    InputError
+        If values do not ascend, three of them coincide, or there are too few.
+    """
+    ratios = [_ratios(spectrum) for spectrum in _spectra(values, window)]
+    if sum(r.size >= RATIOS_IN_PART for r in ratios) >= FEWEST_SAMPLES:
+        parts = [r for r in ratios if len(r)]
+    else:
+        parts = [
+            part
+            for r in ratios
+            if len(r) >= RATIOS_IN_PART
+            for part in np.array_split(r, min(len(r) // RATIOS_IN_PART, MOST))
+        ]
+    if len(parts) < FEWEST:
+        raise InputError(
+            f"values: {sum(map(len, ratios))} ratios of spacings are too few; "
+            f"{FEWEST * RATIOS_IN_PART} are needed"
+        )
+    return _mean_of_parts(np.array([r.sum() for r in parts]), np.array([len(r) for r in parts]))
+
+
+def _mean_of_parts(sums, counts):
+    """Return the mean of numbers of which parts have sums, with the error over parts."""
+    mean, parts = sums.sum() / counts.sum(), len(sums)
+    missed = sums - mean * counts
+    error = math.sqrt(parts / (parts - 1) * np.sum(missed**2)) / counts.sum()
+    return Estimate(float(mean), float(error))
+
+
+def _ratios(values):
+    """Return the ratios of neighbouring spacings of one spectrum."""
+    spacing = np.diff(values)
+    if np.any(spacing < 0):
+        raise InputError("values: eigenvalues must ascend")
+    larger = np.maximum(spacing[1:], spacing[:-1])
+    if np.any(larger == 0):
+        at = values[np.argmin(larger)]
+        raise InputError(f"values: three modes coincide at {at:g}, so spacings have no ratio there")
+    return np.minimum(spacing[1:], spacing[:-1]) / larger
+
+
+def _spectra(values, window):
+    """Return one array a sample of what lies in a window."""
+    single = np.ndim(values[0]) == 0 if len(values) else True
+    spectra = [np.asarray(v, dtype=float) for v in ([values] if single else values)]
+    if any(v.ndim != 1 or not np.all(np.isfinite(v)) for v in spectra):
+        raise InputError("values: every spectrum must be an array of finite numbers")
+    low, high = (-math.inf, math.inf) if window is None else window
+    if not low < high:
+        raise InputError(f"window: {low:g} to {high:g} is no interval")
+    return [v[(v >= low) & (v <= high)] for v in spectra]
+
+
+def weyl_count(omega, lengths, speed):
+    """Return the smooth number of modes below omega of a box whose walls are at rest.
+
+    Not collective. With k = omega / c, and V_j the volume of the unit ball in j dimensions,
+
+        N = 2^-d sum over sets s of axes of (-1)^(d - |s|) V_|s| prod_(i in s) (k L_i / pi):
+
+    the whole numbers p_i >= 1 with sum (p_i pi / L_i)^2 <= k^2, those on planes taken off and those
+    on lines put back, which is exact but for the fluctuation of such counts. In two dimensions it
+    is A k^2 / (4 pi) - P k / (4 pi) + 1/4, with area A and perimeter P (Weyl (1911); Baltes and
+    Hilf, Spectra of Finite Systems, 1976), in one k L / pi - 1/2, in three
+    V k^3 / (6 pi^2) - S k^2 / (16 pi) + (L_x + L_y + L_z) k / (4 pi) - 1/8.
+
+    A lattice of nx balls has the length nx + 1, and uniform bonds the speed sqrt(K0 / m). Of its
+    dispersion only long waves know nothing: it raises the term of j axes by the part
+    k^2 j / (8 (j + 2)), that of the area by k^2 / 16.
+
+    Parameters
+    ----------
+    omega : array_like of float
+        Angular frequencies.
+    lengths : sequence of float
+        Of the box along each of its 1 to 3 axes.
+    speed : float
+        c, of the waves; lengths and omega are in its units.
+
+    Raises
+    ------
+    InputError
+        If there are more than three axes, or a number is not positive.
+    """
+    lengths = [float(length) for length in np.atleast_1d(lengths)]
+    if not 1 <= len(lengths) <= 3 or not min(lengths) > 0 or not speed > 0:
+        raise InputError("lengths, speed: 1 to 3 positive lengths and a positive speed are needed")
+    k, d, count = np.asarray(omega, dtype=float) / speed, len(lengths), 0.0
+    for j in range(d + 1):
+        ball = math.pi ** (j / 2) / math.gamma(j / 2 + 1)
+        for axes in itertools.combinations(lengths, j):
+            count = count + (-1) ** (d - j) * ball * (k / math.pi) ** j * math.prod(axes)
+    return count / 2**d
+
+
+def binned(omega, numbers, edges):
+    """Return the mean of the modes' numbers in bins of omega, such as participation ratios.
+
+    Not collective. Modes count as independent; those of several samples may be put together.
+
+    Parameters
+    ----------
+    omega, numbers : array_like of float, shape (nm,)
+        Frequencies, and participation ratios or widths.
+    edges : array_like of float, shape (n + 1,)
+        Of the bins, ascending.
+
+    Returns
+    -------
+    mean : Estimate
+        Arrays of shape (n,): NaN in a bin without modes, the error also in one with a single mode.
+    count : numpy.ndarray of int, shape (n,)
+        How many modes each bin has.
+    """
+    omega, numbers, edges = (np.asarray(v, dtype=float) for v in (omega, numbers, edges))
+    if omega.shape != numbers.shape or not np.all(np.isfinite(omega) & np.isfinite(numbers)):
+        raise InputError("numbers: each mode needs a finite frequency and a finite number")
+    if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
+        raise InputError("edges: two at least are needed, ascending")
+    bins = np.searchsorted(edges, omega, side="right") - 1
+    means = [mean_of(numbers[bins == number]) for number in range(len(edges) - 1)]
+    count = np.array([np.count_nonzero(bins == number) for number in range(len(edges) - 1)])
+    return Estimate(
+        *(np.array([getattr(m, part) for m in means]) for part in ("value", "error"))
+    ), count
+
+
+def modal_widths(lattice, vectors):
+    """Return Gamma = beta f^T C f / m of each mode f, C = B^T B of the dashpots.
+
+    Not collective. The full width at half power of |A|^2 along omega where the mode stands alone,
+    to first order in beta: S f = (m omega_i^2 - m omega^2 + i omega beta C) f, so that
+    |f^T A|^2 ~ 1 / ((omega_i - omega)^2 + (Gamma/2)^2).
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    vectors : numpy.ndarray, shape (nm, *shape)
+        Modes, of any length, in the lattice's unknowns.
+
+    Returns
+    -------
+    numpy.ndarray, shape (nm,)
+    """
+    widths, at_once = np.empty(len(vectors)), max(1, NUMBERS_AT_ONCE // lattice.bonds)
+    for first in range(0, len(vectors), at_once):
+        some = vectors[first : first + at_once]
+        power = sum(
+            longer**2 @ damped for longer, _, damped in lattice.stretched(some, np.zeros(len(some)))
+        )
+        size = np.sum(some.reshape(len(some), -1) ** 2, axis=1)
+        widths[first : first + at_once] = lattice.damping * power / (lattice.mass * size)
+    return widths
+
+
+def modal_overlap(omega, width, window):
+    """Return the modal overlap: mean width times density of modes, sum Gamma_i / (high - low).
+
+    Not collective. Below 1 modes stand alone; far above, A is a complex Gaussian field.
+
+    Parameters
+    ----------
+    omega, width : array_like of float, shape (nm,), or sequences of these, one a sample
+        All modes of the window.
+    window : tuple of float
+        Of omega.
+
+    Returns
+    -------
+    Estimate
+        Its error is that over samples where there are 8 or more. For fewer it takes parts of the
+        window as independent, and what differs between neighbouring ones as their error; modes that
+        repel each other are more regular than that.
+
+    Raises
+    ------
+    InputError
+        If there are too few modes.
+    """
+    single = np.ndim(omega[0]) == 0 if len(omega) else True
+    omega, width = ([x] if single else x for x in (omega, width))
+    low, high = window
+    if not low < high:
+        raise InputError(f"window: {low:g} to {high:g} is no interval")
+    inside = sum(np.count_nonzero((low <= np.asarray(w)) & (np.asarray(w) <= high)) for w in omega)
+    parts = min(MOST, inside // (2 * len(omega)))
+    if parts < FEWEST:
+        raise InputError(
+            f"window: {inside} modes of {len(omega)} samples lie in it, and {2 * FEWEST} of each "
+            "are needed"
+        )
+    sums = np.array(
+        [
+            np.histogram(w, parts, (low, high), weights=g)[0]
+            for w, g in zip(omega, width, strict=True)
+        ]
+    )
+    if len(sums) >= FEWEST_SAMPLES:
+        found = mean_of(sums.sum(axis=1))
+        return Estimate(float(found.value / (high - low)), float(found.error / (high - low)))
+    mean = sums.mean(axis=0)
+    error = math.sqrt(parts * 0.5 * np.mean(np.diff(mean) ** 2))
+    return Estimate(float(mean.sum() / (high - low)), error / (high - low))
