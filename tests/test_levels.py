@@ -7,9 +7,11 @@ import pytest
 from samples import random_lattice, uniform_lattice
 from synthetic import fair
 
+import pgran
 from pgran.errors import InputError
 from pgran.physics import levels
 from pgran.physics.network import Network
+from pgran.scenes import modes
 
 
 def goe(rng, size):
@@ -35,6 +37,30 @@ def test_spacing_ratios(samples):
         spectra = [[make() for _ in range(samples)] for _ in range(100)]
         found = [levels.spacing_ratio(s if samples > 1 else s[0], window) for s in spectra]
         fair(found, truth)
+
+
+def test_spacings_in_words():
+    """The numbers of each range of frequencies, in any unit; nothing where there are few."""
+    rng = np.random.default_rng(3)
+    spectra = [poisson(rng, 0.0, 1.4, 400.0) for _ in range(3)]
+    (line,) = modes.spacings([2.5 * omega for omega in spectra], 2.5)
+    for name, window in (("below .3", (0, 0.3)), ("from .3 to 1", (0.3, 1)), ("above 1", (1, 9))):
+        found = levels.spacing_ratio(spectra, window)
+        assert f"{found.value:.3f} +- {found.error:.3f} {name}" in line
+    assert "extended modes 0.531, localized ones 0.386" in line
+    (line,) = modes.spacings([omega[omega < 1.1] for omega in spectra[:1]], 1.0)
+    assert "from .3 to 1 omega_mx" in line
+    assert not list(modes.spacings([np.linspace(0.1, 1.2, 20)], 1.0))
+    assert not list(modes.spacings([np.repeat(np.linspace(0.1, 1.2, 200), 3)], 1.0))
+    assert not list(modes.spacings(spectra, 0.0))
+
+
+def test_modes_above_omega_mx_are_localized():
+    """There neighbouring modes of the paper's lattice repel each other less than below."""
+    found = pgran.ensemble("modes", 12, lattice={"shape": (16, 16)}, keep="curves")
+    low, high = (levels.spacing_ratio(found.mode_omega, w) for w in ((0.3, 0.6), (1.0, 2.0)))
+    assert low.value - high.value > 3 * math.hypot(low.error, high.error)
+    assert abs(low.value - levels.GOE_SPACING_RATIO) < 3 * low.error
 
 
 def test_spacing_ratio_is_that_of_any_smooth_scale():

@@ -242,6 +242,9 @@ def summary(result):
             "failed, or missed the accuracy asked for (good)"
         )
     yield from measures(result)
+    if found.mode_omega is not None:
+        spectra = [omega[np.isfinite(omega)] for omega in found.mode_omega[found.good > 0]]
+        yield from modes.spacings(spectra, result.medium.omega_mx)
     if found.delay_samples is not None:
         unknown = np.count_nonzero(found.good) - found.delay_samples
         if unknown.any():

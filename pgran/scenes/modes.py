@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 import time
 
 import numpy as np
@@ -10,6 +11,7 @@ from pgran.errors import InputError
 from pgran.files.options import FLAG, INTEGER, REAL, Option
 from pgran.machine import check_memory
 from pgran.parallel.task import Task, carry_out
+from pgran.physics import levels
 from pgran.physics.modes import RESIDUAL, participation
 from pgran.physics.units import check_frequency
 from pgran.results import Modes, record_of
@@ -28,6 +30,7 @@ WHICH = (
         low=1
     ),
 )  # fmt: skip
+REGIMES = ("below .3", 0.0, 0.3), ("from .3 to 1", 0.3, 1.0), ("above 1", 1.0, math.inf)
 ZERO = 1e-6  # of omega_mx: a smaller frequency is that of a zero mode, but for rounding
 SHAPES = Option("output_fields", FLAG, False, "store the shapes of the modes")
 
@@ -107,6 +110,31 @@ def summary(result):
         yield (
             f"participation from {modes.participation.min():.3g} to "
             f"{modes.participation.max():.3g} balls"
+        )
+        yield from spacings([modes.omega], result.medium.omega_mx)
+
+
+def spacings(spectra, unit):
+    """Yield in words how the modes of samples keep apart, in three ranges of frequencies.
+
+    Not collective. Nothing of ranges with too few modes, or where three of them coincide.
+
+    Parameters
+    ----------
+    spectra : sequence of numpy.ndarray
+        All frequencies of each sample, or those of an interval.
+    unit : float
+        Their unit, omega_mx.
+    """
+    said = []
+    for name, *ends in REGIMES:
+        with contextlib.suppress(InputError):
+            found = levels.spacing_ratio(spectra, [end * unit for end in ends])
+            said.append(f"{found.value:.3f} +- {found.error:.3f} {name}")
+    if said:
+        yield (
+            f"mean ratio of neighbouring spacings {', '.join(said)} omega_mx (extended modes "
+            f"{levels.GOE_SPACING_RATIO:.3f}, localized ones {levels.POISSON_SPACING_RATIO:.3f})"
         )
 
 
