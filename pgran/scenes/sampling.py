@@ -11,6 +11,7 @@ from pgran.machine import check_memory
 from pgran.parallel.task import Task
 from pgran.physics.bands import STATISTICS, over_samples
 from pgran.results import Ensemble
+from pgran.results.digits import two_digits
 from pgran.results.medium import ball_names
 from pgran.results.si import SI
 
@@ -248,7 +249,7 @@ def told(words, unit, say, columns, sites):
         if len(values) > 1:
             mean, spread = values.mean(), values.std(ddof=1)
             error = spread / np.sqrt(len(values))
-            line += f" {mean:.4g} +- {error:.1g}{unit}{say(mean)}, spread {spread:.2g}"
+            line += f" {mean:.4g} +- {two_digits(error)}{unit}{say(mean)}, spread {spread:.2g}"
         elif len(few) == 1:
             line += " unknown"
         else:
