@@ -12,7 +12,7 @@ from samples import run_scene
 import pgran
 from pgran.command.resolve import SCENES, resolve
 from pgran.errors import InputError
-from pgran.figures import physical
+from pgran.figures import physical, style
 from pgran.files.reading import read_words
 from pgran.record import Result
 from pgran.results import record_of
@@ -174,6 +174,20 @@ def test_ticks_of_any_scale(scale):
     digits = {f"{abs(number):e}".partition("e")[0].rstrip("0.") for number in said if number}
     assert max(map(len, digits)) <= 3
     assert not any(ax.xaxis.get_minor_formatter().format_ticks(ax.xaxis.get_minorticklocs()))
+
+
+@pytest.mark.parametrize("power", np.linspace(-6, 1, 15).tolist())
+def test_ticks_on_both_sides_of_zero_are_apart(power):
+    """Whatever the unit is: none but 0 stands where the axis is linear, and there are few."""
+    from matplotlib.figure import Figure
+
+    ax = Figure().subplots()
+    style.symmetric(ax, np.array([-1e4, 3e4]), 37.0)
+    physical.convert(ax.yaxis, 10**power)
+    places = ax.yaxis.get_majorticklocs()
+    assert np.count_nonzero(places == 0) == 1
+    assert np.abs(places[places != 0]).min() >= 37.0
+    assert len(places) <= 7
 
 
 def test_a_run_says_it(call, place, shared_path):
