@@ -24,7 +24,8 @@ SAID = {
     "amplitude": "Amplitude against the driving frequency over samples: the band of 80 % of them, "
     "their median, and the coherent part $|\\langle A\\rangle|$.",
     "delay": "Group delay against the driving frequency over samples: the band of 80 % of them, "
-    "their median; the axis is linear up to a power of ten next to the median, logarithmic beyond.",
+    "and their median; the axis is linear up to a power of ten next to the median, logarithmic "
+    "beyond.",
     "density": "Density of the normal modes of a sample per ball and $\\omega_{mx}$, with its "
     "standard error.",
     "participation": "Participation ratio of the normal modes against their frequency: the band of "
