@@ -20,6 +20,7 @@ from pgran.command.plot import run as plot
 from pgran.errors import FileError, InputError, PgranError
 from pgran.figures import bonds, response
 from pgran.results import LatticeRecord
+from pgran.results.digits import two_digits
 
 
 def test_the_regimes_hold_every_point_of_every_detector():
@@ -108,7 +109,7 @@ def test_phase_and_its_fit():
             shown.phase_slope[d] * ends + shown.phase_intercept[d]
         )
         velocity, error = shown.phase_velocity[d], shown.phase_velocity_error[d]
-        assert rf"v = {velocity:.3g} \pm {error:.1g}$" in labels(ax)[d]
+        assert rf"v = {velocity:.3g} \pm {two_digits(error)}$" in labels(ax)[d]
     newer = ("phase_used_min", "phase_used_max", "phase_slope_error", "phase_velocity_error")
     older = replace(shown, **dict.fromkeys(newer))
     ends = SWEEP[(SWEEP > 0.3) & (SWEEP < 1.0)][[0, -1]]

@@ -29,9 +29,11 @@ def test_captions_say_the_numbers_of_the_record():
     largest = (shown.error_bound / shown.amplitude)[good].max()
     for name, figure in made.items():
         for part in (r"$4 \times 3$ balls", "of mass 0.25", "uniform on [0, 0.25]; seed 1993",
-                     r"$\beta$ = 0.003", r"$\omega_{mx}$ = 2", captions.number(largest),
-                     "1 amplitudes are upper limits", "1 of 260 amplitudes missed"):  # fmt: skip
+                     r"$\beta$ = 0.003", r"$\omega_{mx}$ = 2"):  # fmt: skip
             assert part in figure.caption, (name, part)
+        for part in (captions.number(largest), "1 amplitudes are upper limits",
+                     "1 of 260 amplitudes missed"):  # fmt: skip
+            assert (part in figure.caption) == (name != "bonds"), (name, part)
         assert "heard at ball (1, 1)" in figure.caption
         assert ("Dotted line" in figure.caption) == (name not in ("amplitude", "bonds"))
     assert f"{shown.phase_slope[0]:.4g}" in made["phase"].caption
@@ -46,6 +48,14 @@ def test_captions_say_the_numbers_of_the_record():
                         ("residuals at most $3\\times10^{-14}$", {}),
                         ("not certified", {"count_certified": False})):  # fmt: skip
         assert words in captions.bound(result_of(replace(found.modes, **more)))
+    lattice = random_lattice((4, 3))
+    depends = result_of(pgran.sensitivity(lattice, [0.5, 1.1], [(1, 1)]), lattice)
+    record = depends.sensitivity
+    largest = captions.number(record.log_bound[record.converged_reason > 0].max())
+    said = captions.bound(depends)
+    assert rf"of every derivative $d\,\ln|A| / d\,\ln k$: at most {largest} (proven)" in said
+    unknown = result_of(replace(record, log_bound=np.full_like(record.log_bound, np.inf)))
+    assert "derivative" not in captions.bound(unknown)
     sent = listen()
     assert "(proven)" in captions.bound(sent)
     undamped = respond(lattice=random_lattice((4, 3), damping=0.0))
@@ -53,7 +63,9 @@ def test_captions_say_the_numbers_of_the_record():
     net = crystal("triangular", (4, 3), periodic=(False, True))
     shown = result_of(pgran.find_modes(net), net)
     shown.options = "-network_file mine.h5"
-    caption = figures.make(shown)["participation"].caption
+    made = figures.make(shown)
+    assert "dots" not in made["network"].caption  # nobody listens
+    caption = made["participation"].caption
     for part in ("(file mine.h5)", f"{len(net.bond)} contacts", "displacements: vector"):
         assert part in caption
     assert captions.number(0.003) == "0.003"

@@ -1,5 +1,6 @@
 """Figures of ensembles and of the noise of their responses, read off the axes."""
 
+import re
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -96,6 +97,28 @@ def test_delays_are_linear_up_to_the_power_of_ten_next_to_their_median(scale):
     assert 0.31 * middle <= threshold <= 3.2 * middle
 
 
+@pytest.mark.parametrize("keep", ["curves", "measures"])
+def test_captions_speak_of_single_samples_where_they_are_drawn(keep):
+    made = figures.make(result_of(found_of("response", keep)))
+    for name in ("amplitude", "delay"):
+        assert ("single samples" in made[name].caption) == (keep == "curves")
+
+
+def test_many_detectors_stand_in_columns_on_one_page():
+    sites = [(i, j) for i in range(5) for j in (0, 2)][:9]
+    given = GIVEN["response"] | {"detectors": sites, "omegas": np.linspace(0.5, 2.1, 201)}
+    found = pgran.ensemble("response", 3, lattice=LATTICE, keep="curves", **given)
+    figure = figures.make(result_of(found))["amplitude"]
+    figure.draw_without_rendering()
+    assert len(figure.panels) == len(figure.axes) == 9
+    assert figure.get_figheight() < 250 / 25.4
+    (legend,) = [ax.get_legend() for ax in figure.axes if ax.get_legend()]
+    box = legend.get_window_extent()
+    assert figure.bbox.padded(1).contains(*box.min)
+    assert figure.bbox.padded(1).contains(*box.max)
+    assert all(not box.overlaps(ax._left_title.get_window_extent()) for ax in figure.axes)
+
+
 def test_samples_that_are_left_out_are_not_drawn_and_said():
     found = found_of("response", "curves")
     good = found.good.copy()
@@ -125,7 +148,16 @@ def test_histograms_count_every_sample_that_has_the_number(of, name, d):
     assert counts.sum() == len(known) == 11
     assert edges[0] <= known.min() <= known.max() <= edges[-1]
     assert ax.get_lines()[0].get_xdata()[0] == pytest.approx(known.mean())
-    assert f"11 samples: mean ${known.mean():.1g}"[:18] in ax.get_title("left") + ax.get_title()
+    where = "" if d is None else f"ball {DETECTORS[2 * d : 2 * d + 2]}: "
+    title = ax.get_title("left") or ax.get_title()
+    said = re.match(rf"{re.escape(where)}mean \$(\S+) \\pm (\S+)\$", title)
+    found_mean, found_error = said.groups()
+    error = known.std(ddof=1) / np.sqrt(11)
+    assert float(found_error) == pytest.approx(error, rel=0.06)
+    assert abs(float(found_mean) - known.mean()) < 0.06 * error
+    unit = re.search(r"\(\$.*\$\)", ax.get_xlabel())
+    assert not unit or title.endswith(unit[0].strip("()"))
+    assert ax.get_ylabel() == "samples (of 11)"
 
 
 def test_the_density_of_modes_is_that_of_a_sample():

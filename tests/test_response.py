@@ -11,6 +11,7 @@ from pgran.physics.lattice import Lattice
 from pgran.physics.phase import BLOCKS, CERTAIN, fit_phase, unwrap
 from pgran.record import Result
 from pgran.results import LatticeRecord
+from pgran.results.digits import two_digits
 from pgran.scenes.amplitudes import ResponseSweep
 from pgran.scenes.response import summary
 
@@ -44,8 +45,21 @@ def test_paper_against_the_reference(world, response):
     text = said(response)
     assert f"1291 frequencies with {response.factorizations}" in text
     slope, error = response.phase_slope[0], response.phase_slope_error[0]
-    assert f"phase slope {slope:.4g} +- {error:.1g} rad" in text
+    assert f"phase slope {slope:.4g} +- {two_digits(error)} rad" in text
     assert f"every amplitude at most {worst:.1e} (error_bound)" in text
+
+
+@pytest.mark.parametrize("size", np.geomspace(1e-3, 1e4, 57).tolist())
+def test_errors_have_two_digits_and_no_exponent(size):
+    assert float(two_digits(size)) == pytest.approx(size, rel=0.05)
+    assert set(two_digits(size)) <= set("0123456789.")
+    assert len(two_digits(size).replace(".", "").strip("0")) <= 2
+
+
+def test_errors_that_are_tiny_or_unknown():
+    assert [two_digits(error) for error in (13.1, 0.0, 3.14e-8, np.nan)] == [
+        "13", "0", "3.1e-08", "nan"
+    ]  # fmt: skip
 
 
 def test_phase_velocity_of_the_paper(response):

@@ -13,7 +13,7 @@ from samples import run_scene
 import pgran
 from pgran.command.resolve import SCENES, resolve
 from pgran.errors import InputError
-from pgran.figures import physical
+from pgran.figures import physical, style
 from pgran.files.reading import read_words
 from pgran.record import Result
 from pgran.results import record_of
@@ -188,7 +188,21 @@ def test_ticks_of_an_axis_that_is_linear_up_to_a_threshold():
     ax.plot([0.0, 7000.0], [1.0, 2.0])
     ax.set_xscale("symlog", linthresh=100.0)
     physical.convert(ax.xaxis, 0.01)
-    assert at_ticks(ax.xaxis, "Hz")[0].tolist() == [0, 1, 10]
+    assert sorted(at_ticks(ax.xaxis, "Hz")[0]) == [0, 1, 10]
+
+
+@pytest.mark.parametrize("power", np.linspace(-6, 1, 15).tolist())
+def test_ticks_on_both_sides_of_zero_are_apart(power):
+    """Whatever the unit is: none but 0 stands where the axis is linear, and there are few."""
+    from matplotlib.figure import Figure
+
+    ax = Figure().subplots()
+    style.symmetric(ax, np.array([-1e4, 3e4]), 37.0)
+    physical.convert(ax.yaxis, 10**power)
+    places = ax.yaxis.get_majorticklocs()
+    assert np.count_nonzero(places == 0) == 1
+    assert np.abs(places[places != 0]).min() >= 37.0
+    assert len(places) <= 7
 
 
 def test_a_run_says_it(call, place, shared_path):

@@ -46,11 +46,11 @@ def _finished(made, results, si):
     """Return figures with what all of them have: SI units, letters of panels, whole captions."""
     from pgran.figures import captions, physical, style
 
-    for figure in made.values():
+    for name, figure in made.items():
         if hasattr(results[0], "medium"):
             physical.label_axes(figure, results[0].medium, si)
         style.letter(figure.panels)
-        figure.caption = captions.complete(figure, results, si)
+        figure.caption = captions.complete(figure, results, si, name in captions.SAMPLES)
     return made
 
 

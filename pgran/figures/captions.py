@@ -6,7 +6,9 @@ A figure's own words are its `caption`, given where it is drawn. Formulas are La
 import numpy as np
 
 from pgran.figures import style
+from pgran.results.digits import two_digits
 
+SAMPLES = "bonds", "network"  # figures that show what was computed on
 MOST = 6  # detectors that are named
 AXES = {1: "chain", 2: "square lattice", 3: "cubic lattice"}
 LAWS = {
@@ -29,7 +31,7 @@ def number(value, digits=2):
     return rf"${mantissa}\times10^{{{int(exponent)}}}$"
 
 
-def complete(figure, results, si):
+def complete(figure, results, si, sampled=False):
     """Return a figure's own caption with the sample, and the bound reached, of each result.
 
     Not collective.
@@ -40,9 +42,11 @@ def complete(figure, results, si):
     results : sequence of pgran.record.Result
     si : pgran.results.si.SI
         The program's units.
+    sampled : bool
+        Whether the figure shows the sample itself, of which there is no error.
     """
     samples = dict.fromkeys(sample(result, si) for result in results)
-    reached = dict.fromkeys(bound(result) for result in results)
+    reached = [] if sampled else dict.fromkeys(bound(result) for result in results)
     marked = any(line.get_gid() == style.UNIT for ax in figure.panels for line in ax.get_lines())
     unit = r"Dotted line: $\omega_{mx}$." if marked else ""
     return " ".join(filter(None, [figure.caption, *samples, *reached, unit]))
@@ -53,7 +57,7 @@ def slopes(response):
     errors, said = response.phase_slope_error, []
     for d, name in enumerate(style.ball_names(response.detector)):
         if np.isfinite(response.phase_slope[d]):
-            error = "" if errors is None else rf" \pm {errors[d]:.2g}"
+            error = "" if errors is None else rf" \pm {two_digits(errors[d])}"
             said.append(rf"${response.phase_slope[d]:.4g}{error}$ at {name}")
     unit = r"rad per $\omega_{mx}$; $v$: phase velocity, $d$: unit of length"
     return f" Slopes: {', '.join(said)}, in {unit}." if said else ""
@@ -143,7 +147,7 @@ def _amplitudes(record, how):
     if not good.any() or not np.isfinite(relative).all():
         said = "No bound of the errors is known."
     else:
-        said = f"Relative error of every amplitude drawn: at most {number(relative.max())} ({how})."
+        said = f"Relative error of every amplitude: at most {number(relative.max())} ({how})."
     if floored.any():
         said += f" {np.count_nonzero(floored)} amplitudes are upper limits, at the floor."
     if failed.any():
@@ -153,6 +157,15 @@ def _amplitudes(record, how):
     if np.any(getattr(record, "unresolved", False)):
         said += " Where it is marked the curve is not resolved between its points."
     return said
+
+
+def _derivatives(record, how):
+    """Return the bounds of amplitudes, and the largest of the derivatives d ln|A| / d ln k."""
+    largest = np.max(record.log_bound[record.converged_reason > 0], initial=0.0)
+    if not 0 < largest < np.inf:
+        return _amplitudes(record, how)
+    found = f"of every derivative $d\\,\\ln|A| / d\\,\\ln k$: at most {number(largest)} ({how})."
+    return f"{_amplitudes(record, how)} Error {found}"
 
 
 def _signals(record, *_):
@@ -200,7 +213,7 @@ def _study(record, *_):
 BOUNDS = {
     "response": _amplitudes,
     "relaxation": _amplitudes,
-    "sensitivity": _amplitudes,
+    "sensitivity": _derivatives,
     "heat": _amplitudes,
     "pulse": _signals,
     "modes": _modes,

@@ -1,6 +1,7 @@
 """The figures of an ensemble: curves with their band, histograms of numbers, densities of modes."""
 
 import math
+import re
 
 import numpy as np
 
@@ -21,16 +22,17 @@ NUMBERS = {
 SINGLE = ("#0072B2", "#E69F00", "#009E73")  # three samples
 SAID = {
     "amplitude": "Amplitude against the driving frequency over samples: the band of 80 % of them, "
-    "their median, three single ones, and the coherent part $|\\langle A\\rangle|$.",
+    "their median, and the coherent part $|\\langle A\\rangle|$.",
     "delay": "Group delay against the driving frequency over samples: the band of 80 % of them, "
-    "their median, and three single ones; the axis is linear up to a power of ten next to the "
-    "median, logarithmic beyond.",
+    "and their median; the axis is linear up to a power of ten next to the median, logarithmic "
+    "beyond.",
     "density": "Density of the normal modes of a sample per ball and $\\omega_{mx}$, with its "
     "standard error.",
     "participation": "Participation ratio of the normal modes against their frequency: the band of "
     "80 % of them, and their median.",
 }
 BAND, BINS = "#C8C8C8", 30
+ROWS, NARROWEST = 5, 3.0  # of curves, before there is another column; inches of one
 
 
 def figures(result, **_):
@@ -140,15 +142,18 @@ def _band(ax, found, lattice, values, single):
 
 def _curves_page(found, lattice, panel):
     """Return a figure with a panel a detector."""
-    names, rows = style.ball_names(found.detector), len(found.detector)
-    figure, panels = style.page(style.PAGE, 0.5 + 2.4 * rows, nrows=rows)
+    names, count = style.ball_names(found.detector), len(found.detector)
+    figure, panels, columns = style.grid(
+        count, ROWS, NARROWEST, lambda rows: 0.5 + rows * (2.4 if rows <= 3 else 1.7)
+    )
     for d, ax in enumerate(panels):
         panel(ax, found, lattice, d)
-        if rows > 1:
+        if count > 1:
             ax.set_title(names[d])
-    rows_above = style.legend_above([panels[0]])
+    rows_above = style.legend_above([panels[columns - 1]])
     figure.set_figheight(figure.get_figheight() + 0.13 * (rows_above - 1))
-    figure.caption = SAID[panel.__name__]
+    single = any("seed" in str(line.get_label()) for line in panels[0].get_lines())
+    figure.caption = SAID[panel.__name__] + (" Thin lines: single samples." if single else "")
     return figure
 
 
@@ -174,11 +179,12 @@ def histogram(ax, found, name, detector=0):
     mean, error = values.mean(), values.std(ddof=1) / math.sqrt(len(values))
     ax.axvspan(mean - error, mean + error, color="black", alpha=0.35, linewidth=0)
     ax.axvline(mean, color="black")
-    where = "" if found.detector is None else f"{style.ball_names(found.detector)[detector]}, "
+    where = "" if found.detector is None else f"{style.ball_names(found.detector)[detector]}: "
+    unit = re.search(r"\((\$.*\$)\)$", NUMBERS[name]) or ""
     places = max(0, 1 - math.floor(math.log10(error)))
-    numbers = rf"${mean:.{places}f} \pm {error:.{places}f}$"
-    ax.set_title(f"{where}{len(values)} samples: mean {numbers}")
-    ax.set(xlabel=NUMBERS[name], ylabel="samples")
+    numbers = rf"${mean:.{places}f} \pm {error:.{places}f}$ {unit and unit[1]}".rstrip()
+    ax.set_title(f"{where}mean {numbers}")
+    ax.set(xlabel=NUMBERS[name], ylabel=f"samples (of {len(values)})")
     ax.set_ylim(bottom=0)
     ax.locator_params("x", nbins=6)
     ax.locator_params("y", integer=True)

@@ -36,9 +36,10 @@ def page(network, balls):
     contacts(ax, network, balls)
     figure.set_figheight(figure.get_figheight() + 0.14 * style.legend_above([ax]))
     what = "stiffness" if network.force is None else "force"
+    dots = "; dots: detectors" if len(balls) else ""
     figure.caption = (
         f"The network: a line is a contact, as thick as its {what}; circles: balls, dark ones at "
-        "rest, blue ones driven along the double arrow; dots: detectors."
+        f"rest, blue ones driven along the double arrow{dots}."
     )
     if view.plane:
         figure.suptitle(f"network in the {view.plane}", fontsize="medium")
@@ -142,7 +143,7 @@ def explain(figure, network, *more):
     held = f"dark{rim}: balls at rest; blue{rim}: driven balls" if network.held.any() else ""
     text = "; ".join([text for text in (*more, held) if text])
     rows = style.above(figure, said[network.displacement], text)
-    figure.set_figheight(figure.get_figheight() + 0.15 * rows)
+    figure.set_figheight(figure.get_figheight() + 0.15 * rows + 0.12)
     figure.caption += f" {said[network.displacement].capitalize()}; {text}."
 
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 from matplotlib.ticker import (
+    FixedLocator,
     FuncFormatter,
     Locator,
     LogLocator,
     NullFormatter,
     NullLocator,
-    SymmetricalLogLocator,
 )
 
 from pgran.figures import density, ensemble, style
@@ -97,8 +97,8 @@ def convert(axis, factor):
         major = LogLocator(subs=(1, 2, 5) if narrow else (1,))
         minor = LogLocator(subs=range(2, 10))
     elif kind == "symlog":
-        linear = axis.get_transform().linthresh * factor
-        major = SymmetricalLogLocator(base=10, linthresh=linear)
+        ends = axis.get_transform().linthresh, np.abs(axis.get_view_interval()).max()
+        major = FixedLocator(style.symmetric_ticks(*(factor * end for end in ends)))
     else:
         major = style.round_ticks(axis.figure)
     axis.set_major_locator(Ticks(major, factor))

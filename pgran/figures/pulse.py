@@ -136,7 +136,7 @@ def energy(ax, signals, lattice):
     shown = [
         (signals.work, "work of the drive", {"color": "#bbbbbb", "linewidth": 2.5}),
         (signals.energy, "energy of balls and springs", {"color": style.ACCENT}),
-        (signals.dissipated, "taken by damping", {"color": style.UNRESOLVED}),
+        (signals.dissipated, "taken by damping", {"color": style.UNRESOLVED, "linestyle": "--"}),
     ]
     ax.set(xlabel=style.TIME, xlim=time[[0, -1]])
     ax.set_ylabel(r"energy ($m\,\omega_{mx}^2 \times$ displacement$^2$)")

@@ -3,6 +3,7 @@
 import numpy as np
 
 from pgran.figures import marks, style
+from pgran.results.digits import two_digits
 
 
 def figures(result, **_):
@@ -75,7 +76,7 @@ def memory(ax, memory):
     ax.set(xscale="symlog", xlim=(0, memory.lag[-1]))
     words = r"$(1 - \bar k/M)^t$ to $(1 - 1/M)^t$"
     law = ax.fill_between(memory.lag, memory.lowest, memory.highest, color="#cccccc", label=words)
-    label = rf"$\bar k = {memory.order:.3g} \pm {memory.order_error:.1g}$"
+    label = rf"$\bar k = {memory.order:.3g} \pm {two_digits(memory.order_error)}$"
     look = {"color": style.ACCENT, "linewidth": 0.8, "marker": ".", "markersize": 3}
     return law, ax.errorbar(
         memory.lag, memory.correlation, memory.correlation_error, label=label, **look

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from pgran.figures import bonds, captions, marks, style
+from pgran.results.digits import two_digits
 from pgran.results.response import LINES
 
 EDGES = (0.0, 0.3, 1.0, math.inf)  # of the three regimes, in units of omega_mx
@@ -155,7 +156,7 @@ def _velocity(response, lattice, d):
         name, unit = "phase_slope", r"rad/$\omega_{mx}$"
     said, error = f"{getattr(response, name)[d]:.3g}", getattr(response, f"{name}_error")
     if error is not None:  # as it is in a file of version 0.1
-        said += rf" \pm {error[d]:.1g}"
+        said += rf" \pm {two_digits(error[d])}"
     return f"${'v' if 'velocity' in name else 's'} = {said}$ {unit}"
 
 

@@ -39,7 +39,9 @@ def figures(result, **_):
     figure, (ax,) = style.page(style.COLUMN, 2.5)
     distribution(ax, found, medium)
     figure.set_figheight(2.3 + 0.13 * style.legend_above([ax]))
-    figure.caption = "Share of the bonds whose logarithmic derivative is larger."
+    figure.caption = (
+        "Share of the bonds whose logarithmic derivative $|d\\,\\ln|A| / d\\,\\ln k|$ is larger."
+    )
     note_failed(figure, found)
     yield "distribution", figure
     if medium.group == "lattice":

@@ -106,6 +106,31 @@ def page(width, height, **panels):
     return figure, figure.panels
 
 
+def grid(count, rows, narrowest, height, **panels):
+    """Return an empty page with panels in columns, the panels row by row, and how many columns.
+
+    Parameters
+    ----------
+    count : int
+        How many panels.
+    rows : int
+        Before there is another column.
+    narrowest : float
+        That a column may be, in inches; then there are more rows.
+    height : callable
+        Of the page in inches, by the number of rows.
+    **panels
+        Of `Figure.subplots`.
+    """
+    columns = min(-(-count // rows), max(1, int(wide(PAGE) / narrowest)))
+    rows = -(-count // columns)
+    figure, made = page(PAGE, height(rows), nrows=rows, ncols=columns, **panels)
+    for ax in made[count:]:
+        ax.remove()
+    figure.panels = made[:count]
+    return figure, figure.panels, columns
+
+
 def check_any(values, what):
     """Raise a FileError unless there are values to draw."""
     if not np.size(values):
@@ -185,9 +210,14 @@ def symmetric(ax, values, threshold):
     """
     ax.set_yscale("symlog", linthresh=threshold)
     largest = np.max(np.abs(values), initial=threshold)
+    ax.set_yticks(symmetric_ticks(threshold, largest))
+
+
+def symmetric_ticks(threshold, largest):
+    """Return 0 and a few powers of ten from a threshold to the largest value, of both signs."""
     low, high = math.ceil(math.log10(threshold)), math.floor(math.log10(largest))
     powers = 10.0 ** np.arange(low, high + 1)[:: -max(1, -(-(high - low + 1) // 3))]
-    ax.set_yticks([*-powers, 0.0, *powers])
+    return [*-powers, 0.0, *powers]
 
 
 def lettered(said):
@@ -219,7 +249,8 @@ def legend_above(panels):
     """Put one legend of all panels above the upper right of the first, where no data can be.
 
     What several curves of a panel have in common comes last. It is beside the title, or above that
-    if there is no room, in as many columns as fit. Returns how many rows there are.
+    if there is no room or another panel beside, in as many columns as fit: give the last panel of
+    a row first. Returns how many rows there are.
     """
     handles, shared = {}, {}
     for ax in panels:
@@ -233,7 +264,8 @@ def legend_above(panels):
     title = _letters(panels[0].get_title(loc="left"))
     title += 4 * (len(getattr(figure, "panels", ())) > 1)
     width, place = figure.get_figwidth() - 0.5, panels[0].transAxes
-    beside = SMALL * (width - title / LETTERS) >= one
+    alone = panels[0].get_subplotspec().get_gridspec().ncols == 1
+    beside = alone and SMALL * (width - title / LETTERS) >= one
     if beside:
         width -= title / LETTERS
     else:

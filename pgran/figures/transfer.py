@@ -100,21 +100,17 @@ def page(signals, lattice, response):
     count = len(signals.detector)
     if response and not any(shared(site, response).size for site in signals.detector):
         raise FileError("the pulse and the response have no detector in common")
-    columns = min(-(-count // ROWS), max(1, int(style.wide(style.PAGE) / NARROWEST)))
-    rows = -(-count // columns)
-    size = style.PAGE, 0.7 + max(1.2 * rows, 2.0)
-    figure, panels = style.page(*size, nrows=rows, ncols=columns, sharex=True, sharey=True)
-    for d, ax in zip(range(count), panels, strict=False):
+    figure, panels, columns = style.grid(
+        count, ROWS, NARROWEST, lambda rows: 0.7 + max(1.2 * rows, 2.0), sharex=True, sharey=True
+    )
+    for d, ax in enumerate(panels):
         spectrum(ax, signals, lattice, d, response)
         ax.set(xlabel="", ylabel="")
-    for ax in panels[max(0, count - columns) : count]:  # nothing stands below these
+    for ax in panels[max(0, count - columns) :]:  # nothing stands below these
         ax.set_xlabel(style.FREQUENCY)
         ax.tick_params(labelbottom=True)
-    for ax in panels[count:]:
-        ax.remove()
-    figure.panels = panels[:count]
     if response:
-        style.legend_above([panels[columns - 1], *panels[:count]])
+        style.legend_above([panels[columns - 1], *panels])
     end = signals.time[-1] * lattice.omega_mx
     text = (
         rf"signal / drive until $T$ = {end:.4g}$/\omega_{{mx}}$; what is left in the last quarter "

@@ -161,12 +161,13 @@ def summary(result):
     moved = np.count_nonzero(density.margin)
     if moved:
         yield (
-            f"{moved} frequencies have a mode so close that it is not counted; it is less than "
-            f"{density.margin.max():.1e} below them"
+            f"modes too close to {moved} of the frequencies are not counted there; they are less "
+            f"than {density.margin.max():.1e} below"
         )
     if density.omega[0] == 0 and density.count[0] > 0:
         yield Caution(f"UNSTABLE: {density.count[0]} modes have omega^2 < 0")
+    low, high = density.omega[[0, -1]]
     yield (
-        f"{density.count[0]} modes below omega = {density.omega[0]:.6g}, {density.count[-1]} below "
-        f"{density.omega[-1]:.6g}{si.say('Hz', density.omega[-1])}"
+        f"modes below omega = {low:.6g}{si.say('Hz', low)}: {density.count[0]}; below "
+        f"{high:.6g}{si.say('Hz', high)}: {density.count[-1]}"
     )

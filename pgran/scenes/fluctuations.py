@@ -7,6 +7,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.files.options import REAL, Option
 from pgran.results import Memory
+from pgran.results.digits import two_digits
 
 log = logging.getLogger(__name__)
 
@@ -113,8 +114,9 @@ def summary(result):
         )
     memory = getattr(result, "memory", None)
     if memory:
+        errors = two_digits(memory.order_error), two_digits(memory.increment_error)
         yield (
-            f"memory: {memory.order:.3g} +- {memory.order_error:.1g} of {memory.bonds} bonds act "
-            "jointly on average; the amplitude and its next increment have the correlation "
-            f"{memory.increment:.3g} +- {memory.increment_error:.1g}"
+            f"memory: {memory.order:.3g} +- {errors[0]} of {memory.bonds} bonds act jointly on "
+            "average; the amplitude and its next increment have the correlation "
+            f"{memory.increment:.3g} +- {errors[1]}"
         )

@@ -7,6 +7,7 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.results import NoiseStatistics
+from pgran.results.digits import two_digits
 
 log = logging.getLogger(__name__)
 
@@ -158,4 +159,4 @@ def summary(found):
 def _said(found, name, place):
     """Return a measure with its error."""
     value, error = (getattr(found, n)[place] for n in (name, f"{name}_error"))
-    return f"{value:.3g} +- {error:.1g}" if np.isfinite(error) else "unknown"
+    return f"{value:.3g} +- {two_digits(error)}" if np.isfinite(error) else "unknown"

@@ -11,6 +11,7 @@ from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.pulse import SHAPES, Pulse, Samples
 from pgran.results import record_of
+from pgran.results.digits import two_digits
 from pgran.results.medium import ball_names
 from pgran.results.si import SI
 from pgran.scenes import common, driven
@@ -118,8 +119,8 @@ def summary(result):
             line += f"; front at {front:.4g}{si.say('s', front)}"
             line += f", centre at {centre:.4g}{si.say('s', centre)}"
         if np.isfinite(signals.decay[d]):
-            line += f", then decay at {signals.decay[d]:.3g} +- {signals.decay_error[d]:.1g}"
-            line += si.say("1/s", signals.decay[d])
+            decay, error = signals.decay[d], two_digits(signals.decay_error[d])
+            line += f", then decay at the rate {decay:.3g} +- {error}{si.say('1/s', decay)}"
         yield line
     front = signals.wall_arrival
     yield f"the wall's own front is at {front:.4g}{si.say('s', front)}"

@@ -9,6 +9,7 @@ from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.phase import and_more
 from pgran.results import record_of
+from pgran.results.digits import two_digits
 from pgran.results.medium import ball_names
 from pgran.results.response import LINES
 from pgran.results.si import SI
@@ -95,8 +96,8 @@ def summary(result):
             yield f"{ball}: no phase velocity: {line.why_not}"
         else:
             yield (
-                f"{ball}: phase slope {line.slope:.4g} +- {line.slope_error:.1g} rad "
-                f"per omega_mx, phase velocity {velocity:.4g} +- {error:.1g} "
+                f"{ball}: phase slope {line.slope:.4g} +- {two_digits(line.slope_error)} rad "
+                f"per omega_mx, phase velocity {velocity:.4g} +- {two_digits(error)} "
                 f"{lattice.length} x omega_mx{si.say('m/s', velocity * lattice.omega_mx)}"
             )
 

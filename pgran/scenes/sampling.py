@@ -10,6 +10,7 @@ from pgran.machine import check_memory
 from pgran.parallel.task import Task
 from pgran.physics.bands import STATISTICS, over_samples
 from pgran.results import Ensemble
+from pgran.results.digits import two_digits
 from pgran.results.medium import ball_names
 from pgran.results.si import SI
 
@@ -230,7 +231,7 @@ def _told(result, name):
             mean, spread = values.mean(), values.std(ddof=1)
             error = spread / np.sqrt(len(values))
             in_si = si.say(physical, factor * mean) if physical else ""
-            line += f" {mean:.4g} +- {error:.1g}{unit}{in_si}, spread {spread:.2g}"
+            line += f" {mean:.4g} +- {two_digits(error)}{unit}{in_si}, spread {spread:.2g}"
         elif len(few) == 1:
             line += " unknown"
         else:

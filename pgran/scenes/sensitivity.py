@@ -7,6 +7,7 @@ from pgran.parallel.task import carry_out
 from pgran.physics.bonds import bond_places
 from pgran.physics.gradient import energy_flux, gradient
 from pgran.results import Sensitivity, record_of
+from pgran.results.digits import two_digits
 from pgran.results.medium import ball_names
 from pgran.results.si import SI
 from pgran.scenes import common, driven, heat
@@ -67,7 +68,7 @@ def summary(result):
             yield (
                 f"{ball}: depends most on bond {number}, {joined}, at omega = "
                 f"{omega:.6g}{SI.of(result).say('Hz', omega)}: d ln|A| / d ln k = {most:.4g} "
-                f"+- {found.log_bound[good][at, d, bond]:.1g}"
+                f"+- {two_digits(found.log_bound[good][at, d, bond])}"
             )
     if getattr(result, "heat", None):
         yield from heat.summary(result.heat)

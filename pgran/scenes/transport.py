@@ -4,6 +4,7 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.results import Transport
+from pgran.results.digits import two_digits
 from pgran.results.si import SI
 
 FEWEST_DEPTHS = 3
@@ -88,8 +89,9 @@ def summary(result):
         return
     shortest = np.flatnonzero(known)[np.argmin(found.length[known])]
     length, omega = found.length[shortest], found.omega[shortest]
+    error = two_digits(found.length_error[shortest])
     yield (
         f"amplitudes fall with depth at {np.count_nonzero(known)} of {len(known)} frequencies; the "
-        f"shortest attenuation length is {length:.3g} +- {found.length_error[shortest]:.1g} "
+        f"shortest attenuation length is {length:.3g} +- {error} "
         f"spacings{si.say('m', length)}, at omega = {omega:.4g}{si.say('Hz', omega)}"
     )
