@@ -158,14 +158,17 @@ def test_axes(make, name, axis, quantity, factor):
     assert seen
 
 
-@pytest.mark.parametrize("scale", ["linear", "log", "symlog"])
-def test_ticks_of_any_scale(scale):
+@pytest.mark.parametrize(
+    ("scale", "high"),
+    [("linear", 70.0), ("symlog", 70.0), ("log", 2e3), ("log", 70.0), ("log", 6.0), ("log", 1.3)],
+)
+def test_ticks_of_any_scale(scale, high):
     """They stand at round numbers of the other unit, and within the axis."""
     from matplotlib.figure import Figure
 
     figure = Figure()
     ax = figure.subplots()
-    ax.plot([1.0, 70.0], [1.0, 2.0])
+    ax.plot([1.0, high], [1.0, 2.0])
     ax.set_xscale(scale)
     physical.convert(ax.xaxis, 0.37)
     said, there = at_ticks(ax.xaxis, "Hz")

@@ -30,6 +30,7 @@ SHOWN = {
     ensemble.NUMBERS["decay"]: ("rate of decay", "1/s", 0),
     **{f"${name}$": (f"${name}$", "m", 0) for name in "xyz"},
 }
+SHORT = 100  # times the lower end: up to here a logarithmic axis has ticks between powers of ten
 
 
 class Ticks(Locator):
@@ -92,7 +93,9 @@ def convert(axis, factor):
     """Put ticks at round numbers of the axis times `factor`, and those numbers beside them."""
     kind, minor = axis.get_scale(), NullLocator()
     if kind == "log":
-        major, minor = LogLocator(), LogLocator(subs=range(2, 10))
+        low, high = np.sort(axis.get_view_interval())
+        short = high < SHORT * low  # powers of ten would be one tick, or none
+        major, minor = LogLocator(subs=(1, 2, 5) if short else (1,)), LogLocator(subs=range(2, 10))
     elif kind == "symlog":
         linear = axis.get_transform().linthresh * factor
         major = SymmetricalLogLocator(base=10, linthresh=linear)
