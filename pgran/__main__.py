@@ -116,9 +116,10 @@ def end_all_ranks(error):
     code, text = explain(error)
     mpi = sys.modules.get("mpi4py.MPI")
     running = mpi and mpi.Is_initialized() and not mpi.Is_finalized()
-    world = mpi.COMM_WORLD if running and mpi.COMM_WORLD.size > 1 else None
+    world = mpi.COMM_WORLD if running else None
+    others = running and world.size > 1
     try:
-        if world:
+        if others:
             kind = (type(error).__name__, str(error).partition("\n")[0])
             first, alike = agreement.who_reports(world, kind)
             if world.rank != first:  # that one ends all
@@ -136,8 +137,10 @@ def end_all_ranks(error):
         with contextlib.suppress(PgranError):  # of a full device: the error is told
             sys.stdout.flush()
     finally:  # whatever else goes wrong: no rank must be left waiting
-        if world:
+        if others:
             launch.abort(world, code)
+    if running:  # of one rank
+        launch.leave(world, code)
     if is_petsc(error):
         os._exit(code)  # after an error of its own PETSc can crash while it is shut down
     sys.exit(code)

@@ -139,10 +139,11 @@ def test_a_hopeless_solver_is_reported_and_marked(call, shared_path):
     assert np.all(result.response.converged_reason <= 0)
 
 
-def test_an_end_in_order_is_told_by_nobody_else(start, shared_path):
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_an_end_in_order_is_told_by_nobody_else(start, shared_path, ranks):
     """mpirun does not call a run with inaccurate results aborted; -log_view is still written."""
     words = "-steady_ksp_type gmres -steady_pc_type none -steady_ksp_max_it 1 -log_view"
-    done = start("run", "a.opts", *words.split(), ranks=2)
+    done = start("run", "a.opts", *words.split(), ranks=ranks)
     assert done.returncode == 3, done.stderr
     assert {line.partition(":")[0] for line in done.stderr.splitlines()} == {"pgran"}
     assert "PETSc Performance Summary" in done.stdout
@@ -198,6 +199,7 @@ def test_bad_input(call, shared_path, words, parts):
 @pytest.mark.parametrize(
     ("words", "ranks", "parts"),
     [
+        ("run a.opts -sweep_point 3", 1, ["did you mean -sweep_points?"]),
         ("run a.opts -sweep_point 3", 2, ["did you mean -sweep_points?"]),
         ("run a.opts -steady_ksp_type nonsense", 2, ["PETSc: ", "nonsense (KSPSetFromOptions())"]),
         ("run a.opts -steady_pc_factor_mat_solver_type nonsense", 0, ["PETSc: ", "(KSPSetUp())"]),

@@ -116,3 +116,14 @@ def test_the_command_has_a_width_and_captions(monkeypatch, tmp_path, capsys):
     written[1].mkdir()
     with pytest.raises(FileError, match=r"a-timeres\.txt: cannot be written"):
         pgran.plot(result, target, caption=True)
+
+
+def test_a_caption_replaces_no_data(tmp_path):
+    """Of the measurement that is drawn, if it is called like a figure."""
+    data = tmp_path / "a-amplitude.txt"
+    data.write_text("0.3 1.5\n0.4 1.2\n")
+    with pytest.raises(InputError, match=r"a-amplitude\.txt: a caption would replace these data"):
+        pgran.plot(respond(), tmp_path / "a.png", measured=data, caption=True)
+    assert data.read_text() == "0.3 1.5\n0.4 1.2\n"
+    pgran.plot(respond(), tmp_path / "b.png", measured=data, caption=True)
+    assert (tmp_path / "b-amplitude.txt").exists()

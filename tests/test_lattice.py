@@ -90,6 +90,16 @@ def test_units_that_do_not_fit_together_are_refused():
             Lattice(stiffness, *values).in_own_unit()
 
 
+@pytest.mark.parametrize("kmax", [None, 1e-9, 0.25, 1e9])
+def test_the_own_unit_changes_no_frequency(kmax):
+    """Mass, bonds and kmax lose the same factor."""
+    lattice = Lattice(bond_arrays((3, 2), lambda size: np.full(size, 1e-30)), kmax=kmax)
+    scaled, unit = lattice.in_own_unit()
+    assert 1 <= scaled.stiffest < 2
+    assert scaled.omega_mx == pytest.approx(lattice.omega_mx, rel=1e-14)
+    assert scaled.kmax * unit == lattice.kmax
+
+
 HUGE = [(1e80, 1, 0, 1), (1e100, 1, 1e100, 1), (1, 1, 0, 1e308), (1, 1e-310, 0, 1)]
 
 

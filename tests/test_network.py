@@ -161,6 +161,17 @@ def test_modes_of_unstable_networks_have_negative_frequencies(world):
         pulse(chain, [3], width=2.0, time=60.0, points=121)
 
 
+@pytest.mark.parametrize("kmax", [1e-20, None, 1e20])
+def test_zero_and_unstable_modes_whatever_the_unit_of_frequency(kmax):
+    """What counts as rounding belongs to the bonds, not to the omega_mx that the user gives."""
+    afloat = makers.square((4, 3), 1.0, held=np.zeros(12), kmax=kmax)
+    modes = find_modes(afloat)
+    assert np.abs(modes.omega[0]) < 1e-6
+    assert np.all(modes.omega >= 0)
+    pushed = makers.square((9, 1), 1.0, force=np.full(8, 0.4), kmax=kmax)
+    assert np.count_nonzero(find_modes(pushed).omega < 0) == 7
+
+
 # Driven networks
 
 

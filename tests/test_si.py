@@ -168,11 +168,14 @@ def test_axes(make, name, axis, quantity, factor):
     assert seen
 
 
-@pytest.mark.parametrize("scale", ["linear", "log", "symlog"])
-def test_ticks_of_any_scale(scale):
+@pytest.mark.parametrize(
+    ("scale", "high"),
+    [("linear", 70.0), ("symlog", 70.0), ("log", 2e3), ("log", 70.0), ("log", 6.0), ("log", 1.3)],
+)
+def test_ticks_of_any_scale(scale, high):
     """They stand at round numbers of the other unit, and within the axis."""
     ax = Figure().subplots()
-    ax.plot([1.0, 70.0], [1.0, 2.0])
+    ax.plot([1.0, high], [1.0, 2.0])
     ax.set_xscale(scale)
     physical.convert(ax.xaxis, 0.37)
     said, there = at_ticks(ax.xaxis, "Hz")
@@ -241,3 +244,15 @@ def test_results_with_different_units(caplog):
 def test_impossible_units(words, key):
     with pytest.raises(InputError, match=key):
         resolve(read_words(words.split()))
+
+
+@pytest.mark.parametrize("value", [5e-324, 1.7e308, 0.0, -1.0, math.nan])
+def test_units_that_nothing_can_be_converted_to(call, place, value):
+    """Whoever gives them is told so, before a run begins."""
+    with pytest.raises(InputError, match="-units_time: a unit lies between"):
+        SI(time=value)
+    if value > 0:
+        place("m.opts", f"-scene modes -lattice_shape 5,4 -units_length {value}")
+        done = call("run", "m.opts")
+        assert done.returncode == 2
+        assert "-units_length: a unit lies between 1e-99 and 1e+99" in done.stderr

@@ -61,7 +61,8 @@ def plot(
         If a file cannot be read or holds nothing to draw, results do not belong together, or a
         figure cannot be saved.
     InputError
-        If modes or a response are to be laid over several results, or the width is impossible.
+        If modes or a response are to be laid over several results, the width or a unit is
+        impossible, or a caption would replace the data of `measured`.
     PgranError
         If there is no matplotlib.
     """
@@ -74,9 +75,7 @@ def plot(
     units = units_of(shown, *units or ())
     made = _make(shown, names, units, measured, width, modes=modes, response=response)
     if output is not None:
-        written = figures.save(made, output)
-        if caption:
-            figures.save_captions(made, written)
+        _save(made, output, caption, measured)
     return made
 
 
@@ -109,6 +108,18 @@ def _make(shown, names, units, measured=None, width=None, **over):
         if missed:
             log.warning("%s: %d frequencies are beyond the sweep: not drawn", measured, missed)
     return made
+
+
+def _save(made, output, caption, measured):
+    """Save figures, with captions beside them if asked for, and return the paths."""
+    written = figures.save(made, output)
+    if not caption:
+        return written
+    if measured is not None and os.path.realpath(measured) in {
+        os.path.realpath(path.with_suffix(".txt")) for path in written
+    }:
+        raise InputError(f"{measured}: a caption would replace these data; give another name")
+    return written + figures.save_captions(made, written)
 
 
 def run(words):
@@ -152,10 +163,7 @@ def run(words):
     made = _make(shown, names, units, given.plot_with, given.width, **over)
     several = "-compared" if len(shown) > 1 else ""
     output = given.output or paths[0].with_name(f"{paths[0].stem}{several}.png")
-    written = figures.save(made, output)
-    if given.caption:
-        written += figures.save_captions(made, written)
-    for path in written:
+    for path in _save(made, output, given.caption, given.plot_with):
         print(path)
     return DONE
 

@@ -56,7 +56,7 @@ def leave(world, code):
     Of such a code Open MPI's mpirun would say that the job has been aborted, after all that pgran
     has said, but not if told to be quiet, which only an abort is. Elsewhere this returns.
     """
-    if world.size > 1 and "OMPI_COMM_WORLD_SIZE" in os.environ and _hush():
+    if "OMPI_COMM_WORLD_SIZE" in os.environ and _hush():  # of mpirun, of one rank, too
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
         world.Barrier()
         if world.rank == 0:

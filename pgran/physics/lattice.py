@@ -230,8 +230,8 @@ class Lattice(ElasticBonds):
         fit into doubles in that unit.
         """
         unit = own_unit(self.stiffest, self.mass, self.damping)
-        mass, damping = self.mass / unit, self.damping / unit
-        return Lattice(tuple(k / unit for k in self.stiffness), mass, damping), unit
+        mass, damping, kmax = self.mass / unit, self.damping / unit, self.kmax / unit
+        return Lattice(tuple(k / unit for k in self.stiffness), mass, damping, kmax), unit
 
     @cached_property
     def bonds_sha256(self):

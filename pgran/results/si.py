@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from pgran.errors import InputError
+
 # Powers of the units of length and time that a quantity has, and what it is multiplied with:
 # frequencies are angular in the program, and in Hz here.
 QUANTITIES = {
@@ -14,6 +16,7 @@ QUANTITIES = {
     "m/s": (1, -1, 1.0),
 }
 PREFIXES = {-4: "p", -3: "n", -2: "µ", -1: "m", 0: "", 1: "k", 2: "M", 3: "G", 4: "T"}
+SMALLEST, LARGEST = 1e-99, 1e99  # units whose powers, times frequencies, are numbers
 
 
 @dataclass(frozen=True)
@@ -21,11 +24,19 @@ class SI:
     """The program's units of length and time, in m and s; None: not known.
 
     The unit of length of a lattice is the spacing, that of time sqrt(m/k) in whatever units m and k
-    have.
+    have. Raises InputError unless numbers can be converted.
     """
 
     length: float | None = None
     time: float | None = None
+
+    def __post_init__(self):
+        """Refuse what is no unit, or overflows."""
+        for name, value in (("length", self.length), ("time", self.time)):
+            if value is not None and not SMALLEST <= value <= LARGEST:
+                raise InputError(
+                    f"-units_{name}: a unit lies between {SMALLEST:g} and {LARGEST:g}, not {value}"
+                )
 
     @classmethod
     def of(cls, result):

@@ -13,7 +13,7 @@ from pgran.machine import check_memory
 from pgran.parallel.task import Task, carry_out
 from pgran.physics import levels
 from pgran.physics.modes import RESIDUAL, participation
-from pgran.physics.units import check_frequency
+from pgran.physics.units import check_frequency, einstein_frequency
 from pgran.results import Modes, record_of
 from pgran.results.si import SI
 from pgran.scenes import common, density
@@ -31,7 +31,9 @@ WHICH = (
     ),
 )  # fmt: skip
 REGIMES = ("below .3", 0.0, 0.3), ("from .3 to 1", 0.3, 1.0), ("above 1", 1.0, math.inf)
-ZERO = 1e-6  # of omega_mx: a smaller frequency is that of a zero mode, but for rounding
+# A frequency smaller than this part of what the stiffest bonds make is a zero mode's, but for
+# rounding; omega_mx may be any number that the user gives.
+ZERO = 1e-6
 SHAPES = Option("output_fields", FLAG, False, "store the shapes of the modes")
 
 
@@ -271,7 +273,8 @@ class Slices(Task):
         rows = rows[np.argsort(rows["value"], kind="stable")]
         squares = rows["value"] / self.lattice.mass
         # zero modes come out as rounding, of either sign; what is below that is unstable
-        unstable = squares < -((ZERO * self.lattice.omega_mx) ** 2)
+        stiff = einstein_frequency(self.lattice.axes, self.lattice.stiffest, self.lattice.mass)
+        unstable = squares < -((ZERO * stiff) ** 2)
         omega = np.sqrt(np.maximum(squares, 0.0))
         omega[unstable] = -np.sqrt(-squares[unstable])
         expected = self.expected
