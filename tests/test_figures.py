@@ -146,6 +146,15 @@ def test_every_bond_is_a_segment_of_its_grey(shape, detector, count):
     assert ("z = 2" in note(figure)) == (len(shape) == 3)
 
 
+@pytest.mark.parametrize("part", [1e-6, 0.4, 0.6, 1.9, 2.1, 1e6])
+def test_bonds_are_seen_whatever_kmax_is(part):
+    lattice = random_lattice((6, 5))
+    record = LatticeRecord.of(replace(lattice, kmax=lattice.stiffest / part))
+    (drawn,) = draw(bonds.bonds, record, [(1, 1)]).collections[:1]
+    top = lattice.stiffest / part if 0.5 < part < 2 else lattice.stiffest
+    assert drawn.norm.vmax == pytest.approx(top)
+
+
 @pytest.mark.parametrize("shape", [(70, 70, 2), (9000,)])
 def test_a_large_lattice_is_an_image_of_means(shape):
     lattice, ball = random_lattice(shape), (5, 6, 1)[: len(shape)]

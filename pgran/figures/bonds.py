@@ -38,6 +38,7 @@ def page(lattice, detectors):
 def bonds(ax, lattice, detectors):
     """Draw the bonds, white to black from 0 to kmax, the walls and the detectors (paper: sprpic).
 
+    Where the constants have nothing to do with kmax, up to the largest of them.
     Three dimensions: the bonds within the plane of the first detector. Of a small lattice all balls
     are drawn (paper: sprlat). A large one is drawn as an image: at each ball the mean constant of
     all its bonds. Returns what a colour bar is of.
@@ -51,7 +52,9 @@ def bonds(ax, lattice, detectors):
     axes, (nx, ny) = len(lattice.shape), (*lattice.shape, 1)[:2]
     stiffness = [getattr(lattice, f"stiffness_{name}") for name in "xyz"[:axes]]
     plane, kmax = tuple(detectors[0][2:]), lattice.mass * lattice.omega_mx**2 / (2 * axes)
-    grey = {"cmap": "gray_r", "norm": Normalize(0.0, kmax)}
+    stiffest = max(np.max(k) for k in stiffness)
+    fits = 0.5 * kmax <= stiffest <= 2 * kmax or stiffest == 0
+    grey = {"cmap": "gray_r", "norm": Normalize(0.0, kmax if fits else stiffest)}
     spacing = 72 * ax.bbox.width / ax.figure.dpi / (nx + 1)  # points from ball to ball
     segments, constants = _segments([k[(..., *plane)] for k in stiffness[:2]])
     if len(segments) <= 8000:
