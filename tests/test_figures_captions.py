@@ -125,5 +125,4 @@ def test_a_caption_replaces_no_data(tmp_path):
     with pytest.raises(InputError, match=r"a-amplitude\.txt: a caption would replace these data"):
         pgran.plot(respond(), tmp_path / "a.png", measured=data, caption=True)
     assert data.read_text() == "0.3 1.5\n0.4 1.2\n"
-    pgran.plot(respond(), tmp_path / "b.png", measured=data, caption=True)
-    assert (tmp_path / "b-amplitude.txt").exists()
+    assert [path.name for path in tmp_path.iterdir()] == [data.name]

@@ -69,7 +69,7 @@ SCENES = {
 
 
 # Those of several panels beside each other are also drawn wide.
-BESIDE = ("response", "two balls", "modes", "continuum", "pulse", "sensitivity", "network")
+BESIDE = ("response", "network")  # on a page, too
 PRINTED = [(name, 85) for name in SCENES] + [(name, 170) for name in BESIDE]
 
 

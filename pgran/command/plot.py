@@ -112,14 +112,11 @@ def _make(shown, names, units, measured=None, width=None, **over):
 
 def _save(made, output, caption, measured):
     """Save figures, with captions beside them if asked for, and return the paths."""
-    written = figures.save(made, output)
-    if not caption:
-        return written
-    if measured is not None and os.path.realpath(measured) in {
-        os.path.realpath(path.with_suffix(".txt")) for path in written
-    }:
+    output = Path(output)
+    captions = [output.with_name(f"{output.stem}-{name}.txt") for name in made if caption]
+    if measured is not None and os.path.realpath(measured) in map(os.path.realpath, captions):
         raise InputError(f"{measured}: a caption would replace these data; give another name")
-    return written + figures.save_captions(made, written)
+    return figures.save(made, output) + figures.save_captions(made, captions)
 
 
 def run(words):

@@ -106,12 +106,10 @@ def save(made, output):
 
 
 def save_captions(made, paths):
-    """Save the captions beside figures at these paths; return theirs. Not collective."""
-    written = []
-    for figure, path in zip(made.values(), paths, strict=True):
-        written.append(path.with_suffix(".txt"))
+    """Save the captions of figures at these paths, and return them. Not collective."""
+    for figure, path in zip(made.values(), paths, strict=False):
         try:
-            written[-1].write_text(f"{figure.caption}\n", encoding="utf-8")
+            path.write_text(f"{figure.caption}\n", encoding="utf-8")
         except OSError as error:
-            raise FileError(f"{written[-1]}: cannot be written: {error.strerror}") from None
-    return written
+            raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+    return paths
