@@ -11,7 +11,7 @@ from pgran.physics.lattice import Lattice
 from pgran.physics.phase import BLOCKS, CERTAIN, fit_phase, unwrap
 from pgran.record import Result
 from pgran.results import LatticeRecord
-from pgran.results.digits import two_digits
+from pgran.results.digits import counted, two_digits
 from pgran.scenes.amplitudes import ResponseSweep
 from pgran.scenes.response import summary
 
@@ -60,6 +60,18 @@ def test_errors_that_are_tiny_or_unknown():
     assert [two_digits(error) for error in (13.1, 0.0, 3.14e-8, np.nan)] == [
         "13", "0", "3.1e-08", "nan"
     ]  # fmt: skip
+
+
+def test_numbers_of_things():
+    words = [counted(n, name) for name in ("frequency", "mode") for n in (0, 1, 2)]
+    assert words == [
+        "0 frequencies",
+        "1 frequency",
+        "2 frequencies",
+        "0 modes",
+        "1 mode",
+        "2 modes",
+    ]
 
 
 def test_phase_velocity_of_the_paper(response):

@@ -20,6 +20,7 @@ from pgran.machine import free_memory, most_resident
 from pgran.parallel.crew import Crew
 from pgran.physics.bonds import bond_count
 from pgran.record import Record
+from pgran.results.digits import counted
 from pgran.scenes.common import make_lattice, ranks_per_lattice
 
 WARNING = "warning"  # begins a line that tells of what is wrong; such lines come first
@@ -190,7 +191,7 @@ def report(options, memory, together, seconds, disk):
     room = shutil.disk_usage(folder).free
     lines = [
         f"memory    {words}" + (f"; {in_bytes(free)} free" if free else ""),
-        f"time      about {in_time(seconds)} on {ranks} rank{'s' if ranks > 1 else ''}",
+        f"time      about {in_time(seconds)} on {counted(ranks, 'rank')}",
         f"disk      about {in_bytes(disk)} in {options.output_file}; {in_bytes(room)} free",
     ]
     if free and together > free:

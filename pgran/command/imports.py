@@ -18,6 +18,7 @@ from pgran.files.recognise import read_contacts
 from pgran.parallel import launch
 from pgran.physics.network import KINDS
 from pgran.physics.springs import FREE
+from pgran.results.digits import counted
 
 log = logging.getLogger("pgran")
 
@@ -132,8 +133,8 @@ def _summary(made, found, given):
     free, rest, driven = (np.count_nonzero(network.held == kind) for kind in (0, 1, 2))
     kind = network.displacement
     plane = f"in {network.axes} dimensions, driven along {_words(network.direction)}"
-    yield f"{given.output}: {_count(free, 'free ball')}, {rest} at rest, {driven} driven; " \
-        f"{_count(len(network.bond), 'contact')}"  # fmt: skip
+    yield f"{given.output}: {counted(free, 'free ball')}, {rest} at rest, {driven} driven; " \
+        f"{counted(len(network.bond), 'contact')}"  # fmt: skip
     rotations = " and rotations" if kind == "rotations" else ""
     yield "displacements: " + ("scalar" if kind == "scalar" else f"vectors{rotations} {plane}")
     taken = {table.path: table for table in (found.balls.table, found.table)}
@@ -151,10 +152,10 @@ def _summary(made, found, given):
         (made.twice, "contact", "listed a second time"),
         (kept.inert, "contact", "between held balls"),
     )
-    said = [f"{_count(n, what)} {why}" for n, what, why in left if n]
+    said = [f"{counted(n, what)} {why}" for n, what, why in left if n]
     yield "left out: " + ("; ".join(said) if said else "nothing")
     if given.cut:
-        yield f"cut: {_count(made.cut, 'contact')} across {' and '.join(given.cut)}"
+        yield f"cut: {counted(made.cut, 'contact')} across {' and '.join(given.cut)}"
     k, law = members["stiffness"], given.law or found.roles["stiffness"]
     formula = {"hertz": "hertz, 3/2 F/h", "harmonic": "harmonic, F/h"}.get(law, f"column {law}")
     if given.hertz is not None:
@@ -170,11 +171,6 @@ def _summary(made, found, given):
     name = name.decode() if isinstance(name, bytes) else name
     yield f"next: pgran run FILE -network_file {given.output} -detectors {ball}"
     yield f"(ball {ball}, of the id {name}, is free and in the middle; /network/id has all ids)"
-
-
-def _count(n, what):
-    """Return a number of things in words."""
-    return f"{n} {what}{'' if n == 1 else 's'}"
 
 
 def _words(direction):
@@ -199,7 +195,7 @@ def _rigidity(network):
         f"{'more' if more >= 0 else 'fewer'} than isostatic"  # fmt: skip
     loose = np.count_nonzero(met <= network.axes)
     return said + (
-        f"; {_count(loose, 'ball')} with {network.axes} contacts or fewer" if loose else ""
+        f"; {counted(loose, 'ball')} with {network.axes} contacts or fewer" if loose else ""
     )
 
 

@@ -1,5 +1,6 @@
 """The first line of a run: what it solves."""
 
+from pgran.results.digits import counted
 from pgran.results.si import SI
 
 
@@ -27,7 +28,7 @@ def opening(options, ranks, lattice=None):
         facts = [*_network(options, lattice), *_constants(options, lattice, of or scene)]
     else:
         facts = [*_lattice(options, lattice, samples), *_constants(options, lattice, of or scene)]
-    facts.append("1 rank" if ranks == 1 else f"{ranks} ranks")
+    facts.append(counted(ranks, "rank"))
     return f"{scene} of {f'{of} of ' if of else ''}{', '.join(facts)}"
 
 

@@ -98,7 +98,7 @@ def units_of(results, length=None, time=None):
 def _make(shown, names, units, measured=None, width=None, **over):
     """Return the figures of results whose files have these names. See `plot`."""
     if width is not None and not NARROWEST <= width <= WIDEST:
-        raise InputError(f"width: a figure is {NARROWEST} to {WIDEST} mm wide, not {width:g}")
+        raise InputError(f"-width: a figure is {NARROWEST} to {WIDEST} mm wide, not {width:g}")
     if len(shown) == 1:
         made = figures.make(shown[0], units, width, **over)
     else:

@@ -121,6 +121,7 @@ def _compute(scene, options, words, world, started):
     from pgran.parallel.crew import Crew
     from pgran.parallel.journal import Journal
     from pgran.record import Result
+    from pgran.scenes.scene import Caution
 
     output, overwrite = options.output_file, options.output_overwrite
     on_root(world, lambda: store.check_output(output, overwrite))
@@ -143,9 +144,10 @@ def _compute(scene, options, words, world, started):
                 log.warning("%d results miss the accuracy asked for; the file marks them", failures)
             try:
                 _warn_of_unused(options)
-                lines = sorted(scene.summary(Result(records, **attributes)), key=_is_figure)
-                for line in lines:  # what is wrong comes first
-                    log.log(logging.INFO if _is_figure(line) else logging.WARNING, "%s", line)
+                lines = scene.summary(Result(records, **attributes))
+                for line in sorted(lines, key=lambda line: not isinstance(line, Caution)):
+                    level = logging.WARNING if isinstance(line, Caution) else logging.INFO
+                    log.log(level, "%s", line)
             except Exception as error:  # no reason to fail: the result is there
                 log.warning("no summary: %s: %s", type(error).__name__, error)
             shown = shlex.quote(output)
@@ -153,13 +155,6 @@ def _compute(scene, options, words, world, started):
             return failures
 
         return errors.INACCURATE if on_root(world, finish) else errors.DONE
-
-
-def _is_figure(line):
-    """Return whether a line of a summary is none that says what is wrong. Not collective."""
-    from pgran.scenes.scene import Caution
-
-    return not isinstance(line, Caution)
 
 
 def _run_identity(options):

@@ -5,7 +5,7 @@ A figure's own words are its `caption`, given where it is drawn. Formulas are La
 
 import numpy as np
 
-from pgran.figures import style
+from pgran.figures import marks, style
 from pgran.results.digits import two_digits
 
 SAMPLES = "bonds", "network"  # figures that show what was computed on
@@ -139,9 +139,7 @@ def _amplitudes(record, how):
     failed = np.isnan(size)
     if hasattr(record, "converged_reason"):
         failed |= (record.converged_reason <= 0)[(...,) + (None,) * (size.ndim - 1)]
-    floored = np.zeros(size.shape, dtype=bool)
-    if getattr(record, "at_floor", None) is not None:
-        floored = record.at_floor > 0
+    floored = np.isfinite(marks.upper_limits(record))
     good = ~failed & ~floored & (size > 0)
     relative = np.divide(record.error_bound, size, out=np.zeros_like(size), where=good)[good]
     if not good.any() or not np.isfinite(relative).all():

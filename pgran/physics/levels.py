@@ -1,6 +1,5 @@
-"""Statistics of normal modes: their spacings, their number, their size and their width."""
+"""Statistics of normal modes: their spacings, their widths, and how these overlap."""
 
-import itertools
 import math
 
 import numpy as np
@@ -96,80 +95,6 @@ def _spectra(values, window):
     if not low < high:
         raise InputError(f"window: {low:g} to {high:g} is no interval")
     return [v[(v >= low) & (v <= high)] for v in spectra]
-
-
-def weyl_count(omega, lengths, speed):
-    """Return the smooth number of modes below omega of a box whose walls are at rest.
-
-    Not collective. With k = omega / c, and V_j the volume of the unit ball in j dimensions,
-
-        N = 2^-d sum over sets s of axes of (-1)^(d - |s|) V_|s| prod_(i in s) (k L_i / pi):
-
-    the whole numbers p_i >= 1 with sum (p_i pi / L_i)^2 <= k^2, those on planes taken off and those
-    on lines put back, which is exact but for the fluctuation of such counts. In two dimensions it
-    is A k^2 / (4 pi) - P k / (4 pi) + 1/4, with area A and perimeter P (Weyl (1911); Baltes and
-    Hilf, Spectra of Finite Systems, 1976), in one k L / pi - 1/2, in three
-    V k^3 / (6 pi^2) - S k^2 / (16 pi) + (L_x + L_y + L_z) k / (4 pi) - 1/8.
-
-    A lattice of nx balls has the length nx + 1, and uniform bonds the speed sqrt(K0 / m). Of its
-    dispersion only long waves know nothing: it raises the term of j axes by the part
-    k^2 j / (8 (j + 2)), that of the area by k^2 / 16.
-
-    Parameters
-    ----------
-    omega : array_like of float
-        Angular frequencies.
-    lengths : sequence of float
-        Of the box along each of its 1 to 3 axes.
-    speed : float
-        c, of the waves; lengths and omega are in its units.
-
-    Raises
-    ------
-    InputError
-        If there are more than three axes, or a number is not positive.
-    """
-    lengths = [float(length) for length in np.atleast_1d(lengths)]
-    if not 1 <= len(lengths) <= 3 or not min(lengths) > 0 or not speed > 0:
-        raise InputError("lengths, speed: 1 to 3 positive lengths and a positive speed are needed")
-    k, d, count = np.asarray(omega, dtype=float) / speed, len(lengths), 0.0
-    for j in range(d + 1):
-        ball = math.pi ** (j / 2) / math.gamma(j / 2 + 1)
-        for axes in itertools.combinations(lengths, j):
-            count = count + (-1) ** (d - j) * ball * (k / math.pi) ** j * math.prod(axes)
-    return count / 2**d
-
-
-def binned(omega, numbers, edges):
-    """Return the mean of the modes' numbers in bins of omega, such as participation ratios.
-
-    Not collective. Modes count as independent; those of several samples may be put together.
-
-    Parameters
-    ----------
-    omega, numbers : array_like of float, shape (nm,)
-        Frequencies, and participation ratios or widths.
-    edges : array_like of float, shape (n + 1,)
-        Of the bins, ascending.
-
-    Returns
-    -------
-    mean : Estimate
-        Arrays of shape (n,): NaN in a bin without modes, the error also in one with a single mode.
-    count : numpy.ndarray of int, shape (n,)
-        How many modes each bin has.
-    """
-    omega, numbers, edges = (np.asarray(v, dtype=float) for v in (omega, numbers, edges))
-    if omega.shape != numbers.shape or not np.all(np.isfinite(omega) & np.isfinite(numbers)):
-        raise InputError("numbers: each mode needs a finite frequency and a finite number")
-    if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
-        raise InputError("edges: two at least are needed, ascending")
-    bins = np.searchsorted(edges, omega, side="right") - 1
-    means = [mean_of(numbers[bins == number]) for number in range(len(edges) - 1)]
-    count = np.array([np.count_nonzero(bins == number) for number in range(len(edges) - 1)])
-    return Estimate(
-        *(np.array([getattr(m, part) for m in means]) for part in ("value", "error"))
-    ), count
 
 
 def modal_widths(lattice, vectors):

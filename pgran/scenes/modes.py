@@ -15,6 +15,7 @@ from pgran.physics import levels
 from pgran.physics.modes import RESIDUAL, participation
 from pgran.physics.units import check_frequency, einstein_frequency
 from pgran.results import Modes, record_of
+from pgran.results.digits import counted
 from pgran.results.si import SI
 from pgran.scenes import common, density
 from pgran.scenes.interface import in_parallel
@@ -97,7 +98,7 @@ def summary(result):
         yield from density.summary(result)
         return
     modes, si = result.modes, SI.of(result)
-    yield f"{len(modes.omega)} modes in {modes.solve_seconds:.2f} s"
+    yield f"{counted(len(modes.omega), 'mode')} in {modes.solve_seconds:.2f} s"
     yield certificate(modes)
     if len(modes.omega):
         ends = modes.omega[0], modes.omega[-1]

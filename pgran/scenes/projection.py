@@ -10,6 +10,7 @@ from pgran.parallel.task import carry_out
 from pgran.physics.phase import fit_line
 from pgran.physics.units import check_frequency
 from pgran.results import Projection, record_of
+from pgran.results.digits import counted
 from pgran.scenes import common, driven
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.modes import WHICH, certificate, check_modes, chosen, find_modes
@@ -69,8 +70,9 @@ def summary(result):
     lattice, projection = result.medium, result.projection
     nm = projection.count_found
     yield (
-        f"{len(projection.omega)} frequencies on {nm} modes in {projection.solve_seconds:.2f} s, "
-        f"with {projection.factorizations} factorizations"
+        f"{counted(len(projection.omega), 'frequency')} on {counted(nm, 'mode')} in "
+        f"{projection.solve_seconds:.2f} s, with "
+        f"{counted(projection.factorizations, 'factorization')}"
     )
     yield certificate(projection)
     omega, modes, unit = projection.omega, projection.mode_omega, lattice.omega_mx

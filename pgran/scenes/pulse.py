@@ -11,7 +11,7 @@ from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.pulse import SHAPES, Pulse, Samples
 from pgran.results import record_of
-from pgran.results.digits import two_digits
+from pgran.results.digits import counted, two_digits
 from pgran.results.medium import ball_names
 from pgran.results.si import SI
 from pgran.scenes import common, driven
@@ -103,7 +103,7 @@ def summary(result):
     if proven:
         how = (
             f"{signals.solves} points of the line sigma = {signals.sigma:.3g}, "
-            f"{signals.factorizations} factorizations"
+            f"{counted(signals.factorizations, 'factorization')}"
         )
     yield f"{len(signals.time)} times from {how}, {signals.solve_seconds:.2f} s"
     for d, ball in enumerate(ball_names(signals.detector)):

@@ -13,6 +13,7 @@ from pgran.physics.accuracy import below_relative_accuracy
 from pgran.physics.changes import draw_changes
 from pgran.physics.units import check_frequency
 from pgran.results import Relaxation, record_of
+from pgran.results.digits import counted
 from pgran.scenes import common, driven, fluctuations
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
@@ -86,7 +87,7 @@ def summary(result):
     relaxation = result.relaxation
     steps = relaxation.bond_axis.size
     yield (
-        f"{steps} steps with {relaxation.factorizations} factorizations in "
+        f"{counted(steps, 'step')} with {counted(relaxation.factorizations, 'factorization')} in "
         f"{relaxation.solve_seconds:.2f} s"
     )
     yield from driven.reached_accuracy(relaxation, ~np.isnan(relaxation.displacement).any(axis=2))

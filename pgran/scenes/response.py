@@ -9,7 +9,7 @@ from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.phase import and_more
 from pgran.results import record_of
-from pgran.results.digits import two_digits
+from pgran.results.digits import counted, two_digits
 from pgran.results.medium import ball_names
 from pgran.results.response import LINES
 from pgran.results.si import SI
@@ -78,8 +78,8 @@ def summary(result):
     nw, asked = len(response.omega), np.count_nonzero(response.requested)
     added = f", {nw - asked} of them added to resolve the curve," if nw > asked else ""
     yield (
-        f"{nw} frequencies{added} with {response.factorizations} factorizations in "
-        f"{response.solve_seconds:.2f} s"
+        f"{counted(nw, 'frequency')}{added} with "
+        f"{counted(response.factorizations, 'factorization')} in {response.solve_seconds:.2f} s"
     )
     yield from driven.reached_accuracy(response, response.converged_reason > 0)
     yield from unresolved(response, lattice.damping > 0)

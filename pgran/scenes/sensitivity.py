@@ -7,7 +7,7 @@ from pgran.parallel.task import carry_out
 from pgran.physics.bonds import bond_places
 from pgran.physics.gradient import energy_flux, gradient
 from pgran.results import Sensitivity, record_of
-from pgran.results.digits import two_digits
+from pgran.results.digits import counted, two_digits
 from pgran.results.medium import ball_names
 from pgran.results.si import SI
 from pgran.scenes import common, driven, heat
@@ -51,7 +51,7 @@ def summary(result):
     nw, kept, bonds = len(found.omega), found.by_stiffness.shape[-1], found.flux.shape[-1]
     what = "all" if kept == bonds else f"the largest {kept} of"
     yield (
-        f"{nw} frequencies with {found.factorizations} factorizations in "
+        f"{counted(nw, 'frequency')} with {counted(found.factorizations, 'factorization')} in "
         f"{found.solve_seconds:.2f} s: derivatives by {what} {bonds} bonds, by masses and beta"
     )
     if found.failures:
