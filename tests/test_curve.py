@@ -4,18 +4,23 @@ import itertools
 from functools import partial
 
 import mpmath
+import network_samples
 import numpy as np
 import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 from reference import exact_amplitudes, uniform_amplitude
-from samples import random_lattice, reference_of, swept, uniform_lattice
+from samples import bond_arrays, random_lattice, reference_of, swept, uniform_lattice
 
 from pgran.errors import InputError, PgranError
 from pgran.physics.accuracy import is_accurate
-from pgran.physics.curve import deviation
+from pgran.physics.curve import deviation, hidden_part
 from pgran.physics.interval import ARRAYS, POINT, evaluate
 from pgran.physics.lattice import Lattice
+from pgran.physics.modes import normal_frequencies
+from pgran.record import Result
+from pgran.results import LatticeRecord
+from pgran.scenes.response import summary
 from pgran.solve import intervals
 from pgran.solve.operators import Operators
 
@@ -170,6 +175,10 @@ def test_factorizations_that_fail(monkeypatch, caplog, failing, raising):
     assert np.all(np.abs(response.displacement - exact) <= response.error_bound)
     assert np.all(response.error_bound <= 1e-4 * np.abs(exact))
     assert ("no model at omega" in caplog.text) == raising
+    within = np.linspace(asked[:-1], asked[1:], 41)[1:-1]
+    covered = np.isfinite(response.at(within.ravel()).error_bound).all(axis=1).reshape(within.shape)
+    assert np.array_equal(response.modelled[1:] > 0, covered.all(axis=0))
+    assert 0 < response.unmodelled <= 1
 
 
 def test_lines_are_looked_at_where_they_pass_zero():
@@ -179,3 +188,81 @@ def test_lines_are_looked_at_where_they_pass_zero():
         missed = np.max(np.abs(np.interp(t, t[ends], curved[ends]) - curved) / np.abs(curved))
         found = deviation(t[ends], curved[ends, None], slope[ends, None])
         assert found[0, 0] == pytest.approx(missed, rel=0.1)
+
+
+# What may hide between points that no model covers
+
+
+@pytest.mark.parametrize("method", ["points", "curve"])
+def test_no_resonance_hides(world, method):
+    """Damping too weak for any model; modes hardly driven, as all is almost symmetric."""
+    rng = np.random.default_rng(1)
+    bonds = bond_arrays((2, 3), lambda size: rng.uniform(0.25 - 1e-5, 0.25, size))
+    lattice = Lattice(bonds, 1.0, 1e-9)
+    modes = np.sqrt(reference_of(lattice).eigenvalues())
+    asked = np.linspace(0.2, 1.3, 1500)
+    response = swept(lattice, asked, [[0, 1]], world, method=method, resolve=None)
+    straight = deviation(asked, response.displacement, response.derivative)[:, 0] <= 1e-2
+    hidden = np.unique(np.searchsorted(asked, modes[(modes > 0.2) & (modes < 1.3)])) - 1
+    assert straight[hidden].any()
+    assert response.unresolved[hidden].all()
+    assert np.count_nonzero(~response.unresolved) > 1300
+    assert response.unmodelled == 1
+    assert np.isnan(response.phase_slope[0])
+    text = "\n".join(summary(Result([LatticeRecord.of(lattice), response])))
+    assert "not resolved" in text
+    assert ("no model could be proven for 100 % of the sweep" in text) == (method == "curve")
+
+
+def test_many_balls_and_little_damping_leave_every_line_in_doubt(world):
+    """Whose modes are not looked for; where damping is strong, no pole is near enough to hide."""
+    for damping, resolved in (1e-9, False), (0.5, True):
+        lattice = random_lattice((1001,), 2, damping)
+        found = swept(lattice, np.linspace(0.3, 0.3 + 1e-4, 3), [[1000]], world)
+        assert np.all(~found.unresolved == resolved)
+
+
+def test_no_pole_is_nearer_than_damping_allows():
+    """Of a pole as near as that, halfway between neighbours, the cubic shows that part."""
+    tested = 0
+    for medium, reference in damped_media():
+        rate, n = medium.relaxation_rate, medium.balls
+        K, C, M = (matrix.astype(float) for matrix in reference)
+        system = np.block([[np.zeros((n, n)), np.eye(n)], [-K / M[:, None], -C / M[:, None]]])
+        poles = np.linalg.eigvals(system)
+        # the others swing no more, or are zero but for rounding
+        poles = poles[poles.imag > np.maximum(1e-3 * np.abs(poles), 1e-4 * np.abs(poles).max())]
+        assert np.all(np.abs(poles + rate) <= rate * (1 + 1e-9))
+        assert np.all(-poles.real >= (np.hypot(rate, poles.imag) - rate) * (1 - 1e-6))
+        tested += len(poles)
+    assert tested > 100
+    for distance in (0.01, 0.1, 1.0):
+        ends = 1.5 + np.array([-0.5, 0.5]) * distance
+        pole = 1.5 + 1j * (np.hypot(2.0, ends[0]) - 2.0)
+        values, slopes = 1 / (ends - pole), -1 / (ends - pole) ** 2
+        shown = distance / 8 * abs(slopes[0] - slopes[1])
+        missed = abs(1 / (1.5 - pole) - values.mean())
+        assert hidden_part(ends, 2.0) == pytest.approx(missed / shown, rel=1e-6)
+
+
+def damped_media():
+    """Lattices and networks whose springs that pull back have dashpots; K, C, diagonal of M."""
+    for shape in ((9,), (5, 4), (3, 2, 3)):
+        lattice = random_lattice(shape, 3, 0.05)
+        reference = reference_of(lattice)
+        yield lattice, (reference.K, reference.damping * reference.C, np.ones(lattice.balls))
+    for seed in range(60):
+        network = network_samples.random_network(seed).network
+        if network.relaxation_rate < 1e3 and network.balls:
+            naive = network_samples.NetworkReference(network)
+            yield network, (naive.K, naive.C * float(network.damping), naive.M)
+
+
+def test_normal_frequencies_enclose_the_modes():
+    for seed in range(20):
+        network = network_samples.random_network(seed).network.in_own_unit()[0]
+        exact = network_samples.NetworkReference(network).eigenvalues()
+        low, high = normal_frequencies(network)
+        square = np.maximum(exact, 0) / network.mass
+        assert np.all((low**2 <= square * (1 + 1e-9)) & (square <= high**2 * (1 + 1e-9)))
+        assert np.all(high**2 - low**2 <= 1e-12 * network.stiffness_norm / network.mass)

@@ -169,7 +169,7 @@ def test_unwrap_follows_a_fall_of_many_turns():
 def test_the_phase_passes_over_failed_points(within):
     """However wrong a finite amplitude is, later phases do not turn with it; no line passes one."""
     omegas, bad = np.linspace(0.1, 1.2, 40), [2, 3, 20 if within else 38]
-    lattice, phase = random_lattice((6, 5)), -10 * omegas
+    lattice, phase = random_lattice((6, 5), damping=1.0), -10 * omegas  # no narrow resonances
     task = ResponseSweep(lattice, omegas, (3, 2), False, {})
     rows = np.zeros(40, task.row)
     rows["omega"], rows["converged_reason"] = omegas, 1
@@ -255,6 +255,26 @@ def test_no_line_and_why(points, uncertain, phase, reason):
     assert re.search(reason, line.why_not)
     numbers = line.slope, line.slope_error, line.intercept, line.low, line.high
     assert np.all(np.isnan(numbers))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("bend", "is_line"), [(1.3, True), (-1.3, True), (1.4, False), (-5, False)]
+)
+def test_a_phase_that_bends_is_no_line(bend, is_line):
+    """The slopes of a parabola's halves differ by its second derivative times half the window."""
+    window = 0.7
+    slopes = -20 + np.array([-0.5, 0.5]) * 0.5 * 20 * bend
+    phase = -20 * X + 20 * bend / (2 * window) * (X - 0.65) ** 2
+    for x, values in (
+        (X, phase),
+        (np.insert(X, 40, X[40] - 1e-9), np.insert(phase, 40, phase[40])),
+    ):
+        line = fit_phase(x, values, 0 * x, 0.3, 1.0)
+        assert np.isfinite(line.slope) == is_line
+        if not is_line:
+            said = [float(n) for n in re.findall(r"-?[\d.]+(?= in the)", line.why_not)]
+            assert said == pytest.approx(slopes, abs=0.1)
 
 
 @pytest.mark.filterwarnings("error")

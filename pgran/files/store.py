@@ -21,7 +21,7 @@ from pgran.files.seal import AT_END, check_seal, has_seal, seal_of
 from pgran.record import MisfitError, Result, axes_of, dimensions_of, in_part, plain_value
 from pgran.results import RECORDS
 
-FORMAT, FORMAT_VERSION = "pgran", 4
+FORMAT, FORMAT_VERSION = "pgran", 5
 CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
 
 

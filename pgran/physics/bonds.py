@@ -173,6 +173,11 @@ class ElasticBonds:
         return 4 * self.axes
 
     @property
+    def relaxation_rate(self):
+        """The largest k / beta of a bond, infinite without damping."""
+        return self.stiffest / self.damping if self.damping else math.inf
+
+    @property
     def stiffness_norm(self):
         """No less than |K|_2: |K|_inf, twice its largest diagonal entry."""
         diagonal = 0.0

@@ -2,16 +2,22 @@
 
 With the derivatives at both ends the amplitude between two neighbours is a cubic (Hermite's). Where
 that cubic leaves the straight line between them, the line is wrong; where it does so by a large
-part of the amplitude, the phase may have turned unseen. NumPy only.
+part of the amplitude, the phase may have turned unseen. A resonance much narrower than the distance
+hides from the cubic; what rules it out is a proven model, that no mode is near, or that all poles
+are too far from the real axis. NumPy only.
 """
 
 import numpy as np
 
+from pgran.physics.modes import normal_frequencies
+
 PLACES = 0.25, 0.5, 0.75  # between two neighbours
 SHARE = 0.8  # aim at this part of the deviation allowed, which the cubic only estimates
 DOUBT = 0.3  # of that part: where the cubic says more, the line is looked at once more
+FEW_UNKNOWNS = 1000  # of which all normal frequencies are found in a tenth of a second
 MOST_ADDED = 7  # frequencies between two neighbours in one pass
 PASSES = 40
+LOOSEST = 0.5  # of the amplitude: lines further off than that are wrong for any use
 
 
 def interval_length(lattice, omega):
@@ -73,6 +79,82 @@ def deviation(omega, amplitude, derivative):
         bend = t * (1 - t) * ((1 - t) * below - t * above)
         found = np.abs(bend) / np.abs(amplitude[:-1] + t * chord + bend)
     return np.where(np.isfinite(found), found, np.inf).max(axis=0)
+
+
+def line_errors(medium, omega, amplitude, derivative, modelled, tolerance):
+    """Return how far the curve may leave straight lines between neighbours, relative to itself.
+
+    Not collective. Where no model covers a line, the `deviation`, which the cubic only estimates,
+    is raised by 1 / `SHARE`, and by what it would miss of a resonance between the neighbours.
+
+    Parameters
+    ----------
+    medium : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+        In its own unit.
+    omega : numpy.ndarray, shape (n,)
+    amplitude, derivative : numpy.ndarray of complex, shape (n, nd)
+    modelled : numpy.ndarray of bool, shape (n - 1,)
+        Which lines were compared with a proven model.
+    tolerance : float
+        Of the lines: normal frequencies are looked for only if what is said of one hangs on them.
+
+    Returns
+    -------
+    numpy.ndarray, shape (n - 1, nd)
+        Infinite where an end is unknown, or anything may be hidden.
+    """
+    seen = deviation(omega, amplitude, derivative)
+    hides = np.where(modelled, 1.0, hidden_part(omega, medium.relaxation_rate) / SHARE)
+    with np.errstate(invalid="ignore"):
+        doubtful = (seen <= LOOSEST) & (seen * hides[:, None] > tolerance)
+    if doubtful.any() and medium.balls <= FEW_UNKNOWNS:
+        clear = ~is_near_mode(omega, *normal_frequencies(medium))
+        hides[clear & ~modelled] = 1 / SHARE
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isinf(hides)[:, None], np.inf, seen * hides[:, None])
+
+
+def hidden_part(omega, relaxation_rate):
+    """Return by what factor a resonance between neighbours exceeds what the cubic shows of it.
+
+    Not collective. A damped mode x, S(s) x = 0, has |s|^2 = x^H K x / x^H M x and -2 Re s =
+    x^H C x / x^H M x, and x^H K x <= q x^H C x, q being the largest k / beta of a spring. So all
+    poles lie in the disc |s + q| <= q, and none is nearer to i omega than
+
+        h = sqrt(q^2 + omega^2) - q.
+
+    Of a pole at the distance h, halfway between neighbours d apart, the cubic shows a deviation
+    that is too small by the factor 1 + (d / 2 h)^2; at other places it shows more.
+
+    Parameters
+    ----------
+    omega : numpy.ndarray, shape (n,)
+    relaxation_rate : float
+        q; infinite if a spring has no dashpot.
+
+    Returns
+    -------
+    numpy.ndarray, shape (n - 1,)
+    """
+    low, q = omega[:-1], relaxation_rate
+    with np.errstate(over="ignore", divide="ignore"):
+        return 1 + (np.diff(omega) * (np.hypot(q, low) + q) / (2 * low**2)) ** 2
+
+
+def is_near_mode(omega, lowest, highest):
+    """Return which lines have a normal frequency between their ends, or as near as these are.
+
+    Not collective.
+
+    Parameters
+    ----------
+    omega : numpy.ndarray, shape (n,)
+    lowest, highest : numpy.ndarray, shape (nm,)
+        Between which each normal frequency lies, both ascending.
+    """
+    width = np.diff(omega)
+    begun = np.searchsorted(lowest, omega[1:] + width, side="right")
+    return begun > np.searchsorted(highest, omega[:-1] - width)
 
 
 def resolve(evaluate, omegas, tolerance):

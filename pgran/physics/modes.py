@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+from pgran.physics.rounding import EPSILON
+
 RESIDUAL = 1e-12  # of |K|: what a mode must meet
 
 
@@ -49,6 +51,29 @@ def residuals(lattice, values, vectors):
     missed = lattice.restoring_forces(vectors)
     missed -= values.reshape(-1, *[1] * (vectors.ndim - 1)) * vectors
     return np.sqrt(np.sum(missed**2, axis=tuple(range(1, missed.ndim))))
+
+
+def normal_frequencies(medium):
+    """Return between which two numbers each normal frequency lies, from all of dense K.
+
+    Not collective. For few unknowns n: it takes n^3 operations. An unstable mode has none, and
+    stands at 0.
+
+    Parameters
+    ----------
+    medium : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+        In its own unit.
+
+    Returns
+    -------
+    lowest, highest : numpy.ndarray, shape (n,)
+        Ascending, apart by what rounding may do.
+    """
+    springs = medium.springs
+    K = (springs.B.T @ springs.B.multiply(springs.constants[:, None])).toarray()
+    values = np.linalg.eigvalsh(K)
+    error = 4 * len(values) * EPSILON * medium.stiffness_norm
+    return tuple(np.sqrt(np.maximum(values + e, 0.0) / medium.mass) for e in (-error, error))
 
 
 def with_fixed_sign(vectors):

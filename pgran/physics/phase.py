@@ -8,6 +8,7 @@ import numpy as np
 # its phase turns as that line's does.
 CERTAIN = 0.25
 BLOCKS = 10  # of the window of a fit, each several resonances wide
+BENT = 2.0  # a phase is no line if its slope in one half of the window is so many times the other's
 
 
 def phase_of_sign(displacement):
@@ -70,7 +71,7 @@ class PhaseLine:
 
 
 def fit_phase(x, phase, line_error, low, high):
-    """Fit the straight line to a phase, if its turns are certain over the whole window.
+    """Fit the straight line to a phase, if it is one, its turns certain over the whole window.
 
     Not collective. The line is that of least squares along the curve, whose points may lie closer
     here than there. What it misses is correlated over the width of a resonance; so the standard
@@ -104,16 +105,32 @@ def fit_phase(x, phase, line_error, low, high):
     if len(x) < BLOCKS or np.ptp(x) < 1e-10 * x[-1]:
         why = f"{len(x)} frequencies lie in the window of the fit, and {BLOCKS} apart are needed"
         return PhaseLine(why_not=why)
+    slope, intercept, along = _least_squares(x, phase)
+    middle = 0.5 * (x[0] + x[-1])
+    place = np.searchsorted(x, middle)
+    halved = np.insert(x, place, middle), np.insert(phase, place, np.interp(middle, x, phase))
+    (lower, *_), (upper, *_) = (
+        _least_squares(*(part[half] for part in halved))
+        for half in (slice(place + 1), slice(place, None))
+    )
+    less, more = sorted([abs(lower), abs(upper)])
+    if not (lower * upper > 0 and more <= BENT * less):
+        why = f"its slope is {lower:.4g} in the lower half of the window, {upper:.4g} in the upper"
+        return PhaseLine(why_not=f"the phase is no line: {why} (rad per omega_mx)")
+    missed = along * (phase - intercept - slope * x)
+    block = np.minimum((x - x[0]) / (x[-1] - x[0]) * BLOCKS, BLOCKS - 1).astype(int)
+    spread = np.sum(np.bincount(block, missed, BLOCKS) ** 2) * BLOCKS / (BLOCKS - 2)
+    return PhaseLine(slope, np.sqrt(spread) / (along @ x), intercept, x[0], x[-1])
+
+
+def _least_squares(x, phase):
+    """Return slope and intercept of a line along a curve, and each point's lever for the slope."""
     gaps = np.diff(x)
     weights = np.append(gaps, 0.0) + np.append(0.0, gaps)  # of the trapezoidal rule
     middle = np.average(x, weights=weights)
     along = weights * (x - middle)
     slope = along @ phase / (along @ x)
-    intercept = np.average(phase, weights=weights) - slope * middle
-    missed = along * (phase - intercept - slope * x)
-    block = np.minimum((x - x[0]) / (x[-1] - x[0]) * BLOCKS, BLOCKS - 1).astype(int)
-    spread = np.sum(np.bincount(block, missed, BLOCKS) ** 2) * BLOCKS / (BLOCKS - 2)
-    return PhaseLine(slope, np.sqrt(spread) / (along @ x), intercept, x[0], x[-1])
+    return slope, np.average(phase, weights=weights) - slope * middle, along
 
 
 def and_more(count):

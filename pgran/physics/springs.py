@@ -163,6 +163,14 @@ class Elastic:
         return 1.01 * float((size.T @ (self.springs.damped * (size @ np.ones(self.balls)))).max())
 
     @cached_property
+    def relaxation_rate(self):
+        """The largest k / beta of a spring that pulls back, infinite if one has no dashpot."""
+        pulls = self.springs.constants > 0
+        with np.errstate(divide="ignore", over="ignore"):
+            rates = self.springs.constants[pulls] / (self.damping * self.springs.damped[pulls])
+        return float(rates.max(initial=0.0))
+
+    @cached_property
     def stiffness_norm(self):
         """No less than |K|_2: the largest sum of magnitudes in a row."""
         size = abs(self.B)

@@ -111,9 +111,13 @@ class Response(Frequencies, Record):
         "bound of the error of the delay", "sqrt(m/k)", "omega", "detector_number", since=3
     )
     line_error: np.ndarray = array(
-        "how far the curve leaves the straight line from the frequency before, relative to the "
+        "how far the curve may leave the straight line from the frequency before, relative to the "
         "amplitude, by the derivatives at both; infinite: unknown",
         "1", "omega", "detector_number", since=3,
+    )  # fmt: skip
+    modelled: np.ndarray = array(
+        "1: proven models cover the curve from the frequency before", "1", "omega",
+        dtype=np.int8, since=5,
     )  # fmt: skip
     force: np.ndarray = array(
         "force that drives the wall, or the driven balls along their motion, when they move by 1; "
@@ -141,6 +145,14 @@ class Response(Frequencies, Record):
     def dynamic_mass(self):
         """The force over the acceleration of what is driven, -F / omega^2; None in older files."""
         return None if self.force is None else -self.force / self.omega**2
+
+    @property
+    def unmodelled(self):
+        """What part of the sweep no proven model covers; 1 of points, 0 of older files' curves."""
+        if self.modelled is None or len(self.omega) < 2:
+            return float(self.method != "curve")
+        width = np.diff(self.omega)
+        return float(width @ (self.modelled[1:] == 0) / width.sum())
 
     @property
     def unresolved(self):

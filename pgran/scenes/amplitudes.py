@@ -5,7 +5,7 @@ from dataclasses import astuple
 import numpy as np
 
 from pgran.physics.accuracy import below_relative_accuracy, is_accurate
-from pgran.physics.curve import deviation
+from pgran.physics.curve import line_errors
 from pgran.physics.phase import (
     PhaseLine,
     fit_phase,
@@ -16,6 +16,7 @@ from pgran.physics.phase import (
 )
 from pgran.physics.rounding import EPSILON
 from pgran.results import Response
+from pgran.results.response import LINES
 from pgran.scenes import driven
 from pgran.scenes.sweeping import FrequencySweep
 
@@ -43,6 +44,7 @@ class ResponseSweep(FrequencySweep):
             ("backward_error", float),
             ("iterations", np.int64),
             ("converged_reason", np.int64),
+            ("modelled", np.int8),
             *([("field", complex, lattice.shape)] if fields else []),
         ]
         choices = driven.steady_choices(steady) | {"whole_field": fields, "derivatives": True}
@@ -109,7 +111,10 @@ class ResponseSweep(FrequencySweep):
         known = np.where(failed[:, None] | (at_floor > 0), np.nan, displacement)
         derivative, bounds = rows["derivative"].copy(), rows["derivative_bound"]
         phase = unwrap(known) if lattice.damping else phase_of_sign(known)
-        line_error = np.pad(deviation(omega, known, derivative), ((1, 0), (0, 0)))
+        modelled = rows["modelled"] > 0
+        looked_at = modelled[1:] & (resolve > 0)
+        line_error = line_errors(self.scaled, omega, known, derivative, looked_at, resolve or LINES)
+        line_error = np.pad(line_error, ((1, 0), (0, 0)))
         delay, delay_bound = group_delay(known, derivative, rows["error_bound"], bounds)
         force, force_bound = self.driving_force(rows)
         lines = phase_lines(lattice, omega, phase, line_error, phase_window)
@@ -144,6 +149,7 @@ class ResponseSweep(FrequencySweep):
             delay=delay,
             delay_bound=delay_bound,
             line_error=line_error,
+            modelled=rows["modelled"],
             force=force,
             force_bound=force_bound,
             power=0.5 * omega * force.imag,

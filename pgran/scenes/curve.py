@@ -228,7 +228,15 @@ def solve_curve(task, crew, resolve, keep_models, progress):
             found = found[np.argsort(found["omega"], kind="stable")]
     if crew.world.rank == 0:
         found["factorizations"][:1] += models["factorizations"].sum()
+        found["modelled"][1:] = np.diff(_unproven(models, found["omega"])) == 0
     return found, kept
+
+
+def _unproven(models, omega):
+    """Return how much of the sweep below some frequencies no proven model covers."""
+    lengths = np.where(models["proven"], 0.0, models["high"] - models["low"])
+    ends = np.append(models["low"][:1], models["high"])
+    return np.interp(omega, ends, np.append(0.0, np.cumsum(lengths)))
 
 
 def _stored(models, limits):

@@ -105,6 +105,12 @@ def summary(result):
 def unresolved(response, damped):
     """Yield in words where straight lines between the points are not the curve. Not collective."""
     places, omega = np.flatnonzero(response.unresolved), response.omega
+    if response.method == "curve" and response.unmodelled:
+        first = np.flatnonzero(response.modelled[1:] == 0)[0]
+        yield (
+            f"no model could be proven for {100 * response.unmodelled:.3g} % of the sweep, first "
+            f"above {omega[first]:.6g}: there the frequencies asked for were solved one by one"
+        )
     if places.size:
         first = places[0]
         helps = damped and response.method == "points"
