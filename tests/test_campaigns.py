@@ -15,10 +15,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from campaigns import faults, fuzz, stability
+from campaigns import faults, fuzz, networks, stability
 from mpi4py import MPI
 
 from pgran.parallel.journal import Journal
+from pgran.solve import staircase
 
 
 @pytest.fixture(autouse=True)
@@ -75,6 +76,19 @@ def test_no_file_does_harm(tmp_path):
     assert len(found) == 2
     assert all(int(refused) > 0 < int(accepted) for refused, accepted in found)
     assert not (tmp_path / "results").exists()
+
+
+def test_counts_of_unstable_networks(monkeypatch, capsys):
+    """None is certified and wrong; one that is wrong is noticed."""
+    campaign = networks.unstable_network, networks.count_faults
+    networks.carry_out(*campaign, 0, 15)
+    found = re.findall(r"(\d+) counts, (\d+) certified", said := capsys.readouterr().out)
+    assert said.count("\n") == 1, said
+    assert 20 < int(found[0][0]) == int(found[0][1])
+    sure = staircase.count_below
+    monkeypatch.setattr(staircase, "count_below", lambda *given: (sure(*given)[0] + 1, 0.0))
+    networks.carry_out(*campaign, 3, 12)
+    assert {"WRONG", "UNSTABLE"} <= set(capsys.readouterr().out.split())
 
 
 @pytest.mark.filterwarnings("ignore:.*fork")  # the child does not wait for MPI's threads

@@ -77,6 +77,28 @@ def test_networks(seed):
     check(found, squares)
 
 
+@pytest.mark.parametrize("weak", [-1e-7, -1e-5, -1e-9])
+def test_modes_that_are_hardly_unstable(weak):
+    """They lie below all frequencies, and are counted at 0 even if that is not asked for."""
+    network = pgran.Network([[0, 1], [2, 3]], [1, weak], [0, 1, 0, 1], damping=0.0)
+    squares = np.array([weak, 1.0])
+    for first in (0.0, 1e-5):
+        found = pgran.count_modes(network, [first, 2e-4, 2])
+        check(found, squares)
+        assert found.count.tolist() == [1, 1, 2]
+        assert found.unstable == 1
+
+
+def test_modes_at_zero_of_what_may_be_unstable():
+    """Nothing tells on which side of 0 they are: they are not counted there, nor as unstable."""
+    network = pgran.Network([[0, 1], [2, 3], [3, 4]], [-0.2, 1, 1], [0, 1, 0, 0, 0], damping=0.0)
+    found = pgran.count_modes(network, [0, 0.5, 1.9, 2])
+    check(found, np.array([-0.2, 0, 1, 3]))
+    assert found.count.tolist() == [1, 2, 4, 4]
+    assert found.unstable == 1
+    assert 0 < found.margin[0] < 1e-5
+
+
 def test_weyls_law_of_long_waves():
     """What the lattice has more, A (omega / c)^4 / (64 pi), is added; the rest fluctuates."""
     lattice = uniform_lattice((60, 60))
@@ -172,7 +194,9 @@ def test_the_scene(world):
 def test_what_is_said_of_modes_next_to_frequencies_and_of_unstable_ones():
     found = pgran.count_modes(uniform_lattice((3,)), np.sqrt([0.1, 0.5, 0.6]))
     assert found.margin.astype(bool).tolist() == [False, True, False]
-    found = dataclasses.replace(found, omega=found.omega - found.omega[0], count=found.count + 2)
-    said = list(density.summary(SimpleNamespace(density=found)))
-    assert said[2].startswith("modes too close to 1 of the frequencies are not counted there")
-    assert said[3] == "UNSTABLE: 2 modes have omega^2 < 0"
+    assert found.unstable == 0
+    for unstable, number in ((2, "2"), (-1, "an unknown number of")):
+        found = dataclasses.replace(found, unstable=unstable)
+        said = list(density.summary(SimpleNamespace(density=found)))
+        assert said[2].startswith("modes too close to 1 of the frequencies are not counted there")
+        assert said[3] == f"UNSTABLE: {number} modes have omega^2 < 0"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.physics.modes import weyl
-from pgran.record import Record, array
+from pgran.record import Record, array, attribute
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -13,7 +13,9 @@ class Density(Record):
     """How many normal modes lie below each of N frequencies, unstable ones included.
 
     A count is exact where `certified`; where a mode is so close to the frequency that it is open on
-    which side it lies, the count is that at `omega - margin`. Between neighbouring frequencies the
+    which side it lies, the count is that at `omega - margin`. Unstable modes, whose omega^2 < 0,
+    have a negative omega; `unstable` says how many there are, without those that rounding hides at
+    0, and -1 if that is not certain. Between neighbouring frequencies the
     `density` is the modes there, per ball and per `omega_mx`: its integral over omega / omega_mx is
     the number of modes a ball, NaN next to a count that is not certified.
     """
@@ -22,6 +24,7 @@ class Density(Record):
     balls: int
     omega_mx: float
     solve_seconds: float
+    unstable: int = attribute(since=5)
     omega: np.ndarray = array("frequency, angular", "sqrt(k/m)")
     count: np.ndarray = array("how many modes lie below; -1: not certain", "1", "omega", dtype=int)
     certified: np.ndarray = array("the count is exact at omega - margin", "1", "omega", dtype=bool)

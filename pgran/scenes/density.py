@@ -83,11 +83,13 @@ def count_modes(lattice, omegas, crew=None, *, progress="none"):
         raise InputError("omegas: two frequencies or more are needed, 0 or higher, that increase")
     started = time.perf_counter()
     check_frequency(lattice, omegas[-1])
-    found = carry_out(Counts(lattice, omegas), crew, progress)
+    at = omegas if lattice.semidefinite or omegas[0] == 0 else np.append(0.0, omegas)
+    found = carry_out(Counts(lattice, at), crew, progress)
     if found is None:
         return None
-    known = found["certified"]
-    count = np.where(known, found["count"], -1)
+    unstable = 0 if lattice.semidefinite else _certain(found)[0]
+    found = found[-len(omegas) :]
+    known, count = found["certified"], _certain(found)
     widths = np.diff(omegas) / lattice.omega_mx if lattice.omega_mx > 0 else math.nan
     balls = len(lattice.free) if lattice.irregular else lattice.balls
     density = np.where(known[1:] & known[:-1], np.diff(count) / (balls * widths), math.nan)
@@ -95,6 +97,7 @@ def count_modes(lattice, omegas, crew=None, *, progress="none"):
         balls=balls,
         omega_mx=lattice.omega_mx,
         solve_seconds=time.perf_counter() - started,
+        unstable=int(unstable),
         omega=omegas,
         count=count,
         certified=known,
@@ -102,6 +105,11 @@ def count_modes(lattice, omegas, crew=None, *, progress="none"):
         middle=0.5 * (omegas[1:] + omegas[:-1]),
         density=density,
     )
+
+
+def _certain(found):
+    """Return the counts of rows of `Counts`, -1 where one is not certain."""
+    return np.where(found["certified"], found["count"], -1)
 
 
 class Counts(Task):
@@ -135,8 +143,9 @@ class Counts(Task):
                 rows = np.zeros(1, self.row)
                 rows["certified"] = count is not None
                 rows["count"] = count or 0
-                moved = max(shift - margin, 0.0) / mass
-                rows["margin"] = omega - math.sqrt(moved) if margin else 0.0
+                moved = (shift - margin) / mass  # of an unstable mode's omega below 0
+                if margin:
+                    rows["margin"] = omega - math.copysign(math.sqrt(abs(moved)), moved)
                 return rows
 
             yield work
@@ -164,8 +173,9 @@ def summary(result):
             f"modes too close to {moved} of the frequencies are not counted there; they are less "
             f"than {density.margin.max():.1e} below"
         )
-    if density.omega[0] == 0 and density.count[0] > 0:
-        yield Caution(f"UNSTABLE: {density.count[0]} modes have omega^2 < 0")
+    if density.unstable:
+        number = density.unstable if density.unstable > 0 else "an unknown number of"
+        yield Caution(f"UNSTABLE: {number} modes have omega^2 < 0")
     low, high = density.omega[[0, -1]]
     yield (
         f"modes below omega = {low:.6g}{si.say('Hz', low)}: {density.count[0]}; below "

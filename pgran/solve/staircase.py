@@ -3,12 +3,12 @@
 import contextlib
 
 from pgran.solve.condensation import Condensation
-from pgran.solve.counting import ATTEMPTS, ModeCounter
+from pgran.solve.counting import ATTEMPTS, MARGIN, ModeCounter
 from pgran.solve.slicing import hermitian_operators
 
-# In mean distances of eigenvalues: how far a count stays clear of them, the next one where rounding
-# is larger than that; and how far it is moved first where one is closer.
-CLEARANCES, MARGIN = (0.01, 0.1), 1e-6
+# In mean distances of eigenvalues: how far a count stays clear of them; the second where rounding
+# is larger than the first, the others, down to MARGIN of |K|, where one is closer.
+CLEARANCES = (0.01, 0.1, 1e-4, 1e-6, 1e-8, 1e-10)
 
 
 @contextlib.contextmanager
@@ -33,7 +33,8 @@ def count_below(counter, shift):
     """Return how many eigenvalues lie below a shift, and by how much less it was counted at.
 
     Not collective. Where an eigenvalue is so close that it is open on which side it lies, the shift
-    is moved down: that eigenvalue, and those equal to it, are not counted.
+    is moved down, below 0 where K may be indefinite: that eigenvalue, and those equal to it, are
+    not counted.
 
     Parameters
     ----------
@@ -50,12 +51,11 @@ def count_below(counter, shift):
         return 0, 0.0
     if shift > (1 + 1e-12) * counter.norm:  # which is rounded itself
         return counter.order, 0.0
-    unit = counter.norm / counter.order
+    unit, margin = counter.norm / counter.order, MARGIN * counter.norm
     for part in CLEARANCES:
-        count = counter.below(shift, part * unit)
+        count = counter.below(shift, part * unit) if part * unit > margin else None
         if count is not None:
             return count, 0.0
-    margin = MARGIN * unit
     for _ in range(ATTEMPTS):
         if shift <= margin and counter.semidefinite:
             return 0, shift

@@ -1,10 +1,12 @@
 """Random networks of all kinds, against elimination with 50 digits and dense eigenvalues.
 
-    python tests/campaigns/networks.py FIRST LAST
+    python tests/campaigns/networks.py FIRST LAST [counts]
 
-prints what it finds. tests/test_network.py has the short version.
+prints what it finds; with `counts` of how many modes unstable networks have below frequencies.
+tests/test_network.py and tests/test_campaigns.py have the short versions.
 """
 
+import dataclasses
 import logging
 import sys
 from collections import Counter
@@ -20,11 +22,13 @@ from network_samples import NetworkReference, random_network
 from samples import SOLVERS, option_values, steady
 
 from pgran.parallel.crew import Crew
+from pgran.scenes.density import count_modes
 from pgran.scenes.modes import find_modes
 from pgran.solve.certify import smallest_damping
 from pgran.solve.database import holding
 
 DIGITS = 50
+ROUNDING = 1e-13  # of |K|: how well dense eigenvalues are known
 
 
 def faults(case, seen, comm=MPI.COMM_SELF):
@@ -95,18 +99,62 @@ def mode_faults(case, reference, seen):
         yield f"NOT CERTIFIED case {case.seed}: {len(modes.omega)} of {modes.count_expected}"
 
 
+def unstable_network(seed):
+    """Return a random network with springs of negative constants, over twelve decades."""
+    case, rng = random_network(seed), np.random.default_rng([18, seed])
+    stiffness = np.abs(case.network.stiffness)
+    weak = rng.integers(0, len(stiffness), rng.integers(1, 3))
+    stiffness[weak] *= -(10 ** rng.uniform(-12, 0, len(weak)))
+    network = dataclasses.replace(case.network, stiffness=stiffness, damping=0.0, kmax=None)
+    return dataclasses.replace(case, network=network)
+
+
+def count_faults(case, seen):
+    """Yield certified counts of modes that are wrong; count what was `seen`.
+
+    At 0, at random, and on and next to modes; at every other network not at 0.
+    """
+    network, rng = case.network, np.random.default_rng([19, case.seed])
+    with mp.workdps(DIGITS):
+        eigenvalues = NetworkReference(network).eigenvalues()
+    norm = np.abs(eigenvalues).max()
+    top, rounding = np.sqrt(norm / network.mass), ROUNDING * norm
+    if eigenvalues[0] > -10 * rounding:
+        return
+    near = np.sqrt(np.abs(rng.choice(eigenvalues, 2)) / network.mass)
+    near *= 1 + rng.choice([0, 1e-12, -1e-9, 1e-6], 2)
+    omegas = np.concatenate([top * 10 ** rng.uniform(-6, 0.1, 3), near])
+    omegas = np.unique(np.append(omegas, 0.0))[case.seed % 2 :]
+    found = count_modes(network, omegas)
+    limits = found.omega - found.margin
+    limits *= network.mass * np.abs(limits)
+    seen["networks"] += 1
+    for omega, limit, count, sure in zip(omegas, limits, found.count, found.certified, strict=True):
+        low, high = (np.count_nonzero(eigenvalues < limit + x) for x in (-rounding, rounding))
+        seen["counts"] += 1
+        seen["certified"] += sure
+        seen["moved"] += bool(limit < network.mass * omega**2 - rounding)
+        if sure and not low <= count <= high:
+            yield f"WRONG case {case.seed}, {omega=:.6g}: {count} modes, not {low} to {high}"
+    low, high = (np.count_nonzero(eigenvalues < x) for x in (-1e-5 * norm, rounding))
+    if not low <= found.unstable <= high:
+        yield f"UNSTABLE case {case.seed}: {found.unstable} modes, not {low} to {high}"
+
+
 def carry_out(random_case, faults, first, last):
     """Print what is false of random cases, each made from its seed, and what was seen."""
-    logging.disable()
     seen = Counter()
+    logging.disable()
     for seed in range(first, last):
         try:
             for fault in faults(random_case(seed), seen):
                 print(fault, flush=True)
         except Exception as error:
             print(f"RAISED case {seed}: {type(error).__name__}: {error}", flush=True)
+    logging.disable(logging.NOTSET)
     print(f"cases {first} to {last}:", ", ".join(f"{n} {name}" for name, n in seen.items()))
 
 
 if __name__ == "__main__":
-    carry_out(random_network, faults, *map(int, sys.argv[1:]))
+    cases = (unstable_network, count_faults) if "counts" in sys.argv else (random_network, faults)
+    carry_out(*cases, *map(int, sys.argv[1:3]))
