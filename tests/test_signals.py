@@ -81,6 +81,54 @@ def test_work_is_energy_and_what_damping_takes(world, size, damping):
         assert not np.any(found.dissipated)
 
 
+@pytest.mark.parametrize("unit", [1e6, 1e14, 1e18])
+def test_force_and_work_in_any_unit_of_time(world, unit):
+    """Where k and beta differ by as many powers of ten, too."""
+    bonds, known = np.array([0.1, 0.2, 0.25]), []
+    for scale in (1.0, unit):
+        lattice = Lattice((scale**2 * bonds,), 1.0, 0.05 * scale)
+        pulse = SHORT | {"width": 4.0 / scale, "time": 100.0 / scale}
+        found = listened(lattice, [0], world, **pulse, method="integrate")
+        names = "force", "work", "energy", "dissipated"
+        known.append([getattr(found, name) / scale**2 for name in names])
+    for one, other in zip(*known, strict=True):
+        assert np.abs(one - other).max() < 1e-5 * np.abs(one).max()
+
+
+@pytest.mark.parametrize("method", ["laplace", "integrate"])
+def test_errors_of_force_and_work_are_no_larger_than_estimated(world, method):
+    """Judged by a naive computation; estimates themselves are small."""
+    lattice = random_lattice((5, 4), 7, 0.1)
+    found = listened(lattice, [2, 1], world, **SHORT, method=method)
+    naive = Naive(lattice, MOTION, found.time)
+    energy, bonds = naive.energy(lattice), lattice.stiffness[0][-1]
+    U, speed = MOTION.moves(naive.times, 2)
+    force = (U[:, None] - naive.u[:, -1]) @ bonds + 0.1 * (4 * speed - naive.v[:, -1].sum(axis=1))
+    known = {"force": force, "energy": energy, "dissipated": naive.dissipated}
+    for name, exact in (known | {"work": energy + naive.dissipated}).items():
+        estimate, largest = getattr(found, f"{name}_estimate"), np.abs(exact).max()
+        assert np.all(np.abs(getattr(found, name) - exact) <= estimate + 1e-8 * largest)
+        assert np.all(np.diff(estimate) >= 0)
+        assert 0 < estimate[-1] < 1e-4 * largest
+
+
+@pytest.mark.parametrize("spacing", [1.0, 4.0])
+def test_work_before_the_first_sample_counts(world, spacing):
+    """A motion from a file that starts and stops with kinks, where balls have moved before."""
+    lattice, samples = random_lattice((4, 3), 3, 0.03), np.arange(25)
+    wall = np.stack([spacing * samples, 0.01 + np.sin(np.pi * samples / 8)], axis=1)
+    time = {"time": 40 * spacing, "points": 193, "error_tolerance": 1e-6}
+    found = listened(lattice, [1, 1], world, wall=wall, **time, method="laplace", fields=True)
+    largest = np.abs(found.work).max()
+    assert found.energy[0] > 1e-5 * largest
+    assert np.abs(found.work - found.energy - found.dissipated).max() < 2e-9 * largest
+    stepped = listened(lattice, [1, 1], world, wall=wall, **time, method="integrate")
+    for name in ("force", "work", "energy", "dissipated"):
+        one, other = getattr(found, name), getattr(stepped, name)
+        wrong = getattr(found, f"{name}_estimate") + getattr(stepped, f"{name}_estimate")
+        assert np.all(np.abs(one - other) <= wrong + 1e-9 * np.abs(one).max())
+
+
 def test_parseval_along_the_line():
     """The sum of |A U|^2, A by dense inverses, against the signal of a naive integrator."""
     lattice = random_lattice((4, 3), 6, 0.01)

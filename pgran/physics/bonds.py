@@ -155,13 +155,19 @@ class ElasticBonds:
         driven = self.stiffness[0][-1]
         return math.sqrt(np.sum(driven**2)), math.sqrt(driven.size)
 
+    @property
+    def pulls(self):
+        """What `pull` is at s = 0, and by how much it grows with s: sum k and sum beta."""
+        driven = self.stiffness[0][-1]
+        return driven.sum(), self.damping * driven.size
+
     def pull(self, s):
         """Return the force that moves the driven wall by 1 while all balls stay, sum k + s beta.
 
         Not collective.
         """
-        driven = self.stiffness[0][-1]
-        return driven.sum() + s * (self.damping * driven.size)
+        stiffness, damping = self.pulls
+        return stiffness + s * damping
 
     def pull_rounding(self, size):
         """Return how much rounding changes `pull(s)`, at most, for an |s|. Not collective."""

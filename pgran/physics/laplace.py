@@ -99,7 +99,7 @@ class Line:
         self._weight = np.where(self.number == 0, 1.0, 2.0) / self.period
         self.growth = math.exp(GROWTH) * np.sum(self._weight * np.abs(self.transform))
 
-    def inverse(self, transforms, finer=1):
+    def inverse(self, transforms, finer=1, before=0):
         """Return functions at the times of the signals from their transforms on the line.
 
         Not collective.
@@ -109,10 +109,12 @@ class Line:
         transforms : numpy.ndarray, shape (ns, ...)
         finer : int
             Each step between these times is cut into so many.
+        before : int
+            So many of the finer steps before the time 0 are wanted, too.
 
         Returns
         -------
-        numpy.ndarray, shape (finer (points - 1) + 1, ...)
+        numpy.ndarray, shape (before + finer (points - 1) + 1, ...)
         """
         from scipy.fft import irfft  # here: SciPy takes its time, and all scenes are imported
 
@@ -121,8 +123,11 @@ class Line:
         n = fold * times
         spectrum = np.zeros((n // 2 + 1, *transforms.shape[1:]), dtype=complex)
         spectrum[self.number] = transforms
-        values = irfft(spectrum, n, axis=0)[: fold * count : fold]
-        growth = np.exp(self.sigma * np.linspace(0.0, self.time[-1], count)) * (n / self.period)
+        turn = irfft(spectrum, n, axis=0)  # a period, at the end of which is what was before 0
+        values = np.concatenate([turn[n - fold * before :: fold], turn[: fold * count : fold]])
+        time = np.linspace(0.0, self.time[-1], count)
+        time = np.append(-self.period / times * np.arange(before, 0, -1), time)
+        growth = np.exp(self.sigma * time) * (n / self.period)
         return values * growth.reshape(-1, *[1] * (values.ndim - 1))
 
     def at(self, time, transforms):
@@ -162,6 +167,13 @@ class Line:
             found.append(self.inverse(power[:, None] * amplitude * U))
             found.append(1.01 * growth * (wrong.sum(axis=0) + left_out) + later[:, None])
         return found
+
+    def summed(self, errors):
+        """Return what errors of a function on the line, but for U, add up to without e^(sigma t).
+
+        Not collective; `errors` has the shape (ns,).
+        """
+        return np.sum(self._weight * np.abs(self.transform) * errors)
 
     def _later(self, power):
         """Bound what later turns add: |u'| <= V and |u| <= t V at the times t + n P, n >= 1."""

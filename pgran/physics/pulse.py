@@ -70,6 +70,11 @@ class Pulse:
         return self.centre - EARLIEST * self.width
 
     @property
+    def start(self):
+        """The time from which on its work counts: before, it is below 2e-8."""
+        return 0.0
+
+    @property
     def centre(self):
         """The time of its middle."""
         return START * self.width
@@ -190,6 +195,11 @@ class Samples:
     def begin(self):
         """See `Pulse`."""
         return -(MARGIN + EARLIEST) * self.width
+
+    @property
+    def start(self):
+        """See `Pulse`; the bells of the first samples rise before the time 0."""
+        return self.begin
 
     @property
     def centre(self):

@@ -84,17 +84,18 @@ def codas(time, envelope, error):
     return rates
 
 
-def integral(time, values):
-    """Return the integral of a smooth function from the first time on, at equal times.
+def integral(time, values, at=None):
+    """Return the integral of a smooth function, given at equal times, from the first one on.
 
-    Not collective. By a spline of degree DEGREE.
+    Not collective. By a spline of degree DEGREE; at the same times unless others are given.
     """
     from scipy.interpolate import make_interp_spline
 
-    degree = min(DEGREE, (len(time) - 1) // 2 * 2 - 1)
+    degree, at = min(DEGREE, (len(time) - 1) // 2 * 2 - 1), time if at is None else at
     if degree < 1:
-        return np.append(0.0, np.cumsum(np.diff(time) * (values[1:] + values[:-1]) / 2))
-    return make_interp_spline(time, values, degree).antiderivative()(time)
+        steps = np.diff(time) * (values[1:] + values[:-1]) / 2
+        return np.interp(at, time, np.append(0.0, np.cumsum(steps)))
+    return make_interp_spline(time, values, degree).antiderivative()(at)
 
 
 def interpolated(nodes, values, slopes, time):

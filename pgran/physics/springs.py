@@ -142,13 +142,19 @@ class Elastic:
         parts = springs.constants, springs.damped, np.abs(springs.constants)
         return [float(part @ squares) for part in parts]
 
+    @property
+    def pulls(self):
+        """What `pull` is at s = 0, and by how much it grows with s."""
+        stiffness, damped, _ = self._pulls
+        return stiffness, self.damping * damped
+
     def pull(self, s):
         """Return the force that moves what is driven by 1 while all balls stay.
 
         Not collective. It is the sum of (k + s beta d) w^2 over the springs, stretched by w.
         """
-        stiffness, damped, _ = self._pulls
-        return stiffness + s * (self.damping * damped)
+        stiffness, damping = self.pulls
+        return stiffness + s * damping
 
     def pull_rounding(self, size):
         """Return how much rounding changes `pull(s)`, at most, for an |s|. Not collective."""

@@ -79,6 +79,18 @@ class Signals(Record):
     velocity_bound: np.ndarray | None = array(
         "bound of the error of the velocity", "sqrt(k/m)", "time", "detector_number", optional=True
     )
+    force_estimate: np.ndarray | None = array(
+        "estimate of the error of the force", "k", "time", optional=True
+    )
+    work_estimate: np.ndarray | None = array(
+        "estimate of the error of the work", "k", "time", optional=True
+    )
+    energy_estimate: np.ndarray | None = array(
+        "estimate of the error of the energy", "k", "time", optional=True
+    )
+    dissipated_estimate: np.ndarray | None = array(
+        "estimate of the error of the work taken by damping", "k", "time", optional=True
+    )
     error_estimate: np.ndarray | None = array(
         "estimate of the error of the displacement", "1", "time", "detector_number", optional=True
     )

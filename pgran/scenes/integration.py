@@ -12,6 +12,7 @@ from pgran.scenes.listening import FIELDS
 
 COARSE, FINER = 0.3, 0.1  # tolerance of the first integration, and of each against the one before
 LEAST = 1e-13  # tolerance of an integration
+TAKEN = ("force", "work", "energy", "dissipated")  # of the wall, and what became of it
 
 
 class Integration(Task):
@@ -31,12 +32,12 @@ class Integration(Task):
         self.listening = listening
         end = float(listening.time[-1])
         self.units = [(number, tolerance, None, end) for number, tolerance in tolerances]
-        times, fine, detectors = len(listening.time), len(listening.fine), len(listening.sites)
+        times, detectors = len(listening.time), len(listening.sites)
         kept = [
             ("displacement", float, (times, detectors)),
             ("velocity", float, (times, detectors)),
-            ("force", float, (fine,)),
-            ("energy", float, (times,)),
+            *((name, float, (times,)) for name in TAKEN),
+            ("rough", float, (times,)),
             ("steps", np.int64),
             ("complete", bool),
         ]
@@ -75,8 +76,11 @@ class Integration(Task):
 
             row["displacement"] = at(history.displacement, history.velocity)
             row["velocity"] = at(history.velocity, history.acceleration)
-            row["force"] = at(*history.force.T, listening.fine)
+            force = at(*history.force.T, listening.fine)
+            row["force"] = listening.coarse(force)
+            row["work"], row["rough"] = listening.integral(force * listening.speed)
             row["energy"] = at(*history.energy.T)
+            row["dissipated"] = row["work"] - row["energy"]
             for number, (time, field) in enumerate(history.fields):
                 row["field_time"][0, number] = time
                 if field is not None:
@@ -129,26 +133,26 @@ def integrate(listening, crew, progress):
     if crew.world.rank > 0:
         return None
     before, last = rows
-    errors = [
-        np.maximum.accumulate(np.abs(last[name] - before[name]), axis=0)
+    errors = {
+        name: np.maximum.accumulate(np.abs(last[name] - before[name]), axis=0)
         if before["complete"] and last["complete"]
         else np.full_like(last[name], np.inf)
-        for name in ("displacement", "velocity")
-    ]
+        for name in ("displacement", "velocity", *TAKEN)
+    }
+    for name in ("work", "dissipated"):
+        errors[name] += last["rough"]
     return listening.signals(
         "integrate",
         (last["displacement"], last["velocity"]),
-        errors,
-        last["force"],
-        last["energy"],
-        None,
+        (errors["displacement"], errors["velocity"]),
+        {name: (last[name], errors[name]) for name in TAKEN},
         sigma=0.0,
         period=0.0,
         solves=int(last["steps"]),
         factorizations=0,
         solve_seconds=seconds,
-        error_estimate=errors[0],
-        velocity_estimate=errors[1],
+        error_estimate=errors["displacement"],
+        velocity_estimate=errors["velocity"],
         field_time=last["field_time"] if listening.fields else None,
         field=last["field"] if listening.fields else None,
     )

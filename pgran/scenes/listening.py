@@ -39,12 +39,35 @@ class Listening:
         self.highest = math.sqrt(self.scaled.stiffness_norm / self.scaled.mass)  # of normal modes
         step = time / (points - 1)
         self.finer = math.ceil(2 * step * sent.reach / FINE)
-        check_memory("pulse_points", points * (48 * len(self.sites) + 64 * self.finer))
+        self.before = math.ceil(-sent.start * self.finer / step)
+        fine = points * self.finer + self.before
+        check_memory("pulse_points", 48 * points * len(self.sites) + 64 * fine)
         self.time = np.linspace(0.0, time, points)
-        self.fine = np.linspace(0.0, time, self.finer * (points - 1) + 1)
+        fine = np.linspace(0.0, time, self.finer * (points - 1) + 1)
+        self.fine = np.append(-step / self.finer * np.arange(self.before, 0, -1), fine)
         self.field_time = np.linspace(sent.centre, time, FIELDS + 1)[1:]
 
-    def signals(self, method, found, error, force, energy, power, **more):
+    @property
+    def speed(self):
+        """The wall's velocity at the times of `fine`."""
+        return self.sent.moves(self.fine, 2)[1]
+
+    def coarse(self, values):
+        """Return values at the times of the signals from those at the times of `fine`."""
+        return values[self.before :: self.finer]
+
+    def integral(self, power):
+        """Return the integral of a power, given at the times of `fine`, until each time.
+
+        Not collective. And an estimate of its error: the largest so far of its difference from the
+        integral by every second time.
+        """
+        found = self.coarse(signal.integral(self.fine, power))
+        rare = slice((len(self.fine) - 1) % 2, None, 2)  # the last one, too
+        rougher = signal.integral(self.fine[rare], power[rare], self.time)
+        return found, np.maximum.accumulate(np.abs(found - rougher))
+
+    def signals(self, method, found, error, taken, **more):
         """Return the record.
 
         Not collective.
@@ -54,21 +77,17 @@ class Listening:
         method : str
         found, error : tuple of numpy.ndarray, shape (nt, nd)
             Displacement and velocity, and what these may be wrong by.
-        force : numpy.ndarray, shape (times of `fine`,)
-            Of the wall, in the unit of `scaled`; so are energies.
-        energy : numpy.ndarray, shape (nt,), or None
-        power : numpy.ndarray, shape (times of `fine`,), or None
-            What the dashpots take; without it that is what is left of the work.
+        taken : dict of str: (numpy.ndarray, numpy.ndarray), shapes (nt,)
+            Force and work of the wall, energy and what the dashpots took, where they are known, and
+            estimates of their errors, in the unit of `scaled`.
         **more
             Other fields of `Signals`.
         """
         displacement, velocity = found
         envelope = signal.envelopes(displacement, velocity)
         moves = self.sent.moves(self.time)[0]
-        work = signal.integral(self.fine, force * self.sent.moves(self.fine, 2)[1])[:: self.finer]
-        dissipated = None if energy is None else work - energy
-        if power is not None:
-            dissipated = signal.integral(self.fine, power)[:: self.finer]
+        for name, (values, estimate) in taken.items():
+            more |= {name: self.unit * values, f"{name}_estimate": self.unit * estimate}
         decay, decay_error = signal.codas(self.time, envelope, error[0])
         return Signals(
             shape=self.sent.shape,
@@ -87,9 +106,5 @@ class Listening:
             displacement=displacement,
             velocity=velocity,
             envelope=envelope,
-            force=self.unit * force[:: self.finer],
-            work=self.unit * work,
-            energy=None if energy is None else self.unit * energy,
-            dissipated=None if dissipated is None else self.unit * dissipated,
             **more,
         )

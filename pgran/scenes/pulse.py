@@ -125,6 +125,7 @@ def summary(result):
     front = signals.wall_arrival
     yield f"the wall's own front is at {front:.4g}{si.say('s', front)}"
     line = f"work of the wall {signals.work[-1]:.6g}"
+    line += f" +- {signals.work_estimate[-1]:.1e} (an estimate)"
     if signals.energy is not None:
         line += f", of which {signals.energy[-1]:.3g} is left in balls and springs"
     if signals.energy is not None and proven:

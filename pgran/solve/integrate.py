@@ -114,8 +114,6 @@ class Integrator(Owner):
             drives[1] = operators.damping * operators.f_damping.getArray().real
         self._driven = np.flatnonzero(np.any(drives, axis=0))
         self._drives = np.array(drives)[:, self._driven]
-        pull = operators.lattice.pull
-        self._sums = pull(0.0), pull(1.0) - pull(0.0)
 
     def _first_order_matrix(self):
         """Return J: in row 2 p that u' is the velocity, in row 2 p + 1 what accelerates ball p."""
@@ -279,7 +277,7 @@ class Integrator(Owner):
         wall = rows[:, 3 * self._count :][:, :6].reshape(len(time), 3, 2)
         (u_k, _), (v_k, v_c), (_, a_c) = np.moveaxis(wall, 0, -1)
         held, *taken, moving = rows[:, 3 * self._count + 6 :].T
-        k, c = self._sums
+        k, c = self.operators.lattice.pulls
         U, speed, turn = self.pulse.moves(time, 3)
         force = U * k - u_k + speed * c - v_c
         energy = 0.5 * (moving + held - 2 * U * u_k + U * U * k)
