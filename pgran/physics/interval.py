@@ -192,8 +192,9 @@ class _Solved:
         self.size = _norms(self.y)
         # of |S|, and of |f| or |e_d|
         self.norm = limits.stiffness + omega * (limits.damping + omega * limits.mass)
-        drive = self.drive = np.ones_like(self.size)
+        drive = self.drive = np.empty_like(self.size)
         drive[0] = limits.drive + omega * limits.drive_damping
+        drive[1:] = _receiver_norms(model)[:, None]
         self.known = limits.rounding * (drive + 1.01 * self.norm * self.size) + LOST_NORM
         self.r = self._residual(self.c) + self.known
         self.backward_error = self.r[0] / (self.norm * self.size[0] + drive[0])
@@ -267,6 +268,15 @@ class _Solved:
         terms = size * (2 * self.drive[0] + self.norm * size)
         theory = self.bound * self.r[0] ** 2
         found["reaction_bound"] = theory + self.limits.sum_rounding * terms + LOST
+
+
+def _receiver_norms(model):
+    """Return no less than |e_d| of each detector: the norm of the first column of its W.
+
+    What a ball of another mass than the unit reads is no unit vector; 1 stays 1, but for rounding.
+    """
+    found = _norms(model["triangle"][1:, :, :1])[:, 0]
+    return np.where(np.abs(found - 1) < 1e-9, 1.0, 1.01 * found)
 
 
 def _times(powers, y):

@@ -65,6 +65,8 @@ class Line:
     limits : pgran.physics.limits.Limits
     tolerance : float
         Of displacements, in units of the wall's.
+    readings : array_like of float, optional
+        |e_d| of each detector, whose displacement is e_d^T u: 1 unless its mass is not the unit.
 
     Attributes
     ----------
@@ -72,12 +74,14 @@ class Line:
     growth : float
         An error of every A(s) is as many times larger in a displacement, at most.
     left_out, left_out_speed : float
-        What the frequencies left out add up to, without the factor e^(sigma t).
+        What the frequencies left out add up to in |A|_2, without the factor e^(sigma t).
     """
 
-    def __init__(self, pulse, time, points, limits, tolerance):
+    def __init__(self, pulse, time, points, limits, tolerance, readings=1.0):
         """Leave out what is too small to matter."""
         self.pulse, self.limits, self.sigma = pulse, limits, GROWTH / time
+        self.readings = np.asarray(readings)
+        tolerance = tolerance / self.readings.max(initial=1.0)
         later = 3 * time * float(largest_speed(limits, pulse, 3 * time)) / (LATER * tolerance)
         # and so long that the pulse before this one's time 0 is no part of the turn before either
         earlier = max(SHORTEST, 1.0 - pulse.begin / time)
@@ -165,7 +169,8 @@ class Line:
             weight = (self._weight * np.abs(power))[:, None]
             wrong = weight * (np.abs(U) * bound + rounding[:, None] * np.abs(amplitude))
             found.append(self.inverse(power[:, None] * amplitude * U))
-            found.append(1.01 * growth * (wrong.sum(axis=0) + left_out) + later[:, None])
+            others = left_out * self.readings, later[:, None] * self.readings
+            found.append(1.01 * growth * (wrong.sum(axis=0) + others[0]) + others[1])
         return found
 
     def summed(self, errors):

@@ -192,6 +192,10 @@ class Lattice(ElasticBonds):
                 )
         return sites
 
+    def reading_norms(self, sites):
+        """Return |e_d| of each detector, shape (nd,), which reads one unknown. Not collective."""
+        return np.ones(len(sites))
+
     def depths(self, sites):
         """Return distances of balls from the driven wall, in spacings, (nd,). Not collective."""
         return self.shape[0] - sites[:, 0]

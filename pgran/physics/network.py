@@ -255,6 +255,10 @@ class Network(Elastic):
             along = np.eye(self.axes)[AXES.index(self.component)]
         return unknowns, along * self.weights[unknowns]
 
+    def reading_norms(self, sites):
+        """Return |e_d| of each detector, shape (nd,). Not collective."""
+        return np.linalg.norm(self.readings(sites)[1], axis=1)
+
     def depths(self, sites):
         """Return distances from the nearest driven ball, NaN if unknown. Not collective."""
         driven = np.flatnonzero(self.held == DRIVEN)

@@ -26,7 +26,8 @@ class PulseLine(FrequencySweep):
         self.listening = listening
         time, tolerance = listening.time, listening.tolerance
         limits = limits_of(listening.scaled)
-        self.line = Line(listening.sent, time[-1], len(time), limits, tolerance)
+        readings = listening.scaled.reading_norms(listening.sites)
+        self.line = Line(listening.sent, time[-1], len(time), limits, tolerance, readings)
         self.fields = listening.fields
         shape, detectors = listening.lattice.shape, len(listening.sites)
         cost = len(self.line.s) * math.prod(shape) * len(listening.fine)
