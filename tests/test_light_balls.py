@@ -3,6 +3,7 @@
 The unknowns are mass-weighted, the median mass being the unit.
 """
 
+import dataclasses
 from collections import Counter
 from itertools import pairwise
 
@@ -81,14 +82,17 @@ def test_bounds_of_a_model_are_in_units_of_what_a_detector_reads(comm, factor):
     model["reading"] *= factor
     model["own"][1:, :, 0] *= factor
     model["triangle"][1:, :, 0] *= factor
-    after, scaled = evaluate(model, omegas, models), interval._Solved(model, models, omegas).known
+    larger = dataclasses.replace(models, receiver=factor * models.receiver)
+    after, scaled = evaluate(model, omegas, larger), interval._Solved(model, larger, omegas).known
     for name in ("displacement", "error_bound", "derivative", "derivative_bound"):
         assert after[name] == pytest.approx(factor * before[name], rel=1e-2), name
     assert np.array_equal(after["reaction_bound"], before["reaction_bound"])
-    # what rounding leaves of the residual of z, of whose parts e_d is one
+    # what rounding leaves of the residual of z, of whose parts e_d is one, no less than S z
+    assert models.receiver == pytest.approx(100, rel=1e-12)
     assert scaled == pytest.approx(known * [[1], [factor]], rel=1e-2)
-    rounding = models.rounding * 100 * factor * 2
-    assert np.all(scaled[1] >= rounding)
+    assert np.all(scaled[1] >= models.rounding * 200 * factor)
+    older = interval._Solved(model, dataclasses.replace(models, receiver=None), omegas)
+    assert np.all(older.known[1] >= scaled[1])  # of files that do not say
 
 
 @pytest.mark.parametrize("mass", LIGHT)

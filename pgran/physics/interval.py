@@ -30,7 +30,7 @@ NumPy only.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -85,10 +85,14 @@ class ModelLimits(Limits):
         What a residual's norm misses, relative to |f| + (|K| + omega |C| + omega^2 |M|) |x|.
     sum_rounding : float
         The same of a sum over all balls.
+    receiver : float
+        |e_d| is at most this: 1 unless a detector's ball has another mass than the unit. None in
+        files before format version 5.
     """
 
     rounding: float
     sum_rounding: float
+    receiver: float = field(metadata={"since": 5})
 
 
 def point_dtype(detectors):
@@ -194,7 +198,10 @@ class _Solved:
         self.norm = limits.stiffness + omega * (limits.damping + omega * limits.mass)
         drive = self.drive = np.empty_like(self.size)
         drive[0] = limits.drive + omega * limits.drive_damping
-        drive[1:] = _receiver_norms(model)[:, None]
+        if limits.receiver is None:  # R is no shorter than W, whose first columns are the e_d
+            drive[1:] = 1.01 * _norms(model["triangle"][1:, :, :1])
+        else:
+            drive[1:] = limits.receiver
         self.known = limits.rounding * (drive + 1.01 * self.norm * self.size) + LOST_NORM
         self.r = self._residual(self.c) + self.known
         self.backward_error = self.r[0] / (self.norm * self.size[0] + drive[0])
@@ -268,15 +275,6 @@ class _Solved:
         terms = size * (2 * self.drive[0] + self.norm * size)
         theory = self.bound * self.r[0] ** 2
         found["reaction_bound"] = theory + self.limits.sum_rounding * terms + LOST
-
-
-def _receiver_norms(model):
-    """Return no less than |e_d| of each detector: the norm of the first column of its W.
-
-    What a ball of another mass than the unit reads is no unit vector; 1 stays 1, but for rounding.
-    """
-    found = _norms(model["triangle"][1:, :, :1])[:, 0]
-    return np.where(np.abs(found - 1) < 1e-9, 1.0, 1.01 * found)
 
 
 def _times(powers, y):

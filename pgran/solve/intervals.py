@@ -68,7 +68,7 @@ class IntervalModels(Owner):
         self._rhs, self._found, self._image = (self._block(systems) for _ in range(3))
         self._columns, self._products = (self._block((systems + 1) * self.width) for _ in range(2))
         self._read(sites)
-        self.limits = self._limits()
+        self.limits = self._limits(sites)
 
     def _read(self, sites):
         """Keep this rank's rows of g_0 and g_1 of each system, (systems, own balls, 2); diagonals.
@@ -108,7 +108,7 @@ class IntervalModels(Owner):
         block.assemble()
         return block
 
-    def _limits(self):
+    def _limits(self, sites):
         """Return what bounds the errors of all models."""
         operators, rounding = self.operators, self.operators.rounding
         # a path through the sums of `products`, over the ranks, and of the small algebra
@@ -123,6 +123,7 @@ class IntervalModels(Owner):
             drive_damping=damped,
             rounding=rounding + 4 * qr_rounding(2 + 2 * self.width),
             sum_rounding=2 * rounding + 4 * EPSILON * terms,
+            receiver=float(operators.lattice.reading_norms(sites).max()),
         )
 
     def _total(self, part):
