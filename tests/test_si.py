@@ -69,7 +69,10 @@ def test_in_words():
 
 SAID = "-units_length 5e-3 -units_time 1e-5"
 CASES = {
-    "response": ("-lattice_shape 5,4 -detectors 2,2 -sweep_points 150", "m/s"),
+    "response": (
+        "-lattice_shape 5,4 -detectors 2,2 -sweep_points 150 -lattice_damping .05",
+        "m/s",
+    ),
     "modes": ("-lattice_shape 5,4", "Hz"),
     "modes density": ("-scene modes -lattice_shape 5,4 -modes_density 9", "Hz"),
     "pulse": (
