@@ -5,7 +5,17 @@ import sys
 
 import numpy as np
 import pytest
-from packing_samples import HERTZ, LENGTH, Sample, assert_same, bring, csv_of, dump, ids_of
+from packing_samples import (
+    HERTZ,
+    LENGTH,
+    Sample,
+    assert_same,
+    bring,
+    csv_of,
+    dump,
+    ids_of,
+    row_of_balls,
+)
 
 from pgran.errors import InputError
 from pgran.files.conditions import choose
@@ -118,6 +128,19 @@ def test_the_last_snapshot_counts(call, place, here, shared_path):
         place(name, text)
     assert "a.atoms: the last of 2 snapshots, of the time step 7" in bring(call, "--law", "hertz")
     assert_same(read_network("n.h5"), ids_of("n.h5"), last)
+
+
+def test_balls_in_order_are_no_row_numbers(call, place, here):
+    """Contact k joins the balls k and k + 1: its first ball is the number of its row.
+
+    Column q and ball 1 in column r would have the numbers of rows as distances; their forces are
+    where they do not touch.
+    """
+    row_of_balls(place, radius=np.full(8, 0.51))
+    assert "id1 = p, id2 = q, distance = r, force = s" in bring(call, "--law", "harmonic")
+    network = read_network("n.h5")
+    np.testing.assert_array_equal(network.bond, [[k, k + 1] for k in range(7)])
+    np.testing.assert_allclose(network.stiffness, 1 + np.arange(1, 8) / 20)
 
 
 # What is held, cut and left out

@@ -4,7 +4,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from packing_samples import Sample, csv_of, dump
+from packing_samples import Sample, csv_of, dump, row_of_balls
 
 from pgran.errors import FileError
 from pgran.files.tables import read_table
@@ -150,6 +150,23 @@ def test_other_snapshots_and_columns_that_say_nothing(call, place):
     place("a.contacts", dump("ENTRIES", some))
     done = call("import", "a.atoms", "a.contacts", "-o", "n.h5")
     assert (done.returncode, ": no ball 1000 in a.atoms" in done.stderr) == (4, True)
+
+
+def test_balls_that_the_geometry_does_not_tell(call, place):
+    """Two pairs of columns that fit as well, and a single pair that does not fit."""
+    row_of_balls(place)  # no radii: whether a force fits is not known
+    words = "import", "a.atoms", "a.contacts", "-o", "n.h5", "--overwrite", "--law"
+    done = call(*words, "s")
+    said = "the balls could be in p and q, or q and r, by the geometry; --columns id1,id2"
+    assert (done.returncode, said in done.stderr) == (4, True)
+    assert call(*words, "s", "--columns", "id1,id2").returncode == 0
+    sample = Sample(2)
+    sample.write(place)
+    first, other = sample.id[sample.bond].T
+    wrong = {"a": np.roll(first, 1), "b": other, "c": sample.distance, "d": sample.force}
+    place("a.contacts", dump("ENTRIES", wrong))
+    done = call(*words, "d")
+    assert (done.returncode, "no two columns hold ids" in done.stderr) == (4, True)
 
 
 def test_a_box_that_is_too_small(call, place):

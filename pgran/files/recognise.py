@@ -89,71 +89,102 @@ def _renamed(table, columns):
 
 
 def _guess_balls(table, balls):
-    """Return which two columns hold the balls, by their distance where several could.
+    """Return which two columns hold the balls: those that the geometry tells the most of.
 
-    If no two do so in all rows, a few rows may be wrong, so that it is these that are refused.
+    What other columns hold must be the distance of these balls, a force that is there where they
+    touch, or its components. A few rows may be wrong, so that it is these that are refused.
     """
-    numbered = np.arange(len(table.places)) + 1
-    columns = {k: v for k, v in table.columns.items() if not np.array_equal(v, numbered)}
-    for part in (1.0, MOST):
-        ids = [k for k, v in columns.items() if np.mean(np.isin(v, balls.id)) >= part]
-        pairs = [
-            {"id1": a, "id2": b}
-            for a, b in itertools.combinations(ids[:12], 2)
-            if np.mean(columns[a] != columns[b]) >= part
-        ]
-        if pairs:
-            break
-    for pair in pairs if len(pairs) > 1 and balls.axes else ():
-        bond = np.stack([rows_of(table, name, balls) for name in pair.values()], axis=1)
-        if _columns_like_distance(Contacts(table, balls, bond, pair)):
-            return pair
-    if len(pairs) != 1:
-        why = "two columns, and no others, must hold ids of balls"
-        raise FileError(f"{table.path}: {why}; --columns id1,id2,distance,force names them")
-    return pairs[0]
+    known = {name: np.isin(values, balls.id) for name, values in table.columns.items()}
+    ids = [name for name, each in known.items() if np.mean(each) >= MOST]
+    found = []
+    for a, b in itertools.combinations(ids[:12], 2):
+        right = known[a] & known[b] & (table.columns[a] != table.columns[b])
+        if np.mean(right) >= MOST:
+            some = table.of_rows(right)
+            bond = np.stack([rows_of(some, name, balls) for name in (a, b)], axis=1)
+            told = _told(Contacts(some, balls, bond, {"id1": a, "id2": b}))
+            found.append(((told, np.mean(right)), (a, b), bond))
+    best = max((score for score, *_ in found), default=(0, 0.0))
+    pairs = [(pair, bond) for score, pair, bond in found if score == best]
+    if not best[0]:
+        why = "no two columns hold ids of balls whose distance or force another column holds"
+    elif any(not np.array_equal(bond, pairs[0][1]) for _, bond in pairs):
+        names = ", or ".join(" and ".join(pair) for pair, _ in pairs[:5])
+        why = f"the balls could be in {names}, by the geometry"
+    else:
+        return dict(zip(("id1", "id2"), pairs[0][0], strict=True))
+    raise FileError(f"{table.path}: {why}; --columns id1,id2,distance,force names them")
+
+
+def _told(contacts):
+    """Return how many things the geometry recognises in the other columns."""
+    like = _columns_like_distance, _columns_like_force, _columns_like_components
+    return sum(bool(columns(contacts)) for columns in like)
+
+
+def _rest(contacts):
+    """Return the columns that have no role yet."""
+    taken = contacts.roles.values()
+    return {name: v for name, v in contacts.table.columns.items() if name not in taken}
 
 
 def _columns_like_distance(contacts):
     """Return which columns hold the distance of the balls."""
     return [
         name
-        for name, values in contacts.table.columns.items()
+        for name, values in _rest(contacts).items()
         if np.all(np.abs(values - contacts.lengths) <= contacts.balls.tolerance)
     ]
 
 
 def _guess_rest(contacts):
     """Add to the roles of contacts what the geometry tells: distance, force, its components."""
-    roles, table, limit = contacts.roles, contacts.table, contacts.balls.tolerance
+    roles = contacts.roles
     if "distance" not in roles and (like := _columns_like_distance(contacts)):
         roles["distance"] = like[0]
-    if contacts.overlap is None:
-        return
-    surely, never = contacts.overlap > limit, contacts.overlap < -limit
-    rest = {name: values for name, values in table.columns.items() if name not in roles.values()}
     if "fx" not in roles:
-        _guess_components(contacts, rest, never)
+        roles |= _columns_like_components(contacts)
     if {"force", "stiffness"} & roles.keys():
         return
-    along = contacts.force  # by its components
+    found = _columns_like_force(contacts)
+    if len(found) > 1:
+        said = f"{', '.join(found[:9])} could each be the force"
+        raise FileError(
+            f"{contacts.table.path}: {said}; --columns id1,id2,distance,force names them"
+        )
+    if found:
+        roles["force"] = found[0]
+
+
+def _touching(contacts):
+    """Return which balls surely touch, and which surely do not; None where radii are unknown."""
+    if contacts.overlap is None:
+        return None
+    limit = contacts.balls.tolerance
+    return contacts.overlap > limit, contacts.overlap < -limit
+
+
+def _columns_like_force(contacts):
+    """Return which columns are a force that is there where balls touch, and nowhere else.
+
+    Overlaps are as well: they are returned if nothing else is found.
+    """
+    if (touching := _touching(contacts)) is None:
+        return []
+    (surely, never), along = touching, contacts.force  # by its components
+    rest = _rest(contacts)
     found = [
         name
         for name, values in rest.items()
-        if name not in roles.values()
-        and np.all(values >= 0)
+        if np.all(values >= 0)
         and np.all(values[never] == 0)
         and np.all(values[surely] > 0)
         and np.any(values != np.rint(values))
         and (along is None or _alike(values, along))
     ]
+    limit = contacts.balls.tolerance
     lengths = [name for name in found if np.all(np.abs(rest[name] - contacts.overlap) <= limit)]
-    found = [name for name in found if name not in lengths] or found
-    if len(found) > 1:
-        said = f"{', '.join(found[:9])} could each be the force"
-        raise FileError(f"{table.path}: {said}; --columns id1,id2,distance,force names them")
-    if found:
-        roles["force"] = found[0]
+    return [name for name in found if name not in lengths] or found
 
 
 def _alike(one, other):
@@ -161,9 +192,14 @@ def _alike(one, other):
     return bool(np.all(np.abs(one - other) <= PRINTED * np.abs(other).max()))
 
 
-def _guess_components(contacts, rest, never):
-    """Add which columns are a force of one sign along the normal, and nothing where none touch."""
-    force, normal = contacts.given("force"), contacts.normal
+def _columns_like_components(contacts):
+    """Return which columns are a force of one sign along the normal, 0 where no balls touch.
+
+    They are returned by the names of its components, and none if there is no such force.
+    """
+    if (touching := _touching(contacts)) is None:
+        return {}
+    force, normal, rest = contacts.given("force"), contacts.normal, _rest(contacts)
     for first in range(len(rest) - contacts.balls.axes + 1):
         chosen = [*rest][first : first + contacts.balls.axes]
         vectors = np.stack([rest[name] for name in chosen], axis=1)
@@ -174,8 +210,8 @@ def _guess_components(contacts, rest, never):
             np.any(along > 0)
             and np.all(along >= 0)
             and np.all(across <= along)
-            and np.all(vectors[never] == 0)
+            and np.all(vectors[touching[1]] == 0)
             and (force is None or _alike(along, force))
         ):
-            contacts.roles.update(zip((f"f{x}" for x in AXES), chosen, strict=False))
-            return
+            return dict(zip((f"f{x}" for x in AXES), chosen, strict=False))
+    return {}

@@ -3,6 +3,7 @@
 What a file claims about its size is believed only as far as its lines go.
 """
 
+import dataclasses
 import itertools
 from dataclasses import dataclass
 
@@ -56,6 +57,12 @@ class Table:
         place = self.places[row]
         between = ", " if isinstance(place, str) else ":"
         raise FileError(f"{self.path}{between}{place}: {why}")
+
+    def of_rows(self, chosen):
+        """Return the table of some rows, chosen by truth, shape (rows,)."""
+        columns = {name: values[chosen] for name, values in self.columns.items()}
+        places = [self.places[row] for row in np.flatnonzero(chosen)]
+        return dataclasses.replace(self, columns=columns, places=places)
 
     def numbers(self, name):
         """Return a column; refuse it unless all of it is finite numbers."""
