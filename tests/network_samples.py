@@ -113,8 +113,8 @@ class NetworkReference:
 
     @property
     def median(self):
-        """The median mass of the free balls."""
-        return np.median(self.network.masses[self.network.held == 0])
+        """The median mass of all balls."""
+        return np.median(self.network.masses)
 
     def damping_exceeds(self, least):
         """Whether C - least M / median is positive definite, by Cholesky."""

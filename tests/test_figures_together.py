@@ -106,6 +106,19 @@ def test_what_a_result_says_of_its_options_is_read_back():
     assert found == plain
 
 
+def test_results_of_other_units_say_so(damped):
+    """Each curve is in units of its own omega_mx, which its label has."""
+    lattice = random_lattice((4, 3), seed=5, mass=0.25)
+    other = with_options(respond(X, lattice=replace(lattice, kmax=0.49)), "-bonds_seed 7")
+    made = pgran.plot([damped[0], other])
+    said = [label.get_text() for label in made["phase"].axes[0].get_legend().get_texts()]
+    for result, label in zip((damped[0], other), said, strict=True):
+        assert label.endswith(rf", $\omega_{{mx}}$ = {result.medium.omega_mx:.6g}")
+    for figure in made.values():
+        assert "units of its own" in figure.caption
+    assert all("units of its own" not in figure.caption for figure in pgran.plot(damped).values())
+
+
 def test_responses_over_each_other(damped):
     """Each curve has the numbers of its result, and colour, line style and label of its own."""
     made = pgran.plot(damped)

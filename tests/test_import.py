@@ -146,6 +146,17 @@ def test_balls_in_order_are_no_row_numbers(call, place, here):
 # What is held, cut and left out
 
 
+@pytest.mark.parametrize("words", ["", "--rest x<2", "--cut xy --rest y<1.5 --drive y>max-1"])
+def test_the_unit_of_frequency_does_not_follow_what_is_held(call, place, here, words):
+    """sqrt(2 d k / m) of the stiffest contact and the median mass of the whole packing."""
+    sample = Sample(2)
+    sample.write(place)
+    said = bring(call, "--law", "hertz", "--tangential", "1.5", *words.split())
+    omega_mx = np.sqrt(4 * 1.5 * sample.stiffness.max() / np.median(sample.mass))
+    assert read_network("n.h5").omega_mx == pytest.approx(omega_mx, rel=1e-14)
+    assert f"omega_mx {omega_mx:.4g}, by" in said
+
+
 def chain(place):
     """Balls 0 to 9 in a row, one more on top of 4, across the end of the box; others apart."""
     x = [*np.arange(10) * 0.5 + 0.25, 2.25, 0.25, 4.75, 2.25, 2.25, 2.25]

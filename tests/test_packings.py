@@ -81,6 +81,8 @@ def test_the_networks_are_those_of_the_dumps(name, tmp_path):
         assert [*made["network"]] == [*shipped["network"]]
         for part, array in made["network"].items():
             assert np.array_equal(array, shipped["network"][part])
+        for part, value in shipped["network"].attrs.items():
+            assert np.array_equal(made["network"].attrs[part], value)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "options").glob("packing_*")), ids=lambda p: p.stem)

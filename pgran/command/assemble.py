@@ -81,6 +81,11 @@ def assemble(found, given):
     members["stiffness"] = stiffness[rows]
     members["id"] = balls.id[kept.balls]
     attributes = {"displacement": kind, "damping": given.damping}
+    # the unit of frequency is that of all balls and contacts, whatever is held, cut or left out
+    attributes |= {
+        "kmax": float(np.abs(stiffness).max()),
+        "median_mass": float(np.median(balls.mass)),
+    }
     normal, force = found.normal, found.force
     ratio = None
     if normal is not None and force is not None:
@@ -93,9 +98,10 @@ def assemble(found, given):
             members["force"] = force[rows]
         shear = found.given("tangential")
         if given.tangential is not None:
-            members["tangential"] = given.tangential * stiffness[rows]
-        elif shear is not None:
+            shear = given.tangential * stiffness
+        if shear is not None:
             members["tangential"] = shear[rows]
+            attributes["kmax"] = max(attributes["kmax"], float(np.abs(shear[touch]).max()))
         attributes["direction"] = _along(given.direction, balls.axes)
     return Made(
         members, attributes, kept, np.count_nonzero(~touch), np.count_nonzero(touch & ~once),

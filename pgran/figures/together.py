@@ -26,7 +26,15 @@ def figures(results, labels):
                         f"{', '.join(PAGES)}")  # fmt: skip
     if len(results) > MOST:
         raise FileError(f"{len(results)} results: at most {MOST} are told apart in one figure")
-    yield from PAGES[scene](results, [_wrap(label) for label in labels])
+    labels = [_wrap(label) for label in labels]
+    units = [f"{result.medium.omega_mx:.6g}" for result in results]
+    if len(set(units)) > 1:  # axes are in units of each one's own
+        pairs = zip(labels, units, strict=True)
+        labels = [rf"{label}, $\omega_{{mx}}$ = {unit}" for label, unit in pairs]
+    for name, figure in PAGES[scene](results, labels):
+        if len(set(units)) > 1:
+            figure.caption += r" Each result is in units of its own $\omega_{mx}$."
+        yield name, figure
 
 
 def _wrap(label):

@@ -40,7 +40,8 @@ DATASETS = {
     "id": (int, "1", "numbers of the balls in the program that they come from"),
 }
 ATTRIBUTES = {
-    "displacement": str, "damped": str, "damping": float, "kmax": float, "direction": np.ndarray,
+    "displacement": str, "damped": str, "damping": float, "kmax": float, "median_mass": float,
+    "direction": np.ndarray,
 }  # fmt: skip
 NOT_READ = ("id",)
 CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums

@@ -2,8 +2,8 @@
 
 A ball has one displacement (`scalar`, the paper's model on any graph), a vector of them (`vector`),
 or these and its rotation (`rotations`). `pgran.physics.springs` says what springs a contact is. All
-is computed in mass-weighted unknowns sqrt(m_p / m) u_p, m the median: these have one mass m, and S
-stays symmetric.
+is computed in mass-weighted unknowns sqrt(m_p / m) u_p, m the median of all balls: these have one
+mass m, and S stays symmetric.
 """
 
 import dataclasses
@@ -57,6 +57,9 @@ class Network(Elastic):
         What of a displacement is read: `drive`, `x`, `y` or `z`.
     kmax : float, optional
         The stiffness that sets the unit of frequency; the largest one unless given.
+    median_mass : float, optional
+        The mass that does; the median of all balls, free or held, unless given: of the whole
+        packing, where this is what is left of it.
 
     Raises
     ------
@@ -80,6 +83,7 @@ class Network(Elastic):
     damped: str = "all"
     component: str = "drive"
     kmax: float | None = None
+    median_mass: float | None = None
 
     def __post_init__(self):
         """Check shapes and values; keep copies that nobody can change."""
@@ -100,6 +104,9 @@ class Network(Elastic):
             self._keep(name, float, (), balls)
         check_network(self)
         object.__setattr__(self, "direction", unit_direction(self.direction, self.axes))
+        if self.median_mass is None:
+            heavy = self.masses[self.masses > 0]  # walls may be given none
+            object.__setattr__(self, "median_mass", float(np.median(heavy)))
         if self.kmax is None:
             object.__setattr__(self, "kmax", self.stiffest)
         check_magnitudes(self.axes, self.mass, self.damping, max(self.kmax, self.stiffest))
@@ -156,10 +163,10 @@ class Network(Elastic):
         """How many unknowns there are."""
         return self.shape[0]
 
-    @cached_property
+    @property
     def mass(self):
-        """The mass of the mass-weighted unknowns: the median."""
-        return float(np.median(self.masses[self.free]))
+        """The mass of the mass-weighted unknowns."""
+        return self.median_mass
 
     @property
     def constants(self):
@@ -295,9 +302,8 @@ class Network(Elastic):
         Not collective. As `pgran.physics.lattice.Lattice.in_own_unit`.
         """
         unit = own_unit(self.stiffest, self.mass, self.damping)
+        names = "stiffness", "masses", "damping", "force", "tangential", "kmax", "median_mass"
         scaled = {
-            name: getattr(self, name) / unit
-            for name in ("stiffness", "masses", "damping", "force", "tangential", "kmax")
-            if getattr(self, name) is not None
+            name: getattr(self, name) / unit for name in names if getattr(self, name) is not None
         }
         return dataclasses.replace(self, **scaled), unit

@@ -8,7 +8,8 @@ import numpy as np
 
 from pgran.physics.lattice import Lattice
 from pgran.physics.network import Network
-from pgran.record import SPACE, MisfitError, Record, array, attribute_array
+from pgran.physics.springs import FREE
+from pgran.record import SPACE, MisfitError, Record, array, attribute, attribute_array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -82,6 +83,7 @@ class NetworkRecord(Record):
     component: str
     damping: float
     kmax: float
+    median_mass: float = attribute(since=5)
     omega_mx: float
     unknowns: int
     bonds_sha256: str = field(metadata={"of_run": True})
@@ -124,13 +126,16 @@ class NetworkRecord(Record):
     @property
     def free_balls(self):
         """How many balls move freely."""
-        return int(np.count_nonzero(self.held == 0))
+        return int(np.count_nonzero(self.held == FREE))
 
     @cached_property
     def built(self):
         """The network itself, a `pgran.physics.network.Network`."""
         same = [item.name for item in fields(self) if item.name in Network.__dataclass_fields__]
-        return Network(masses=self.mass, **{name: getattr(self, name) for name in same})
+        values = {name: getattr(self, name) for name in same}
+        if self.median_mass is None:  # of an older file: the median of the free balls
+            values["median_mass"] = float(np.median(self.mass[self.held == FREE]))
+        return Network(masses=self.mass, **values)
 
     @classmethod
     def of(cls, network):
