@@ -16,8 +16,10 @@ from pgran.errors import InputError, PgranError, StoppedError
 from pgran.files.reading import read_words
 from pgran.parallel.journal import Journal
 from pgran.physics.bands import over_samples
+from pgran.physics.makers import triangular
 from pgran.physics.memory import Series, mean_order
 from pgran.physics.spectrum import power_spectrum
+from pgran.results import record_of
 from pgran.scenes import response
 from pgran.scenes.ensemble import KEPT
 
@@ -299,6 +301,16 @@ def test_samples_of_networks(world):
     for n in range(3):
         assert np.array_equal(found.mode_omega[n], pgran.find_modes(ring(4 + n)).omega)
     assert found.seed.tolist() == [4, 5, 6]
+
+
+def test_words_of_networks_have_no_spacings(world):
+    """A ball has one number, and distances are in the unit of the positions."""
+    network = triangular((3, 3))
+    records = ran("response", "", world)
+    numbers = {"velocity": np.ones((len(SEEDS), 1)), "detector": np.array([[11]])}
+    found = dataclasses.replace(records[1], good=np.ones(len(SEEDS), np.int8), **numbers)
+    lines = list(SCENES["ensemble"].summary(pgran.record.Result([record_of(network), found])))
+    assert "ball 11: phase velocity 1 +- 0 lengths x omega_mx, spread 0" in lines
 
 
 @pytest.mark.parametrize("of", KINDS)

@@ -19,6 +19,8 @@ from pgran.errors import InputError
 from pgran.files.reading import read_file, read_words
 from pgran.parallel.crew import Crew
 from pgran.parallel.task import Task
+from pgran.physics import makers
+from pgran.physics.network import Network
 
 OPTIONS = Path(__file__).parents[1] / "options"
 
@@ -41,6 +43,26 @@ def test_entries_of_a_factor(shape):
         solver.solve(0.5j)
         found = solver.factor.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
     assert found / 1.7 < forecast.dissection(shape) < found * 1.7
+
+
+@pytest.mark.parametrize(("axes", "kind"), [(2, "scalar"), (3, "scalar"), (3, "vector")])
+def test_entries_and_nonzeros_of_a_network(axes, kind):
+    """A network of scalars in space is no chain: its factor fills."""
+    network = makers.random_geometric(500, axes, displacement=kind)
+    with steady(network, [network.free[0]]) as (_, solver):
+        solver.solve(0.5j)
+        found = solver.factor.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+    assert found / 1.3 < network.graph.entries < found * 1.3
+    K = network.restoring_forces(np.eye(network.balls))
+    blocks = K.reshape(len(network.free), network.components, len(network.free), -1)
+    met = np.count_nonzero(np.any(blocks, axis=(1, 3)))
+    assert network.graph.nonzeros == met * network.components**2
+    if axes == 3:
+        ball = np.arange(network.balls)
+        held = np.where(ball > 0, 0, 2)
+        chain = Network(np.stack([ball[:-1], ball[1:]], axis=1), np.ones(len(ball) - 1), held)
+        needed = [forecast.lattice_memory(each, 1) for each in (network, chain)]
+        assert needed[0] > 1.5 * needed[1]
 
 
 class Counting(Task):
@@ -125,9 +147,10 @@ def test_bad_input_is_met(world, words, message):
 
 
 def test_what_does_not_fit_is_not_tried(world, monkeypatch):
-    needed = forecast.lattice_memory((20, 20), 1)
-    assert forecast.lattice_memory((20, 20), 1, factored=False) < needed
-    assert forecast.lattice_memory((300, 300), 4) < 0.5 * forecast.lattice_memory((300, 300), 1)
+    small, large = (random_lattice((n, n)) for n in (20, 300))
+    needed = forecast.lattice_memory(small, 1)
+    assert forecast.lattice_memory(small, 1, factored=False) < needed
+    assert forecast.lattice_memory(large, 4) < 0.5 * forecast.lattice_memory(large, 1)
     monkeypatch.setattr(forecast, "free_memory", lambda: int(1.2 * needed))
     lines = foreseen(world, chosen("response"))
     assert "nothing was tried" in lines["warning"]

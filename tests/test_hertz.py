@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import eigh
 
 import pgran
 from pgran.__main__ import USAGE, main
@@ -17,6 +18,7 @@ from pgran.errors import DONE, InputError
 from pgran.files.reading import read_words
 from pgran.physics import hertz
 from pgran.physics.hertz import MATERIALS, Material, Scale
+from pgran.physics.packing import hertz_of_force
 
 GLASS = MATERIALS["glass"]
 BEAD = Scale(GLASS, 5e-3, 1e-3)  # the diameter of Liu and Nagel's beads
@@ -159,8 +161,31 @@ def test_loads_by_pressure_and_by_a_measured_frequency(capsys):
     assert value(out, "omega_mx") == pytest.approx(BEAD.omega_mx, rel=1e-3)
     cubic = f"--pressure 40 --fraction {math.pi / 6} --contacts 6"
     out = say(capsys, f"--diameter 5e-3 --material sand --density 2600 {cubic}")
-    assert value(out, "force") == pytest.approx(1e-3, rel=1e-3)
+    assert value(out, "mean force") == pytest.approx(1e-3, rel=1e-3)
+    assert value(out, "force of the strongest") == pytest.approx(4e-3, rel=1e-3)
     assert value(out, "density") == 2600
+
+
+def test_the_mean_force_where_stiffness_is_uniform():
+    """F ~ k^3: k = 3/2 c^(2/3) F^(1/3)."""
+    k = (np.arange(10_000) + 0.5) / 10_000 * hertz_of_force(BEAD.force, BEAD.constant)
+    forces = [hertz.force_of_stiffness(BEAD.constant, each) for each in k]
+    assert BEAD.force / np.mean(forces) == pytest.approx(hertz.STRONGEST, rel=1e-6)
+
+
+@pytest.mark.parametrize(("dimensions", "size", "samples"), [(2, 16, 4), (3, 7, 3)])
+def test_long_waves_where_bonds_are_random(dimensions, size, samples):
+    """Against the lowest modes between walls, omega = c pi sqrt(d) / (N + 1) of long waves."""
+    shape, found = (size,) * dimensions, []
+    for seed in range(samples):
+        lattice = pgran.Lattice.random(shape, seed, kmax=1.0)
+        K = lattice.restoring_forces(np.eye(lattice.balls).reshape(-1, *shape))
+        lowest = eigh(K.reshape(lattice.balls, -1), eigvals_only=True, subset_by_index=(0, 0))
+        found.append(lowest[0] / (dimensions * (2 * np.sin(np.pi / 2 / (size + 1))) ** 2))
+    assert np.mean(found) == pytest.approx(hertz.effective_stiffness(dimensions), rel=0.05)
+    scale = replace(BEAD, dimensions=dimensions)
+    ratio = (scale.random_velocity / scale.velocity) ** 2
+    assert ratio == pytest.approx(hertz.effective_stiffness(dimensions), rel=1e-12)
 
 
 def test_the_frequencies_that_the_paper_estimates(capsys):

@@ -1,5 +1,7 @@
 """The noise of an ensemble's responses: of fields of known law, and where there is none."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from samples import assert_same
@@ -93,6 +95,9 @@ def test_what_cannot_be_measured_is_nan_aloud(gaussian, caplog):
     lines = "\n".join(noise.summary(found))
     assert "half width of the correlation unknown, spacing of maxima unknown" in lines
     assert "(Gaussian: 2)" in lines
+    assert "ball (0, 0), 0.5 to 0.7: " in lines
+    number = dataclasses.replace(found, detector=found.detector[:, :1])
+    assert "ball 0, 0.5 to 0.7: " in "\n".join(noise.summary(number))
     assert "nan" not in lines
 
 

@@ -11,7 +11,7 @@ from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.files.reading import read_words
 from pgran.parallel.crew import Crew
-from pgran.scenes.common import LARGE, automatic_ranks, ranks_per_lattice
+from pgran.scenes.common import LARGE, LARGE_WORK, automatic_ranks, ranks_per_lattice
 
 LATTICE = random_lattice((9, 8), 12)
 
@@ -35,7 +35,11 @@ def test_automatic_ranks():
     """One rank a lattice, unless it is large."""
     for axes, balls in LARGE.items():
         for count, ranks in ((balls, 1), (balls + 1, 8)):
-            assert automatic_ranks(SimpleNamespace(balls=count, axes=axes), 8) == ranks
+            lattice = SimpleNamespace(balls=count, axes=axes, irregular=False)
+            assert automatic_ranks(lattice, 8) == ranks
+    for work, ranks in ((LARGE_WORK, 1), (LARGE_WORK + 1, 8)):  # of a network, however many balls
+        network = SimpleNamespace(balls=10**9, irregular=True, graph=SimpleNamespace(work=work))
+        assert automatic_ranks(network, 8) == ranks
 
 
 ROW = np.dtype([("rank", int), ("value", complex, (3,))])

@@ -18,7 +18,6 @@ from mpi4py import MPI
 from pgran.command.opening import opening
 from pgran.machine import free_memory, most_resident
 from pgran.parallel.crew import Crew
-from pgran.physics.bonds import bond_count
 from pgran.record import Record
 from pgran.results.digits import counted
 from pgran.scenes.common import make_lattice, ranks_per_lattice
@@ -33,9 +32,9 @@ TRIED = 0.75  # of the free memory; what is needed is an estimate, and can be to
 # Of the entries that nested dissection predicts, a factor has this part: 1.2 of them for a chain,
 # .9 to .66 for 20 x 20 to 500 x 500, .73 to .61 for 6^3 to 15^3, .8 for 20^3.
 FILLED = 0.75
-# Bytes for each entry of a factor, with room to work in; for each ball and nonzero of its row; and
-# for each ball in vectors. Shared by r ranks, each holds 1.3/r of a lattice.
-ENTRY_BYTES, NONZERO_BYTES, VECTOR_BYTES, UNEVEN = 28, 90, 400, 1.3
+# Bytes for each entry of a factor, with room to work in; for each nonzero of K, of a lattice and of
+# a network; and for each ball in vectors. Shared by r ranks, each holds 1.3/r of a lattice.
+ENTRY_BYTES, NONZERO_BYTES, NETWORK_BYTES, VECTOR_BYTES, UNEVEN = 28, 90, 250, 400, 1.3
 
 
 @dataclass(frozen=True)
@@ -134,14 +133,13 @@ def forecast(scene, options, world, started):
     lattice = make_lattice(options, world) if scene.needs_petsc else None
     lines = [f"run       {opening(options, world.size, lattice)}"]
     if lattice is not None:
-        shape, balls = lattice.shape, " x ".join(map(str, lattice.shape))
-        if options.network_file is not None:
+        balls = " x ".join(map(str, lattice.shape))
+        if lattice.irregular:
             balls = len(lattice.free)
-            shape = (max(1, round(lattice.balls ** (1 / lattice.axes))),) * lattice.axes
         lines.append(f"unknowns  {lattice.balls} ({balls} balls, {lattice.bonds} bonds)")
         factored = options.solver.get("steady_pc_type", "lu") in ("lu", "cholesky")
         ranks = ranks_per_lattice(options, lattice, world) if scene.shares_lattice else 1
-        needed = _machine_total(world, lattice_memory(shape, ranks, factored))
+        needed = _machine_total(world, lattice_memory(lattice, ranks, factored))
         free = free_memory()
         if any(world.allgather(free and needed > TRIED * free)):  # on one machine of several
             lines.insert(
@@ -228,22 +226,26 @@ def dissection(shape):
         box[axis], cuts[axis], boxes = (box[axis] - 1) / 2, cuts[axis] / 2 + 1, 2 * boxes
 
 
-def lattice_memory(shape, ranks, factored=True):
+def lattice_memory(lattice, ranks, factored=True):
     """Return the bytes that a rank needs for bonds, matrices, vectors and the factor.
 
     Not collective.
 
     Parameters
     ----------
-    shape : sequence of int
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
     ranks : int
         How many share the lattice.
     factored : bool
         Whether S is factored.
     """
-    nonzeros, factor = 2 * len(shape) + 1, ENTRY_BYTES * dissection(shape) * factored
-    shared = math.prod(shape) * (NONZERO_BYTES * nonzeros + VECTOR_BYTES) + factor
-    return 3 * 8 * bond_count(shape) + shared * (1 if ranks == 1 else UNEVEN / ranks)
+    if lattice.irregular:
+        entries, matrix = lattice.graph.entries, NETWORK_BYTES * lattice.graph.nonzeros
+    else:
+        entries = dissection(lattice.shape)
+        matrix = NONZERO_BYTES * (2 * lattice.axes + 1) * lattice.balls
+    shared = matrix + VECTOR_BYTES * lattice.balls + ENTRY_BYTES * entries * factored
+    return 3 * 8 * lattice.bonds + shared * (1 if ranks == 1 else UNEVEN / ranks)
 
 
 def stored_bytes(records):

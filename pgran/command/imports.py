@@ -161,8 +161,8 @@ def _summary(made, found, given):
     if given.hertz is not None:
         formula = f"hertz, 3/2 c^(2/3) F^(1/3) with c = {given.hertz:g}"
     yield f"stiffness: {formula}; {k.min():.4g} to {k.max():.4g}"
-    yield f"omega_mx {network.omega_mx:.4g}, by the stiffest contact, {network.kmax:.4g}, and the " \
-        f"median mass, {network.mass:.4g}, of the whole packing, whatever is held"  # fmt: skip
+    yield f"omega_mx {network.omega_mx:.4g}, by the stiffest contact, {network.kmax:.4g}, and " \
+        f"the median mass, {network.mass:.4g}, of the whole packing, whatever is held"  # fmt: skip
     if made.unbalanced is not None:
         stress = "are pre-stress" if "force" in members else "are not kept as pre-stress"
         yield f"forces {stress}; the largest unbalanced one on a free ball is " \

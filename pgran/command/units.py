@@ -14,7 +14,8 @@ GRAVITY = 9.80665  # m/s^2
 DESCRIPTION = """\
 Compute, in SI units, contact stiffness, omega_mx and the speed of long waves of equal balls in
 Hertzian contacts, F = c h^(3/2), and the options of the lattice that has them. The load is that of
-the strongest contacts, kmax."""
+the strongest contacts, kmax; a pressure makes the mean one, a quarter of the strongest where
+stiffness is uniform on [0, kmax]."""
 
 
 def run(words):
@@ -62,8 +63,12 @@ def _parser():
     add("--poisson", type=float, metavar="NU", help="Poisson's ratio")
     add("--density", type=positive, metavar="RHO", help="in kg/m^3")
     load = parser.add_mutually_exclusive_group(required=True)
-    load.add_argument("--load", type=positive, metavar="N", help="force of a contact, in N")
-    load.add_argument("--pressure", type=positive, metavar="PA", help="on the bed, in Pa")
+    load.add_argument(
+        "--load", type=positive, metavar="N", help="force of the strongest contacts, in N"
+    )
+    load.add_argument(
+        "--pressure", type=positive, metavar="PA", help="on the bed, in Pa: 4 x the mean force"
+    )
     load.add_argument(
         "--omega_mx", type=positive, metavar="RAD/S", help="measured: the load that makes it so"
     )
@@ -90,14 +95,14 @@ def _material(given):
 
 
 def _force(given, material):
-    """Return the force of a contact."""
+    """Return the force of the strongest contacts."""
     if given.fraction > 1:
         raise InputError(f"--fraction {given.fraction:g}: is a part of the volume, at most 1")
     if given.load:
         return given.load
     if given.pressure:
         filled = given.fraction, given.contacts
-        return hertz.force_of_pressure(given.pressure, given.diameter, *filled)
+        return hertz.STRONGEST * hertz.force_of_pressure(given.pressure, given.diameter, *filled)
     mass = hertz.ball_mass(material, given.diameter)
     stiffness = mass * given.omega_mx**2 / (2 * given.dimensions)
     constant = hertz.contact_constant(material, given.diameter)
@@ -139,15 +144,19 @@ def table(scale, damping=None):
         ("diameter of a ball = spacing", f"{scale.diameter:.4g} m", "1"),
         ("mass of a ball", f"{scale.mass:.4g} kg", "1"),
         ("c of F = c h^(3/2)", f"{scale.constant:.4g} N/m^1.5", ""),
-        ("force of a contact", f"{scale.force:.4g} N", f"({weights:.3g} x the weight of a ball)"),
+        ("force of the strongest contacts", f"{scale.force:.4g} N",
+         f"({weights:.3g} x the weight of a ball)"),
+        ("mean force, stiffness on [0, kmax]", f"{scale.force / hertz.STRONGEST:.4g} N", ""),
         ("overlap h", f"{scale.overlap:.4g} m", f"{scale.overlap / scale.diameter:.3g}"),
         ("stiffness kmax = 3/2 F/h", f"{scale.stiffness:.4g} N/m", f"{scale.kmax:.4g}"),
         (f"omega_mx = sqrt({2 * scale.dimensions} kmax/m)", f"{omega:.4g} rad/s", "1"),
         ("frequency omega_mx/(2 pi)", f"{omega / (2 * math.pi):.4g} Hz", ""),
         ("time 1/omega_mx", f"{1 / omega:.4g} s", "1"),
-        ("long waves, uniform lattice of kmax", f"{scale.velocity:.4g} m/s",
-         f"{math.sqrt(scale.kmax):.4g}"),
+        ("long waves, all bonds kmax", f"{scale.velocity:.4g} m/s", f"{math.sqrt(scale.kmax):.4g}"),
     ]  # fmt: skip
+    if scale.dimensions > 1:
+        speed, own = scale.random_velocity, scale.diameter * omega
+        rows.append(("long waves, bonds on [0, kmax]", f"{speed:.4g} m/s", f"{speed / own:.4g}"))
     if damping is not None:
         restitution = hertz.restitution_of_damping(scale.stiffness, scale.mass, damping)
         quality = scale.stiffness / (damping * omega) if damping else math.inf

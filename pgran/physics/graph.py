@@ -29,8 +29,9 @@ class Graph:
         Of constants 1, in mass-weighted unknowns.
     order : numpy.ndarray of int, shape (free,)
         The free balls in the order of minimum degree, which fills factors little.
-    work : float
-        How many multiplications the factorization of a matrix over all unknowns takes.
+    work, entries, nonzeros : float
+        How many multiplications the factorization of a matrix over all unknowns takes, how many
+        entries its factor has, and the matrix.
     smallest : float
         A number that no eigenvalue of L is below, 0 if none is certain; mostly close to it.
     """
@@ -52,7 +53,9 @@ class Graph:
         factors = self._factored()
         self.order = np.argsort(factors.perm_c)
         lengths = np.diff(factors.L.indptr).astype(float)
-        self.work = float(lengths @ lengths) * network.components**3
+        each = network.components
+        self.work, self.entries = float(lengths @ lengths) * each**3, lengths.sum() * each**2
+        self.nonzeros = float(self.laplacian.nnz) * each**2
         met = int(np.bincount(ends[there]).max())  # contacts of a ball: terms of its diagonal
         self.smallest = self._bound(factors, (met + 8) * EPSILON)
 

@@ -152,5 +152,10 @@ def record_of(lattice):
 
 def ball_names(detectors):
     """Return what each detector is called, "ball (8, 10)". Not collective."""
-    sites = np.asarray(detectors).tolist()
-    return [f"ball {site[0] if len(site) == 1 else tuple(site)}" for site in sites]
+    return [f"ball {site_name(site)}" for site in detectors]
+
+
+def site_name(site):
+    """Return the number of a ball, "11", or its indices on the axes, "(8, 10)". Not collective."""
+    numbers = np.asarray(site).tolist()
+    return str(numbers[0] if len(numbers) == 1 else tuple(numbers))

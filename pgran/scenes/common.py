@@ -72,8 +72,9 @@ SWEEP = (
     ),
 )  # fmt: skip
 OWN_KMAX = ("hertz", "file")  # laws of bonds whose largest constant is not known beforehand
-# Beyond this many balls all ranks share one lattice, unless options say otherwise.
-LARGE = {1: 10**7, 2: 100_000, 3: 20_000}
+# Beyond this many balls all ranks share one lattice, unless options say otherwise; beyond this
+# work of a factorization a network.
+LARGE, LARGE_WORK = {1: 10**7, 2: 100_000, 3: 20_000}, 6e8
 
 
 def alternatives(some, others, values, given):
@@ -264,6 +265,8 @@ def automatic_ranks(lattice, ranks):
 
     Not collective.
     """
+    if lattice.irregular:
+        return ranks if lattice.graph.work > LARGE_WORK else 1
     return ranks if lattice.balls > LARGE[lattice.axes] else 1
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.results import NoiseStatistics
 from pgran.results.digits import two_digits
+from pgran.results.medium import ball_names
 
 log = logging.getLogger(__name__)
 
@@ -140,9 +141,8 @@ def summary(found):
     from pgran.physics.statistics import GAUSSIAN_CONTRAST, GAUSSIAN_SPREAD, MAXIMA_SPACING
 
     for w, d in np.ndindex(found.coherent_part.shape):
-        ball = tuple(found.detector[d].tolist())
         yield (
-            f"ball {ball}, {found.low[w]:g} to {found.high[w]:g}: "
+            f"{ball_names(found.detector)[d]}, {found.low[w]:g} to {found.high[w]:g}: "
             f"{_said(found, 'coherent_part', (w, d))} of <|A|^2> is coherent, |<A>|^2"
         )
         for f, part in enumerate(found.part):

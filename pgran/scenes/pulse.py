@@ -271,16 +271,20 @@ def check_times(listening):
 def predicted_seconds(listening, points):
     """Return what the transform, with so many points, and integrations will take, by measurements.
 
-    Not collective. A point costs a factorization, which grows like the work of nested dissection; a
-    step of an integration some passes over all balls, and steps are the shorter the smaller
-    the tolerance, by a method of order 7.
+    Not collective. A point costs a factorization, which grows like the work of nested dissection,
+    or as the graph of a network knows; a step of an integration some passes over the nonzeros of K,
+    and steps are the shorter the smaller the tolerance, by a method of order 7.
     """
-    shape, highest = listening.lattice.shape, listening.highest
-    balls, axes = math.prod(shape), len(shape)
-    constant, power = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}[axes]
+    lattice, highest = listening.lattice, listening.highest
+    if lattice.irregular:
+        nonzeros = lattice.graph.nonzeros
+        point = 1e-3 + 3.3e-7 * nonzeros + 1.3e-9 * lattice.graph.work
+    else:
+        nonzeros = (2 * lattice.axes + 1) * lattice.balls
+        constant, power = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}[lattice.axes]
+        point = 3e-4 + constant * lattice.balls**power
     steps = 1.2 * highest * listening.time[-1] * (1e-4 / listening.tolerance) ** 0.125
-    transform = points * (3e-4 + constant * balls**power)
-    return transform, steps * (8e-4 + 1.4e-7 * (2 * axes + 1) * balls)
+    return points * point, steps * (8e-4 + 1.4e-7 * nonzeros)
 
 
 SCENE = Scene(

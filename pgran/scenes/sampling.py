@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 CURVES = "displacement", "ln_amplitude", "delay"  # of a response
 # Numbers of a sample, what to call them, their unit, and that in SI.
 MEASURES = {
-    "velocity": ("phase velocity", " spacings x omega_mx", "m/s"),
+    "velocity": ("phase velocity", " {length} x omega_mx", "m/s"),
     "exponent": ("exponent psi", "", None),
     "order": ("bonds that act jointly", "", None),
     "modes": ("modes found", "", None),
@@ -218,6 +218,7 @@ def measures(result):
 def _told(result, name):
     """Yield in words a measure at each detector; where it is unknown at several, in one line."""
     words, unit, physical = MEASURES[name]
+    unit = unit.format(length=result.medium.length)
     found, si = result.ensemble, SI.of(result)
     values = getattr(found, name)
     sites = [None] if values.ndim == 1 else ball_names(found.detector)

@@ -8,7 +8,7 @@ from pgran.physics.bonds import bond_places
 from pgran.physics.gradient import energy_flux, gradient
 from pgran.results import Sensitivity, record_of
 from pgran.results.digits import counted, two_digits
-from pgran.results.medium import ball_names
+from pgran.results.medium import ball_names, site_name
 from pgran.results.si import SI
 from pgran.scenes import common, driven, heat
 from pgran.scenes.adjoint import MISSED, AdjointSweep
@@ -82,7 +82,7 @@ def joins(medium, number):
     lower = upper - (np.arange(len(upper)) == axis)
     inside = lower[axis] >= 0, upper[axis] < medium.shape[axis]
     ends = zip((lower, upper), inside, strict=True)
-    ends = [tuple(site.tolist()) if there else "the wall" for site, there in ends]
+    ends = [site_name(site) if there else "the wall" for site, there in ends]
     return f"{ends[0]} to {ends[1]}"
 
 
