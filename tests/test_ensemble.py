@@ -13,6 +13,8 @@ import pgran
 from pgran.command.forecast import forecast
 from pgran.command.resolve import SCENES, resolve
 from pgran.errors import InputError, PgranError, StoppedError
+from pgran.files import store
+from pgran.files.network import write_network
 from pgran.files.reading import read_words
 from pgran.parallel.journal import Journal
 from pgran.physics.bands import over_samples
@@ -24,6 +26,7 @@ from pgran.scenes import response
 from pgran.scenes.ensemble import KEPT
 
 SEEDS = range(1993, 1998)
+SUM = {"bonds_sha256": ""}
 LATTICE = {"shape": (5, 4)}
 OMEGAS = np.linspace(0.3, 0.9, 25)
 RELAXATION = {"omega": 0.5, "detectors": (2, 2), "steps": 2100, "law": pgran.BondLaw("uniform")}
@@ -301,6 +304,28 @@ def test_samples_of_networks(world):
     for n in range(3):
         assert np.array_equal(found.mode_omega[n], pgran.find_modes(ring(4 + n)).omega)
     assert found.seed.tolist() == [4, 5, 6]
+
+
+def test_samples_of_a_list(world, shared_path):
+    """Lattices, networks, results and files of both."""
+    lattices = [lattice_of(seed) for seed in (7, 8, 9)]
+    asked = {"omegas": OMEGAS, "detectors": (2, 2), "keep": "curves"}
+    expected = pgran.ensemble("response", 3, lattice=LATTICE, seed=7, **asked)
+    if world.rank == 0:
+        store.write(shared_path / "a.h5", {"scene": "modes"} | SUM, [record_of(lattices[2])])
+        balls = {"held": [2, 0, 0], "bond": [[0, 1], [1, 2]], "stiffness": [1.0, 0.5]}
+        write_network(shared_path / "n.h5", balls, {})
+    world.Barrier()
+    stored = pgran.load(shared_path / "a.h5")
+    for listed in ([*lattices[:2], shared_path / "a.h5"], [*lattices[:2], stored]):
+        found = pgran.ensemble("response", 3, lattice=listed, **asked)
+        assert np.array_equal(found.displacement, expected.displacement)
+        assert found.seed.tolist() == [0, 1, 2]
+    network = pgran.load(shared_path / "n.h5")
+    found = pgran.ensemble("modes", 2, lattice=[network, str(shared_path / "n.h5")], keep="curves")
+    assert np.array_equal(found.mode_omega, [pgran.find_modes(network).omega] * 2)
+    with pytest.raises(InputError, match="3 samples are asked for, 2 given"):
+        pgran.ensemble("modes", 3, lattice=lattices[:2])
 
 
 def test_words_of_networks_have_no_spacings(world):

@@ -14,7 +14,9 @@ from pgran.command.export import export
 from pgran.errors import FileError, PgranError
 from pgran.files import store
 from pgran.physics.makers import crystal
+from pgran.record import Result
 from pgran.results import record_of
+from pgran.scenes import fluctuations
 
 
 def result_of(record, medium=None):
@@ -51,7 +53,11 @@ def read_mesh(result, path):
 
 
 def read_table(result, path):
-    export(result, path)
+    assert export(result, path) == [path]
+    return read_columns(path)
+
+
+def read_columns(path):
     return np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8")
 
 
@@ -180,6 +186,37 @@ def test_tables_hold_every_digit(tmp_path, medium):
     assert np.array_equal(table["participation"], modes.participation)
 
 
+def test_every_record_has_tables(tmp_path):
+    """Of the scene and of what was measured beside it; long, where arrays have several axes."""
+    lattice, law = random_lattice((4, 3), damping=0.05), pgran.BondLaw("uniform")
+    found = pgran.relax(lattice, law, 0.6, [(1, 1), (2, 0)], steps=2100)
+    records = fluctuations.measured(found, fluctuations.FIT, lattice.bonds)
+    paths = export(Result([record_of(lattice), *records], scene="relaxation"), tmp_path / "r.csv")
+    names = ["r", "r-trajectory-state", "r-spectrum", "r-memory"]
+    assert [path.stem for path in paths] == names
+    changes, states, spectrum, memory = map(read_columns, paths)
+    assert np.array_equal(changes["stiffness"], found.stiffness[0])
+    assert np.array_equal(changes["bond_index_1"], found.bond_index[0, :, 1])
+    z = states["displacement_2_0_real"] + 1j * states["displacement_2_0_imag"]
+    assert np.array_equal(z, found.displacement[0, :, 1])
+    assert np.array_equal(states["state"], np.arange(2101))
+    assert np.array_equal(spectrum["power"], records[1].power)
+    assert np.array_equal(memory["correlation"], records[2].correlation)
+    omegas = [0.3, 0.6]
+    warm = pgran.heat(lattice, omegas, [(1, 1)], factor=1.1)
+    paths = export(result_of(warm, medium=lattice), tmp_path / "h.csv")
+    assert [path.stem for path in paths] == ["h", "h-omega-ball"]
+    table = read_columns(paths[1])
+    assert np.array_equal(table["omega"], np.repeat(omegas, 12))
+    assert np.array_equal(table["ball"], np.tile(warm.ball, 2))
+    warmed = table["warmed_1_1_real"] + 1j * table["warmed_1_1_imag"]
+    assert np.array_equal(warmed, warm.warmed[:, 0].ravel(), equal_nan=True)
+    counts = pgran.count_modes(lattice, np.linspace(0.2, 1.0, 5))
+    paths = export(result_of(counts, medium=lattice), tmp_path / "c.csv")
+    assert np.array_equal(read_columns(paths[0])["count"], counts.count)
+    assert np.array_equal(read_columns(paths[1])["density"], counts.density)
+
+
 def test_the_command(tmp_path, capsys):
     net = packing()
     found, path = pgran.find_modes(net), tmp_path / "modes.h5"
@@ -196,15 +233,12 @@ def test_the_command(tmp_path, capsys):
 def test_refusals(tmp_path, monkeypatch):
     net = packing("scalar", position=None, normal=None, tangential=None)
     modes = result_of(pgran.find_modes(net), net)
-    law, ball = pgran.BondLaw("uniform"), [(1, 1)]
-    lattice = random_lattice((4, 3))
-    relaxed = result_of(pgran.relax(lattice, law, 0.6, ball, steps=3), lattice)
     box = pgran.continuum(np.linspace(0.3, 3, 5), point=(0.15, 0.52), size=(1 / 3, 1.0))
     (tmp_path / "file").touch()
     with pytest.raises(FileError, match=r"ends in one of \.vtu, \.csv"):
         export(modes, tmp_path / "a.png")
-    with pytest.raises(FileError, match=r"no table in this result .scene relaxation"):
-        export(relaxed, tmp_path / "a.csv")
+    with pytest.raises(FileError, match=r"no table in this result .scene network"):
+        export(net, tmp_path / "a.csv")
     with pytest.raises(FileError, match=r"a\.csv: cannot be written"):
         export(modes, tmp_path / "file" / "a.csv")
     monkeypatch.setitem(sys.modules, "meshio", None)

@@ -17,6 +17,7 @@ from pgran.command.plot import run as plot
 from pgran.errors import FileError
 from pgran.figures import modes, network, pulse, response, style
 from pgran.figures.view import FACES, View
+from pgran.files.network import write_network
 from pgran.physics.makers import crystal
 from pgran.results import record_of
 from pgran.results.space import reaches
@@ -293,3 +294,16 @@ def test_two_results_of_one_network(monkeypatch, capsys):
     for pair in (["pulse.h5", "other.h5"], ["response.h5", "lattice.h5"]):
         with pytest.raises(FileError, match="belong to different lattices"):
             plot(pair)
+
+
+def test_a_network_by_itself(tmp_path):
+    """Before anything is computed: from Python, and from its file."""
+    net = strip()
+    assert list(pgran.plot(net)) == ["network"]
+    names = "bond", "stiffness", "held", "position", "normal", "distance", "force"
+    write_network(tmp_path / "n.h5", {name: getattr(net, name) for name in names}, {})
+    assert plot([str(tmp_path / "n.h5")]) == 0
+    assert (tmp_path / "n-network.png").stat().st_size > 1000
+    bare = pgran.Network(net.bond, net.stiffness, net.held)
+    with pytest.raises(FileError, match=r"nothing to draw in this result .scene network"):
+        pgran.plot(bare)

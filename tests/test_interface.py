@@ -1,6 +1,7 @@
 """The Python interface, in a script and under mpirun, with the messages of the command line."""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,12 +9,16 @@ from samples import random_lattice
 
 import pgran
 from pgran.command.resolve import resolve
+from pgran.files import store
+from pgran.files.network import read_network
 from pgran.files.reading import read_words
 from pgran.parallel.crew import Crew
 from pgran.physics.bondlaw import BondLaw
+from pgran.results import record_of
 from pgran.scenes import response
 
 LATTICE = random_lattice((6, 5))
+PACKING = Path(__file__).parents[1] / "options" / "packings" / "discs.h5"
 OMEGAS, LAW = [0.2, 0.5, 0.8], BondLaw("uniform")
 
 
@@ -38,6 +43,33 @@ def test_all_functions_agree_with_each_other():
     assert steps.displacement[0, 0, 0] == pytest.approx(found.displacement[1, 0], rel=1e-9)
     box = pgran.continuum([1.0, 2.0], (0.47, 0.52), damping=0.1)
     assert box.displacement.shape == (2,)
+
+
+def test_the_medium_of_a_result_is_computed_on(shared_path, world):
+    """The lattice's or the network's record, as it comes from the file."""
+    network = read_network(PACKING, damping=0.01)
+    for medium, ball in ((LATTICE, [3, 2]), (network, [266])):
+        found = pgran.sweep(medium, OMEGAS, ball)
+        if world.rank == 0:
+            records = [record_of(medium), found]
+            told = {"scene": "response", "bonds_sha256": medium.bonds_sha256}
+            store.write(shared_path / "r.h5", told, records)
+        world.Barrier()
+        again = pgran.load(shared_path / "r.h5")
+        assert np.array_equal(
+            pgran.sweep(again.medium, OMEGAS, ball).displacement, found.displacement
+        )
+        world.Barrier()
+
+
+def test_a_network_is_loaded_and_said_in_a_line():
+    network = pgran.load(PACKING)
+    assert isinstance(network, pgran.Network)
+    assert repr(network) == (
+        "Network(381 balls, 343 of them free, 835 contacts, vector in 2 dimensions, "
+        f"damping=0.003, omega_mx={network.omega_mx:.6g})"
+    )
+    assert repr(LATTICE) == f"Lattice(6 x 5, mass=1, damping={LATTICE.damping:g}, omega_mx=1)"
 
 
 @pytest.mark.parametrize(

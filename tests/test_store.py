@@ -107,14 +107,14 @@ def test_missing_and_other_files(tmp_path):
     refused(tmp_path, "directory")
     refused(tmp_path / "pipe", "pipe")
     refused(Path(__file__), "not an HDF5 file")
-    refused(tmp_path / "foreign", "not a result of pgran")
+    refused(tmp_path / "foreign", "neither a result of pgran nor a network")
 
 
 @pytest.mark.parametrize(
     ("name", "value", "match"),
     [
         ("/@format_version", FORMAT_VERSION + 1, f"this pgran reads 1 to {FORMAT_VERSION}"),
-        ("/@format", "other", "not a result"),
+        ("/@format", "other", "neither a result"),
         ("modes/omega", None, "/modes/omega is missing"),
         ("modes@count_expected", None, "/modes/count_expected is missing"),
         ("modes/omega", np.ones((4, 1)), r"/modes/omega: shape \(4, 1\) is not \(omega: 4\)"),

@@ -1,7 +1,6 @@
-"""`pgran export`: a result for other programs, in space (.vtu) or as a table (.csv)."""
+"""`pgran export`: a result for other programs, in space (.vtu) or as tables (.csv)."""
 
 import csv
-import dataclasses
 import os
 from pathlib import Path
 
@@ -9,6 +8,8 @@ import pgran
 from pgran.command.words import Parser
 from pgran.errors import DONE, FileError, PgranError
 from pgran.parallel import launch
+from pgran.results.medium import as_result
+from pgran.results.table import tables
 
 ENDINGS = (".vtu", ".csv")
 
@@ -25,13 +26,20 @@ def export(result, output):
       and `loss_0001` of the contacts at each frequency that succeeded. On a lattice positions are
       indices, and the walls have points where bonds end, of mass 0.
     - `.csv`: a row a frequency, time or mode, a column all that the record of the scene has there.
+      What else the result has, other records and arrays along other axes, goes to files beside it:
+      `a-spectrum.csv`, `a-memory.csv` of a relaxation, `a-omega-ball.csv` of the heat at each ball.
 
     Parameters
     ----------
-    result : pgran.record.Result, str or os.PathLike
+    result : pgran.record.Result, pgran.Network, str or os.PathLike
         What `load` returns, or the path of its file.
     output : str or os.PathLike
         A missing folder is made; a file that is there is replaced.
+
+    Returns
+    -------
+    list of pathlib.Path
+        What has been written.
 
     Raises
     ------
@@ -41,19 +49,19 @@ def export(result, output):
         If there is no meshio.
     """
     output = Path(output)
-    write = {".vtu": _write_mesh, ".csv": _write_table}.get(output.suffix.lower())
+    write = {".vtu": _write_mesh, ".csv": _write_tables}.get(output.suffix.lower())
     if write is None:
         raise FileError(f"{output}: an export's name ends in one of {', '.join(ENDINGS)}")
-    shown = pgran.load(result) if isinstance(result, (str, os.PathLike)) else result
+    shown = as_result(pgran.load(result) if isinstance(result, (str, os.PathLike)) else result)
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
-        write(shown, output)
+        return write(shown, output)
     except OSError as error:
         raise FileError(f"{output}: cannot be written: {error.strerror or error}") from None
 
 
 def run(words):
-    """Write a result for other programs, in space or as a table."""
+    """Write a result for other programs, in space or as tables."""
     parser = Parser(
         "export",
         run.__doc__,
@@ -65,49 +73,29 @@ def run(words):
         "output",
         metavar="TO",
         help="file to write; NAME.vtu: balls, contacts and displacements, for ParaView and others; "
-        "NAME.csv: a row a frequency, time or mode",
+        "NAME.csv: a row a frequency, time or mode, and what else there is in files beside it",
     )
     given = parser.parse_intermixed_args(words)
     if launch.rank() > 0:
         return DONE
-    export(given.result, given.output)
-    print(given.output)
+    for path in export(given.result, given.output):
+        print(path)
     return DONE
 
 
-def table(result):
-    """Return the table of a result: columns by their names.
-
-    Not collective. What the record of the scene has at each frequency, time or mode, of complex
-    numbers both parts; of each detector a column: `amplitude_8_10`, `amplitude_17`.
-
-    Raises
-    ------
-    FileError
-        If the record has no array that all others belong to.
-    """
-    record = getattr(result, "records", vars(result)).get(result.scene)
-    there = [item for item in dataclasses.fields(record) if "axes" in item.metadata] if record \
-        else []  # fmt: skip
-    there = [item for item in there if getattr(record, item.name) is not None]
-    first = next((item.name for item in there if not item.metadata["axes"]), None)
-    columns = {}
-    for item in there:
-        values, axes = getattr(record, item.name), item.metadata["axes"]
-        if item.name == first or axes == (first,):
-            columns[item.name] = values
-        elif axes == (first, "detector_number"):
-            for site, column in zip(record.detector.tolist(), values.T, strict=True):
-                columns["_".join(map(str, [item.name, *site]))] = column
-    if not columns:
-        raise FileError(f"no table in this result (scene {result.scene})")
-    return columns
+def _write_tables(result, output):
+    """Write the tables of a result, each to a file of its own, and return the paths."""
+    found = tables(result)
+    paths = [output.with_stem("-".join(filter(None, [output.stem, name]))) for name in found]
+    for path, columns in zip(paths, found.values(), strict=True):
+        _write_table(columns, path)
+    return paths
 
 
-def _write_table(result, output):
-    """Write the table of a result; its numbers are read back as they are."""
+def _write_table(columns, output):
+    """Write a table; its numbers are read back as they are."""
     parts = {}
-    for name, column in table(result).items():
+    for name, column in columns.items():
         both = column.dtype.kind == "c"
         parts |= {f"{name}_real": column.real, f"{name}_imag": column.imag} if both \
             else {name: column}  # fmt: skip
@@ -135,3 +123,4 @@ def _write_mesh(result, output):
     cells = [("line", lines)]
     held = {name: [values] for name, values in of_lines.items()}
     meshio.Mesh(points, cells, point_data=of_points, cell_data=held).write(output)
+    return [output]

@@ -10,6 +10,7 @@ from pgran.command.words import Parser, positive
 from pgran.errors import DONE, FileError, InputError
 from pgran.files.columns import read_measured
 from pgran.files.options import options_in
+from pgran.results.medium import as_result
 from pgran.results.si import SI
 
 log = logging.getLogger("pgran")
@@ -25,11 +26,13 @@ def plot(
 ):  # fmt: skip
     """Return the figures of a result by their names, `plot("a.h5")["amplitude"]`; save them too.
 
+    A network, or its file, is drawn by itself.
+
     Not collective.
 
     Parameters
     ----------
-    result : pgran.record.Result, str or os.PathLike, or a list of these
+    result : pgran.record.Result, pgran.Network, str or os.PathLike, or a list of these
         What `load` returns, or the path of its file. Several of one scene (response, modes,
         relaxation, pulse) are laid over each other, labelled by the options in which they differ.
     output : str or os.PathLike, optional
@@ -69,6 +72,7 @@ def plot(
     given = list(result) if isinstance(result, (list, tuple)) else [result]
     paths = [each if isinstance(each, (str, os.PathLike)) else None for each in given]
     shown = [pgran.load(path) if path else each for path, each in zip(paths, given, strict=True)]
+    shown = list(map(as_result, shown))
     names = [Path(path).name if path else str(n) for n, path in enumerate(paths, 1)]
     if len(shown) > 1 and not (modes is None and response is None):
         raise InputError("modes and a response are laid over one result only")
@@ -124,7 +128,7 @@ def run(words):
 
     With another one of the same lattice its modes are marked in a response, or its response is laid
     over the spectra of a pulse. Several of one scene are laid over each other, labelled by the
-    options in which they differ.
+    options in which they differ. A network, of pgran import, is drawn by itself.
     """
     parser = Parser(
         "plot",
@@ -132,9 +136,10 @@ def run(words):
         "pgran plot results/response.h5",
         "pgran plot results/response.h5 results/modes.h5 -o results/both.pdf",
         "pgran plot results/damping_*.h5 -o results/damping.png",
+        "pgran plot results/discs.h5",
     )
     add = parser.add_argument
-    add("result", metavar="RESULT", nargs="+", help="HDF5 file that pgran run has written")
+    add("result", metavar="RESULT", nargs="+", help="HDF5 file of pgran run or pgran import")
     add("-o", "--output", metavar="FIGURE", help="file; its ending decides the format (.png)")
     add("-plot_with", metavar="DATA", help="columns over a response: omega amplitude [phase]")
     for name, unit in (("length", "m"), ("time", "s")):
@@ -149,7 +154,7 @@ def run(words):
     paths, over = [Path(each) for each in given.result], {}
     if len({os.path.realpath(each) for each in given.result}) < len(given.result):
         raise InputError("plot: the same result is given twice")
-    shown = [pgran.load(each) for each in given.result]
+    shown = [as_result(pgran.load(each)) for each in given.result]
     if len(shown) > 1 and len({str(result.scene) for result in shown}) > 1:
         number, name, record = _pair(*shown)
         paths, shown = [paths[number]], [shown[number]]

@@ -29,6 +29,8 @@ def make(result, si=None, width=None, **over):
         for group in groups:
             module = importlib.import_module(f"pgran.figures.{group}")
             made |= dict(module.figures(result, **over))
+        if not made:
+            raise FileError(f"nothing to draw in this result (scene {result.scene})")
         return _finished(made, [result], si or SI.of(result))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from pgran.errors import FileError, reason_of
 from pgran.files import hdf5
+from pgran.files.network import read_network
 from pgran.files.paths import open_regular
 from pgran.files.seal import AT_END, check_seal, has_seal, seal_of
 from pgran.record import MisfitError, Result, axes_of, dimensions_of, in_part, plain_value
@@ -188,29 +189,38 @@ def is_result(path):
 
 
 def load(path):
-    """Return a result: `load(path).response.omega`. Not collective.
+    """Return a result, `load(path).response.omega`, or the network in a file of one.
 
-    The structure of the file is checked; its checksum only where that costs nothing, in a small
-    file that still has its seal, because HDF5 can crash on damage. Groups that pgran does not know
-    are left out.
+    Not collective. The structure of the file is checked; its checksum only where that costs
+    nothing, in a small file that still has its seal, because HDF5 can crash on damage. Groups that
+    pgran does not know are left out.
 
     Returns
     -------
-    pgran.record.Result
-        Each group as the record that declares it, and the attributes of the file.
+    pgran.record.Result or pgran.physics.network.Network
+        Each group as the record that declares it, and the attributes of the file. A network of
+        `pgran import`, or one that other programs wrote, is read by `read_network`.
 
     Raises
     ------
     FileError
-        If the file is no result, is damaged, or lacks what its records declare.
+        If the file is neither, is damaged, or lacks what its records declare.
     """
     open_regular(path).close()
     if os.path.getsize(path) <= hdf5.MODEST and has_seal(path):
         check_seal(path)
     with hdf5.opened(path) as file:
         facts = file.attributes("/")
-        if str(facts.get("format")) != FORMAT:
-            raise FileError(f"{path}: not a result of pgran")
+        ours = str(facts.get("format")) == FORMAT
+        if not ours and not file.members("/", ["network"]):
+            raise FileError(f"{path}: neither a result of pgran nor a network")
+    return _read_result(path) if ours else read_network(path)
+
+
+def _read_result(path):
+    """Return the result in a file; see `load`."""
+    with hdf5.opened(path) as file:
+        facts = file.attributes("/")
         version = facts.get("format_version")
         if version not in range(1, FORMAT_VERSION + 1):
             raise FileError(

@@ -78,6 +78,13 @@ class Lattice(ElasticBonds):
             object.__setattr__(self, "kmax", self.stiffest)
         check_magnitudes(self.axes, self.mass, self.damping, max(self.kmax, self.stiffest))
 
+    def __repr__(self):
+        """Say in a line how large it is, and what its unit is."""
+        return (
+            f"Lattice({' x '.join(map(str, self.shape))}, mass={self.mass:g}, "
+            f"damping={self.damping:g}, omega_mx={self.omega_mx:.6g})"
+        )
+
     @classmethod
     def random(cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=0.003, **parameters):
         """Return the lattice that the options of a run describe, the same on every rank.

@@ -111,6 +111,15 @@ class Network(Elastic):
             object.__setattr__(self, "kmax", self.stiffest)
         check_magnitudes(self.axes, self.mass, self.damping, max(self.kmax, self.stiffest))
 
+    def __repr__(self):
+        """Say in a line how large it is, and what its unit is."""
+        plane = "" if self.displacement == "scalar" else f" in {self.axes} dimensions"
+        return (
+            f"Network({len(self.held)} balls, {len(self.free)} of them free, {self.bonds} "
+            f"contacts, {self.displacement}{plane}, damping={self.damping:g}, "
+            f"omega_mx={self.omega_mx:.6g})"
+        )
+
     def _keep(self, name, dtype, rest, count=None):
         """Keep an array, if there is one, as a copy that nobody can change."""
         value = getattr(self, name)

@@ -9,7 +9,7 @@ import numpy as np
 from pgran.physics.lattice import Lattice
 from pgran.physics.network import Network
 from pgran.physics.springs import FREE
-from pgran.record import SPACE, MisfitError, Record, array, attribute, attribute_array
+from pgran.record import SPACE, MisfitError, Record, Result, array, attribute, attribute_array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,6 +148,14 @@ class NetworkRecord(Record):
 def record_of(lattice):
     """Return the record of a lattice or of another network. Not collective."""
     return (NetworkRecord if isinstance(lattice, Network) else LatticeRecord).of(lattice)
+
+
+def as_result(medium):
+    """Return a lattice or a network by itself as a result, others as they are. Not collective."""
+    if not isinstance(medium, Lattice | Network):
+        return medium
+    record = record_of(medium)
+    return Result([record], scene=record.group)
 
 
 def ball_names(detectors):

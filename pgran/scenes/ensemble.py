@@ -2,6 +2,7 @@
 
 import inspect
 import logging
+import os
 from functools import partial
 
 import numpy as np
@@ -81,7 +82,10 @@ def check(values, given):
     experiment.check(values, given)
     check_kept(kind, values["ensemble_keep"])
     if values["network_file"] is not None or values["bonds_law"] == "file":
-        raise InputError("-ensemble_of: samples are drawn by a law, and a file holds one only")
+        raise InputError(
+            "-ensemble_of: samples are drawn by a law, and a file holds one only; in Python "
+            "pgran.ensemble takes a list of files"
+        )
     jumps = values["bonds_law"] == "hertz" and values["bonds_kmax"] is None
     if jumps and values["sweep_unit"] == "omega_mx":
         raise InputError(
@@ -169,11 +173,12 @@ def ensemble(
     samples : int
     crew : pgran.parallel.crew.Crew, optional
         All ranks unless given.
-    lattice : dict or callable
+    lattice : dict, callable or list
         What `pgran.Lattice.random` takes besides the seed; or a function of the seed that returns
-        a lattice or a network, each of the same size, the same on every rank.
+        a lattice or a network, the same on every rank; or the samples: lattices, networks, or paths
+        of networks' files or of results. All have as many unknowns.
     seed : int
-        Of the first sample; the others' follow one by one.
+        Of the first sample; the others' follow one by one. Samples of a list are numbered from 0.
     keep : {"measures", "curves"}
         What is kept of each sample: a few numbers; of responses the amplitudes, of modes their
         frequencies and participation ratios as well.
@@ -200,7 +205,12 @@ def ensemble(
     check_kept(of, keep)
     if refused := NOT_TAKEN & experiment.keys():
         raise InputError(f"ensemble: many samples have no {sorted(refused)[0]} of their own")
-    make = lattice if callable(lattice) else partial(_random, lattice)
+    if isinstance(lattice, (list, tuple)):
+        if len(lattice) != samples:
+            raise InputError(f"ensemble: {samples} samples are asked for, {len(lattice)} given")
+        make, seed = partial(_listed, lattice), 0
+    else:
+        make = lattice if callable(lattice) else partial(_random, lattice)
     first, (_, function, told) = make(seed), EXPERIMENTS[of]
     inspect.signature(function).bind(first, **experiment)  # TypeErrors before any work
 
@@ -230,6 +240,16 @@ def _random(keywords, seed):
     if "seed" in keywords:
         raise InputError("ensemble: seed says which samples, not lattice")
     return Lattice.random(seed=seed, **keywords)
+
+
+def _listed(samples, number):
+    """Return the sample of a number, from its file if it is one. Not collective."""
+    from pgran.files.store import load
+
+    sample = samples[number]
+    found = load(sample) if isinstance(sample, (str, os.PathLike)) else sample
+    found = getattr(found, "medium", found)  # of a result
+    return getattr(found, "built", found)
 
 
 def summary(result):

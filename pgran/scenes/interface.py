@@ -31,7 +31,11 @@ def in_parallel(shares_lattice=False):
         @functools.wraps(function)
         def wrapped(*arguments, **choices):
             with holding_solver(choices.pop("solver", None)):
-                given = signature.bind(*arguments, **choices).arguments
+                bound = signature.bind(*arguments, **choices)
+                given = bound.arguments
+                if "lattice" in given:  # a result's own can be computed on
+                    given["lattice"] = getattr(given["lattice"], "built", given["lattice"])
+                arguments, choices = bound.args, bound.kwargs
                 if given.get("crew") is not None:
                     return function(*arguments, **choices)
                 from mpi4py import MPI
