@@ -1,6 +1,7 @@
 """The Python interface, in a script and under mpirun, with the messages of the command line."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,20 @@ def test_the_medium_of_a_result_is_computed_on(shared_path, world):
             pgran.sweep(again.medium, OMEGAS, ball).displacement, found.displacement
         )
         world.Barrier()
+
+
+def test_the_unit_of_frequency_is_that_of_all_balls():
+    """Whatever is held, and of a file before version 5 what it was then: of the free balls."""
+    masses, held = np.array([9.0, 4.0, 1.0, 1.0]), np.array([2, 0, 0, 1])
+    bond = [[0, 1], [1, 2], [2, 3]]
+    for other in (held, held[::-1]):
+        network = pgran.Network(bond, [1.0, 2.0, 1.0], other, masses)
+        assert network.omega_mx == pytest.approx(np.sqrt(2 * 2 / 2.5), rel=1e-15)
+    network = pgran.Network(bond, [1.0, 2.0, 1.0], held, masses * [0, 1, 1, 0])
+    assert network.mass == 2.5  # walls that are given no mass do not count
+    record = record_of(pgran.Network(bond, [1.0, 2.0, 1.0], held, masses[::-1], median_mass=3.0))
+    assert record.built.mass == 3.0
+    assert replace(record, median_mass=None).built.mass == np.median(masses[::-1][held == 0])
 
 
 def test_a_network_is_loaded_and_said_in_a_line():

@@ -1,6 +1,7 @@
 """Signals in time: orders of integrators, energy, identities, exact chains, motions from files."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,12 +10,15 @@ from samples import Naive, listened, random_lattice, reference_of, swept, unifor
 from scipy.integrate import trapezoid
 from scipy.special import jv
 
+import pgran
 from pgran.errors import InputError
+from pgran.physics import makers
 from pgran.physics.laplace import Line
 from pgran.physics.lattice import Lattice
 from pgran.physics.pulse import Pulse
 from pgran.physics.signal import codas, envelopes
 from pgran.scenes.interface import holding_solver
+from pgran.scenes.pulse import predicted_seconds
 from pgran.scenes.transform import limits_of
 from pgran.solve.integrate import Integrator
 from pgran.solve.operators import Operators
@@ -159,6 +163,21 @@ def test_the_force_on_the_other_wall_is_the_same_from_both_sides(world, size):
         wrong = wrong + found.error_bound @ k + 0.05 * found.velocity_bound.sum(axis=1)
     assert np.all(np.abs(forces[0] - forces[1]) <= wrong)
     assert wrong.max() < 1e-4 * np.abs(forces[0]).max()
+
+
+def test_what_a_network_costs_follows_its_graph():
+    """In space a factor fills, which it does not along a chain of as many unknowns."""
+    box = makers.random_geometric(4000, 3, 10.0, displacement="scalar")
+    ball = np.arange(box.balls)
+    bond = np.stack([ball[:-1], ball[1:]], axis=1)
+    chain = pgran.Network(bond, np.ones(len(bond)), np.where(ball > 0, 0, 2))
+    asked = {"highest": 3.0, "time": [600.0], "tolerance": 1e-4}
+    seconds = [
+        predicted_seconds(SimpleNamespace(lattice=each, **asked), 100) for each in (box, chain)
+    ]
+    assert seconds[0][0] > 5 * seconds[1][0]
+    ratio = box.graph.nonzeros / chain.graph.nonzeros
+    assert 1 < seconds[0][1] / seconds[1][1] < ratio
 
 
 @pytest.mark.parametrize("method", ["laplace", "integrate"])

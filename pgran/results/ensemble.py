@@ -45,7 +45,7 @@ class Ensemble(Record):
     intensity: np.ndarray | None = array("mean of |displacement|^2", "1", *CURVE, optional=True)
     slope: np.ndarray | None = array("slope of the phase", "rad", *VALUE, optional=True)
     velocity: np.ndarray | None = array(
-        "phase velocity", "spacing x omega_mx", *VALUE, optional=True
+        "phase velocity", "length x omega_mx", *VALUE, optional=True
     )
     exponent: np.ndarray | None = array("exponent psi of the spectrum", "1", "seed", optional=True)
     exponent_error: np.ndarray | None = array("its standard error", "1", "seed", optional=True)
