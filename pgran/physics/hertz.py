@@ -145,9 +145,7 @@ def effective_stiffness(dimensions):
     Not collective. By effective-medium theory (Kirkpatrick, Rev. Mod. Phys. 45, 574, 1973): 0 for a
     chain, .3979 for the square lattice, where it is right to 2 % or so.
     """
-    others = (
-        dimensions - 1
-    )  # of the bond's own constant k, the rest of the lattice acts as others k
+    others = dimensions - 1  # constants by which the rest of the lattice acts beside each bond
     if not others:
         return 0.0
     low, high = 0.0, 1.0

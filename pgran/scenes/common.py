@@ -74,7 +74,7 @@ SWEEP = (
 OWN_KMAX = ("hertz", "file")  # laws of bonds whose largest constant is not known beforehand
 # Beyond this many balls all ranks share one lattice, unless options say otherwise; beyond this
 # work of a factorization a network.
-LARGE, LARGE_WORK = {1: 10**7, 2: 100_000, 3: 20_000}, 6e8
+LARGE, LARGE_WORK = {1: 10**7, 2: 100_000, 3: 20_000}, 3e9
 
 
 def alternatives(some, others, values, given):
