@@ -146,7 +146,7 @@ def test_balls_in_order_are_no_row_numbers(call, place, here):
 # What is held, cut and left out
 
 
-@pytest.mark.parametrize("words", ["", "--rest x<2", "--cut xy --rest y<1.5 --drive y>max-1"])
+@pytest.mark.parametrize("words", ["", "--rest x<2", "--cut xy --rest y<2 --drive y>max-2"])
 def test_the_unit_of_frequency_does_not_follow_what_is_held(call, place, here, words):
     """sqrt(2 d k / m) of the stiffest contact and the median mass of the whole packing."""
     sample = Sample(2)
