@@ -98,7 +98,8 @@ def test_the_force_of_the_wall_and_its_power():
 
 
 def test_phase_and_its_fit():
-    result = respond(detectors=[(1, 1), (3, 0)])
+    lattice = random_lattice((4, 3), seed=20, mass=0.25)  # whose phases are lines
+    result = respond(detectors=[(1, 1), (3, 0)], lattice=lattice)
     shown = result.response
     ax = draw(response.phase, shown, result.lattice)
     ends = SWEEP[(SWEEP > 0.299) & (SWEEP < 1.001)][[0, -1]]

@@ -21,6 +21,7 @@ def test_captions_say_the_numbers_of_the_record():
     result.response.converged_reason[7] = -3
     result.response.at_floor[9] = 1
     result.response.error_bound[[7, 9]] = 1.0
+    result.response.phase_slope[:], result.response.phase_intercept[:] = -31.25, 0.0
     result.options = "-scene response\n-bonds_law uniform\n-bonds_kmin 0.0\n-bonds_kmax 0.25\n"
     result.options += "-bonds_seed 1993\n-output_file results/a.h5"
     made = figures.make(result)
