@@ -137,7 +137,7 @@ def hidden_part(omega, relaxation_rate):
     numpy.ndarray, shape (n - 1,)
     """
     low, q = omega[:-1], relaxation_rate
-    with np.errstate(over="ignore", divide="ignore"):
+    with np.errstate(all="ignore"):
         return 1 + (np.diff(omega) * (np.hypot(q, low) + q) / (2 * low**2)) ** 2
 
 
