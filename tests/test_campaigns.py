@@ -15,7 +15,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from campaigns import faults, fuzz, networks, stability
+from campaigns import changes, faults, fuzz, networks, stability
 from mpi4py import MPI
 
 from pgran.parallel.journal import Journal
@@ -38,6 +38,12 @@ def test_faults_do_no_harm(tmp_path, monkeypatch, capsys):
     assert failed == 0, said
     assert "1 kill, 1 result" in said
     assert "SIGTERM" in said
+
+
+def test_a_file_that_changes_does_no_harm(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert faults.carry_out(changes.change, [0]) == 0, capsys.readouterr().out
+    assert "network_file, " in capsys.readouterr().out
 
 
 def test_the_fault_campaign_notices_what_is_wrong(tmp_path, monkeypatch, capsys):

@@ -26,8 +26,8 @@ from pgran.scenes.response import sweep
 
 ROW = np.dtype([("unit", np.int64), ("value", float, (3,))])
 UNITS = list(range(11))
-RUN = {"scene": "response", "bonds_seed": "7"}
-OTHER = RUN | {"bonds_seed": "8"}
+RUN = {"-scene": "response", "-bonds_seed": "7"}
+OTHER = RUN | {"-bonds_seed": "8"}
 
 
 def rows_of(unit):
@@ -91,6 +91,8 @@ def test_what_is_left_of_a_journal(world, result, unfinished):
     with Journal(world, result, RUN) as journal:
         others = [(1, UNITS, ROW), (0, UNITS[1:], ROW), (0, UNITS, np.dtype(float))]
         assert not any(journal.kept(journal.stage(*other), other[-1]) for other in others)
+        journal.medium = "another"
+        assert not journal.kept(journal.stage(0, UNITS, ROW), ROW)
     world.Barrier()
     assert not unfinished.exists()  # once the run is complete
     while ends[-1] < len(whole):
@@ -108,8 +110,8 @@ def test_another_run_is_refused_by_name(world, result, unfinished):
     before = left_by(world, result, [1])
     for identity, said in (
         (OTHER, r"-bonds_seed: .* with 7, and now it is 8.*overwrite"),
-        (RUN | {"relax_seed": "8"}, r"-relax_seed: .*not given"),
-        ({"scene": "response"}, r"-bonds_seed: .*now it is not given"),
+        (RUN | {"-relax_seed": "8"}, r"-relax_seed: .*not given"),
+        ({"-scene": "response"}, r"-bonds_seed: .*now it is not given"),
     ):
         with pytest.raises(InputError, match=said):
             Journal(world, result, identity)

@@ -50,7 +50,8 @@ WRONG = {  # as a text, and as a value given in Python
     "reals": (["x", "", "1,,2", "1,nan", ","], ["0.5", 0.5, None, (0.5, np.inf), ()]),
     "flag": (["maybe", "2", "tru"], ["true", None, 2, 0.5]),
     "text": ([""], [5, None, ("window",), ""]),
-    "texts": (["", ",", "a,,b", "a,"], [5, None, "a.opts,b.opts", ("a,b",), ()]),
+    "file": ([""], [5, None, ("a.h5",), ""]),
+    "files": (["", ",", "a,,b", "a,"], [5, None, "a.opts,b.opts", ("a,b",), ()]),
 }
 
 

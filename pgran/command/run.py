@@ -2,7 +2,6 @@
 
 import contextlib
 import faulthandler
-import hashlib
 import importlib
 import logging
 import shlex
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import pgran
 from pgran import errors
-from pgran.errors import InputError, PgranError
+from pgran.errors import FileError, InputError, PgranError
 from pgran.files import streams
 from pgran.parallel import launch
 from pgran.parallel.agreement import on_root
@@ -125,13 +124,20 @@ def _compute(scene, options, words, world, started):
 
     output, overwrite = options.output_file, options.output_overwrite
     on_root(world, lambda: store.check_output(output, overwrite))
-    identity = on_root(world, lambda: _run_identity(options))
-    with Journal(world, output, identity, overwrite) as journal:
+    asked = on_root(world, options.identity)
+    with Journal(world, output, _run_identity(asked), overwrite) as journal:
         # again: another run may have written it just before the journal was locked
         on_root(world, lambda: store.check_output(output, overwrite))
 
         def crew(ranks, lattice=None):
-            return Crew(world, ranks, journal, opening(options, world.size, lattice))
+            journal.medium = "" if lattice is None else lattice.bonds_sha256
+            said = opening(options, world.size, lattice)
+
+            def begins():
+                _check_unchanged(asked, options.identity())
+                log.info("%s", said)
+
+            return Crew(world, ranks, journal, begins)
 
         records = scene.run(options, world, crew)
 
@@ -157,18 +163,28 @@ def _compute(scene, options, words, world, started):
         return errors.INACCURATE if on_root(world, finish) else errors.DONE
 
 
-def _run_identity(options):
-    """Return what decides a run's numbers, {option: text}. Not collective."""
-    from pgran.files.paths import open_regular
+def _run_identity(asked):
+    """Return what decides a run's numbers, {name: text}: what is asked, and who computes it.
 
-    identity = {"pgran": pgran.__version__} | options.identity()
-    for name in ("bonds_file", "accuracy_solvers"):
-        paths = getattr(options, name, None) or ()
-        for path in [paths] if isinstance(paths, str) else paths:
-            with open_regular(path) as stream:
-                contents = hashlib.file_digest(stream, "sha256").hexdigest()
-            identity[name] += f" ({path} holds {contents[:16]})"
-    return identity
+    Not collective.
+    """
+    import numpy
+    import scipy
+
+    versions = {
+        "pgran": pgran.__version__,
+        "PETSc": _loaded_version("petsc4py.PETSc"),  # of whose release SLEPc is
+        "NumPy": numpy.__version__,
+        "SciPy": scipy.__version__,
+    }
+    return versions | {f"-{name}": text for name, text in asked.items()}
+
+
+def _check_unchanged(before, now):
+    """Raise a FileError where a file held something else before it was read. Not collective."""
+    for name, text in now.items():
+        if before[name] != text:
+            raise FileError(f"-{name} {text}: has changed since the run started; start it again")
 
 
 def start_mpi():

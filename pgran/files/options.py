@@ -1,6 +1,7 @@
 """Options: how one is declared, read and written; those of every run; a run's own, resolved."""
 
 import difflib
+import hashlib
 import math
 import operator
 import re
@@ -9,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pgran.errors import InputError
+from pgran.files.paths import open_regular
 from pgran.files.solver_keys import is_solver_key
 
 
@@ -43,7 +45,10 @@ INTEGER = Kind("integer", _only(lambda value: abs(value) < 2**64, int))
 REAL = Kind("real", _only(math.isfinite, float))
 FLAG = Kind("flag", lambda text: FLAGS[text.lower()])
 TEXT = Kind("text", _only(len, str))
-INTEGERS, REALS, TEXTS = _several(INTEGER), _several(REAL), _several(TEXT)
+INTEGERS, REALS = _several(INTEGER), _several(REAL)
+# Names of files that a run reads: what these hold is part of what the run is.
+FILE = Kind("file", TEXT.read)
+FILES = _several(FILE)
 
 
 def text_of(value):
@@ -176,6 +181,12 @@ def options_in(text):
     return {name: value for name, value in told.items() if name not in how}
 
 
+def _contents(path):
+    """Return the beginning of a checksum of a file."""
+    with open_regular(path) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()[:16]
+
+
 class Options:
     """The resolved options of a run: `options.lattice_shape` is the value of `-lattice_shape`.
 
@@ -217,8 +228,21 @@ class Options:
         return "\n".join(lines) + "\n"
 
     def identity(self):
-        """Return what decides the run's numbers, {option: text}; how it is carried out does not."""
+        """Return what decides the run's numbers, {option: text}; how it is carried out does not.
+
+        Not collective. The files that it names are read: what they hold counts.
+
+        Raises
+        ------
+        FileError
+            If one cannot be read.
+        """
         found = {option.name: text_of(v) for option, v in self._known() if option not in RUN}
+        for option, value in self._known():
+            if option.kind in (FILE, FILES):
+                paths = value if isinstance(value, tuple) else (value,)
+                held = ", ".join(f"{path} holds {_contents(path)}" for path in paths)
+                found[option.name] += f" ({held})"
         solver = {key: text for key, text in self.solver.items() if is_solver_key(key)}
         return {"scene": self.scene} | found | solver
 

@@ -5,15 +5,11 @@ depend on what its group did before: so the numbers do not depend on the number 
 nor on whether the run was stopped in between and went on from its journal.
 """
 
-import logging
-
 import numpy as np
 from mpi4py import MPI
 
 from pgran.errors import InputError, is_foreseen
-from pgran.parallel.agreement import agree
-
-log = logging.getLogger("pgran")
+from pgran.parallel.agreement import agree, on_root
 
 WORD, FIRST_TAG = 1, 2  # tags of messages: a word to stop; results, a tag for each call of `share`
 
@@ -28,8 +24,8 @@ class Crew:
         How many ranks share a lattice.
     journal : pgran.parallel.journal.Journal, optional
         Keeps finished units, and says when to stop.
-    opening : str, optional
-        What is solved, in words.
+    begins : callable, optional
+        Called on rank 0 when all that is given has been read and checked, before the work.
 
     Attributes
     ----------
@@ -48,14 +44,14 @@ class Crew:
 
     dry = False
 
-    def __init__(self, world, ranks_per_lattice, journal=None, opening=""):
+    def __init__(self, world, ranks_per_lattice, journal=None, begins=None):
         """Split the world."""
         if world.size % ranks_per_lattice:
             raise InputError(
                 f"-ranks_per_lattice {ranks_per_lattice}: {world.size} ranks cannot be cut into "
                 "groups of that size"
             )
-        self.world, self.journal, self._opening = world, journal, opening
+        self.world, self.journal, self._begins = world, journal, begins
         self.groups = world.size // ranks_per_lattice
         self.number = world.rank // ranks_per_lattice
         self.group = world.Split(self.number, world.rank)
@@ -71,10 +67,10 @@ class Crew:
             self.group.Free()
 
     def begin(self):
-        """Say what is solved, once, when all that is given has been checked. Not collective."""
-        if self._opening:
-            log.info("%s", self._opening)
-        self._opening = ""
+        """Note that all that is given has been read and checked, once. Collective."""
+        begins, self._begins = self._begins, None
+        if begins is not None:
+            on_root(self.world, begins)
 
     def share(self, task, work, deliver):
         """Call `work` for every unit on one group, and `deliver` with its rows on rank 0.

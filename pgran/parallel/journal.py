@@ -42,9 +42,15 @@ class Journal:
     path : str or os.PathLike
         The result's path.
     identity : dict of str
-        What the run is, as options; an earlier journal goes on only if it says the same.
+        What the run is, by the names that users know; an earlier journal goes on only if it says
+        the same.
     overwrite : bool
         Whether an unfinished run that was another one may be discarded.
+
+    Attributes
+    ----------
+    medium : str
+        Checksum of what is computed on; units of another medium are no units of this run.
 
     Raises
     ------
@@ -53,6 +59,8 @@ class Journal:
     FileError
         If another run is writing the same result, or the file cannot be written.
     """
+
+    medium = ""
 
     def __init__(self, comm, path, identity, overwrite=False):
         """Open the journal, find what it holds, and listen to signals."""
@@ -104,7 +112,7 @@ class Journal:
         units : sequence
         row : numpy.dtype
         """
-        return zlib.crc32(f"{number} {units!r} {row!r}".encode()) or 1
+        return zlib.crc32(f"{number} {units!r} {row!r} {self.medium}".encode()) or 1
 
     def kept(self, stage, row):
         """Return the finished units of a stage, {position: rows}. Not collective: rank 0."""
@@ -157,7 +165,7 @@ class Journal:
                 key = next(k for k in identity | found if found.get(k) != identity.get(k))
                 was, now = (run.get(key, "not given") for run in (found, identity))
                 raise InputError(
-                    f"-{key}: {self.path} holds an unfinished run with {was}, and now it is {now}; "
+                    f"{key}: {self.path} holds an unfinished run with {was}, and now it is {now}; "
                     "give what was given then to go on, take another -output_file, or begin anew "
                     "with -output_overwrite"
                 )

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.files.options import INTEGER, REALS, TEXT, TEXTS, Option
+from pgran.files.options import FILES, INTEGER, REALS, TEXT, Option
 from pgran.files.reading import read_solver
 from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
@@ -27,7 +27,7 @@ STUDY = (
         choices=tuple(EXPERIMENTS),
     ),
     Option(
-        "accuracy_solvers", TEXTS, None,
+        "accuracy_solvers", FILES, None,
         "options files of the solvers to compare: a.opts,b.opts; each holds solver keys alone"
     ),
     Option(

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from pgran.errors import FileError, InputError, PgranError
-from pgran.files.options import INTEGER, INTEGERS, REAL, REALS, TEXT, Option
+from pgran.files.options import FILE, INTEGER, INTEGERS, REAL, REALS, TEXT, Option
 from pgran.machine import check_memory
 from pgran.parallel.agreement import on_root
 from pgran.physics.bondlaw import LAWS, BondLaw
@@ -32,11 +32,11 @@ LATTICE = (
     Option("bonds_force", REAL, 1.0, "hertz: mean contact force", "force", above=0),
     Option("bonds_hertz", REAL, 1.0, "hertz: c in F = c h^(3/2)", "force / length^(3/2)", above=0),
     Option("bonds_seed", INTEGER, 1993, "which sample", low=0, high=2**63 - 1),
-    Option("bonds_file", TEXT, None, "law file: HDF5 file with /lattice/stiffness_x ..."),
+    Option("bonds_file", FILE, None, "law file: HDF5 file with /lattice/stiffness_x ..."),
 )  # fmt: skip
 NETWORK = (
     Option(
-        "network_file", TEXT, None,
+        "network_file", FILE, None,
         "HDF5 file with /network/bond, stiffness ..., instead of a lattice and its bonds"
     ),
     Option(

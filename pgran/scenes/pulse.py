@@ -6,7 +6,7 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.files.columns import read_columns
-from pgran.files.options import FLAG, INTEGER, REAL, TEXT, Option
+from pgran.files.options import FILE, FLAG, INTEGER, REAL, TEXT, Option
 from pgran.parallel.agreement import on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.pulse import SHAPES, Pulse, Samples
@@ -36,7 +36,7 @@ PULSE = (
         "1/frequency", above=0
     ),
     Option(
-        "pulse_file", TEXT, None,
+        "pulse_file", FILE, None,
         "how the wall moves, instead of a shape: a column of displacements at the times that are "
         "recorded, or two columns, equal distances of time and displacements"
     ),

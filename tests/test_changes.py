@@ -1,0 +1,99 @@
+"""Files that change under a run: it goes on with what it began with, or not at all."""
+
+import os
+import signal
+
+import h5py
+import numpy as np
+import pytest
+import scipy
+from campaigns import changes
+from petsc4py import PETSc
+
+from pgran.command import run as running
+from pgran.command.resolve import SCENES, options_of
+from pgran.files.options import FILE, FILES, TEXT
+from pgran.parallel.journal import Journal
+
+OPTIONS = dict(pair for scene in SCENES for pair in options_of(scene).items())
+JOURNAL = "a.h5.unfinished"
+LIBRARIES = {"NumPy": np.__version__, "SciPy": scipy.__version__}
+LIBRARIES["PETSc"] = ".".join(map(str, PETSc.Sys.getVersion()))
+
+
+def test_what_names_a_file_that_is_read_is_of_the_kind_whose_contents_count():
+    """A text that may be any names a file: one that is read, or where to write."""
+    free = {n for n, o in OPTIONS.items() if o.kind == TEXT and not o.choices}
+    assert free == {"output_file", "output_log"}
+    read = {name for name, option in OPTIONS.items() if option.kind in (FILE, FILES)}
+    assert read == {*changes.WRITERS} == {*map(changes.option_of, changes.SCENES)}
+
+
+@pytest.fixture
+def stopped(call, place, shared_path, monkeypatch, world):
+    """Return what runs a scene, or its last command again, which is stopped after one more unit."""
+    write = Journal.write
+
+    def stopping(*arguments):
+        write(*arguments)
+        os.kill(os.getpid(), signal.SIGUSR1)
+
+    monkeypatch.setattr(Journal, "write", stopping)
+
+    def run(scene, seed):
+        place("b.opts", changes.SCENES[scene].replace("FILE", "read"))
+        if world.rank == 0:
+            (shared_path / "read").unlink(missing_ok=True)
+            changes.WRITERS[changes.option_of(scene)](
+                shared_path / "read", np.random.default_rng(seed)
+            )
+        world.Barrier()
+        words = ["-output_file", "a.h5", "-output_progress", "none"]
+        if "integrated" in scene:  # of its two units each group would do one
+            words += ["-ranks_per_lattice", str(world.size)]
+        return call("run", "b.opts", *words)
+
+    return run
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("scene", changes.SCENES)
+def test_a_run_whose_file_has_changed_is_refused(stopped, shared_path, scene, world):
+    """By the name of the option, and loses nothing: with the old file it goes on."""
+    assert stopped(scene, 1).returncode == 75
+    before = (shared_path / JOURNAL).read_bytes()
+    refused = stopped(scene, 2)
+    assert refused.returncode == 2
+    assert f"-{changes.option_of(scene)}: {JOURNAL} holds an unfinished run" in refused.stderr
+    assert (shared_path / JOURNAL).read_bytes() == before
+    assert "going on from there" in stopped(scene, 1).stderr
+
+
+@pytest.mark.usefixtures("here")
+def test_a_file_that_changes_while_it_is_read(stopped, shared_path, monkeypatch, world):
+    """Between its checksum and the reader: the run ends before it keeps anything."""
+    start = Journal.__enter__
+
+    def changing(journal):
+        if world.rank == 0:
+            with h5py.File(shared_path / "read", "r+") as file:
+                file["network/stiffness"][0] *= 2
+        return start(journal)
+
+    monkeypatch.setattr(Journal, "__enter__", changing)
+    done = stopped("response", 1)
+    assert done.returncode == 4
+    assert "-network_file read" in done.stderr
+    assert "has changed since the run started; start it again" in done.stderr
+    assert not (shared_path / JOURNAL).exists()
+
+
+@pytest.mark.parametrize("name", LIBRARIES)
+def test_a_run_goes_on_with_the_libraries_that_it_began_with(stopped, monkeypatch, name):
+    assert stopped("bonds", 1).returncode == 75
+    identity = running._run_identity
+    monkeypatch.setattr(running, "_run_identity", lambda asked: identity(asked) | {name: "0.1"})
+    done = stopped("bonds", 1)
+    assert done.returncode == 2
+    said = f"{name}: {JOURNAL} holds an unfinished run with {LIBRARIES[name]}, and now it is 0.1; "
+    assert said in done.stderr
