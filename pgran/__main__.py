@@ -154,7 +154,7 @@ def explain(error):
         code = error.code if isinstance(error.code, int) else 1
         return code, f"ended by sys.exit({error.code!r})"
     if isinstance(error, KeyboardInterrupt):
-        return 130, "interrupted"
+        return errors.INTERRUPTED, str(error) or "interrupted"
     if isinstance(error, ImportError):
         return 1, str(PgranError(f"{error}: pgran doctor says how to mend it"))
     if is_petsc(error) and error.__cause__:

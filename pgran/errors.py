@@ -1,6 +1,6 @@
 """Exceptions and exit codes."""
 
-DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED = 0, 2, 3, 4, 75
+DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED, INTERRUPTED = 0, 2, 3, 4, 75, 130
 LONGEST = 1010  # characters of a message
 # What PETSc's errors hold where an option of the user's is to blame.
 WRONG_OPTION = ("SetFromOptions()", "Could not locate solver type")

@@ -265,6 +265,42 @@ def test_a_run_that_nobody_listens_to(shell, shared_path, stream, progress):
         assert shell(f"$pgran run a.opts {stream}").returncode == 4
 
 
+@pytest.mark.parametrize("ending", ["png", "pdf", "svg", "eps"])
+def test_a_disk_too_full_for_figures(start, call, shared_path, ending):
+    """One line, no file of no bytes, and what was there stays; so without a folder to work in."""
+    assert call("run", "a.opts").returncode == 0
+    earlier = shared_path / f"a-amplitude.{ending}"
+    earlier.write_bytes(b"earlier")
+    for room, place, said in (
+        (0, None, f"a-amplitude.{ending}: cannot be written: "),
+        (5000, None, f"a-amplitude.{ending}: cannot be written: "),
+        (0, "/proc/nothing", "let MPLCONFIGDIR name one"),
+    ):
+        code = f"import resource as r; r.setrlimit(r.RLIMIT_FSIZE, ({room}, r.RLIM_INFINITY)); "
+        code += "import pgran.__main__ as m; m.console()"
+        where = {"MPLCONFIGDIR": place} if place else {}
+        words = ["plot", "results/a.h5", "-o", f"a.{ending}"]
+        done = start(*words, program=[sys.executable, "-c", code], **where)
+        assert_one_line(done, 4, said)
+        assert earlier.read_bytes() == b"earlier"
+        assert [*shared_path.glob(".a-*")] == []
+
+
+def test_a_signal_while_a_network_is_read(start, place, shared_path):
+    """It stops the run in order; the process that tries the file does not hear of it."""
+    write_network(
+        shared_path / "net.h5",
+        {"bond": [[0, 1], [1, 2]], "stiffness": [1.0, 2.0], "held": [2, 0, 1], "mass": np.ones(3)},
+        {"displacement": "scalar", "damping": 0.1},
+    )
+    place("b.opts", "-scene response -network_file net.h5 -detectors 1 -sweep_points 3")
+    tell = "import os, threading; threading.Timer(.1, os.killpg, (os.getpgrp(), 10)).start()"
+    fault = inject.words("before pgran.files.hdf5:try_apart", tell)
+    done = start("run", "b.opts", program=["setsid", "--wait", sys.executable, *fault])
+    assert done.returncode == 75, done.stderr
+    assert "stopped by SIGUSR1 before any work was finished" in done.stderr
+
+
 # Errors that nobody foresaw: tests/test_faults.py has more of them
 
 
@@ -274,6 +310,7 @@ def test_a_run_that_nobody_listens_to(shell, shared_path, stream, progress):
         (MemoryError(), 1, "MemoryError"),
         (RuntimeError("sabotage"), 1, "RuntimeError: sabotage"),
         (KeyboardInterrupt(), 130, "interrupted"),
+        (KeyboardInterrupt("interrupted; told"), 130, "interrupted; told"),
         (SystemExit(7), 7, "sys.exit(7)"),
         (FileError("lost"), 4, "lost"),
     ],
@@ -289,6 +326,6 @@ def test_one_failing_rank_ends_all(start, shared_path):
     statement = f"import os; os.kill(os.getpid(), {signal.SIGINT:d})"
     fault = [sys.executable, *inject.words(inject.UNIT, statement, 1, 2)]
     done = start("run", "a.opts", "-ranks_per_lattice", "1", ranks=2, program=fault)
-    assert_one_line(done, 130, "pgran (rank 1): interrupted")
+    assert_one_line(done, 130, "(rank 1): interrupted; what is finished is kept", "same command")
     assert time.monotonic() - began < 15
     assert not (shared_path / "results" / "a.h5").exists()

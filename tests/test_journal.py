@@ -160,6 +160,28 @@ def test_a_second_run_and_a_foreign_file_are_refused(world, result, unfinished):
     assert unfinished.read_bytes() == b"my thesis"
 
 
+@pytest.mark.parametrize("kind", ["pipe", "link", "folder"])
+def test_what_is_no_file_is_no_journal(world, result, unfinished, kind):
+    """Nor is a pipe waited for, or a link followed."""
+    make = {"pipe": os.mkfifo, "link": lambda path: path.symlink_to("a"), "folder": os.mkdir}
+    if world.rank == 0:
+        make[kind](unfinished)
+    with pytest.raises(FileError, match="in the way, and no journal of pgran; move it away"):
+        Journal(world, result, RUN)
+    assert not result.with_name("a").exists()
+
+
+def test_a_signal_is_answered_at_once(world, result, capfd):
+    """Once, by rank 0: the work at hand may take longer than mpirun waits."""
+    world.Barrier()
+    with ended_by(StoppedError, "SIGTERM"), Journal(world, result, RUN) as journal:
+        for _ in range(2):
+            os.kill(os.getpid(), signal.SIGTERM)
+        said = capfd.readouterr().err
+        assert said.count("SIGTERM: stopping after the work at hand") == (world.rank == 0)
+        journal.stop(journal.stop_asked)
+
+
 def test_a_file_system_without_locks(world, result, monkeypatch, caplog):
     """The run goes on, unguarded, which is said."""
 

@@ -8,7 +8,7 @@ from result_samples import ATTRIBUTES, change, make, stored
 
 from pgran import load, results
 from pgran.errors import FileError
-from pgran.files import store
+from pgran.files import paths, store
 
 
 @pytest.fixture
@@ -60,7 +60,45 @@ def test_no_room(path, room, capfd):
     assert capfd.readouterr().err == ""
 
 
+def test_a_link_in_the_place_of_the_new_file_is_not_followed(path, tmp_path):
+    """What it leads to stays, whatever is written."""
+    thesis, part = tmp_path / "thesis", tmp_path / ".b.h5.part"
+    thesis.write_bytes(b"mine")
+    part.symlink_to(thesis)
+    store.write(tmp_path / "b.h5", {}, [make(results.LatticeRecord, (7,))])
+    part.with_name(f".c.txt.{os.getpid()}.part").symlink_to(thesis)
+    with paths.whole(tmp_path / "c.txt") as stream:
+        stream.write(b"new")
+    assert thesis.read_bytes() == b"mine"
+    assert (tmp_path / "c.txt").read_bytes() == b"new"
+    assert not (tmp_path / "b.h5").is_symlink()
+    assert sorted(os.listdir(tmp_path)) == ["a.h5", "b.h5", "c.txt", "thesis"]
+
+
 # What may be replaced
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_what_appears_while_a_result_is_written_stays(tmp_path, overwrite, monkeypatch):
+    """A file of somebody's, and a link that leads nowhere; a result unless it may be replaced."""
+    path, record = tmp_path / "a.h5", make(results.LatticeRecord, (7,))
+    appear, sync = [], os.fsync
+    monkeypatch.setattr(os, "fsync", lambda number: sync(number) or appear.pop()())
+    for make_it in (lambda: path.write_bytes(b"mine"), lambda: path.symlink_to(tmp_path / "no")):
+        appear.append(make_it)
+        with pytest.raises(FileError, match="no result of pgran: move it away yourself"):
+            store.write(path, {}, [record], overwrite)
+        assert path.is_symlink() or path.read_bytes() == b"mine"
+        assert os.listdir(tmp_path) == ["a.h5"]
+        path.unlink()
+    other = stored(tmp_path.with_name(f"{tmp_path.name}.other")).read_bytes()
+    appear.append(lambda: path.write_bytes(other))
+    if overwrite:
+        store.write(path, {}, [record], overwrite)
+    else:
+        with pytest.raises(FileError, match="exists already"):
+            store.write(path, {}, [record], overwrite)
+    assert (path.read_bytes() == other) == (not overwrite)
 
 
 def test_existing_output_needs_leave(path):

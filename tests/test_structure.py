@@ -7,7 +7,7 @@ from pathlib import Path
 BELOW = {  # of each package and module at the top: what it may import
     "errors": "", "record": "errors", "results": "errors record physics", "machine": "errors",
     "physics": "errors results", "parallel": "errors", "solve": "errors physics parallel",
-    "files": "errors record results machine physics", "figures": "errors record results",
+    "files": "errors record results machine physics", "figures": "errors record results files",
     "scenes": "errors results machine physics solve parallel files",
     "command": "errors record results machine physics solve parallel files figures scenes",
     "__main__": "errors parallel files command", "__init__": "",

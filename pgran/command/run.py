@@ -39,6 +39,7 @@ exit codes:
   3   computed, but some numbers miss the accuracy asked for; they are marked
   4   files, or an output that is full
   75  stopped by a signal; the same command goes on
+  130 interrupted by Ctrl-C; the same command goes on
   1   anything else
 """
 
@@ -82,6 +83,9 @@ def run(words):
         if world.rank == 0:
             log.info("%s", stopped)
         return errors.STOPPED
+    except KeyboardInterrupt:
+        said = "interrupted; what is finished is kept, and the same command goes on"
+        raise KeyboardInterrupt(said) from None
 
 
 def _help(path):
@@ -145,7 +149,7 @@ def _compute(scene, options, words, world, started):
             failures = sum(int(numpy.sum(r.failures)) for r in records)
             seconds = time.perf_counter() - started
             attributes = _run_attributes(options, words, world, failures, seconds)
-            store.write(output, attributes, records)
+            store.write(output, attributes, records, overwrite)
             if failures:
                 log.warning("%d results miss the accuracy asked for; the file marks them", failures)
             try:

@@ -11,10 +11,12 @@ sample, and how exactly.
 
 import contextlib
 import importlib
+import io
 import pkgutil
 from pathlib import Path
 
 from pgran.errors import FileError, PgranError
+from pgran.files.paths import whole
 from pgran.results.si import SI
 
 
@@ -80,6 +82,10 @@ def _style(width=None):
             f"figures need matplotlib, which cannot be imported ({error}): "
             "pip install matplotlib, or apt install python3-matplotlib"
         ) from None
+    except OSError as error:
+        raise FileError(
+            f"matplotlib needs a folder that it can write to ({error}): let MPLCONFIGDIR name one"
+        ) from None
     with style.applied(width):
         yield
 
@@ -93,16 +99,15 @@ def save(made, output):
     output, written = Path(output), []
     # Not what nobody calls a figure, or what needs a LaTeX installation.
     endings = sorted(set(FigureCanvasBase.get_supported_filetypes()) - {"pgf", "raw", "rgba"})
-    if output.suffix[1:].lower() not in endings:
+    ending = output.suffix[1:].lower()
+    if ending not in endings:
         raise FileError(f"{output}: a figure's name ends in one of .{', .'.join(endings)}")
     for name, figure in made.items():
         path = output.with_name(f"{output.stem}-{name}{output.suffix}")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with style.applied():
-                figure.savefig(path)
-        except OSError as error:
-            raise FileError(f"{path}: cannot be written: {error.strerror or error}") from None
+        with whole(path) as stream, style.applied():
+            memory = io.BytesIO()  # where some writers crash when a disk is full
+            figure.savefig(memory, format=ending)
+            stream.write(memory.getbuffer())
         written.append(path)
     return written
 
@@ -110,8 +115,6 @@ def save(made, output):
 def save_captions(made, paths):
     """Save the captions of figures at these paths, and return them. Not collective."""
     for figure, path in zip(made.values(), paths, strict=False):
-        try:
-            path.write_text(f"{figure.caption}\n", encoding="utf-8")
-        except OSError as error:
-            raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+        with whole(path) as stream:
+            stream.write(f"{figure.caption}\n".encode())
     return paths

@@ -144,12 +144,14 @@ def try_apart(path, module="pgran.files.hdf5"):
     kept = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHERS)}
     home = str(Path(__file__).parents[2])
     kept["PYTHONPATH"] = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
-    # -P: a file numpy.py in the present folder stays what it is.
+    # -P: a file numpy.py in the present folder stays what it is. A group of its own: mpirun hands
+    # the signals that ask a run to stop on to all processes of a rank's.
     words = [sys.executable, "-P", "-m", module, os.fspath(path)]
     try:
         done = subprocess.run(
-            words, env=kept, stdin=subprocess.DEVNULL, capture_output=True, timeout=seconds
-        )
+            words, env=kept, stdin=subprocess.DEVNULL, capture_output=True, timeout=seconds,
+            process_group=0,
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
         raise FileError(f"{path}: damaged: reading it took more than {seconds:.0f} s") from None
     except OSError as error:

@@ -38,7 +38,7 @@ def check(path, make=True):
         with tempfile.TemporaryFile(dir=next(p for p in path.parents if p.exists())):
             pass
     except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error.strerror}") from None
+        raise FileError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 class LogFile(logging.Handler):

@@ -20,6 +20,7 @@ import numpy as np
 
 from pgran.errors import FileError, InputError
 from pgran.files import hdf5
+from pgran.files.paths import whole
 from pgran.physics.bonds import AXES
 from pgran.physics.network import Network
 from pgran.physics.springs import FREE
@@ -81,20 +82,8 @@ def write_network(path, members, attributes, overwrite=False):
                 # compressed, which helps whole numbers most, and with a checksum
                 data = group.create_dataset(name, data=data, compression="gzip", fletcher32=True)
                 data.attrs.update(units=units, long_name=long_name)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with open(temporary, "wb") as stream:
-            stream.write(memory.getbuffer())
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise FileError(f"{path}: cannot be written: {reason}") from None
-    finally:
-        with contextlib.suppress(OSError, ValueError):
-            temporary.unlink(missing_ok=True)
+    with whole(path, lambda: check_output(path, overwrite)) as stream:
+        stream.write(memory.getbuffer())
 
 
 def check_output(path, overwrite):

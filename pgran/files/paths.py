@@ -1,7 +1,9 @@
-"""Paths of files that users name."""
+"""Paths of files that users name: read with care, and written whole."""
 
+import contextlib
 import os
 import stat
+from pathlib import Path
 
 from pgran.errors import FileError, reason_of
 
@@ -26,3 +28,44 @@ def open_regular(path):
         raise FileError(reason_of(error)) from None
     except ValueError as error:
         raise FileError(f"{path!r}: no name of a file: {error}") from None
+
+
+@contextlib.contextmanager
+def whole(path, check=lambda: None, kind=open, owner=None):
+    """Open a file for bytes that takes the place of `path` once it is whole. Not collective.
+
+    Where anything fails, what was there stays as it was. The folder is made if it is missing; what
+    stands in the way of the new file, beside `path`, is removed, and a link is not followed.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+    check : callable, optional
+        Called just before; raises where what is at `path` by then must stay.
+    kind : callable, optional
+        Opens the new file: takes a path and a mode.
+    owner : str, optional
+        A part of the name of the new file, which nobody else writes; else this process's number.
+
+    Raises
+    ------
+    FileError
+        If it cannot be written.
+    """
+    path = Path(path)
+    owner = f"{os.getpid()}." if owner is None else owner
+    temporary = path.with_name(f".{path.name}.{owner}part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.unlink(missing_ok=True)
+        with kind(temporary, "xb+") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        check()
+        os.replace(temporary, path)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be written: {error.strerror or error}") from None
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)

@@ -14,10 +14,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from pgran.errors import FileError, reason_of
+from pgran.errors import FileError
 from pgran.files import hdf5
 from pgran.files.network import read_network
-from pgran.files.paths import open_regular
+from pgran.files.paths import open_regular, whole
 from pgran.files.seal import AT_END, check_seal, has_seal, seal_of
 from pgran.record import MisfitError, Result, axes_of, dimensions_of, in_part, plain_value
 from pgran.results import RECORDS
@@ -45,13 +45,7 @@ def check_output(path, overwrite, make=True):
     """
     path = Path(path)
     try:
-        if path.exists():
-            if not is_result(path):
-                why = "exists and is no result of pgran: move it away yourself, or"
-                raise FileError(f"{path}: {why} -output_file takes another")
-            if not overwrite:
-                why = "exists already; -output_overwrite replaces it,"
-                raise FileError(f"{path}: {why} -output_file takes another")
+        _check_place(path, overwrite)
         if make:
             path.parent.mkdir(parents=True, exist_ok=True)
         folder = next(p for p in path.parents if p.exists())
@@ -63,7 +57,18 @@ def check_output(path, overwrite, make=True):
         raise FileError(f"{path}: cannot be written: {reason}") from None
 
 
-def write(path, attributes, records):
+def _check_place(path, overwrite):
+    """Raise a FileError if what is at a path must stay."""
+    if os.path.lexists(path):
+        if not is_result(path):
+            why = "exists and is no result of pgran: move it away yourself, or"
+            raise FileError(f"{path}: {why} -output_file takes another")
+        if not overwrite:
+            why = "exists already; -output_overwrite replaces it,"
+            raise FileError(f"{path}: {why} -output_file takes another")
+
+
+def write(path, attributes, records, overwrite=True):
     """Write a result whole, or leave what was there as it was. Not collective: rank 0.
 
     Parameters
@@ -72,6 +77,8 @@ def write(path, attributes, records):
     attributes : dict
         What the run says of itself; `format`, `format_version` and `created` are added.
     records : sequence of pgran.record.Record
+    overwrite : bool
+        Whether a result that is there by then may be replaced; nothing else ever may.
 
     Raises
     ------
@@ -80,26 +87,17 @@ def write(path, attributes, records):
     path = Path(path)
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     known = {"format": FORMAT, "format_version": FORMAT_VERSION, "created": now}
-    temporary = path.with_name(f".{path.name}.part")  # of the one run that holds the journal
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)  # it may have been removed meanwhile
-        with _Stream(temporary, "w+") as stream:
-            with h5py.File(stream, "w", libver=CHECKED) as file:
-                for name, value in (known | attributes).items():
-                    file.attrs[name] = _stored(value)
-                for record in records:
-                    _write_record(file, record)
-            size = stream.seek(0, os.SEEK_END)
-            stream.write(seal_of(stream, AT_END, 0, size))
-            if stream.failure:
-                raise stream.failure
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {reason_of(error)}") from None
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    # by the one run that holds the journal: what it has left when it was killed is its own
+    with whole(path, lambda: _check_place(path, overwrite), _Stream, owner="") as stream:
+        with h5py.File(stream, "w", libver=CHECKED) as file:
+            for name, value in (known | attributes).items():
+                file.attrs[name] = _stored(value)
+            for record in records:
+                _write_record(file, record)
+        size = stream.seek(0, os.SEEK_END)
+        stream.write(seal_of(stream, AT_END, 0, size))
+        if stream.failure:
+            raise stream.failure
 
 
 class _Stream(io.FileIO):

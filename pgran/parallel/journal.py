@@ -12,6 +12,7 @@ import json
 import logging
 import os
 import signal
+import stat
 import struct
 import time
 import zlib
@@ -150,6 +151,11 @@ class Journal:
         raise StoppedError(f"stopped by {name} before any work was finished")
 
     def _note(self, number, frame):
+        """Take note of a signal, and say so at once on rank 0: mpirun may kill before the end."""
+        if self._file is not None and self._signal is None:
+            text = "stopping after the work at hand; the same command goes on"
+            with contextlib.suppress(OSError):  # past the buffers, which it may have interrupted
+                os.write(2, f"pgran: {signal.Signals(number).name}: {text}\n".encode())
         self._signal = number
 
     def _open(self, identity, overwrite):
@@ -179,6 +185,8 @@ class Journal:
 
     def _locked(self):
         """Return the journal's file, opened and locked."""
+        if os.path.lexists(self.path) and not stat.S_ISREG(os.lstat(self.path).st_mode):
+            self._refuse()  # a pipe would be waited for, a link followed
         while True:
             file = os.fdopen(os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666), "rb+", buffering=0)
             try:
@@ -203,7 +211,7 @@ class Journal:
         size = os.fstat(file.fileno()).st_size
         start = file.read(len(MAGIC))
         if start != MAGIC[: len(start)]:
-            raise FileError(f"{self.path}: in the way, and no journal of pgran; move it away")
+            self._refuse()
         position = len(MAGIC)
         while position + RECORD.size <= size:
             file.seek(position)
@@ -227,6 +235,9 @@ class Journal:
             log.info("%s: its end was cut off; that work is done again", self.path)
             file.truncate(position)
         return found
+
+    def _refuse(self):
+        raise FileError(f"{self.path}: in the way, and no journal of pgran; move it away")
 
     def _append(self, place, payload):
         """Append a record whole, or leave the file as it was."""
