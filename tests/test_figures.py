@@ -1,5 +1,6 @@
 """Figures of responses and of lattices, read off the axes, and the command that saves figures."""
 
+import resource
 import subprocess
 import sys
 from dataclasses import replace
@@ -250,6 +251,29 @@ def test_modes_are_marked_in_a_response(files, capsys, caplog, monkeypatch, word
     modes_at = files["modes.h5"].modes.omega / UNIT
     assert marks(saved[0]["phase"].axes[0], TICKUP) == pytest.approx(modes_at[modes_at < 1.3])
     assert ("missing or inaccurate" in caplog.text) == ("doubtful" in words)
+
+
+@pytest.mark.parametrize("ending", ["png", "pdf", "svg", "eps"])
+@pytest.mark.parametrize("room", [0, 2000])
+def test_no_room_for_a_figure(tmp_path, ending, room):
+    """One error, no file of no bytes, and what was there stays, the caption, too."""
+    figure, limits = Figure(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    figure.subplots().plot(np.random.default_rng(1).random(400))
+    path = tmp_path / f"a-phase.{ending}"
+    path.write_bytes(b"earlier")
+    figure.caption = "long" * 1000
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+    try:
+        for save, to in (
+            (figures.save, tmp_path / f"a.{ending}"),
+            (figures.save_captions, [tmp_path / "a-phase.txt"]),
+        ):
+            with pytest.raises(FileError, match=r"a-phase.*: cannot be written: "):
+                save({"phase": figure}, to)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert path.read_bytes() == b"earlier"
+    assert [*tmp_path.iterdir()] == [path]
 
 
 @pytest.mark.parametrize("words", ["pulse.h5 response.h5", "response.h5 pulse.h5"])
