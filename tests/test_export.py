@@ -1,6 +1,7 @@
 """Exports, read back by other means: meshio, and NumPy's reader of tables."""
 
 import importlib.util
+import resource
 import sys
 from types import SimpleNamespace
 
@@ -228,6 +229,23 @@ def test_the_command(tmp_path, capsys):
         assert capsys.readouterr().out == f"{output}\n"
         assert output.stat().st_size > 100
     assert "pgran export" in program.USAGE
+
+
+@pytest.mark.parametrize("ending", ["csv", "vtu"])
+def test_no_room_for_an_export(tmp_path, ending):
+    """What was there stays, and nothing beside it."""
+    pytest.importorskip("meshio")
+    net, limits = packing("vector"), resource.getrlimit(resource.RLIMIT_FSIZE)
+    path, modes = tmp_path / f"a.{ending}", result_of(pgran.find_modes(net), net)
+    path.write_bytes(b"earlier")
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
+    try:
+        with pytest.raises(FileError, match=r"cannot be written: File too large"):
+            export(modes, path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert path.read_bytes() == b"earlier"
+    assert [*tmp_path.iterdir()] == [path]
 
 
 def test_refusals(tmp_path, monkeypatch):

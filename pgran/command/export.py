@@ -1,12 +1,14 @@
 """`pgran export`: a result for other programs, in space (.vtu) or as tables (.csv)."""
 
 import csv
+import io
 import os
 from pathlib import Path
 
 import pgran
 from pgran.command.words import Parser
 from pgran.errors import DONE, FileError, PgranError
+from pgran.files.paths import whole
 from pgran.parallel import launch
 from pgran.results.medium import as_result
 from pgran.results.table import tables
@@ -53,11 +55,7 @@ def export(result, output):
     if write is None:
         raise FileError(f"{output}: an export's name ends in one of {', '.join(ENDINGS)}")
     shown = as_result(pgran.load(result) if isinstance(result, (str, os.PathLike)) else result)
-    try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        return write(shown, output)
-    except OSError as error:
-        raise FileError(f"{output}: cannot be written: {error.strerror or error}") from None
+    return write(shown, output)
 
 
 def run(words):
@@ -99,10 +97,12 @@ def _write_table(columns, output):
         both = column.dtype.kind == "c"
         parts |= {f"{name}_real": column.real, f"{name}_imag": column.imag} if both \
             else {name: column}  # fmt: skip
-    with open(output, "w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
+    with whole(output) as stream:
+        text = io.TextIOWrapper(stream, newline="", encoding="utf-8")
+        writer = csv.writer(text)
         writer.writerow(parts)
         writer.writerows(zip(*(column.tolist() for column in parts.values()), strict=True))
+        text.detach()  # which leaves the stream open
 
 
 def _write_mesh(result, output):
@@ -122,5 +122,7 @@ def _write_mesh(result, output):
     points, lines, of_points, of_lines = mesh(result)
     cells = [("line", lines)]
     held = {name: [values] for name, values in of_lines.items()}
-    meshio.Mesh(points, cells, point_data=of_points, cell_data=held).write(output)
+    with whole(output) as stream:
+        made = meshio.Mesh(points, cells, point_data=of_points, cell_data=held)
+        made.write(stream.name, file_format="vtu")
     return [output]
