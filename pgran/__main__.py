@@ -72,7 +72,8 @@ def main(words):
         raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
     module, function = COMMANDS[words[0]]
     command = getattr(importlib.import_module(f"pgran.command.{module}"), function)
-    return command(words[1:])
+    with streams.saying_once():
+        return command(words[1:])
 
 
 def console():

@@ -43,8 +43,9 @@ from pgran.solve.database import holding
 WORLD = MPI.COMM_WORLD
 # Files that know nothing of ranks, and run on one only.
 ALIKE = {
-    "columns", "continuum", "ensemble_refused", "export", "figures", "figures_captions",
-    "figures_ensemble", "figures_heat", "figures_networks", "figures_print", "figures_pulse",
+    "arguments", "columns", "continuum", "ensemble_refused", "export", "figures",
+    "figures_captions", "figures_ensemble", "figures_heat", "figures_networks", "figures_print",
+    "figures_pulse",
     "figures_scenes", "figures_sensitivity", "figures_together", "graph", "heat_bounds", "hertz",
     "import", "import_refused", "levels", "manual", "memory", "network_files", "options", "output",
     "packings", "paper", "reference", "si", "spectrum", "statistics", "transport",

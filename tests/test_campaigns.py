@@ -15,9 +15,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from campaigns import changes, faults, fuzz, networks, stability
+from campaigns import abuse, changes, faults, fuzz, networks, stability
 from mpi4py import MPI
 
+import pgran
 from pgran.parallel.journal import Journal
 from pgran.solve import staircase
 
@@ -119,6 +120,33 @@ def test_fuzzing_notices(tmp_path, monkeypatch, capsys, read, verdict, seconds):
     assert fuzz.campaign("bonds", make, fuzz.check_bonds, 1, 3) == 1
     assert f" 1 {verdict}" in capsys.readouterr().out
     assert (tmp_path / "results" / "fuzz" / "bonds-3-0.h5").read_bytes() == b"no HDF5"
+
+
+@pytest.mark.parametrize("ranks", [0, 2])
+def test_no_call_does_harm(start, ranks):
+    words, calls = (sys.executable, "-m", "campaigns.abuse"), 60 if ranks else 240
+    done = start(
+        str(calls), "25", ranks=ranks, program=words, PYTHONPATH=str(Path(__file__).parent)
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    refused, accepted = map(int, re.findall(r"(\d+) (?:refused|accepted)", done.stdout))
+    assert refused + accepted == calls
+    assert ranks or 30 < accepted < refused
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda **given: 1 / 0,
+        lambda **given: pgran.find_modes(abuse.cases()["sweep"]["lattice"][1]),
+        lambda **given: abuse.Odd(),
+    ],
+)
+def test_abuse_notices(monkeypatch, capsys, function):
+    """Another error, and what a wrong call computes."""
+    monkeypatch.setattr(abuse, "function_of", lambda name: function)
+    assert abuse.main(["8"]) == 1
+    assert re.search("0 refused, [0-3] accepted, [5-8] wrong", capsys.readouterr().out)
 
 
 def test_every_extreme_case_says_what_must_come_out():

@@ -131,6 +131,64 @@ def test_solver_options(world, caplog):
     assert np.array_equal(again.displacement, default.displacement)
 
 
+def by_rank(world, mine, others):
+    """What the last rank hands in, and all others."""
+    return mine if world.rank == world.size - 1 else others
+
+
+@pytest.mark.parametrize(
+    ("mine", "said"),
+    [
+        ({"lattice": random_lattice((6, 5), 9)}, "lattice of rank"),
+        ({"omegas": OMEGAS[:2]}, "omegas of rank"),
+        ({"detectors": [2, 2]}, "detectors of rank"),
+        ({"detectors": [3, 9]}, "detectors of rank"),
+        ({"error_tolerance": 1e-5}, "error_tolerance of rank"),
+        ({"tolerance": 1e-5}, "it takes lattice"),
+        ({"solver": {"steady_ksp_type": "cg"}}, "solver of rank"),
+        ({"solver": {"ksp_type": "cg"}}, "belongs to no solver"),
+    ],
+)
+def test_ranks_that_differ_are_all_told(world, mine, said):
+    if world.size > 1:
+        common = {"lattice": LATTICE, "omegas": OMEGAS, "detectors": [3, 2]}
+        with pytest.raises(pgran.InputError, match=said):
+            pgran.sweep(**common | by_rank(world, mine, {}))
+
+
+def sampling(missing=0, shift=0):
+    """A function of the seed that has no sample of one seed, or others than it should."""
+
+    def sample(seed):
+        if seed == missing:
+            raise KeyError("no such sample")
+        return pgran.Lattice.random((4, 3), seed=seed + shift)
+
+    return sample
+
+
+def times(factor):
+    return lambda u: factor * u
+
+
+def test_what_fails_on_one_rank_leaves_none_waiting(world):
+    """A function of the user's for samples, at once or later, a law, another experiment."""
+    if world.size > 1:
+        for mine, said in (
+            (sampling(1993), "KeyError"),
+            (sampling(1993 + world.size - 1), "KeyError"),  # of a sample of this rank's own
+            (sampling(shift=1), "lattice of rank"),
+        ):
+            with pytest.raises(pgran.InputError, match=said):
+                pgran.ensemble("modes", 6, lattice=by_rank(world, mine, sampling()))
+        for mine, said in ((-1, "not negative"), (2, "law of rank")):
+            with pytest.raises(pgran.InputError, match=said):
+                pgran.relax(LATTICE, by_rank(world, times(mine), times(1)), 0.5, [3, 2], steps=4)
+        with pytest.raises(pgran.InputError, match="function of rank"):
+            by_rank(world, pgran.count_modes, pgran.project)(LATTICE, OMEGAS)
+    assert len(pgran.ensemble("modes", 3, lattice=sampling()).seed) == 3
+
+
 def test_names():
     assert set(pgran.__all__) <= set(dir(pgran))
     assert all(getattr(pgran, name).__doc__ for name in pgran.__all__)

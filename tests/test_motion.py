@@ -76,7 +76,7 @@ REFUSED = {
     "lasts until 3; listen longer": {"wall": [[0, 0], [1, 1], [2, 1], [3, 0]], "time": 2.0},
     "lasts until 96; listen longer, or take a shorter pulse": {"time": 90.0},
     "record 64 times or more": {"points": 20},
-    "a list of numbers": {"wall": ["a", "b"]},
+    "real numbers are needed": {"wall": ["a", "b"]},
     "one column of numbers, or times and numbers": {"wall": np.zeros((5, 3))},
     "increase by equal steps, and do not at 2": {"wall": [[0, 0], [1, 1], [2, 1], [4, 0]]},
     "equal steps, and do not at 3": {"wall": [[3, 0], [2, 1], [1, 0]]},

@@ -209,6 +209,21 @@ def test_contradictions(text, key):
     refusal(f"-scene response {text}", key)
 
 
+def test_a_list_of_frequencies_is_solved_for_where_a_file_makes_a_curve_of_its_grid(written):
+    """Three frequencies given later would else take the factorizations of all between them."""
+    path = written("-scene response\n-sweep_method curve\n-sweep_resolve 1e-3\n-sweep_points 99")
+
+    def resolved(words):
+        found = resolve(read_file(path) + read_words(words.split()))
+        return found.sweep_method, found.sweep_resolve
+
+    assert resolved("") == ("curve", 1e-3)
+    assert resolved("-sweep_points 3") == ("curve", 1e-3)
+    assert resolved("-sweep_omega .3,.6,.9") == ("auto", None)
+    assert resolved("-sweep_omega .3,.6,.9 -sweep_method curve") == ("curve", None)
+    assert options("-scene response -sweep_omega .3,.6 -sweep_method curve").sweep_method == "curve"
+
+
 @pytest.mark.parametrize(
     "words",
     [

@@ -17,7 +17,7 @@ from pgran.physics.laplace import Line
 from pgran.physics.lattice import Lattice
 from pgran.physics.pulse import Pulse
 from pgran.physics.signal import codas, envelopes
-from pgran.scenes.interface import holding_solver
+from pgran.scenes.interface import holding_solver, solver_keys_of
 from pgran.scenes.pulse import predicted_seconds
 from pgran.scenes.transform import limits_of
 from pgran.solve.integrate import Integrator
@@ -241,7 +241,7 @@ def test_an_integration_that_gives_up_is_not_passed(place, call, world):
     ended = call("run", "p.opts", "-pulse_ts_max_steps", "3")
     assert ended.returncode == 3
     assert "an integration has ended at time" in ended.stderr
-    with holding_solver({"pulse_ts_max_steps": 3}):
+    with holding_solver(solver_keys_of({"pulse_ts_max_steps": 3})):
         found = listened(random_lattice((5, 4)), (2, 2, 1, 1), world, method="integrate")
     assert found.failures == 2
     assert np.all(np.isinf(found.error_estimate))

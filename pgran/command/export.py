@@ -6,8 +6,9 @@ import os
 from pathlib import Path
 
 import pgran
+from pgran.arguments import called_right, shown
 from pgran.command.words import Parser
-from pgran.errors import DONE, FileError, PgranError
+from pgran.errors import DONE, FileError, InputError, PgranError
 from pgran.files.paths import whole
 from pgran.parallel import launch
 from pgran.results.medium import as_result
@@ -16,6 +17,7 @@ from pgran.results.table import tables
 ENDINGS = (".vtu", ".csv")
 
 
+@called_right
 def export(result, output):
     """Write a result for other programs: `export("modes.h5", "modes.vtu")`.
 
@@ -50,12 +52,17 @@ def export(result, output):
     PgranError
         If there is no meshio.
     """
-    output = Path(output)
+    try:
+        output = Path(output)
+    except TypeError:
+        raise InputError(f"export: {shown(output)} is no path of a file") from None
     write = {".vtu": _write_mesh, ".csv": _write_tables}.get(output.suffix.lower())
     if write is None:
         raise FileError(f"{output}: an export's name ends in one of {', '.join(ENDINGS)}")
-    shown = as_result(pgran.load(result) if isinstance(result, (str, os.PathLike)) else result)
-    return write(shown, output)
+    found = as_result(pgran.load(result) if isinstance(result, (str, os.PathLike)) else result)
+    if not hasattr(found, "scene"):
+        raise InputError(f"export: a result or its path is needed, not {shown(result)}")
+    return write(found, output)
 
 
 def run(words):

@@ -5,11 +5,13 @@ import os
 from pathlib import Path
 
 import pgran
-from pgran import figures
+from pgran import arguments, figures
+from pgran.arguments import called_right
 from pgran.command.words import Parser, positive
 from pgran.errors import DONE, FileError, InputError
 from pgran.files.columns import read_measured
 from pgran.files.options import options_in
+from pgran.physics.numbers import number, numbers
 from pgran.results.medium import as_result
 from pgran.results.si import SI
 
@@ -20,6 +22,7 @@ LONGEST = 120  # characters of a label
 LAID_OVER = {"response": "modes", "pulse": "response"}  # and over what
 
 
+@called_right
 def plot(
     result, output=None, modes=None, response=None, measured=None, units=None, width=None,
     caption=False,
@@ -74,6 +77,10 @@ def plot(
     shown = [pgran.load(path) if path else each for path, each in zip(paths, given, strict=True)]
     shown = list(map(as_result, shown))
     names = [Path(path).name if path else str(n) for n, path in enumerate(paths, 1)]
+    for each in shown:
+        check_result(each)
+    modes = None if modes is None else numbers("modes", modes)
+    width = None if width is None else number("-width", width)
     if len(shown) > 1 and not (modes is None and response is None):
         raise InputError("modes and a response are laid over one result only")
     units = units_of(shown, *units or ())
@@ -81,6 +88,14 @@ def plot(
     if output is not None:
         _save(made, output, caption, measured)
     return made
+
+
+def check_result(given):
+    """Raise an InputError unless a result was handed in. Not collective."""
+    if not hasattr(given, "scene"):
+        raise InputError(
+            f"a result is needed, what pgran.load returns or its path, not {arguments.shown(given)}"
+        )
 
 
 def units_of(results, length=None, time=None):
@@ -204,8 +219,8 @@ def _pair(*results):
     """Return the number of the one that is drawn, and what is laid over: its name, its record."""
     import numpy as np  # late: `pgran --help` loads nothing
 
-    for number, drawn in enumerate(results if len(results) == 2 else ()):
-        over = results[1 - number]
+    for place, drawn in enumerate(results if len(results) == 2 else ()):
+        over = results[1 - place]
         for group, name in LAID_OVER.items():
             if not (hasattr(drawn, group) and hasattr(over, name)):
                 continue
@@ -216,7 +231,7 @@ def _pair(*results):
                 values = [getattr(result.medium, fact, None) for result in (drawn, over)]
                 if not np.array_equal(*values):
                     raise FileError(f"the {group} and the {name} belong to different lattices")
-            return number, name, getattr(over, name)
+            return place, name, getattr(over, name)
     pairs = " or ".join(f"{group} and {name}" for group, name in LAID_OVER.items())
     scenes = " and ".join(result.scene for result in results)
     raise FileError(f"results are drawn together if of one scene, or {pairs}; not {scenes}")

@@ -9,6 +9,7 @@ import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from pgran.arguments import shown
 from pgran.errors import InputError
 from pgran.files.paths import open_regular
 from pgran.files.solver_keys import is_solver_key
@@ -53,6 +54,7 @@ FILES = _several(FILE)
 
 def text_of(value):
     """Return the text that a value is read from. Not collective."""
+    value = _without_numpy(value)
     if isinstance(value, tuple):
         return ",".join(map(text_of, value))
     if isinstance(value, bool):
@@ -132,10 +134,14 @@ class Option:
 
     def check(self, value):
         """Return a value given in Python as the command line would read it; raise as it does."""
-        plain = _without_numpy(value)
-        read = self.read(text_of(plain))
+        try:
+            plain = _without_numpy(value)
+            text = text_of(plain)
+        except Exception:  # whatever an object's own conversion raises
+            raise self._wrong_type(shown(value)) from None
+        read = self.read(text)
         if read != plain:
-            raise self._wrong_type(text_of(plain))
+            raise self._wrong_type(text)
         return read
 
     def _wrong_type(self, text, where=""):

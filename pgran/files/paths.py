@@ -5,6 +5,7 @@ import os
 import stat
 from pathlib import Path
 
+from pgran.arguments import shown
 from pgran.errors import FileError, reason_of
 
 
@@ -19,15 +20,15 @@ def open_regular(path):
         If it cannot be opened, or is a folder, a pipe or a device.
     """
     try:
-        mode = os.stat(path).st_mode
+        mode = os.stat(os.fspath(path)).st_mode
         if not stat.S_ISREG(mode):
             kind = "directory" if stat.S_ISDIR(mode) else "pipe or a device, not a file"
             raise FileError(f"{path}: is a {kind}")
         return open(path, "rb")
     except OSError as error:
         raise FileError(reason_of(error)) from None
-    except ValueError as error:
-        raise FileError(f"{path!r}: no name of a file: {error}") from None
+    except (TypeError, ValueError) as error:
+        raise FileError(f"{shown(path)}: no name of a file: {error}") from None
 
 
 @contextlib.contextmanager

@@ -14,6 +14,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from pgran.arguments import called_right
 from pgran.errors import FileError
 from pgran.files import hdf5
 from pgran.files.network import read_network
@@ -186,6 +187,7 @@ def is_result(path):
     return False
 
 
+@called_right
 def load(path):
     """Return a result, `load(path).response.omega`, or the network in a file of one.
 

@@ -1,5 +1,9 @@
-"""Standard output and standard error, which may be closed, a closed pipe, or a full device."""
+"""Standard output and standard error, which may be closed, a closed pipe, or a full device.
 
+And how messages look there, each warning once.
+"""
+
+import contextlib
 import io
 import logging
 import os
@@ -40,6 +44,24 @@ class Messages(logging.Formatter):
         """Return the line of a message."""
         warns = "warning: " if record.levelno == logging.WARNING else ""
         return f"{self.name}: {warns}{record.getMessage()}"
+
+
+@contextlib.contextmanager
+def saying_once():
+    """Let each warning be said once, however often it is met meanwhile. Not collective."""
+    log, said = logging.getLogger("pgran"), set()
+
+    def is_new(record):
+        text = record.getMessage()
+        new = text not in said
+        said.add(text)
+        return new or record.levelno < logging.WARNING
+
+    log.addFilter(is_new)
+    try:
+        yield
+    finally:
+        log.removeFilter(is_new)
 
 
 def guard():

@@ -1,10 +1,11 @@
 """Agreement over ranks on what one of them has met.
 
 An error that every rank meets alike (a bad option) is raised on every rank. One that only a single
-rank can meet (a file, memory) is either agreed on with `on_root` before the next collective call,
-or ends the whole job in `pgran.__main__`.
+rank can meet (a file, memory, what a script hands in) is either agreed on before the next
+collective call, with `on_root` or `agreeing`, or ends the whole job in `pgran.__main__`.
 """
 
+import contextlib
 import time
 
 from pgran.errors import (
@@ -12,6 +13,8 @@ from pgran.errors import (
     InputError,
     PgranError,
     is_bad_input,
+    is_foreseen,
+    is_petsc,
     petsc_message,
     reason_of,
 )
@@ -37,31 +40,69 @@ def on_root(comm, action, keep=False):
     if comm.rank == 0:
         try:
             value = action()
-        except PgranError as error:
-            failure = (type(error), str(error))
-        except OSError as error:
-            failure = (FileError, reason_of(error))
-    failure, shared = comm.bcast((failure, None if keep else value))
-    if failure:
-        kind, message = failure
-        raise kind(message)
+        except Exception as error:
+            failure = error
+    told, shared = comm.bcast((_told(failure), None if keep else value))
+    _raise(told, failure)
     return value if keep else shared
 
 
-def agree(comm, failure):
-    """Raise a PgranError on every rank if `failure`, what one has met, is not None on some rank.
+@contextlib.contextmanager
+def agreeing(comm):
+    """Raise on every rank what one of them meets in the meantime, or if they ask for other things.
 
-    Collective. It is of the kind that the first of these ranks has met, or says what PETSc did.
+    Collective, where it ends; nothing within it is. The value is a dict: what this rank asks for, a
+    checksum by name.
     """
-    told = None
+    failure, asked = None, {}
+    try:
+        yield asked
+    except Exception as error:
+        failure = error
+    agree(comm, failure, asked)
+
+
+def agree(comm, failure, asked=None):
+    """Raise an error on every rank if `failure`, what one has met, is not None on some rank.
+
+    Collective. A PgranError of the kind that the first of these ranks has met, or that says what
+    PETSc did; what no one has foreseen is raised as it is where it was met. Raises an InputError
+    if what is `asked` differs.
+    """
+    told, everyone = zip(*comm.allgather((_told(failure), asked)), strict=True)
+    _raise(next(filter(None, told), None), failure)
+    first = everyone[0]
+    for rank, other in enumerate(everyone if first else ()):
+        names = [name for name in first | other if first.get(name) != other.get(name)]
+        if names:
+            raise InputError(
+                f"the ranks ask for different things: {', '.join(names)} of rank {rank} differs "
+                "from rank 0's; under mpirun all ranks run the same script, and nothing that they "
+                "hand in may depend on the rank"
+            )
+
+
+def _told(failure):
+    """Return the kind and the message of an error, as other ranks are told of it."""
+    if failure is None:
+        return None
     if isinstance(failure, PgranError):
-        told = type(failure), str(failure)
-    elif failure is not None:  # of PETSc
-        told = InputError if is_bad_input(failure) else PgranError, petsc_message(failure)
-    met = next(filter(None, comm.allgather(told)), None)
-    if met:
-        kind, message = met
-        raise kind(message)
+        return type(failure), str(failure)
+    if isinstance(failure, OSError):
+        return FileError, reason_of(failure)
+    if is_petsc(failure):
+        return InputError if is_bad_input(failure) else PgranError, petsc_message(failure)
+    return PgranError, f"{type(failure).__name__}: {failure}"
+
+
+def _raise(told, failure):
+    """Raise what ranks were told of, if anything, or what was met here unforeseen."""
+    if told is None:
+        return
+    if failure is not None and not (is_foreseen(failure) or isinstance(failure, OSError)):
+        raise failure
+    kind, message = told
+    raise kind(message) from failure
 
 
 def met_by_all(comm):

@@ -5,11 +5,13 @@ depend on what its group did before: so the numbers do not depend on the number 
 nor on whether the run was stopped in between and went on from its journal.
 """
 
+import contextlib
+
 import numpy as np
 from mpi4py import MPI
 
 from pgran.errors import InputError, is_foreseen
-from pgran.parallel.agreement import agree, on_root
+from pgran.parallel.agreement import agree, agreeing, on_root
 
 WORD, FIRST_TAG = 1, 2  # tags of messages: a word to stop; results, a tag for each call of `share`
 
@@ -71,6 +73,10 @@ class Crew:
         begins, self._begins = self._begins, None
         if begins is not None:
             on_root(self.world, begins)
+
+    def open(self, task):
+        """Return the context of a task, whose value works on its units. Collective."""
+        return task.open(self.group)
 
     def share(self, task, work, deliver):
         """Call `work` for every unit on one group, and `deliver` with its rows on rank 0.
@@ -144,7 +150,22 @@ class Crew:
 
 
 class AgreeingCrew(Crew):
-    """Ranks of which all raise what one of them meets: where a study goes on, others end."""
+    """Ranks of which all raise what one of them meets: where a study goes on, others end.
+
+    Of ranks that share a lattice one could not agree while the others wait for it: there only what
+    all meet alike is agreed on.
+    """
+
+    @contextlib.contextmanager
+    def open(self, task):
+        """See `Crew`."""
+        with contextlib.ExitStack() as opened:
+            if self.group.size > 1:
+                work = opened.enter_context(task.open(self.group))
+            else:
+                with agreeing(self.world):
+                    work = opened.enter_context(task.open(self.group))
+            yield work
 
     def share(self, task, work, deliver):
         """Do as a Crew does; after an error a rank takes part without working.
@@ -158,7 +179,7 @@ class AgreeingCrew(Crew):
                 try:
                     return work(unit)
                 except Exception as error:
-                    if not is_foreseen(error):
+                    if self.group.size > 1 and not is_foreseen(error):
                         raise
                     met.append(error)
             return np.zeros(0, task.row)

@@ -24,7 +24,7 @@ from pgran.errors import FileError, InputError, PgranError, StoppedError, is_bad
 from pgran.parallel.agreement import on_root
 from pgran.parallel.launch import SIGNALS
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 MAGIC = b"pgran journal 1\n"
 RECORD = struct.Struct("<IIQI")  # stage, position, bytes, checksum

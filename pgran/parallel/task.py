@@ -63,7 +63,7 @@ def carry_out(task, crew, progress="none"):
     started, root = time.perf_counter(), crew.world.rank == 0
     style = progress if root and not crew.dry else "none"
     total, parts = sum(map(task.length, task.units)), {}
-    with task.open(crew.group) as work:
+    with crew.open(task) as work:
         crew.begin()  # before the progress
         with Progress(total, task.items, style) as counter:
 

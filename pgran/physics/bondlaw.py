@@ -11,7 +11,9 @@ import math
 
 import numpy as np
 
-from pgran.errors import InputError
+from pgran.arguments import called_right, choice, shown
+from pgran.errors import InputError, PgranError
+from pgran.physics.numbers import number, numbers
 
 
 def unit_numbers(seed, first, count, generation=0):
@@ -66,6 +68,7 @@ def _hertz(u, force, contact):
     return (1.5 * np.cbrt(np.longdouble(contact) ** 2 * forces)).astype(float)
 
 
+# Of each law its function, and which parameters it has.
 LAWS = {
     "uniform": (_uniform, ("kmin", "kmax")),
     "constant": (_constant, ("kmax",)),
@@ -75,6 +78,10 @@ LAWS = {
 }
 
 
+DEFAULTS = {"kmin": 0.0, "kmax": 0.25, "fraction": 0.5, "force": 1.0, "hertz": 1.0}
+
+
+@called_right
 class BondLaw:
     """The law that bond constants are drawn from, with its parameters.
 
@@ -82,37 +89,105 @@ class BondLaw:
     ----------
     name : str
         A key of `LAWS`.
-    kmin, kmax, fraction, force, hertz : float
-        The options `-bonds_kmin` and so on; a law reads only its own.
+    kmin, kmax, fraction, force, hertz : float, optional
+        The options `-bonds_kmin` and so on, those of this law; as `DEFAULTS` unless given.
 
     Raises
     ------
     InputError
-        If the parameters are impossible.
+        If the parameters are impossible, or another law's.
     """
 
-    def __init__(self, name, *, kmin=0.0, kmax=0.25, fraction=0.5, force=1.0, hertz=1.0):
+    def __init__(self, name, *, kmin=None, kmax=None, fraction=None, force=None, hertz=None):
         """Check and keep the parameters."""
-        if name not in LAWS:
-            raise InputError(f"bonds_law: {name!r} is none of {', '.join(LAWS)}")
+        self.function, names = LAWS[choice("bonds_law", name, LAWS)]
         given = {"kmin": kmin, "kmax": kmax, "fraction": fraction, "force": force, "hertz": hertz}
-        self.function, names = LAWS[name]
-        self.parameters = [given[key] for key in names]
-        for key, value in zip(names, self.parameters, strict=True):
+        for key, value in given.items():
+            if value is not None and key not in names:
+                raise InputError(
+                    f"bonds_{key}: no parameter of the law {name}; it has {' and '.join(names)}"
+                )
+        given = DEFAULTS | {key: value for key, value in given.items() if value is not None}
+        values = {key: number(f"bonds_{key}", given[key]) for key in names}
+        for key, value in values.items():
             positive = key not in ("kmin", "fraction")
             if not math.isfinite(value) or value < 0 or (positive and value == 0):
                 raise InputError(
                     f"bonds_{key}: must be {'positive' if positive else '0 or more'} "
                     f"and finite, not {value}"
                 )
-        if "kmin" in names and kmin > kmax:
-            raise InputError(f"bonds_kmin: {kmin} is above bonds_kmax, {kmax}")
-        if name == "loguniform" and kmin == 0:
+        if "kmin" in names and values["kmin"] > values["kmax"]:
+            raise InputError(f"bonds_kmin: {values['kmin']} is above bonds_kmax, {values['kmax']}")
+        if name == "loguniform" and values["kmin"] == 0:
             raise InputError("bonds_kmin: must be positive for -bonds_law loguniform")
-        if name == "bimodal" and fraction > 1:
-            raise InputError(f"bonds_fraction: must lie in [0, 1], not {fraction}")
-        self.kmax = kmax if "kmax" in names else None
+        if name == "bimodal" and values["fraction"] > 1:
+            raise InputError(f"bonds_fraction: must lie in [0, 1], not {values['fraction']}")
+        self.name, self.parameters, self.kmax = name, values, values.get("kmax")
 
     def __call__(self, u):
         """Return the constants that belong to numbers uniform on [0, 1)."""
-        return self.function(u, *self.parameters)
+        return self.function(u, *self.parameters.values())
+
+    def __repr__(self):
+        """Say what makes the same law."""
+        parameters = (f"{key}={value}" for key, value in self.parameters.items())
+        return f"BondLaw({', '.join([repr(self.name), *parameters])})"
+
+
+def drawn(law, u):
+    """Return the constants that a law of the user's makes of numbers uniform on [0, 1).
+
+    Not collective.
+
+    Raises
+    ------
+    InputError
+        Unless there is one for each number, finite and not negative.
+    """
+    try:
+        found = law(u.copy())
+    except PgranError:
+        raise
+    except Exception as error:
+        raise InputError(f"law: fails: {type(error).__name__}: {error}") from error
+    constants = numbers("law: what it returns", found)
+    if constants.shape != u.shape:
+        raise InputError(
+            f"law: returns numbers of the shape {constants.shape} for {u.shape}; it must turn each "
+            "number between 0 and 1 into a bond constant"
+        )
+    wrong = constants[~(np.isfinite(constants) & (constants >= 0))]
+    if wrong.size:
+        raise InputError(
+            f"law: bond constants must be finite and not negative, and it returns {wrong[0]:g}"
+        )
+    return constants
+
+
+def check_law(law):
+    """Return a law of the user's, or None for none, once it has been tried.
+
+    Not collective. Each constant must depend on its own number alone: else results would depend on
+    how many are drawn at a time.
+
+    Raises
+    ------
+    InputError
+    """
+    if law is None:
+        return None
+    if not callable(law):
+        raise InputError(
+            f"law: {shown(law)} is no function of numbers between 0 and 1; pgran.BondLaw makes one"
+        )
+    whole = drawn(law, TRIED)
+    parts = np.concatenate([drawn(law, TRIED[:3]), drawn(law, TRIED[3:])])
+    if not np.allclose(whole, parts, rtol=1e-12, atol=0):
+        raise InputError(
+            "law: returns other constants for the same numbers; each must depend on its own number "
+            "alone, not on others, earlier calls or another source of chance"
+        )
+    return law
+
+
+TRIED = unit_numbers(0, 0, 16)  # what laws are tried with

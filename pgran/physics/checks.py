@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 
+from pgran.arguments import choice
 from pgran.errors import InputError
 from pgran.physics.bonds import AXES
+from pgran.physics.numbers import numbers
 from pgran.physics.springs import AT_REST, DRIVEN, FREE
 
 
@@ -31,13 +33,8 @@ def checked_array(name, value, dtype, rest, count=None):
     InputError
         If it is no such array.
     """
-    try:
-        array = np.array(value, dtype=dtype)
-    except (TypeError, ValueError):
-        raise InputError(f"network: {name} must be an array of numbers") from None
+    array = np.array(numbers(f"network: {name}", value, whole=dtype is int))
     wanted = (count if count is not None else len(array) if array.ndim else 0, *rest)
-    if dtype is int and not np.array_equal(array, value):
-        raise InputError(f"network: {name}: whole numbers are needed")
     if array.ndim != len(wanted) or any(
         n not in (None, m) for n, m in zip(wanted, array.shape, strict=True)
     ):
@@ -70,8 +67,7 @@ def check_network(network):
         raise InputError("network: no free ball has a contact")
     if not np.all(network.masses[held == FREE] > 0):
         raise InputError("network: masses must be positive")
-    if network.damped not in ("all", "normal"):
-        raise InputError(f"network: damped is {network.damped!r}, not 'all' or 'normal'")
+    choice("network: damped", network.damped, ("all", "normal"))
     if network.displacement != "scalar":
         if network.normal.shape[1] not in (2, 3):
             raise InputError("network: vectors have 2 or 3 components")
@@ -84,16 +80,16 @@ def check_network(network):
         raise InputError("network: rotations need radii")
     if network.turns and not np.all(network.radius[held == FREE] > 0):
         raise InputError("network: radii must be positive")
-    axes, component = network.axes, network.component
-    if component not in ("drive", *AXES[: axes if axes > 1 else 0]):
-        raise InputError(f"-detectors_component {component}: this network has no such one")
+    axes = network.axes
+    components = ("drive", *AXES[: axes if axes > 1 else 0])
+    choice("-detectors_component", network.component, components)
 
 
 def unit_direction(direction, axes):
     """Return the direction of a drive, of length 1; along x unless given. Not collective."""
     if direction is None:
         return np.eye(axes)[0]
-    direction = np.asarray(direction, dtype=float)
+    direction = numbers("network: the direction of the drive", direction)
     size = np.linalg.norm(direction)
     if direction.shape != (axes,) or not 0 < size < math.inf:
         raise InputError(f"network: the direction of the drive has {axes} components")

@@ -8,13 +8,14 @@ and its entry `i` joins the balls `i - 1` and `i`.
 
 import hashlib
 import math
-import operator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from pgran.arguments import called_right, shown, whole_number
 from pgran.errors import InputError
+from pgran.machine import check_memory
 from pgran.physics.bondlaw import BondLaw, unit_numbers
 from pgran.physics.bonds import (
     AXES,
@@ -27,14 +28,18 @@ from pgran.physics.bonds import (
     bond_shape,
     driven_bonds,
 )
+from pgran.physics.fingerprints import Distinct
+from pgran.physics.numbers import number, numbers
 from pgran.physics.springs import Springs
 from pgran.physics.units import check_magnitudes, einstein_frequency, own_unit
 
 
-@dataclass(frozen=True)
-class Lattice(ElasticBonds):
+@called_right
+@dataclass(frozen=True, eq=False)
+class Lattice(ElasticBonds, Distinct):
     """Balls of one mass, springs of individual stiffness, one damping constant.
 
+    Lattices are equal if bonds, mass, damping and kmax are.
     Solvers and scenes ask the same of it as of a `pgran.physics.network.Network`.
 
     Parameters
@@ -62,9 +67,12 @@ class Lattice(ElasticBonds):
 
     def __post_init__(self):
         """Check shapes and values; keep copies that nobody can change."""
-        arrays = tuple(np.array(k, dtype=float, order="C") for k in self.stiffness)
+        given = self.stiffness if isinstance(self.stiffness, (list, tuple)) else ()
+        arrays = tuple(np.array(numbers("stiffness", k), order="C") for k in given)
         if not 1 <= len(arrays) <= 3 or any(k.ndim != len(arrays) for k in arrays):
             raise InputError("stiffness: one array for each of 1 to 3 axes is needed")
+        for name in ("mass", "damping"):
+            object.__setattr__(self, name, number(f"lattice_{name}", getattr(self, name)))
         shape = tuple(n - (axis == 0) for axis, n in enumerate(arrays[0].shape))
         for axis, k in enumerate(arrays):
             name = f"stiffness_{AXES[axis]}"
@@ -74,9 +82,9 @@ class Lattice(ElasticBonds):
                 raise InputError(f"{name}: every bond constant must be finite and not negative")
             k.flags.writeable = False
         object.__setattr__(self, "stiffness", arrays)
-        if self.kmax is None:
-            object.__setattr__(self, "kmax", self.stiffest)
-        check_magnitudes(self.axes, self.mass, self.damping, max(self.kmax, self.stiffest))
+        kmax = self.stiffest if self.kmax is None else number("bonds_kmax", self.kmax)
+        object.__setattr__(self, "kmax", kmax)
+        check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, kmax)
 
     def __repr__(self):
         """Say in a line how large it is, and what its unit is."""
@@ -86,6 +94,7 @@ class Lattice(ElasticBonds):
         )
 
     @classmethod
+    @called_right
     def random(cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=0.003, **parameters):
         """Return the lattice that the options of a run describe, the same on every rank.
 
@@ -113,14 +122,13 @@ class Lattice(ElasticBonds):
             law = BondLaw(law, **parameters)
         elif parameters:
             raise InputError(f"bonds_law: this law has its parameters, and takes no {parameters}")
-        try:
-            shape, seed = tuple(map(operator.index, shape)), operator.index(seed)
-        except TypeError:
-            raise InputError("lattice_shape, bonds_seed: whole numbers are needed") from None
-        if not 1 <= len(shape) <= 3 or min(shape) < 1:
+        shape, seed = numbers("lattice_shape", shape, whole=True), whole_number("bonds_seed", seed)
+        if shape.ndim != 1 or not 1 <= len(shape) <= 3 or min(shape) < 1:
             raise InputError(f"lattice_shape: 1 to 3 positive numbers are needed, not {shape}")
+        shape = tuple(shape.tolist())
         if not 0 <= seed < 2**64:
-            raise InputError(f"bonds_seed: must lie between 0 and 2^64 - 1, not {seed}")
+            raise InputError(f"bonds_seed: must lie between 0 and 2^64 - 1, not {shown(seed)}")
+        check_memory("lattice_shape", 8 * bond_count(shape))
         bonds = law(unit_numbers(seed, 0, bond_count(shape)))
         return cls(bond_arrays(shape, bonds), mass, damping, law.kmax)
 
@@ -184,13 +192,14 @@ class Lattice(ElasticBonds):
         or a ball lies outside the lattice.
         """
         shape, axes = self.shape, self.axes
-        flat = np.asarray(detectors, dtype=np.int64).ravel()
-        if flat.size == 0 or flat.size % axes:
+        given = numbers(name, detectors, whole=True)
+        if given.size == 0 or given.size % axes or (given.ndim > 1 and given.shape[1:] != (axes,)):
+            size = " x ".join(map(str, given.shape)) or "1"
             raise InputError(
                 f"{name}: a ball of this lattice has {axes} "
-                f"{'index' if axes == 1 else 'indices'}, so {flat.size} numbers name no balls"
+                f"{'index' if axes == 1 else 'indices'}, so {size} numbers name no balls"
             )
-        sites = flat.reshape(-1, axes)
+        sites = given.reshape(-1, axes)
         for site in sites:
             if np.any(site < 0) or np.any(site >= shape):
                 raise InputError(

@@ -13,10 +13,13 @@ from functools import cached_property
 
 import numpy as np
 
+from pgran.arguments import called_right, choice
 from pgran.errors import InputError
 from pgran.physics.bonds import AXES
 from pgran.physics.checks import check_network, checked_array, unit_direction
+from pgran.physics.fingerprints import Distinct
 from pgran.physics.graph import Graph
+from pgran.physics.numbers import number, numbers
 from pgran.physics.parts import anchored
 from pgran.physics.springs import DRIVEN, FREE, Elastic, springs_of
 from pgran.physics.units import check_magnitudes, einstein_frequency, own_unit
@@ -24,9 +27,12 @@ from pgran.physics.units import check_magnitudes, einstein_frequency, own_unit
 KINDS = ("scalar", "vector", "rotations")
 
 
+@called_right
 @dataclass(frozen=True, eq=False)
-class Network(Elastic):
+class Network(Elastic, Distinct):
     """Balls, the contacts between them, and which of them are held.
+
+    Networks are equal if all that they are made of is.
 
     Parameters
     ----------
@@ -90,10 +96,11 @@ class Network(Elastic):
         self._keep("held", int, ())
         self._keep("bond", int, (2,))
         contacts, balls = len(self.bond), len(self.held)
-        if np.ndim(self.masses) == 0:
-            object.__setattr__(self, "masses", np.full(balls, float(self.masses)))
-        if self.displacement not in KINDS:
-            raise InputError(f"network: displacement {self.displacement!r} is none of {KINDS}")
+        masses = numbers("network: masses", self.masses)
+        if masses.ndim == 0:
+            object.__setattr__(self, "masses", np.full(balls, masses))
+        object.__setattr__(self, "damping", number("network: damping", self.damping))
+        choice("network: displacement", self.displacement, KINDS)
         self._keep("position", float, (None,), balls)
         if self.displacement != "scalar" and self.normal is None:
             self._find_normals()
@@ -107,9 +114,12 @@ class Network(Elastic):
         if self.median_mass is None:
             heavy = self.masses[self.masses > 0]  # walls may be given none
             object.__setattr__(self, "median_mass", float(np.median(heavy)))
-        if self.kmax is None:
-            object.__setattr__(self, "kmax", self.stiffest)
-        check_magnitudes(self.axes, self.mass, self.damping, max(self.kmax, self.stiffest))
+        else:
+            median = number("network: median_mass", self.median_mass)
+            object.__setattr__(self, "median_mass", median)
+        kmax = self.stiffest if self.kmax is None else number("network: kmax", self.kmax)
+        object.__setattr__(self, "kmax", kmax)
+        check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, abs(kmax))
 
     def __repr__(self):
         """Say in a line how large it is, and what its unit is."""
@@ -121,9 +131,9 @@ class Network(Elastic):
         )
 
     def _keep(self, name, dtype, rest, count=None):
-        """Keep an array, if there is one, as a copy that nobody can change."""
-        value = getattr(self, name)
-        if value is not None:
+        """Keep an array, one that may be missing if there is one, as a copy nobody can change."""
+        value, required = getattr(self, name), ("bond", "stiffness", "held")
+        if value is not None or name in required:
             object.__setattr__(self, name, checked_array(name, value, dtype, rest, count))
 
     def _find_normals(self):
@@ -252,7 +262,10 @@ class Network(Elastic):
         Not collective. Raises InputError, which calls them by their `name`, unless these balls are
         free.
         """
-        sites = np.asarray(detectors, dtype=np.int64).reshape(-1, 1)
+        given = numbers(name, detectors, whole=True)
+        if given.ndim > 1 and given.shape[1:] != (1,):
+            raise InputError(f"{name}: balls of a network have one number each, from 0")
+        sites = given.reshape(-1, 1)
         for ball in sites[:, 0]:
             if not 0 <= ball < len(self.held):
                 raise InputError(f"{name}: no ball {ball} among {len(self.held)}, from 0")

@@ -14,7 +14,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.physics.estimate import FEWEST, FEWEST_SAMPLES, Estimate, jackknife, jackknife_samples
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 # Maxima of |A| are this times Gamma apart where modes of one width Gamma overlap: the integral of
 # Kac and Rice for A = int g(t) exp(-i omega t) dt, <|g|^2> = exp(-Gamma t). It is the 3.91 Hz over

@@ -22,7 +22,7 @@ from pgran.errors import InputError
 from pgran.physics.series import ROUNDING, checked_series
 from pgran.results import Spectrum
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 # The main lobe of a Hann window is 2 frequencies wide to either side and raises f^-psi by
 # psi (psi+1) / (6 j^2) at the j-th frequency of a segment: 1.6 % at the 8th for psi = 2.

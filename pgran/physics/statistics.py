@@ -20,7 +20,7 @@ from pgran.errors import InputError
 from pgran.physics.estimate import FEWEST, Estimate
 from pgran.physics.noise import MAXIMA_SPACING, NoisyCurves, spacing_of_maxima
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 __all__ = [
     "GAUSSIAN_CONTRAST",

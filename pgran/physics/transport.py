@@ -9,7 +9,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.physics.estimate import FEWEST_SAMPLES, Estimate, jackknife_samples, mean_of
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 FALLS = 2.0  # errors that a slope is negative by, for an attenuation length
 

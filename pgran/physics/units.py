@@ -5,7 +5,7 @@ import math
 from pgran.errors import InputError
 
 
-def check_magnitudes(axes, mass, damping, stiffest):
+def check_magnitudes(axes, mass, damping, stiffest, kmax):
     """Raise InputError where mass, damping and stiffness make no vibrations.
 
     Not collective.
@@ -14,14 +14,16 @@ def check_magnitudes(axes, mass, damping, stiffest):
     ----------
     axes : int
     mass, damping : float
-    stiffest : float
-        The largest constant, or kmax where that is larger.
+    stiffest, kmax : float
+        The largest constant, and that which sets the unit of frequency.
     """
+    if not (math.isfinite(kmax) and kmax >= 0):
+        raise InputError(f"bonds_kmax: must be 0 or more and finite, not {kmax}")
     if not (math.isfinite(mass) and mass > 0):
         raise InputError(f"lattice_mass: must be positive and finite, not {mass}")
     if not (math.isfinite(damping) and damping >= 0):
         raise InputError(f"lattice_damping: must be 0 or more and finite, not {damping}")
-    if not math.isfinite(4 * axes * stiffest / mass):
+    if not math.isfinite(4 * axes * max(kmax, stiffest) / mass):
         raise InputError(
             "lattice_mass, bonds: the frequencies, up to sqrt(4 d kmax / m), are too large to "
             "compute with; choose other units"

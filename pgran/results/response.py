@@ -180,6 +180,8 @@ class Response(Frequencies, Record):
         ------
         PgranError
             If the result holds no models.
+        InputError
+            If the frequencies are no numbers.
         """
         if self.models is None:
             raise PgranError(
@@ -187,8 +189,9 @@ class Response(Frequencies, Record):
                 "with -sweep_method curve and -output_models (keep_models=True)"
             )
         from pgran.physics.interval import evaluate_all
+        from pgran.physics.numbers import numbers
 
-        return Curve(*evaluate_all(self.models, np.asarray(omega, dtype=float)))
+        return Curve(*evaluate_all(self.models, numbers("omega", omega)))
 
 
 class Curve(NamedTuple):

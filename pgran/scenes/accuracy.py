@@ -18,7 +18,7 @@ from pgran.scenes import common, driven, modes, pulse, relaxation, response
 from pgran.scenes.scene import Scene
 from pgran.scenes.study import Comparison, Configuration, Reference, Study
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 EXPERIMENTS = {"response": response, "modes": modes, "relaxation": relaxation, "pulse": pulse}
 STUDY = (

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from pgran.scenes import driven
 from pgran.scenes.sweeping import FrequencySweep
 
 MISSED = 0  # the reason of a frequency whose results miss the accuracy asked for
@@ -28,8 +27,7 @@ class AdjointSweep(FrequencySweep):
             ("displacement", complex, (nd,)), ("error_bound", float, (nd,)),
             ("field_bound", float), ("converged_reason", np.int64),
         ]  # fmt: skip
-        choices = {"error_tolerance": driven.STEADY["error_tolerance"].check(error_tolerance)}
-        choices |= {"whole_field": True, "whole_adjoints": True}
+        choices = {"error_tolerance": error_tolerance, "whole_field": True, "whole_adjoints": True}
         super().__init__(lattice, omegas, sites, [*amplitudes, *kept], choices)
 
     def keep(self, point, solver):

@@ -17,7 +17,6 @@ from pgran.physics.phase import (
 from pgran.physics.rounding import EPSILON
 from pgran.results import Response
 from pgran.results.response import LINES
-from pgran.scenes import driven
 from pgran.scenes.sweeping import FrequencySweep
 
 GOOD = 2  # the reason of a frequency that a model gives
@@ -47,7 +46,7 @@ class ResponseSweep(FrequencySweep):
             ("modelled", np.int8),
             *([("field", complex, lattice.shape)] if fields else []),
         ]
-        choices = driven.steady_choices(steady) | {"whole_field": fields, "derivatives": True}
+        choices = steady | {"whole_field": fields, "derivatives": True}
         super().__init__(lattice, omegas, sites, kept, choices)
 
     def at(self, omegas):

@@ -4,13 +4,15 @@ import dataclasses
 
 import numpy as np
 
+from pgran.arguments import shown
 from pgran.errors import FileError, InputError, PgranError
 from pgran.files.options import FILE, INTEGER, INTEGERS, REAL, REALS, TEXT, Option
 from pgran.machine import check_memory
 from pgran.parallel.agreement import on_root
 from pgran.physics.bondlaw import LAWS, BondLaw
-from pgran.physics.bonds import bond_count
 from pgran.physics.lattice import Lattice
+from pgran.physics.network import Network
+from pgran.physics.numbers import numbers
 
 LATTICE = (
     Option("lattice_shape", INTEGERS, (20, 20), "balls along each axis, 1 to 3 numbers", low=1),
@@ -161,6 +163,38 @@ def check_values(options, **values):
             option.check(values[option.name])
 
 
+def medium(value):
+    """Return a lattice or a network that was handed in, as a result's record, too.
+
+    Not collective. Raises InputError if it is none.
+    """
+    value = getattr(value, "built", value)
+    if not isinstance(value, (Lattice, Network)):
+        raise InputError(
+            f"lattice: a pgran.Lattice or a pgran.Network is needed, not {shown(value)}"
+        )
+    return value
+
+
+def checks(options, prefix=""):
+    """Return what checks values of options, by their names without a prefix. Not collective."""
+    return {option.name.removeprefix(prefix): option.check for option in options}
+
+
+def window(name, options, ends):
+    """Return the two ends of a window that was handed in, by options `name`_min and `name`_max.
+
+    Not collective. Raises InputError if there are not two, or they are impossible for these.
+    """
+    ends = numbers(f"-{name}_min, -{name}_max", ends)
+    if ends.shape != (2,):
+        raise InputError(f"-{name}_min, -{name}_max: a window has two ends, not {ends.size}")
+    values = dict(zip((f"{name}_min", f"{name}_max"), ends, strict=True))
+    check_values(options, **values)
+    check_ends(name, values)
+    return tuple(ends.tolist())
+
+
 def check_ends(name, values):
     """Raise unless the lower end of a window lies below its upper end. Not collective."""
     low, high = (values.get(f"{name}_{end}") for end in ("min", "max"))
@@ -193,7 +227,6 @@ def make_lattice(options, world):
         stiffness, kmax = on_root(world, lambda: read_bonds(options.bonds_file))
         lattice = Lattice(stiffness, options.lattice_mass, options.lattice_damping, kmax)
     else:
-        check_memory("lattice_shape", 8 * bond_count(options.lattice_shape))
         lattice = Lattice.random(
             options.lattice_shape,
             options.bonds_seed,
@@ -236,14 +269,8 @@ def read_bonds(path):
 
 def make_law(options):
     """Return the law that the bond constants are drawn from. Not collective."""
-    return BondLaw(
-        options.bonds_law,
-        kmin=options.bonds_kmin,
-        kmax=options.bonds_kmax,
-        fraction=options.bonds_fraction,
-        force=options.bonds_force,
-        hertz=options.bonds_hertz,
-    )
+    _, names = LAWS[options.bonds_law]
+    return BondLaw(options.bonds_law, **{name: getattr(options, f"bonds_{name}") for name in names})
 
 
 def ranks_per_lattice(options, lattice, world):

@@ -10,7 +10,7 @@ from pgran.parallel.task import Task, carry_out
 from pgran.physics.continuum import Continuum
 from pgran.physics.phase import phase_of_sign
 from pgran.results import ContinuumResponse
-from pgran.scenes.common import FREQUENCIES, check_sweep, driving_frequencies
+from pgran.scenes.common import FREQUENCIES, check_sweep, checks, driving_frequencies
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Scene
 from pgran.scenes.sweeping import checked_frequencies
@@ -60,7 +60,7 @@ def summary(result):
     )
 
 
-@in_parallel()
+@in_parallel(omegas=checked_frequencies, **checks(CONTINUUM, "continuum_"))
 def continuum(
     omegas,
     point,
@@ -100,7 +100,7 @@ def continuum(
         If the point lies outside the box, or a frequency is too high.
     """
     box = Continuum(size, mass, stiffness, damping)
-    return carry_out(Series(box, checked_frequencies(omegas), point), crew, progress)
+    return carry_out(Series(box, omegas, point), crew, progress)
 
 
 class Series(Task):

@@ -3,12 +3,14 @@
 import contextlib
 import math
 import time
+from functools import partial
 
 import numpy as np
 
 from pgran.errors import InputError
 from pgran.files.options import INTEGER, Option
 from pgran.parallel.task import Task, carry_out
+from pgran.physics.numbers import numbers
 from pgran.physics.units import check_frequency
 from pgran.results import Density
 from pgran.results.si import SI
@@ -51,7 +53,7 @@ def frequencies(options, lattice):
     return np.linspace(low, high, options.modes_density)
 
 
-@in_parallel()
+@in_parallel(lattice=common.medium, omegas=partial(numbers, "omegas"))
 def count_modes(lattice, omegas, crew=None, *, progress="none"):
     """Count the normal modes below each of some frequencies; no mode is computed.
 
@@ -77,7 +79,6 @@ def count_modes(lattice, omegas, crew=None, *, progress="none"):
     InputError
         If the frequencies do not increase, or are too high to compute with.
     """
-    omegas = np.asarray(omegas, dtype=float)
     # not >: NaN too
     if omegas.ndim != 1 or len(omegas) < 2 or not (omegas[0] >= 0 and np.all(np.diff(omegas) > 0)):
         raise InputError("omegas: two frequencies or more are needed, 0 or higher, that increase")

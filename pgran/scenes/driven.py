@@ -1,6 +1,7 @@
 """What scenes of driven steady states share: what is asked of these, and what is said of them."""
 
 import logging
+import math
 
 import numpy as np
 
@@ -9,9 +10,10 @@ from pgran.files.options import INTEGER, REAL, Option
 from pgran.parallel.agreement import on_root
 from pgran.scenes.scene import Caution
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
-# What a user may ask of the driven steady states, by the keywords of `SteadySolver`.
+# What a user may ask of the driven steady states, by the keywords of `SteadySolver`, and of the
+# functions that have them.
 STEADY = {
     "error_tolerance": Option(
         "error_tolerance", REAL, 1e-4, "relative accuracy asked of each amplitude",
@@ -30,17 +32,7 @@ STEADY = {
 }  # fmt: skip
 
 
-def steady_choices(given):
-    """Return all keywords of `STEADY`, those given checked like options. Not collective.
-
-    Raises
-    ------
-    TypeError, InputError
-        For a keyword or a value that is impossible.
-    """
-    if unknown := given.keys() - STEADY.keys():
-        raise TypeError(f"unexpected keywords {unknown}; of the solver there are {[*STEADY]}")
-    return {name: o.check(given.get(name, o.default)) for name, o in STEADY.items()}
+CHECKS = {keyword: option.check for keyword, option in STEADY.items()}
 
 
 def steady_of(options):
@@ -49,7 +41,7 @@ def steady_of(options):
     return {keyword: value for keyword, value in given.items() if value is not None}
 
 
-def check_driven(lattice, world, in_time=False):
+def check_driven(lattice, world, lowest, in_time=False):
     """Raise where a drive has no bounded answer; warn where steady states could not last.
 
     Collective.
@@ -58,6 +50,8 @@ def check_driven(lattice, world, in_time=False):
     ----------
     lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
     world : mpi4py.MPI.Comm
+    lowest : float
+        The lowest driving frequency.
     in_time : bool
         Whether motions in time are wanted, which must not grow for ever.
 
@@ -67,6 +61,7 @@ def check_driven(lattice, world, in_time=False):
         If nothing is driven, or balls float, or motions would grow.
     """
     lattice.check_driven()
+    warn_above_modes(lattice, world, lowest)
     if lattice.semidefinite:
         return
     from pgran.solve.certify import is_stable
@@ -80,6 +75,18 @@ def check_driven(lattice, world, in_time=False):
         log.warning(
             "%s: its steady states are computed as if it stayed where it is; scene modes says how "
             "unstable", unstable,
+        )  # fmt: skip
+
+
+def warn_above_modes(lattice, world, lowest):
+    """Warn where no mode is above the lowest frequency asked for, which is then often in Hz.
+
+    Not collective; rank 0 warns.
+    """
+    if world.rank == 0 and lowest > math.sqrt(lattice.stiffness_norm / lattice.mass):
+        log.warning(
+            "omega = %.6g, the lowest asked for, is above all modes (omega_mx is %.6g); if it is "
+            "in Hz: frequencies are angular, omega = 2 pi f", lowest, lattice.omega_mx,
         )  # fmt: skip
 
 

@@ -1,14 +1,14 @@
 """Scene `ensemble`: one experiment on many samples, and what holds over them."""
 
-import inspect
 import logging
 import os
-from functools import partial
 
 import numpy as np
 
+from pgran.arguments import shown
 from pgran.errors import InputError
 from pgran.files.options import INTEGER, REALS, TEXT, Option
+from pgran.parallel.agreement import agreeing
 from pgran.parallel.task import carry_out
 from pgran.physics.lattice import Lattice
 from pgran.results import record_of
@@ -27,7 +27,7 @@ from pgran.scenes.interface import in_parallel
 from pgran.scenes.sampling import Samples, measures
 from pgran.scenes.scene import Caution, Scene
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 # Of each experiment its module, the function that carries it out, and what it is told here.
 EXPERIMENTS = {
@@ -58,6 +58,7 @@ ENSEMBLE = (
         "low,high,low,high; needs -ensemble_keep curves", "angular", above=0,
     ),
 )  # fmt: skip
+OF, SAMPLES, KEEP = ENSEMBLE[:3]
 # Options of the experiments that make no sense for many samples, and what stands for them.
 LEFT_OUT = {"output_fields": False, "output_models": False, "sweep_resolve": 0.0}
 LEFT_OUT |= {"modes_target": None, "modes_count": None, "modes_density": None}
@@ -154,7 +155,12 @@ def seeds_of(first, samples):
     return range(first, first + samples)
 
 
-@in_parallel()
+@in_parallel(
+    of=OF.check,
+    samples=SAMPLES.check,
+    keep=KEEP.check,
+    seed=common.checks(common.LATTICE)["bonds_seed"],
+)
 def ensemble(
     of, samples, crew=None, *, lattice, seed=1993, keep="measures", progress="none", **experiment
 ):
@@ -196,29 +202,29 @@ def ensemble(
     Raises
     ------
     InputError
-        If a value is impossible.
-    TypeError
-        If the experiment lacks a value, or does not know one.
+        If a value is impossible, the experiment lacks one or does not know it, or the function of
+        the seed fails.
     """
-    asked = {"ensemble_of": of, "ensemble_samples": samples, "ensemble_keep": keep}
-    common.check_values((*ENSEMBLE, *common.LATTICE), **asked, bonds_seed=seed)
     check_kept(of, keep)
-    if refused := NOT_TAKEN & experiment.keys():
-        raise InputError(f"ensemble: many samples have no {sorted(refused)[0]} of their own")
+    _, function, told = EXPERIMENTS[of]
     if isinstance(lattice, (list, tuple)):
-        if len(lattice) != samples:
+        seed = 0
+    seeds = seeds_of(seed, samples)
+    with agreeing(crew.world) as asked:
+        if refused := NOT_TAKEN & experiment.keys():
+            raise InputError(f"ensemble: many samples have no {sorted(refused)[0]} of their own")
+        if isinstance(lattice, (list, tuple)) and len(lattice) != samples:
             raise InputError(f"ensemble: {samples} samples are asked for, {len(lattice)} given")
-        make, seed = partial(_listed, lattice), 0
-    else:
-        make = lattice if callable(lattice) else partial(_random, lattice)
-    first, (_, function, told) = make(seed), EXPERIMENTS[of]
-    inspect.signature(function).bind(first, **experiment)  # TypeErrors before any work
+        first = _sample(lattice, seed)
+        asked["lattice"] = first.fingerprint
+        experiment = function.check(first, **experiment).arguments
+        experiment = {n: experiment[n] for n in experiment.keys() - {"lattice", "solver"}}
 
     def solve(number, group):
         from pgran.parallel.crew import AgreeingCrew
 
-        sample = make(number)
-        if sample.balls != first.balls:
+        sample = _sample(lattice, number)
+        if (type(sample), sample.shape) != (type(first), first.shape):
             raise InputError(f"ensemble: the sample of seed {number} is of another size")
         choices = experiment | told
         if of == "relaxation":
@@ -231,15 +237,34 @@ def ensemble(
 
     whole = of == "modes" and "interval" not in experiment
     given = experiment.get("omegas"), experiment.get("detectors"), whole
-    task = Samples(of, seeds_of(seed, samples), solve, first, keep, *given)
+    with agreeing(crew.world):
+        task = Samples(of, seeds, solve, first, keep, *given)
     return carry_out(task, crew, progress)
 
 
-def _random(keywords, seed):
-    """Return the sample of a seed. Not collective."""
-    if "seed" in keywords:
+def _sample(lattice, seed):
+    """Return the sample of a seed, by keywords, a function of the user's, or its place in a list.
+
+    Not collective.
+    """
+    if isinstance(lattice, (list, tuple)):
+        return common.medium(_listed(lattice, seed))
+    if callable(lattice):
+        try:
+            sample = lattice(seed)
+        except Exception as error:
+            raise InputError(
+                f"ensemble: lattice({seed}) fails: {type(error).__name__}: {error}"
+            ) from error
+        return common.medium(sample)
+    if not isinstance(lattice, dict):
+        raise InputError(
+            "ensemble: lattice is what pgran.Lattice.random takes, as a dict, a function of the "
+            f"seed, or a list of samples, not {shown(lattice)}"
+        )
+    if "seed" in lattice:
         raise InputError("ensemble: seed says which samples, not lattice")
-    return Lattice.random(seed=seed, **keywords)
+    return Lattice.random(seed=seed, **lattice)
 
 
 def _listed(samples, number):
@@ -248,8 +273,7 @@ def _listed(samples, number):
 
     sample = samples[number]
     found = load(sample) if isinstance(sample, (str, os.PathLike)) else sample
-    found = getattr(found, "medium", found)  # of a result
-    return getattr(found, "built", found)
+    return getattr(found, "medium", found)  # of a result
 
 
 def summary(result):

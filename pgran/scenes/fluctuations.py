@@ -9,7 +9,7 @@ from pgran.files.options import REAL, Option
 from pgran.results import Memory
 from pgran.results.digits import two_digits
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 SPECTRUM = (
     Option("spectrum_fit_min", REAL, 0.01, "window of the exponent's fit", "cycles/step", above=0),

@@ -4,6 +4,7 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.files.options import FLAG, INTEGERS, REAL, Option
+from pgran.parallel.agreement import agreeing
 from pgran.parallel.task import carry_out
 from pgran.physics import heat as warming
 from pgran.physics.finite import changed_amplitudes
@@ -14,6 +15,7 @@ from pgran.scenes import common, driven
 from pgran.scenes.adjoint import MISSED, AdjointSweep
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Caution
+from pgran.scenes.sweeping import checked_frequencies
 
 HEAT = (
     Option(
@@ -31,6 +33,7 @@ HEAT = (
     ),
     Option("heat_cut", FLAG, False, "cut bonds one at a time, dashpots too"),
 )  # fmt: skip
+HERTZ = next(option for option in common.LATTICE if option.name == "bonds_hertz")
 QUARTER = 0.25  # of the amplitude: what the heater of the experiment changed
 
 
@@ -84,7 +87,11 @@ def summary(found):
             yield text
 
 
-@in_parallel(shares_lattice=True)
+@in_parallel(
+    shares_lattice=True, lattice=common.medium, omegas=checked_frequencies,
+    hertz=HERTZ.check, **common.checks([o for o in HEAT if o.kind is not INTEGERS], "heat_"),
+    error_tolerance=driven.CHECKS["error_tolerance"],
+)  # fmt: skip
 def heat(
     lattice, omegas, detectors, crew=None, *, factor=None, overlap=None, hertz=1.0, balls=None,
     cut=False, error_tolerance=1e-4, progress="none",
@@ -132,13 +139,12 @@ def heat(
     check(values)
     if factor is None and overlap is None and not cut:
         raise InputError("heat: give a factor or an overlap, or cut=True")
-    common.check_values(HEAT[:2], **{k: values[k] for k in values if values[k] is not None})
-    common.check_values(common.LATTICE, bonds_hertz=hertz)
-    driven.check_driven(lattice, crew.world)
-    check_solver(lattice, crew)
-    task = HeatSweep(
-        lattice, omegas, detectors, (factor, overlap, hertz), balls, cut, error_tolerance
-    )
+    with agreeing(crew.world):
+        check_solver(lattice, crew)
+        task = HeatSweep(
+            lattice, omegas, detectors, (factor, overlap, hertz), balls, cut, error_tolerance
+        )
+    driven.check_driven(lattice, crew.world, omegas[0])
     return carry_out(task, crew, progress)
 
 

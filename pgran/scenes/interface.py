@@ -4,74 +4,114 @@ import contextlib
 import functools
 import inspect
 
+from pgran.arguments import bound, shown
 from pgran.errors import InputError
-from pgran.files.options import nearest, text_of
+from pgran.files.options import RUN, nearest, text_of
 from pgran.files.solver_keys import SOLVER_PREFIXES, check_pivot_shifts, is_solver_key
+from pgran.files.streams import saying_once
+from pgran.parallel.agreement import agreeing
+from pgran.physics.fingerprints import fingerprint
 from pgran.scenes.common import automatic_ranks
 
+PROGRESS = next(option for option in RUN if option.name == "output_progress")
 
-def in_parallel(shares_lattice=False):
+
+def in_parallel(shares_lattice=False, **declared):
     """Let a function do without a crew: it gets all ranks, and what it returns goes to all.
 
     Not collective. With a crew of the caller's its record stays on rank 0. The function also takes
     `solver`, a dict of keys for PETSc's and SLEPc's solvers that hold meanwhile.
 
+    What is handed in is checked here, before any work, and reaches the function as plain values.
+    Without a crew the ranks agree on what one of them finds wrong, and that all ask for the same.
+
     Parameters
     ----------
     shares_lattice : bool
         Whether several ranks may share the function's lattice, if it is large.
+    **declared : callable
+        Of arguments by name: what takes a value, and returns it as a plain one or raises an
+        InputError. None is left as it is where it is the default.
     """
+    declared = {"progress": PROGRESS.check, "solver": solver_keys_of} | declared
 
     def decorate(function):
         signature = inspect.signature(function)
         solver = inspect.Parameter("solver", inspect.Parameter.KEYWORD_ONLY, default=None)
         # by kind, because **keywords come last
         shown = sorted([*signature.parameters.values(), solver], key=lambda given: given.kind)
+        absent = {parameter.name for parameter in shown if parameter.default is None}
+
+        def check(*arguments, **choices):
+            """Return the arguments of a call, checked. Not collective."""
+            given = bound(wrapped, arguments, choices)
+            for name, value in given.arguments.items():
+                if name in declared and not (value is None and name in absent):
+                    given.arguments[name] = declared[name](value)
+            return given
+
+        def carry_out(given, **crew):
+            given.arguments |= crew
+            with holding_solver(given.arguments.pop("solver", None)):
+                return function(*given.args, **given.kwargs)
 
         @functools.wraps(function)
         def wrapped(*arguments, **choices):
-            with holding_solver(choices.pop("solver", None)):
-                bound = signature.bind(*arguments, **choices)
-                given = bound.arguments
-                if "lattice" in given:  # a result's own can be computed on
-                    given["lattice"] = getattr(given["lattice"], "built", given["lattice"])
-                arguments, choices = bound.args, bound.kwargs
-                if given.get("crew") is not None:
-                    return function(*arguments, **choices)
-                from mpi4py import MPI
+            from mpi4py import MPI
 
-                from pgran.parallel.crew import AgreeingCrew
+            from pgran.parallel.crew import AgreeingCrew, Crew
 
-                world = MPI.COMM_WORLD
-                ranks = automatic_ranks(given["lattice"], world.size) if shares_lattice else 1
-                with AgreeingCrew(world, ranks) as crew:
-                    record = function(*arguments, **choices | {"crew": crew})
-                return world.bcast(record)
+            if any(isinstance(value, Crew) for value in (*arguments, *choices.values())):
+                return carry_out(check(*arguments, **choices))
+            world = MPI.COMM_WORLD
+            with agreeing(world) as asked:
+                given = check(*arguments, **choices)
+                if given.arguments.get("crew") is not None:
+                    raise InputError(f"{function.__name__}: crew is no pgran.parallel.crew.Crew")
+                if world.size > 1:
+                    asked |= {name: fingerprint(v) for name, v in given.arguments.items()}
+                    asked["function"] = function.__qualname__
+            ranks = 1
+            if shares_lattice:
+                ranks = automatic_ranks(given.arguments["lattice"], world.size)
+            with saying_once(), AgreeingCrew(world, ranks) as crew:
+                record = carry_out(given, crew=crew)
+            return world.bcast(record)
 
         wrapped.__signature__ = signature.replace(parameters=shown)
+        wrapped.check = check
         return wrapped
 
     return decorate
 
 
-@contextlib.contextmanager
-def holding_solver(solver):
-    """Let the keys of a dict hold for all solvers that are made meanwhile. Not collective.
+def solver_keys_of(solver):
+    """Return the keys of a dict for solvers, as texts. Not collective.
 
     Raises
     ------
     InputError
         For a key that belongs to no solver, or pivots that PETSc might shift for ever.
     """
+    if not isinstance(solver, dict):
+        raise InputError(f"solver: a dict of keys is needed, not {shown(solver)}")
     keys = {}
-    for key, value in (solver or {}).items():
+    for key, value in solver.items():
         key = str(key).lower()
-        if not is_solver_key(key):
+        if not (key.isidentifier() and is_solver_key(key)):
             near = nearest(key, [prefix + key for prefix in SOLVER_PREFIXES])
             hint = f"; did you mean {near!r}?" if near else ""
             raise InputError(f"solver: {key!r} belongs to no solver{hint}")
         keys[key] = "" if value is None or value is True else text_of(value)
+        if not keys[key].isprintable():
+            raise InputError(f"solver: {keys[key]!r} is no value of {key!r}")
     check_pivot_shifts(keys)
+    return keys
+
+
+@contextlib.contextmanager
+def holding_solver(keys):
+    """Let keys hold for all solvers that are made meanwhile. Not collective."""
     if not keys:
         yield  # what needs no PETSc does without
         return

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import math
 import time
+from functools import partial
 
 import numpy as np
 
@@ -13,11 +14,12 @@ from pgran.machine import check_memory
 from pgran.parallel.task import Task, carry_out
 from pgran.physics import levels
 from pgran.physics.modes import RESIDUAL, participation
+from pgran.physics.numbers import numbers
 from pgran.physics.units import check_frequency, einstein_frequency
 from pgran.results import Modes, record_of
 from pgran.results.digits import counted
 from pgran.results.si import SI
-from pgran.scenes import common, density
+from pgran.scenes import common, density, driven
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Caution, Scene
 
@@ -153,7 +155,21 @@ def certificate(record):
     )
 
 
-@in_parallel()
+def targets_of(targets):
+    """Return the targets that were handed in, one at least. Not collective."""
+    targets = numbers("-modes_target", targets)
+    if targets.ndim != 1 or not len(targets):
+        raise InputError("-modes_target: a list of one target or more is needed")
+    return list(map(TARGET.check, targets))
+
+
+TARGET, COUNT = WHICH[2:]
+
+
+@in_parallel(
+    lattice=common.medium, interval=partial(common.window, "modes_omega", WHICH),
+    targets=targets_of, count=COUNT.check, shapes=SHAPES.check,
+)  # fmt: skip
 def find_modes(
     lattice, crew=None, *, interval=None, targets=None, count=None, shapes=False, progress="none"
 ):
@@ -190,16 +206,13 @@ def find_modes(
     PgranError
         If the modes cannot be counted.
     """
-    if interval is not None:
-        low, high = interval
-        common.check_values(WHICH, modes_omega_min=low, modes_omega_max=high)
-        common.check_ends("modes_omega", {"modes_omega_min": low, "modes_omega_max": high})
-    if targets is not None:
-        if not len(targets):
-            raise InputError("-modes_target: no target is given")
-        for target in targets:
-            common.check_values(WHICH, modes_target=target, modes_count=count)
+    if interval is not None and targets is not None:
+        raise InputError("-modes_target: contradicts an interval; give one of them")
+    if (targets is None) != (count is None):
+        raise InputError("-modes_target and -modes_count belong together: give both")
     started = time.perf_counter()
+    if interval is not None:
+        driven.warn_above_modes(lattice, crew.world, interval[0])
     lattice, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
     check_frequency(lattice, max(targets if targets is not None else interval or (0.0,)))
     from pgran.solve.slicing import find_slices, hermitian_operators

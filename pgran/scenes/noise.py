@@ -5,12 +5,15 @@ from functools import partial
 
 import numpy as np
 
+from pgran.arguments import called_right
 from pgran.errors import InputError
-from pgran.results import NoiseStatistics
+from pgran.files.streams import saying_once
+from pgran.physics.numbers import numbers
+from pgran.results import Ensemble, NoiseStatistics
 from pgran.results.digits import two_digits
 from pgran.results.medium import ball_names
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 EDGES = np.append(np.arange(0.0, 4.0, 0.25), np.arange(4.0, 8.5, 0.5))  # of I/<I>
 SHIFTS = 60  # at which correlations are stored, as far as half of the window
@@ -23,12 +26,12 @@ def windows_of(values, omegas=None):
 
     Not collective. Raises InputError unless they are such, and within the sweep if it is given.
     """
-    numbers = np.asarray(values, dtype=float).ravel()
-    if not numbers.size or numbers.size % 2:
+    ends = numbers("-statistics_windows", values).ravel()
+    if not ends.size or ends.size % 2:
         raise InputError(
-            f"-statistics_windows: a window has two ends, so {numbers.size} numbers make none"
+            f"-statistics_windows: a window has two ends, so {ends.size} numbers make none"
         )
-    windows = numbers.reshape(-1, 2)
+    windows = ends.reshape(-1, 2)
     for low, high in windows:
         if not low < high:
             raise InputError(f"-statistics_windows: {low:g} is not below {high:g}")
@@ -40,6 +43,8 @@ def windows_of(values, omegas=None):
     return windows
 
 
+@called_right
+@saying_once()
 def statistics(ensemble, windows):
     """Measure the noise of an ensemble's responses (paper: freqres, "noisy").
 
@@ -64,7 +69,7 @@ def statistics(ensemble, windows):
     """
     from pgran.physics.statistics import NoisyCurves
 
-    if ensemble.displacement is None:
+    if not isinstance(ensemble, Ensemble) or ensemble.displacement is None:
         raise InputError(
             "statistics: this ensemble has no curves; -ensemble_keep curves keeps them"
         )

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from pgran.arguments import shown
+from pgran.errors import InputError
 from pgran.parallel.task import carry_out
 from pgran.physics.phase import fit_line
 from pgran.physics.units import check_frequency
@@ -84,8 +86,20 @@ def summary(result):
             yield f"the dominant mode follows the drive with slope {slope:.3f} (.1 to .9 omega_mx)"
 
 
-@in_parallel()
-def project(lattice, omegas, crew=None, which=None, *, progress="none", **steady):
+def modes_chosen(which):
+    """Return the arguments of `find_modes` that were handed in. Not collective."""
+    if not isinstance(which, dict) or not which.keys() <= {"interval", "targets", "count"}:
+        raise InputError(
+            f"which: a dict of interval, or of targets and count is needed, not {shown(which)}"
+        )
+    return which
+
+
+@in_parallel(lattice=common.medium, omegas=checked_frequencies, which=modes_chosen, **driven.CHECKS)
+def project(
+    lattice, omegas, crew=None, which=None, *, error_tolerance=1e-4, error_floor=1e-20,
+    refresh_iterations=0, progress="none",
+):  # fmt: skip
     """Project driven steady states on normal modes: c_i = sum_p A_p f_i(p) (paper: cidef).
 
     Collective. The modes are computed once; a field lives until it is projected.
@@ -99,21 +113,29 @@ def project(lattice, omegas, crew=None, which=None, *, progress="none", **steady
         All ranks unless given; of groups of one rank.
     which : dict, optional
         Which modes: arguments of `pgran.scenes.modes.find_modes`; all by default.
+    error_tolerance : float
+        Asked of each field, in the 2-norm; a coefficient is no more in error than the field.
+    error_floor, refresh_iterations
+        See `pgran.solve.steady.SteadySolver`.
     progress : str
         Style of `pgran.parallel.progress.Progress`.
-    **steady
-        `error_tolerance` (1e-4) asked of each field, in the 2-norm; a coefficient is no more in
-        error than the field. `refresh_iterations` of `pgran.solve.steady.SteadySolver`.
 
     Returns
     -------
     pgran.results.Projection or None
         With a crew of the caller's None on all ranks but rank 0.
     """
-    started, choices = time.perf_counter(), driven.steady_choices(steady)
-    driven.check_driven(lattice, crew.world)
+    started, choices = (
+        time.perf_counter(),
+        {
+            "error_tolerance": error_tolerance,
+            "error_floor": error_floor,
+            "refresh_iterations": refresh_iterations,
+        },
+    )
     scaled, _ = lattice.in_own_unit()
-    check_frequency(scaled, checked_frequencies(omegas)[-1])  # before any work
+    check_frequency(scaled, omegas[-1])  # before any work
+    driven.check_driven(lattice, crew.world, omegas[0])
     modes = find_modes(lattice, crew, **(which or {}), shapes=True, progress=progress)
     vectors = _on_all_ranks(modes.vector if modes else None, crew.world)
     projection = carry_out(ProjectedSweep(lattice, omegas, vectors, choices), crew, progress)

@@ -1,14 +1,16 @@
 """Scene `pulse`: the wall moves as it likes, and balls are listened to in time."""
 
 import math
+from functools import partial
 
 import numpy as np
 
 from pgran.errors import InputError
 from pgran.files.columns import read_columns
 from pgran.files.options import FILE, FLAG, INTEGER, REAL, TEXT, Option
-from pgran.parallel.agreement import on_root
+from pgran.parallel.agreement import agreeing, on_root
 from pgran.parallel.task import carry_out
+from pgran.physics.numbers import numbers
 from pgran.physics.pulse import SHAPES, Pulse, Samples
 from pgran.results import record_of
 from pgran.results.digits import counted, two_digits
@@ -134,7 +136,10 @@ def summary(result):
     yield line
 
 
-@in_parallel(shares_lattice=True)
+@in_parallel(
+    shares_lattice=True, lattice=common.medium, **common.checks(PULSE, "pulse_"),
+    wall=partial(numbers, "-pulse_file"), fields=FIELDS.check, error_tolerance=TOLERANCE.check,
+)  # fmt: skip
 def pulse(
     lattice,
     detectors,
@@ -192,17 +197,14 @@ def pulse(
     InputError
         If a detector lies outside the lattice, or a value is impossible.
     """
-    common.check_values(
-        PULSE, pulse_shape=shape, pulse_omega=omega, pulse_width=width, pulse_time=time,
-        pulse_points=points, pulse_method=method,
-    )  # fmt: skip
-    TOLERANCE.check(error_tolerance)
-    time, step = float(time), time / (points - 1)
-    sent = Pulse(shape, float(omega), float(width)) if wall is None else samples_of(wall, step)
-    listening = Listening(lattice, detectors, sent, time, points, error_tolerance, fields)
-    check_times(listening)
-    driven.check_driven(lattice, crew.world, in_time=True)
-    task = None if method == "integrate" else PulseLine(listening)
+    with agreeing(crew.world):
+        sent = Pulse(shape, omega, width) if wall is None else samples_of(wall, time / (points - 1))
+        listening = Listening(lattice, detectors, sent, time, points, error_tolerance, fields)
+        check_times(listening)
+    lowest = sent.omega if sent.shape in ("ricker", "burst") else 0.0
+    driven.check_driven(lattice, crew.world, lowest, in_time=True)
+    with agreeing(crew.world):
+        task = None if method == "integrate" else PulseLine(listening)
     if method == "auto":
         transform, integrations = predicted_seconds(listening, len(task.omegas))
         exact = error_tolerance < PROVABLE
@@ -222,10 +224,7 @@ def samples_of(wall, step):
     InputError
         If they are no motion that begins at rest, at equal times.
     """
-    try:
-        values = np.asarray(wall, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("-pulse_file: a motion is a list of numbers") from None
+    values = np.asarray(wall, dtype=float)
     if values.ndim == 2 and values.shape[1] == 2:
         apart = np.diff(values[:, 0])
         step = np.median(apart) if len(apart) else step  # a gap changes their mean

@@ -8,9 +8,12 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.files.options import INTEGER, REAL, TEXT, Option
 from pgran.machine import check_memory
+from pgran.parallel.agreement import agreeing
 from pgran.parallel.task import Task, carry_out
 from pgran.physics.accuracy import below_relative_accuracy
+from pgran.physics.bondlaw import TRIED, check_law, drawn
 from pgran.physics.changes import draw_changes
+from pgran.physics.fingerprints import fingerprint
 from pgran.physics.units import check_frequency
 from pgran.results import Relaxation, record_of
 from pgran.results.digits import counted
@@ -99,7 +102,10 @@ def summary(result):
     yield from fluctuations.summary(result)
 
 
-@in_parallel(shares_lattice=True)
+@in_parallel(
+    shares_lattice=True, lattice=common.medium, law=check_law,
+    **common.checks(RELAXATION, "relax_"), **driven.CHECKS,
+)  # fmt: skip
 def relax(
     lattice,
     law,
@@ -112,8 +118,10 @@ def relax(
     seed=1,
     method="window",
     window=0,
+    error_tolerance=1e-4,
+    error_floor=1e-20,
+    refresh_iterations=0,
     progress="none",
-    **steady,
 ):
     """Redraw one bond a step and solve the steady state each time (paper: section 5, timeres).
 
@@ -124,7 +132,8 @@ def relax(
     lattice : pgran.physics.lattice.Lattice
         Before any change.
     law : callable or None
-        Turns numbers uniform on [0, 1) into bond constants; None draws from those that there are.
+        Turns numbers uniform on [0, 1), an array, into bond constants, each number by itself, the
+        same always and on all ranks; None draws from those that there are.
     omega : float
         Driving frequency, angular.
     detectors : array_like of int
@@ -138,16 +147,22 @@ def relax(
         earlier factorization as preconditioner; or a factorization a step.
     window : int
         Steps to a window; 0 decides by the size of the lattice.
+    error_tolerance : float
+        Asked of each amplitude.
+    error_floor, refresh_iterations
+        See `pgran.solve.steady.SteadySolver`.
     progress : str
         Style of `pgran.parallel.progress.Progress`.
-    **steady
-        `error_tolerance` (1e-4), `error_floor` and `refresh_iterations` of
-        `pgran.solve.steady.SteadySolver`.
 
     Returns
     -------
     pgran.results.Relaxation or None
         With a crew of the caller's None on all ranks but rank 0.
+
+    Raises
+    ------
+    InputError
+        If a detector lies outside the lattice, a value is impossible, or a law's constants are.
     """
     chosen = {
         "relax_omega": omega,
@@ -157,9 +172,15 @@ def relax(
         "relax_method": method,
         "relax_window": window,
     }
-    common.check_values(RELAXATION, **chosen)
-    driven.check_driven(lattice, crew.world)
-    task = Steps(lattice, law, detectors, chosen, driven.steady_choices(steady))
+    steady = {
+        "error_tolerance": error_tolerance,
+        "error_floor": error_floor,
+        "refresh_iterations": refresh_iterations,
+    }
+    with agreeing(crew.world) as asked:
+        task = Steps(lattice, law, detectors, chosen, steady)
+        asked["law"] = fingerprint(task.law(TRIED))
+    driven.check_driven(lattice, crew.world, omega)
     return carry_out(task, crew, progress)
 
 
@@ -186,7 +207,8 @@ class Steps(Task):
     def __init__(self, lattice, law, detectors, chosen, choices):
         """Cut the trajectories into stretches of whole windows."""
         self.lattice, self.choices = lattice, choices
-        self.law = law or partial(redrawn, lattice.constants[: lattice.bonds])
+        own = partial(redrawn, lattice.constants[: lattice.bonds])
+        self.law = own if law is None else partial(drawn, law)
         self.sites = lattice.sites(detectors)
         self.omega, self.steps, self.trajectories, self.seed, self.method, self.window = (
             chosen[f"relax_{name}"]

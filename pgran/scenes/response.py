@@ -1,11 +1,12 @@
 """Scene `response`: amplitude and phase of single balls over a sweep of driving frequencies."""
 
 import time
+from functools import partial
 
 import numpy as np
 
 from pgran.files.options import FLAG, REAL, TEXT, Option
-from pgran.parallel.agreement import on_root
+from pgran.parallel.agreement import agreeing, on_root
 from pgran.parallel.task import carry_out
 from pgran.physics.phase import and_more
 from pgran.results import record_of
@@ -18,6 +19,7 @@ from pgran.scenes.amplitudes import ResponseSweep, phase_lines
 from pgran.scenes.curve import choose_method, solve_curve
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Caution, Scene
+from pgran.scenes.sweeping import checked_frequencies
 
 METHOD = Option(
     "sweep_method", TEXT, "auto",
@@ -47,6 +49,12 @@ def check(values, given):
     common.check_lattice(values, given)
     common.check_sweep(values, given)
     common.check_ends("phase_fit", values)
+    if values["sweep_omega"] is not None:
+        # how a file resolves its grid is not meant for the few frequencies of a later list
+        listed = given["sweep_omega"].rank
+        for name, otherwise in (("sweep_method", "auto"), ("sweep_resolve", None)):
+            if name in given and given[name].rank < listed:
+                values[name] = otherwise
 
 
 def run(options, world, crew):
@@ -121,7 +129,11 @@ def unresolved(response, damped):
         )
 
 
-@in_parallel(shares_lattice=True)
+@in_parallel(
+    shares_lattice=True, lattice=common.medium, omegas=checked_frequencies, method=METHOD.check,
+    resolve=RESOLVE.check, keep_models=MODELS.check, fields=FIELDS.check,
+    phase_window=partial(common.window, "phase_fit", PHASE), **driven.CHECKS,
+)  # fmt: skip
 def sweep(
     lattice,
     omegas,
@@ -133,8 +145,10 @@ def sweep(
     keep_models=None,
     fields=False,
     phase_window=(0.3, 1.0),
+    error_tolerance=1e-4,
+    error_floor=1e-20,
+    refresh_iterations=0,
     progress="none",
-    **steady,
 ):
     """Solve the driven steady state over a sweep of frequencies (paper: ampeq, freqres).
 
@@ -161,11 +175,12 @@ def sweep(
         Keep the amplitudes of all balls, too.
     phase_window : tuple of float
         Where the phase is fitted, in units of omega_mx.
+    error_tolerance : float
+        Asked of each amplitude, and of each field if they are kept.
+    error_floor, refresh_iterations
+        See `pgran.solve.steady.SteadySolver`.
     progress : str
         Style of `pgran.parallel.progress.Progress`.
-    **steady
-        `error_tolerance` (1e-4) asked of each amplitude, and of each field if they are kept;
-        `error_floor` and `refresh_iterations` of `pgran.solve.steady.SteadySolver`.
 
     Returns
     -------
@@ -178,15 +193,16 @@ def sweep(
         If a detector lies outside the lattice, or a value is impossible.
     """
     started = time.perf_counter()
-    common.check_values((METHOD,), sweep_method=method)
-    if resolve is not None:
-        common.check_values((RESOLVE,), sweep_resolve=resolve)
-    ends = dict(zip(("phase_fit_min", "phase_fit_max"), phase_window, strict=True))
-    common.check_values(PHASE, **ends)
-    common.check_ends("phase_fit", ends)
-    driven.check_driven(lattice, crew.world)
-    task = ResponseSweep(lattice, omegas, detectors, fields, steady)
-    method, models = choose_method(method, task.scaled, task.omegas, resolve, fields), None
+    steady = {
+        "error_tolerance": error_tolerance,
+        "error_floor": error_floor,
+        "refresh_iterations": refresh_iterations,
+    }
+    with agreeing(crew.world):
+        task = ResponseSweep(lattice, omegas, detectors, fields, steady)
+        method = choose_method(method, task.scaled, task.omegas, resolve, fields)
+    driven.check_driven(lattice, crew.world, omegas[0])
+    models = None
     if method == "points":
         resolve, points = 0.0, carry_out(task, crew, progress)
     else:

@@ -14,7 +14,7 @@ from pgran.results.digits import two_digits
 from pgran.results.medium import ball_names
 from pgran.results.si import SI
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 CURVES = "displacement", "ln_amplitude", "delay"  # of a response
 # Numbers of a sample, what to call them, their unit, and that in SI.

@@ -3,6 +3,7 @@
 import numpy as np
 
 from pgran.files.options import INTEGER, Option
+from pgran.parallel.agreement import agreeing
 from pgran.parallel.task import carry_out
 from pgran.physics.bonds import bond_places
 from pgran.physics.gradient import energy_flux, gradient
@@ -14,6 +15,7 @@ from pgran.scenes import common, driven, heat
 from pgran.scenes.adjoint import MISSED, AdjointSweep
 from pgran.scenes.interface import in_parallel
 from pgran.scenes.scene import Caution, Scene
+from pgran.scenes.sweeping import checked_frequencies
 
 MOST = Option(
     "sensitivity_most", INTEGER, 0,
@@ -86,7 +88,10 @@ def joins(medium, number):
     return f"{ends[0]} to {ends[1]}"
 
 
-@in_parallel(shares_lattice=True)
+@in_parallel(
+    shares_lattice=True, lattice=common.medium, omegas=checked_frequencies, most=MOST.check,
+    error_tolerance=driven.CHECKS["error_tolerance"],
+)  # fmt: skip
 def sensitivity(
     lattice, omegas, detectors, crew=None, *, most=0, error_tolerance=1e-4, progress="none"
 ):
@@ -120,11 +125,10 @@ def sensitivity(
     InputError
         If a detector lies outside the lattice, or a value is impossible.
     """
-    common.check_values((MOST,), sensitivity_most=most)
-    driven.check_driven(lattice, crew.world)
-    return carry_out(
-        GradientSweep(lattice, omegas, detectors, most, error_tolerance), crew, progress
-    )
+    with agreeing(crew.world):
+        task = GradientSweep(lattice, omegas, detectors, most, error_tolerance)
+    driven.check_driven(lattice, crew.world, omegas[0])
+    return carry_out(task, crew, progress)
 
 
 class GradientSweep(AdjointSweep):

@@ -13,7 +13,7 @@ from pgran.parallel.task import Task
 from pgran.physics.accuracy import ENTRY, front, matched, relative_bounds, relative_errors
 from pgran.results import Accuracy
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 
 @dataclass(frozen=True)

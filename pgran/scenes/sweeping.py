@@ -8,6 +8,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.machine import check_memory
 from pgran.parallel.task import Task
+from pgran.physics.numbers import numbers
 from pgran.physics.units import check_frequency
 
 LONGEST_UNIT = 16  # frequencies that share factorizations
@@ -36,7 +37,7 @@ class FrequencySweep(Task):
     def __init__(self, lattice, omegas, sites, kept, choices, sigma=0.0):
         """Cut the sweep into ranges of frequencies."""
         self.lattice, self.sites, self.sigma = lattice, sites, sigma
-        self.omegas = np.asarray(omegas) if sigma else checked_frequencies(omegas)
+        self.omegas = np.asarray(omegas)
         self.row, self.choices = np.dtype([*kept, ("factorizations", np.int64)]), choices
         check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
         self.scaled, self.unit = lattice.in_own_unit()
@@ -107,10 +108,7 @@ def checked_frequencies(omegas):
     ------
     InputError
     """
-    try:
-        omegas = np.atleast_1d(np.asarray(omegas, dtype=float))
-    except (TypeError, ValueError):
-        raise InputError("-sweep_omega: the frequencies must be numbers") from None
+    omegas = np.atleast_1d(numbers("-sweep_omega", omegas))
     if omegas.ndim != 1 or not omegas.size or not np.all(np.isfinite(omegas) & (omegas > 0)):
         raise InputError("-sweep_omega: the frequencies must be positive and finite, in a list")
     if np.any(np.diff(omegas) <= 0):

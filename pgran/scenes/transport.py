@@ -2,14 +2,19 @@
 
 import numpy as np
 
+from pgran.arguments import called_right
 from pgran.errors import InputError
-from pgran.results import Transport
+from pgran.files.streams import saying_once
+from pgran.results import Ensemble, Transport
 from pgran.results.digits import two_digits
 from pgran.results.si import SI
+from pgran.scenes import common
 
 FEWEST_DEPTHS = 3
 
 
+@called_right
+@saying_once()
 def transport(medium, ensemble):
     """Return what an ensemble's responses say of transport.
 
@@ -39,9 +44,9 @@ def transport(medium, ensemble):
         log_amplitude_profile,
     )
 
-    if ensemble.displacement is None:
+    if not isinstance(ensemble, Ensemble) or ensemble.displacement is None:
         raise InputError("transport: this ensemble has no curves; -ensemble_keep curves keeps them")
-    depth, good = depths_of(medium, ensemble.detector), ensemble.good > 0
+    depth, good = depths_of(common.medium(medium), ensemble.detector), ensemble.good > 0
     displacement = ensemble.displacement[good]
     logs = log_amplitude_profile(depth, displacement)
     intensity = intensity_profile(depth, displacement)

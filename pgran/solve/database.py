@@ -6,7 +6,7 @@ import logging
 
 from petsc4py import PETSc
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 
 @contextlib.contextmanager

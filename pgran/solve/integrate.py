@@ -17,7 +17,7 @@ from pgran.solve.database import holding
 from pgran.solve.operators import SAME
 from pgran.solve.owner import Owner
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 MOST_STEPS = 10**8
 KINDS = ("rk", "alpha2")

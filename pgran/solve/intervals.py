@@ -26,7 +26,7 @@ from pgran.solve.linear import LEAST_NORM, make_ksp, set_up
 from pgran.solve.owner import Owner
 from pgran.solve.tall import SUMMED, products, qr_rounding, squares, tall_qr
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 CHECKS = 9  # Chebyshev points of an interval where its bound is checked
 SHARE = 0.5  # of what rounding leaves of the allowed, where it is checked; for what is between

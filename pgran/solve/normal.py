@@ -26,7 +26,7 @@ slepc4py.init([])  # PETSc has its options already
 
 from slepc4py import SLEPc  # noqa: E402
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 SEARCHES = 40
 SEARCH_AGAIN = 1e-13  # of |K|: residuals above it make the search start again from another sigma

@@ -20,7 +20,7 @@ from pgran.solve.linear import LEAST_NORM, NO_PRECONDITIONER, Krylov, System
 from pgran.solve.owner import Owner
 from pgran.solve.reuse import FACTORIZATIONS, ReusePolicy, expected_iterations, factor_price
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("pgran")
 
 PASSES = 20  # of iterative refinement with one factorization, if each halves a bound
 SAFETY = 0.3  # aim at this part of what the tolerance allows

@@ -1,0 +1,73 @@
+"""What Python hands in: calls that fit, texts and whole numbers, and how a value is shown."""
+
+import functools
+import inspect
+import operator
+import reprlib
+
+from pgran.errors import InputError
+
+
+def shown(value):
+    """Return a value in words, short, whatever it is. Not collective."""
+    try:
+        return reprlib.repr(value)
+    except Exception:  # whole numbers of thousands of digits, or whatever an object's own raises
+        return f"a {type(value).__name__}"
+
+
+def whole_number(name, value):
+    """Return a whole number of any size as an int; raise an InputError if it is anything else.
+
+    Not collective.
+    """
+    try:
+        if type(value).__name__ not in ("bool", "bool_"):  # or NumPy's
+            return operator.index(value)
+    except TypeError:
+        pass
+    raise InputError(f"{name}: a whole number is needed, not {shown(value)}")
+
+
+def choice(name, value, choices):
+    """Return a text that is one of the choices; raise an InputError if it is none.
+
+    Not collective.
+    """
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(f"{name}: {shown(value)} is none of {', '.join(choices)}")
+    return value
+
+
+def bound(function, arguments, choices):
+    """Return the arguments of a call, bound; raise an InputError if it does not fit.
+
+    Not collective.
+    """
+    signature = inspect.signature(function)
+    try:
+        return signature.bind(*arguments, **choices)
+    except TypeError as error:
+        name = function.__qualname__.removesuffix(".__init__")
+        names = [name for name in signature.parameters if name not in ("self", "cls", "crew")]
+        raise InputError(f"{name}: {error}; it takes {', '.join(names)}") from None
+
+
+def called_right(function):
+    """Let a function, or the making of a class's objects, raise InputError for calls that misfit.
+
+    Not collective.
+    """
+    if isinstance(function, type):
+        function.__init__ = called_right(function.__init__)
+        return function
+
+    @functools.wraps(function)
+    def called(*arguments, **choices):
+        try:
+            return function(*arguments, **choices)
+        except TypeError:
+            bound(function, arguments, choices)
+            raise
+
+    return called
