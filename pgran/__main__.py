@@ -76,8 +76,8 @@ def main(words):
         return command(words[1:])
 
 
-def console():
-    """Run the command line; whatever goes wrong on one rank ends all of them at once."""
+def console(command=main):
+    """Run a command on its words; whatever goes wrong on one rank ends all of them at once."""
     streams.guard()
     log.propagate = False
     handler = logging.StreamHandler()
@@ -87,7 +87,7 @@ def console():
     warnings.showwarning = tell_warning
     try:
         try:
-            code = main(sys.argv[1:])
+            code = command(sys.argv[1:])
         except SystemExit:  # a help text has been printed
             sys.stdout.flush()
             raise

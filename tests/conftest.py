@@ -47,7 +47,7 @@ ALIKE = {
     "figures_captions", "figures_ensemble", "figures_heat", "figures_networks", "figures_print",
     "figures_pulse",
     "figures_scenes", "figures_sensitivity", "figures_together", "graph", "heat_bounds", "hertz",
-    "import", "import_refused", "levels", "manual", "memory", "network_files", "options", "output",
+    "import", "import_refused", "jobs", "levels", "manual", "memory", "network_files", "options", "output",
     "packings", "paper", "reference", "si", "spectrum", "statistics", "transport",
     "unit_of_frequency",
 }  # fmt: skip

@@ -1,0 +1,69 @@
+"""What a careful user would write with NumPy and SciPy, for the benchmark."""
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
+
+# No pivoting: with it SymmetricMode fills in completely on these matrices.
+SPLU = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+
+
+class Peer:
+    """The matrices of a lattice or network in SciPy: S = K + i omega beta C - m omega^2.
+
+    Parameters
+    ----------
+    medium : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    site : tuple of int
+        The detector.
+    """
+
+    def __init__(self, medium, site):
+        """Assemble K and C from the springs."""
+        self.medium, self.springs = medium, medium.springs
+        self.B = sp.csr_matrix(self.springs.B)
+        self.K, self.C = (self._laplacian(k) for k in (medium.constants, self.springs.damped))
+        self.identity = sp.identity(self.B.shape[1], format="csc")
+        self.read = np.zeros(self.B.shape[1])
+        if medium.irregular:
+            unknowns, weights = medium.readings([site])
+            self.read[unknowns] = weights
+        else:
+            self.read[np.ravel_multi_index(site, medium.shape)] = 1.0
+
+    def _laplacian(self, constants):
+        return (self.B.T @ sp.diags(constants) @ self.B).tocsc()
+
+    def amplitude(self, omega, K, constants):
+        """Return the amplitude at the detector, by a splu."""
+        damping = 1j * omega * self.medium.damping
+        S = K + damping * self.C - (self.medium.mass * omega**2) * self.identity
+        drive = self.B.T @ ((constants + damping * self.springs.damped) * self.springs.drive)
+        return self.read @ splu(S, **SPLU).solve(-drive)
+
+    def sweep(self, omegas):
+        """Return the amplitudes over frequencies."""
+        return np.array([self.amplitude(omega, self.K, self.medium.constants) for omega in omegas])
+
+    def relaxation(self, omega, changes):
+        """Return the amplitudes after each change of a bond."""
+        K, constants, amplitudes = self.K, self.medium.constants.copy(), []
+        for bond, stiffness in zip(changes.bond, changes.stiffness, strict=True):
+            row = self.B[bond]
+            K = K + (stiffness - constants[bond]) * (row.T @ row).tocsc()
+            constants[bond] = stiffness
+            amplitudes.append(self.amplitude(omega, K, constants))
+        return np.array(amplitudes)
+
+    def all_modes(self):
+        """Return the frequencies of all modes, found with their shapes."""
+        squares, _ = np.linalg.eigh(self.K.toarray())
+        return np.sqrt(squares / self.medium.mass)
+
+    def modes_near(self, omega, count):
+        """Return the frequencies of the modes nearest to one, in this order, by eigsh on a splu."""
+        sigma = self.medium.mass * omega**2
+        factor = splu(self.K - sigma * self.identity, **SPLU)
+        inverse = LinearOperator(self.K.shape, factor.solve)
+        squares, _ = eigsh(self.K, k=count, sigma=sigma, OPinv=inverse)
+        return np.sqrt(squares[np.argsort(np.abs(squares - sigma))] / self.medium.mass)
