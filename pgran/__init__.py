@@ -11,7 +11,11 @@ as a dict, solver={"steady_ksp_type": "gmres"}.
 
 import importlib
 
+from pgran import blas
+
 __version__ = "0.1.0"
+
+blas.take_one_thread()  # before NumPy is loaded, if it is not
 
 # Where the names of the Python interface come from, once they are asked for: what needs neither
 # PETSc nor matplotlib does without them.

@@ -43,12 +43,12 @@ from pgran.solve.database import holding
 WORLD = MPI.COMM_WORLD
 # Files that know nothing of ranks, and run on one only.
 ALIKE = {
-    "arguments", "columns", "continuum", "ensemble_refused", "export", "figures",
+    "arguments", "blas", "columns", "continuum", "ensemble_refused", "export", "figures",
     "figures_captions", "figures_ensemble", "figures_heat", "figures_networks", "figures_print",
     "figures_pulse",
     "figures_scenes", "figures_sensitivity", "figures_together", "graph", "heat_bounds", "hertz",
-    "import", "import_refused", "jobs", "levels", "manual", "memory", "network_files", "options", "output",
-    "packings", "paper", "reference", "si", "spectrum", "statistics", "transport",
+    "import", "import_refused", "jobs", "levels", "manual", "memory", "network_files", "options",
+    "output", "packings", "paper", "reference", "si", "spectrum", "statistics", "transport",
     "unit_of_frequency",
 }  # fmt: skip
 SECONDS_PER_TEST = 120  # the slowest takes about ten

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from pgran import blas
 from pgran.command import doctor
 from pgran.parallel import launch
 
@@ -16,7 +17,7 @@ from pgran.parallel import launch
 @pytest.fixture(autouse=True)
 def alone(monkeypatch):
     """Nothing of how the tests were launched."""
-    for name in (*launch.RANKS, *launch.SIZES, *doctor.THREADS):
+    for name in (*launch.RANKS, *launch.SIZES, *blas.CHOICES):
         monkeypatch.delenv(name, raising=False)
 
 

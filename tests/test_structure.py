@@ -5,15 +5,15 @@ import graphlib
 from pathlib import Path
 
 BELOW = {  # of each package and module at the top: what it may import
-    "errors": "", "arguments": "errors", "record": "errors", "machine": "errors",
+    "blas": "", "errors": "", "arguments": "errors", "record": "errors", "machine": "errors",
     "results": "errors record physics", "physics": "errors arguments machine results",
     "parallel": "errors", "solve": "errors physics parallel",
     "files": "errors arguments record results machine physics",
     "figures": "errors record results files",
     "scenes": "errors arguments results machine physics solve parallel files",
-    "command": "errors arguments record results machine physics solve parallel files figures "
+    "command": "blas errors arguments record results machine physics solve parallel files figures "
     "scenes",
-    "__main__": "errors parallel files command", "__init__": "",
+    "__main__": "errors parallel files command", "__init__": "blas",
 }  # fmt: skip
 
 

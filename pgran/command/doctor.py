@@ -12,13 +12,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+from pgran import blas
 from pgran.command.words import Parser
 from pgran.parallel import launch
 
 INSTALL = "bash jobs/setup.sh makes .venv, and .venv/bin/pgran has all it needs"
 OLDEST_PYTHON, OLDEST_NUMPY = (3, 11), (1, 24)
 NEEDED, EXTRAS = ("numpy", "scipy", "h5py"), ("matplotlib", "tqdm")
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # The libraries of which a program must hold one only.
 SINGLE = {"MPI": r"lib(?:mpi|mpich|mpi_cray\w*|mpi_abi)\.so", "PETSc": r"libpetsc\w*\.so"}
 
@@ -159,7 +159,7 @@ def libraries():
 
 def threads():
     """Find whether the threads of the ranks on this machine are more than the cores they have."""
-    given = {name: os.environ[name] for name in THREADS if name in os.environ}
+    given = {name: os.environ[name] for name in blas.CHOICES if name in os.environ}
     ranks, cores = ranks_and_cores()
     each = max((int(text) for text in given.values() if text.isdigit()), default=cores)
     said = ", ".join(f"{name} is {text}" for name, text in given.items())

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pgran
-from pgran import errors
+from pgran import blas, errors
 from pgran.errors import FileError, InputError, PgranError
 from pgran.files import streams
 from pgran.parallel import launch
@@ -264,6 +264,7 @@ def _run_attributes(options, words, world, failures, seconds):
         "petsc_version": _loaded_version("petsc4py.PETSc"),
         "slepc_version": _loaded_version("slepc4py.SLEPc"),
         "numpy_version": numpy.__version__,
+        "blas_kernel": blas.kernels(),
         "mpi_size": world.size,
         "seconds": seconds,
         "time_convention": "exp(+i omega t)",
