@@ -3,7 +3,7 @@
 #
 #   bash jobs/setup.sh      install; nothing is done that is done already
 #   source jobs/setup.sh    the same, and the environment of a job script:
-#                           the project's folder, .venv, one thread a rank
+#                           the project's folder, .venv
 #
 # A python3 with complex petsc4py and slepc4py (conda-forge, a cluster's module) is used as it is, and
 # nothing is installed but pgran. Else the distribution's packages are, on Debian and Ubuntu (sudo
@@ -151,11 +151,20 @@ make_venv() {
   "$python" -m venv "${flags[@]}" "$venv"
   echo "$made" >"$venv/made"
   site=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+  # What mpirun needs: Open MPI refuses root (a container) and more ranks than cores unless told so.
+  cat >>"$venv/bin/activate" <<'ACTIVATE'
+export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 OMPI_MCA_rmaps_base_oversubscribe=1
+export PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe # the same for Open MPI 5
+ACTIVATE
   # So that pgran finds PETSc without an exported PETSC_DIR.
   for folder in "${PETSC_DIR:-}" "${SLEPC_DIR:-}"; do
     folder=${folder:+$folder/lib/python3/dist-packages}
     [ ! -d "$folder" ] || echo "$folder"
   done >"$site/pgran_petsc.pth"
+  # So that pgran is found where a folder of its name, such as the clone, lies beside a script: Python
+  # takes that for a package in parts unless its path holds a whole one, and pip keeps an editable
+  # one off the path.
+  echo "$PWD" >>"$site/pgran_petsc.pth"
   [ -z "$outer" ] || hand_on "$outer"
   [ -z "$wheel" ] || "$venv/bin/pip" install -q --only-binary :all: "${wheels[@]}" ||
     { say "PETSc cannot be installed from PyPI: see above"; give_up; }
@@ -203,7 +212,3 @@ if [ ! -e "$venv/complete" ] || [ pyproject.toml -nt "$venv/complete" ] || [ job
 fi
 
 source "$venv/bin/activate"
-export OMP_NUM_THREADS=1
-# Open MPI refuses root (a container) and more ranks than cores unless told so.
-export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 OMPI_MCA_rmaps_base_oversubscribe=1
-export PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe # the same for Open MPI 5

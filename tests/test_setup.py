@@ -14,35 +14,44 @@ PROJECT = Path(__file__).parents[1]
 def setup(clean_environment, tmp_path):
     """Return what starts jobs/setup.sh in a copy, without a package index."""
     ignore = shutil.ignore_patterns("__pycache__")  # another process may be at work in one
+    clone = tmp_path / "pgran"
     for name in ("jobs", "pgran"):
-        shutil.copytree(PROJECT / name, tmp_path / name, ignore=ignore)
+        shutil.copytree(PROJECT / name, clone / name, ignore=ignore)
     for name in ("pyproject.toml", "README.md"):
-        shutil.copy(PROJECT / name, tmp_path / name)
+        shutil.copy(PROJECT / name, clone / name)
 
     def start(**variables):
         kept = clean_environment.keys() - {"PYTHONPATH", "PGRAN_STACK"}
         environment = {name: clean_environment[name] for name in kept} | variables
         environment["PIP_NO_INDEX"] = "1"
         return subprocess.run(
-            ["bash", tmp_path / "jobs" / "setup.sh"],
+            ["bash", clone / "jobs" / "setup.sh"],
             env=environment, capture_output=True, text=True,
         )  # fmt: skip
 
+    start.clone = clone
     return start
 
 
 @pytest.mark.skipif(sys.prefix == sys.base_prefix, reason="these tests run in no venv")
 def test_in_an_active_venv(setup, tmp_path):
-    """That of these tests: what is made from its python3 works, and is another one."""
+    """That of these tests: what is made from its python3 works, and is another one.
+
+    Activated it needs nothing else in the environment, not even as root, nor does the clone's
+    folder, which is called pgran, get in the way of a script beside it.
+    """
     done = setup(PETSC_DIR="", SLEPC_DIR="")
     assert done.returncode == 0, done.stderr
-    python = tmp_path / ".venv" / "bin" / "python"
-    words = [python, "-m", "pgran", "doctor"]
-    bare = {"PATH": f"{python.parent}:/usr/bin:/bin", "OMP_NUM_THREADS": "1"}
-    found = subprocess.run(words, cwd=tmp_path, env=bare, capture_output=True, text=True)
-    assert found.returncode == 0, found.stdout
-    assert str(python) in found.stdout
-    (paths,) = tmp_path.glob(".venv/lib/python*/site-packages/pgran_petsc.pth")
+    venv = setup.clone / ".venv"
+    (tmp_path / "script.py").write_text("import pgran\nprint(pgran.Lattice.__module__)\n")
+    lines = f"source {venv}/bin/activate; mpirun -n 2 pgran doctor; python script.py"
+    found = subprocess.run(
+        ["env", "-i", "bash", "-e", "-c", lines], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert found.returncode == 0, found.stdout + found.stderr
+    assert f"{venv}/bin/python" in found.stdout
+    assert found.stdout.endswith("\npgran.physics.lattice\n")
+    (paths,) = venv.glob("lib/python*/site-packages/pgran_petsc.pth")
     assert "/lib/python3/dist-packages" not in paths.read_text().splitlines()
 
 
@@ -56,4 +65,4 @@ def test_what_cannot_be_is_said(setup, tmp_path, stack, words):
     done = setup(PGRAN_STACK=stack, PATH=str(tmp_path / "bin"), HOME=str(tmp_path), PYENV_ROOT="")
     assert done.returncode == 2
     assert words in done.stderr
-    assert not (tmp_path / ".venv-wheel").exists()
+    assert not (setup.clone / ".venv-wheel").exists()
