@@ -22,9 +22,8 @@ from types import SimpleNamespace
 from pgran.parallel import launch
 
 os.environ.pop("PETSC_OPTIONS", None)
-launch.hasten()  # as `pgran run` does
+launch.start()  # first: PETSc may have no MPI library of its own
 
-import mpi4py.MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 import petsc4py
 
 petsc4py.init(["pytest", "-skip_petscrc"])

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -124,11 +125,17 @@ def test_a_python_that_has_what_this_one_lacks(monkeypatch, tmp_path):
         python.unlink()
 
 
-def test_open_mpi_looks_for_no_network_where_a_process_is_alone(monkeypatch):
-    for environment, alone in (({"PMIX_RANK": "0"}, False), ({}, True)):
-        monkeypatch.setattr(os, "environ", environment)
-        launch.hasten()
-        assert (environment.get("OMPI_MCA_pml") == "ob1") is alone
+SWEEP = "import pgran; pgran.sweep(pgran.Lattice.random((3, 3)), [0.3], [(1, 1)])"
+MPI_SEEN = "; import os; assert 'OMPI_MCA_pml' not in os.environ"
+
+
+@pytest.mark.parametrize("words", [["-m", "pgran", "doctor"], ["-c", SWEEP + MPI_SEEN]])
+def test_open_mpi_starts_no_daemon_where_a_process_is_alone(start, shared_path, words):
+    """For which it would need ssh; nor does a process inherit that it is alone."""
+    for name in ("sh", "env"):
+        (shared_path / name).symlink_to(shutil.which(name))
+    done = start(program=[sys.executable, *words], PATH=str(shared_path))
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("variable", launch.RANKS)

@@ -83,7 +83,7 @@ def python():
 def mpi():
     """Find MPI, whether the ranks know of each other, and whether mpirun belongs to it."""
     try:
-        from mpi4py import MPI
+        MPI = launch.start()
     except RuntimeError as error:  # mpi4py without an MPI library
         raise ImportError(error) from None
     name, ranks, started = launch.library(MPI), MPI.COMM_WORLD.size, launch.size()

@@ -201,9 +201,7 @@ def start_mpi():
     InputError
         If a foreign mpirun started independent copies.
     """
-    launch.hasten()
-    from mpi4py import MPI
-
+    MPI = launch.start()
     world = MPI.COMM_WORLD
     if world.rank > 0:
         log.setLevel(logging.WARNING)

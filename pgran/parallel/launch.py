@@ -7,19 +7,28 @@ import time
 
 SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # that ask a run to stop
 RANKS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
+ALONE = {"OMPI_MCA_ess_singleton_isolated": "1", "OMPI_MCA_pml": "ob1"}
 SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
 SECONDS_FOR_MPIRUN = 0.1  # to hand on a message: MPICH's loses some that an abort follows at once
 SECONDS_TO_BE_ENDED = 5.0  # that a rank waits for another one's abort
 
 
-def hasten():
-    """Let Open MPI start at once if this process was started alone; before it starts.
+def start():
+    """Start MPI, and return mpi4py's module.
 
-    It would start a daemon to launch others with, and look for networks: half a second.
+    Collective, of those that were started together. Where this process was started alone Open MPI
+    would start a daemon to launch others with, and look for networks: that takes half a second, and
+    ends the process where there is no ssh. What is started from here inherits nothing of this.
     """
-    if not any(name in os.environ for name in RANKS):
-        os.environ.setdefault("OMPI_MCA_ess_singleton_isolated", "1")
-        os.environ.setdefault("OMPI_MCA_pml", "ob1")
+    alone = not any(name in os.environ for name in RANKS)
+    added = {name: text for name, text in ALONE.items() if alone and name not in os.environ}
+    os.environ.update(added)
+    try:
+        from mpi4py import MPI
+    finally:
+        for name in added:
+            del os.environ[name]
+    return MPI
 
 
 def rank():

@@ -9,6 +9,7 @@ from pgran.errors import InputError
 from pgran.files.options import RUN, nearest, text_of
 from pgran.files.solver_keys import SOLVER_PREFIXES, check_pivot_shifts, is_solver_key
 from pgran.files.streams import saying_once
+from pgran.parallel import launch
 from pgran.parallel.agreement import agreeing
 from pgran.physics.fingerprints import fingerprint
 from pgran.scenes.common import automatic_ranks
@@ -57,13 +58,11 @@ def in_parallel(shares_lattice=False, **declared):
 
         @functools.wraps(function)
         def wrapped(*arguments, **choices):
-            from mpi4py import MPI
-
+            world = launch.start().COMM_WORLD
             from pgran.parallel.crew import AgreeingCrew, Crew
 
             if any(isinstance(value, Crew) for value in (*arguments, *choices.values())):
                 return carry_out(check(*arguments, **choices))
-            world = MPI.COMM_WORLD
             with agreeing(world) as asked:
                 given = check(*arguments, **choices)
                 if given.arguments.get("crew") is not None:
@@ -115,11 +114,10 @@ def holding_solver(keys):
     if not keys:
         yield  # what needs no PETSc does without
         return
-    from mpi4py import MPI
-
+    world = launch.start().COMM_WORLD
     from pgran.solve.database import holding, warn_of_unused
 
     with holding(keys):
         yield
-        if MPI.COMM_WORLD.rank == 0:
+        if world.rank == 0:
             warn_of_unused(keys)

@@ -5,10 +5,11 @@ options. `pgran run` starts it with the keys of its options file; nobody else ha
 """
 
 import petsc4py
-from mpi4py import MPI  # noqa: F401
 
 from pgran.errors import PgranError
+from pgran.parallel import launch
 
+launch.start()
 petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler"])  # once: later calls do nothing
 
 from petsc4py import PETSc  # noqa: E402
