@@ -62,9 +62,11 @@ def pytest_configure(config):
     """Keep the true standard error, and leave pytest's report to rank 0."""
     global _stderr
     _stderr = os.fdopen(os.dup(2), "w")
+    config.add_cleanup(_stderr.close)
     reporter = config.pluginmanager.getplugin("terminalreporter")
     if WORLD.rank > 0 and reporter is not None:
         reporter._tw._file = open(os.devnull, "w")  # noqa: SIM115
+        config.add_cleanup(reporter._tw._file.close)
     if "PGRAN_TESTS_TAKEN" in os.environ:
         config.pluginmanager.register(Share(Path(os.environ["PGRAN_TESTS_TAKEN"])))
 

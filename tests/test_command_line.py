@@ -157,6 +157,8 @@ def test_a_relaxation_too_short_for_a_spectrum(call, place, shared_path):
     assert not hasattr(load(shared_path / "results" / "b.h5"), "spectrum")
 
 
+@pytest.mark.filterwarnings("error:.*unclosed")
+@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
     ("name", "replacement"),
     [

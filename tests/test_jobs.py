@@ -79,6 +79,13 @@ def test_a_rank_that_fails_ends_the_benchmark(project):
     assert "RuntimeError: planted" in done.stderr
 
 
+def test_the_tests_end_without_a_word(start):
+    """They leave no file open."""
+    words = [sys.executable, "-X", "dev", "-m", "pytest", "-q", str(ROOT / "tests/test_progress.py")]
+    done = start(program=words)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_rows_that_there_are_not(project):
     done = project("benchmark.sh", "--small", "nonsense")
     assert done.returncode == 2

@@ -90,9 +90,9 @@ class Journal:
             signal.signal(number, handler)
         if self._file is not None:
             try:
-                if kind is None or not self._kept or (self._new and is_bad_input(error)):
-                    self.path.unlink(missing_ok=True)
-                self._file.close()
+                with self._file:
+                    if kind is None or not self._kept or (self._new and is_bad_input(error)):
+                        self.path.unlink(missing_ok=True)
             except OSError as trouble:  # no reason to fail: the result is there, or another error
                 log.warning("%s: cannot be removed: %s", self.path, trouble.strerror)
 
