@@ -76,8 +76,14 @@ def main(words):
         return command(words[1:])
 
 
-def console(command=main):
-    """Run a command on its words; whatever goes wrong on one rank ends all of them at once."""
+def console(command=None):
+    """Run the command line; whatever goes wrong on one rank ends all of them at once.
+
+    Parameters
+    ----------
+    command : callable, optional
+        Takes the words of the command line, and returns an exit code; `main` unless given.
+    """
     streams.guard()
     log.propagate = False
     handler = logging.StreamHandler()
@@ -87,7 +93,7 @@ def console(command=main):
     warnings.showwarning = tell_warning
     try:
         try:
-            code = command(sys.argv[1:])
+            code = (command or main)(sys.argv[1:])
         except SystemExit:  # a help text has been printed
             sys.stdout.flush()
             raise

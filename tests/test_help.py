@@ -71,6 +71,7 @@ def test_the_help_of_a_run(call):
         ("run -dry_run a.opts", 2, "run: an options file comes first"),
         ("run respons", 4, "No such file or directory; did you mean options/response.opts?"),
         ("run pulse", 4, "pulse is a scene; pgran run takes an options file that says -sc"),
+        ("run new/pulse.opts", 4, "No such file or directory; pgran options --copy new c"),
         ("run zzz.opts", 4, "zzz.opts: No such file or directory"),
         ("run options", 4, "is a directory; pgran run takes one options file, options/NAME.opts"),
         ("run b.h5", 4, "not a text file (line 1); pgran plot b.h5 draws a result"),

@@ -81,8 +81,8 @@ def test_a_rank_that_fails_ends_the_benchmark(project):
 
 def test_the_tests_end_without_a_word(start):
     """They leave no file open."""
-    words = [sys.executable, "-X", "dev", "-m", "pytest", "-q", str(ROOT / "tests/test_progress.py")]
-    done = start(program=words)
+    words = ["-X", "dev", "-m", "pytest", "-q", str(ROOT / "tests" / "test_progress.py")]
+    done = start(program=[sys.executable, *words])
     assert (done.returncode, done.stderr) == (0, "")
 
 

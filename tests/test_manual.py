@@ -216,7 +216,7 @@ def test_the_readme_is_short():
 def test_topics_are_the_pages():
     assert {path.stem for path in PAGES if path.parent == FOLDER} == {*manual.topics(), "README"}
     package_data = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
-    assert package_data["package-data"]["pgran"] == ["manual/*"]
+    assert package_data["package-data"]["pgran"] == ["manual/*", "options/**/*"]
 
 
 def test_a_page_is_shown(call):

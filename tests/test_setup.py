@@ -1,8 +1,11 @@
 """The set-up script, in a copy of the project: what a user's own environment must not spoil."""
 
+import shlex
 import shutil
 import subprocess
 import sys
+import zipfile
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,8 +18,8 @@ def setup(clean_environment, tmp_path):
     """Return what starts jobs/setup.sh in a copy, without a package index."""
     ignore = shutil.ignore_patterns("__pycache__")  # another process may be at work in one
     clone = tmp_path / "pgran"
-    for name in ("jobs", "pgran"):
-        shutil.copytree(PROJECT / name, clone / name, ignore=ignore)
+    for name in ("jobs", "options", "pgran"):
+        shutil.copytree(PROJECT / name, clone / name, symlinks=True, ignore=ignore)
     for name in ("pyproject.toml", "README.md"):
         shutil.copy(PROJECT / name, clone / name)
 
@@ -66,3 +69,24 @@ def test_what_cannot_be_is_said(setup, tmp_path, stack, words):
     assert done.returncode == 2
     assert words in done.stderr
     assert not (setup.clone / ".venv-wheel").exists()
+
+
+def test_a_wheel(setup, clean_environment, tmp_path):
+    """It holds the manual with its pictures and the options files, which run where they are put."""
+    run = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True)
+    build = "-m pip wheel -q --no-deps --no-build-isolation --no-index -w wheels ./pgran"
+    built = run([sys.executable, *shlex.split(build)])
+    assert built.returncode == 0, built.stderr
+    (wheel,) = (tmp_path / "wheels").iterdir()
+    installed = tmp_path / "installed"
+    zipfile.ZipFile(wheel).extractall(installed)
+    for folder in ("manual", "options"):
+        files = [p.relative_to(PROJECT) for p in (PROJECT / "pgran" / folder).rglob("*.*")]
+        assert len(files) > 5
+        assert [path for path in files if not (installed / path).exists()] == []
+    environment = clean_environment | {"PYTHONPATH": str(installed)}
+    modes = "packing_modes"
+    for line in ("options --copy mine", f"run mine/{modes}.opts", f"plot results/{modes}.h5"):
+        done = run([sys.executable, "-m", "pgran", *line.split()], env=environment)
+        assert done.returncode == 0, done.stderr
+    assert list((tmp_path / "results").glob(f"{modes}*.png"))

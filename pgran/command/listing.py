@@ -1,14 +1,24 @@
-"""`pgran options`: every option of one scene, or of all, under headings, within 80 columns."""
+"""`pgran options`: every option of one scene, or of all, under headings, within 80 columns.
 
+And `pgran options --copy`: the options files that come with pgran, where there is no clone of it.
+"""
+
+import re
+import shlex
+import shutil
 import textwrap
+from functools import partial
+from pathlib import Path
 
 from pgran.command.resolve import SCENE_OPTION, SCENES, options_of
 from pgran.command.words import WIDTH, Parser
-from pgran.errors import DONE, InputError
+from pgran.errors import DONE, FileError, InputError
 from pgran.files import solver_keys
 from pgran.files.options import nearest, text_of
 from pgran.parallel import launch
 
+FILES = Path(__file__).parents[1] / "options"
+NAMED = re.compile(r"^(#?-\w+ )(options/.*)$", re.MULTILINE)  # values of options that are files
 OWN = "what the scene does"
 # What options are about, by what their names begin with; all others are a scene's own.
 HEADINGS = {
@@ -22,9 +32,19 @@ HEADINGS = {
 
 def list_options(words):
     """List every option of one scene, or of all: type, unit, range, default, meaning."""
-    parser = Parser("options", list_options.__doc__, "pgran options", "pgran options response")
+    examples = "pgran options", "pgran options response", "pgran options --copy options"
+    parser = Parser("options", list_options.__doc__, *examples)
     parser.add_argument("scene", metavar="SCENE", nargs="?", help=", ".join(SCENES))
-    scene = parser.parse_args(words).scene
+    parser.add_argument(
+        "--copy", metavar="DIR", type=Path, help="copy the options files of pgran into a folder"
+    )
+    given = parser.parse_args(words)
+    if given.copy is not None:
+        if launch.rank() == 0:
+            copy_files(given.copy)
+            print(f"to run one of them: pgran run {shlex.quote(str(given.copy / 'response.opts'))}")
+        return DONE
+    scene = given.scene
     if scene is not None and scene not in SCENES:
         near = nearest(scene, SCENES)
         hint = f"did you mean {near}?" if near else f"there are {', '.join(SCENES)}"
@@ -32,6 +52,44 @@ def list_options(words):
     if launch.rank() == 0:
         print(describe_options(scene), end="")
     return DONE
+
+
+def copy_files(folder):
+    """Copy the options files, and what they need, into a folder. Not collective.
+
+    Files that name others name those in the folder.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        It is made where it is missing.
+
+    Raises
+    ------
+    FileError
+        If one of them is there already, or cannot be written.
+    InputError
+        If there is a comma in the folder's name, which ends a name in a list.
+    """
+    if "," in str(folder):
+        raise InputError(f"--copy {folder}: there is a comma in it")
+    sources = [path for path in sorted(FILES.rglob("*")) if path.is_file()]
+    targets = [folder / path.relative_to(FILES) for path in sources]
+    for target in filter(Path.exists, targets):
+        raise FileError(f"{target}: exists already; nothing was copied")
+    try:
+        for source, target in zip(sources, targets, strict=True):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, target)
+            if target.suffix == ".opts":
+                target.write_text(NAMED.sub(partial(_named_in, folder), source.read_text("utf-8")))
+    except OSError as error:
+        raise FileError(f"{folder}: cannot be written: {error.strerror}") from None
+
+
+def _named_in(folder, found):
+    """Return a line of an options file, a comment or not, with the names of files in a folder."""
+    return found[1] + shlex.quote(found[2].replace("options/", f"{folder}/"))
 
 
 def describe_options(scene=None):

@@ -38,6 +38,7 @@ def read(path):
 
 def _file(path):
     """Return what may have been meant by the name of what is no options file, or None."""
+    from pgran.command.listing import FILES
     from pgran.command.resolve import SCENES
 
     if path.is_file():
@@ -48,6 +49,8 @@ def _file(path):
     files = {each.stem: each for folder in folders for each in folder.glob("*.opts")}
     if near := nearest(path.stem, sorted(files)):
         return f"did you mean {files[near]}?"
+    if (FILES / path.name).is_file():
+        return f"pgran options --copy {path.parent} copies that of pgran"
     if path.name in SCENES:
         return f"{path} is a scene; pgran run takes an options file that says -scene {path}"
     return None
