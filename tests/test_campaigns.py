@@ -1,12 +1,14 @@
 """The campaigns in short, and that they notice what is wrong. Serial run only.
 
-`bash jobs/faults.sh` and `bash jobs/stability.sh` carry them out in full.
+`bash jobs/faults.sh` and `bash jobs/stability.sh` carry part of them out in full.
 """
 
 import copy
 import dataclasses
+import logging
 import os
 import re
+import runpy
 import subprocess
 import sys
 import time
@@ -19,8 +21,25 @@ from campaigns import abuse, changes, faults, fuzz, networks, stability
 from mpi4py import MPI
 
 import pgran
+from pgran.command.resolve import SCENES
 from pgran.parallel.journal import Journal
 from pgran.solve import staircase
+
+FOLDER = Path(__file__).parent / "campaigns"
+# How little each of them can do, in words of its own; the others are called by the tests below.
+SHORT = {
+    "comparison": "400 9,11",
+    "curves": "--samples 1 --frequencies 9",
+    "estimates": "2",
+    "networks": "1 2",
+    "random_sweeps": "1 2",
+    "relaxation": "8",
+    "sensitivity": "1 2",
+    "slopes": "1 1",
+    "stability": "continuum_resonance",
+}
+CALLED = {"faults", "fuzz", "inject"}
+FEW = {"estimates"}  # whose verdict takes more than these few
 
 
 @pytest.fixture(autouse=True)
@@ -30,6 +49,27 @@ def own_environment(clean_environment, monkeypatch):
         monkeypatch.delenv(name)
     for name, value in clean_environment.items():
         monkeypatch.setenv(name, value)
+
+
+def test_no_campaign_is_forgotten():
+    assert {path.stem for path in FOLDER.glob("*.py")} == {*SHORT, *CALLED}
+    assert fuzz.TINY.keys() == SCENES.keys()  # each can be run
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_a_campaign_in_short(name, monkeypatch, capsys):
+    """As a program, which says what it has found, and nothing false."""
+    monkeypatch.setattr(sys, "argv", [f"{name}.py", *SHORT[name].split()])
+    monkeypatch.setattr(logging.root.manager, "disable", logging.NOTSET)  # some disable it
+    code = 0
+    try:
+        runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    said = capsys.readouterr().out
+    assert code == 0 or name in FEW, said
+    assert re.search(r"\d", said)
+    assert not re.search("BROKEN|WRONG|RAISED|FAILED|differs", said), said
 
 
 def test_faults_do_no_harm(tmp_path, monkeypatch, capsys):

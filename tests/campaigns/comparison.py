@@ -1,6 +1,8 @@
 """The default sweep of chains and squares, compared with 60 digits at every STRIDE-th frequency.
 
-    python tests/campaigns/comparison.py STRIDE
+    python tests/campaigns/comparison.py STRIDE [SHAPE ...]
+
+Shapes are written 31 or 40,40; of chains every frequency is compared.
 
 tests/test_comparison.py has the short ones.
 """
@@ -24,14 +26,15 @@ def refined(stiffness, mass, damping, omega, sites):
     return [field[tuple(site)] for site in sites]
 
 
-if __name__ == "__main__":
-    for shape, stride in (
-        ((31,), 1),
-        ((100,), 1),
-        ((40, 40), sys.argv[1]),
-        ((60, 60), sys.argv[1]),
-    ):
+def main(stride, *shapes):
+    """Compare, and print what is false."""
+    for text in shapes or ("31", "100", "40,40", "60,60"):
+        shape = tuple(map(int, text.split(",")))
         lattice = Lattice.random(shape)
         site, omegas = np.array([(8, 10)[: len(shape)]]), np.linspace(0.01, 1.3, 1291)
         case = Case(1993, lattice, omegas, site, "default", 1e-4, 1e-20, 60)
-        report(str(shape), points(case, refined, int(stride)))
+        report(str(shape), points(case, refined, int(stride) if len(shape) > 1 else 1))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

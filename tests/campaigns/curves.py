@@ -1,13 +1,12 @@
 """Curves of random lattices, looked at between the frequencies that were computed.
 
-    python tests/campaigns/curves.py [--samples 100] [--points]
+    python tests/campaigns/curves.py [--samples 100] [--frequencies 2000] [--points]
 
 Each sample's curve is resolved to 1e-2 of the amplitude. With --points frequencies are solved for
 one by one, and damping goes down to 1e-9: what is looked at then is whether `line_error` knows of
-every line that is wrong. At 2000 random frequencies, at five across
-every mode narrower than ten times their distance and where straight lines come nearest to zero the
-field is solved directly and refined in extended precision; a bound that then looks false is judged
-by elimination with 50 digits. tests/test_curve.py has the short ones.
+every line that is wrong. At so many random frequencies, at five across every mode narrower than ten
+times their distance and where straight lines come nearest to zero the field is solved directly and
+refined in extended precision; a bound that then looks false is judged by elimination with 50 digits. tests/test_curve.py has the short ones.
 """
 
 import argparse
@@ -24,7 +23,7 @@ from samples import bond_arrays, reference_of, swept
 from pgran.physics.lattice import Lattice
 from pgran.results.response import Curve
 
-FREQUENCIES, RESOLVE = 2000, 1e-2
+RESOLVE = 1e-2
 LAWS = {
     "uniform": lambda rng, size: rng.uniform(0, 1, size),
     "zeros": lambda rng, size: rng.choice([0.0, 1.0], size, p=[0.15, 0.85]),
@@ -62,14 +61,14 @@ class Sample:
         if not points:
             self.choices = {"method": "curve", "resolve": RESOLVE, "keep_models": True}
 
-    def frequencies(self, response):
-        """Return what to test at, and how many lie across narrow modes."""
+    def frequencies(self, response, count):
+        """Return what to test at, `count` at random, and how many lie across narrow modes."""
         ends = response.omega[0], response.omega[-1]
-        across = self.reference.across_modes(*ends, 10 * (self.high - self.low) / FREQUENCIES)
+        across = self.reference.across_modes(*ends, 10 * (self.high - self.low) / count)
         known, step = response.displacement, np.diff(response.omega)[:, None]
         place = (-known[:-1] / np.diff(known, axis=0)).real
         nearest = (response.omega[:-1, None] + place * step)[(place > 0) & (place < 1)]
-        omega = self.rng.uniform(*ends, FREQUENCIES)
+        omega = self.rng.uniform(*ends, count)
         return np.unique(np.concatenate([omega, across, nearest])), len(across)
 
     def exact(self, omega):
@@ -88,10 +87,10 @@ def surely(sample, omega, found, bound):
     return np.array([e > b for e, b in zip(errors, bound, strict=True)])
 
 
-def examine(sample, seed):
+def examine(sample, seed, count):
     """Carry out a sample and print its faults; return their numbers and others, as in the table."""
     response = swept(sample.lattice, sample.asked, sample.sites, **sample.choices)
-    omega, narrow = sample.frequencies(response)
+    omega, narrow = sample.frequencies(response, count)
     exact, slope = sample.exact(omega)
     unknown = np.full((2, *exact.shape), [[[np.nan]], [[np.inf]]])
     found = Curve(omega, *unknown, *unknown) if response.models is None else response.at(omega)
@@ -123,13 +122,14 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--samples", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--frequencies", type=int, default=2000)
     parser.add_argument("--points", action="store_true")
     given = parser.parse_args()
     total = np.zeros(len(COLUMNS + FAULTS), int)
     print(f"{'sample':30}", *(f"{name:>8}" for name in COLUMNS + FAULTS))
     for seed in range(given.first, given.first + given.samples):
         sample = Sample(seed, given.points)
-        numbers = examine(sample, seed)
+        numbers = examine(sample, seed, given.frequencies)
         what = f"{seed:4d} {'x'.join(map(str, sample.shape)):>8} {sample.law:>8}"
         print(f"{what} {sample.lattice.damping:.1e}", *(f"{n:8d}" for n in numbers), flush=True)
         total += numbers

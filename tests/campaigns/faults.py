@@ -1,6 +1,6 @@
 """The fault campaign: pgran never hangs, and never loses what is finished.
 
-    bash jobs/faults.sh [--short]
+    bash jobs/faults.sh [PERCENT]
 
 Each trial disturbs a run, checks what pgran promises of that, and lets the same command go on, with
 another number of ranks: no finished unit is lost, and the result is that of a run never stopped,
@@ -29,7 +29,7 @@ from pgran.parallel.journal import MAGIC, RECORD
 
 RESULT, JOURNAL, PART = "results/a.h5", "results/a.h5.unfinished", "results/.a.h5.part"
 OLD = Path(__file__).resolve().parents[1] / "version1.h5"  # a result, to be replaced
-SEED = 1993
+SEED, TRIALS = 1993, 120  # of each part
 SECONDS = 60.0  # none of these runs takes longer
 SECONDS_TO_STOP = 5.0  # after a fault or a signal, the launcher's own second or two included
 VOLATILE = {"solve_seconds", "seconds", "created", "command", "mpi_size"}  # differ between runs
@@ -288,12 +288,12 @@ def stop(number):
     return f"{how} {when} the end, {went} units kept", seconds
 
 
-def main():
-    """Carry out all trials, or some; return the exit code."""
-    short, home = "--short" in sys.argv, tempfile.mkdtemp(prefix="pgran-faults-")
+def main(percent):
+    """Carry out that part of the trials; return the exit code."""
+    home = tempfile.mkdtemp(prefix="pgran-faults-")
     os.chdir(home)
-    failures = carry_out(plant, range(len(FAULTS) * (1 if short else 10)))
-    failures += carry_out(stop, range(16 if short else 120))
+    trials = range(TRIALS * int(percent) // 100)
+    failures = carry_out(plant, trials) + carry_out(stop, trials)
     print(f"{failures} failures; the folders are in {home}" if failures else "no failures")
     if not failures:
         shutil.rmtree(home)
@@ -301,4 +301,4 @@ def main():
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(*sys.argv[1:]))

@@ -136,6 +136,9 @@ TINY = {  # what keeps a real run short, whatever the file says
     "projection": "-lattice_shape 4,3",
     "relaxation": "-lattice_shape 4,3 -detectors 2,1 -relax_steps 2500 -relax_trajectories 1",
     "accuracy": "-lattice_shape 4,3 -accuracy_repeats 1",
+    "ensemble": "-lattice_shape 4,3 -ensemble_samples 2",
+    "pulse": "-lattice_shape 4,3 -detectors 2,1 -pulse_time 20 -pulse_points 21",
+    "sensitivity": "-lattice_shape 4,3 -detectors 2,1 -sweep_points 3",
 }
 RUN = 0.2  # what part of those accepted is run as a program
 
