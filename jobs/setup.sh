@@ -22,6 +22,7 @@ esac
 # One of these that is active already must not be mistaken for the python3 to build on.
 PATH=${PATH//"$PWD/.venv/bin:"/}
 PATH=${PATH//"$PWD/.venv-wheel/bin:"/}
+export PATH # in an empty environment it is the shell's alone
 
 packages=(
   python3-petsc4py python3-petsc4py-complex python3-slepc4py python3-slepc4py-complex
@@ -51,7 +52,8 @@ debian_folder() { # petsc | slepc
 }
 
 works() { # PYTHON: has it what pgran cannot do without, with complex scalars?
-  "$1" - <<'PYTHON'
+  # Alone Open MPI would start a daemon, for which it needs ssh.
+  OMPI_MCA_ess_singleton_isolated=1 "$1" - <<'PYTHON'
 import sys
 assert sys.version_info >= (3, 11), "Python is older than 3.11"
 import h5py, mpi4py.MPI, numpy
@@ -151,10 +153,12 @@ make_venv() {
   "$python" -m venv "${flags[@]}" "$venv"
   echo "$made" >"$venv/made"
   site=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
-  # What mpirun needs: Open MPI refuses root (a container) and more ranks than cores unless told so.
+  # What mpirun needs: Open MPI refuses root (a container) and more ranks than cores unless told so,
+  # and ends where there is no ssh to other machines.
   cat >>"$venv/bin/activate" <<'ACTIVATE'
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 OMPI_MCA_rmaps_base_oversubscribe=1
 export PRTE_MCA_rmaps_default_mapping_policy=:oversubscribe # the same for Open MPI 5
+command -v ssh >/dev/null || command -v rsh >/dev/null || export OMPI_MCA_plm_rsh_agent= # for one machine
 ACTIVATE
   # So that pgran finds PETSc without an exported PETSC_DIR.
   for folder in "${PETSC_DIR:-}" "${SLEPC_DIR:-}"; do
