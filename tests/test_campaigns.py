@@ -26,7 +26,8 @@ from pgran.parallel.journal import Journal
 from pgran.solve import staircase
 
 FOLDER = Path(__file__).parent / "campaigns"
-# How little each of them can do, in words of its own; the others are called by the tests below.
+# How little each of them can do, in words of its own; the others are called by the tests below, and
+# by those of jobs/.
 SHORT = {
     "comparison": "400 9,11",
     "curves": "--samples 1 --frequencies 9",
@@ -36,9 +37,8 @@ SHORT = {
     "relaxation": "8",
     "sensitivity": "1 2",
     "slopes": "1 1",
-    "stability": "continuum_resonance",
 }
-CALLED = {"faults", "fuzz", "inject"}
+CALLED = {"faults", "fuzz", "inject", "stability"}
 FEW = {"estimates"}  # whose verdict takes more than these few
 
 

@@ -6,7 +6,8 @@ Each sample's curve is resolved to 1e-2 of the amplitude. With --points frequenc
 one by one, and damping goes down to 1e-9: what is looked at then is whether `line_error` knows of
 every line that is wrong. At so many random frequencies, at five across every mode narrower than ten
 times their distance and where straight lines come nearest to zero the field is solved directly and
-refined in extended precision; a bound that then looks false is judged by elimination with 50 digits. tests/test_curve.py has the short ones.
+refined in extended precision; a bound that then looks false is judged by elimination with 50
+digits. tests/test_curve.py has the short ones.
 """
 
 import argparse
