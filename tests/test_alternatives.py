@@ -20,7 +20,7 @@ def offers():
             yield pytest.param(path, lines, id=f"{path.stem}-{number}")
 
 
-@pytest.mark.parametrize(("path", "lines"), offers())
+@pytest.mark.parametrize(("path", "lines"), list(offers()))
 def test_an_alternative(call, place, path, lines):
     """On its own line, or several together."""
     text = path.read_text() + lines.replace("#-", "-")
