@@ -38,7 +38,7 @@ SHORT = {
     "sensitivity": "1 2",
     "slopes": "1 1",
 }
-CALLED = {"faults", "fuzz", "inject", "stability"}
+CALLED = {"abuse", "changes", "faults", "fuzz", "inject", "stability"}
 FEW = {"estimates"}  # whose verdict takes more than these few
 
 
