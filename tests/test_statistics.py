@@ -117,8 +117,8 @@ def test_spacing_of_maxima_by_kac_and_rice():
 def test_unequal_distances_change_no_measure():
     """Averages are integrals along omega, correlations resampled: not by number of points."""
     rng = np.random.default_rng(5)
-    omega, A, _ = gaussian_fields(rng, 1, 3000, GAMMA, GAMMA / 20)
-    kept = np.cumsum(np.tile([1, 1, 2, 3, 3, 2], 250)) - 1  # steps along omega, 0 to 2999
+    omega, A, _ = gaussian_fields(rng, 1, 4800, GAMMA, GAMMA / 22)
+    kept = np.cumsum(np.tile([1, 1, 2, 3, 3, 2], 400)) - 1  # steps along omega, 0 to 4799
     for measure, _ in MEASURES.values():
         even = measure(NoisyCurves(omega, A))
         uneven = measure(NoisyCurves(omega[kept], A[0, kept]))
@@ -140,12 +140,26 @@ def test_windows_and_weak_frequencies():
     assert half.window == (omega[10], omega[40])
 
 
-def test_few_samples_are_warned_of(caplog):
-    omega, A, _ = gaussian_fields(np.random.default_rng(10), 40, 30, GAMMA, GAMMA / 4)
-    statistics.contrast(NoisyCurves(omega, A))
-    assert not caplog.text
-    statistics.contrast(NoisyCurves(omega, A[:39]))
-    assert "39 samples are few" in caplog.text
+FEWEST = {
+    "contrast": ("<I^2>/<I>^2", 0.4),
+    "spread": ("spread in dB", 0.3),
+    "half_width": ("half width", 0.5),
+}
+
+
+@pytest.mark.parametrize("name", FEWEST)
+def test_measures_are_withheld_below_the_samples_that_make_their_errors_right(name):
+    """From there on they miss the truth by their errors: no bias, and no surprises."""
+    rng, (measure, truth), (said, bias) = np.random.default_rng(10), MEASURES[name], FEWEST[name]
+    needed, misses = statistics.SAMPLES_FOR[said], []
+    for _ in range(60):
+        omega, A, _ = gaussian_fields(rng, needed, 51, GAMMA, GAMMA / 5)
+        found = measure(NoisyCurves(omega, A))
+        misses.append((found.value - truth) / found.error)
+    assert abs(np.mean(misses)) < bias + 2 / math.sqrt(60)
+    assert np.std(misses) < 1.3 + 2 / math.sqrt(120)
+    with pytest.raises(InputError, match=f"{needed - 1} samples are too few .* {needed} are"):
+        measure(NoisyCurves(omega, A[:-1]))
 
 
 def test_a_bin_that_few_samples_reach_has_no_error():
@@ -172,7 +186,7 @@ def test_what_is_not_finite_is_left_out_aloud(caplog):
 
 OMEGA, FIELDS, _ = gaussian_fields(np.random.default_rng(9), 10, 600, GAMMA, GAMMA / 4)
 SMOOTH = np.exp((2j - 1) * OMEGA)  # without maxima
-FIRST = np.arange(10)[:, None] == 0
+MANY = gaussian_fields(np.random.default_rng(9), 40, 600, GAMMA, GAMMA / 4)[1]
 
 
 @pytest.mark.parametrize(
@@ -206,13 +220,14 @@ def test_curves_that_cannot_be_measured(arguments, message):
         (statistics.mean_intensity, (OMEGA, SMOOTH), "^window: .* maxima of .* 10 are needed"),
         (statistics.maxima_spacing, (OMEGA[:5], FIELDS[:, :5]), "^window: .* maxima"),
         (statistics.maxima_spacing, (OMEGA[::5], FIELDS[:, ::5]), "^omega: .* points to a maximum"),
-        (statistics.half_width, (OMEGA[::5], FIELDS[:, ::5]), "^omega: .* not resolved"),
-        (statistics.half_width, (OMEGA[:6], FIELDS[:, :6]), "^window: .* does not fall"),
-        (statistics.half_width, (OMEGA, np.tile(SMOOTH, (10, 1))), "^amplitude: .* the same"),
+        (statistics.half_width, (OMEGA, FIELDS[0]), "^window: .* half widths .* 200 are needed"),
+        (statistics.half_width, (OMEGA[::5], MANY[:, ::5]), "^omega: .* not resolved"),
+        (statistics.half_width, (OMEGA[:6], MANY[:, :6]), "^window: .* does not fall"),
+        (statistics.half_width, (OMEGA, np.tile(SMOOTH, (40, 1))), "^amplitude: .* the same"),
         (
             statistics.spread,
-            (OMEGA, FIELDS * (np.arange(600) > 0) ** np.eye(10)[0][:, None]),
-            "^amplitude: ",
+            (OMEGA, MANY * (np.arange(600) > 0) ** np.eye(40)[0][:, None]),
+            "^amplitude: one vanishes",
         ),
         (
             lambda curves: statistics.correlation(curves, [2.0]),

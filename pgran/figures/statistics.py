@@ -15,10 +15,13 @@ SAID = {
 
 
 def figures(result, **_):
-    """Yield densities and correlations, a panel a window and detector."""
+    """Yield densities, and correlations in known half widths, a panel a window and detector."""
     found = result.statistics
-    places = list(np.ndindex(found.coherent_part.shape))
-    for panel in (intensity, correlation):
+    everywhere = list(np.ndindex(found.coherent_part.shape))
+    scaled = [place for place in everywhere if np.isfinite(found.half_width[place]).any()]
+    for panel, places in ((intensity, everywhere), (correlation, scaled)):
+        if not places:
+            continue
         figure, panels = style.page(style.COLUMN, 0.5 + 2.2 * len(places), nrows=len(places))
         figure.caption = SAID[panel.__name__]
         for ax, (w, d) in zip(panels, places, strict=True):

@@ -113,6 +113,12 @@ class NoisyCurves:
         return NoisyCurves(omega, amplitude, None, self.incoherent)
 
     @cached_property
+    def length(self):
+        """Of the window, in half widths of the correlation as maxima have them."""
+        gamma = spacing_of_maxima(self.maxima, self.weights) / MAXIMA_SPACING
+        return np.ptp(self.omega) / gamma
+
+    @cached_property
     def stretches(self):
         """Into how many stretches a single curve is cut, and by what that makes errors too small.
 
@@ -123,8 +129,7 @@ class NoisyCurves:
 
         and n stretches that were independent would have V(x/n) = n V(x).
         """
-        gamma = spacing_of_maxima(self.maxima, self.weights) / MAXIMA_SPACING
-        x = np.ptp(self.omega) / gamma
+        x = self.length
         count = min(int(x / STRETCH), MOST_STRETCHES)
         if count < FEWEST:
             raise InputError(

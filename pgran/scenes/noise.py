@@ -75,7 +75,7 @@ def statistics(ensemble, windows):
         )
     windows = windows_of(windows, ensemble.omega)
     A = ensemble.displacement[ensemble.good > 0]
-    shifts, found = np.empty((len(windows), SHIFTS)), {}
+    shifts, found, missing = np.empty((len(windows), SHIFTS)), {}, {}
     for w, window in enumerate(windows):
         for d in range(A.shape[2]):
             whole, rest = (
@@ -83,7 +83,7 @@ def statistics(ensemble, windows):
             )
             shifts[w] = _shifts(whole.uniform.omega)
             where = f"{window[0]:g} to {window[1]:g}, detector {d}"
-            both = [_measure(curves, shifts[w], where) for curves in (whole, rest)]
+            both = [_measure(curves, shifts[w], where, missing) for curves in (whole, rest)]
             coherent = whole.estimate(_coherent_part, whole.amplitude)
             for name in both[0]:
                 parts = [one[name] for one in both]
@@ -91,6 +91,8 @@ def statistics(ensemble, windows):
                     found.setdefault(key, []).append([getattr(one, kind) for one in parts])
             found.setdefault("coherent_part", []).append(coherent.value)
             found.setdefault("coherent_part_error", []).append(coherent.error)
+    for (name, error), places in missing.items():
+        log.warning("no %s in %s: %s", name, "; ".join(places), error)
     across = len(windows), A.shape[2]
     arrays = {n: np.array(v).reshape(*across, *np.shape(v)[1:]) for n, v in found.items()}
     return NoiseStatistics(
@@ -116,8 +118,11 @@ def _coherent_part(A, weights):
     return np.average(np.abs(A.mean(axis=0)) ** 2 / (np.abs(A) ** 2).mean(axis=0), weights=weights)
 
 
-def _measure(curves, shifts, where):
-    """Return the measures of some curves by name; NaN, aloud, where there is none."""
+def _measure(curves, shifts, where, missing):
+    """Return the measures of some curves by name; NaN where there is none.
+
+    What there is not goes into `missing`: by name and reason the places, each once.
+    """
     from pgran.physics import statistics as measures
     from pgran.physics.estimate import Estimate
 
@@ -131,7 +136,7 @@ def _measure(curves, shifts, where):
         try:
             found[name] = measure()
         except InputError as error:
-            log.warning("no %s in %s: %s", name.replace("_", " "), where, error)
+            missing.setdefault((name.replace("_", " "), str(error)), {})[where] = True
             found[name] = Estimate(*[np.full(shape, np.nan)] * 2)
     beyond = (0, len(shifts) - len(known))
     padded = [
