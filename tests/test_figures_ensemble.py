@@ -182,11 +182,11 @@ def test_participation_in_bins():
 
 
 def test_noise_beside_its_laws():
-    """Correlations are drawn where half widths are known, which takes 40 samples."""
+    """Correlations are drawn where half widths are known, which takes 80 samples."""
     windows, few = [(0.6, 1.1), (0.9, 1.5)], found_of("response", "curves")
     made = figures.make(result_of(few, statistics=pgran.statistics(few, windows)))
     assert list(made)[-1:] == ["intensity"]
-    many = pgran.ensemble("response", 40, lattice=LATTICE, keep="curves", **GIVEN["response"])
+    many = pgran.ensemble("response", 80, lattice=LATTICE, keep="curves", **GIVEN["response"])
     found = pgran.statistics(many, windows)
     made = figures.make(result_of(many, statistics=found))
     assert list(made)[-2:] == ["intensity", "correlation"]

@@ -132,6 +132,12 @@ def test_lags_that_there_are_not(lags):
         memory.autocovariance(Series(RANDOM, 4), lags)
 
 
+def test_a_variance_needs_a_longer_series():
+    with pytest.raises(InputError, match="199 steps .* 200 are needed"):
+        memory.autocovariance(Series(RANDOM[1:], 4), [0])
+    assert memory.autocovariance(Series(RANDOM, 4), [0]).error > 0
+
+
 @pytest.mark.parametrize("order", [0.9, 13, math.nan])
 def test_orders_that_there_are_not(order):
     with pytest.raises(InputError, match=r"^order: "):

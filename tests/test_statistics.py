@@ -11,7 +11,7 @@ from pgran.errors import InputError
 from pgran.physics import statistics
 from pgran.physics.statistics import NoisyCurves
 
-REPEATS, SAMPLES, POINTS = 120, 80, 1500
+REPEATS, SAMPLES, POINTS = 120, 80, 3000
 FEWER = {"correlation": 60, "half_width": 60}  # which take longest; campaigns/estimates.py
 GAMMA = 0.02
 SHIFTS = np.array([0.5, 2.0]) * GAMMA
@@ -117,8 +117,8 @@ def test_spacing_of_maxima_by_kac_and_rice():
 def test_unequal_distances_change_no_measure():
     """Averages are integrals along omega, correlations resampled: not by number of points."""
     rng = np.random.default_rng(5)
-    omega, A, _ = gaussian_fields(rng, 1, 4800, GAMMA, GAMMA / 22)
-    kept = np.cumsum(np.tile([1, 1, 2, 3, 3, 2], 400)) - 1  # steps along omega, 0 to 4799
+    omega, A, _ = gaussian_fields(rng, 1, 12000, GAMMA, GAMMA / 22)
+    kept = np.cumsum(np.tile([1, 1, 2, 3, 3, 2], 1000)) - 1  # steps along omega, 0 to 11999
     for measure, _ in MEASURES.values():
         even = measure(NoisyCurves(omega, A))
         uneven = measure(NoisyCurves(omega[kept], A[0, kept]))
@@ -186,7 +186,7 @@ def test_what_is_not_finite_is_left_out_aloud(caplog):
 
 OMEGA, FIELDS, _ = gaussian_fields(np.random.default_rng(9), 10, 600, GAMMA, GAMMA / 4)
 SMOOTH = np.exp((2j - 1) * OMEGA)  # without maxima
-MANY = gaussian_fields(np.random.default_rng(9), 40, 600, GAMMA, GAMMA / 4)[1]
+MANY = gaussian_fields(np.random.default_rng(9), 80, 600, GAMMA, GAMMA / 4)[1]
 
 
 @pytest.mark.parametrize(
@@ -220,13 +220,13 @@ def test_curves_that_cannot_be_measured(arguments, message):
         (statistics.mean_intensity, (OMEGA, SMOOTH), "^window: .* maxima of .* 10 are needed"),
         (statistics.maxima_spacing, (OMEGA[:5], FIELDS[:, :5]), "^window: .* maxima"),
         (statistics.maxima_spacing, (OMEGA[::5], FIELDS[:, ::5]), "^omega: .* points to a maximum"),
-        (statistics.half_width, (OMEGA, FIELDS[0]), "^window: .* half widths .* 200 are needed"),
+        (statistics.half_width, (OMEGA, FIELDS[0]), "^window: .* half widths .* 500 are needed"),
         (statistics.half_width, (OMEGA[::5], MANY[:, ::5]), "^omega: .* not resolved"),
         (statistics.half_width, (OMEGA[:6], MANY[:, :6]), "^window: .* does not fall"),
-        (statistics.half_width, (OMEGA, np.tile(SMOOTH, (40, 1))), "^amplitude: .* the same"),
+        (statistics.half_width, (OMEGA, np.tile(SMOOTH, (80, 1))), "^amplitude: .* the same"),
         (
             statistics.spread,
-            (OMEGA, MANY * (np.arange(600) > 0) ** np.eye(40)[0][:, None]),
+            (OMEGA, MANY * (np.arange(600) > 0) ** np.eye(80)[0][:, None]),
             "^amplitude: one vanishes",
         ),
         (
