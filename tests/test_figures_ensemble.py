@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from figure_reading import draw, labels, note
+from synthetic import gaussian_fields
 
 import pgran
 from pgran import figures
@@ -186,9 +187,12 @@ def test_noise_beside_its_laws():
     windows, few = [(0.6, 1.1), (0.9, 1.5)], found_of("response", "curves")
     made = figures.make(result_of(few, statistics=pgran.statistics(few, windows)))
     assert list(made)[-1:] == ["intensity"]
-    many = pgran.ensemble("response", 80, lattice=LATTICE, keep="curves", **GIVEN["response"])
+    omega, A, _ = gaussian_fields(np.random.default_rng(1), 160, 501, 0.02, 0.002)
+    fields = A.reshape(2, 80, -1).transpose(1, 2, 0)
+    good = np.ones(80, np.int8)
+    many = replace(few, omega=omega, displacement=fields, seed=np.arange(80), good=good)
     found = pgran.statistics(many, windows)
-    made = figures.make(result_of(many, statistics=found))
+    made = figures.make(result_of(few, statistics=found))
     assert list(made)[-2:] == ["intensity", "correlation"]
     for name in ("intensity", "correlation"):
         made[name].draw_without_rendering()

@@ -133,7 +133,7 @@ def test_lags_that_there_are_not(lags):
 
 
 def test_a_variance_needs_a_longer_series():
-    with pytest.raises(InputError, match="199 steps .* 200 are needed"):
+    with pytest.raises(InputError, match=r"199 steps .* 200 are needed"):
         memory.autocovariance(Series(RANDOM[1:], 4), [0])
     assert memory.autocovariance(Series(RANDOM, 4), [0]).error > 0
 

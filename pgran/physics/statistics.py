@@ -165,8 +165,8 @@ def half_width(curves):
     Raises
     ------
     InputError
-        If it has not within a quarter of the window, or has at once: the curve is not resolved; or if
-        samples are fewer than `SAMPLES_FOR` has, or a single curve shorter than `LENGTH_FOR_WIDTH`.
+        If it has not within a quarter of the window, or has at once: the curve is not resolved; or
+        if samples are fewer than `SAMPLES_FOR` has, a single curve shorter than `LENGTH_FOR_WIDTH`.
     """
     _enough(curves, "half width")
     if curves.samples == 1 and curves.length < LENGTH_FOR_WIDTH:
