@@ -82,8 +82,29 @@ def test_bands_medians_samples_and_the_coherent_part(panel):
     coherent = [line for name, line in lines.items() if name.startswith("coherent")]
     assert len(coherent) == (panel is ensemble.amplitude)
     for line in coherent:
-        mean = np.abs(found.displacement[:, :, d].mean(axis=0))
-        np.testing.assert_allclose(line.get_ydata(), mean, rtol=1e-12)
+        part = ensemble.coherent(found, d)
+        np.testing.assert_array_equal(line.get_ydata(), part)
+        assert np.isfinite(part).any()
+
+
+def test_the_floor_of_few_samples_is_no_coherent_part():
+    """<A> of N fields without one is sqrt(<I>/N); of those with one it comes out without that."""
+    omega, A, _ = gaussian_fields(np.random.default_rng(2), 40, 4001, 0.02, 0.1)
+    for strength in (0.0, 2.0):
+        fields = (A + strength)[:, :, None]
+        found = replace(
+            found_of("response", "curves"), good=np.ones(40, np.int8), omega=omega,
+            coherent=fields.mean(axis=0), intensity=np.mean(np.abs(fields) ** 2, axis=0),
+        )  # fmt: skip
+        shown = ensemble.coherent(found, 0)
+        if strength:
+            assert np.mean(shown**2) == pytest.approx(strength**2, abs=0.05)
+        else:
+            assert np.mean(np.isfinite(shown)) < 0.02
+            flat = found_of("response", "curves")
+            flat = replace(flat, coherent=0 * flat.coherent)
+            made = figures.make(result_of(flat))["amplitude"]
+            assert not [n for ax in made.axes for n in labels(ax) if n.startswith("coherent")]
 
 
 @pytest.mark.parametrize("scale", [0.01, 1.0, 1000.0])

@@ -1,5 +1,6 @@
 """Figures as they are printed: 85 and 170 mm wide, in grey, with captions."""
 
+import dataclasses
 from functools import cache
 from itertools import combinations
 
@@ -232,8 +233,21 @@ def test_transport_is_points_with_their_errors():
     assert points.get_xdata() == pytest.approx(found.omega[known] / unit)
     assert np.array_equal(points.get_ydata(), found.length[known])
     assert ax.get_xlim() == pytest.approx(found.omega[[0, -1]] / unit)
-    points = draw(transport.delay, found, unit).containers[0].lines[0]
-    assert points.get_ydata() == pytest.approx(found.delay * unit)
+    assert [found.first_mode / unit] * 2 in [list(line.get_xdata()) for line in ax.get_lines()]
+    bands = draw(transport.band_delay, found, unit).containers
+    assert len(bands) == len(found.band_delay) == 3
+    for points, late in zip(bands, found.band_delay, strict=True):
+        assert points.lines[0].get_ydata() == pytest.approx(late * unit)
+    ends = draw(transport.delay, found, unit).containers
+    for points, place in zip(ends, (0, -1), strict=True):
+        assert points.lines[0].get_ydata() == pytest.approx(found.group_delay[:, place] * unit)
+
+
+def test_transport_of_older_files_has_no_delays():
+    result = ensemble()
+    new = [f.name for f in dataclasses.fields(result.transport) if f.metadata.get("since", 1) > 4]
+    result.transport = dataclasses.replace(result.transport, **dict.fromkeys(new))
+    assert len(figures.make(result)["transport"].axes) == 2
 
 
 @pytest.mark.parametrize("width", [85, 170])

@@ -1,14 +1,18 @@
 """Amplitudes against depth, on waves whose attenuation and delay are known."""
 
+import itertools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from synthetic import complex_normal, fair, gaussian_fields
 
+import pgran
 from pgran.errors import InputError
-from pgran.physics import transport
+from pgran.physics import levels, transport
 from pgran.physics.estimate import Estimate
+from pgran.scenes import transport as scene
 
 DEPTH = np.array([2.0, 4.0, 4.0, 6.0, 9.0, 12.0])
 LENGTH = 5.0
@@ -63,17 +67,87 @@ def test_no_length_where_nothing_falls():
 
 
 def test_delay_against_depth():
-    """1/Gamma of overlapping modes, and the delay of a front: X/c."""
-    rng, gamma, speed = np.random.default_rng(5), 0.02, 0.1
-    depth, found = np.array([1.0, 3.0]), []
+    """1/Gamma of overlapping modes, and the delay of a front, X/c, that grows with depth alone."""
+    rng, gamma, speed = np.random.default_rng(5), 0.02, np.array([0.1, 0.2])
+    depth, found, growth, each_frequency = np.array([1.0, 3.0, 4.0]), [], [], []
+    bands = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1 / 3, 1 / 3, 1 / 3]])
+    slow = speed[[0, 1, 1, 1]]
     for _ in range(200):
-        omega, A, dA = (x for x in gaussian_fields(rng, 80, 3, gamma, gamma / 40))
-        A, dA = (x.reshape(40, 2, 3).swapaxes(1, 2) for x in (A, dA))
-        front = np.exp(-1j * omega[:, None] * depth / speed)
-        dA = (dA - 1j * depth / speed * A) * front
-        found.append(transport.delay_profile(depth, A * front, dA).mean)
-    t = (np.arange(6) + 0.5) * 2 * np.pi / (6 * gamma / 40)  # those that the fields are made of
-    fair(found, np.average(t, weights=np.exp(-gamma * t)) + depth / speed)
+        omega, A, dA = (x for x in gaussian_fields(rng, 120, 4, gamma, gamma / 40))
+        A, dA = (x.reshape(40, 3, 4).swapaxes(1, 2) for x in (A, dA))
+        late = depth / slow[:, None]
+        front = np.exp(-1j * omega[:, None] * late)
+        dA = (dA - 1j * late * A) * front
+        arguments = depth, A * front, dA
+        found.append(transport.delay_profile(*arguments, bands).mean)
+        growth.append(transport.delay_per_depth(*arguments, bands))
+        each_frequency.append(transport.delay_profile(*arguments).mean)
+    t = (np.arange(8) + 0.5) * 2 * np.pi / (8 * gamma / 40)  # those that the fields are made of
+    rings = np.average(t, weights=np.exp(-gamma * t))
+    fair(found, rings + depth / speed[:, None])
+    fair(growth, 1 / speed)
+    fair(each_frequency, rings + depth / slow[:, None])
+
+
+def shaken(lattice, omegas, samples):
+    """Responses of samples at all depths."""
+    line = [(i, 4) for i in range(2, 10)]
+    given = {"lattice": lattice, "omegas": omegas, "detectors": line, "keep": "curves"}
+    return pgran.Lattice.random(**lattice), pgran.ensemble("response", samples, **given)
+
+
+def test_lengths_are_withheld_below_the_first_mode():
+    """There two walls W apart make them, W/pi, whatever the damping is."""
+    omegas = np.linspace(0.01, 1.0, 100)
+    for damping in (1e-6, 3e-3):
+        lattice = {"shape": (12, 9), "damping": damping, "law": "uniform", "kmin": 0.2}
+        first, responses = shaken(lattice, omegas, 8)
+        found, lowest = pgran.transport(first, responses), pgran.find_modes(first).omega[0]
+        assert found.first_mode == pytest.approx(lowest, rel=1e-9)
+        below = omegas < lowest
+        assert np.count_nonzero(below) > 5
+        assert 1 / found.rate[0] == pytest.approx(10 / np.pi, rel=0.1)
+        assert np.isnan(found.length[below]).all()
+        assert np.isnan(found.length_error[below]).all()
+        assert np.isfinite(found.length[~below]).any()
+    first, responses = shaken(lattice, omegas[:5], 8)
+    with pytest.raises(InputError, match="all frequencies lie below the first mode, at 0.1"):
+        pgran.transport(first, responses)
+
+
+@pytest.mark.parametrize(
+    ("omegas", "ends"),
+    [
+        (np.linspace(0.2, 1.2, 51), [0.2, 0.3, 1.0, 1.2]),
+        (np.linspace(0.05, 0.9, 51), ["first", 0.3, 0.9]),
+        ([0.5], [0.5, 0.5]),
+    ],
+)
+def test_delays_are_told_by_frequency_and_in_bands(omegas, ends):
+    first, responses = shaken({"shape": (12, 9)}, omegas, 8)
+    found = pgran.transport(first, responses)
+    ends = [found.first_mode if end == "first" else end for end in ends]
+    assert found.edge == pytest.approx(ends)
+    assert found.group_delay.shape == (len(omegas), 8)
+    for band, (low, high) in enumerate(itertools.pairwise(ends)):
+        inside = (np.asarray(omegas) >= low) & (np.asarray(omegas) < high)
+        inside |= (np.asarray(omegas) == high) & (band == len(ends) - 2)
+        mean = found.group_delay[inside].mean(axis=0)
+        assert found.band_delay[band] == pytest.approx(mean, rel=1e-9)
+        slope = np.polyfit(found.depth, mean, 1)[0]
+        assert found.delay_growth[band] == pytest.approx(slope, rel=1e-6, abs=1e-6)
+    result = SimpleNamespace(transport=found, medium=first)
+    lines = list(scene.summary(result))
+    assert len(lines) == len(ends)
+    assert "the group delay grows by" in lines[-1]
+
+
+def test_the_lowest_mode_of_what_may_be_loose():
+    assert levels.first_mode(pgran.Lattice.random((1, 2))) == pytest.approx(
+        pgran.find_modes(pgran.Lattice.random((1, 2))).omega[0]
+    )
+    loose = pgran.Network([[0, 1], [2, 3], [3, 4], [4, 2]], [1.0] * 4, [0, 1, 0, 0, 0])
+    assert levels.first_mode(loose) == 0
 
 
 GOOD = waves(np.random.default_rng(6), 10, 3)
@@ -112,6 +186,7 @@ def test_samples_that_are_not_finite_are_left_out_aloud(caplog):
             "^amplitude: that of sample 4, frequency 1, detector 2 vanishes",
         ),
         (transport.attenuation, (DEPTH[1:4], GOOD[..., 1:4]), "^depth: 2 depths"),
+        (transport.delay_per_depth, (DEPTH[1:4], GOOD[..., 1:4], GOOD[..., 1:4]), "2 depths"),
         (transport.delay_profile, (DEPTH, GOOD, GOOD[1:]), "^derivative: shape"),
         (transport.delay_profile, (DEPTH, 0 * GOOD, GOOD), "^amplitude: it vanishes"),
         (transport.delay_profile, (DEPTH, GOOD[0], GOOD[0]), "^amplitude: shape"),

@@ -22,7 +22,8 @@ NUMBERS = {
 SINGLE = ("#0072B2", "#E69F00", "#009E73")  # three samples
 SAID = {
     "amplitude": "Amplitude against the driving frequency over samples: the band of 80 % of them, "
-    "their median, and the coherent part $|\\langle A\\rangle|$.",
+    "their median, and the coherent part $|\\langle A\\rangle|$, where it is more than the mean of so "
+    "many samples has by chance, less that.",
     "delay": "Group delay against the driving frequency over samples: the band of 80 % of them, "
     "and their median; the axis is linear up to a power of ten next to the median, logarithmic "
     "beyond.",
@@ -31,6 +32,7 @@ SAID = {
     "participation": "Participation ratio of the normal modes against their frequency: the band of "
     "80 % of them, and their median.",
 }
+ABOVE_FLOOR = 5.0  # of |<A>|^2: beyond e^-5 by chance
 BAND, BINS = "#C8C8C8", 30
 ROWS, NARROWEST = 5, 3.0  # of curves, before there is another column; inches of one
 
@@ -86,7 +88,7 @@ def known(found, name, detector=None):
 
 
 def amplitude(ax, found, lattice, detector=0):
-    """Draw the band, the median, some samples, and the coherent part |<A>|; return the median.
+    """Draw the band, the median, some samples, and the `coherent` part; return the median.
 
     Parameters
     ----------
@@ -100,13 +102,26 @@ def amplitude(ax, found, lattice, detector=0):
     if found.displacement is not None:
         single = np.abs(found.displacement[:, :, detector])
     drawn = _band(ax, found, lattice, np.exp(found.ln_amplitude[:, :, detector]), single)
-    coherent = np.abs(found.coherent[:, detector])
     look = {"color": "#D55E00", "linestyle": (0, (3, 1)), "linewidth": 1.2}
-    ax.plot(
-        found.omega / lattice.omega_mx, coherent, label=r"coherent, $|\langle A\rangle|$", **look
-    )
+    part = coherent(found, detector)
+    if np.isfinite(part).any():
+        label = r"coherent, $|\langle A\rangle|$"
+        ax.plot(found.omega / lattice.omega_mx, part, label=label, **look)
     ax.set(yscale="log", ylabel=style.AMPLITUDE)
     return drawn
+
+
+def coherent(found, detector):
+    """Return |<A>| where it is more than chance, NaN elsewhere.
+
+    Of N samples without a coherent part |<A>|^2 still is <I>/N on the mean, and beyond ABOVE_FLOOR
+    times that in one of 150. That floor is taken off.
+    """
+    samples = np.count_nonzero(found.good)
+    square, intensity = np.abs(found.coherent[:, detector]) ** 2, found.intensity[:, detector]
+    floor = (intensity - square) / max(samples - 1, 1)
+    beyond = square > ABOVE_FLOOR * intensity / samples
+    return np.sqrt(np.where(beyond, square - floor, np.nan))
 
 
 def delay(ax, found, lattice, detector=0):

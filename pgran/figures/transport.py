@@ -8,21 +8,27 @@ SHOWN = 4  # frequencies
 SAID = (
     "Mean logarithm of the amplitude against the distance from the driven wall, at some driving "
     "frequencies.",
-    "Attenuation length against the driving frequency, where it is known.",
-    "Mean group delay against the distance. Bars: standard errors over samples.",
+    "Attenuation length against the driving frequency, where it is known: above the first mode "
+    "(dashed).",
+    "Mean group delay in bands of frequencies against the distance.",
+    "Mean group delay against the driving frequency at the smallest and the largest distance, "
+    "linear up to a power of ten next to its median. Bars: standard errors over samples.",
 )
 
 
 def figures(result, **_):
-    """Yield the profiles over depth above the attenuation length by frequency and the delay."""
+    """Yield profiles over depth, the attenuation length by frequency, and delays by both."""
     found, unit = result.transport, result.medium.omega_mx
-    figure, axes = style.page(style.COLUMN, 6.6, nrows=3)
-    profile(axes[0], found, unit)
-    length(axes[1], found, unit)
-    delay(axes[2], found, unit)
-    style.legend_above(axes[:1])
+    delays = found.group_delay is not None  # files before version 5 have none
+    panels = [profile, length] + [band_delay, delay] * delays
+    figure, axes = style.page(style.COLUMN, 0.2 + 2.1 * len(panels), nrows=len(panels))
+    for ax, panel in zip(axes, panels, strict=True):
+        panel(ax, found, unit)
+    for ax, panel in zip(axes, panels, strict=True):
+        if panel is not length:
+            style.legend_above([ax])
     figure.align_ylabels()
-    figure.caption = style.lettered(SAID)
+    figure.caption = style.lettered(SAID[: len(panels)])
     yield "transport", figure
 
 
@@ -46,11 +52,34 @@ def length(ax, found, unit):
     style.frequencies(ax, found.omega / unit)
     look = {"fmt": ".", "markersize": 3, "linewidth": 0.6, "color": style.ACCENT}
     values = found.omega[known] / unit, found.length[known], found.length_error[known]
+    if found.first_mode is not None:
+        ax.axvline(found.first_mode / unit, color="black", linestyle="--", linewidth=0.6)
     return ax.errorbar(*values, **look)
 
 
-def delay(ax, found, unit):
-    """Draw the mean delay against depth; return what was drawn."""
+def band_delay(ax, found, unit):
+    """Draw the mean delay of each band against depth; return the curves."""
     ax.set(xlabel=style.DISTANCE, ylabel=style.DELAY)
-    look = {"fmt": "o", "markersize": 3, "elinewidth": 0.8, "color": "black"}
-    return ax.errorbar(found.depth, found.delay * unit, found.delay_error * unit, **look)
+    ends = found.edge / unit
+    drawn = []
+    for band, (mark, shade) in enumerate(zip("osv", style.colours(len(ends) - 1), strict=False)):
+        label = rf"{ends[band]:.3g} to {ends[band + 1]:.3g} $\omega_{{mx}}$"
+        late, error = found.band_delay[band] * unit, found.band_delay_error[band] * unit
+        look = {"fmt": mark, "markersize": 3, "elinewidth": 0.8, "label": label, "color": shade}
+        drawn.append(ax.errorbar(found.depth, late, error, **look))
+    return drawn
+
+
+def delay(ax, found, unit):
+    """Draw the mean delay by frequency at the smallest and the largest depth; return the curves."""
+    style.frequencies(ax, found.omega / unit)
+    ax.set_ylabel(style.DELAY)
+    late = found.group_delay[:, [0, -1]] * unit
+    style.symmetric(ax, late, 10.0 ** np.round(np.log10(np.median(np.abs(late)))))
+    drawn = []
+    for place, mark, shade in ((0, "o", "black"), (-1, "s", style.ACCENT)):
+        late, error = (x[:, place] * unit for x in (found.group_delay, found.group_delay_error))
+        look = {"fmt": mark, "markersize": 2, "elinewidth": 0.6, "color": shade}
+        label = f"{found.depth[place]:g} spacings"
+        drawn.append(ax.errorbar(found.omega / unit, late, error, label=label, **look))
+    return drawn

@@ -21,6 +21,7 @@ GOE_SPACING_RATIO = 0.5307
 POISSON_SPACING_RATIO = 2 * math.log(2) - 1
 RATIOS_IN_PART = 10  # a ratio knows of its neighbours, with which it shares spacings
 NUMBERS_AT_ONCE = 1 << 22
+BELOW_ZERO = 1e-12  # of |K|: so that a K with modes at rest can be factored
 
 
 def spacing_ratio(values, window=None):
@@ -95,6 +96,28 @@ def _spectra(values, window):
     if not low < high:
         raise InputError(f"window: {low:g} to {high:g} is no interval")
     return [v[(v >= low) & (v <= high)] for v in spectra]
+
+
+def first_mode(lattice):
+    """Return the frequency of the lowest normal mode, 0 if it is one at rest or unstable.
+
+    Not collective. By ARPACK, around 0, without a certificate.
+
+    Parameters
+    ----------
+    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    """
+    from scipy.sparse import diags
+    from scipy.sparse.linalg import eigsh
+
+    springs = lattice.springs
+    K = (springs.B.T @ diags(springs.constants) @ springs.B).tocsc()
+    size = abs(K).sum(axis=1).max()
+    if springs.unknowns < 3 or size == 0:  # too few for an iteration
+        square = np.linalg.eigvalsh(K.toarray())[0]
+    else:
+        square = eigsh(K, 1, sigma=-BELOW_ZERO * size, return_eigenvectors=False)[0]
+    return math.sqrt(square / lattice.mass) if square > BELOW_ZERO * size else 0.0
 
 
 def modal_widths(lattice, vectors):

@@ -30,11 +30,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.physics.estimate import FEWEST, MOST, jackknife
+from pgran.physics.estimate import MOST, Estimate, jackknife
 from pgran.physics.series import ROUNDING, checked_series
 
 MEMORIES_IN_PART = 3  # length of a part that errors are taken from, in M
-MEMORIES_FOR_VARIANCE = 50  # of 20 it comes out small, and its error smaller: misses of 1.9 errors
+PARTS_AT_LEAST = 7  # (tests/campaigns/estimates.py)
+WITHIN = 0.8413  # what lies below one standard error of a normal law
+MEMORIES_FOR_VARIANCE = 100  # of 20 it comes out small, and its error smaller: misses of 1.9 errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +64,8 @@ class Series:
         values = checked_series(self.values, "memory")
         if self.bonds < 1:
             raise InputError(f"bonds: there must be one at least, not {self.bonds}")
-        if self.parts < FEWEST:
-            needed = MEMORIES_IN_PART * self.bonds * math.ceil(FEWEST / len(values))
+        if self.parts < PARTS_AT_LEAST:
+            needed = MEMORIES_IN_PART * self.bonds * math.ceil(PARTS_AT_LEAST / len(values))
             raise InputError(
                 f"series: {values.shape[1]} steps (trajectories: {len(values)}) are too few to "
                 f"tell the memory of {self.bonds} bonds with an error; {needed} are needed"
@@ -83,8 +85,11 @@ class Series:
     def estimate(self, measure, longest):
         """Return what `measure(C)` comes to, with its error, C(t) known for t <= `longest`.
 
-        Not collective. Pairs belong to the part that their first member is in.
+        Not collective. Pairs belong to the part that their first member is in. As parts may be few,
+        an error is Student's: as often as a normal one is the truth within it.
         """
+        from scipy.special import stdtrit  # here: SciPy takes its time
+
         trajectories, steps = self.values.shape
         if longest > steps // 2:
             raise InputError(f"lags: must lie between 0 and {steps // 2}, not {longest}")
@@ -93,10 +98,11 @@ class Series:
         deviations = self.values - self.values.mean()  # sums of squares round less
         sums = np.concatenate([_pair_sums(row, starts, longest) for row in deviations])
         whole = sums.sum(axis=0)
-        return jackknife(
+        found = jackknife(
             lambda part: measure(_covariance(whole if part is None else whole - sums[part])),
             len(sums),
         )
+        return Estimate(found.value, found.error * stdtrit(len(sums) - 1, WITHIN))
 
 
 def _pair_sums(row, starts, longest):

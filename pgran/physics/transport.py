@@ -91,7 +91,7 @@ def attenuation(depth, amplitude):
     Not collective. Depths weigh by the variance of their <ln|A|>. The line through the means is the
     mean of the samples' lines, and its error is that over samples: depths of one sample are not
     independent, so weights alone would claim too much. Depths should be those where the fall is
-    straight: not next to the walls, and not below omega's wavelength.
+    straight: not next to the walls, and not below the first mode, where walls alone make it.
 
     Parameters
     ----------
@@ -109,8 +109,7 @@ def attenuation(depth, amplitude):
     """
     depth, amplitude = _checked(depth, amplitude)
     depths, levels = _by_depth(depth, _logarithms(amplitude))
-    if len(depths) < 3:
-        raise InputError(f"depth: {len(depths)} depths are too few for a line; 3 are needed")
+    _enough_depths(depths)
     variance = levels.var(axis=0)
     floor = 1e-12 * np.maximum(variance.max(axis=1, keepdims=True), np.finfo(float).tiny)
     weights = 1 / np.maximum(variance, floor)
@@ -124,31 +123,61 @@ def attenuation(depth, amplitude):
     return Attenuation(rate, Estimate(length, error))
 
 
-def delay_profile(depth, amplitude, derivative):
+def delay_profile(depth, amplitude, derivative, over=None):
     """Return the mean group delay against depth, each sample's weighted by its intensity.
 
         tau = < |A|^2 (-d arg A / d omega) > / < |A|^2 > = -< Im(A* dA/domega) > / < |A|^2 >,
 
-    averaged over the frequencies given. Not collective. For a complex Gaussian field this is the
-    mean delay itself, whose own distribution has no variance (van Tiggelen, Sebbah, Stoytchev and
-    Genack, Phys. Rev. E 59, 7166 (1999)); where modes of one width Gamma overlap it is 1/Gamma.
+    by frequency. Not collective. For a complex Gaussian field this is the mean delay itself, whose
+    own distribution has no variance (van Tiggelen, Sebbah, Stoytchev and Genack, Phys. Rev. E 59,
+    7166 (1999)); where modes of one width Gamma overlap it is 1/Gamma.
 
     Parameters
     ----------
     depth : array_like of float, shape (nd,)
     amplitude, derivative : array_like of complex, shape (samples, nw, nd)
         A and dA/domega.
+    over : array_like of float, shape (n, nw), optional
+        Averages over frequencies, one a row, that are wanted in place of single frequencies.
 
     Returns
     -------
     Profile
-        Of shape (nx,).
+        Of shape (nw, nx), or (n, nx).
 
     Raises
     ------
     InputError
         As `log_amplitude_profile`.
     """
+    depths, measure, samples = _delays(depth, amplitude, derivative, over)
+    return Profile(depths, jackknife_samples(measure, samples))
+
+
+def delay_per_depth(depth, amplitude, derivative, over=None):
+    """Return by how much the mean group delay grows with depth, 1 / speed.
+
+    Not collective. The slope of the straight line through `delay_profile`, all depths alike, with
+    the error over samples. What stands and rings between walls has none; what propagates has.
+
+    Returns
+    -------
+    pgran.physics.estimate.Estimate
+        Arrays of shape (nw,), or (n,).
+
+    Raises
+    ------
+    InputError
+        As `attenuation`. Parameters are those of `delay_profile`.
+    """
+    depths, measure, samples = _delays(depth, amplitude, derivative, over)
+    _enough_depths(depths)
+    away = depths - depths.mean()
+    return jackknife_samples(lambda some: measure(some) @ away / np.sum(away**2), samples)
+
+
+def _delays(depth, amplitude, derivative, over):
+    """Return depths, what the mean delays of some samples are, and how many samples there are."""
     derivative = np.asarray(derivative, dtype=complex)
     if np.shape(amplitude) != derivative.shape:
         raise InputError(
@@ -165,9 +194,15 @@ def delay_profile(depth, amplitude, derivative):
         raise InputError("amplitude: it vanishes in all samples")
 
     def measure(some):
-        return np.mean(flow[some].mean(axis=0) / intensity[some].mean(axis=0), axis=0)
+        late = flow[some].mean(axis=0) / intensity[some].mean(axis=0)
+        return late if over is None else over @ late
 
-    return Profile(depths, jackknife_samples(measure, len(flow)))
+    return depths, measure, len(flow)
+
+
+def _enough_depths(depths):
+    if len(depths) < 3:
+        raise InputError(f"depth: {len(depths)} depths are too few for a line; 3 are needed")
 
 
 def _checked(depth, amplitude):
