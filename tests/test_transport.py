@@ -111,7 +111,7 @@ def test_lengths_are_withheld_below_the_first_mode():
         assert np.isnan(found.length_error[below]).all()
         assert np.isfinite(found.length[~below]).any()
     first, responses = shaken(lattice, omegas[:5], 8)
-    with pytest.raises(InputError, match="all frequencies lie below the first mode, at 0.1"):
+    with pytest.raises(InputError, match=r"all frequencies lie below the first mode, at 0\.1"):
         pgran.transport(first, responses)
 
 

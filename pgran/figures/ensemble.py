@@ -22,8 +22,8 @@ NUMBERS = {
 SINGLE = ("#0072B2", "#E69F00", "#009E73")  # three samples
 SAID = {
     "amplitude": "Amplitude against the driving frequency over samples: the band of 80 % of them, "
-    "their median, and the coherent part $|\\langle A\\rangle|$, where it is more than the mean of so "
-    "many samples has by chance, less that.",
+    "their median, and the coherent part $|\\langle A\\rangle|$, where it is more than the mean of "
+    "so many samples has by chance, less that.",
     "delay": "Group delay against the driving frequency over samples: the band of 80 % of them, "
     "and their median; the axis is linear up to a power of ten next to the median, logarithmic "
     "beyond.",

@@ -17,10 +17,10 @@ class Transport(Record):
     The straight line <ln|A|> = a - depth / length gives the attenuation length of the amplitude;
     the intensity falls in half of it. It is NaN where nothing falls for certain, and below
     `first_mode`, the lowest of the first sample, where no wave is excited and the walls alone make
-    the fall. The group delay is weighted by intensity; `band_delay` is its mean over the frequencies
-    between one `edge` and the next, which grows with depth by `delay_growth`. (Files before version
-    5 have no more of delays than a mean over all frequencies, `delay`, which is not read.) See
-    `pgran.physics.transport`.
+    the fall. The group delay is weighted by intensity; `band_delay` is its mean over the
+    frequencies between one `edge` and the next, which grows with depth by `delay_growth`. (Files
+    before version 5 have no more of delays than a mean over all frequencies, `delay`, which is not
+    read.) See `pgran.physics.transport`.
     """
 
     group = "transport"
