@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from samples import (
 )
 from scipy.integrate import quad
 
+import pgran
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.files.reading import read_file, read_words
@@ -26,6 +28,7 @@ from pgran.physics.laplace import Line, largest_amplitudes
 from pgran.physics.lattice import Lattice
 from pgran.physics.pulse import SHAPES, Pulse
 from pgran.physics.signal import arrivals
+from pgran.scenes import pulse
 from pgran.scenes.transform import limits_of
 
 KINDS = [
@@ -151,11 +154,42 @@ def test_a_shape_on_the_command_line_replaces_the_one_of_a_file():
 
 
 def test_arrival_of_a_front():
-    time = np.linspace(0, 10, 101)
-    signal = -np.clip(time - 4, 0, 2)[:, None]
-    assert arrivals(time, signal, 0 * signal) == pytest.approx([4.2])
-    assert np.isnan(arrivals(time, signal, 0 * signal + 0.05))
-    assert np.isnan(arrivals(time, signal - 1, 0 * signal))
+    """Of a motion of constant speed from 4 to 6 a thousandth has passed at 4.002."""
+    time = np.linspace(0, 10, 10001)
+    speed = np.where((time >= 4) & (time < 6), -3.0, 0.0)[:, None]
+    assert arrivals(time, speed, 0 * speed) == pytest.approx([4.002], abs=1e-3)
+    assert np.isnan(arrivals(time, speed, 0 * speed + 0.05))
+    assert np.isnan(arrivals(time, 0 * speed, 0 * speed))
+    assert np.isnan(arrivals(time, speed, 0 * speed, 4.1))
+
+
+@pytest.mark.parametrize(
+    ("shape", "omega", "width"),
+    [("burst", 0.6, 12.0), ("burst", 1.2, 6.0), ("gauss", 0.6, 4.0), ("ricker", 0.3, 4.0)],
+)
+def test_no_front_is_before_the_walls_own(shape, omega, width):
+    """Next to the wall, too, where balls move less than the wall and as early."""
+    lattice = pgran.Lattice.random((8, 6))
+    near = [(7, j) for j in range(6)] + [(6, 2), (4, 2), (0, 0)]
+    sent = {"shape": shape, "omega": omega, "width": width, "time": 200.0, "points": 801}
+    found = pgran.pulse(lattice, near, **sent)
+    assert np.all(found.arrival >= found.wall_arrival)
+    ahead = np.argmax(np.abs(found.displacement) > 0.1 * np.abs(found.displacement).max(0), axis=0)
+    wall = np.argmax(np.abs(found.wall) > 0.1 * np.abs(found.wall).max())
+    assert (ahead < wall).any() == (shape == "burst")  # as a part of the largest has it
+
+
+def test_a_front_that_shares_of_energy_cannot_tell_is_none():
+    """The wall's slow motion gets to the balls, its buzz beyond all modes does not."""
+    time = np.linspace(0, 100, 1001)
+    wall = np.exp(-0.5 * ((time - 25) / 6) ** 2)
+    wall += 10 * np.exp(-0.5 * ((time - 75) / 5) ** 2) * np.cos(3.0 * time)
+    sent = {"wall": np.column_stack([time, wall]), "time": 100.0, "points": 501}
+    found = pgran.pulse(pgran.Lattice.random((3, 3)), [(0, 2)], method="integrate", **sent)
+    assert found.wall_arrival > 50
+    assert np.isnan(found.arrival[0])
+    result = SimpleNamespace(pulse=found, medium=pgran.Lattice.random((3, 3)), units=None)
+    assert "when its front arrives is not certain" in "".join(pulse.summary(result))
 
 
 def test_what_bounds_the_motion():

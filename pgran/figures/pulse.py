@@ -17,7 +17,8 @@ def figures(result, response=None, **_):
     figure.caption = (
         f"A pulse ({signals.shape}): displacements of balls against time, by their distance from "
         "what is driven, each in units of its largest; at the bottom the motion of the drive; "
-        "thick ticks: arrival of the front, a tenth of the largest displacement; pale: envelopes."
+        "thick ticks: arrival of the front, when a thousandth of the signal's energy has passed; "
+        "pale: envelopes."
     )
     yield "signals", figure
     if signals.field is not None and lattice.has_places:
@@ -68,7 +69,7 @@ def seismogram(ax, signals, lattice):
         drawn += ax.plot(time, row + scale * signals.displacement[:, d], color="black")
     ends = np.arange(len(rows)) + np.array([[-0.3], [0.3]])
     look = {"color": style.FAILED, "linewidth": 1.2, "zorder": 3}
-    look["label"] = "front: a tenth of the largest displacement"
+    look["label"] = "front: a thousandth of the energy has passed"
     ax.vlines(np.array(fronts) * lattice.omega_mx, *ends, **look)
     ax.set_yticks(range(len(rows)), rows)
     ax.set(xlabel=style.TIME, xlim=time[[0, -1]], ylim=(-0.7, len(rows) - 0.3))

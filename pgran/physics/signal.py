@@ -5,32 +5,44 @@ import numpy as np
 from pgran.physics.laplace import AT_ONCE
 from pgran.physics.rounding import SMALLEST_NORMAL
 
-FRONT = 0.1  # of the largest displacement: where a front has arrived
+FRONT = 1e-3  # of the integral of v^2: what has passed when a front has arrived
 BLOCKS, FEWEST_BLOCKS = 16, 6  # that a coda is cut into, and that a rate needs
 NODES = 6  # steps of an integrator that a polynomial goes through
 DEGREE = 11  # of the splines that are integrated: an odd number
 
 
-def arrivals(time, displacement, error):
-    """Return when each displacement first exceeds FRONT of its largest, NaN where errors hide it.
+def arrivals(time, velocity, error, earliest=0.0):
+    """Return when FRONT of each signal's energy, the integral of v^2, has passed.
 
-    Not collective.
+    Not collective. NaN where errors hide it, nothing moves, or it would be before the `earliest`,
+    the driven wall's own: of a motion whose early part alone passes, say, shares of the whole tell
+    no front.
 
     Parameters
     ----------
     time : numpy.ndarray, shape (nt,)
-    displacement, error : numpy.ndarray, shape (nt, nd)
+    velocity, error : numpy.ndarray, shape (nt, nd)
+    earliest : float
     """
+    passed, wrong = (_passed(time, x) for x in (velocity, error))
     found = []
-    for signal, wrong in zip(np.abs(displacement).T, error.T, strict=True):
-        level = FRONT * signal.max(initial=0.0)
-        first = np.argmax(signal > level)
-        if first == 0 or not wrong[: first + 1].max() < 0.1 * level:
+    for energy, missed in zip(passed.T, wrong.T, strict=True):
+        level = FRONT * energy[-1]
+        first = np.argmax(energy > level)
+        if not missed[first] < 0.01 * level:  # a tenth of the velocity
             found.append(np.nan)
             continue
-        part = (level - signal[first - 1]) / (signal[first] - signal[first - 1])
-        found.append(time[first - 1] + part * (time[first] - time[first - 1]))
+        part = (level - energy[first - 1]) / (energy[first] - energy[first - 1])
+        at = time[first - 1] + part * (time[first] - time[first - 1])
+        found.append(at if at >= earliest else np.nan)
     return np.array(found)
+
+
+def _passed(time, x):
+    """Return the integral of x^2 until each time, by the trapezoidal rule, shape (nt, nd)."""
+    squares = x**2
+    parts = 0.5 * np.diff(time)[:, None] * (squares[1:] + squares[:-1])
+    return np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(parts, axis=0)])
 
 
 def envelopes(displacement, velocity):

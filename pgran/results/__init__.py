@@ -30,10 +30,12 @@ from pgran.results.transport import Transport as Transport
 class Signals(Record):
     """What balls do in time when the driven wall moves: `nt` times, `nd` detectors.
 
-    A front has arrived when a displacement first exceeds a tenth of its largest, NaN where errors
-    leave that open; `wall_arrival` is the wall's own. `centre` is the mean time, weighted by the
-    square of the envelope, `decay` the rate at which the envelope decays after it, with its
-    standard error. The `method` is `laplace`, with bounds of the errors, `sigma` and `period` those
+    A front has arrived when a thousandth of the signal's energy, the integral of the velocity's
+    square, has passed, NaN where errors leave that open, or it would be before the wall's own,
+    `wall_arrival`. (Files before version 5: when a displacement first exceeds a tenth of its
+    largest.) `centre` is the mean time, weighted by the square of the envelope, `decay` the rate at
+    which the envelope decays after it, with its standard error. The `method` is `laplace`, with
+    bounds of the errors, `sigma` and `period` those
     of the inverse transform and `solves` points on its line; or `integrate`, with estimates,
     `solves` the steps of the last integration.
     """

@@ -85,7 +85,8 @@ class Listening:
         """
         displacement, velocity = found
         envelope = signal.envelopes(displacement, velocity)
-        moves = self.sent.moves(self.time)[0]
+        moves, speed = self.sent.moves(self.time, 2)
+        wall_arrival = float(signal.arrivals(self.time, speed[:, None], 0 * speed[:, None])[0])
         for name, (values, estimate) in taken.items():
             more |= {name: self.unit * values, f"{name}_estimate": self.unit * estimate}
         decay, decay_error = signal.codas(self.time, envelope, error[0])
@@ -95,8 +96,8 @@ class Listening:
             pulse_width=self.sent.width,
             method=method,
             tolerance=self.tolerance,
-            wall_arrival=float(signal.arrivals(self.time, moves[:, None], 0 * moves[:, None])[0]),
-            arrival=signal.arrivals(self.time, displacement, error[0]),
+            wall_arrival=wall_arrival,
+            arrival=signal.arrivals(self.time, velocity, error[1], wall_arrival),
             centre=signal.centres(self.time, envelope),
             decay=decay,
             decay_error=decay_error,

@@ -120,6 +120,8 @@ def summary(result):
             front, centre = signals.arrival[d], signals.centre[d]
             line += f"; front at {front:.4g}{si.say('s', front)}"
             line += f", centre at {centre:.4g}{si.say('s', centre)}"
+        else:
+            line += "; when its front arrives is not certain"
         if np.isfinite(signals.decay[d]):
             decay, error = signals.decay[d], two_digits(signals.decay_error[d])
             line += f", then decay at the rate {decay:.3g} +- {error}{si.say('1/s', decay)}"
