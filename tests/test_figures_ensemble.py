@@ -179,7 +179,19 @@ def test_histograms_count_every_sample_that_has_the_number(of, name, d):
     assert abs(float(found_mean) - known.mean()) < 0.06 * error
     unit = re.search(r"\(\$.*\$\)", ax.get_xlabel())
     assert not unit or title.endswith(unit[0].strip("()"))
-    assert ax.get_ylabel() == "samples (of 11)"
+    assert ax.get_ylabel() == "samples (11; 1 withheld)"
+
+
+def test_a_histogram_says_how_many_samples_are_withheld():
+    found = found_of("response", "measures")
+    velocity = found.velocity.copy()
+    velocity[:5, 0] = np.nan
+    found = replace(found, velocity=velocity)
+    there = np.count_nonzero(np.isfinite(velocity[:, 0]))
+    assert draw(ensemble.histogram, found, "velocity", 0).get_ylabel() == (
+        f"samples ({there}; {12 - there} withheld)"
+    )
+    assert "Withheld: samples" in figures.make(result_of(found))["velocity"].caption
 
 
 def test_the_density_of_modes_is_that_of_a_sample():

@@ -65,6 +65,8 @@ def figures(result, **_):
                 f"Histogram over samples: {NUMBERS[name]}; line and band: mean and its standard "
                 "error."
             )
+            if any(withheld(found, name, d) for d in shown):
+                figure.caption += " Withheld: samples in which it is not certain."
             made[name] = figure
     for name, figure in made.items():
         if found.left_out:
@@ -85,6 +87,11 @@ def known(found, name, detector=None):
     if detector is not None and values.ndim > 1:
         values = values[:, detector]
     return values[np.isfinite(values)]
+
+
+def withheld(found, name, detector=None):
+    """Return how many samples that are good lack a number, as it is not certain."""
+    return np.count_nonzero(found.good) - len(known(found, name, detector))
 
 
 def amplitude(ax, found, lattice, detector=0):
@@ -199,7 +206,9 @@ def histogram(ax, found, name, detector=0):
     places = max(0, 1 - math.floor(math.log10(error)))
     numbers = rf"${mean:.{places}f} \pm {error:.{places}f}$ {unit and unit[1]}".rstrip()
     ax.set_title(f"{where}mean {numbers}")
-    ax.set(xlabel=NUMBERS[name], ylabel=f"samples (of {len(values)})")
+    missing = withheld(found, name, detector)
+    of = f"{len(values)}; {missing} withheld" if missing else f"of {len(values)}"
+    ax.set(xlabel=NUMBERS[name], ylabel=f"samples ({of})")
     ax.set_ylim(bottom=0)
     ax.locator_params("x", nbins=6)
     ax.locator_params("y", integer=True)
