@@ -4,9 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from figure_reading import draw
 from scipy.signal import welch
 
 from pgran.errors import InputError
+from pgran.figures import relaxation
 from pgran.physics.spectrum import power_spectrum
 
 
@@ -105,6 +107,20 @@ STEPS = np.arange(8000)
 def test_series_and_windows_without_a_spectrum(series, window, message):
     with pytest.raises(InputError, match=message):
         power_spectrum(series, *window)
+
+
+def test_an_exponent_is_withheld_of_a_series_shorter_than_its_memories(caplog):
+    """A few memories have seen too few states for its error, as the memory's own."""
+    signal = telegraph(1 / (2 * np.pi * 840), 2, 8_500, seed=17)
+    short = power_spectrum(signal[:, :4100], memory=840)
+    assert np.isnan([short.exponent, short.exponent_plain, short.exponent_error]).all()
+    assert np.all(short.power > 0)
+    assert "8200 steps (trajectories: 2) are too few" in caplog.text
+    assert "8400 are needed" in caplog.text
+    assert np.isfinite(power_spectrum(signal[:, :4200], memory=840).exponent)
+    assert "withheld" in relaxation.exponent(short)
+    ax = draw(relaxation.spectrum, short)
+    assert np.isfinite(ax.get_lines()[-1].get_ydata()).all()  # slope -2
 
 
 def test_warnings_of_a_window_that_reaches_too_far(caplog):

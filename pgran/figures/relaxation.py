@@ -61,11 +61,16 @@ def series(ax, relaxation, steps=2000):
 
 def spectrum(ax, spectrum):
     """Draw a power spectrum, the law fitted to it, and a line of slope -2; return the lines."""
-    label = rf"$S \propto (2\sin\pi f)^{{-\psi}}$, {exponent(spectrum)}"
+    label = exponent(spectrum)
+    if np.isfinite(spectrum.exponent):
+        label = rf"$S \propto (2\sin\pi f)^{{-\psi}}$, {label}"
     curve, law = power(ax, spectrum, label, style.ACCENT, shade="#777777")
     window, values = law.get_data()
     middle = len(window) // 2
-    parallel = 6.0 * values[middle] * (window / window[middle]) ** -2.0  # well above the spectrum
+    height = values[middle]
+    if not np.isfinite(height):
+        height = np.interp(window[middle], spectrum.frequency, spectrum.power)
+    parallel = 6.0 * height * (window / window[middle]) ** -2.0  # well above the spectrum
     look = {"color": "black", "linestyle": "--", "label": r"slope $-2$"}
     return [curve, law, *ax.plot(window, parallel, **look)]
 
@@ -97,5 +102,7 @@ def power(ax, spectrum, label, color, shade=None, linestyle="-"):
 
 
 def exponent(spectrum):
-    """Return the exponent of a power law with its error, as a legend has it."""
+    """Return the exponent of a power law with its error, as a legend has it, or that it is none."""
+    if not np.isfinite(spectrum.exponent):
+        return r"$\psi$ withheld: too few steps"
     return rf"$\psi = {spectrum.exponent:.3f} \pm {spectrum.exponent_error:.3f}$"

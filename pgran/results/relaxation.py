@@ -57,6 +57,7 @@ class Spectrum(Record):
     S(f) = scale / (2 sin(pi f))^exponent from `fit_min` to `fit_max` cycles per step, `scale` in
     the unit of `power`, `exponent_error` the standard error; a segment has `segment` steps.
     `exponent_plain` is minus the slope of log S against log f, aliases and all, as in the paper.
+    All are NaN where the series is too short beside its memory for an error.
     """
 
     group = "spectrum"

@@ -106,7 +106,7 @@ def memory_of(relaxation, bonds):
 def summary(result):
     """Return in words what the fluctuations tell. Not collective."""
     spectrum = getattr(result, "spectrum", None)
-    if spectrum:
+    if spectrum and np.isfinite(spectrum.exponent):
         yield (
             f"power spectrum S(f) ~ f^-psi with psi = {spectrum.exponent:.3f} +- "
             f"{spectrum.exponent_error:.3f} between {spectrum.fit_min:g} and "
