@@ -102,10 +102,10 @@ def excited(projection, drive=0.6):
 
 
 def power_of_damping(*results):
-    """Return the exponent with which the phase velocity grows with beta."""
+    """Return the exponents with which the phase velocity grows from each beta to the next."""
     beta = [result.lattice.damping for result in results]
     velocity = [result.response.phase_velocity[0] for result in results]
-    return fit_line(np.log(beta), np.log(velocity))[0]
+    return np.diff(np.log(velocity)) / np.diff(np.log(beta))
 
 
 def bonds(lattice):

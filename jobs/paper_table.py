@@ -224,7 +224,7 @@ SECTIONS = (
               len(maxima(x.response, 0.3, 1)[0])
               for x in (response_damping_small, response, response_damping_large)]),
         R("dips deeper than 10 dB in .3-1 at these beta", "much shallower for a smaller beta",
-          "{}, {}, {}: more of them, and deeper",
+          "{}, {}, {}: the fewer, the larger beta is, on curves that are resolved",
           lambda response_damping_small, response, response_damping_large: deep(
               response_damping_small, response, response_damping_large)),
         R("phase velocity at these beta", "one velocity, compared with that of sound; its slope "
@@ -232,8 +232,8 @@ SECTIONS = (
           lambda response_damping_small, response, response_damping_large: [
               x.response.phase_velocity[0]
               for x in (response_damping_small, response, response_damping_large)]),
-        R("the power of beta that it grows like", "",
-          "{:.2f}; it is 1/2 for waves that diffuse and are absorbed",
+        R("the power of beta that it grows like, between these", "",
+          "{:.2f}, {:.2f}; 1/2, as of waves that diffuse and are absorbed, from .003 on only",
           lambda response_damping_small, response, response_damping_large: power_of_damping(
               response_damping_small, response, response_damping_large)),
         R("highest frequency at which a ball oscillates by itself", "omega_mx",

@@ -46,7 +46,7 @@ def commands(tmp_path):
 
 
 SMALL = {
-    "-lattice_shape": "8,8", "-detectors": "3,4", "-sweep_points": "141", "-relax_steps": "3000",
+    "-lattice_shape": "8,8", "-detectors": "3,4", "-sweep_points": "141", "-relax_steps": "3200",
     "-ensemble_samples": "2",
 }  # fmt: skip
 
@@ -187,4 +187,4 @@ def test_power_of_damping():
                         response=SimpleNamespace(phase_velocity=[3 * beta**0.5]))
         for beta in (0.001, 0.003, 0.03)
     ]  # fmt: skip
-    assert paper_measures.power_of_damping(*results) == pytest.approx(0.5)
+    assert paper_measures.power_of_damping(*results) == pytest.approx([0.5] * (len(results) - 1))
