@@ -176,3 +176,24 @@ def test_what_no_drive_reaches_is_refused(world):
         network = Network(chain, np.ones(3), held)
         with Crew(world, 1) as crew, pytest.raises(InputError, match=said):
             pgran.sweep(network, OMEGAS, [1], crew)
+
+
+@pytest.mark.parametrize(
+    ("damped", "kind", "said"),
+    [("normal", "rotations", True), ("all", "rotations", False), ("normal", "vector", False)],
+)
+def test_dashpots_that_damp_no_rotation_are_spoken_of_at_the_start(
+    damped, kind, said, caplog, world
+):
+    """Bounds rest on the smallest eigenvalue of C, which is 0 where balls turn undamped."""
+    position = np.array([[0, 0], [1, 0], [0.5, 0.8], [1.5, 0.8], [1.0, 1.6]])
+    bond = [[0, 2], [1, 2], [1, 3], [2, 3], [2, 4], [3, 4]]
+    more = {"radius": [0.5] * 5, "tangential": [0.5] * 6} if kind == "rotations" else {}
+    network = Network(
+        bond, [1.0] * 6, [1, 1, 0, 0, 2], displacement=kind, position=position, damped=damped,
+        damping=0.1, **more,
+    )  # fmt: skip
+    found = pgran.sweep(network, [0.3, 0.5], detectors=[2])
+    if world.rank == 0:
+        assert ("no error bound can be proven" in caplog.text) == said
+    assert (found.failures > 0) == said

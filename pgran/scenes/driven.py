@@ -8,6 +8,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.files.options import INTEGER, REAL, Option
 from pgran.parallel.agreement import on_root
+from pgran.physics.lattice import Lattice
 from pgran.scenes.scene import Caution
 
 log = logging.getLogger("pgran")
@@ -62,6 +63,8 @@ def check_driven(lattice, world, lowest, in_time=False):
     """
     lattice.check_driven()
     warn_above_modes(lattice, world, lowest)
+    if not in_time:
+        _say_unprovable(lattice, world)
     if lattice.semidefinite:
         return
     from pgran.solve.certify import is_stable
@@ -88,6 +91,25 @@ def warn_above_modes(lattice, world, lowest):
             "omega = %.6g, the lowest asked for, is above all modes (omega_mx is %.6g); if it is "
             "in Hz: frequencies are angular, omega = 2 pi f", lowest, lattice.omega_mx,
         )  # fmt: skip
+
+
+def _say_unprovable(lattice, world):
+    """Say where dashpots leave motions undamped, on which all bounds of damped systems rest.
+
+    Collective.
+    """
+    if isinstance(lattice, Lattice) or lattice.isotropic or not lattice.damping:
+        return
+    from pgran.solve.certify import smallest_damping
+
+    if not on_root(world, lambda: smallest_damping(lattice.in_own_unit()[0]) > 0):
+        motion = "balls turn" if lattice.turns else "some motions are"
+        if world.rank == 0:
+            log.warning(
+                "damped = normal: %s undamped, so that no error bound can be proven, and every "
+                "amplitude will be marked as not accurate; with damped = all they have bounds",
+                motion,
+            )
 
 
 def reached_accuracy(record, good):
