@@ -201,8 +201,8 @@ SECTIONS = (
           "> 45 kHz, from numbers for the beads that it does not give", "{}, {}",
           lambda units_weight: (units_weight["frequency omega_mx/(2 pi)"],
                                 units_weight["omega_mx = sqrt(4 kmax/m)"].rsplit(maxsplit=1)[0])),
-        R("force of a contact for omega_mx = 200,000 / s (expomx)", "none given", "{}",
-          lambda units_speed: " ".join(units_speed["force of a contact"].split())),
+        R("force of the strongest contacts for omega_mx = 200,000 / s (expomx)", "none given", "{}",
+          lambda units_speed: " ".join(units_speed["force of the strongest contacts"].split())),
         R("speed of sound", "57 m/s", MEASURED, lambda: ()),
     )),
     Section("Where the paper and pgran differ", (), (

@@ -225,7 +225,7 @@ def test_the_spectrum_of_a_run(world, caplog):
     words = "-scene relaxation -lattice_shape 5,4 -detectors 2,2,1,1 -output_progress none"
     for more, said in (
         ("-spectrum_fit_min .01 -relax_steps 800 -relax_trajectories 4", "corner 1/(2 pi 49)"),
-        ("-spectrum_fit_min .1 -relax_steps 80 -relax_trajectories 4", ""),
+        ("-spectrum_fit_min .1 -relax_steps 130 -relax_trajectories 4", ""),
         ("-relax_steps 20 -error_tolerance 1e-17", "no spectrum: some steps have no amplitude"),
     ):
         caplog.clear()

@@ -164,7 +164,7 @@ def phase_velocity(slope, distance):
 
     Not collective. The slope of the phase is in rad per omega_mx, the distance from the driven wall
     in spacings. It is no speed of sound: absorbing diffusion makes the slope fall like
-    1 / sqrt(beta), and a pulse arrives far earlier.
+    1 / sqrt(beta), seen from .003 to .03, and a pulse arrives far earlier.
     """
     with np.errstate(divide="ignore"):
         return distance / np.abs(slope)

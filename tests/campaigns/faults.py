@@ -42,7 +42,7 @@ SCENES = {
     "projection": "-scene projection -lattice_shape 20,20 -sweep_points 600",
     "window": "-scene relaxation -lattice_shape 20,20 -lattice_damping .01 -relax_steps 15000",
     "krylov": "-scene relaxation -lattice_shape 9,8 -detectors 3,3 -lattice_damping .01 "
-    "-relax_steps 1500 -relax_trajectories 3 -relax_method krylov -relax_window 16",
+    "-relax_steps 1650 -relax_trajectories 3 -relax_method krylov -relax_window 16",
 }
 
 
