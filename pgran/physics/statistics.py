@@ -44,7 +44,7 @@ GAUSSIAN_SPREAD = 10 / math.log(10) * math.pi / math.sqrt(6)
 # truth, over their errors, have a mean within .35 and a deviation below 1.35 there. With 9 samples
 # these are -.8 and 1.9 for <I^2>/<I>^2, which few strong samples rule (tests/campaigns/estimates).
 SAMPLES_FOR = {"<I^2>/<I>^2": 80, "spread in dB": 20, "half width": 80}
-LENGTH_FOR_WIDTH = 500  # half widths of a single curve; of 100 these are -.8 and 1.7
+LENGTH_FOR_WIDTH = 800  # half widths of a single curve; of 600 these are -.6 and 1.6
 NEAR = 0.1  # of an edge: where the density at it is taken from
 POINTS_TO_MAXIMUM = 6  # with fewer, splines miss more than one maximum in a hundred
 

@@ -25,7 +25,7 @@ from pgran.physics import levels, memory, statistics
 from pgran.physics.levels import GOE_SPACING_RATIO, POISSON_SPACING_RATIO
 from pgran.physics.statistics import NoisyCurves
 
-FIELDS = (1, 100), (1, 300), (1, 600), *((n, 10) for n in (8, 20, 40, 80, 300))
+FIELDS = (1, 100), (1, 300), (1, 1000), *((n, 10) for n in (8, 20, 40, 80, 300))
 GAMMA, EDGES = 0.02, np.array([0.3, 1.0])
 MEASURES = {
     "<I>": (statistics.mean_intensity, 1.0),
