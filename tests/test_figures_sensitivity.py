@@ -24,6 +24,7 @@ from samples import random_lattice
 
 import pgran
 from pgran import figures
+from pgran.errors import FileError
 from pgran.figures import balls, heat, maps, sensitivity, style
 from pgran.results import record_of
 from pgran.results.space import as_network
@@ -216,8 +217,11 @@ def test_failed_frequencies_are_said_and_not_drawn(compute, caplog):
             assert not note(figure)
             assert "bond constant" in figure.axes[-1].get_xlabel()
     found.converged_reason[:] = 0
-    with caplog.at_level(logging.WARNING, logger="pgran"):
-        assert not figures.make(result_of(found))
+    with (
+        caplog.at_level(logging.WARNING, logger="pgran"),
+        pytest.raises(FileError, match="nothing to draw"),
+    ):
+        figures.make(result_of(found))
     assert "is as accurate as asked: none is drawn" in caplog.text
 
 

@@ -46,7 +46,7 @@ def commands(tmp_path):
 
 
 SMALL = {
-    "-lattice_shape": "8,8", "-detectors": "3,4", "-sweep_points": "141", "-relax_steps": "3200",
+    "-lattice_shape": "8,8", "-detectors": "4,3", "-sweep_points": "141", "-relax_steps": "3200",
     "-ensemble_samples": "2",
 }  # fmt: skip
 

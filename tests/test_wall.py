@@ -233,6 +233,7 @@ def test_another_unit(world, medium, method):
     else:
         one = crystal(medium, damping=0.05)
         names = ("stiffness", "tangential", "force", "masses", "damping", "kmax")
+        names += ("median_mass",)
         larger = {name: scale * getattr(one, name) for name in names}
         other, site = dataclasses.replace(one, **larger), one.free[2]
     resolve, omegas = 0 if method == "curve" else None, np.linspace(0.1, 1.0, 6)

@@ -8,6 +8,7 @@ import shlex
 import signal
 import sys
 import time
+from importlib import metadata
 from pathlib import Path
 
 import pgran
@@ -172,14 +173,11 @@ def _run_identity(asked):
 
     Not collective.
     """
-    import numpy
-    import scipy
-
     versions = {
         "pgran": pgran.__version__,
         "PETSc": _loaded_version("petsc4py.PETSc"),  # of whose release SLEPc is
-        "NumPy": numpy.__version__,
-        "SciPy": scipy.__version__,
+        "NumPy": metadata.version("numpy"),
+        "SciPy": metadata.version("scipy"),  # not imported by all that run
     }
     return versions | {f"-{name}": text for name, text in asked.items()}
 

@@ -65,8 +65,9 @@ def whole(path, check=lambda: None, kind=open, owner=None):
             os.fsync(stream.fileno())
         check()
         os.replace(temporary, path)
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error.strerror or error}") from None
+    except (OSError, ValueError) as error:  # a name with a zero byte
+        why = getattr(error, "strerror", None) or error
+        raise FileError(f"{path}: cannot be written: {why}") from None
     finally:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, ValueError):
             temporary.unlink(missing_ok=True)

@@ -69,9 +69,8 @@ def normal_frequencies(medium):
     lowest, highest : numpy.ndarray, shape (n,)
         Ascending, apart by what rounding may do.
     """
-    springs = medium.springs
-    K = (springs.B.T @ springs.B.multiply(springs.constants[:, None])).toarray()
-    values = np.linalg.eigvalsh(K)
+    units = np.eye(medium.balls).reshape(-1, *medium.shape)
+    values = np.linalg.eigvalsh(medium.restoring_forces(units).reshape(-1, medium.balls))
     error = 4 * len(values) * EPSILON * medium.stiffness_norm
     return tuple(np.sqrt(np.maximum(values + e, 0.0) / medium.mass) for e in (-error, error))
 
