@@ -137,6 +137,7 @@ def phase(ax, response, lattice, modes=None, labels=None, **line):
     for d in fitted:
         labels[d] += f": {_velocity(response, lattice, d)}"
     ax.set(ylabel=style.PHASE)
+    ax.yaxis.set_major_locator(style.round_ticks(ax.figure))
     style.frequencies(ax, x)
     drawn = marks.curves(ax, x, response.phase, good, labels, **_look(response) | line)
     label = rf"fit, {low:g} to {high:g} $\omega_{{mx}}$"
