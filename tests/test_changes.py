@@ -97,3 +97,8 @@ def test_a_run_goes_on_with_the_libraries_that_it_began_with(stopped, monkeypatc
     assert done.returncode == 2
     said = f"{name}: {JOURNAL} holds an unfinished run with {LIBRARIES[name]}, and now it is 0.1; "
     assert said in done.stderr
+
+
+def test_a_package_that_does_not_say_its_version():
+    assert running._installed_version("numpy") == np.__version__
+    assert running._installed_version("no such package") == "unknown"

@@ -176,8 +176,8 @@ def _run_identity(asked):
     versions = {
         "pgran": pgran.__version__,
         "PETSc": _loaded_version("petsc4py.PETSc"),  # of whose release SLEPc is
-        "NumPy": metadata.version("numpy"),
-        "SciPy": metadata.version("scipy"),  # not imported by all that run
+        "NumPy": _installed_version("numpy"),
+        "SciPy": _installed_version("scipy"),  # not imported by all that run
     }
     return versions | {f"-{name}": text for name, text in asked.items()}
 
@@ -265,6 +265,14 @@ def _run_attributes(options, words, world, failures, seconds):
         "seconds": seconds,
         "time_convention": "exp(+i omega t)",
     } | {name: value for name, value in units.items() if value is not None}
+
+
+def _installed_version(name):
+    """Return the version of a package, which need not be imported. Not collective."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:  # built by hand, without a word of what it is
+        return "unknown"
 
 
 def _loaded_version(name):
