@@ -21,13 +21,13 @@ from peers import Peer  # noqa: E402
 
 import pgran  # noqa: E402
 from pgran.__main__ import console  # noqa: E402
+from pgran.driven.linear import make_ksp  # noqa: E402
+from pgran.driven.operators import Operators  # noqa: E402
+from pgran.driven.steady import SteadySolver  # noqa: E402
 from pgran.errors import InputError  # noqa: E402
-from pgran.parallel.crew import Crew  # noqa: E402
-from pgran.physics.changes import draw_changes  # noqa: E402
-from pgran.physics.makers import random_geometric  # noqa: E402
-from pgran.solve.linear import make_ksp  # noqa: E402
-from pgran.solve.operators import Operators  # noqa: E402
-from pgran.solve.steady import SteadySolver  # noqa: E402
+from pgran.experiments.relaxation.changes import draw_changes  # noqa: E402
+from pgran.medium.crystals import random_geometric  # noqa: E402
+from pgran.run.crew import Crew  # noqa: E402
 
 WORLD, ALONE = MPI.COMM_WORLD, MPI.COMM_SELF
 UNIFORM = pgran.BondLaw("uniform")

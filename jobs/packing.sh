@@ -34,7 +34,7 @@ import sys
 import numpy as np
 
 import pgran
-from pgran.files.network import read_network
+from pgran.medium.network_file import read_network
 
 for packing, axes in (("discs", 2), ("spheres", 3)):
     network = read_network(f"{sys.argv[1]}/{packing}.h5")

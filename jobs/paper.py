@@ -15,7 +15,7 @@ import numpy as np
 from paper_table import SECTIONS
 
 import pgran
-from pgran import figures
+from pgran.draw import pages as figures
 from pgran.errors import BAD_FILE, DONE, FileError, PgranError, reason_of
 
 HEAD = "| what | paper | pgran | from |\n|---|---|---|---|"

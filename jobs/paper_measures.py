@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from pgran.figures.modes import pick
-from pgran.physics.phase import fit_line
+from pgran.driven.phase import fit_line
+from pgran.experiments.modes.figures import pick
 
 DEEP = 10.0  # dB: a sharp decrease
 

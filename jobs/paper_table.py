@@ -20,7 +20,7 @@ from paper_measures import (
     within,
 )
 
-from pgran.physics.phase import fit_line
+from pgran.driven.phase import fit_line
 
 BEAD, SPEED = 0.5, 5700.0  # cm and cm/s, measured (paper: velobs)
 MEASURED = "measured: not to be computed by the model"

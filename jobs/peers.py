@@ -13,7 +13,7 @@ class Peer:
 
     Parameters
     ----------
-    medium : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    medium : pgran.medium.lattice.Lattice or pgran.medium.network.Network
     site : tuple of int
         The detector.
     """

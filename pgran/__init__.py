@@ -11,7 +11,7 @@ as a dict, solver={"steady_ksp_type": "gmres"}.
 
 import importlib
 
-from pgran import blas
+from pgran.run import blas
 
 __version__ = "0.1.0"
 
@@ -20,26 +20,26 @@ blas.take_one_thread()  # before NumPy is loaded, if it is not
 # Where the names of the Python interface come from, once they are asked for: what needs neither
 # PETSc nor matplotlib does without them.
 _HOMES = {
-    "BondLaw": "pgran.physics.bondlaw",
+    "BondLaw": "pgran.medium.law",
     "InputError": "pgran.errors",
-    "Lattice": "pgran.physics.lattice",
-    "Network": "pgran.physics.network",
+    "Lattice": "pgran.medium.lattice",
+    "Network": "pgran.medium.network",
     "PgranError": "pgran.errors",
-    "continuum": "pgran.scenes.continuum",
-    "count_modes": "pgran.scenes.density",
-    "ensemble": "pgran.scenes.ensemble",
+    "continuum": "pgran.experiments.continuum.scene",
+    "count_modes": "pgran.experiments.modes.density",
+    "ensemble": "pgran.experiments.ensemble.scene",
     "export": "pgran.command.export",
-    "find_modes": "pgran.scenes.modes",
-    "heat": "pgran.scenes.heat",
-    "load": "pgran.files.store",
+    "find_modes": "pgran.experiments.modes.scene",
+    "heat": "pgran.experiments.sensitivity.heat",
+    "load": "pgran.medium.network_file",
     "plot": "pgran.command.plot",
-    "project": "pgran.scenes.projection",
-    "pulse": "pgran.scenes.pulse",
-    "relax": "pgran.scenes.relaxation",
-    "sensitivity": "pgran.scenes.sensitivity",
-    "statistics": "pgran.scenes.noise",
-    "sweep": "pgran.scenes.response",
-    "transport": "pgran.scenes.transport",
+    "project": "pgran.experiments.modes.projection",
+    "pulse": "pgran.experiments.pulse.scene",
+    "relax": "pgran.experiments.relaxation.scene",
+    "sensitivity": "pgran.experiments.sensitivity.scene",
+    "statistics": "pgran.experiments.ensemble.statistics",
+    "sweep": "pgran.experiments.response.scene",
+    "transport": "pgran.experiments.ensemble.transport",
 }
 __all__ = sorted(_HOMES)
 

@@ -15,8 +15,7 @@ from pgran import errors
 from pgran.command import meant
 from pgran.command.run import name_rank
 from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
-from pgran.files import streams
-from pgran.parallel import agreement, launch
+from pgran.run import agreement, launch, streams
 
 log = logging.getLogger("pgran")
 

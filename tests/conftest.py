@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
-from pgran.parallel import launch
+from pgran.run import launch
 
 os.environ.pop("PETSC_OPTIONS", None)
 launch.start()  # first: PETSc may have no MPI library of its own
@@ -36,8 +36,9 @@ from samples import option_values
 
 import pgran.__main__ as program
 from pgran.command import run as running
-from pgran.files import hdf5, streams
-from pgran.solve.database import holding
+from pgran.run import streams
+from pgran.run.petsc import holding
+from pgran.store import careful as hdf5
 
 WORLD = MPI.COMM_WORLD
 # Files that know nothing of ranks, and run on one only.

@@ -7,6 +7,7 @@ from samples import random_lattice
 
 import pgran
 from pgran import results
+from pgran.medium.record import record_of
 
 LATTICE = random_lattice((4, 3), seed=5, mass=0.25)
 UNIT = LATTICE.omega_mx  # 2
@@ -15,7 +16,7 @@ SWEEP = np.linspace(0.005, 1.3, 260)  # in units of omega_mx, as all frequencies
 
 def result_of(record, lattice=LATTICE):
     """A result of one record."""
-    medium = results.record_of(lattice)
+    medium = record_of(lattice)
     records = {medium.group: medium, record.group: record}
     return SimpleNamespace(scene=record.group, medium=medium, **records)
 

@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from samples import random_lattice
 
 import pgran
-from pgran.physics.makers import crystal
+from pgran.medium.crystals import crystal
 
 OMEGAS = [0.3, 0.6, 0.8, 1.1]
 LATTICE = random_lattice((4, 3), seed=5, damping=0.05)

@@ -12,9 +12,9 @@ import numpy as np
 from mpmath import mp, mpf
 from samples import SOLVERS
 
-from pgran.physics.bonds import bond_ends, driven_bonds
-from pgran.physics.network import Network
-from pgran.physics.springs import AT_REST, DRIVEN
+from pgran.medium.bonds import bond_ends, driven_bonds
+from pgran.medium.network import Network
+from pgran.medium.springs import AT_REST, DRIVEN
 
 exactly = np.frompyfunc(lambda x: mpf(float(x)), 1, 1)
 

@@ -9,14 +9,14 @@ import h5py
 import numpy as np
 from samples import random_lattice
 
-from pgran import results
-from pgran.files import store
+from pgran.catalogue import RECORDS, record_kind
+from pgran.store import file as store
 
 ATTRIBUTES = {"scene": "modes", "status": "complete", "options": "# é\n", "slepc_version": "",
               "mpi_size": 2, "seconds": 1.5}  # fmt: skip
 PLAIN = {int: 7, float: 0.3, bool: True, str: "é", tuple[float, ...]: (0.5, 1.0)}
 # a result belongs to a lattice or to another network
-KINDS = [kind for kind in results.RECORDS.values() if kind is not results.NetworkRecord]
+KINDS = [record_kind(group) for group in RECORDS if group != "network"]
 
 
 def fill(size, dtype):
@@ -31,7 +31,7 @@ def fill(size, dtype):
 
 def make(kind, shape=(4, 5), without=()):
     """Return a record as it is declared, every axis of another length."""
-    if kind is results.LatticeRecord:
+    if kind.group == "lattice":
         return kind.of(random_lattice(shape))
     lengths, values = {"axis": len(shape), "balls": shape}, {}
     for item in dataclasses.fields(kind):

@@ -16,13 +16,13 @@ from reference import Reference
 from scipy.integrate import solve_ivp
 
 from pgran.command.resolve import SCENES
-from pgran.parallel.crew import Crew
-from pgran.physics.lattice import Lattice
-from pgran.record import Record
-from pgran.scenes.pulse import pulse
-from pgran.scenes.response import sweep
-from pgran.solve.operators import Operators
-from pgran.solve.steady import SteadySolver
+from pgran.driven.operators import Operators
+from pgran.driven.steady import SteadySolver
+from pgran.experiments.pulse.scene import pulse
+from pgran.experiments.response.scene import sweep
+from pgran.medium.lattice import Lattice
+from pgran.run.crew import Crew
+from pgran.store.record import Record
 
 HAS_KLU = PETSc.Sys.hasExternalPackage("suitesparse")
 needs_klu = pytest.mark.skipif(not HAS_KLU, reason="this PETSc has no KLU")

@@ -6,11 +6,11 @@ from mpi4py import MPI
 from mpmath import mp, mpf
 from network_samples import NetworkReference, as_network, exactly
 
-from pgran.parallel.crew import Crew
-from pgran.physics.lattice import Lattice
-from pgran.physics.network import Network
-from pgran.scenes.heat import heat
-from pgran.scenes.sensitivity import sensitivity
+from pgran.experiments.sensitivity.heat import heat
+from pgran.experiments.sensitivity.scene import sensitivity
+from pgran.medium.lattice import Lattice
+from pgran.medium.network import Network
+from pgran.run.crew import Crew
 
 number = np.frompyfunc(lambda x: mpmath.mpmathify(complex(x)), 1, 1)
 STALE = "-steady_ksp_type bcgs -steady_pc_type cholesky"

@@ -12,14 +12,15 @@ from test_journal import stop_at
 
 from pgran.command.resolve import resolve
 from pgran.errors import FileError, InputError, PgranError, StoppedError
-from pgran.files.reading import read_words
-from pgran.parallel.crew import Crew
-from pgran.parallel.journal import Journal
-from pgran.physics.accuracy import entries, front, matched, mode_bounds, relative_errors
-from pgran.scenes.common import driving_frequencies, make_lattice
-from pgran.scenes.response import sweep
-from pgran.solve.database import holding
-from pgran.solve.normal import ModeSolver
+from pgran.experiments.accuracy.errors import entries, front, matched, mode_bounds, relative_errors
+from pgran.experiments.modes.normal import ModeSolver
+from pgran.experiments.response.scene import sweep
+from pgran.medium.sample import make_lattice
+from pgran.run.crew import Crew
+from pgran.run.frequencies import driving_frequencies
+from pgran.run.journal import Journal
+from pgran.run.petsc import holding
+from pgran.run.reading import read_words
 
 RESPONSE = "-lattice_shape 9,7 -detectors 3,2,5,5 -sweep_omega"
 # Units of two frequencies: the first of each is solved to rounding.

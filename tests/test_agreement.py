@@ -5,7 +5,7 @@ from petsc4py import PETSc
 
 from pgran.__main__ import explain
 from pgran.errors import FileError, InputError, PgranError
-from pgran.parallel.agreement import agreeing, on_root, who_reports
+from pgran.run.agreement import agreeing, on_root, who_reports
 
 
 @pytest.mark.parametrize("same", [True, False])

@@ -9,7 +9,7 @@ from samples import random_lattice
 import pgran
 from pgran.arguments import whole_number
 from pgran.errors import InputError
-from pgran.physics.numbers import number, numbers
+from pgran.run.numbers import number, numbers
 
 LATTICE = random_lattice((5, 4), 3)
 NETWORK = pgran.Network([[0, 1], [1, 2]], [1.0, 2.0], [1, 0, 2])

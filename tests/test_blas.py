@@ -8,9 +8,9 @@ from pathlib import Path
 import h5py
 import pytest
 
-from pgran import blas
+from pgran.run import blas
 
-ASKED = "; import scipy.linalg, pgran.blas; print(*pgran.blas.ask('get_num_threads'))"
+ASKED = "; import scipy.linalg, pgran.run.blas; print(*pgran.run.blas.ask('get_num_threads'))"
 FREE = [word for name in blas.CHOICES for word in ("-u", name)]  # nothing is chosen
 
 

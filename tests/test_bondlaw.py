@@ -9,10 +9,10 @@ from reference import bonds
 
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.files.reading import read_words
-from pgran.physics.bondlaw import LAWS, BondLaw, unit_numbers
-from pgran.physics.lattice import Lattice
-from pgran.scenes.common import make_lattice
+from pgran.medium.lattice import Lattice
+from pgran.medium.law import LAWS, BondLaw, unit_numbers
+from pgran.medium.sample import make_lattice
+from pgran.run.reading import read_words
 
 MASK = 2**64 - 1
 PARAMETERS = {"kmin": 0.05, "kmax": 0.25, "fraction": 0.3, "force": 2.0, "hertz": 3.0}

@@ -17,7 +17,7 @@ from samples import (
     uniform_lattice,
 )
 
-from pgran.physics.lattice import Lattice
+from pgran.medium.lattice import Lattice
 
 
 def norm_of_inverse(lattice, s):

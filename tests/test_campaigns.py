@@ -22,9 +22,9 @@ from mpi4py import MPI
 
 import pgran
 from pgran.command.resolve import SCENES
-from pgran.parallel.journal import Journal
-from pgran.physics.estimate import Estimate
-from pgran.solve import staircase
+from pgran.experiments.modes import staircase
+from pgran.run.journal import Journal
+from pgran.store.estimate import Estimate
 
 FOLDER = Path(__file__).parent / "campaigns"
 # How little each of them can do, in words of its own; the others are called by the tests below, and

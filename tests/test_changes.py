@@ -12,8 +12,8 @@ from petsc4py import PETSc
 
 from pgran.command import run as running
 from pgran.command.resolve import SCENES, options_of
-from pgran.files.options import FILE, FILES, TEXT
-from pgran.parallel.journal import Journal
+from pgran.run.journal import Journal
+from pgran.run.options import FILE, FILES, TEXT
 
 OPTIONS = dict(pair for scene in SCENES for pair in options_of(scene).items())
 JOURNAL = "a.h5.unfinished"

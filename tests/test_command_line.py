@@ -13,8 +13,8 @@ from campaigns import inject
 import pgran.__main__ as program
 from pgran import __version__, load
 from pgran.errors import FileError
-from pgran.files import store
-from pgran.files.network import write_network
+from pgran.medium.network_file import write_network
+from pgran.store import file as store
 
 OPENING = "pgran: response of a 6 x 5 lattice, uniform bonds on [0, 0.25], seed 1993, beta 0.003, "
 
@@ -162,8 +162,8 @@ def test_a_relaxation_too_short_for_a_spectrum(call, place, shared_path):
 @pytest.mark.parametrize(
     ("name", "replacement"),
     [
-        ("pgran.solve.database.unused", None),
-        ("pgran.scenes.response.summary", lambda records: [1 / 0]),
+        ("pgran.run.petsc.unused", None),
+        ("pgran.experiments.response.scene.summary", lambda records: [1 / 0]),
         ("pathlib.Path.unlink", lambda path, missing_ok: os.remove("/proc/version")),
     ],
 )
@@ -287,7 +287,7 @@ def test_a_signal_while_a_network_is_read(start, place, shared_path):
     )
     place("b.opts", "-scene response -network_file net.h5 -detectors 1 -sweep_points 3")
     tell = "import os, threading; threading.Timer(.1, os.killpg, (os.getpgrp(), 10)).start()"
-    fault = inject.words("before pgran.files.hdf5:try_apart", tell)
+    fault = inject.words("before pgran.store.careful:try_apart", tell)
     done = start("run", "b.opts", program=["setsid", "--wait", sys.executable, *fault])
     assert done.returncode == 75, done.stderr
     assert "stopped by SIGUSR1 before any work was finished" in done.stderr

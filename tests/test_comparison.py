@@ -13,9 +13,9 @@ from mpmath import mp
 from reference import exact_amplitudes
 from samples import random_lattice, reference_of, steady, swept
 
-from pgran.record import Result
-from pgran.results import LatticeRecord
-from pgran.scenes.response import summary
+from pgran.experiments.response.scene import summary
+from pgran.medium.record import LatticeRecord
+from pgran.store.record import Result
 
 
 def compared(lattice, omegas, site, comm=MPI.COMM_SELF, **choices):

@@ -9,7 +9,7 @@ from reference import continuum_amplitude, uniform_field
 from scipy.optimize import brentq
 
 from pgran.errors import InputError
-from pgran.physics.continuum import HALF_WAVES, PI, Continuum
+from pgran.experiments.continuum.series import HALF_WAVES, PI, Continuum
 
 POINT = (0.47, 0.52)
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18

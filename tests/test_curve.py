@@ -12,17 +12,16 @@ from petsc4py import PETSc
 from reference import exact_amplitudes, uniform_amplitude
 from samples import bond_arrays, random_lattice, reference_of, swept, uniform_lattice
 
+from pgran.driven.accurate import is_accurate
+from pgran.driven.operators import Operators
 from pgran.errors import InputError, PgranError
-from pgran.physics.accuracy import is_accurate
-from pgran.physics.curve import deviation, hidden_part
-from pgran.physics.interval import ARRAYS, POINT, evaluate
-from pgran.physics.lattice import Lattice
-from pgran.physics.modes import normal_frequencies
-from pgran.record import Result
-from pgran.results import LatticeRecord
-from pgran.scenes.response import summary
-from pgran.solve import intervals
-from pgran.solve.operators import Operators
+from pgran.experiments.response import intervals
+from pgran.experiments.response.models import ARRAYS, POINT, evaluate
+from pgran.experiments.response.resolution import deviation, hidden_part, normal_frequencies
+from pgran.experiments.response.scene import summary
+from pgran.medium.lattice import Lattice
+from pgran.medium.record import LatticeRecord
+from pgran.store.record import Result
 
 LATTICE, SITES = random_lattice((7, 8), 5, 0.003), [[3, 4], [0, 0]]
 OMEGAS = np.linspace(0.06, 1.3, 5)

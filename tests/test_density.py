@@ -12,12 +12,11 @@ from samples import assert_same, islands, random_lattice, reference_of, run_scen
 
 import pgran
 from pgran.command.resolve import resolve
-from pgran.files.reading import read_words
-from pgran.parallel.crew import Crew
-from pgran.physics.lattice import Lattice
-from pgran.scenes import density
-from pgran.solve import staircase
-from pgran.solve.condensation import Condensation
+from pgran.experiments.modes import density, staircase
+from pgran.experiments.modes.condensation import Condensation
+from pgran.medium.lattice import Lattice
+from pgran.run.crew import Crew
+from pgran.run.reading import read_words
 
 
 def check(found, squares):
@@ -105,7 +104,7 @@ def test_weyls_law_of_long_waves():
     c = 0.5
     omegas = c * np.linspace(0.2, 1.0, 15)
     found = pgran.count_modes(lattice, omegas)
-    medium = pgran.results.record_of(lattice)
+    medium = pgran.medium.record.record_of(lattice)
     waves = omegas / c
     expected = 61**2 * waves**2 / (4 * np.pi) - 61 * waves / np.pi
     np.testing.assert_allclose(found.weyl(medium, omegas), expected, rtol=1e-12)
@@ -114,7 +113,7 @@ def test_weyls_law_of_long_waves():
     assert np.abs(difference).max() < 2 * np.sqrt(61 * waves[-1] / np.pi)
     assert abs(difference.mean()) < 1
     for other in (random_lattice((4, 4)), uniform_lattice((5,))):
-        assert found.weyl(pgran.results.record_of(other), omegas) is None
+        assert found.weyl(pgran.medium.record.record_of(other), omegas) is None
 
 
 @pytest.mark.parametrize("shape", [(17, 23), (60,), (7, 6, 5)])

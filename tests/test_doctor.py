@@ -10,9 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pgran import blas
 from pgran.command import doctor
-from pgran.parallel import launch
+from pgran.run import blas, launch
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +47,7 @@ def mpirun_of(library, said):
     """Fakes of an MPI library, and of what an mpirun says of itself."""
     name = launch.library(SimpleNamespace(Get_library_version=lambda: library))
     return {
-        "pgran.parallel.launch.library": lambda MPI: name,
+        "pgran.run.launch.library": lambda MPI: name,
         "shutil.which": lambda program: program,
         "subprocess.run": lambda *words, **how: SimpleNamespace(stdout=said),
     }

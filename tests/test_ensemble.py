@@ -13,17 +13,17 @@ import pgran
 from pgran.command.forecast import forecast
 from pgran.command.resolve import SCENES, resolve
 from pgran.errors import InputError, PgranError, StoppedError
-from pgran.files import store
-from pgran.files.network import write_network
-from pgran.files.reading import read_words
-from pgran.parallel.journal import Journal
-from pgran.physics.bands import over_samples
-from pgran.physics.makers import triangular
-from pgran.physics.memory import Series, mean_order
-from pgran.physics.spectrum import power_spectrum
-from pgran.results import record_of
-from pgran.scenes import response
-from pgran.scenes.ensemble import KEPT
+from pgran.experiments.ensemble.bands import over_samples
+from pgran.experiments.ensemble.scene import KEPT
+from pgran.experiments.relaxation.memory import Series, mean_order
+from pgran.experiments.relaxation.spectrum import power_spectrum
+from pgran.experiments.response import scene as response
+from pgran.medium.crystals import triangular
+from pgran.medium.network_file import write_network
+from pgran.medium.record import record_of
+from pgran.run.journal import Journal
+from pgran.run.reading import read_words
+from pgran.store import file as store
 
 SEEDS = range(1993, 1998)
 SUM = {"bonds_sha256": ""}
@@ -181,7 +181,7 @@ def test_delays_and_velocities_that_are_not_certain_are_counted(world):
     assert np.array_equal(found.delay_samples, np.isfinite(delays).sum(axis=0))
     unknown = np.isnan(found.velocity).sum(axis=0)
     assert unknown.any()
-    said = "\n".join(SCENES["ensemble"].summary(pgran.record.Result(records)))
+    said = "\n".join(SCENES["ensemble"].summary(pgran.store.record.Result(records)))
     for count in unknown[unknown > 0]:
         assert f"{count} samples have none that is certain" in said
 
@@ -194,7 +194,7 @@ def test_what_is_unknown_at_several_balls_is_said_in_one_line(world):
     velocity[good[0], 2] = 1.0
     changed = {"velocity": velocity, "detector": np.array([[2, 2], [4, 0], [1, 1]])}
     found = dataclasses.replace(records[1], **changed)
-    lines = SCENES["ensemble"].summary(pgran.record.Result([records[0], found]))
+    lines = SCENES["ensemble"].summary(pgran.store.record.Result([records[0], found]))
     one, several = (line for line in lines if "phase velocity" in line)
     assert one.startswith("ball (4, 0): phase velocity ")
     assert "unknown" not in one
@@ -233,7 +233,7 @@ def test_a_sample_that_cannot_be_computed_is_left_out_aloud(world, monkeypatch, 
     assert np.isnan(found.coherent).all() == (failing == set(SEEDS))
     said = sum(world.allgather(caplog.text.count("it is broken")))
     assert said == len(failing)
-    lines = list(SCENES["ensemble"].summary(pgran.record.Result(records)))
+    lines = list(SCENES["ensemble"].summary(pgran.store.record.Result(records)))
     assert lines[1].startswith(f"{len(failing)} of {len(found.seed)} samples are left out")
 
 
@@ -334,7 +334,7 @@ def test_words_of_networks_have_no_spacings(world):
     records = ran("response", "", world)
     numbers = {"velocity": np.ones((len(SEEDS), 1)), "detector": np.array([[11]])}
     found = dataclasses.replace(records[1], good=np.ones(len(SEEDS), np.int8), **numbers)
-    lines = list(SCENES["ensemble"].summary(pgran.record.Result([record_of(network), found])))
+    lines = list(SCENES["ensemble"].summary(pgran.store.record.Result([record_of(network), found])))
     assert "ball 11: phase velocity 1 +- 0 lengths x omega_mx, spread 0" in lines
 
 

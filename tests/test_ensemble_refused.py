@@ -6,7 +6,7 @@ import pytest
 import pgran
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.files.reading import read_words
+from pgran.run.reading import read_words
 
 LATTICE = {"shape": (5, 4)}
 OMEGAS = np.linspace(0.3, 0.9, 25)

@@ -13,11 +13,11 @@ import pgran
 from pgran import __main__ as program
 from pgran.command.export import export
 from pgran.errors import FileError, PgranError
-from pgran.files import store
-from pgran.physics.makers import crystal
-from pgran.record import Result
-from pgran.results import record_of
-from pgran.scenes import fluctuations
+from pgran.experiments.relaxation import fluctuations
+from pgran.medium.crystals import crystal
+from pgran.medium.record import record_of
+from pgran.store import file as store
+from pgran.store.record import Result
 
 
 def result_of(record, medium=None):

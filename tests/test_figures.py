@@ -16,12 +16,15 @@ from matplotlib.markers import TICKUP
 from samples import random_lattice
 
 import pgran
-from pgran import errors, figures
+from pgran import draw as drawing
+from pgran import errors
 from pgran.command.plot import run as plot
+from pgran.draw import bonds
+from pgran.draw import pages as figures
 from pgran.errors import FileError, InputError, PgranError
-from pgran.figures import bonds, response
-from pgran.results import LatticeRecord
-from pgran.results.digits import two_digits
+from pgran.experiments.response import figures as response
+from pgran.medium.record import LatticeRecord
+from pgran.store.estimate import two_digits
 
 
 def test_the_regimes_hold_every_point_of_every_detector():
@@ -197,9 +200,8 @@ def test_nothing_to_draw():
 
 
 def test_without_matplotlib(monkeypatch):
-    for module in [name for name in sys.modules if name.startswith("pgran.figures.")]:
-        monkeypatch.delitem(sys.modules, module)
-    monkeypatch.delattr(figures, "style")
+    monkeypatch.delitem(sys.modules, "pgran.draw.style")
+    monkeypatch.delattr(drawing, "style")
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(PgranError, match="pip install matplotlib"):
         figures.make(respond([0.5]))
@@ -207,7 +209,7 @@ def test_without_matplotlib(monkeypatch):
 
 def test_a_file_of_version_1_is_drawn_and_no_pyplot_is_needed():
     code = f"""
-import sys, pgran, pgran.figures
+import sys, pgran, pgran.draw.pages
 assert "matplotlib" not in sys.modules
 made = pgran.plot({str(Path(__file__).with_name("version1.h5"))!r})
 assert list(made) == ["amplitude", "phase", "bonds"]

@@ -8,12 +8,13 @@ from figure_results import ensemble, find_modes, listen, relax, respond, result_
 from samples import random_lattice
 
 import pgran
-from pgran import errors, figures
+from pgran import errors
 from pgran.command.plot import run as plot
+from pgran.draw import captions
+from pgran.draw import pages as figures
 from pgran.errors import FileError, InputError
-from pgran.figures import captions
-from pgran.physics.makers import crystal
-from pgran.results.si import SI
+from pgran.medium.crystals import crystal
+from pgran.store.si import SI
 
 
 def test_captions_say_the_numbers_of_the_record():

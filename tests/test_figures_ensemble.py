@@ -11,10 +11,11 @@ from figure_reading import draw, labels, note
 from synthetic import gaussian_fields
 
 import pgran
-from pgran import figures
+from pgran.draw import pages as figures
 from pgran.errors import FileError
-from pgran.figures import ensemble, statistics
-from pgran.results import record_of
+from pgran.experiments.ensemble import figures as ensemble
+from pgran.experiments.ensemble import figures_statistics as statistics
+from pgran.medium.record import record_of
 
 LATTICE = {"shape": (5, 4), "mass": 0.25}
 FIRST = pgran.Lattice.random(seed=1993, **LATTICE)

@@ -9,9 +9,10 @@ from figure_reading import curves, draw, gaps, lines, note
 from map_samples import LATTICE, bond_lines, discs, heated, joined, result_of, title
 
 import pgran
-from pgran import figures
-from pgran.figures import heat, maps
-from pgran.results import record_of
+from pgran.draw import pages as figures
+from pgran.experiments.sensitivity import figures_heat as heat
+from pgran.experiments.sensitivity import maps
+from pgran.medium.record import record_of
 
 
 def test_the_heaters_map():

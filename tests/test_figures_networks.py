@@ -12,15 +12,18 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 import pgran
-from pgran import figures
 from pgran.command.plot import run as plot
+from pgran.draw import network, style
+from pgran.draw import pages as figures
+from pgran.draw.view import FACES, View
 from pgran.errors import FileError
-from pgran.figures import modes, network, pulse, response, style
-from pgran.figures.view import FACES, View
-from pgran.files.network import write_network
-from pgran.physics.makers import crystal
-from pgran.results import record_of
-from pgran.results.space import reaches
+from pgran.experiments.modes import figures as modes
+from pgran.experiments.pulse import figures as pulse
+from pgran.experiments.response import figures as response
+from pgran.medium.crystals import crystal
+from pgran.medium.network_file import write_network
+from pgran.medium.record import record_of
+from pgran.medium.space import reaches
 
 HEIGHT = 3 * np.sqrt(3)  # of the periodic strip
 

@@ -27,9 +27,13 @@ from matplotlib.markers import TICKUP
 from samples import random_lattice
 
 import pgran
-from pgran import figures
-from pgran.figures import accuracy, bonds, modes, response, style, transport
-from pgran.physics.makers import crystal
+from pgran.draw import bonds, style
+from pgran.draw import pages as figures
+from pgran.experiments.accuracy import figures as accuracy
+from pgran.experiments.ensemble import figures_transport as transport
+from pgran.experiments.modes import figures as modes
+from pgran.experiments.response import figures as response
+from pgran.medium.crystals import crystal
 
 FINE = np.linspace(0.1, 1.1, 201)
 LARGER = random_lattice((12, 11), seed=5, mass=0.25)
@@ -189,7 +193,7 @@ def test_signs_are_seen_in_grey_and_the_driven_wall_is_marked():
 @pytest.mark.parametrize(("shape", "count"), [((6,), 1), ((4, 3), 3), ((4, 3, 5), 3)])
 def test_walls_at_rest_are_hatched_and_no_bonds(shape, count):
     lattice = random_lattice(shape)
-    shown = pgran.results.record_of(lattice)
+    shown = pgran.medium.record.record_of(lattice)
     ax = draw(bonds.bonds, shown, np.zeros((1, len(shape)), dtype=int))
     walls = [patch for patch in ax.patches if patch.get_hatch()]
     assert len(walls) == count

@@ -8,9 +8,11 @@ from figure_reading import curves, draw, gaps, labels, lines
 from figure_results import UNIT, listen, respond
 from samples import random_lattice
 
-from pgran import figures
+from pgran.draw import balls
+from pgran.draw import pages as figures
 from pgran.errors import FileError
-from pgran.figures import balls, pulse, transfer
+from pgran.experiments.pulse import figures as pulse
+from pgran.experiments.pulse import transfer
 
 
 @pytest.mark.parametrize("method", ["laplace", "integrate"])

@@ -19,10 +19,15 @@ from figure_results import (
 from matplotlib.markers import TICKUP
 from samples import uniform_lattice
 
-from pgran import figures
+from pgran.draw import pages as figures
 from pgran.errors import FileError
-from pgran.figures import accuracy, continuum, density, modes, projection, relaxation
-from pgran.physics.spectrum import power_spectrum
+from pgran.experiments.accuracy import figures as accuracy
+from pgran.experiments.continuum import figures as continuum
+from pgran.experiments.modes import figures as modes
+from pgran.experiments.modes import figures_density as density
+from pgran.experiments.modes import figures_projection as projection
+from pgran.experiments.relaxation import figures as relaxation
+from pgran.experiments.relaxation.spectrum import power_spectrum
 
 FINE = np.linspace(0.1, 1.1, 401)
 

@@ -23,11 +23,14 @@ from map_samples import (
 from samples import random_lattice
 
 import pgran
-from pgran import figures
+from pgran.draw import balls, style
+from pgran.draw import pages as figures
 from pgran.errors import FileError
-from pgran.figures import balls, heat, maps, sensitivity, style
-from pgran.results import record_of
-from pgran.results.space import as_network
+from pgran.experiments.sensitivity import figures as sensitivity
+from pgran.experiments.sensitivity import figures_heat as heat
+from pgran.experiments.sensitivity import maps
+from pgran.medium.record import record_of
+from pgran.medium.space import as_network
 
 
 @pytest.mark.parametrize(
@@ -159,7 +162,7 @@ def test_shares_of_bonds_and_balls():
     [([1], [0]), ([0, 1, 1], [1, 2]), ([1] * 3, [0, 1, 2]), ([1] * 9, [1, 4, 7]), ([0], [])],
 )
 def test_a_few_of_the_good_frequencies(good, chosen):
-    record = pgran.results.Sensitivity
+    record = pgran.experiments.sensitivity.record.Sensitivity
     names = dict.fromkeys(record.__dataclass_fields__)
     assert sensitivity.few(record(**names | {"converged_reason": np.array(good)})) == chosen
 

@@ -11,15 +11,16 @@ from figure_results import UNIT, find_modes, listen, relax, respond, respond_box
 from samples import random_lattice
 
 import pgran
-from pgran import errors, figures
+from pgran import errors
 from pgran.command.plot import labels_of
 from pgran.command.plot import run as plot
 from pgran.command.resolve import resolve
+from pgran.draw import pages as figures
+from pgran.draw import together
 from pgran.errors import FileError, InputError
-from pgran.figures import together
-from pgran.files.options import options_in
-from pgran.files.reading import read_words
-from pgran.physics.spectrum import power_spectrum
+from pgran.experiments.relaxation.spectrum import power_spectrum
+from pgran.run.options import options_in
+from pgran.run.reading import read_words
 
 BETAS = (0.001, 0.003, 0.01)
 X = np.linspace(0.1, 1.2, 111)  # in units of omega_mx

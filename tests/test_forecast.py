@@ -12,15 +12,15 @@ import pytest
 from petsc4py import PETSc
 from samples import random_lattice, steady
 
-from pgran import machine
 from pgran.command import forecast
 from pgran.command.resolve import SCENES, resolve
 from pgran.errors import InputError
-from pgran.files.reading import read_file, read_words
-from pgran.parallel.crew import Crew
-from pgran.parallel.task import Task
-from pgran.physics import makers
-from pgran.physics.network import Network
+from pgran.medium import crystals as makers
+from pgran.medium.network import Network
+from pgran.run import machine
+from pgran.run.crew import Crew
+from pgran.run.reading import read_file, read_words
+from pgran.run.task import Task
 
 OPTIONS = Path(__file__).parents[1] / "options"
 

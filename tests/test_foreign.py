@@ -13,9 +13,10 @@ from samples import bond_arrays, random_lattice
 
 from pgran import load
 from pgran.errors import FileError
-from pgran.files import hdf5, store
-from pgran.results import LatticeRecord
-from pgran.scenes.common import read_bonds
+from pgran.medium.bonds_file import read_bonds
+from pgran.medium.record import LatticeRecord
+from pgran.store import careful as hdf5
+from pgran.store import file as store
 
 serial = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts programs: serial run only")
 NAMES = ("stiffness_x", "stiffness_y", "stiffness_z")
@@ -229,7 +230,7 @@ def test_a_chunk_that_becomes_too_large(path):
     [
         ("ulimit -c 0; kill -11 $$", "crashed (SIGSEGV)"),
         ("exec sleep 60", "took more than"),
-        ('echo "$OMPI_X$PMIX_RANK$*" >&2; exit 1', "crashed (-P -m pgran.files.hdf5 "),
+        ('echo "$OMPI_X$PMIX_RANK$*" >&2; exit 1', "crashed (-P -m pgran.medium.bonds_file "),
         (None, "cannot be read apart"),
     ],
 )
@@ -250,7 +251,8 @@ def test_a_process_that_fails(path, monkeypatch, program, said):
 def test_limits_of_the_process(path):
     write(path, **good())
     program = (
-        "import resource as r, sys; from pgran.files import hdf5; hdf5.main(sys.argv[1]);"
+        "import resource as r, sys; from pgran.medium.bonds_file import bonds, hdf5;"
+        "hdf5.main(sys.argv[1], bonds);"
         "print([r.getrlimit(n)[0] for n in (r.RLIMIT_CORE, r.RLIMIT_CPU, r.RLIMIT_AS)],"
         "'mpi4py' in sys.modules)"
     )

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from samples import steady
 
-from pgran.physics import makers
-from pgran.physics.network import Network
-from pgran.scenes.modes import find_modes
-from pgran.solve.certify import smallest_damping
-from pgran.solve.counting import ModeCounter
-from pgran.solve.linear import factor_package
-from pgran.solve.slicing import hermitian_operators
+from pgran.driven.certify import smallest_damping
+from pgran.driven.counting import ModeCounter
+from pgran.driven.linear import factor_package
+from pgran.experiments.modes.scene import find_modes
+from pgran.experiments.modes.slicing import hermitian_operators
+from pgran.medium import crystals as makers
+from pgran.medium.network import Network
 
 
 def samples():

@@ -10,9 +10,9 @@ from sensitivity_samples import TOUCH, Exact, derived, heated, missed, packing
 
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.files.reading import read_words
-from pgran.physics.bonds import bond_ends
-from pgran.physics.lattice import Lattice
+from pgran.medium.bonds import bond_ends
+from pgran.medium.lattice import Lattice
+from pgran.run.reading import read_words
 
 OMEGAS = np.array([0.15, 0.6, 1.0])
 

@@ -6,15 +6,15 @@ from mpmath import mp
 from samples import option_values, random_lattice
 from sensitivity_samples import STALE, Exact, heated, missed
 
+from pgran.driven import steady
+from pgran.driven import sweep as sweeping
+from pgran.driven.reuse import ReusePolicy
+from pgran.driven.steady import SteadySolver
 from pgran.errors import InputError
-from pgran.physics.finite import changed_amplitudes
-from pgran.physics.lattice import Lattice
-from pgran.physics.network import Network
-from pgran.scenes import sweeping
-from pgran.solve import steady
-from pgran.solve.database import holding
-from pgran.solve.reuse import ReusePolicy
-from pgran.solve.steady import SteadySolver
+from pgran.experiments.sensitivity.finite import changed_amplitudes
+from pgran.medium.lattice import Lattice
+from pgran.medium.network import Network
+from pgran.run.petsc import holding
 
 
 @pytest.mark.parametrize("solver", [STALE, ""])

@@ -15,10 +15,10 @@ from pgran.__main__ import USAGE, main
 from pgran.command import units
 from pgran.command.resolve import resolve
 from pgran.errors import DONE, InputError
-from pgran.files.reading import read_words
-from pgran.physics import hertz
-from pgran.physics.hertz import MATERIALS, Material, Scale
-from pgran.physics.packing import hertz_of_force
+from pgran.medium import hertz
+from pgran.medium.hertz import MATERIALS, Material, Scale
+from pgran.medium.packing import hertz_of_force
+from pgran.run.reading import read_words
 
 GLASS = MATERIALS["glass"]
 BEAD = Scale(GLASS, 5e-3, 1e-3)  # the diameter of Liu and Nagel's beads

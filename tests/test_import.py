@@ -18,9 +18,9 @@ from packing_samples import (
 )
 
 from pgran.errors import InputError
-from pgran.files.conditions import choose
-from pgran.files.network import read_network
-from pgran.physics import packing
+from pgran.foreign.conditions import choose
+from pgran.medium import packing
+from pgran.medium.network_file import read_network
 
 
 @pytest.mark.parametrize("axes", [2, 3])

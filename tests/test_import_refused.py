@@ -7,7 +7,7 @@ import pytest
 from packing_samples import Sample, csv_of, dump, row_of_balls
 
 from pgran.errors import FileError
-from pgran.files.tables import read_table
+from pgran.foreign.tables import read_table
 
 GOOD = {
     "a.atoms": "id,x,y,radius,mass\n1,0,0,.6,1\n2,1,0,.6,1\n3,2,0,.6,1\n",

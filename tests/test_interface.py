@@ -10,13 +10,13 @@ from samples import random_lattice
 
 import pgran
 from pgran.command.resolve import resolve
-from pgran.files import store
-from pgran.files.network import read_network
-from pgran.files.reading import read_words
-from pgran.parallel.crew import Crew
-from pgran.physics.bondlaw import BondLaw
-from pgran.results import record_of
-from pgran.scenes import response
+from pgran.experiments.response import scene as response
+from pgran.medium.law import BondLaw
+from pgran.medium.network_file import read_network
+from pgran.medium.record import record_of
+from pgran.run.crew import Crew
+from pgran.run.reading import read_words
+from pgran.store import file as store
 
 LATTICE = random_lattice((6, 5))
 PACKING = Path(__file__).parents[1] / "options" / "packings" / "discs.h5"
@@ -29,7 +29,7 @@ def test_a_record_on_every_rank(world):
         mine = response.sweep(LATTICE, np.array(OMEGAS), np.array([3, 2, 5, 1]), crew)
     assert (mine is None) == (world.rank > 0)
     expected = world.bcast(mine)
-    assert isinstance(found, pgran.results.Response)
+    assert isinstance(found, pgran.experiments.response.record.Response)
     assert np.array_equal(found.displacement, expected.displacement)
 
 

@@ -42,7 +42,7 @@ import sys
 import numpy as np
 import pgran
 from pgran.command import imports
-from pgran.files.network import read_network
+from pgran.medium.network_file import read_network
 name, words = sys.argv[2].removesuffix(".in"), ["--law", "harmonic"]
 if name == "spheres":
     words = ["--law", "hertz", "--rest", "type==3", "--drive", "type==4"]

@@ -13,16 +13,16 @@ import pytest
 from samples import assert_same, random_lattice
 
 from pgran.errors import FileError, InputError, StoppedError
-from pgran.parallel.crew import Crew
-from pgran.parallel.journal import MAGIC, RECORD, Journal
-from pgran.parallel.launch import SIGNALS
-from pgran.physics.bondlaw import BondLaw
-from pgran.scenes.density import count_modes
-from pgran.scenes.modes import find_modes
-from pgran.scenes.projection import project
-from pgran.scenes.pulse import pulse
-from pgran.scenes.relaxation import relax
-from pgran.scenes.response import sweep
+from pgran.experiments.modes.density import count_modes
+from pgran.experiments.modes.projection import project
+from pgran.experiments.modes.scene import find_modes
+from pgran.experiments.pulse.scene import pulse
+from pgran.experiments.relaxation.scene import relax
+from pgran.experiments.response.scene import sweep
+from pgran.medium.law import BondLaw
+from pgran.run.crew import Crew
+from pgran.run.journal import MAGIC, RECORD, Journal
+from pgran.run.launch import SIGNALS
 
 ROW = np.dtype([("unit", np.int64), ("value", float, (3,))])
 UNITS = list(range(11))

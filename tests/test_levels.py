@@ -9,9 +9,9 @@ from synthetic import fair
 
 import pgran
 from pgran.errors import InputError
-from pgran.physics import levels
-from pgran.physics.network import Network
-from pgran.scenes import modes
+from pgran.experiments.modes import levels
+from pgran.experiments.modes import scene as modes
+from pgran.medium.network import Network
 
 
 def goe(rng, size):

@@ -16,8 +16,8 @@ from samples import listened, swept
 from scipy.integrate import solve_ivp
 
 import pgran
-from pgran.physics import interval
-from pgran.physics.interval import ARRAYS, evaluate
+from pgran.experiments.response import models as interval
+from pgran.experiments.response.models import ARRAYS, evaluate
 
 HEAVY = 7  # balls of mass 1 beside the light ones, each held by the wall: they set the unit
 LIGHT = [1e-4, 1e-8]

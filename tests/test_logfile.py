@@ -10,7 +10,7 @@ import pytest
 from campaigns import inject
 
 from pgran.errors import FileError
-from pgran.files import logfile
+from pgran.run import logfile
 
 STAMP = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4} "
 

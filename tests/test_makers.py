@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from pgran.driven.certify import smallest_damping
+from pgran.driven.operators import Operators
 from pgran.errors import InputError
-from pgran.physics import makers
-from pgran.physics.parts import without_floating
-from pgran.scenes.modes import find_modes
-from pgran.solve.certify import smallest_damping
-from pgran.solve.operators import Operators
+from pgran.experiments.modes.scene import find_modes
+from pgran.medium import crystals as makers
+from pgran.medium.parts import without_floating
 
 ROOT3 = math.sqrt(3)
 

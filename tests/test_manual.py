@@ -19,10 +19,10 @@ import pgran
 from pgran.__main__ import COMMANDS
 from pgran.command import manual
 from pgran.command.resolve import SCENES, options_of, resolve
-from pgran.files import solver_keys
-from pgran.files.options import text_of
-from pgran.files.reading import read_file, read_words
-from pgran.record import Record
+from pgran.run import keys as solver_keys
+from pgran.run.options import text_of
+from pgran.run.reading import read_file, read_words
+from pgran.store.record import Record
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "pgran" / "manual"

@@ -8,9 +8,9 @@ import pytest
 from synthetic import BondSums, fair
 
 from pgran.errors import InputError
-from pgran.physics import memory
-from pgran.physics.estimate import Estimate
-from pgran.physics.memory import Series
+from pgran.experiments.relaxation import memory
+from pgran.experiments.relaxation.memory import Series
+from pgran.store.estimate import Estimate
 
 MADE = BondSums(12, {1: 0.5, 2: 0.6, 3: 0.8})
 LAGS = np.array([0, 1, 4, 12, 24])

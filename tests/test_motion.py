@@ -9,8 +9,8 @@ from scipy.integrate import quad
 
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.files.reading import read_words
-from pgran.physics.pulse import Pulse, Samples
+from pgran.experiments.pulse.wall import Pulse, Samples
+from pgran.run.reading import read_words
 
 SHORT = {"shape": "gauss", "width": 4.0, "time": 100.0, "points": 101}
 

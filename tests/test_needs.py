@@ -97,5 +97,5 @@ def test_a_scene_leaves_out_what_it_does_not_need(options, start, place):
 
 def test_reading_results_needs_no_petsc(start):
     names = "petsc4py", "mpi4py"
-    code = f"import pgran, pgran.figures, sys; print(*(n in sys.modules for n in {names}))"
+    code = f"import pgran, pgran.draw.pages, sys; print(*(n in sys.modules for n in {names}))"
     assert start(program=(sys.executable, "-c", code)).stdout.split() == ["False", "False"]

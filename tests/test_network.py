@@ -12,16 +12,16 @@ from network_samples import NetworkReference, as_network, random_network
 from samples import random_lattice, steady
 
 from pgran.command.resolve import SCENES
+from pgran.driven import judge as judging
+from pgran.driven.certify import smallest_damping
 from pgran.errors import InputError
-from pgran.physics import makers
-from pgran.physics.network import Network
-from pgran.physics.parts import without_floating
-from pgran.record import Result
-from pgran.results import record_of
-from pgran.scenes.modes import find_modes
-from pgran.scenes.pulse import pulse
-from pgran.solve import judging
-from pgran.solve.certify import smallest_damping
+from pgran.experiments.modes.scene import find_modes
+from pgran.experiments.pulse.scene import pulse
+from pgran.medium import crystals as makers
+from pgran.medium.network import Network
+from pgran.medium.parts import without_floating
+from pgran.medium.record import record_of
+from pgran.store.record import Result
 
 
 @pytest.mark.parametrize("shape", [(5, 6), (6, 1), (3, 2, 4)])

@@ -8,7 +8,7 @@ import pytest
 from packing_samples import Sample, bring
 
 from pgran.errors import FileError, InputError
-from pgran.files.network import read_network
+from pgran.medium.network_file import read_network
 
 
 def five_lines(path, attributes=(), **members):

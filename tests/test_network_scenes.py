@@ -11,10 +11,10 @@ from samples import random_lattice
 import pgran
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.files.network import DATASETS, read_network, write_network
-from pgran.files.reading import read_words
-from pgran.parallel.crew import Crew
-from pgran.physics.network import Network
+from pgran.medium.network import Network
+from pgran.medium.network_file import DATASETS, read_network, write_network
+from pgran.run.crew import Crew
+from pgran.run.reading import read_words
 
 SIZE, BALL = (6, 5), (2, 3)
 OMEGAS = np.linspace(0.1, 1.1, 9)

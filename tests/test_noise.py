@@ -9,9 +9,9 @@ from synthetic import gaussian_fields
 
 import pgran
 from pgran.errors import InputError
-from pgran.physics import statistics
-from pgran.results import Ensemble
-from pgran.scenes import noise
+from pgran.experiments.ensemble import intensity as statistics
+from pgran.experiments.ensemble import statistics as noise
+from pgran.experiments.ensemble.record import Ensemble
 
 GAMMA, SAMPLES = 0.02, 300
 

@@ -10,12 +10,13 @@ from petsc4py import PETSc
 from reference import Reference, uniform_frequencies
 from samples import islands, random_lattice, uniform_lattice
 
+from pgran.driven import counting
+from pgran.driven.operators import Operators
 from pgran.errors import InputError
-from pgran.parallel.crew import Crew
-from pgran.physics.lattice import Lattice
-from pgran.scenes.modes import certificate, find_modes
-from pgran.solve import counting, normal
-from pgran.solve.operators import Operators
+from pgran.experiments.modes import normal
+from pgran.experiments.modes.scene import certificate, find_modes
+from pgran.medium.lattice import Lattice
+from pgran.run.crew import Crew
 
 SOLVERS = Path(__file__).parents[1] / "options" / "solvers"
 

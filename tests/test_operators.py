@@ -6,9 +6,9 @@ from petsc4py import PETSc
 from reference import balls
 from samples import random_lattice, reference_of
 
-from pgran.physics.bonds import bond_arrays
-from pgran.physics.lattice import Lattice
-from pgran.solve.operators import Operators
+from pgran.driven.operators import Operators
+from pgran.medium.bonds import bond_arrays
+from pgran.medium.lattice import Lattice
 
 SHAPES = [(7,), (1,), (2,), (5, 6), (6, 1), (1, 6), (1, 1), (2, 3), (4, 3, 5), (1, 4, 3), (5, 1, 2)]
 POINTS = (0.3j, 1.1j, 0j, 0.4 + 0j, 0.2 + 0.7j, 0.2 - 0.7j)

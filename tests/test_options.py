@@ -8,10 +8,11 @@ import pytest
 from pgran.command.listing import HEADINGS, describe, describe_options, heading_of, users_of
 from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.errors import InputError
-from pgran.files.options import INTEGER, INTEGERS, text_of
-from pgran.files.reading import read_environment, read_file, read_words
-from pgran.files.solver_keys import SOLVER_PREFIXES
-from pgran.scenes.common import driving_frequencies, make_lattice
+from pgran.medium.sample import make_lattice
+from pgran.run.frequencies import driving_frequencies
+from pgran.run.keys import SOLVER_PREFIXES
+from pgran.run.options import INTEGER, INTEGERS, text_of
+from pgran.run.reading import read_environment, read_file, read_words
 
 OPTIONS = list(dict.fromkeys(o for scene in SCENES for o in options_of(scene).values()))
 each_option = pytest.mark.parametrize("option", OPTIONS, ids=lambda option: option.name)

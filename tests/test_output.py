@@ -8,7 +8,8 @@ from result_samples import ATTRIBUTES, change, make, stored
 
 from pgran import load, results
 from pgran.errors import FileError
-from pgran.files import paths, store
+from pgran.store import file as store
+from pgran.store import paths
 
 
 @pytest.fixture

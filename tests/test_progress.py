@@ -3,7 +3,7 @@
 import pytest
 from mpi4py import MPI
 
-from pgran.parallel import progress
+from pgran.run import progress
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="rank 0's own affair")
 

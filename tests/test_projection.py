@@ -8,10 +8,10 @@ from mpi4py import MPI
 from samples import random_lattice, reference_of
 
 from pgran.command.resolve import resolve
-from pgran.files.reading import read_words
-from pgran.parallel.crew import Crew
-from pgran.scenes.modes import find_modes
-from pgran.scenes.projection import project, which_modes
+from pgran.experiments.modes.projection import project, which_modes
+from pgran.experiments.modes.scene import find_modes
+from pgran.run.crew import Crew
+from pgran.run.reading import read_words
 
 OMEGAS = np.array([0.02, 0.31, 0.6, 0.93, 1.3])
 

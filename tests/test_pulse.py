@@ -23,13 +23,13 @@ from scipy.integrate import quad
 import pgran
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.files.reading import read_file, read_words
-from pgran.physics.laplace import Line, largest_amplitudes
-from pgran.physics.lattice import Lattice
-from pgran.physics.pulse import SHAPES, Pulse
-from pgran.physics.signal import arrivals
-from pgran.scenes import pulse
-from pgran.scenes.transform import limits_of
+from pgran.experiments.pulse import scene as pulse
+from pgran.experiments.pulse.laplace import Line, largest_amplitudes
+from pgran.experiments.pulse.signal import arrivals
+from pgran.experiments.pulse.transform import limits_of
+from pgran.experiments.pulse.wall import SHAPES, Pulse
+from pgran.medium.lattice import Lattice
+from pgran.run.reading import read_file, read_words
 
 KINDS = [
     ((6, 5), 0.003, (2, 2)),

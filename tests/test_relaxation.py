@@ -11,16 +11,16 @@ from reference import Reference
 from samples import needs_klu, random_lattice, run_scene, steady
 
 from pgran.command.resolve import resolve
+from pgran.driven.steady import SteadySolver
 from pgran.errors import InputError
-from pgran.files.reading import read_words
-from pgran.physics.bondlaw import BondLaw
-from pgran.physics.bonds import bond_arrays, bond_count, bond_places
-from pgran.physics.changes import draw_changes
-from pgran.physics.spectrum import power_spectrum
-from pgran.solve import windows
-from pgran.solve.changing import ChangingBonds
-from pgran.solve.steady import SteadySolver
-from pgran.solve.windows import Windows, march
+from pgran.experiments.relaxation import windows
+from pgran.experiments.relaxation.changes import draw_changes
+from pgran.experiments.relaxation.changing import ChangingBonds
+from pgran.experiments.relaxation.spectrum import power_spectrum
+from pgran.experiments.relaxation.windows import Windows, march
+from pgran.medium.bonds import bond_arrays, bond_count, bond_places
+from pgran.medium.law import BondLaw
+from pgran.run.reading import read_words
 
 LAWS = {  # of the constants that bonds get; those they have are random_lattice's
     "uniform": UNIFORM,
@@ -164,7 +164,7 @@ def test_draws_depend_on_seed_trajectory_and_step_only():
 @pytest.mark.parametrize("method", ["window", "krylov"])
 def test_the_same_bit_for_bit_on_any_number_of_ranks(world, method, monkeypatch):
     """Of each trajectory several units, on several ranks; all start alike and part."""
-    monkeypatch.setattr("pgran.scenes.relaxation.STEPS_IN_UNIT", 40)
+    monkeypatch.setattr("pgran.experiments.relaxation.scene.STEPS_IN_UNIT", 40)
     lattice = random_lattice((6, 5), seed=6, damping=0.01)
     choices = {"steps": 130, "trajectories": 3, "method": method, "window": 20}
     alone, shared = (relaxed(lattice, [2, 2], comm, **choices) for comm in (MPI.COMM_SELF, world))

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from samples import random_lattice, reference_of, swept
 
-from pgran.physics.lattice import Lattice
-from pgran.physics.phase import BLOCKS, CERTAIN, fit_phase, unwrap
-from pgran.record import Result
-from pgran.results import LatticeRecord
-from pgran.results.digits import counted, two_digits
-from pgran.scenes.amplitudes import ResponseSweep
-from pgran.scenes.response import summary
+from pgran.driven.phase import BLOCKS, CERTAIN, fit_phase, unwrap
+from pgran.experiments.response.points import ResponseSweep
+from pgran.experiments.response.scene import summary
+from pgran.medium.lattice import Lattice
+from pgran.medium.record import LatticeRecord
+from pgran.store.estimate import counted, two_digits
+from pgran.store.record import Result
 
 PAPER, LATTICE = np.linspace(0.01, 1.3, 1291), random_lattice((20, 20))
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from samples import random_lattice, reference_of, steady
 
-from pgran.solve.linear import factor_package
-from pgran.solve.reuse import ReusePolicy, expected_iterations
+from pgran.driven.linear import factor_package
+from pgran.driven.reuse import ReusePolicy, expected_iterations
 
 
 def serve(price, points, iterations, limit=0):

@@ -9,15 +9,15 @@ from mpi4py import MPI
 from samples import run_scene
 
 from pgran.command.resolve import SCENES, resolve
-from pgran.files.reading import read_words
-from pgran.physics.continuum import Continuum
-from pgran.physics.lattice import Lattice
-from pgran.record import Record, Result
-from pgran.results import record_of
-from pgran.results.space import as_network
-from pgran.scenes.ensemble import ENSEMBLE, KEPT
-from pgran.scenes.sensitivity import joins
-from pgran.solve.database import holding
+from pgran.experiments.continuum.series import Continuum
+from pgran.experiments.ensemble.scene import ENSEMBLE, KEPT
+from pgran.experiments.sensitivity.scene import joins
+from pgran.medium.lattice import Lattice
+from pgran.medium.record import record_of
+from pgran.medium.space import as_network
+from pgran.run.petsc import holding
+from pgran.run.reading import read_words
+from pgran.store.record import Record, Result
 
 BASE = {
     "response": "-lattice_shape 5,4 -detectors 2,2 -sweep_points 9",

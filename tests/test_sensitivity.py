@@ -12,11 +12,11 @@ from samples import assert_same, random_lattice, swept
 from sensitivity_samples import STALE, Exact, derived, missed, number, packing
 
 from pgran.command.resolve import resolve
+from pgran.driven import sweep as sweeping
 from pgran.errors import InputError
-from pgran.files.reading import read_words
-from pgran.physics.lattice import Lattice
-from pgran.physics.network import Network
-from pgran.scenes import sweeping
+from pgran.medium.lattice import Lattice
+from pgran.medium.network import Network
+from pgran.run.reading import read_words
 
 DERIVATIVES = "by_stiffness", "by_mass", "by_damping", "by_tangential", "by_force"
 

@@ -53,7 +53,7 @@ def test_in_an_active_venv(setup, tmp_path):
     )
     assert found.returncode == 0, found.stdout + found.stderr
     assert f"{venv}/bin/python" in found.stdout
-    assert found.stdout.endswith("\npgran.physics.lattice\n")
+    assert found.stdout.endswith("\npgran.medium.lattice\n")
     (paths,) = venv.glob("lib/python*/site-packages/pgran_petsc.pth")
     assert "/lib/python3/dist-packages" not in paths.read_text().splitlines()
 

@@ -9,9 +9,9 @@ from samples import assert_same, random_lattice, swept
 
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.files.reading import read_words
-from pgran.parallel.crew import Crew
-from pgran.scenes.common import LARGE, LARGE_WORK, automatic_ranks, ranks_per_lattice
+from pgran.medium.sample import LARGE, LARGE_WORK, automatic_ranks, ranks_per_lattice
+from pgran.run.crew import Crew
+from pgran.run.reading import read_words
 
 LATTICE = random_lattice((9, 8), 12)
 

@@ -12,12 +12,12 @@ from samples import run_scene
 
 import pgran
 from pgran.command.resolve import SCENES, resolve
+from pgran.draw import physical, style
 from pgran.errors import InputError
-from pgran.figures import physical, style
-from pgran.files.reading import read_words
-from pgran.record import Result
-from pgran.results import record_of
-from pgran.results.si import PREFIXES, SI, prefix_of
+from pgran.medium.record import record_of
+from pgran.run.reading import read_words
+from pgran.store.record import Result
+from pgran.store.si import PREFIXES, SI, prefix_of
 
 BEADS = SI(length=5e-3, time=1e-5)
 

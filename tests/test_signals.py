@@ -11,17 +11,17 @@ from scipy.integrate import trapezoid
 from scipy.special import jv
 
 import pgran
+from pgran.driven.operators import Operators
 from pgran.errors import InputError
-from pgran.physics import makers
-from pgran.physics.laplace import Line
-from pgran.physics.lattice import Lattice
-from pgran.physics.pulse import Pulse
-from pgran.physics.signal import codas, envelopes
-from pgran.scenes.interface import holding_solver, solver_keys_of
-from pgran.scenes.pulse import predicted_seconds
-from pgran.scenes.transform import limits_of
-from pgran.solve.integrate import Integrator
-from pgran.solve.operators import Operators
+from pgran.experiments.pulse.integrate import Integrator
+from pgran.experiments.pulse.laplace import Line
+from pgran.experiments.pulse.scene import predicted_seconds
+from pgran.experiments.pulse.signal import codas, envelopes
+from pgran.experiments.pulse.transform import limits_of
+from pgran.experiments.pulse.wall import Pulse
+from pgran.medium import crystals as makers
+from pgran.medium.lattice import Lattice
+from pgran.run.interface import holding_solver, solver_keys_of
 
 SHORT = {"shape": "gauss", "width": 4.0, "time": 100.0, "points": 101}
 MOTION = Pulse("gauss", 0.0, 4.0)

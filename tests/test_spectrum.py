@@ -8,8 +8,8 @@ from figure_reading import draw
 from scipy.signal import welch
 
 from pgran.errors import InputError
-from pgran.figures import relaxation
-from pgran.physics.spectrum import power_spectrum
+from pgran.experiments.relaxation import figures as relaxation
+from pgran.experiments.relaxation.spectrum import power_spectrum
 
 
 def power_law_noise(psi, trajectories, steps, seed):

@@ -8,8 +8,8 @@ from scipy.stats import norm
 from synthetic import fair, gaussian_fields, lorentzians
 
 from pgran.errors import InputError
-from pgran.physics import statistics
-from pgran.physics.statistics import NoisyCurves
+from pgran.experiments.ensemble import intensity as statistics
+from pgran.experiments.ensemble.intensity import NoisyCurves
 
 REPEATS, SAMPLES, POINTS = 120, 80, 3000
 FEWER = {"correlation": 60, "half_width": 60}  # which take longest; campaigns/estimates.py

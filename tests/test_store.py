@@ -18,9 +18,11 @@ from samples import assert_same, random_lattice
 from pgran import __main__ as command_line
 from pgran import load, results
 from pgran.errors import DONE, FileError, PgranError
-from pgran.files import store
-from pgran.files.store import FORMAT_VERSION
-from pgran.record import Result
+from pgran.medium.bonds_file import read_stiffness
+from pgran.store import file as store
+from pgran.store.file import FORMAT_VERSION
+from pgran.store.record import Result
+from pgran.store.seal import check_seal
 
 VERSION_1 = Path(__file__).with_name("version1.h5")
 
@@ -43,7 +45,7 @@ def test_everything_comes_back(tmp_path, shape, without):
         assert_same(getattr(result, record.group), record, but=())
     for name, value in (ATTRIBUTES | {"format": "pgran", "format_version": FORMAT_VERSION}).items():
         assert (getattr(result, name), type(getattr(result, name))) == (value, type(value))
-    stiffness, kmax = store.read_stiffness(path)
+    stiffness, kmax = read_stiffness(path)
     assert kmax == pytest.approx(0.25)
     for arrays in (stiffness, result.lattice.stiffness):
         assert len(arrays) == len(shape)
@@ -153,10 +155,10 @@ def test_files_of_version_1_are_read():
     assert (result.format_version, result.pgran_version) == (1, "0.1.0")
     assert result.response.at_floor is None
     assert result.lattice.shape == (3, 2)
-    stiffness, kmax = store.read_stiffness(VERSION_1)
+    stiffness, kmax = read_stiffness(VERSION_1)
     assert np.array_equal(stiffness[0], result.lattice.stiffness_x)
     assert kmax == pytest.approx(0.25)
-    store.check_seal(VERSION_1)
+    check_seal(VERSION_1)
 
 
 NEW = {  # in the version after
@@ -194,7 +196,7 @@ def test_verify(path, capsys, monkeypatch):
     assert seal.rstrip(b"\0") == f"pgran result 2\nsha256 {digest}\n".encode()
     with monkeypatch.context() as patch:
         patch.setattr(subprocess, "run", None)
-        store.read_stiffness(path)
+        read_stiffness(path)
     refused(change(path), "changed since .no seal.", lambda path: command_line.main(words))
 
 
@@ -209,12 +211,12 @@ def test_every_changed_byte_is_found_and_none_does_harm(tmp_path):
         changed = bytearray(whole)
         changed[place] ^= 1 << rng.integers(8)
         path.write_bytes(changed)
-        refused(path, "damaged or changed", store.check_seal)
+        refused(path, "damaged or changed", check_seal)
         with contextlib.suppress(FileError):
             assert load(path).response.omega.size
             assert place >= size - 512
     for content in (whole[1:], whole[:-1], whole + b"\0", whole[:300], VERSION_1.read_bytes()[:-1]):
         path.write_bytes(content)
-        refused(path, "damaged or changed", store.check_seal)
+        refused(path, "damaged or changed", check_seal)
     path.write_bytes(whole[: size // 2])
     refused(path, "damaged")

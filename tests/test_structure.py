@@ -4,29 +4,60 @@ import ast
 import graphlib
 from pathlib import Path
 
-BELOW = {  # of each package and module at the top: what it may import
-    "blas": "", "errors": "", "arguments": "errors", "record": "errors", "machine": "errors",
-    "results": "errors record physics", "physics": "errors arguments machine results",
-    "parallel": "errors", "solve": "errors physics parallel",
-    "files": "errors arguments record results machine physics",
-    "figures": "errors record results files",
-    "scenes": "errors arguments results machine physics solve parallel files",
-    "command": "blas errors arguments record results machine physics solve parallel files figures "
-    "scenes",
-    "__main__": "errors parallel files command", "__init__": "blas",
+HOUSE = Path(__file__).parents[1] / "pgran"
+TOP = "errors arguments catalogue"  # files beside the folders; the catalogue is a table of names
+BELOW = {  # of each folder and file at the top: what it may import
+    "errors": "", "arguments": "errors", "catalogue": "", "results": "catalogue",
+    "figures": "catalogue", "store": TOP, "run": f"{TOP} store", "medium": f"{TOP} store run",
+    "driven": f"{TOP} store run medium", "draw": f"{TOP} store run medium",
+    "foreign": f"{TOP} store run medium", "experiments": f"{TOP} store run medium driven draw",
+    "command": f"{TOP} store run medium draw foreign", "__main__": "errors run store command",
+    "__init__": "run",
 }  # fmt: skip
+REPEATING = {"ensemble", "accuracy"}  # experiments that know others, because they repeat them
 
 
-def test_imports_run_downward():
-    house, graph = Path(__file__).parents[1] / "pgran", {}
-    for path in house.rglob("*.py"):
-        module = ".".join(path.relative_to(house).with_suffix("").parts)
+def imports():
+    """Return the names that each module of pgran imports, within functions, too."""
+    graph = {}
+    for path in HOUSE.rglob("*.py"):
+        module = ".".join(path.relative_to(HOUSE).with_suffix("").parts)
         nodes = list(ast.walk(ast.parse(path.read_text())))
         names = {alias.name for n in nodes if isinstance(n, ast.Import) for alias in n.names}
         for node in (n for n in nodes if isinstance(n, ast.ImportFrom)):
             names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-        graph[module] = {n.removeprefix("pgran.") for n in names if n.startswith("pgran.")}
-        home = module.split(".")[0]
-        upward = {n for n in graph[module] if n.split(".")[0] not in {home, *BELOW[home].split()}}
+        graph[module] = names
+    return graph
+
+
+IMPORTS = imports()
+
+
+def inside(module):
+    """Return which parts of pgran a module imports."""
+    return {n.removeprefix("pgran.") for n in IMPORTS[module] if n.startswith("pgran.")}
+
+
+def test_imports_run_downward():
+    for module in IMPORTS:
+        home, *rest = module.split(".")
+        upward = {n for n in inside(module) if n.split(".")[0] not in {home, *BELOW[home].split()}}
         assert not upward, f"{module} imports {upward}"
-    assert list(graphlib.TopologicalSorter(graph).static_order())
+        if home == "experiments" and rest[0] not in REPEATING:
+            others = {n for n in inside(module) if n.startswith("experiments.")}
+            others = {n for n in others if n.split(".")[1] != rest[0]}
+            assert not others, f"{module} imports {others}"
+    assert list(graphlib.TopologicalSorter({m: inside(m) for m in IMPORTS}).static_order())
+
+
+def test_who_knows_petsc_matplotlib_and_scenes():
+    for module, names in IMPORTS.items():
+        packages = {name.split(".")[0] for name in names}
+        if packages & {"petsc4py"}:
+            assert module in ("run.petsc", "command.run", "command.doctor"), module
+        last = module.rpartition(".")[2]
+        if last.startswith("record"):
+            assert not {n for n in inside(module) if n.endswith((".scene", ".petsc"))}, module
+        if "matplotlib" in packages:
+            assert module.startswith("draw.") or last.startswith("figures") or module in (
+                "command.doctor", "experiments.sensitivity.maps"), module  # fmt: skip

@@ -10,9 +10,10 @@ from synthetic import complex_normal, fair, gaussian_fields
 
 import pgran
 from pgran.errors import InputError
-from pgran.physics import levels, transport
-from pgran.physics.estimate import Estimate
-from pgran.scenes import transport as scene
+from pgran.experiments.ensemble import localization as transport
+from pgran.experiments.ensemble import transport as scene
+from pgran.experiments.modes import levels
+from pgran.store.estimate import Estimate
 
 DEPTH = np.array([2.0, 4.0, 4.0, 6.0, 9.0, 12.0])
 LENGTH = 5.0

@@ -5,8 +5,8 @@ import pytest
 
 import pgran
 from pgran.errors import InputError
-from pgran.physics.lattice import Lattice
-from pgran.scenes.transport import is_line
+from pgran.experiments.ensemble.transport import is_line
+from pgran.medium.lattice import Lattice
 
 OMEGAS = np.linspace(0.3, 1.6, 14)
 LINE = [(4, 1), (3, 1), (2, 1), (0, 1)]

@@ -9,8 +9,9 @@ from mpi4py import MPI
 
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.files.reading import read_file, read_words
-from pgran.scenes.common import driving_frequencies, make_lattice
+from pgran.medium.sample import make_lattice
+from pgran.run.frequencies import driving_frequencies
+from pgran.run.reading import read_file, read_words
 
 
 def lattice_of(words):

@@ -13,10 +13,10 @@ from petsc4py import PETSc
 from reference import DRIVEN, bonds, refined_field
 from samples import bond_arrays, random_lattice, steady, swept, uniform_lattice
 
-from pgran.physics import makers
-from pgran.physics.lattice import Lattice
-from pgran.physics.network import Network
-from pgran.solve.judging import Judge
+from pgran.driven.judge import Judge
+from pgran.medium import crystals as makers
+from pgran.medium.lattice import Lattice
+from pgran.medium.network import Network
 
 DIGITS = 60
 KINDS = [((30,), 0.02), ((9,), 1.0), ((5, 6), 3e-4), ((1, 4), 0.1), ((3, 4, 3), 0.03)]

@@ -12,9 +12,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from pgran import blas
 from pgran.command.words import Parser
-from pgran.parallel import launch
+from pgran.run import blas, launch
 
 INSTALL = "bash jobs/setup.sh makes .venv, and .venv/bin/pgran has all it needs"
 OLDEST_PYTHON, OLDEST_NUMPY = (3, 11), (1, 24)
@@ -109,7 +108,7 @@ def petsc():
     import petsc4py
 
     petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler"])
-    from petsc4py import PETSc
+    from pgran.run.petsc import PETSc
 
     good = PETSc.ScalarType().dtype.kind == "c"
     text = f"petsc4py {dotted(PETSc.Sys.getVersion())}, {'complex' if good else 'real'} scalars, "
@@ -123,8 +122,9 @@ def petsc():
 def slepc():
     """Find slepc4py, and whether it was built for the PETSc at hand, if there is one."""
     if "petsc4py.PETSc" in sys.modules:
-        from petsc4py import PETSc
         from slepc4py import SLEPc
+
+        from pgran.run.petsc import PETSc
 
         version, here = SLEPc.Sys.getVersion(), PETSc.Sys.getVersion()
         text = f"slepc4py {dotted(version)} on PETSc {dotted(here)}"

@@ -9,10 +9,10 @@ import pgran
 from pgran.arguments import called_right, shown
 from pgran.command.words import Parser
 from pgran.errors import DONE, FileError, InputError, PgranError
-from pgran.files.paths import whole
-from pgran.parallel import launch
-from pgran.results.medium import as_result
-from pgran.results.table import tables
+from pgran.medium.record import as_result
+from pgran.run import launch
+from pgran.store.paths import whole
+from pgran.store.table import tables
 
 ENDINGS = (".vtu", ".csv")
 
@@ -35,7 +35,7 @@ def export(result, output):
 
     Parameters
     ----------
-    result : pgran.record.Result, pgran.Network, str or os.PathLike
+    result : pgran.store.record.Result, pgran.Network, str or os.PathLike
         What `load` returns, or the path of its file.
     output : str or os.PathLike
         A missing folder is made; a file that is there is replaced.
@@ -120,7 +120,7 @@ def _write_mesh(result, output):
         raise PgranError(
             f"{output.suffix} needs meshio, which cannot be imported ({error}): pip install meshio"
         ) from None
-    from pgran.results.space import mesh
+    from pgran.medium.space import mesh
 
     if not hasattr(result, "medium"):
         raise FileError(f"no balls in this result (scene {result.scene})")

@@ -16,11 +16,11 @@ import numpy as np
 from mpi4py import MPI
 
 from pgran.command.opening import opening
-from pgran.machine import free_memory, most_resident
-from pgran.parallel.crew import Crew
-from pgran.record import Record
-from pgran.results.digits import counted
-from pgran.scenes.common import make_lattice, ranks_per_lattice
+from pgran.medium.sample import make_lattice, ranks_per_lattice
+from pgran.run.crew import Crew
+from pgran.run.machine import free_memory, most_resident
+from pgran.store.estimate import counted
+from pgran.store.record import Record
 
 WARNING = "warning"  # begins a line that tells of what is wrong; such lines come first
 LAUNCH = 0.3  # seconds that mpirun and the interpreter take to start and to end
@@ -119,8 +119,8 @@ def forecast(scene, options, world, started):
 
     Parameters
     ----------
-    scene : pgran.scenes.scene.Scene
-    options : pgran.files.options.Options
+    scene : pgran.run.experiment.Scene
+    options : pgran.run.options.Options
     world : mpi4py.MPI.Comm
     started : float
         When the program started, by `time.perf_counter`.
@@ -172,7 +172,7 @@ def report(options, memory, together, seconds, disk):
 
     Parameters
     ----------
-    options : pgran.files.options.Options
+    options : pgran.run.options.Options
     memory : numpy.ndarray, shape (ranks,)
         Bytes that each rank takes.
     together : int
@@ -233,7 +233,7 @@ def lattice_memory(lattice, ranks, factored=True):
 
     Parameters
     ----------
-    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network
+    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
     ranks : int
         How many share the lattice.
     factored : bool

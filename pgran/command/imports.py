@@ -8,17 +8,17 @@ import re
 
 import numpy as np
 
-from pgran.command.assemble import assemble
 from pgran.command.words import Parser, magnitude, positive
 from pgran.errors import DONE, InputError
-from pgran.files import graphs, tables
-from pgran.files.foreign import AXES, read_balls
-from pgran.files.network import check_output, write_network
-from pgran.files.recognise import read_contacts
-from pgran.parallel import launch
-from pgran.physics.network import KINDS
-from pgran.physics.springs import FREE
-from pgran.results.digits import counted
+from pgran.foreign import graphs, tables
+from pgran.foreign.assemble import assemble
+from pgran.foreign.contacts import AXES, read_balls
+from pgran.foreign.recognise import read_contacts
+from pgran.medium.network import KINDS
+from pgran.medium.network_file import check_output, write_network
+from pgran.medium.springs import FREE
+from pgran.run import launch
+from pgran.store.estimate import counted
 
 log = logging.getLogger("pgran")
 

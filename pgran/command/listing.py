@@ -13,9 +13,9 @@ from pathlib import Path
 from pgran.command.resolve import SCENE_OPTION, SCENES, options_of
 from pgran.command.words import WIDTH, Parser
 from pgran.errors import DONE, FileError, InputError
-from pgran.files import solver_keys
-from pgran.files.options import nearest, text_of
-from pgran.parallel import launch
+from pgran.run import keys as solver_keys
+from pgran.run import launch
+from pgran.run.options import nearest, text_of
 
 FILES = Path(__file__).parents[1] / "options"
 NAMED = re.compile(r"^(#?-\w+ )(options/.*)$", re.MULTILINE)  # values of options that are files
@@ -123,7 +123,7 @@ def describe(option, users=""):
 
     Parameters
     ----------
-    option : pgran.files.options.Option
+    option : pgran.run.options.Option
     users : str
         Which scenes or experiments use it, if not all do.
     """

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pgran.command.words import Parser
 from pgran.errors import DONE, InputError
-from pgran.parallel import launch
+from pgran.run import launch
 
 PAGES = Path(__file__).parents[1] / "manual"
 LISTED = re.compile(r"- \[(\w+)\]\(\1\.md\): (.+)")

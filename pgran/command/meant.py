@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from pgran.errors import FileError
-from pgran.files.options import nearest
+from pgran.run.options import nearest
 
 
 def command(word, commands):
@@ -25,9 +25,9 @@ def read(path):
     Raises
     ------
     FileError, InputError
-        As `pgran.files.reading.read_file`; it says what may have been meant.
+        As `pgran.run.reading.read_file`; it says what may have been meant.
     """
-    from pgran.files.reading import read_file
+    from pgran.run.reading import read_file
 
     try:
         return read_file(path)

@@ -1,7 +1,7 @@
 """The first line of a run: what it solves."""
 
-from pgran.results.digits import counted
-from pgran.results.si import SI
+from pgran.store.estimate import counted
+from pgran.store.si import SI
 
 
 def opening(options, ranks, lattice=None):
@@ -11,9 +11,9 @@ def opening(options, ranks, lattice=None):
 
     Parameters
     ----------
-    options : pgran.files.options.Options
+    options : pgran.run.options.Options
     ranks : int
-    lattice : pgran.physics.lattice.Lattice or pgran.physics.network.Network, optional
+    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network, optional
         Of the run, of an ensemble its first sample; none where the scene has none.
     """
     scene, of, samples = options.scene, None, None

@@ -5,15 +5,16 @@ import os
 from pathlib import Path
 
 import pgran
-from pgran import arguments, figures
+from pgran import arguments
 from pgran.arguments import called_right
 from pgran.command.words import Parser, positive
+from pgran.draw import pages as figures
 from pgran.errors import DONE, FileError, InputError
-from pgran.files.columns import read_measured
-from pgran.files.options import options_in
-from pgran.physics.numbers import number, numbers
-from pgran.results.medium import as_result
-from pgran.results.si import SI
+from pgran.medium.record import as_result
+from pgran.run.numbers import number, numbers
+from pgran.run.options import options_in
+from pgran.store.columns import read_measured
+from pgran.store.si import SI
 
 log = logging.getLogger("pgran")
 
@@ -35,7 +36,7 @@ def plot(
 
     Parameters
     ----------
-    result : pgran.record.Result, pgran.Network, str or os.PathLike, or a list of these
+    result : pgran.store.record.Result, pgran.Network, str or os.PathLike, or a list of these
         What `load` returns, or the path of its file. Several of one scene (response, modes,
         relaxation, pulse) are laid over each other, labelled by the options in which they differ.
     output : str or os.PathLike, optional
@@ -193,7 +194,7 @@ def labels_of(results, names):
 
     Parameters
     ----------
-    results : sequence of pgran.record.Result
+    results : sequence of pgran.store.record.Result
     names : sequence of str
         Of the files.
     """

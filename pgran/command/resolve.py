@@ -1,19 +1,30 @@
 """Which experiment a run is, and its options: all scenes, and what keys mean to one of them."""
 
-import importlib
-import pkgutil
+from collections.abc import Mapping
 
-from pgran import scenes
+from pgran import catalogue
 from pgran.errors import InputError
-from pgran.files import solver_keys
-from pgran.files.options import RUN, TEXT, Option, Options, nearest
+from pgran.run import keys as solver_keys
+from pgran.run.options import RUN, TEXT, Option, Options, nearest
 
-# Every module of `pgran.scenes` that has the facts of a scene is one.
-SCENES = {
-    module.__name__.rpartition(".")[2]: module.SCENE
-    for found in pkgutil.iter_modules(scenes.__path__, "pgran.scenes.")
-    if hasattr(module := importlib.import_module(found.name), "SCENE")
-}
+
+class Scenes(Mapping):
+    """The facts of each experiment by name; none is loaded before it is asked for."""
+
+    def __getitem__(self, name):
+        """Load one."""
+        return catalogue.scene(name)
+
+    def __iter__(self):
+        """Name all."""
+        return iter(catalogue.EXPERIMENTS)
+
+    def __len__(self):
+        """Count them."""
+        return len(catalogue.EXPERIMENTS)
+
+
+SCENES = Scenes()
 SCENE_OPTION = Option("scene", TEXT, None, "the experiment", choices=tuple(SCENES))
 
 
@@ -29,7 +40,7 @@ def resolve(given, output_file=None):
 
     Parameters
     ----------
-    given : sequence of pgran.files.reading.Given
+    given : sequence of pgran.run.reading.Given
     output_file : str, optional
         Where the result goes unless the options say.
 

@@ -12,11 +12,10 @@ from importlib import metadata
 from pathlib import Path
 
 import pgran
-from pgran import blas, errors
+from pgran import errors
 from pgran.errors import FileError, InputError, PgranError
-from pgran.files import streams
-from pgran.parallel import launch
-from pgran.parallel.agreement import on_root
+from pgran.run import blas, launch, streams
+from pgran.run.agreement import on_root
 
 log = logging.getLogger("pgran")
 
@@ -60,7 +59,7 @@ def run(words):
 
     from pgran.command import meant
     from pgran.command.resolve import SCENES, resolve
-    from pgran.files.reading import check_word, read_environment, read_words
+    from pgran.run.reading import check_word, read_environment, read_words
 
     started = time.perf_counter()
     world = start_mpi()  # before any error: without MPI mpirun would have more to say of it
@@ -92,7 +91,7 @@ def run(words):
 def _help(path):
     """Return what prints a help; it names the scene of an options file, if that is one."""
     from pgran.command.words import Parser
-    from pgran.files.reading import read_file
+    from pgran.run.reading import read_file
 
     scene = None
     with contextlib.suppress(PgranError):
@@ -104,7 +103,7 @@ def _help(path):
 def _foresee(scene, options, world, started):
     """Say what a run will need. Collective."""
     from pgran.command.forecast import forecast
-    from pgran.files.store import check_output
+    from pgran.store.file import check_output
 
     signal.pthread_sigmask(signal.SIG_UNBLOCK, launch.SIGNALS)  # there is nothing to keep
 
@@ -121,11 +120,11 @@ def _compute(scene, options, words, world, started):
     import numpy
 
     from pgran.command.opening import opening
-    from pgran.files import store
-    from pgran.parallel.crew import Crew
-    from pgran.parallel.journal import Journal
-    from pgran.record import Result
-    from pgran.scenes.scene import Caution
+    from pgran.run.crew import Crew
+    from pgran.run.experiment import Caution
+    from pgran.run.journal import Journal
+    from pgran.store import file as store
+    from pgran.store.record import Result
 
     output, overwrite = options.output_file, options.output_overwrite
     on_root(world, lambda: store.check_output(output, overwrite))
@@ -214,7 +213,7 @@ def start_mpi():
 
 def _start_log(options, words, world):
     """Let messages go to the log file of the options, too. Collective."""
-    from pgran.files import logfile
+    from pgran.run import logfile
 
     path = options.output_log
     if Path(path).absolute() == Path(options.output_file).absolute():
@@ -243,7 +242,7 @@ def start_petsc(options):
         ) from None
     words = [word for key, text in options.solver.items() for word in (f"-{key}", text) if word]
     petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler", *words])
-    importlib.import_module("pgran.solve")  # where a PETSc that is no use is refused
+    importlib.import_module("pgran.run.petsc")  # where a PETSc that is no use is refused
 
 
 def _run_attributes(options, words, world, failures, seconds):
@@ -283,11 +282,11 @@ def _loaded_version(name):
 
 def _warn_of_unused(options):
     """Warn of solver keys that no PETSc object asked for. Not collective."""
-    from pgran.files.solver_keys import is_solver_key
+    from pgran.run.keys import is_solver_key
 
     keys = [key for key in options.solver if is_solver_key(key)]
     if keys:
-        from pgran.solve.database import warn_of_unused
+        from pgran.run.petsc import warn_of_unused
 
         warn_of_unused(keys)
 

@@ -5,8 +5,8 @@ import math
 
 from pgran.command.words import Parser, positive
 from pgran.errors import DONE, InputError
-from pgran.parallel import launch
-from pgran.physics import hertz
+from pgran.medium import hertz
+from pgran.run import launch
 
 log = logging.getLogger("pgran")
 
@@ -130,7 +130,7 @@ def table(scale, damping=None):
 
     Parameters
     ----------
-    scale : pgran.physics.hertz.Scale
+    scale : pgran.medium.hertz.Scale
     damping : float, optional
         In SI units.
     """

@@ -10,7 +10,7 @@ def verify(words):
     parser = Parser("verify", does, "pgran verify results/response.h5")
     parser.add_argument("result", metavar="RESULT", help="HDF5 file that pgran run has written")
     given = parser.parse_args(words)
-    from pgran.files.seal import check_seal
+    from pgran.store.seal import check_seal
 
     check_seal(given.result)
     print(f"{given.result}: as it was written")

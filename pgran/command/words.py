@@ -6,7 +6,7 @@ import math
 import textwrap
 
 from pgran.errors import InputError
-from pgran.parallel import launch
+from pgran.run import launch
 
 WIDTH = 80
 

@@ -17,7 +17,7 @@ from campaigns.random_sweeps import points, report
 from reference import refined_field
 from samples import Case
 
-from pgran.physics.lattice import Lattice
+from pgran.medium.lattice import Lattice
 
 
 def refined(stiffness, mass, damping, omega, sites):

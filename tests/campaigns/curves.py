@@ -21,8 +21,8 @@ import numpy as np
 from reference import exact_amplitudes
 from samples import bond_arrays, reference_of, swept
 
-from pgran.physics.lattice import Lattice
-from pgran.results.response import Curve
+from pgran.experiments.response.record import Curve
+from pgran.medium.lattice import Lattice
 
 RESOLVE = 1e-2
 LAWS = {

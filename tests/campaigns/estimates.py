@@ -21,9 +21,11 @@ import numpy as np
 from synthetic import BondSums, gaussian_fields
 
 from pgran.errors import InputError
-from pgran.physics import levels, memory, statistics
-from pgran.physics.levels import GOE_SPACING_RATIO, POISSON_SPACING_RATIO
-from pgran.physics.statistics import NoisyCurves
+from pgran.experiments.ensemble import intensity as statistics
+from pgran.experiments.ensemble.intensity import NoisyCurves
+from pgran.experiments.modes import levels
+from pgran.experiments.modes.levels import GOE_SPACING_RATIO, POISSON_SPACING_RATIO
+from pgran.experiments.relaxation import memory
 
 FIELDS = (1, 100), (1, 300), (1, 1000), *((n, 10) for n in (8, 20, 40, 80, 300))
 GAMMA, EDGES = 0.02, np.array([0.3, 1.0])

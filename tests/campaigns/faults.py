@@ -25,7 +25,7 @@ import h5py
 import numpy as np
 from campaigns import inject
 
-from pgran.parallel.journal import MAGIC, RECORD
+from pgran.run.journal import MAGIC, RECORD
 
 RESULT, JOURNAL, PART = "results/a.h5", "results/a.h5.unfinished", "results/.a.h5.part"
 OLD = Path(__file__).resolve().parents[1] / "version1.h5"  # a result, to be replaced

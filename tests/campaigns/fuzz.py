@@ -27,12 +27,14 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from pgran import load
 from pgran.command.resolve import resolve
 from pgran.errors import PgranError
-from pgran.files import hdf5, store
-from pgran.files.reading import read_file
-from pgran.physics.bonds import bond_shape
-from pgran.scenes.common import read_bonds
+from pgran.medium.bonds import bond_shape
+from pgran.medium.bonds_file import read_bonds
+from pgran.run.reading import read_file
+from pgran.store import careful as hdf5
+from pgran.store import file as store
 
 SECONDS = 30  # for one case; a real run is given twice as long
 MEMORY, ADDRESSES = 500 * 10**6, 2 * 2**30  # bytes: what may be used, and what there is
@@ -275,7 +277,7 @@ def check_bonds(path, of_result, shape):
     Damage to numbers cannot be told from other numbers, but they are still possible ones.
     """
     with contextlib.suppress(PgranError):
-        store.load(path)
+        load(path)
         if not of_result:
             return "load accepted what is no result"
     stiffness, kmax = read_bonds(path)

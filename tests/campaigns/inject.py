@@ -4,7 +4,7 @@
 
 pgran itself knows nothing of this: on that rank a Python statement is executed at the TURN-th call
 of a function, whose `arguments` it may use. PLACE says when and which: `before`
-`pgran.files.store:write`, or `within` what `Crew.share` is given to do. The file `fault` in the
+`pgran.store.file:write`, or `within` what `Crew.share` is given to do. The file `fault` in the
 working directory tells when it happened. A name that pgran no longer has ends the run.
 """
 
@@ -14,13 +14,13 @@ import sys
 from pathlib import Path
 
 from pgran import __main__ as program
-from pgran.parallel import launch
+from pgran.run import launch
 
-UNIT = "within pgran.parallel.crew:Crew.share"
-LATTICE = "before pgran.physics.lattice:Lattice.__init__"
-RECORD = "before pgran.parallel.journal:Journal.write"
-RESULT = "before pgran.files.store:write"
-OPENED = "before pgran.parallel.journal:Journal.__enter__"
+UNIT = "within pgran.run.crew:Crew.share"
+LATTICE = "before pgran.medium.lattice:Lattice.__init__"
+RECORD = "before pgran.run.journal:Journal.write"
+RESULT = "before pgran.store.file:write"
+OPENED = "before pgran.run.journal:Journal.__enter__"
 
 
 def words(place, statement, rank=0, turn=1):

@@ -21,11 +21,11 @@ from mpmath import mp
 from network_samples import NetworkReference, random_network
 from samples import SOLVERS, option_values, steady
 
-from pgran.parallel.crew import Crew
-from pgran.scenes.density import count_modes
-from pgran.scenes.modes import find_modes
-from pgran.solve.certify import smallest_damping
-from pgran.solve.database import holding
+from pgran.driven.certify import smallest_damping
+from pgran.experiments.modes.density import count_modes
+from pgran.experiments.modes.scene import find_modes
+from pgran.run.crew import Crew
+from pgran.run.petsc import holding
 
 DIGITS = 50
 ROUNDING = 1e-13  # of |K|: how well dense eigenvalues are known

@@ -20,7 +20,7 @@ from reference import exact_amplitudes
 from samples import SOLVERS, Case, option_values, random_case, swept
 
 from pgran.errors import InputError
-from pgran.solve.database import holding
+from pgran.run.petsc import holding
 
 
 @dataclass(frozen=True)

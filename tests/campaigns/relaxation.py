@@ -15,10 +15,10 @@ import numpy as np
 from mpi4py import MPI
 from reference import Reference
 
-from pgran.parallel.crew import Crew
-from pgran.physics.bondlaw import BondLaw
-from pgran.physics.lattice import Lattice
-from pgran.scenes.relaxation import relax
+from pgran.experiments.relaxation.scene import relax
+from pgran.medium.lattice import Lattice
+from pgran.medium.law import BondLaw
+from pgran.run.crew import Crew
 
 UNIFORM = BondLaw("uniform")
 

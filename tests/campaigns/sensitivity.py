@@ -20,11 +20,11 @@ from samples import SOLVERS, bond_arrays, option_values
 from sensitivity_samples import Exact, missed
 
 from pgran.errors import InputError
-from pgran.parallel.crew import Crew
-from pgran.physics.lattice import Lattice
-from pgran.scenes.heat import heat
-from pgran.scenes.sensitivity import sensitivity
-from pgran.solve.database import holding
+from pgran.experiments.sensitivity.heat import heat
+from pgran.experiments.sensitivity.scene import sensitivity
+from pgran.medium.lattice import Lattice
+from pgran.run.crew import Crew
+from pgran.run.petsc import holding
 
 DIGITS = 60
 

@@ -28,7 +28,7 @@ from reference import Reference, continuum_amplitude, exact_amplitudes
 
 import pgran
 from pgran.command.resolve import resolve
-from pgran.files.reading import read_file
+from pgran.run.reading import read_file
 
 FOLDER = Path(__file__).resolve().parents[2] / "options" / "extreme"
 FILES = {path.stem: path for path in sorted(FOLDER.glob("*.opts"))}
@@ -162,7 +162,7 @@ def compared(key, options, record, point, good):
     ----------
     key : tuple
         The file's name and the point's index in the record's arrays.
-    options : pgran.files.options.Options
+    options : pgran.run.options.Options
     record : namespace
     point : tuple
         Bond constants, mass, damping and frequency; empty where the exact amplitudes are not asked.

@@ -1,0 +1,1 @@
+"""Pages, axes, marks and maps: what figures of several experiments share."""

@@ -1,0 +1,109 @@
+"""Curves with gaps where results are not good, and what is marked along the frequency axis."""
+
+import numpy as np
+from matplotlib.markers import TICKUP
+
+from pgran.draw import style
+
+RUG = 1.0  # points on paper that modes are apart at least to be marked one by one
+
+
+def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
+    """Draw curves with gaps where points are not good; return them, masked there.
+
+    A good point that stands alone is a dot, upper limits are triangles that point down. Where
+    nothing is good the axis of `y` is hidden.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    x : numpy.ndarray, shape (n,)
+    y : numpy.ndarray, shape (n,) or (n, curves)
+    good : numpy.ndarray of bool, shape of `y`
+    labels : sequence of str, shape (curves,), optional
+    limit : numpy.ndarray, shape of `y`, optional
+        Upper limits; NaN: none.
+    dots : bool, optional
+        Mark every good point by a dot. By default those of at most `style.FEW`.
+    **line
+        For `Axes.plot`.
+    """
+    y, good = np.reshape(y, (len(x), -1)), np.reshape(good, (len(x), -1))
+    shades, drawn = style.colours(y.shape[1]), []
+    dots = len(x) <= style.FEW if dots is None else dots
+    for n, shade in enumerate(shades):
+        padded = np.pad(good[:, n], 1)
+        lone = good[:, n] & ~padded[:-2] & ~padded[2:]
+        look = {"color": shade, "label": labels[n] if labels else None}
+        dotted = np.flatnonzero(good[:, n] if dots else lone).tolist()
+        if dotted:
+            look |= {"marker": ".", "markevery": dotted, "markeredgewidth": 0}
+        drawn += ax.plot(x, np.ma.masked_where(~good[:, n], y[:, n]), **(look | line))
+    label = "upper limit, at the floor"
+    look = {"linestyle": "none", "marker": "v", "markersize": 2.5, "markeredgewidth": 0}
+    for n in [] if limit is None else np.flatnonzero(np.isfinite(limit).any(axis=0)):
+        ax.plot(x, limit[:, n], color=drawn[n].get_color(), label=label, **look)
+        label = None
+    if not np.isfinite(ax.dataLim.height):
+        ax.yaxis.set_visible(False)
+    return drawn
+
+
+def upper_limits(record):
+    """Return the upper limits of amplitudes that are at the floor, NaN for all others."""
+    amplitude = np.abs(record.displacement)
+    at_floor = getattr(record, "at_floor", None)
+    if at_floor is None:  # a file of version 0.1
+        return np.full(amplitude.shape, np.nan)
+    return np.where(at_floor > 0, amplitude + record.error_bound, np.nan)
+
+
+def failed(ax, x):
+    """Mark where there is no good result, by crosses on the upper edge."""
+    _mark(ax, x, 1.0, marker="x", color=style.FAILED, label="missed the accuracy asked for")
+
+
+def unresolved(ax, x):
+    """Mark where straight lines between points are not the curve, by ticks on the lower edge."""
+    _mark(
+        ax, x, 0.015, marker="|", color=style.UNRESOLVED, markersize=3, label="curve not resolved"
+    )
+
+
+def modes(ax, x, label="normal modes"):
+    """Mark frequencies `x` of modes by ticks on the frequency axis (paper: freqres).
+
+    Where they are too many to be told apart on paper, how dense they are is drawn instead.
+    """
+    low, high = ax.get_xlim()
+    x = np.asarray(x)[(low <= x) & (x <= high)]
+    points = 72 * ax.bbox.width / ax.figure.dpi
+    if x.size * RUG <= points:
+        _mark(ax, x, 0.0, marker=TICKUP, color="black", markersize=4, label=label)
+        return
+    counts, edges = np.histogram(x, np.linspace(low, high, int(points / 4)))
+    height = 0.1 * np.append(counts, 0) / counts.max()
+    look = {"color": "#b0b0b0", "linewidth": 0, "zorder": 0.4, "label": f"density of {label}"}
+    ax.fill_between(edges, height, step="post", transform=ax.get_xaxis_transform(), **look)
+
+
+def _mark(ax, x, height, **mark):
+    """Draw marks at a height in units of the axes, those inside the limits of `ax`."""
+    low, high = ax.get_xlim()
+    inside = np.asarray(x)[(low <= x) & (x <= high)]
+    if inside.size:
+        mark |= {"linestyle": "none", "markeredgewidth": 0.4, "clip_on": False, "zorder": 5}
+        place = {"transform": ax.get_xaxis_transform(), "scalex": False, "scaley": False}
+        ax.plot(inside, np.full(inside.size, height), **place, **mark)
+
+
+def known_amplitudes(response):
+    """Return which amplitudes are as accurate as asked, above the floor, and can have a logarithm.
+
+    Parameters
+    ----------
+    response : pgran.results.Response
+    """
+    above = np.isfinite(response.amplitude) & (response.amplitude > 0)
+    above &= np.isnan(upper_limits(response))
+    return above & (response.converged_reason > 0)[:, None]

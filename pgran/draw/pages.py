@@ -1,0 +1,116 @@
+"""The figures of a result. The only part of pgran that imports matplotlib.
+
+The module of a group of the result, `pgran.figures.response` say, has a function for each kind of
+panel, which draws into axes of the user's, with labels for a legend, and returns what it drew:
+`response.amplitude(ax, result.response, result.medium)`. Its `figures(result, **over)`
+yields the names and the pages that `pgran plot` saves; `over` is what another result of the same
+lattice adds, `modes` or `response`. `together` lays results of one scene over each other.
+`style.applied()` is their style. The `caption` of a page says what it shows, of which
+sample, and how exactly.
+"""
+
+import contextlib
+import io
+from pathlib import Path
+
+from pgran import catalogue
+from pgran.errors import FileError, PgranError
+from pgran.store.paths import whole
+from pgran.store.si import SI
+
+
+def make(result, si=None, width=None, **over):
+    """Return all figures of a result by their names. See `pgran.plot`. Not collective."""
+    groups = [group for group in sorted(catalogue.FIGURES) if hasattr(result, group)]
+    if not groups:
+        raise FileError(f"nothing to draw in this result (scene {result.scene})")
+    _check_unit(result)
+    made = {}
+    with _style(width):
+        for group in groups:
+            made |= dict(catalogue.figures(group).figures(result, **over))
+        if not made:
+            raise FileError(f"nothing to draw in this result (scene {result.scene})")
+        return _finished(made, [result], si or SI.of(result))
+
+
+def compare(results, labels, si=None, width=None):
+    """Return figures of results of one scene over each other. See `pgran.plot`. Not collective."""
+    for result in results:
+        _check_unit(result)
+    with _style(width):
+        from pgran.draw import together
+
+        return _finished(dict(together.figures(results, labels)), results, si or SI())
+
+
+def _finished(made, results, si):
+    """Return figures with what all of them have: SI units, letters of panels, whole captions."""
+    from pgran.draw import captions, physical, style
+
+    for name, figure in made.items():
+        if hasattr(results[0], "medium"):
+            physical.label_axes(figure, results[0].medium, si)
+        style.letter(figure.panels)
+        figure.caption = captions.complete(figure, results, si, name in captions.SAMPLES)
+    return made
+
+
+def add_measured(made, results, data, label):
+    """Draw what was measured into figures of responses; see `together`. Not collective."""
+    with _style():
+        return catalogue.figures("response").add_measured(made, results, data, label)
+
+
+def _check_unit(result):
+    """Raise a FileError unless there is a unit of frequency, where one is needed."""
+    if hasattr(result, "medium") and not result.medium.omega_mx > 0:
+        raise FileError("nothing to draw in this result: without stiff bonds omega_mx is 0")
+
+
+@contextlib.contextmanager
+def _style(width=None):
+    """Make the figures' style hold for a while."""
+    try:
+        from pgran.draw import style
+    except ImportError as error:
+        raise PgranError(
+            f"figures need matplotlib, which cannot be imported ({error}): "
+            "pip install matplotlib, or apt install python3-matplotlib"
+        ) from None
+    except OSError as error:
+        raise FileError(
+            f"matplotlib needs a folder that it can write to ({error}): let MPLCONFIGDIR name one"
+        ) from None
+    with style.applied(width):
+        yield
+
+
+def save(made, output):
+    """Save what `make` returns, and return the paths. See `pgran.plot`. Not collective."""
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    from pgran.draw import style
+
+    output, written = Path(output), []
+    # Not what nobody calls a figure, or what needs a LaTeX installation.
+    endings = sorted(set(FigureCanvasBase.get_supported_filetypes()) - {"pgf", "raw", "rgba"})
+    ending = output.suffix[1:].lower()
+    if ending not in endings:
+        raise FileError(f"{output}: a figure's name ends in one of .{', .'.join(endings)}")
+    for name, figure in made.items():
+        path = output.with_name(f"{output.stem}-{name}{output.suffix}")
+        with whole(path) as stream, style.applied():
+            memory = io.BytesIO()  # where some writers crash when a disk is full
+            figure.savefig(memory, format=ending)
+            stream.write(memory.getbuffer())
+        written.append(path)
+    return written
+
+
+def save_captions(made, paths):
+    """Save the captions of figures at these paths, and return them. Not collective."""
+    for figure, path in zip(made.values(), paths, strict=False):
+        with whole(path) as stream:
+            stream.write(f"{figure.caption}\n".encode())
+    return paths

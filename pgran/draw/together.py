@@ -1,0 +1,58 @@
+"""Results of one scene over each other in one figure, and what was measured over a response.
+
+Curves differ by colour and, for print in grey, by line style; points by their marks.
+"""
+
+import re
+import textwrap
+
+from pgran import catalogue
+from pgran.draw import style
+from pgran.errors import FileError
+
+LINES = ("-", (0, (4, 1)), (0, (1, 0.8)), (0, (4, 1, 1, 1)), (0, (1.5, 2)), (0, (3, 1, 1, 1, 1, 1)))
+COLOURS = ("black", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
+MARKS = (".", "+", "x", "^", "s", "d")
+MOST = len(LINES)
+PAGES = ("response", "modes", "relaxation", "pulse")  # their figures have a function `over`
+WIDE = 48  # characters of a line in a legend
+
+
+def figures(results, labels):
+    """Yield the names and the pages of results of one scene, up to `MOST`, each with its label."""
+    scene = str(results[0].scene)
+    if scene not in PAGES:
+        raise FileError(f"results of the scene {scene} are not laid over each other, but of "
+                        f"{', '.join(PAGES)}")  # fmt: skip
+    if len(results) > MOST:
+        raise FileError(f"{len(results)} results: at most {MOST} are told apart in one figure")
+    labels = [_wrap(label) for label in labels]
+    units = [f"{result.medium.omega_mx:.6g}" for result in results]
+    if len(set(units)) > 1:  # axes are in units of each one's own
+        pairs = zip(labels, units, strict=True)
+        labels = [rf"{label}, $\omega_{{mx}}$ = {unit}" for label, unit in pairs]
+    for name, figure in catalogue.figures(scene).over(results, labels):
+        if len(set(units)) > 1:
+            figure.caption += r" Each result is in units of its own $\omega_{mx}$."
+        yield name, figure
+
+
+def _wrap(label):
+    """Return a label in lines, no key of an option parted from its value."""
+    joined = re.sub(r"(?<!\S)(-\w+) (?=[^-])", "\\1\xa0", label.replace("$", r"\$"))
+    lines = textwrap.wrap(joined, WIDE, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(lines).replace("\xa0", " ")
+
+
+def finish(figure):
+    """Put a legend above a figure of one panel, and make it as high as that needs."""
+    rows = style.legend_above(figure.panels)
+    legend = figure.panels[0].get_legend()
+    texts = [text.get_text() for text in legend.get_texts()] if legend else [""]
+    figure.set_figheight(2.4 + 0.14 * rows * max(1 + text.count("\n") for text in texts))
+
+
+def look_of(number):
+    """Return the colour and the line style of a result."""
+    width = 1.0 if number else 0.8  # dashes and dots look thinner than they are
+    return {"color": COLOURS[number], "linestyle": LINES[number], "linewidth": width}

@@ -1,0 +1,237 @@
+"""Rigorous error bounds of driven amplitudes, rounding included.
+
+S(s) = K + s beta C + s^2 m with C positive definite and K semidefinite. For s = sigma + i omega
+
+    Re(conj(s) x^H S x) = sigma x^H K x + |s|^2 (beta x^H C x + sigma m x^H x),
+
+so that |S x|_2 >= c |x|_2 with c = |s| (beta lambda_min(C) + sigma m) wherever sigma >= 0; where
+springs of negative constants may make K indefinite, c loses sigma |lambda_min(K)| / |s|. C is the
+Laplacian of the uniform lattice, whose smallest eigenvalue is known.
+
+Take approximate solutions A~ of S A = f and z~ of S z = e_d with residuals r and q. Because S is
+symmetric, A_d - (A~_d + z~^T r) = q^T S^-1 r, and so the corrected amplitude A~_d + z~^T r is wrong
+by at most |r|_2 |q|_2 / c: a product of two residuals, each of which needs half the digits only.
+
+Without damping, at s = i omega, |x|_2 <= |S x|_2 / delta, delta the distance of m omega^2 to the
+nearest eigenvalue of K; with very little damping delta - omega beta |C| still does better than
+damping alone. That no eigenvalue is nearer than delta is certified by counting those below
+m omega^2 - delta and below m omega^2 + delta (`counting`).
+
+Residuals are known up to rounding only; what rounding can change is bounded in terms of
+|f| + |S| |A~|, ball by ball, because amplitudes fall by many orders across a lattice. What is lost
+below the smallest normal double, of a square above all, is counted too.
+
+Where the product of norms says too little, `comparison` bounds the errors ball by ball.
+"""
+
+import math
+from functools import cached_property
+
+import numpy as np
+from mpi4py import MPI
+
+from pgran.driven.certify import smallest_damping, smallest_stiffness
+from pgran.driven.counting import ModeCounter
+from pgran.driven.operators import SAME
+from pgran.driven.owner import Owner
+from pgran.medium.law import unit_numbers
+from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
+
+
+class ErrorBounds(Owner):
+    """Bounds for the steady states of one lattice; destroy with `destroy`.
+
+    Collective.
+
+    Attributes
+    ----------
+    proven : bool
+        Whether there is a bound at the s of the last `prepare`, at first for s = i omega: proven by
+        damping or sigma, or certified by counts. Without damping there is none at s = i omega where
+        ranks share the lattice, because eigenvalues are counted serially; but what rounding does to
+        the amplitudes can be tried (`random_rounding`).
+    inverse_norm : float
+        No less than |S^-1|_2 there; NaN where unknown.
+    scale : float
+        No less than |S|_inf there.
+    """
+
+    owns = ("_product", "_work", "_counter", "_signs", "_sizes")
+
+    def __init__(self, operators):
+        """Make the work vectors."""
+        self.operators = operators
+        self._alone = operators.comm.size == 1
+        self._always = self.proven = self._alone or operators.damping > 0
+        self.unit = operators.rounding
+        # What a 2-norm may miss because the squares of small numbers are lost.
+        self.lost = 2 * math.sqrt(2 * operators.balls * SMALLEST_NORMAL)
+        self._product, self._work = operators.f.duplicate(), operators.f.duplicate()
+
+    @cached_property
+    def _counter(self):
+        """What counts eigenvalues of K. Not collective."""
+        return ModeCounter(self.operators.K, self.operators.lattice)
+
+    @cached_property
+    def _signs(self):
+        """A random sign for each ball. Collective when first asked for."""
+        signs = np.where(unit_numbers(0, 0, self.operators.balls) < 0.5, -1.0, 1.0)
+        return self.operators.layout.vector(signs.reshape(self.operators.shape))
+
+    def stability(self, s):
+        """Return a c with |S x|_2 >= c |x|_2 for every x; 0 if none is certain. Not collective."""
+        damping = self.operators.damping and self.operators.damping * (
+            abs(s) * smallest_damping(self.operators.lattice)
+        )
+        found = damping + abs(s) * s.real * self.operators.mass
+        if s.real > 0:
+            found += s.real / abs(s) * smallest_stiffness(self.operators)
+        return max(found, 0.0)
+
+    def prepare(self, s, tolerance):
+        """Bound the sizes of S(s), which must be combined, and of its inverse.
+
+        Collective; `tolerance` is the relative accuracy that will be asked of amplitudes.
+        """
+        operators, size = self.operators, abs(s)
+        self.proven = self._always or s.real > 0
+        inertia = operators.mass * size * size
+        spread = size * operators.damping  # |s beta C| is at most this
+        spread *= operators.lattice.damping_norm if spread else 0.0
+        if operators.layout.laplacian:
+            operators.K.getDiagonal(self._work)
+            # A Laplacian's diagonal holds the sum of its row's other magnitudes.
+            self._weights = 2 * self._work.getArray(readonly=True).real + spread
+            self._force = np.abs(operators.f.getArray(readonly=True))
+        else:
+            self._combine_sizes(size)
+        largest = float(self._weights.max(initial=0.0))
+        if not self._alone:
+            largest = operators.comm.allreduce(largest, MPI.MAX)
+        self.scale = 1.01 * (largest + inertia)
+        self._weights += 2 * s.real * size * operators.mass  # as `rounding` uses them
+        self._imaginary = s.imag / (size + s.real) if s else 0.0
+        stability = self.stability(s) if self.proven else math.nan
+        if self._alone and s.real == 0:
+            stability = max(stability, self._distance(inertia, spread, tolerance) - spread)
+        self.inverse_norm = 1.0 / stability if stability else math.inf
+
+    @cached_property
+    def _sizes(self):
+        """The sizes of S. Collective when first asked for."""
+        return self.operators.K.duplicate()
+
+    def _combine_sizes(self, size):
+        """Combine the sizes of S and f for an |s|; `_weights` are the sums of S's rows."""
+        (K, drive, *damping), beta = self.operators.sizes, self.operators.damping
+        K.copy(self._sizes, structure=SAME)
+        drive.copy(self._work)
+        if damping:
+            self._sizes.axpy(size * beta, damping[0], structure=SAME)
+            self._work.axpy(size * beta, damping[1])
+        self._sizes.shift(size * size * self.operators.mass)
+        self._force = self._work.getArray().real.copy()
+        self._work.set(1.0)
+        self._sizes.mult(self._work, self._product)
+        self._weights = self._product.getArray().real.copy()
+
+    def _distance(self, shift, spread, tolerance):
+        """Return how far all eigenvalues of K are from a shift, at least; 0 if it is no use.
+
+        The first guess is a tenth of their mean distance. It is no use where damping spreads
+        eigenvalues as far, or rounding S moves amplitudes by more than the tolerance.
+        """
+        least = max(EPSILON / tolerance, 10 * self.unit) * self.scale + 10 * spread
+        delta = 0.1 * self.scale / self.operators.balls
+        while 0 < least <= delta < math.inf:  # S may be zero
+            if self._counter.below(shift, delta) is not None:
+                # Each count is of a matrix nearer to K - shift than delta / 10; K is rounded, too.
+                return 0.8 * delta
+            delta *= 0.1
+        return 0.0
+
+    def rounding(self, x):
+        """Return |f| + (|K| + |s| beta |C| + |s|^2 m) |x| for each of this rank's balls.
+
+        Collective. With a = |x|, |K| a = 2 diag(K) a - K a, and likewise for C. One product gives
+        both: with t = omega / (|s| + sigma), which is 1 for s = i omega,
+
+            Re(S a) + t Im(S a) = K a + |s| beta C a + (2 sigma |s| - |s|^2) m a.
+        """
+        a = np.abs(x.getArray(readonly=True))
+        self._work.setArray(a)
+        if not self.operators.layout.laplacian:
+            self._sizes.mult(self._work, self._product)
+            return self._force + self._product.getArray(readonly=True).real
+        self.operators.S.mult(self._work, self._product)
+        product = self._product.getArray(readonly=True)
+        return self._force + self._weights * a - product.real - self._imaginary * product.imag
+
+    def random_rounding(self, terms):
+        """Return a residual as rounding leaves it, of random signs, from the `rounding` of A~.
+
+        Collective; the next call overwrites it.
+        """
+        self._work.setArray(self.unit * terms * self._signs.getArray(readonly=True))
+        return self._work
+
+    def primal_residual(self, primal, terms):
+        """Return a bound of |f - S A~|_2; `terms` is the `rounding` of A~. Collective."""
+        return primal.norm + self.unit * math.sqrt(self._total(terms @ terms)) + self.lost
+
+    def residuals(self, primal):
+        """Return a positive bound of |f - S A~| at each of this rank's balls. Collective."""
+        size = np.abs(primal.residual.getArray(readonly=True))
+        return size + self.unit * self.rounding(primal.solution) + 64 * SMALLEST_NORMAL
+
+    def adjoint_residual(self, adjoint):
+        """Return a bound of |e_d - S z~|_2, rounding included. Collective."""
+        size = adjoint.solution.norm() + self.lost
+        return adjoint.norm + self.unit * (adjoint.rhs.norm() + self.scale * size) + self.lost
+
+    def evaluation(self, residual, terms, adjoint, value):
+        """Return a bound of what rounding does to A~_d + z~^T r in evaluating it.
+
+        Collective.
+
+        Parameters
+        ----------
+        residual, terms : float, numpy.ndarray
+            `primal_residual` and `rounding` of A~.
+        adjoint : pgran.driven.linear.System
+            z~.
+        value : complex
+            The amplitude as evaluated.
+        """
+        z = np.abs(adjoint.solution.getArray(readonly=True))
+        known = self.unit * self._total(z @ terms)
+        product = (self.operators.balls + 2) * EPSILON * residual * adjoint.solution.norm()
+        # What a product loses; what residuals lose, times z, `product` holds by their own `lost`.
+        lost = 16 * self.operators.balls * SMALLEST_NORMAL
+        return 1.01 * (known + product) + 4 * EPSILON * abs(value) + lost
+
+    def amplitude(self, residual, terms, adjoint, value):
+        """Return the bound of a corrected amplitude.
+
+        Collective. Parameters are those of `evaluation`.
+        """
+        # The last digits cover the rounding of this very formula.
+        theory = 1.01 * residual * self.adjoint_residual(adjoint) * self.inverse_norm
+        return theory + self.evaluation(residual, terms, adjoint, value)
+
+    def reaction(self, residual, primal, value):
+        """Return the bound of f^T A, evaluated as f^T A~ + A~^T r, which misses r^T S^-1 r.
+
+        Collective. Parameters are those of `evaluation`. What rounding does to r and f, ball by
+        ball, `residual` holds as a norm.
+        """
+        theory = residual * residual * self.inverse_norm
+        force, rounded = primal.rhs.norm(), 2 * (residual - primal.norm)
+        rounded += (self.operators.balls + 8) * EPSILON * (force + residual)
+        lost = 32 * self.operators.balls * SMALLEST_NORMAL
+        return 1.01 * (theory + primal.solution.norm() * rounded) + 4 * EPSILON * abs(value) + lost
+
+    def _total(self, number):
+        """Return the sum of a number over the ranks of the lattice. Collective."""
+        return number if self._alone else self.operators.comm.allreduce(number)

@@ -1,0 +1,76 @@
+"""Many right-hand sides of S solved at a time, with bounds of the norms and residuals."""
+
+import numpy as np
+from mpi4py import MPI
+
+from pgran.driven.deformation import squares
+from pgran.driven.operators import SAME
+from pgran.driven.owner import Owner
+from pgran.run.petsc import PETSc
+
+COLUMNS = 32  # right-hand sides solved for at once
+
+
+class Columns(Owner):
+    """Solves with the factorization that a solver has; destroy with `destroy` or `with`.
+
+    Collective.
+
+    Parameters
+    ----------
+    solver : pgran.driven.steady.SteadySolver
+        Its preconditioner is a factorization of S as it is.
+    """
+
+    owns = ("_rhs", "_found", "_residual")
+
+    def __init__(self, solver):
+        """Make the blocks of right-hand sides and solutions."""
+        self.solver, self.operators = solver, solver.operators
+        self.comm = self.operators.comm
+        rows = self.operators.f.getSizes()
+        self._rhs, self._found, self._residual = (
+            PETSc.Mat().createDense((rows, (None, COLUMNS)), comm=self.comm) for _ in range(3)
+        )
+        for block in (self._rhs, self._found, self._residual):
+            block.setUp()
+            block.assemble()
+
+    def solved(self, items, fill, size):
+        """Yield some of the items, this rank's rows of S^-1 b for each, and bounds of norms.
+
+        Collective. A KSP may make up for an inexact factorization; here its residual shows.
+
+        Parameters
+        ----------
+        items : numpy.ndarray
+            One for each right-hand side b.
+        fill : callable
+            Sets this rank's rows of right-hand sides: fill(items, array).
+        size : float
+            No less than |b|_2.
+
+        Yields
+        ------
+        items, columns, norms, residuals : numpy.ndarray
+            The bounds, of |S^-1 b| as computed and of the residual, are the same on every rank.
+        """
+        S, factor, bounds = self.operators.S, self.solver.factor, self.solver.bounds
+        for start in range(0, len(items), COLUMNS):
+            part = items[start : start + COLUMNS]
+            fill(part, self._rhs.getDenseArray())
+            self._rhs.assemble()
+            factor.matSolve(self._rhs, self._found)
+            S.matMult(self._found, self._residual)
+            self._residual.axpy(-1.0, self._rhs, structure=SAME)
+            found, missed = (
+                block.getDenseArray(readonly=True)[:, : len(part)]
+                for block in (self._found, self._residual)
+            )
+            total = np.stack([squares(found), squares(missed)])
+            if self.comm.size > 1:
+                self.comm.Allreduce(MPI.IN_PLACE, total)
+            norms, residuals = 1.01 * np.sqrt(total)
+            norms += bounds.lost
+            residuals += bounds.unit * (size + bounds.scale * norms) + bounds.lost
+            yield part, found, norms, residuals

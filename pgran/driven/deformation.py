@@ -1,0 +1,140 @@
+"""The algebra of a window of changes among its bonds alone, with what rounding does to it.
+
+NumPy only; the formulas are those of `pgran.experiments.relaxation.windows`.
+"""
+
+import numpy as np
+
+from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
+
+
+def march(G, delta):
+    """Change one bond after the other; return how each then deforms the lattice.
+
+    Not collective. This is the inverse, column by column, of the factor L^T in the L D L^T
+    factorization of diag(1/delta) + G, whose leading blocks are the networks after each step.
+
+    Parameters
+    ----------
+    G : numpy.ndarray, shape (s, s)
+        b^T S0^-1 b' of the changing bonds before any change.
+    delta : numpy.ndarray, shape (s,)
+        By how much each changes.
+
+    Returns
+    -------
+    T, c : numpy.ndarray, shapes (s, s) and (s,)
+        S^-1 b_t = S0^-1 B T[:, t] once the bonds before t have changed; delta / (1 + delta b^T S^-1
+        b).
+    """
+    steps = len(delta)
+    T, (c, row) = np.eye(steps, dtype=complex), np.zeros((2, steps), dtype=complex)
+    with np.errstate(all="ignore"):  # what is not finite has no bound
+        for t in range(steps):
+            before = T[:t, :t]
+            row[:t] = G[t, :t] @ before
+            along = -c * row
+            T[:t, t] = before @ along[:t]
+            c[t] = delta[t] / (1.0 + delta[t] * (G[t, t] + row @ along))
+    return T, c
+
+
+class Deformation:
+    """How a field x, of amplitudes or an adjoint, follows the changes: x = x0 + Y a.
+
+    Parameters
+    ----------
+    T, c : numpy.ndarray
+        From `march`.
+    G, delta : numpy.ndarray
+        As there.
+    start : numpy.ndarray, shape (s,)
+        b^T x0 with all walls at rest.
+    rows : tuple of float
+        The largest |b|_2 of a bond, and what rounding adds to b^T x in units of |x|_2.
+    sizes : tuple
+        No less than |x0|_2, and than the norms of Y's columns, shape (s,).
+    wall : numpy.ndarray or float, optional
+        How far what is driven lengthens each bond.
+
+    Attributes
+    ----------
+    start : numpy.ndarray, shape (s,)
+        b^T x0 of each bond, a moving wall counted.
+    coefficients, coefficient_sizes : numpy.ndarray, shape (s, s)
+        a (gamma of the amplitudes, eta of an adjoint) for each bond after each step; its magnitude.
+    stretch : numpy.ndarray, shape (s, s)
+        t = b^T x = b^T x0 + G a.
+    missed, missed_sizes : numpy.ndarray, shape (s, s)
+        a + Delta t (h of the amplitudes, g of an adjoint), which is zero but for the errors of the
+        algebra, and its magnitude.
+    """
+
+    def __init__(self, T, c, G, delta, start, rows, sizes, wall=0.0):
+        """Carry out the algebra; a stretch t is wrong by _rounding |a|_2 + _rounding_of_start."""
+        self.start, steps = start + wall, len(delta)
+        upper = np.tri(steps).T  # bonds change one after the other
+        self.coefficients = np.cumsum(T * (-c * (self.start @ T)), axis=1)
+        self.coefficient_sizes = np.abs(self.coefficients)
+        self.stretch = self.start[:, None] + G @ self.coefficients
+        self.missed = upper * (self.coefficients + delta[:, None] * self.stretch)
+        self.missed_sizes = np.abs(self.missed)
+        self._changes = np.abs(delta)[:, None] * upper
+        self._norm = np.sqrt(squares(self.coefficients)) + np.sqrt(2 * steps * SMALLEST_NORMAL)
+        # Displacements of bonds are differences, rounded once; then come s products and sums.
+        self._rounding = (steps + 8) * EPSILON * np.sqrt(squares(G.T))
+        self._rounding_of_start = EPSILON * (4 * np.abs(self.start) + np.abs(wall))
+        self._bond, loose = rows
+        self._loose = loose * (sizes[0] + sizes[1] @ self.coefficient_sizes)
+
+    def stretch_rounding(self, weights):
+        """Bound, step by step, the rounding of a sum of weights times stretches. Not collective."""
+        found = (self._rounding @ weights) * self._norm + self._rounding_of_start @ weights
+        return found + self._loose * weights.sum(axis=0)
+
+    def missed_rounding(self, weights):
+        """Bound the same for weights times `missed`. Not collective."""
+        changed = self.stretch_rounding(self._changes * weights)
+        return changed + 2 * EPSILON * _column_sums(weights, self.coefficient_sizes)
+
+    def residual(self, start, columns):
+        """Return bounds of |f - S x|_2, or of |e_d - S x|_2, after each step.
+
+        Not collective; `start` bounds it before any change, `columns` the residuals of Y's columns.
+        """
+        rounding = self.missed_rounding(np.ones(self.missed.shape))
+        missed = np.sum(self.missed_sizes, axis=0) + rounding
+        return start + columns @ self.coefficient_sizes + self._bond * missed
+
+
+def amplitudes(before, primal, adjoint):
+    """Return A_d + q^T gamma - (q + G eta)^T h after each step, and bounds of its rounding.
+
+    Not collective.
+
+    Parameters
+    ----------
+    before : complex
+        A_d.
+    primal, adjoint : Deformation
+        Of the amplitudes, and of the detector's adjoint.
+    """
+    missed = np.sum(adjoint.stretch * primal.missed, axis=0)
+    amplitude = before + adjoint.start @ primal.coefficients - missed
+    sizes = np.abs(adjoint.stretch)
+    products = np.abs(adjoint.start) @ primal.coefficient_sizes
+    products = products + _column_sums(sizes, primal.missed_sizes)
+    rounding = EPSILON * (len(products) + 6) * products
+    rounding += primal.missed_rounding(sizes) + adjoint.stretch_rounding(primal.missed_sizes)
+    return amplitude, rounding + 4 * EPSILON * np.abs(amplitude)
+
+
+def squares(columns):
+    """Return the sum of squares of each column of this rank's part of a block. Not collective."""
+    rows = np.ascontiguousarray(columns.T).view(float)
+    return np.einsum("ij,ij->i", rows, rows)
+
+
+def _column_sums(a, b):
+    """Return the sum of products down each column."""
+    return np.einsum("it,it->t", a, b)

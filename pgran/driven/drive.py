@@ -1,0 +1,142 @@
+"""What scenes of driven steady states share: what is asked of these, and what is said of them."""
+
+import logging
+import math
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.medium.lattice import Lattice
+from pgran.run.agreement import on_root
+from pgran.run.experiment import Caution
+from pgran.run.options import INTEGER, REAL, Option
+
+log = logging.getLogger("pgran")
+
+# What a user may ask of the driven steady states, by the keywords of `SteadySolver`, and of the
+# functions that have them.
+STEADY = {
+    "error_tolerance": Option(
+        "error_tolerance", REAL, 1e-4, "relative accuracy asked of each amplitude",
+        above=0, high=0.5
+    ),
+    "error_floor": Option(
+        "error_floor", REAL, 1e-20,
+        "an amplitude whose error bound is below this part of the wall's amplitude is good without "
+        "relative accuracy",
+        low=0
+    ),
+    "refresh_iterations": Option(
+        "steady_refresh_iterations", INTEGER, 0,
+        "factor anew after a frequency that took more Krylov iterations; 0 = when it pays", low=0
+    ),
+}  # fmt: skip
+
+
+CHECKS = {keyword: option.check for keyword, option in STEADY.items()}
+
+
+def steady_of(options):
+    """Return those keywords of `STEADY` that the options of a run have. Not collective."""
+    given = {keyword: getattr(options, o.name, None) for keyword, o in STEADY.items()}
+    return {keyword: value for keyword, value in given.items() if value is not None}
+
+
+def check_driven(lattice, world, lowest, in_time=False):
+    """Raise where a drive has no bounded answer; warn where steady states could not last.
+
+    Collective.
+
+    Parameters
+    ----------
+    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
+    world : mpi4py.MPI.Comm
+    lowest : float
+        The lowest driving frequency.
+    in_time : bool
+        Whether motions in time are wanted, which must not grow for ever.
+
+    Raises
+    ------
+    InputError
+        If nothing is driven, or balls float, or motions would grow.
+    """
+    lattice.check_driven()
+    warn_above_modes(lattice, world, lowest)
+    if not in_time:
+        _say_unprovable(lattice, world)
+    if lattice.semidefinite:
+        return
+    from pgran.driven.certify import is_stable
+
+    if on_root(world, lambda: is_stable(lattice.in_own_unit()[0])):
+        return
+    unstable = "springs of negative constants (pre-stress) make this network unstable"
+    if in_time:
+        raise InputError(f"-network_file: {unstable}; after a pulse it would move without bound")
+    if world.rank == 0:
+        log.warning(
+            "%s: its steady states are computed as if it stayed where it is; scene modes says how "
+            "unstable", unstable,
+        )  # fmt: skip
+
+
+def warn_above_modes(lattice, world, lowest):
+    """Warn where no mode is above the lowest frequency asked for, which is then often in Hz.
+
+    Not collective; rank 0 warns.
+    """
+    if world.rank == 0 and lowest > math.sqrt(lattice.stiffness_norm / lattice.mass):
+        log.warning(
+            "omega = %.6g, the lowest asked for, is above all modes (omega_mx is %.6g); if it is "
+            "in Hz: frequencies are angular, omega = 2 pi f", lowest, lattice.omega_mx,
+        )  # fmt: skip
+
+
+def _say_unprovable(lattice, world):
+    """Say where dashpots leave motions undamped, on which all bounds of damped systems rest.
+
+    Collective.
+    """
+    if isinstance(lattice, Lattice) or lattice.isotropic or not lattice.damping:
+        return
+    from pgran.driven.certify import smallest_damping
+
+    if not on_root(world, lambda: smallest_damping(lattice.in_own_unit()[0]) > 0):
+        motion = "balls turn" if lattice.turns else "some motions are"
+        if world.rank == 0:
+            log.warning(
+                "damped = normal: %s undamped, so that no error bound can be proven, and every "
+                "amplitude will be marked as not accurate; with damped = all they have bounds",
+                motion,
+            )
+
+
+def reached_accuracy(record, good):
+    """Yield in words how accurate amplitudes are. Not collective.
+
+    Parameters
+    ----------
+    record : pgran.results.Response or pgran.results.Relaxation
+    good : numpy.ndarray of bool, shape (...)
+        Which of its states have the accuracy asked for.
+    """
+    floored = record.at_floor[good] > 0
+    bound, amplitude = record.error_bound[good][~floored], record.amplitude[good][~floored]
+    if np.isnan(bound).any():
+        yield Caution(
+            "no error bounds: none is known of an undamped lattice that ranks share "
+            "(-ranks_per_lattice 1 gives them)"
+        )
+    elif bound.size:
+        relative = np.divide(bound, amplitude, out=np.zeros_like(bound), where=bound > 0).max()
+        total = record.at_floor.size
+        which = "every amplitude" if bound.size == total else f"{bound.size} of {total} amplitudes"
+        yield f"relative error of {which} at most {relative:.1e} (error_bound)"
+    else:
+        yield Caution("no amplitude has the relative accuracy asked for")
+    if floored.any():
+        yield Caution(
+            f"{np.count_nonzero(floored)} of {record.at_floor.size} amplitudes are known to "
+            "-error_floor of the wall's only, not relative to themselves (at_floor)"
+        )

@@ -1,0 +1,277 @@
+"""How good a solution is: its bounds, and whether they meet what is asked."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pgran.driven.accurate import is_accurate
+from pgran.driven.bounds import ErrorBounds
+from pgran.driven.comparison import Comparison
+from pgran.driven.linear import LEAST_NORM
+from pgran.driven.owner import Owner
+from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
+from pgran.run.petsc import PETSc
+
+# Where no bound is known the residual must be of the size of rounding, and so must be what this
+# many times as much rounding does to the amplitudes.
+BACKWARD_ERROR, ROUNDING_TRIED = 1e-12, 10.0
+GOOD = int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL)  # where no KSP had to iterate
+
+
+@dataclass(frozen=True)
+class SteadyState:
+    """The lattice driven at one s.
+
+    Attributes
+    ----------
+    s : complex
+        sigma + i omega, omega the angular driving frequency.
+    displacement : numpy.ndarray, shape (nd,)
+        Complex amplitudes at the detectors, relative to the driven wall's; NaN where PETSc fails.
+    error_bound : numpy.ndarray, shape (nd,)
+        The error of each is at most this; NaN where no bound is known (an undamped lattice that
+        ranks share, at sigma = 0, where rounding is tried instead).
+    backward_error : float
+        |f - S A| / (|S| |A| + |f|).
+    iterations : int
+        Krylov iterations, those of the adjoints included.
+    converged_reason : int
+        Positive if every amplitude is as accurate as asked, or is below the floor with its bound;
+        else 0 or PETSc's negative KSP reason.
+    field_bound : float
+        The error of the whole field, in the 2-norm, is at most this; NaN where no bound is known,
+        or none was asked for.
+    derivative, derivative_bound : numpy.ndarray, shape (nd,), or None
+        d displacement / d omega and a bound of its error, if asked for; NaN where no bound is
+        known.
+    reaction, reaction_bound : complex, float, or None
+        f^T A, the force that balls take off what moves the wall by 1, and a bound of its error, if
+        derivatives are asked for; NaN where there is no solution, the bound where none is known.
+    """
+
+    s: complex
+    displacement: np.ndarray
+    error_bound: np.ndarray
+    backward_error: float
+    iterations: int
+    converged_reason: int
+    field_bound: float
+    derivative: np.ndarray | None = None
+    derivative_bound: np.ndarray | None = None
+    reaction: complex | None = None
+    reaction_bound: float | None = None
+
+
+class Detectors(Owner):
+    """Balls whose entries are read out of distributed vectors; destroy with `destroy`.
+
+    Collective; `sites` has the shape (nd, dim).
+    """
+
+    owns = ("_scatter", "_readings")
+
+    def __init__(self, operators, sites):
+        """Make what copies the entries to every rank."""
+        self._like = operators.f_stiffness
+        self._numbers, self._weights = operators.layout.readings(sites)
+        numbers = self._numbers.ravel()
+        self._readings = PETSc.Vec().createSeq(len(numbers), comm=PETSc.COMM_SELF)
+        where = PETSc.IS().createGeneral(numbers, comm=PETSc.COMM_SELF)
+        self._scatter = PETSc.Scatter().create(self._like, where, self._readings, None)
+        where.destroy()
+
+    def __len__(self):
+        """Return how many there are."""
+        return len(self._numbers)
+
+    def read(self, x):
+        """Return what is read of a vector, on every rank. Collective."""
+        return np.sum(self._weights * self._entries(x), axis=1)
+
+    def read_errors(self, v):
+        """Return bounds of what is read of a vector whose entries are no larger than v's.
+
+        Collective. Errors need not cancel where the readings of v do.
+        """
+        return np.sum(np.abs(self._weights * self._entries(v)), axis=1)
+
+    def _entries(self, x):
+        """Return the entries that are read, shape (nd, axes). Collective."""
+        self._scatter.scatter(x, self._readings)
+        return self._readings.getArray().reshape(self._weights.shape)
+
+    def unit_vectors(self):
+        """Return what each detector reads, e_d; the caller destroys them. Collective."""
+        vectors = [self._like.duplicate() for _ in self._numbers]
+        first, last = self._like.getOwnershipRange()
+        for vector, numbers, weights in zip(vectors, self._numbers, self._weights, strict=True):
+            mine = (numbers >= first) & (numbers < last)
+            vector.getArray()[numbers[mine] - first] = weights[mine]
+        return vectors
+
+
+class Judge(Owner):
+    """Bounds the errors of solutions and judges them; destroy with `destroy`.
+
+    Collective. Parameters are those of `steady.SteadySolver`.
+    """
+
+    owns = ("bounds", "detectors", "_comparison", "_bent", "_inertia")
+
+    def __init__(self, operators, sites, tolerance, floor, whole_field):
+        """Make what reads and what bounds by norms."""
+        self.operators, self.detectors = operators, Detectors(operators, sites)
+        self.tolerance, self.floor, self.whole_field = tolerance, floor, whole_field
+        self.bounds = ErrorBounds(operators)
+
+    @cached_property
+    def _bent(self):
+        """g of `with_derivatives`. Collective when first asked for."""
+        return self.operators.f.duplicate()
+
+    @cached_property
+    def _inertia(self):
+        """M A of `with_derivatives`. Collective when first asked for."""
+        return self.operators.f.duplicate()
+
+    @cached_property
+    def _comparison(self):
+        """What bounds ball by ball. Collective when first asked for."""
+        return Comparison(self.operators)
+
+    def forget_factors(self):
+        """Free what PETSc may have marked as failed for good. Collective."""
+        if "_comparison" in vars(self):
+            self._comparison.forget_factor()
+
+    def assess(self, s, systems, krylov):
+        """Return the state reached, its bounds, and whether they meet the tolerance.
+
+        Collective.
+
+        Parameters
+        ----------
+        s : complex
+            For which the bounds are prepared.
+        systems : list of pgran.driven.linear.System
+            That of the amplitudes, then each detector's adjoint; none where no bound is known.
+        krylov : pgran.driven.linear.Krylov
+            What has solved them.
+        """
+        bounds, (primal, *adjoints) = self.bounds, systems
+        displacement = self.detectors.read(primal.solution)
+        bound = np.full(len(displacement), math.nan)
+        size, field_bound = primal.solution.norm(), math.nan
+        backward_error = primal.norm / max(bounds.scale * size + primal.rhs.norm(), LEAST_NORM)
+        terms = bounds.rounding(primal.solution)
+        if not bounds.proven:
+            good = backward_error <= BACKWARD_ERROR
+            good = good and self._withstands_rounding(displacement, terms, size, krylov)
+        else:
+            residual = self._residual = bounds.primal_residual(primal, terms)
+            for d, adjoint in enumerate(adjoints):
+                displacement[d] += adjoint.solution.tDot(primal.residual)
+                bound[d] = bounds.amplitude(residual, terms, adjoint, displacement[d])
+            good = np.all(is_accurate(bound, displacement, self.tolerance))
+            if self.whole_field:
+                field_bound = 1.01 * residual * bounds.inverse_norm
+                good = good and is_accurate(field_bound, size, self.tolerance)
+        reason = _reason(good and np.all(np.isfinite(displacement)), krylov.reason)
+        return SteadyState(
+            s, displacement, bound, backward_error, krylov.iterations, reason, field_bound
+        )
+
+    def compared(self, state, primal, krylov):
+        """Return a state that misses its accuracy with bounds ball by ball; judge by the floor.
+
+        Collective.
+
+        Parameters
+        ----------
+        state : SteadyState
+        primal : pgran.driven.linear.System
+        krylov : pgran.driven.linear.Krylov
+        """
+        if not math.isfinite(state.backward_error) or not np.all(np.isfinite(state.displacement)):
+            return state
+        bounds, bound, field_bound = self.bounds, state.error_bound, state.field_bound
+        errors = self._comparison.errors(bounds.residuals(primal), bounds)
+        if errors is not None:
+            corrected = np.abs(state.displacement - self.detectors.read(primal.solution))
+            bound = np.fmin(bound, 1.01 * (self.detectors.read_errors(errors) + corrected))
+            if self.whole_field:
+                field_bound = np.fmin(field_bound, 1.01 * errors.norm() + bounds.lost)
+        good = is_accurate(bound, state.displacement, self.tolerance) | (bound <= self.floor)
+        good = np.all(good)
+        if self.whole_field:
+            good = good and is_accurate(field_bound, primal.solution.norm(), self.tolerance)
+        reason = _reason(good, krylov.reason)
+        return replace(state, error_bound=bound, field_bound=field_bound, converged_reason=reason)
+
+    def with_derivatives(self, state, systems):
+        """Return a state with the derivatives dA_d/domega, the reaction f^T A, and their bounds.
+
+        Collective. With S' = C + 2 s M, all damping in C, and g = f' - S' A~ (derivatives along s),
+
+            dA_d/ds - z~^T g = q^T S^-1 g - z~^T S' S^-1 r - q^T S^-1 S' S^-1 r.
+
+        Parameters are those of `assess`, which has looked at these systems last.
+        """
+        reaction = self._reaction(state, systems[0])
+        if not self.bounds.proven or not math.isfinite(state.backward_error):
+            unknown = np.full(state.displacement.shape, math.nan)
+            return replace(state, derivative=unknown + 0j, derivative_bound=unknown, **reaction)
+        bounds, operators, (primal, *adjoints) = self.bounds, self.operators, systems
+        s, bent, inertia = state.s, self._bent, self._inertia
+        inertia.pointwiseMult(operators.M, primal.solution)
+        bent.set(0.0)
+        force = 0.0
+        if operators.C is not None:
+            operators.C.mult(primal.solution, bent)
+            bent.aypx(-1.0, operators.f_damping)
+            bent.scale(operators.damping)
+            force = operators.damping * operators.f_damping.norm()
+        bent.axpy(-2 * s, inertia)
+        slope = 2 * abs(s) * operators.mass
+        slope += operators.damping and operators.lattice.damping_norm * operators.damping
+        rounding = bounds.unit * (force + slope * primal.solution.norm())
+        g, r = bent.norm() + rounding, self._residual
+        derivative, bound = np.empty(len(adjoints), complex), np.empty(len(adjoints))
+        inverse = bounds.inverse_norm
+        for d, adjoint in enumerate(adjoints):
+            q, z = bounds.adjoint_residual(adjoint), adjoint.solution.norm()
+            derivative[d] = 1j * adjoint.solution.tDot(bent)
+            theory = inverse * (q * g + slope * r * (z + q * inverse))
+            sums = z * (rounding + (operators.balls + 8) * EPSILON * g)
+            bound[d] = 1.01 * (theory + sums)
+        return replace(state, derivative=derivative, derivative_bound=bound, **reaction)
+
+    def _reaction(self, state, primal):
+        """Return f^T A = A~^T (f + r) + r^T S^-1 r and its bound, by name: A is its own adjoint."""
+        value, bound, bounds = math.nan, math.nan, self.bounds
+        if math.isfinite(state.backward_error):
+            found = primal.solution
+            value = found.tDot(primal.rhs) + found.tDot(primal.residual)
+            if bounds.proven:
+                bound = bounds.reaction(self._residual, primal, value)
+        return {"reaction": value, "reaction_bound": bound}
+
+    def _withstands_rounding(self, displacement, terms, size, krylov):
+        """Return whether rounding of random signs leaves the amplitudes as they are."""
+        moved = krylov.roughly_solved(self.bounds.random_rounding(terms))
+        if moved is None:
+            return False
+        allowed = self.tolerance / ROUNDING_TRIED
+        # an amplitude may have vanished
+        differences = np.abs(self.detectors.read(moved)) + SMALLEST_NORMAL
+        good = np.all(differences <= allowed * np.abs(displacement))
+        return bool(good and (not self.whole_field or moved.norm() <= allowed * size))
+
+
+def _reason(good, reason):
+    """Return the reason to give for a state that is good, or is not, after a KSP's last reason."""
+    if good:
+        return reason if reason > 0 else GOOD
+    return min(reason, 0)

@@ -1,0 +1,293 @@
+"""How the unknowns of a lattice or a network are numbered, shared out over ranks, and coupled.
+
+PETSc numbers unknowns so that each rank has a range. A layout knows those numbers, gathers fields,
+and turns constants of the springs into the nonzeros of B^T diag(k) B in this rank's rows, of one
+pattern always. A DMDA is the layout of a lattice, ranges of a partition that of any other network.
+"""
+
+import numpy as np
+
+from pgran.driven.owner import Owner
+from pgran.errors import InputError
+from pgran.medium.bonds import SIGNS, bond_ends, driven_bonds
+from pgran.run.petsc import PETSc
+
+
+class Layout(Owner):
+    """What both kinds have in common.
+
+    Attributes
+    ----------
+    like : petsc4py.PETSc.Vec
+        A vector of unknowns, to duplicate.
+    first, last : int
+        The range of this rank's unknowns.
+    ends : numpy.ndarray of int, shape (springs, w)
+        The unknowns in each row of B: PETSc's numbers, -1 for none.
+    entries : numpy.ndarray, shape (springs, w) or (1, w)
+        B's entries there.
+    drive : numpy.ndarray, shape (springs,)
+        How far each spring is stretched when what is driven moves by 1.
+    damped : numpy.ndarray, shape (springs,)
+        Which part of beta each spring has.
+    """
+
+    owns = ("like",)
+
+    def gathered(self, vectors):
+        """Return vectors as arrays, one after the other, on rank 0, None on others. Collective."""
+        if self.comm.size == 1:
+            return self.fields(np.stack([x.getArray(readonly=True) for x in vectors]))
+        found = [self.field(x) for x in vectors]
+        return None if found[0] is None else np.stack(found)
+
+    def own_entries(self, springs):
+        """Yield, side by side, B's entries, this rank's rows that they are in, of which springs."""
+        for entries, unknowns in zip(self.entries.T, self.ends[springs].T, strict=True):
+            mine = np.flatnonzero((unknowns >= self.first) & (unknowns < self.last))
+            entries = entries[springs[mine]] if len(entries) > 1 else entries
+            yield entries, unknowns[mine] - self.first, mine
+
+    def driving(self, constants, size=lambda x: x):
+        """Return this rank's rows of the drive, -B^T diag(k) of what is driven.
+
+        Not collective. `size` is applied to each spring's part before these are summed up.
+        """
+        springs = np.flatnonzero(self.drive)
+        pull, total = -constants[springs] * self.drive[springs], np.zeros(self.last - self.first)
+        for entries, rows, mine in self.own_entries(springs):
+            total += np.bincount(rows, size(entries * pull[mine]), len(total))
+        return total
+
+
+class LatticeLayout(Layout):
+    """The balls of a lattice on a DMDA.
+
+    Collective.
+
+    Parameters
+    ----------
+    lattice : pgran.medium.lattice.Lattice
+    comm : mpi4py.MPI.Comm
+
+    Raises
+    ------
+    InputError
+        If the lattice cannot be cut among so many ranks.
+    """
+
+    owns = ("like", "da")
+    laplacian = True  # K and C have no positive entries beside their diagonals
+
+    def __init__(self, lattice, comm):
+        """Number the balls, and find the bonds of each."""
+        self.shape, self.comm = lattice.shape, comm
+        try:
+            self.da = PETSc.DMDA().create(
+                sizes=self.shape, dof=1, stencil_width=1, stencil_type="star", comm=comm
+            )
+        except PETSc.Error as error:
+            shape = " x ".join(map(str, self.shape))
+            raise InputError(
+                f"-ranks_per_lattice: {shape} balls cannot be cut among {comm.size} ranks"
+            ) from error
+        self.like = self.da.createGlobalVec()
+        self.first, self.last = self.like.getOwnershipRange()
+        numbers = self._numbers(np.indices(self.shape).reshape(len(self.shape), -1).T)
+        self.ends, self.entries = bond_ends(numbers.reshape(self.shape)), SIGNS[None]
+        self.drive = driven_bonds(self.shape).astype(float)
+        self.damped = np.ones(len(self.ends))
+        self._find_rows()
+
+    def _numbers(self, sites):
+        """Return PETSc's numbers of balls given by their indices, shape (count, dim)."""
+        natural = np.ravel_multi_index(np.asarray(sites).T, self.shape, order="F")
+        return self.da.getAO().app2petsc(np.array(natural, dtype=PETSc.IntType))
+
+    def readings(self, sites):
+        """Return the unknowns that detectors read, and their weights, shape (nd, 1). Collective."""
+        return self._numbers(sites)[:, None], np.ones((len(sites), 1))
+
+    def vector(self, field):
+        """Return an array over the lattice, the same on every rank, as a vector. Collective."""
+        x = self.da.createGlobalVec()
+        own = tuple(slice(start, stop) for start, stop in self.da.getRanges())
+        x.setArray(field[own].ravel(order="F"))
+        return x
+
+    def field(self, x):
+        """Return a vector as an array over the lattice on rank 0, else None. Collective."""
+        natural = self.da.createNaturalVec()
+        self.da.globalToNatural(x, natural)
+        scatter, gathered = PETSc.Scatter.toZero(natural)
+        scatter.scatter(natural, gathered)
+        values = gathered.getArray().copy()
+        for held in (scatter, gathered, natural):
+            held.destroy()
+        return values.reshape(self.shape, order="F") if self.comm.rank == 0 else None
+
+    def fields(self, rows):
+        """Return rows over all unknowns, of one rank alone, as arrays over the lattice."""
+        shape = self.shape  # PETSc numbers the balls with the first axis fastest
+        return rows.reshape(-1, *shape[::-1]).transpose(0, *range(len(shape), 0, -1))
+
+    def _find_rows(self):
+        """Find the bonds of each of this rank's balls, and its row's columns: itself, the others.
+
+        Shapes (own, 2 d) and (own, 2 d + 1). The column of a wall is -1, which PETSc ignores.
+        """
+        ends = self.ends.ravel()
+        order = np.argsort(ends, kind="stable")  # much quicker than the default
+        order = order[np.count_nonzero(ends < self.first) : np.count_nonzero(ends < self.last)]
+        order = order.reshape(self.last - self.first, -1)
+        own = np.arange(self.first, self.last, dtype=PETSc.IntType)
+        self._bonds, self._columns = order // 2, np.column_stack([own, ends[order ^ 1]])
+        self._exists = self._columns >= 0
+
+    def _values(self, constants, rows=...):
+        """Return what belongs into the columns of some rows of B^T diag(k) B."""
+        k = constants[self._bonds[rows]]
+        return np.column_stack([k.sum(axis=1), -k]).astype(PETSc.ScalarType)
+
+    def csr(self, constants):
+        """Return row pointers, columns and nonzeros of B^T diag(k) B. Not collective."""
+        pointer = np.append(0, np.cumsum(np.count_nonzero(self._exists, axis=1)))
+        columns, values = self._columns[self._exists], self._values(constants)[self._exists]
+        return pointer.astype(PETSc.IntType), columns, values
+
+    def change(self, matrix, bonds, constants):
+        """Set in a matrix what some bonds contribute to; the rest of those rows, too.
+
+        Not collective; it is to be assembled. What was before leaves no rounding behind.
+        """
+        balls = self.ends[bonds].ravel()
+        balls = balls[(balls >= self.first) & (balls < self.last)]
+        if len(balls):  # petsc4py divides by zero otherwise
+            rows = balls - self.first
+            matrix.setValuesRCV(balls[:, None], self._columns[rows], self._values(constants, rows))
+
+
+class NetworkLayout(Layout):
+    """The unknowns of any network, on ranges of a partition; on one rank in order of elimination.
+
+    Collective. What is said of springs is known to every rank.
+
+    Parameters
+    ----------
+    network : pgran.medium.network.Network
+    comm : mpi4py.MPI.Comm
+    """
+
+    laplacian = False
+
+    def __init__(self, network, comm):
+        """Share out the unknowns, ball by ball, and find the pattern of this rank's rows."""
+        self.network, self.comm, self.shape = network, comm, network.shape
+        springs = network.springs
+        self.drive, self.damped = springs.drive, springs.damped
+        if comm.size == 1:  # PETSc's factorizations take the unknowns as they are numbered
+            parts, width = np.zeros(network.balls, dtype=int), network.components
+            order = (network.graph.order[:, None] * width + np.arange(width)).ravel()
+        else:
+            parts = partition(network, comm.size)
+            order = np.argsort(parts, kind="stable")
+        self._number = np.empty(len(order) + 1, dtype=PETSc.IntType)
+        self._number[order], self._number[-1] = np.arange(len(order)), -1
+        self.like = PETSc.Vec().createMPI((np.count_nonzero(parts == comm.rank), None), comm=comm)
+        self.first, self.last = self.like.getOwnershipRange()
+        self.ends, self.entries = self._number[springs.columns], springs.values
+        self._contribute()
+
+    def _contribute(self):
+        """Find the nonzeros of this rank's rows, and what each spring contributes to them."""
+        from scipy.sparse import csr_matrix
+
+        width, count = self.ends.shape[1], self.network.balls
+        own = np.arange(self.first, self.last)
+        keys, products, springs = [own * count + own], [np.zeros(len(own))], [0 * own]
+        for a in range(width):
+            here = np.flatnonzero((self.ends[:, a] >= self.first) & (self.ends[:, a] < self.last))
+            for b in range(width):
+                both = here[self.ends[here, b] >= 0]
+                row, column = self.ends[both, a].astype(np.int64), self.ends[both, b]
+                keys.append(row * count + column)
+                products.append(self.entries[both, a] * self.entries[both, b])
+                springs.append(both)
+        keys, places = np.unique(np.concatenate(keys), return_inverse=True)
+        rows, self._columns = keys // count - self.first, (keys % count).astype(PETSc.IntType)
+        counts = np.bincount(rows, minlength=len(own))
+        self._pointer = np.append(0, np.cumsum(counts)).astype(PETSc.IntType)
+        triplets = np.concatenate(products), (places.ravel(), np.concatenate(springs))
+        self._contributions = csr_matrix(triplets, shape=(len(keys), len(self.ends)))
+
+    def csr(self, constants):
+        """Return row pointers, columns and nonzeros of B^T diag(k) B. Not collective."""
+        values = self._contributions @ constants
+        return self._pointer, self._columns, values.astype(PETSc.ScalarType)
+
+    def sizes(self, constants):
+        """Return the same of the sums of all springs' magnitudes, which K's may cancel to."""
+        values = abs(self._contributions) @ np.abs(constants)
+        return self._pointer, self._columns, values.astype(PETSc.ScalarType)
+
+    def change(self, matrix, bonds, constants):
+        """Set in a matrix what all springs contribute. Not collective; it is to be assembled."""
+        matrix.setValuesCSR(*self.csr(constants))
+
+    def readings(self, sites):
+        """Return the unknowns that detectors read, and their weights, shape (nd, axes)."""
+        unknowns, weights = self.network.readings(sites)
+        return self._number[unknowns], weights
+
+    def vector(self, field):
+        """Return an array over all unknowns, the same on every rank, as a vector. Collective."""
+        x, values = self.like.duplicate(), np.empty(len(field), dtype=PETSc.ScalarType)
+        values[self._number[:-1]] = field
+        x.setArray(values[self.first : self.last])
+        return x
+
+    def field(self, x):
+        """Return a vector as an array over all unknowns on rank 0, else None. Collective."""
+        scatter, gathered = PETSc.Scatter.toZero(x)
+        scatter.scatter(x, gathered)
+        values = gathered.getArray().copy()
+        for held in (scatter, gathered):
+            held.destroy()
+        return values[self._number[:-1]] if self.comm.rank == 0 else None
+
+    def fields(self, rows):
+        """Return rows over all unknowns, of one rank alone, as the network numbers them."""
+        return rows[:, self._number[:-1]]
+
+
+def partition(network, parts):
+    """Return which rank has each unknown: those of a ball together, neighbours mostly, as many.
+
+    Not collective; the same on every rank. By bisection along the longest extent of the positions,
+    without positions along the order of reverse Cuthill and McKee.
+    """
+    balls = len(network.free)
+    if network.position is not None:
+        where = network.position[network.free]
+    else:
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+        total = len(network.held)
+        ones, (i, j) = np.ones(len(network.bond)), network.bond.T
+        order = reverse_cuthill_mckee(coo_matrix((ones, (i, j)), (total, total)).tocsr())
+        rank = np.empty(total)
+        rank[order] = np.arange(total)
+        where = rank[network.free][:, None]
+    part, left = np.zeros(balls, dtype=int), [(np.arange(balls), 0, parts)]
+    while left:
+        here, first, count = left.pop()
+        if count == 1:
+            part[here] = first
+            continue
+        axis = np.argmax(np.ptp(where[here], axis=0)) if len(here) else 0
+        order = here[np.argsort(where[here, axis], kind="stable")]
+        half = count // 2
+        split = len(here) * half // count
+        left += [(order[:split], first, half), (order[split:], first + half, count - half)]
+    return np.repeat(part, network.components)

@@ -1,0 +1,234 @@
+"""Linear systems with the matrix S: the KSP that solves them, and a right-hand side's state."""
+
+import math
+
+from mpi4py import MPI
+
+from pgran.driven.owner import Owner
+from pgran.driven.reuse import FACTORIZATIONS
+from pgran.run.petsc import PETSc
+
+LEAST_NORM = 1e-300  # a residual of which is none
+NO_NUMBER = int(PETSc.KSP.ConvergedReason.DIVERGED_NANORINF)
+NO_PRECONDITIONER = int(PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
+# Larger lattices go to MUMPS: it factors faster, but each of its solves is dearer.
+PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
+# Up to so many balls the ordering by minimum degree leaves less work than nested dissection.
+MINIMUM_DEGREE = {1: 10**7, 2: 2500, 3: 0}
+# The same of networks, by what the factorization in the order of their unknowns costs: PETSc up to
+# so many multiplications for each unknown; MUMPS in the ordering that it finds quickest up to so
+# many in all.
+PETSC_WORK, QUICK_ORDERING = 2500, (5e9, 2)
+
+
+class System(Owner):
+    """One right-hand side of S, which is not its own, with its solution and true residual.
+
+    Attributes
+    ----------
+    rhs, solution, residual : petsc4py.PETSc.Vec
+    norm : float
+        Of the residual.
+    last, before_last : petsc4py.PETSc.Vec
+        The solutions of the two s before this one.
+    """
+
+    owns = ("solution", "residual", "last", "before_last")
+
+    def __init__(self, rhs):
+        """Make the vectors."""
+        self.rhs = rhs
+        self.solution, self.residual, self.last, self.before_last = (
+            rhs.duplicate() for _ in range(4)
+        )
+        self.norm = math.inf
+
+    def advance(self):
+        """Keep the solution as the last one; a start then fills `solution`. Not collective."""
+        self.solution, self.last, self.before_last = self.before_last, self.solution, self.last
+
+    def start_from_zero(self):
+        """Guess nothing. Collective."""
+        self.solution.set(0.0)
+        self.rhs.copy(self.residual)
+        self.norm = self.residual.norm()
+
+    def start_from_preconditioner(self, pc, matrix):
+        """Guess the preconditioned right-hand side, which may be the solution. Collective."""
+        pc.apply(self.rhs, self.solution)
+        self.update_residual(matrix)
+        if not self.norm <= self.rhs.norm():  # NaN too
+            self.start_from_zero()
+
+    def start_from_line(self, step, matrix):
+        """Guess by the line through the last two solutions, `step` of it farther. Collective."""
+        self.before_last.copy(self.solution)
+        self.solution.scale(-step)
+        self.solution.axpy(1.0 + step, self.last)
+        self.update_residual(matrix)
+
+    def update_residual(self, matrix):
+        """Compute the true residual and its norm. Collective."""
+        matrix.mult(self.solution, self.residual)
+        self.residual.aypx(-1.0, self.rhs)
+        self.norm = self.residual.norm()
+
+
+class Krylov(Owner):
+    """The KSP of S; destroy with `destroy`. Collective.
+
+    Attributes
+    ----------
+    iterations, reason : int
+        Since the last `begin`; PETSc's reason of the last solve since then, 0 if there was none.
+    """
+
+    owns = ("ksp",)
+
+    def __init__(self, operators, correction):
+        """Make the KSP from its options; `correction` is a vector to work with."""
+        self.operators, self._correction = operators, correction
+        self.ksp = make_ksp(operators, operators.S)
+        self._rtol, _, _, self._longest = self.ksp.getTolerances()
+        self.begin()
+
+    @property
+    def pc(self):
+        """The preconditioner. Not collective."""
+        return self.ksp.getPC()
+
+    def begin(self, longest=None):
+        """Count from zero; give up a solve after so many iterations, or as its options say."""
+        self.iterations, self.reason = 0, 0
+        self.ksp.setTolerances(max_it=longest or self._longest)
+
+    def factor(self):
+        """Set up the preconditioner for this S and later solves; say if it works. Collective."""
+        self.pc.setReusePreconditioner(False)
+        works = set_up(self.ksp, self.operators.S, self.operators.comm)
+        self.pc.setReusePreconditioner(works)
+        return works
+
+    def improve(self, system, target):
+        """Reduce a residual to the target, or as far as the KSP gets. Collective."""
+        if system.norm <= target:
+            return
+        before, correction = system.norm, self._correction
+        # Relative, because a KSP may measure preconditioned residuals, which have another unit.
+        self._solve(system.residual, max(self._rtol, target / before))
+        self.reason = self.ksp.getConvergedReason()
+        system.solution.axpy(1.0, correction)
+        system.update_residual(self.operators.S)
+        if not math.isfinite(system.norm):
+            self.reason = min(self.reason, NO_NUMBER)
+            system.start_from_zero()
+        elif system.norm > before:
+            system.solution.axpy(-1.0, correction)
+            system.update_residual(self.operators.S)
+
+    def roughly_solved(self, rhs):
+        """Return S^-1 rhs to two digits, or None; the next solve overwrites it. Collective."""
+        self._solve(rhs, 0.01)
+        return self._correction if self.ksp.getConvergedReason() > 0 else None
+
+    def _solve(self, rhs, rtol):
+        """Solve for a right-hand side."""
+        self.ksp.setTolerances(rtol=rtol)
+        self.ksp.solve(rhs, self._correction)
+        self.iterations += self.ksp.getIterationNumber()
+
+
+def is_factored():
+    """Return whether the options ask for a factorization of S. Not collective."""
+    return PETSc.Options("steady_").getString("pc_type", "cholesky") in FACTORIZATIONS
+
+
+def factor_package(lattice, ranks):
+    """Return what factors the matrix of a lattice that so many ranks share. Not collective."""
+    if ranks > 1:
+        return "mumps"
+    if lattice.irregular:
+        small = lattice.graph.work <= PETSC_WORK * max(lattice.balls, 200)
+    else:
+        small = lattice.balls <= PETSC_FACTORS[lattice.axes]
+    return "petsc" if small else "mumps"
+
+
+def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
+    """Return a KSP on an LDL^T factorization by default, then as its options say.
+
+    Collective. The caller destroys it.
+
+    Parameters
+    ----------
+    operators : pgran.driven.operators.Operators
+    matrix : petsc4py.PETSc.Mat
+        S, or another one of its pattern.
+    prefix, kind : str
+        Of the options; the type of KSP by default.
+    """
+    ksp = PETSc.KSP().create(operators.comm)
+    ksp.setOptionsPrefix(prefix)
+    ksp.setOperators(matrix)
+    ksp.setType(kind)
+    ksp.setTolerances(rtol=1e-13, atol=LEAST_NORM, max_it=1000)
+    pc = ksp.getPC()
+    pc.setType("cholesky")
+    if factor_package(operators.lattice, operators.comm.size) != "petsc":
+        pc.setFactorSolverType("mumps")
+    elif operators.lattice.irregular:
+        pc.setFactorOrdering("natural")
+    elif operators.balls <= MINIMUM_DEGREE[operators.axes]:
+        pc.setFactorOrdering("qmd")
+    ksp.setFromOptions()
+    accept_small_pivots(pc)
+    analyse_by_pattern(pc, operators.lattice)
+    if ksp.getType() != "preonly":
+        # The preconditioner applied once is the solution already if it is a fresh factorization.
+        ksp.setInitialGuessKnoll(True)
+    return ksp
+
+
+def set_up(ksp, matrix, comm):
+    """Set up a KSP's preconditioner for the values of a matrix; return whether that worked.
+
+    Collective. A KSP that failed is of no more use: PETSc keeps some failures for all later values.
+
+    Parameters
+    ----------
+    ksp : petsc4py.PETSc.KSP
+    matrix : petsc4py.PETSc.Mat
+    comm : mpi4py.MPI.Comm
+    """
+    ksp.setOperators(matrix)  # without it a KSP overlooks new values
+    ksp.setUp()
+    works = ksp.getConvergedReason() >= 0  # says it of this rank alone
+    return works if comm.size == 1 else comm.allreduce(works, MPI.LAND)
+
+
+def analyse_by_pattern(pc, lattice):
+    """Let MUMPS analyse the pattern alone, and not for longer than that saves; options win.
+
+    Not collective. Else MUMPS permutes by the values of the first matrix, and the last digits of
+    all later solutions depend on which frequency a rank happened to factor first.
+    """
+    if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
+        pc.setFactorSetUpSolverType()
+        pc.getFactorMatrix().setMumpsIcntl(6, 0)
+        work, ordering = QUICK_ORDERING
+        if lattice.irregular and lattice.graph.work <= work:
+            pc.getFactorMatrix().setMumpsIcntl(7, ordering)
+
+
+def accept_small_pivots(pc):
+    """Call no pivot zero that is not, unless options say otherwise. Not collective.
+
+    PETSc's threshold is absolute, 2e-14, and constants of one lattice may differ by more. A pivot
+    that is zero but for rounding shows in the residuals. But the threshold is the least that a
+    shift to positive definite pivots adds to them, and without one PETSc never ends on a zero S.
+    """
+    usual = "positive_definite" if pc.getType() == "icc" else "none"
+    options = PETSc.Options(pc.getOptionsPrefix())
+    if options.getString("pc_factor_shift_type", usual).lower() != "positive_definite":
+        pc.setFactorPivot(zeropivot=0.0)
+        pc.setFromOptions()

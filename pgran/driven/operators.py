@@ -1,0 +1,174 @@
+"""One system for everything: S(s) = K + s beta C + s^2 m, with K = B^T diag(k) B and C = B^T B.
+
+B has a row for each bond: what lengthens it. Walls are no unknowns; the driven one's bonds give the
+drive f(s), the sum of k + s beta at their balls. All matrices share one nonzero pattern, so that S
+is combined anew for each s without assembly, and factored symbolically only once. How unknowns are
+numbered and shared out, and which of them a bond joins, a layout knows (`layout`).
+"""
+
+from functools import cached_property
+
+import numpy as np
+from mpi4py import MPI
+
+from pgran.driven.layout import LatticeLayout, NetworkLayout
+from pgran.driven.owner import Owner
+from pgran.medium.lattice import Lattice
+from pgran.run.petsc import PETSc
+
+SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
+
+
+class Operators(Owner):
+    """A driven lattice or network as distributed matrices; destroy with `destroy` or `with`.
+
+    Collective.
+
+    Parameters
+    ----------
+    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
+        The same on every rank.
+    comm : mpi4py.MPI.Comm
+        The ranks that share it.
+
+    Attributes
+    ----------
+    layout : pgran.driven.layout.Layout
+    K : petsc4py.PETSc.Mat
+        Stiffness: the graph Laplacian weighted by the bond constants.
+    C : petsc4py.PETSc.Mat or None
+        The same with every constant 1; damping is beta C. None without damping.
+    M : petsc4py.PETSc.Vec
+        The masses, a diagonal.
+    S, f : petsc4py.PETSc.Mat, petsc4py.PETSc.Vec
+        The driven system at the s of the last `combine`.
+    softest : float or None
+        No eigenvalue of K is below it; None where that is still to be found out.
+    """
+
+    owns = ("K", "C", "M", "_inertia", "S", "f", "f_stiffness", "f_damping", "sizes", "layout")
+
+    def __init__(self, lattice, comm):
+        """Assemble K, and C where there is damping."""
+        self.lattice, self.shape, self.balls, self.comm = (
+            lattice,
+            lattice.shape,
+            lattice.balls,
+            comm,
+        )
+        self.mass, self.damping, self.axes = lattice.mass, lattice.damping, lattice.axes
+        self.rounding = lattice.rounding
+        kind = LatticeLayout if isinstance(lattice, Lattice) else NetworkLayout
+        self.layout = kind(lattice, comm)
+        self.first, self.last = self.layout.first, self.layout.last
+        self.f_stiffness, self.M, self._inertia = (self.layout.like.duplicate() for _ in range(3))
+        self.M.set(self.mass)
+        self.constants, self.softest = lattice.constants, None
+        constants = self.constants
+        self.K = self._assemble(constants)
+        self.f_stiffness.setArray(self.layout.driving(constants))
+        self.C = self.f_damping = None
+        if self.damping > 0:
+            damped = self.layout.damped
+            self.C, self.f_damping = self._assemble(damped), self.f_stiffness.duplicate()
+            self.f_damping.setArray(self.layout.driving(damped))
+
+    @cached_property
+    def S(self):  # noqa: N802
+        """The matrix of the driven system. Collective when first asked for."""
+        return self.K.duplicate()
+
+    @cached_property
+    def f(self):
+        """The drive. Collective when first asked for."""
+        return self.f_stiffness.duplicate()
+
+    @cached_property
+    def sizes(self):
+        """K, f_stiffness, C and f_damping with the magnitudes of all springs' parts summed up.
+
+        Collective when first asked for; they say what rounding does to what is no Laplacian.
+        """
+        found = []
+        for constants in (self.constants, self.layout.damped)[: 1 + (self.C is not None)]:
+            drive = self.f_stiffness.duplicate()
+            drive.setArray(self.layout.driving(constants, np.abs))
+            found += [self._assemble(constants, self.layout.sizes), drive]
+        return found
+
+    def combine(self, s):
+        """Set S(s) = K + s beta C + s^2 M and the drive f(s) (paper: ampeq, s = i omega).
+
+        Collective.
+
+        Raises
+        ------
+        ValueError
+            If the real part of s is negative: no error is bounded there.
+        """
+        s = complex(s)
+        if not s.real >= 0:
+            raise ValueError(f"the real part of s must be 0 or more, not {s.real}")
+        self.s = s
+        self.K.copy(self.S, structure=SAME)
+        self.f_stiffness.copy(self.f)
+        if self.C is not None:
+            self.S.axpy(s * self.damping, self.C, structure=SAME)
+            self.f.axpy(s * self.damping, self.f_damping)
+        self.M.copy(self._inertia)
+        for _ in range(2):  # s^2 alone could underflow
+            self._inertia.scale(s)
+        self.S.setDiagonal(self._inertia, addv=PETSc.InsertMode.ADD_VALUES)  # faster than a shift
+        # Complex symmetric, not Hermitian: what an LDL^T factorization needs to know.
+        self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
+
+    def stretch(self, columns, bonds):
+        """Return b^T x for some bonds and each column x, walls at rest: shape (bonds, columns).
+
+        Collective; `columns` holds this rank's rows, the result is the same on every rank.
+        """
+        found = np.zeros((len(bonds), columns.shape[1]), dtype=complex)
+        for entries, rows, mine in self.layout.own_entries(bonds):
+            found[mine] += entries[:, None] * columns[rows]
+        if self.comm.size > 1:
+            self.comm.Allreduce(MPI.IN_PLACE, found)
+        return found
+
+    def spread(self, bonds, columns):
+        """Set columns to b = B^T e of some bonds, as far as it lies in this rank's rows.
+
+        Not collective. Columns beyond those of the bonds become zero.
+        """
+        columns[:] = 0.0
+        for entries, rows, mine in self.layout.own_entries(bonds):
+            columns[rows, mine] = entries
+
+    def set_stiffness(self, constants):
+        """Replace all bond constants, in K and in the drive; S waits for `combine`.
+
+        Collective; `constants` has the shape (bonds,).
+        """
+        self.constants, self.softest = constants, None
+        self.forget("sizes")
+        self.K.setValuesCSR(*self.layout.csr(constants))
+        self.K.assemble()
+        self.f_stiffness.setArray(self.layout.driving(constants))
+
+    def change_bonds(self, bonds, constants):
+        """Set some bond constants anew, in K and in the drive; S waits for `combine`.
+
+        Collective; `constants` are those of all bonds after the change. What K was before leaves no
+        rounding behind: the rows of all balls at these bonds are summed up anew.
+        """
+        self.constants, self.softest = constants, None
+        self.forget("sizes")
+        self.layout.change(self.K, bonds, constants)
+        self.K.assemble()
+        if self.layout.drive[bonds].any():
+            self.f_stiffness.setArray(self.layout.driving(constants))
+
+    def _assemble(self, constants, csr=None):
+        """Return the matrix B^T diag(k) B."""
+        size, csr = self.f_stiffness.getSizes(), (csr or self.layout.csr)(constants)
+        return PETSc.Mat().createAIJ((size, size), csr=csr, comm=self.comm)

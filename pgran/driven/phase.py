@@ -1,0 +1,170 @@
+"""Phases of amplitudes over a sweep, and the straight line that gives a phase velocity."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Where the curve stays within this part of the amplitude of the straight line between two points,
+# its phase turns as that line's does.
+CERTAIN = 0.25
+BLOCKS = 10  # of the window of a fit, each several resonances wide
+BENT = 2.0  # a phase is no line if its slope in one half of the window is so many times the other's
+
+
+def phase_of_sign(displacement):
+    """Return the phase of amplitudes that are real, as without damping: 0 or pi; NaN where unknown.
+
+    Not collective. Its jumps are changes of sign, to be followed by no unwrapping.
+    """
+    sign = np.where(displacement.real < 0, np.pi, 0.0)
+    return np.where(np.isnan(displacement), np.nan, sign)
+
+
+def unwrap(displacement):
+    """Return the phase along the first axis without its jumps, from the lowest frequency on.
+
+    Not collective. Frequencies that have no amplitude keep NaN and are passed over.
+    """
+    phase = np.angle(displacement)
+    for column in phase.T:
+        known = np.isfinite(column)
+        column[known] = np.unwrap(column[known])
+    return phase
+
+
+def fit_line(x, y):
+    """Return slope and intercept of the straight line through some points; y may hold NaN.
+
+    Not collective. NaN where less than three points are known, or where these are too close
+    together, by 1e-10, to tell a slope from rounding.
+    """
+    known = np.isfinite(y)
+    x, y = x[known], y[known]
+    if len(x) < 3 or np.ptp(x) < 1e-10 * np.abs(x).max():
+        return np.nan, np.nan
+    middle = x.mean()
+    slope, height = np.polyfit(x - middle, y, 1)
+    return slope, height - slope * middle
+
+
+@dataclass(frozen=True)
+class PhaseLine:
+    """The straight line through a phase, or why there is none.
+
+    Attributes
+    ----------
+    slope, slope_error : float
+        Of the phase over x, with its standard error; NaN without a line.
+    intercept : float
+    low, high : float
+        The first and the last x that the line was fitted to.
+    why_not : str
+        Empty if there is a line.
+    """
+
+    slope: float = np.nan
+    slope_error: float = np.nan
+    intercept: float = np.nan
+    low: float = np.nan
+    high: float = np.nan
+    why_not: str = ""
+
+
+def fit_phase(x, phase, line_error, low, high):
+    """Fit the straight line to a phase, if it is one, its turns certain over the whole window.
+
+    Not collective. The line is that of least squares along the curve, whose points may lie closer
+    here than there. What it misses is correlated over the width of a resonance; so the standard
+    error is that of `BLOCKS` parts of the window taken as independent.
+
+    Parameters
+    ----------
+    x, phase, line_error : numpy.ndarray, shape (n,)
+        Frequencies in units of omega_mx; the phase unwrapped, NaN where unknown; how far the curve
+        leaves the straight line from the point before.
+    low, high : float
+        The window.
+
+    Returns
+    -------
+    PhaseLine
+    """
+    if not len(x) or x[0] > low * (1 + 1e-9) or x[-1] < high * (1 - 1e-9):
+        why = f"the sweep does not cover the window of the fit, {low:g} to {high:g} omega_mx"
+        return PhaseLine(why_not=f"{why} (-phase_fit_min, -phase_fit_max)")
+    # Rounding of the window's ends leaves no point out. Neighbours across an end count as well.
+    inside = (low * (1 - 1e-9) <= x) & (x <= high * (1 + 1e-9))
+    between = (x[1:] > low * (1 + 1e-9)) & (x[:-1] < high * (1 - 1e-9))
+    certain = (line_error[1:] <= CERTAIN) & np.isfinite(phase[1:] - phase[:-1])
+    uncertain = np.flatnonzero(between & ~certain)
+    if uncertain.size:
+        first = uncertain[0]
+        why = f"the phase is not certain between {x[first]:.6g} and {x[first + 1]:.6g} omega_mx"
+        return PhaseLine(why_not=why + and_more(uncertain.size - 1))
+    x, phase = x[inside], phase[inside]
+    if len(x) < BLOCKS or np.ptp(x) < 1e-10 * x[-1]:
+        why = f"{len(x)} frequencies lie in the window of the fit, and {BLOCKS} apart are needed"
+        return PhaseLine(why_not=why)
+    slope, intercept, along = _least_squares(x, phase)
+    middle = 0.5 * (x[0] + x[-1])
+    place = np.searchsorted(x, middle)
+    halved = np.insert(x, place, middle), np.insert(phase, place, np.interp(middle, x, phase))
+    (lower, *_), (upper, *_) = (
+        _least_squares(*(part[half] for part in halved))
+        for half in (slice(place + 1), slice(place, None))
+    )
+    less, more = sorted([abs(lower), abs(upper)])
+    if not (lower * upper > 0 and more <= BENT * less):
+        why = f"its slope is {lower:.4g} in the lower half of the window, {upper:.4g} in the upper"
+        return PhaseLine(why_not=f"the phase is no line: {why} (rad per omega_mx)")
+    missed = along * (phase - intercept - slope * x)
+    block = np.minimum((x - x[0]) / (x[-1] - x[0]) * BLOCKS, BLOCKS - 1).astype(int)
+    spread = np.sum(np.bincount(block, missed, BLOCKS) ** 2) * BLOCKS / (BLOCKS - 2)
+    return PhaseLine(slope, np.sqrt(spread) / (along @ x), intercept, x[0], x[-1])
+
+
+def _least_squares(x, phase):
+    """Return slope and intercept of a line along a curve, and each point's lever for the slope."""
+    gaps = np.diff(x)
+    weights = np.append(gaps, 0.0) + np.append(0.0, gaps)  # of the trapezoidal rule
+    middle = np.average(x, weights=weights)
+    along = weights * (x - middle)
+    slope = along @ phase / (along @ x)
+    return slope, np.average(phase, weights=weights) - slope * middle, along
+
+
+def and_more(count):
+    """Say in words that a place is not the only one. Not collective."""
+    return f", and in {count} more places" if count else ""
+
+
+def group_delay(amplitude, derivative, error_bound, derivative_bound):
+    """Return -d arg A / d omega, and a bound of its error.
+
+    Not collective. With A and its derivative A' wrong by at most a and b, A'/A is wrong by at most
+    (b + |A'/A| a) / (|A| - a); NaN and infinite where A may vanish.
+
+    Parameters
+    ----------
+    amplitude, derivative : numpy.ndarray of complex
+        A, A'.
+    error_bound, derivative_bound : numpy.ndarray of float, of the same shape
+        a, b.
+    """
+    with np.errstate(all="ignore"):
+        ratio = derivative / amplitude
+        room = np.abs(amplitude) - error_bound
+        bound = 1.01 * (derivative_bound + np.abs(ratio) * error_bound) / room
+    known = (room > 0) & np.isfinite(bound)
+    return np.where(known, -ratio.imag, np.nan), np.where(known, bound, np.inf)
+
+
+def phase_velocity(slope, distance):
+    """Return the velocity in spacings times omega_mx (paper: phsvel).
+
+    Not collective. The slope of the phase is in rad per omega_mx, the distance from the driven wall
+    in spacings. It is no speed of sound: absorbing diffusion makes the slope fall like
+    1 / sqrt(beta), seen from .003 to .03, and a pulse arrives far earlier.
+    """
+    with np.errstate(divide="ignore"):
+        return distance / np.abs(slope)

@@ -1,0 +1,307 @@
+"""The driven steady state S(s) A = f(s), solved until its error bound is met.
+
+One KSP (option prefix `steady_`) serves every s = sigma + i omega. Its factorization is reused for
+those that follow as long as iterating is expected to be cheaper than factoring anew. Beside the
+amplitudes A an adjoint z of each detector is solved with the same factorization; the two together
+give the amplitude at the detector with a rigorous bound (`bounds`).
+"""
+
+import logging
+import math
+from functools import cached_property
+
+import numpy as np
+
+from pgran.driven.judge import Judge, SteadyState
+from pgran.driven.linear import LEAST_NORM, NO_PRECONDITIONER, Krylov, System
+from pgran.driven.owner import Owner
+from pgran.driven.reuse import FACTORIZATIONS, ReusePolicy, expected_iterations, factor_price
+from pgran.errors import is_bad_input, petsc_message
+from pgran.run.agreement import met_by_all
+from pgran.run.petsc import PETSc
+
+log = logging.getLogger("pgran")
+
+PASSES = 20  # of iterative refinement with one factorization, if each halves a bound
+SAFETY = 0.3  # aim at this part of what the tolerance allows
+
+
+class SteadySolver(Owner):
+    """Solves for one s after the other; destroy with `destroy` or `with`.
+
+    Collective.
+
+    Parameters
+    ----------
+    operators : pgran.driven.operators.Operators
+    sites : array_like of int, shape (nd, dim)
+        The detectors; none where only the whole field is wanted.
+    error_tolerance : float
+        Relative accuracy asked of each amplitude.
+    refresh_iterations : int
+        Refresh the factorization after an s that took more iterations; 0 decides by price.
+    whole_field : bool
+        Ask the same accuracy of the field, in the 2-norm.
+    error_floor : float
+        An amplitude whose bound is below this part of the wall's is good without it.
+    derivatives : bool
+        Derivatives along omega are wanted as well.
+    whole_adjoints : bool
+        Reduce the adjoints' residuals as far as such a field's.
+
+    Attributes
+    ----------
+    factorizations : int
+        How many there were so far.
+    primal : pgran.driven.linear.System
+        The amplitudes of all balls at the last s.
+    """
+
+    owns = ("_krylov", "_judge", "_correction", "primal", "_units", "adjoints")
+
+    def __init__(
+        self,
+        operators,
+        sites,
+        error_tolerance=1e-4,
+        refresh_iterations=0,
+        whole_field=False,
+        error_floor=0.0,
+        derivatives=False,
+        whole_adjoints=False,
+    ):
+        """Make the systems and their bounds."""
+        self.operators, self.comm = operators, operators.comm
+        self.tolerance, self.floor = error_tolerance, error_floor
+        self.whole_field, self.derivatives = whole_field, derivatives
+        self.whole_adjoints = whole_adjoints
+        self.factorizations = 0
+        self._sites, self._spoilt, self._works, self._said = sites, False, False, set()
+        self._make_systems()
+        self._policy = ReusePolicy(refresh_iterations)
+        self.restart()
+
+    def _make_systems(self):
+        """Make what is solved and what judges it."""
+        asked = self.tolerance, self.floor, self.whole_field
+        self._judge = Judge(self.operators, self._sites, *asked)
+        self._correction, self.primal = self.operators.f.duplicate(), System(self.operators.f)
+
+    @cached_property
+    def _units(self):
+        """The adjoints' right-hand sides. Collective when first asked for."""
+        return self._judge.detectors.unit_vectors()
+
+    @cached_property
+    def adjoints(self):
+        """The adjoint of each detector. Collective when first asked for."""
+        return [System(unit) for unit in self._units]
+
+    @cached_property
+    def _krylov(self):
+        """The KSP, made only for use: SuperLU_DIST cannot free what it never factored."""
+        return Krylov(self.operators, self._correction)
+
+    @property
+    def bounds(self):
+        """What bounds the errors. Not collective."""
+        return self._judge.bounds
+
+    @property
+    def field(self):
+        """The amplitudes of all balls at the last s. Not collective."""
+        return self.primal.solution
+
+    @property
+    def factor(self):
+        """The factorization of S, or None if the preconditioner is none. Collective."""
+        pc = self._krylov.pc
+        return pc.getFactorMatrix() if pc.getType() in FACTORIZATIONS else None
+
+    @property
+    def _systems(self):
+        """What is solved at the present s: no adjoints where they would prove nothing."""
+        return [self.primal, *self.adjoints] if self.bounds.proven else [self.primal]
+
+    def _forget_factors(self):
+        """Free what PETSc may have marked as failed for good: its solvers and S."""
+        self.forget("_krylov")
+        self._judge.forget_factors()
+        self.operators.forget("S")
+
+    def _renew(self):
+        """Make all anew that an error inside PETSc may have left unfit for use.
+
+        PETSc may have locked vectors, or taken some for its own, to be freed with the solver that
+        it was interrupted in: so they are held until the solvers are gone.
+        """
+        vectors = [self.operators.f, *self.vectors()]
+        for vector in vectors:
+            vector.incRef()
+            vector.incRef()
+        self._forget_factors()
+        for vector in vectors:
+            while vector.refcount > 1:
+                vector.decRef()
+        self.forget(*self.owns)
+        self.operators.forget("f")
+        self._make_systems()
+
+    def restart(self):
+        """Let nothing that follows depend on what was solved before. Not collective."""
+        self._policy.restart()
+        self._earlier, self._size = [], None
+
+    def solve(self, s):
+        """Return the steady state at one s.
+
+        Collective. A point that misses its accuracy with a reused factorization is solved again
+        with a fresh one, and marked if it still does.
+
+        Parameters
+        ----------
+        s : complex
+            sigma + i omega, sigma >= 0: i omega for a steady drive.
+
+        Returns
+        -------
+        pgran.driven.judge.SteadyState
+        """
+        state, s = None, complex(s)
+        try:
+            with np.errstate(all="ignore"):  # what is not finite has no bound
+                state = self._solve(s)
+                if self.derivatives:
+                    state = self._judge.with_derivatives(state, self._systems)
+        except PETSc.Error as error:
+            self._tell(s, error)
+        if state is None:  # the error is gone, and with it what it kept alive
+            self._renew()
+            state = self._nothing(s)
+        self._spoilt = state.converged_reason <= 0
+        if self._spoilt:
+            self.restart()
+        return state
+
+    def _solve(self, s):
+        """Solve for one s by what may help, the cheapest first."""
+        if self._spoilt:
+            self._forget_factors()
+        self.operators.combine(s)
+        self.bounds.prepare(s, self.tolerance)
+        for system in self._systems:
+            system.advance()
+        fresh = self._krylov.ksp.getType() == "preonly" or self._policy.due(self._expected(s))
+        state = self._attempt(s, fresh)
+        if state.converged_reason <= 0 and not fresh:
+            self._policy.count_failure()
+            if state.converged_reason == NO_PRECONDITIONER:
+                self._forget_factors()
+                self.operators.combine(s)
+            fresh = True
+            state = self._attempt(s, fresh)
+        if state.converged_reason <= 0:
+            state = self._judge.compared(state, self.primal, self._krylov)
+        self._policy.count(fresh, state.iterations)
+        self._earlier, self._size = [*self._earlier[-1:], s], np.abs(state.displacement)
+        return state
+
+    def _tell(self, s, error):
+        """Say why PETSc fails at an s, each reason once; raise what ends the run.
+
+        That is the fault of an option or a callback, or not met by all ranks of the lattice.
+        """
+        wrong = is_bad_input(error) and not self._works
+        if error.__cause__ or wrong or not met_by_all(self.comm):
+            raise error
+        message = petsc_message(error)
+        if message not in self._said:
+            self._said.add(message)
+            point = f"s = {s:g}" if s.real else f"omega = {s.imag:g}"
+            log.warning("%s is marked: %s", point, message)
+
+    def _nothing(self, s):
+        """Return the state of an s without a solution."""
+        self.primal.solution.set(math.nan)
+        missing = np.full(len(self._judge.detectors), math.nan)
+        unknown = math.inf if self.bounds.proven else math.nan
+        bound = np.full(missing.shape, unknown)
+        said = s, missing + 0j, bound, math.nan, 0, NO_PRECONDITIONER, unknown
+        return SteadyState(*said, missing + 0j, bound, math.nan, unknown)
+
+    def _attempt(self, s, fresh):
+        """Solve with a fresh or the present factorization."""
+        krylov = self._krylov
+        krylov.begin(None if fresh else self._policy.patience())
+        if fresh and not self._factor():
+            return self._nothing(s)
+        self._guess(s, fresh)
+        state, size = None, self._size
+        for attempt in range(PASSES):
+            previous = state
+            if attempt or not fresh:
+                self._improve_all(size)
+            state = self._judge.assess(s, self._systems, krylov)
+            size = np.abs(state.displacement)
+            if state.converged_reason > 0 or not np.all(np.isfinite(size)):
+                break
+            if krylov.reason < 0 and not fresh:
+                break
+            if previous and not (
+                np.any(state.error_bound < 0.5 * previous.error_bound)
+                or state.field_bound < 0.5 * previous.field_bound
+            ):
+                break
+        return state
+
+    def _expected(self, s):
+        """Return how many iterations all systems are expected to take if nothing is factored."""
+        if not self._earlier:
+            return math.inf
+        lattice = self.operators
+        return len(self._systems) * expected_iterations(
+            self._earlier[-1], s, lattice.axes, lattice.mass, lattice.damping
+        )
+
+    def _factor(self):
+        """Set up the preconditioner for the present S; return whether that works."""
+        self.factorizations += 1
+        works = self._krylov.factor()
+        if works and not self._policy.price:
+            self._policy.price = factor_price(self._krylov.pc, self.operators.balls)
+        self._works |= works
+        return works
+
+    def _guess(self, s, fresh):
+        """Start from one application of a fresh preconditioner, else from the last states."""
+        step = 0.0
+        if len(self._earlier) == 2 and self._earlier[0] != self._earlier[1]:
+            before, last = self._earlier
+            step = (s - last) / (last - before)
+        for system in self._systems:
+            if fresh:
+                system.start_from_preconditioner(self._krylov.pc, self.operators.S)
+            else:
+                system.start_from_line(step, self.operators.S)
+
+    def _improve_all(self, size):
+        """Reduce all residuals until their products are small enough for amplitudes of that size.
+
+        Without a bound, as far as the KSP gets. Of the digits a product needs each residual
+        contributes half, relative to its right-hand side.
+        """
+        krylov, primal, adjoints = self._krylov, self.primal, self._systems[1:]
+        goal, field = np.zeros(len(adjoints)), 0.0
+        if self.bounds.proven:
+            share = SAFETY * self.tolerance / self.bounds.inverse_norm
+            goal = share * size
+            field = share * primal.solution.norm() if self.whole_field else math.inf
+        force = primal.rhs.norm()
+        target = math.sqrt(goal.min(initial=math.inf) * force) if force else 0.0
+        krylov.improve(primal, min(target, field))
+        for adjoint, product in zip(adjoints, goal, strict=True):
+            half = math.sqrt(product / force) if force else 0.0
+            target = min(half, product / max(primal.norm, LEAST_NORM))
+            if self.whole_adjoints and self.bounds.proven:
+                target = min(target, share * adjoint.solution.norm())
+            krylov.improve(adjoint, target)

@@ -1,0 +1,97 @@
+"""Driven steady states over a sweep of frequencies; a scene says what it keeps of each."""
+
+import contextlib
+import dataclasses
+
+import numpy as np
+
+from pgran.medium.units import check_frequency
+from pgran.run.machine import check_memory
+from pgran.run.task import Task
+
+LONGEST_UNIT = 16  # frequencies that share factorizations
+
+
+class FrequencySweep(Task):
+    """Steady states of one lattice, one frequency after the other.
+
+    Parameters
+    ----------
+    lattice : pgran.medium.lattice.Lattice
+    omegas : array_like of float, shape (nw,)
+        Driving frequencies, angular, increasing.
+    sites : numpy.ndarray of int, shape (nd, dim)
+        The detectors.
+    kept : sequence of tuple
+        Fields of a row, named like those of `SteadyState` where they hold the same.
+    choices : dict
+        Keywords of `steady.SteadySolver`.
+    sigma : float
+        The real part of s = sigma + i omega; 0 for a steady drive.
+    """
+
+    items = "frequencies"
+
+    def __init__(self, lattice, omegas, sites, kept, choices, sigma=0.0):
+        """Cut the sweep into ranges of frequencies."""
+        self.lattice, self.sites, self.sigma = lattice, sites, sigma
+        self.omegas = np.asarray(omegas)
+        self.row, self.choices = np.dtype([*kept, ("factorizations", np.int64)]), choices
+        check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
+        self.scaled, self.unit = lattice.in_own_unit()
+        check_frequency(self.scaled, self.omegas[-1])
+        self.units = ranges(len(self.omegas))
+
+    def prepare(self, operators):
+        """Make what `keep` needs of the lattice at all frequencies. Collective over a group."""
+
+    def keep(self, point, solver):
+        """Put into a row, besides what a `SteadyState` has, what is wanted of the solver.
+
+        Collective over a group.
+        """
+
+    def complete(self, points):
+        """Put into the rows of a unit what is computed for all of them together. Not collective."""
+
+    @contextlib.contextmanager
+    def open(self, group):
+        """See `Task`."""
+        from pgran.driven.judge import SteadyState
+        from pgran.driven.operators import Operators
+        from pgran.driven.steady import SteadySolver
+
+        same = [f.name for f in dataclasses.fields(SteadyState) if f.name in self.row.names]
+        with (
+            Operators(self.scaled, group) as operators,
+            SteadySolver(operators, self.sites, **self.choices) as solver,
+        ):
+            self.prepare(operators)
+
+            def work(unit):
+                solver.restart()
+                points = np.zeros(len(unit), self.row)
+                for point, index in zip(points, unit, strict=True):
+                    before = solver.factorizations
+                    state = solver.solve(complex(self.sigma, self.omegas[index]))
+                    point["factorizations"] = solver.factorizations - before
+                    for name in same:
+                        point[name] = getattr(state, name)
+                    self.keep(point, solver)
+                self.complete(points)
+                return points
+
+            yield work
+
+    def sample(self, unit):
+        """See `Task`."""
+        return unit[:2]
+
+
+def ranges(count):
+    """Cut a sweep into ranges of frequencies; how many ranks there are does not matter.
+
+    Not collective.
+    """
+    length = min(LONGEST_UNIT, max(1, count // 64))
+    return [range(start, min(start + length, count)) for start in range(0, count, length)]

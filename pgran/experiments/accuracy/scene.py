@@ -1,0 +1,194 @@
+"""Scene `accuracy`: error against run time, one experiment by several solvers and tolerances."""
+
+import logging
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from pgran.driven import drive as driven
+from pgran.errors import InputError
+from pgran.experiments.accuracy.errors import read_modes, read_pulse, read_relaxation, read_response
+from pgran.experiments.accuracy.study import Comparison, Configuration, Reference, Study
+from pgran.experiments.modes import scene as modes
+from pgran.experiments.modes.shapes import RESIDUAL
+from pgran.experiments.pulse import scene as pulse
+from pgran.experiments.relaxation import scene as relaxation
+from pgran.experiments.response import scene as response
+from pgran.medium import sample as common
+from pgran.medium.record import record_of
+from pgran.run.agreement import on_root
+from pgran.run.experiment import Scene
+from pgran.run.frequencies import SWEEP, driving_frequencies
+from pgran.run.options import FILES, INTEGER, REALS, TEXT, Option
+from pgran.run.reading import read_solver
+from pgran.run.task import carry_out
+
+log = logging.getLogger("pgran")
+
+EXPERIMENTS = {"response": response, "modes": modes, "relaxation": relaxation, "pulse": pulse}
+STUDY = (
+    Option(
+        "accuracy_of", TEXT, "response", "the experiment that is repeated",
+        choices=tuple(EXPERIMENTS),
+    ),
+    Option(
+        "accuracy_solvers", FILES, None,
+        "options files of the solvers to compare: a.opts,b.opts; each holds solver keys alone"
+    ),
+    Option(
+        "accuracy_tolerances", REALS, (1e-2, 1e-4, 1e-6, 1e-8),
+        "accuracies to ask each solver for; of modes, its -normal_eps_tol", above=0, high=0.5
+    ),
+    Option("accuracy_repeats", INTEGER, 5, "repeats of each timing", low=1),
+)  # fmt: skip
+# What the file of a solver may set besides keys of PETSc's solvers, and what `sweep` and `relax`
+# call it.
+CHOICES = {
+    "steady_refresh_iterations": "refresh_iterations",
+    "sweep_method": "method",
+    "pulse_method": "method",
+    "relax_method": "method",
+    "relax_window": "window",
+}
+REFERENCE = 1e-10  # what the reference of driven amplitudes asks for, or a tenth of the smallest
+MODES_REFERENCE = 1e-6  # how well a mode must be known to be compared with
+
+
+def check(values, given):
+    """Raise unless the options of a study are those of its experiment; unset all others.
+
+    Not collective.
+    """
+    if values["accuracy_solvers"] is None:
+        raise InputError("-accuracy_solvers is missing: options files of the solvers to compare")
+    experiment = EXPERIMENTS[values["accuracy_of"]].SCENE
+    used = {option.name for option in (*experiment.options, *STUDY)}
+    for name in [option.name for option in SCENE.options if option.name not in used]:
+        if name in given:
+            raise InputError(
+                f"-{name}{given[name].where}: -accuracy_of {values['accuracy_of']} does not use it"
+            )
+        values[name] = None
+    if values["ranks_per_lattice"] > 1 and not experiment.shares_lattice:
+        raise InputError("-ranks_per_lattice: of modes, each lattice has one rank only")
+    experiment.check(values, given)
+
+
+def run(options, world, crew):
+    """Return the lattice and the comparison, on rank 0; None on the others.
+
+    Collective. Parameters are those of `pgran.run.experiment.Scene`.
+    """
+    from pgran.run.crew import AgreeingCrew
+
+    configurations = on_root(world, lambda: read_configurations(options))
+    lattice = common.make_lattice(options, world)
+    shared = EXPERIMENTS[options.accuracy_of].SCENE.shares_lattice
+    ranks = common.ranks_per_lattice(options, lattice, world) if shared else 1
+    with crew(world.size, lattice) as whole, AgreeingCrew(world, ranks) as workers:
+        study = make_study(options, lattice, world)
+        reference = carry_out(Reference(study, workers), whole)
+        task = Comparison(study, configurations, options.accuracy_repeats, reference, workers)
+        accuracy = carry_out(task, whole, options.output_progress)
+    return accuracy and [record_of(lattice), accuracy]
+
+
+def summary(result):
+    """Return in words what a run found: a table, a row a configuration. Not collective."""
+    accuracy = result.accuracy
+    yield (
+        f"{accuracy.compared} of {accuracy.values} numbers compared with a reference that is wrong "
+        f"by at most {accuracy.reference_bound:.1e}, relatively; no smaller error can be seen"
+    )
+    width = max(len(name) for name in ("solver", *accuracy.solver))
+    yield (
+        f"  {'solver':{width}} {'asked':>7} {'seconds':>8} {'error':>7} {'median':>7} {'bound':>7} "
+        f"{'iterations':>10} {'failures':>8}"
+    )
+    for row in range(len(accuracy.label)):
+        numbers = [
+            getattr(accuracy, f"error_{name}")[row] for name in ("max", "median", "bound_max")
+        ]
+        errors = " ".join(f"{'-' if np.isnan(x) else f'{x:.1e}':>7}" for x in numbers)
+        iterations = accuracy.iterations[row]
+        yield (
+            f"{'*' if accuracy.on_front[row] else ' '} {accuracy.solver[row]:{width}} "
+            f"{accuracy.tolerance[row]:7.0e} {accuracy.seconds[row]:8.4f} {errors} "
+            f"{'-' if iterations < 0 else iterations:>10} {accuracy.failures[row]:8}"
+        )
+    yield "* on the front: no other one without failures is faster and as accurate"
+
+
+def read_configurations(options):
+    """Return the configurations that the options ask for, from the files of the solvers.
+
+    Not collective.
+
+    Raises
+    ------
+    FileError, InputError
+        If a file cannot be read, or holds what is no solver's.
+    """
+    declared = EXPERIMENTS[options.accuracy_of].SCENE.options
+    own = {option.name: option for option in declared if option.name in CHOICES}
+    paths = options.accuracy_solvers
+    names = [Path(path).stem for path in paths]
+    if len(set(names)) < len(names):
+        names = paths
+    configurations = []
+    for name, path in zip(names, paths, strict=True):
+        values, keys = read_solver(path, own)
+        given = {key: values.get(key, getattr(options, key)) for key in own}
+        choices = {CHOICES[key]: value for key, value in given.items()}
+        for tolerance in options.accuracy_tolerances:
+            if options.accuracy_of == "modes":
+                asked = choices, keys | {"normal_eps_tol": repr(tolerance)}
+            else:
+                asked = choices | {"error_tolerance": tolerance}, keys
+            configurations.append(Configuration(name, tolerance, *asked))
+    return configurations
+
+
+def make_study(options, lattice, world):
+    """Return the experiment that the options name. Collective."""
+    smallest = 0.1 * min(options.accuracy_tolerances)
+    exact = {"error_tolerance": min(REFERENCE, smallest)}
+    if options.accuracy_of == "modes":
+        solve = partial(modes.find_modes, lattice, **modes.chosen(options))
+        return Study("modes", solve, partial(read_modes, lattice, RESIDUAL), {}, MODES_REFERENCE)
+    if options.accuracy_of == "response":
+        omegas = driving_frequencies(options, lattice)
+        solve = partial(
+            response.sweep, lattice, omegas, options.detectors, resolve=0.0, error_floor=0.0
+        )
+        return Study("response", solve, read_response, exact | {"method": "points"}, smallest)
+    if options.accuracy_of == "pulse":
+        solve = partial(pulse.pulse, lattice, options.detectors, **pulse.chosen(options, world))
+        return Study("pulse", solve, read_pulse, exact | {"method": "laplace"}, smallest)
+    solve = partial(
+        relaxation.relax,
+        lattice,
+        common.make_law(options),
+        options.relax_omega,
+        options.detectors,
+        steps=options.relax_steps,
+        trajectories=options.relax_trajectories,
+        seed=options.relax_seed,
+        error_floor=0.0,
+    )
+    return Study("relaxation", solve, read_relaxation, exact | {"method": "direct"}, smallest)
+
+
+SCENE = Scene(
+    # Of the experiments' options, a study takes those of the one that it repeats.
+    options=(
+        *(*STUDY, *common.LATTICE, *common.DETECTORS, *SWEEP, response.METHOD),
+        *(driven.STEADY["refresh_iterations"], *relaxation.RELAXATION, *modes.WHICH),
+        *pulse.PULSE,
+    ),
+    run=run,
+    summary=summary,
+    check=check,
+    shares_lattice=True,
+)

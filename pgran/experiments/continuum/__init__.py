@@ -1,0 +1,1 @@
+"""The exact box, without lattice and PETSc."""

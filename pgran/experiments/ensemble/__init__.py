@@ -1,0 +1,1 @@
+"""Many samples of any experiment; noise and transport over them."""

@@ -1,0 +1,262 @@
+"""The figures of an ensemble: curves with their band, histograms of numbers, densities of modes."""
+
+import math
+import re
+
+import numpy as np
+
+from pgran.draw import style
+from pgran.draw.style import NUMBERS
+
+SINGLE = ("#0072B2", "#E69F00", "#009E73")  # three samples
+SAID = {
+    "amplitude": "Amplitude against the driving frequency over samples: the band of 80 % of them, "
+    "their median, and the coherent part $|\\langle A\\rangle|$, where it is more than the mean of "
+    "so many samples has by chance, less that.",
+    "delay": "Group delay against the driving frequency over samples: the band of 80 % of them, "
+    "and their median; the axis is linear up to a power of ten next to the median, logarithmic "
+    "beyond.",
+    "density": "Density of the normal modes of a sample per ball and $\\omega_{mx}$, with its "
+    "standard error.",
+    "participation": "Participation ratio of the normal modes against their frequency: the band of "
+    "80 % of them, and their median.",
+}
+ABOVE_FLOOR = 5.0  # of |<A>|^2: beyond e^-5 by chance
+BAND, BINS = "#C8C8C8", 30
+ROWS, NARROWEST = 5, 3.0  # of curves, before there is another column; inches of one
+
+
+def figures(result, **_):
+    """Yield what there is: bands of curves, densities of modes, and histograms of numbers."""
+    found, lattice = result.ensemble, result.medium
+    style.check_any(found.seed[found.good > 0], "sample that is as accurate as asked")
+    made = {}
+    if found.omega is not None:
+        for name, panel in (("amplitude", amplitude), ("delay", delay)):
+            if np.isfinite(getattr(found, "delay" if name == "delay" else "ln_amplitude")).any():
+                made[name] = _curves_page(found, lattice, panel)
+    if found.mode_omega is not None and len(np.unique(known(found, "mode_omega"))) > 1:
+        for panel in (density, participation):
+            figure, (ax,) = style.page(style.COLUMN, 2.5)
+            panel(ax, found, lattice)
+            style.legend_above([ax])
+            figure.caption = SAID[panel.__name__]
+            made[panel.__name__] = figure
+    for name in NUMBERS:
+        values = getattr(found, name)
+        columns = range(0 if values is None else np.size(values[:1]))
+        shown = [d for d in columns if len(np.unique(known(found, name, d))) > 1]
+        if shown:
+            figure, panels = style.page(style.COLUMN, 0.4 + 1.9 * len(shown), nrows=len(shown))
+            for ax, d in zip(panels, shown, strict=True):
+                histogram(ax, found, name, d)
+            figure.caption = (
+                f"Histogram over samples: {NUMBERS[name]}; line and band: mean and its standard "
+                "error."
+            )
+            if any(withheld(found, name, d) for d in shown):
+                figure.caption += " Withheld: samples in which it is not certain."
+            made[name] = figure
+    for name, figure in made.items():
+        if found.left_out:
+            style.note(figure, f"{found.left_out} of {len(found.seed)} samples are left out")
+        yield name, figure
+
+
+def known(found, name, detector=None):
+    """Return a number of all samples that are good and have it, shape (n,).
+
+    Parameters
+    ----------
+    found : pgran.results.Ensemble
+    name : str
+    detector : int, optional
+    """
+    values = getattr(found, name)[found.good > 0]
+    if detector is not None and values.ndim > 1:
+        values = values[:, detector]
+    return values[np.isfinite(values)]
+
+
+def withheld(found, name, detector=None):
+    """Return how many samples that are good lack a number, as it is not certain."""
+    return np.count_nonzero(found.good) - len(known(found, name, detector))
+
+
+def amplitude(ax, found, lattice, detector=0):
+    """Draw the band, the median, some samples, and the `coherent` part; return the median.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    found : pgran.results.Ensemble
+        Of responses.
+    lattice : pgran.results.LatticeRecord
+    detector : int
+    """
+    single = None
+    if found.displacement is not None:
+        single = np.abs(found.displacement[:, :, detector])
+    drawn = _band(ax, found, lattice, np.exp(found.ln_amplitude[:, :, detector]), single)
+    look = {"color": "#D55E00", "linestyle": (0, (3, 1)), "linewidth": 1.2}
+    part = coherent(found, detector)
+    if np.isfinite(part).any():
+        label = r"coherent, $|\langle A\rangle|$"
+        ax.plot(found.omega / lattice.omega_mx, part, label=label, **look)
+    ax.set(yscale="log", ylabel=style.AMPLITUDE)
+    return drawn
+
+
+def coherent(found, detector):
+    """Return |<A>| where it is more than chance, NaN elsewhere.
+
+    Of N samples without a coherent part |<A>|^2 still is <I>/N on the mean, and beyond ABOVE_FLOOR
+    times that in one of 150. That floor is taken off.
+    """
+    samples = np.count_nonzero(found.good)
+    square, intensity = np.abs(found.coherent[:, detector]) ** 2, found.intensity[:, detector]
+    floor = (intensity - square) / max(samples - 1, 1)
+    beyond = square > ABOVE_FLOOR * intensity / samples
+    return np.sqrt(np.where(beyond, square - floor, np.nan))
+
+
+def delay(ax, found, lattice, detector=0):
+    """Draw the band of the group delay, its median, and some samples; return the median.
+
+    Linear up to the power of ten next to the median, logarithmic beyond. Parameters are those of
+    `amplitude`.
+    """
+    values = found.delay[:, :, detector] * lattice.omega_mx
+    single = None
+    if found.sample_delay is not None:
+        single = found.sample_delay[:, :, detector] * lattice.omega_mx
+    drawn = _band(ax, found, lattice, values, single)
+    middle = np.nanmedian(np.abs(values[found.statistic.tolist().index("median")]))
+    threshold = 10.0 ** round(math.log10(middle)) if middle > 0 else 1.0
+    style.symmetric(ax, values[np.isfinite(values)], threshold)
+    ax.set_ylabel(style.DELAY)
+    return drawn
+
+
+def _band(ax, found, lattice, values, single):
+    """Draw the band of curves, shape (statistics, nw), three of them, and their median."""
+    x, row = found.omega / lattice.omega_mx, found.statistic.tolist().index
+    band = values[row("low")], values[row("high")]
+    ax.fill_between(x, *band, color=BAND, linewidth=0, label="10 to 90 % of the samples")
+    if single is not None:
+        for n, shade in zip(np.flatnonzero(found.good)[:3], SINGLE, strict=False):
+            ax.plot(x, single[n], color=shade, linewidth=0.4, label=f"seed {found.seed[n]}")
+    (median,) = ax.plot(x, values[row("median")], color="black", linewidth=1.0, label="median")
+    style.frequencies(ax, x)
+    return median
+
+
+def _curves_page(found, lattice, panel):
+    """Return a figure with a panel a detector."""
+    names, count = style.ball_names(found.detector), len(found.detector)
+    figure, panels, columns = style.grid(
+        count, ROWS, NARROWEST, lambda rows: 0.5 + rows * (2.4 if rows <= 3 else 1.7)
+    )
+    for d, ax in enumerate(panels):
+        panel(ax, found, lattice, d)
+        if count > 1:
+            ax.set_title(names[d])
+    rows_above = style.legend_above([panels[columns - 1]])
+    figure.set_figheight(figure.get_figheight() + 0.13 * (rows_above - 1))
+    single = any("seed" in str(line.get_label()) for line in panels[0].get_lines())
+    figure.caption = SAID[panel.__name__] + (" Thin lines: single samples." if single else "")
+    return figure
+
+
+def histogram(ax, found, name, detector=0):
+    """Draw the histogram of a number over the samples, its mean and the mean's error.
+
+    Returns the outline.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    found : pgran.results.Ensemble
+    name : str
+        A key of NUMBERS.
+    detector : int
+    """
+    values = known(found, name, detector)
+    whole = np.all(values == np.round(values)) and np.ptp(values) <= BINS
+    bins = np.arange(values.min() - 0.5, values.max() + 1) if whole else _bins(values)
+    counts, edges = np.histogram(values, bins)
+    ax.stairs(counts, edges, fill=True, color=style.pale(style.ACCENT))
+    outline = ax.stairs(counts, edges, color=style.ACCENT)
+    mean, error = values.mean(), values.std(ddof=1) / math.sqrt(len(values))
+    ax.axvspan(mean - error, mean + error, color="black", alpha=0.35, linewidth=0)
+    ax.axvline(mean, color="black")
+    where = "" if found.detector is None else f"{style.ball_names(found.detector)[detector]}: "
+    unit = re.search(r"\((\$.*\$)\)$", NUMBERS[name]) or ""
+    places = max(0, 1 - math.floor(math.log10(error)))
+    numbers = rf"${mean:.{places}f} \pm {error:.{places}f}$ {unit and unit[1]}".rstrip()
+    ax.set_title(f"{where}mean {numbers}")
+    missing = withheld(found, name, detector)
+    of = f"{len(values)}; {missing} withheld" if missing else f"of {len(values)}"
+    ax.set(xlabel=NUMBERS[name], ylabel=f"samples ({of})")
+    ax.set_ylim(bottom=0)
+    ax.locator_params("x", nbins=6)
+    ax.locator_params("y", integer=True)
+    return outline
+
+
+def _bins(values):
+    """Return edges of bins as wide as 2 IQR / n^(1/3) (Freedman and Diaconis), few at most."""
+    width = 2 * np.subtract(*np.percentile(values, [75, 25])) / len(values) ** (1 / 3)
+    count = math.ceil(np.ptp(values) / width) if width > 0 else BINS
+    return np.linspace(values.min(), values.max(), min(max(count, 4), BINS) + 1)
+
+
+def _frequency_bins(x):
+    """Return edges of bins from the lowest to the highest mode."""
+    count = np.count_nonzero(np.isfinite(x))
+    return np.linspace(np.nanmin(x), np.nanmax(x), min(60, max(10, round(math.sqrt(count)))) + 1)
+
+
+def density(ax, found, lattice):
+    """Draw the density of modes a sample, with its standard error; return the outline.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    found : pgran.results.Ensemble
+        Of modes, with those of each sample.
+    lattice : pgran.results.LatticeRecord
+    """
+    x = found.mode_omega[found.good > 0] / lattice.omega_mx
+    edges = _frequency_bins(x)
+    counts = np.array([np.histogram(row, edges)[0] for row in x])
+    counts = counts / np.diff(edges) / lattice.free_balls
+    mean, error = counts.mean(axis=0), counts.std(axis=0, ddof=1) / math.sqrt(len(x))
+    low, high = mean - error, mean + error
+    ax.stairs(high, edges, baseline=low, fill=True, color="#999999", label="its standard error")
+    outline = ax.stairs(mean, edges, color="black", label=f"mean of {len(x)} samples")
+    ax.set(ylim=(0, None), ylabel=style.DENSITY)
+    style.frequencies(ax, edges, style.MODE_FREQUENCY)
+    return outline
+
+
+def participation(ax, found, lattice):
+    """Draw the participation ratio against frequency, its band and median over the modes of a bin.
+
+    Returns the median. Parameters are those of `density`.
+    """
+    x, values = known(found, "mode_omega") / lattice.omega_mx, known(found, "participation")
+    edges = _frequency_bins(x)
+    bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    band = np.full((3, len(edges) - 1), np.nan)
+    for n in np.unique(bins):
+        band[:, n] = np.percentile(values[bins == n], (10, 50, 90))
+    ax.stairs(
+        band[2], edges, baseline=band[0], fill=True, color=BAND, label="10 to 90 % of the modes"
+    )
+    median = ax.stairs(band[1], edges, baseline=None, color="black", label="median")
+    balls = lattice.free_balls
+    ax.set(yscale="log", ylim=(1, max(balls, 10)))
+    style.frequencies(ax, edges, style.MODE_FREQUENCY)
+    ax.set_ylabel(f"participation ratio $P_i$ (of {balls} balls)")
+    return median

@@ -1,0 +1,234 @@
+"""Curves to measure: checked, cut to a window, and with what errors are told from.
+
+Errors come from leaving out a part of the samples at a time, or of one curve a stretch of omega of
+several correlation widths (`pgran.store.estimate.jackknife`).
+"""
+
+import logging
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.store.estimate import FEWEST, FEWEST_SAMPLES, Estimate, jackknife, jackknife_samples
+
+log = logging.getLogger("pgran")
+
+# Maxima of |A| are this times Gamma apart where modes of one width Gamma overlap: the integral of
+# Kac and Rice for A = int g(t) exp(-i omega t) dt, <|g|^2> = exp(-Gamma t). It is the 3.91 Hz over
+# the reverberation time of Schroeder and Kuttruff, J. Acoust. Soc. Am. 34, 76 (1962), and .981 of
+# their shorter formula, pi / sqrt(3).
+MAXIMA_SPACING = 1.780084
+
+STRETCH = 8  # half widths of the correlation that a stretch of a single curve has at least
+MOST_STRETCHES = 20
+MOST_POINTS = 1 << 15  # of a curve that is resampled
+SPLINE_POINTS = 8  # between two of a curve, to look for its maxima
+
+
+@dataclass(frozen=True, eq=False)
+class NoisyCurves:
+    """Response curves in a window of frequencies, checked.
+
+    Parameters
+    ----------
+    omega : array_like of float, shape (nw,)
+        Angular frequencies, ascending; equal distances are not needed.
+    amplitude : array_like of complex, shape (nw,) or (samples, nw)
+        A of one detector; what is not finite is left out, aloud: samples of many, points of one.
+    window : tuple of float, optional
+        Lowest and highest omega; all that there are unless given.
+    incoherent : bool
+        Take the mean over the samples off A first, for laws of a field without a coherent part.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, the frequencies do not cover the window, or too little is left.
+    """
+
+    omega: np.ndarray
+    amplitude: np.ndarray
+    window: tuple | None = None
+    incoherent: bool = False
+
+    def __post_init__(self):
+        """Keep what lies in the window and is finite."""
+        omega = np.asarray(self.omega, dtype=float)
+        amplitude = np.atleast_2d(np.asarray(self.amplitude, dtype=complex))
+        if omega.ndim != 1 or amplitude.ndim != 2 or amplitude.shape[1] != len(omega):
+            raise InputError(
+                f"amplitude: shape {amplitude.shape} is not samples by {omega.size} frequencies"
+            )
+        if not len(omega) or not np.all(np.isfinite(omega)) or np.any(np.diff(omega) <= 0):
+            raise InputError("omega: frequencies must be finite and ascend")
+        low, high = (omega[0], omega[-1]) if self.window is None else self.window
+        if not low < high or omega[0] > low * (1 + 1e-9) or omega[-1] < high * (1 - 1e-9):
+            raise InputError(
+                f"window: {low:g} to {high:g} is not covered by the frequencies, "
+                f"{omega[0]:g} to {omega[-1]:g}"
+            )
+        inside = (low * (1 - 1e-9) <= omega) & (omega <= high * (1 + 1e-9))
+        omega, amplitude = _finite(omega[inside], amplitude[:, inside])
+        if len(omega) < 3:
+            raise InputError(
+                f"window: {len(omega)} amplitudes lie in it, and 3 at least are needed"
+            )
+        if 1 < len(amplitude) < FEWEST_SAMPLES or (self.incoherent and len(amplitude) == 1):
+            raise InputError(
+                f"amplitude: {len(amplitude)} samples are too few for means over samples; "
+                f"{FEWEST_SAMPLES} are needed"
+                + ("" if self.incoherent else ", or one curve at a time")
+            )
+        if not np.all(np.any(np.abs(amplitude) ** 2 > 0, axis=0 if len(amplitude) > 1 else 1)):
+            raise InputError(
+                "amplitude: it vanishes, or its square does, in the whole window or in all samples"
+            )
+        object.__setattr__(self, "omega", omega)
+        object.__setattr__(self, "amplitude", amplitude)
+        object.__setattr__(self, "window", (float(low), float(high)))
+
+    @property
+    def samples(self):
+        """How many samples there are."""
+        return len(self.amplitude)
+
+    @cached_property
+    def weights(self):
+        """Of the trapezoidal rule, shape (nw,)."""
+        gaps = np.diff(self.omega)
+        return 0.5 * (np.append(gaps, 0.0) + np.append(0.0, gaps))
+
+    @cached_property
+    def uniform(self):
+        """The same curves at equal distances, as close as the closest unless these are too many."""
+        gaps, length = np.diff(self.omega), np.ptp(self.omega)
+        if np.ptp(gaps) < 1e-6 * gaps.min():
+            return self
+        count = min(math.ceil(length / gaps.min() * (1 - 1e-9)) + 1, MOST_POINTS)
+        omega = np.linspace(self.omega[0], self.omega[-1], count)
+        amplitude = np.array([np.interp(omega, self.omega, row) for row in self.amplitude])
+        return NoisyCurves(omega, amplitude, None, self.incoherent)
+
+    @cached_property
+    def length(self):
+        """Of the window, in half widths of the correlation as maxima have them."""
+        gamma = spacing_of_maxima(self.maxima, self.weights) / MAXIMA_SPACING
+        return np.ptp(self.omega) / gamma
+
+    @cached_property
+    def stretches(self):
+        """Into how many stretches a single curve is cut, and by what that makes errors too small.
+
+        A stretch knows a little of its neighbours. With a Lorentzian correlation of half width
+        Gamma, the variance of a mean over the length x Gamma is that of a point times
+
+            V(x) = 2 / x^2 (x atan x - ln(1 + x^2) / 2)
+
+        and n stretches that were independent would have V(x/n) = n V(x).
+        """
+        x = self.length
+        count = min(int(x / STRETCH), MOST_STRETCHES)
+        if count < FEWEST:
+            raise InputError(
+                f"window: it is {x:.3g} half widths of the correlation long, and "
+                f"{FEWEST * STRETCH} are needed to tell errors from one curve"
+            )
+        whole, part = (
+            2 / y**2 * (y * math.atan(y) - 0.5 * math.log1p(y**2)) for y in (x, x / count)
+        )
+        return count, math.sqrt(whole * (count - 1) / (part - whole))
+
+    @cached_property
+    def stretch(self):
+        """The number of the stretch that each frequency of a single curve belongs to."""
+        count, low, length = self.stretches[0], self.omega[0], np.ptp(self.omega)
+        return np.minimum((self.omega - low) / length * count, count - 1).astype(int)
+
+    @cached_property
+    def intensity(self):
+        """I, shape (samples, nw); without the coherent part if so asked.
+
+        That is found once: to first order its error changes no moment of a circular field.
+        """
+        if not self.incoherent:
+            return np.abs(self.amplitude) ** 2
+        fields = self.amplitude - self.amplitude.mean(axis=0)
+        return np.abs(fields) ** 2 * (self.samples / (self.samples - 1))
+
+    @cached_property
+    def maxima(self):
+        """How many maxima of |A| lie next to each frequency, shape (samples, nw).
+
+        They are those of the cubic splines through Re A and Im A. Of the points themselves, a tenth
+        of Gamma apart, one maximum in 50 is not seen: it is too close to another.
+        """
+        from scipy.interpolate import CubicSpline
+        from scipy.signal import argrelmax
+
+        shift = self.amplitude.mean(axis=0) if self.incoherent else 0.0
+        fine = np.interp(
+            np.arange((len(self.omega) - 1) * SPLINE_POINTS + 1) / SPLINE_POINTS,
+            np.arange(len(self.omega)),
+            self.omega,
+        )
+        field = CubicSpline(self.omega, self.amplitude - shift, axis=1)(fine)
+        sample, at = argrelmax(np.abs(field), axis=1)
+        found = np.zeros(self.amplitude.shape, dtype=int)
+        np.add.at(found, (sample, (at + SPLINE_POINTS // 2) // SPLINE_POINTS), 1)
+        return found
+
+    def estimate(self, measure, data=None, *, slow=True):
+        """Return what a measure comes to, with its error.
+
+        Not collective.
+
+        Parameters
+        ----------
+        measure : callable
+            Of data and weights, shapes (samples, nw) and (nw,).
+        data : numpy.ndarray, optional
+            I unless given.
+        slow : bool
+            Whether it is correlated along omega as far as I is, so that `stretches` are not quite
+            independent: products and counts forget sooner.
+        """
+        data, w = self.intensity if data is None else data, self.weights
+        if self.samples > 1:
+            return jackknife_samples(lambda kept: measure(data[kept], w), self.samples)
+        count, factor = self.stretches
+        found = jackknife(
+            lambda part: measure(data, w if part is None else w * (self.stretch != part)),
+            count,
+        )
+        return Estimate(found.value, found.error * (factor if slow else 1.0))
+
+
+def _finite(omega, amplitude):
+    """Return frequencies and amplitudes without what is not finite; say what is left out."""
+    good = np.isfinite(amplitude)
+    if np.all(good):
+        return omega, amplitude
+    if len(amplitude) > 1:
+        kept = np.all(good, axis=1)
+        log.warning(
+            "amplitude: %d of %d samples are left out, as some amplitudes in the window are not "
+            "finite; sample %d is the first",
+            *(np.count_nonzero(~kept), len(kept), np.argmin(kept)),
+        )
+        return omega, amplitude[kept]
+    log.warning(
+        "amplitude: %d of %d points are left out, as they are not finite; the first is at %g",
+        *(np.count_nonzero(~good), good.size, omega[np.argmin(good[0])]),
+    )
+    return omega[good[0]], amplitude[:, good[0]]
+
+
+def spacing_of_maxima(maxima, weights):
+    """Return the mean distance of the maxima next to points that have a weight. Not collective."""
+    count = int(np.sum(maxima[:, weights > 0]))
+    if count < 2 * FEWEST:
+        raise InputError(f"window: {count} maxima of |A| lie in it, {2 * FEWEST} are needed")
+    return len(maxima) * np.sum(weights) / count

@@ -1,0 +1,316 @@
+"""Scene `ensemble`: one experiment on many samples, and what holds over them."""
+
+import logging
+import os
+
+import numpy as np
+
+from pgran.arguments import shown
+from pgran.errors import InputError
+from pgran.experiments.ensemble import statistics as noise
+from pgran.experiments.ensemble import transport
+from pgran.experiments.ensemble.sampling import Samples, measures
+from pgran.experiments.modes import scene as modes
+from pgran.experiments.pulse import scene as pulse
+from pgran.experiments.relaxation import fluctuations
+from pgran.experiments.relaxation import scene as relaxation
+from pgran.experiments.response import scene as response
+from pgran.experiments.sensitivity import scene as sensitivity
+from pgran.medium import sample as common
+from pgran.medium.lattice import Lattice
+from pgran.medium.record import record_of
+from pgran.run.agreement import agreeing
+from pgran.run.experiment import Caution, Scene
+from pgran.run.frequencies import SWEEP, driving_frequencies
+from pgran.run.interface import in_parallel
+from pgran.run.options import INTEGER, REALS, TEXT, Option, checks
+from pgran.run.task import carry_out
+
+log = logging.getLogger("pgran")
+
+# Of each experiment its module, the function that carries it out, and what it is told here.
+EXPERIMENTS = {
+    "response": (response, response.sweep, {"resolve": 0.0, "keep_models": False}),
+    "modes": (modes, modes.find_modes, {}),
+    "relaxation": (relaxation, relaxation.relax, {}),
+    "pulse": (pulse, pulse.pulse, {}),
+    "sensitivity": (sensitivity, sensitivity.sensitivity, {}),
+}
+ENSEMBLE = (
+    Option(
+        "ensemble_of", TEXT, "response", "the experiment that is repeated",
+        choices=tuple(EXPERIMENTS),
+    ),
+    Option(
+        "ensemble_samples", INTEGER, 100,
+        "samples, of seeds from -bonds_seed on, of a relaxation from -relax_seed on, too", low=2
+    ),
+    Option(
+        "ensemble_keep", TEXT, "measures",
+        "what is stored of each sample: measures, a few numbers; curves, of a response its "
+        "amplitudes, of modes all frequencies and participation ratios, as well",
+        choices=("measures", "curves"),
+    ),
+    Option(
+        "statistics_windows", REALS, None,
+        "of responses: measure the noise of their curves in these windows, low,high or "
+        "low,high,low,high; needs -ensemble_keep curves", "angular", above=0,
+    ),
+)  # fmt: skip
+OF, SAMPLES, KEEP = ENSEMBLE[:3]
+# Options of the experiments that make no sense for many samples, and what stands for them.
+LEFT_OUT = {"output_fields": False, "output_models": False, "sweep_resolve": 0.0}
+LEFT_OUT |= {"modes_target": None, "modes_count": None, "modes_density": None}
+NOT_TAKEN = {"crew", "seed", "progress", "fields", "shapes", "resolve", "keep_models", "solver"}
+NOT_TAKEN |= {"targets", "count"}
+KEPT = ("response", "modes")  # what has curves
+SEEDS = 2**63  # that options and files can hold
+
+
+def check(values, given):
+    """Raise unless the options are those of the experiment; unset all others. Not collective."""
+    kind = values["ensemble_of"]
+    experiment = EXPERIMENTS[kind][0].SCENE
+    used = {option.name for option in (*experiment.options, *ENSEMBLE)}
+    for name in [option.name for option in SCENE.options if option.name not in used]:
+        if name in given:
+            raise InputError(f"-{name}{given[name].where}: -ensemble_of {kind} does not use it")
+        values[name] = None
+    if values["ranks_per_lattice"] > 1 and not experiment.shares_lattice:
+        raise InputError("-ranks_per_lattice: of modes, each lattice has one rank only")
+    values |= LEFT_OUT
+    experiment.check(values, given)
+    check_kept(kind, values["ensemble_keep"])
+    if values["network_file"] is not None or values["bonds_law"] == "file":
+        raise InputError(
+            "-ensemble_of: samples are drawn by a law, and a file holds one only; in Python "
+            "pgran.ensemble takes a list of files"
+        )
+    jumps = values["bonds_law"] == "hertz" and values["bonds_kmax"] is None
+    if jumps and values["sweep_unit"] == "omega_mx":
+        raise InputError(
+            "-sweep_unit omega_mx: differs between samples of hertz; -bonds_kmax says which it is"
+        )
+    if values["statistics_windows"] is not None:
+        if (kind, values["ensemble_keep"]) != ("response", "curves"):
+            raise InputError(
+                "-statistics_windows: needs -ensemble_of response and -ensemble_keep curves"
+            )
+        noise.windows_of(values["statistics_windows"])
+
+
+def check_kept(of, keep):
+    """Raise unless an experiment has curves that are to be kept. Not collective."""
+    if keep == "curves" and of not in KEPT:
+        raise InputError(f"-ensemble_keep curves: of {' and '.join(KEPT)} only, not of {of}")
+
+
+def run(options, world, crew):
+    """Return the first sample's lattice, the ensemble, and its noise if asked for, on rank 0.
+
+    Collective; None on the other ranks. Parameters are those of `pgran.run.experiment.Scene`.
+    """
+    from pgran.run.crew import AgreeingCrew
+
+    lattice, of = common.make_lattice(options, world), options.ensemble_of
+    experiment = EXPERIMENTS[of][0]
+    seeds = seeds_of(options.bonds_seed, options.ensemble_samples)
+    seeds_of(options.relax_seed or 0, options.ensemble_samples)
+    swept = SWEEP[0] in experiment.SCENE.options
+    omegas = driving_frequencies(options, lattice) if swept else None
+    windows = options.statistics_windows
+    if windows is not None:
+        windows = noise.windows_of(windows, omegas)
+
+    def solve(seed, group):
+        changed = {"bonds_seed": seed, "output_progress": "none"}
+        if of == "relaxation":  # else all samples would become the same network
+            changed["relax_seed"] = options.relax_seed + seed - options.bonds_seed
+        sample = options.changed(**changed)
+        return experiment.run(sample, group, lambda *_: AgreeingCrew(group, group.size))
+
+    shared = experiment.SCENE.shares_lattice
+    ranks = common.ranks_per_lattice(options, lattice, world) if shared else 1
+    whole = of == "modes" and not modes.chosen(options)
+    chosen = options.ensemble_keep, omegas, options.detectors, whole
+    with crew(ranks, lattice) as workers:
+        task = Samples(of, seeds, solve, lattice, *chosen)
+        found = [carry_out(task, workers, options.output_progress)]
+        if found[0] and windows is not None and not workers.dry:
+            found.append(noise.statistics(found[0], windows))
+        kept = found[0] and found[0].displacement is not None and not workers.dry
+        if kept and transport.is_line(lattice, found[0].detector):
+            try:
+                found.append(transport.transport(lattice, found[0]))
+            except InputError as error:
+                log.warning("no transport: %s", error)
+    return [record_of(lattice), *found] if found[0] else None
+
+
+def seeds_of(first, samples):
+    """Return the seeds of so many samples, or raise where there are none. Not collective."""
+    if first + samples > SEEDS:
+        raise InputError(f"-ensemble_samples {samples}: no seeds are left beyond {SEEDS - 1}")
+    return range(first, first + samples)
+
+
+@in_parallel(
+    of=OF.check,
+    samples=SAMPLES.check,
+    keep=KEEP.check,
+    seed=checks(common.LATTICE)["bonds_seed"],
+)
+def ensemble(
+    of, samples, crew=None, *, lattice, seed=1993, keep="measures", progress="none", **experiment
+):
+    """Repeat an experiment on many samples.
+
+    Collective. Ranks share out the samples.
+
+        found = pgran.ensemble(
+            "response", 100, lattice={"shape": (20, 20)}, omegas=omegas, detectors=[(8, 10)]
+        )
+
+    Parameters
+    ----------
+    of : {"response", "modes", "relaxation", "pulse", "sensitivity"}
+        `sweep`, `find_modes`, `relax`, `pulse` or `sensitivity` is repeated.
+    samples : int
+    crew : pgran.run.crew.Crew, optional
+        All ranks unless given.
+    lattice : dict, callable or list
+        What `pgran.Lattice.random` takes besides the seed; or a function of the seed that returns
+        a lattice or a network, the same on every rank; or the samples: lattices, networks, or paths
+        of networks' files or of results. All have as many unknowns.
+    seed : int
+        Of the first sample; the others' follow one by one. Samples of a list are numbered from 0.
+    keep : {"measures", "curves"}
+        What is kept of each sample: a few numbers; of responses the amplitudes, of modes their
+        frequencies and participation ratios as well.
+    progress : str
+        Style of `pgran.run.progress.Progress`.
+    **experiment
+        What the repeated function takes besides the lattice. A relaxation's changes are those of
+        the seeds 1, 2, ..., one a sample.
+
+    Returns
+    -------
+    pgran.results.Ensemble or None
+        With a crew of the caller's None on all ranks but rank 0.
+
+    Raises
+    ------
+    InputError
+        If a value is impossible, the experiment lacks one or does not know it, or the function of
+        the seed fails.
+    """
+    check_kept(of, keep)
+    _, function, told = EXPERIMENTS[of]
+    if isinstance(lattice, (list, tuple)):
+        seed = 0
+    seeds = seeds_of(seed, samples)
+    with agreeing(crew.world) as asked:
+        if refused := NOT_TAKEN & experiment.keys():
+            raise InputError(f"ensemble: many samples have no {sorted(refused)[0]} of their own")
+        if isinstance(lattice, (list, tuple)) and len(lattice) != samples:
+            raise InputError(f"ensemble: {samples} samples are asked for, {len(lattice)} given")
+        first = _sample(lattice, seed)
+        asked["lattice"] = first.fingerprint
+        experiment = function.check(first, **experiment).arguments
+        experiment = {n: experiment[n] for n in experiment.keys() - {"lattice", "solver"}}
+
+    def solve(number, group):
+        from pgran.run.crew import AgreeingCrew
+
+        sample = _sample(lattice, number)
+        if (type(sample), sample.shape) != (type(first), first.shape):
+            raise InputError(f"ensemble: the sample of seed {number} is of another size")
+        choices = experiment | told
+        if of == "relaxation":
+            choices["seed"] = 1 + number - seed
+        with AgreeingCrew(group, group.size) as one:
+            found = function(sample, crew=one, **choices)
+        if of == "relaxation":
+            found = fluctuations.measured(found, fluctuations.FIT, sample.bonds)
+        return [sample, *(found if isinstance(found, list) else [found])]
+
+    whole = of == "modes" and "interval" not in experiment
+    given = experiment.get("omegas"), experiment.get("detectors"), whole
+    with agreeing(crew.world):
+        task = Samples(of, seeds, solve, first, keep, *given)
+    return carry_out(task, crew, progress)
+
+
+def _sample(lattice, seed):
+    """Return the sample of a seed, by keywords, a function of the user's, or its place in a list.
+
+    Not collective.
+    """
+    if isinstance(lattice, (list, tuple)):
+        return common.medium(_listed(lattice, seed))
+    if callable(lattice):
+        try:
+            sample = lattice(seed)
+        except Exception as error:
+            raise InputError(
+                f"ensemble: lattice({seed}) fails: {type(error).__name__}: {error}"
+            ) from error
+        return common.medium(sample)
+    if not isinstance(lattice, dict):
+        raise InputError(
+            "ensemble: lattice is what pgran.Lattice.random takes, as a dict, a function of the "
+            f"seed, or a list of samples, not {shown(lattice)}"
+        )
+    if "seed" in lattice:
+        raise InputError("ensemble: seed says which samples, not lattice")
+    return Lattice.random(seed=seed, **lattice)
+
+
+def _listed(samples, number):
+    """Return the sample of a number, from its file if it is one. Not collective."""
+    from pgran.medium.network_file import load
+
+    sample = samples[number]
+    found = load(sample) if isinstance(sample, (str, os.PathLike)) else sample
+    return getattr(found, "medium", found)  # of a result
+
+
+def summary(result):
+    """Return in words what a run found. Not collective."""
+    found = result.ensemble
+    yield f"{len(found.seed)} samples of scene {found.of} in {found.solve_seconds:.2f} s"
+    if found.left_out:
+        yield Caution(
+            f"{found.left_out} of {len(found.seed)} samples are left out of all that follows: they "
+            "failed, or missed the accuracy asked for (good)"
+        )
+    yield from measures(result)
+    if found.mode_omega is not None:
+        spectra = [omega[np.isfinite(omega)] for omega in found.mode_omega[found.good > 0]]
+        yield from modes.spacings(spectra, result.medium.omega_mx)
+    if found.delay_samples is not None:
+        unknown = np.count_nonzero(found.good) - found.delay_samples
+        if unknown.any():
+            yield f"group delays: up to {unknown.max()} samples have none that is certain"
+    if getattr(result, "statistics", None):
+        yield from noise.summary(result.statistics)
+    if getattr(result, "transport", None):
+        yield from transport.summary(result)
+
+
+SCENE = Scene(
+    options=tuple(
+        {
+            option.name: option
+            for option in (
+                *ENSEMBLE,
+                *(o for e, *_ in EXPERIMENTS.values() for o in e.SCENE.options),
+            )
+            if option.name not in LEFT_OUT
+        }.values()
+    ),
+    run=run,
+    summary=summary,
+    check=check,
+    shares_lattice=True,
+)

@@ -1,0 +1,1 @@
+"""Modes, their counts, and a drive in terms of them."""

@@ -1,0 +1,136 @@
+"""The figures of the driven lattice in terms of its modes (paper: onefreq, maxci, cifreq)."""
+
+import numpy as np
+
+from pgran.draw import marks, style
+
+COEFFICIENT = "coefficient $|c_i|$ (drive = 1)"
+SHOWN = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes of cifreq lie
+
+SAID = {
+    "onefreq": "Coefficients of the driven lattice in its normal modes at one driving frequency, "
+    "against the frequency of the modes.",
+    "maxci": "Frequency of the mode that is excited most, against the driving frequency.",
+    "cifreq": "Coefficients of successive normal modes against the driving frequency; broken "
+    "lines: their own frequencies.",
+}
+
+
+def figures(result, **_):
+    """Yield what a projection is made for.
+
+    A few driving frequencies: the coefficients at one. A sweep: the dominant mode. A sweep on a
+    handful of modes: these.
+    """
+    projection = result.projection
+    style.check_any(projection.mode_omega, "modes")
+    sweep, many = len(projection.omega) > style.HANDFUL, len(projection.mode_omega) > style.HANDFUL
+    if not sweep:
+        name, draw = "onefreq", coefficients
+    else:
+        name, draw = ("maxci", dominant) if many else ("cifreq", single_modes)
+    figure, (ax,) = style.page(style.COLUMN, 2.5)
+    draw(ax, projection, result.medium)
+    figure.set_figheight(2.3 + 0.13 * style.legend_above([ax]))
+    style.note_missing(figure, projection)
+    figure.caption = SAID[name]
+    yield name, figure
+
+
+def coefficients(ax, projection, lattice, drive=SHOWN):
+    """Draw the coefficients against the frequency of the modes at one drive (paper: onefreq).
+
+    A point a mode, on a stem. Returns the points.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    projection : pgran.results.Projection
+    lattice : pgran.results.LatticeRecord
+    drive : float
+        Driving frequency in units of omega_mx. Of those that are as accurate as asked, the nearest
+        is drawn; if none is, only a cross at the nearest of all.
+    """
+    x, modes, accurate = _in_units(projection, lattice)
+    shown = np.where(accurate == accurate.any(), np.abs(x - drive), np.inf).argmin()
+    values = np.abs(projection.coefficient[shown])
+    good = accurate[shown] & np.isfinite(values) & (values > 0)
+    ax.set(yscale="log", ylabel=COEFFICIENT)
+    style.frequencies(ax, modes, style.MODE_FREQUENCY)
+    label = rf"driving frequency {x[shown]:.4g} $\omega_{{mx}}$"
+    ax.axvline(x[shown], color=style.ACCENT, zorder=1, label=label)
+    look = {"color": "black", "linestyle": "none", "clip_on": False}
+    (curve,) = marks.curves(ax, modes, values, good, dots=True, **look)
+    if good.any():
+        ax.vlines(modes[good], ax.get_ylim()[0], values[good], color="#bbbbbb", linewidth=0.4)
+    if not accurate[shown]:
+        marks.failed(ax, x[[shown]])
+    return curve
+
+
+def dominant(ax, projection, lattice):
+    """Draw the frequency of the dominant mode against the drive, and slope 1 (paper: maxci).
+
+    Points that missed the accuracy asked for are crosses on the upper edge. Returns the points.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    projection : pgran.results.Projection
+    lattice : pgran.results.LatticeRecord
+    """
+    x, modes, accurate = _in_units(projection, lattice)
+    good = accurate & (projection.dominant >= 0)
+    ylabel = r"dominant mode $\omega_i/\omega_{mx}$"
+    ax.set_ylabel(ylabel)
+    style.frequencies(ax, x)
+    ends = [max(x[0], modes[0]), min(x[-1], modes[-1])]
+    if ends[0] < ends[1]:
+        ax.plot(ends, ends, color=style.pale(style.ACCENT), linewidth=2.5, label="slope 1")
+    look = {"color": "black", "linestyle": "none", "markersize": 2.5}
+    (points,) = marks.curves(ax, x, modes[projection.dominant], good, dots=True, **look)
+    marks.failed(ax, x[~good])
+    return points
+
+
+def single_modes(ax, projection, lattice):
+    """Draw the coefficients of three successive modes against the drive (paper: cifreq).
+
+    The modes nearest to .6 omega_mx, or to the middle of a sweep that is elsewhere; their own
+    frequencies are broken lines. Points that missed the accuracy asked for are gaps, and crosses on
+    the upper edge. Returns the curves.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    projection : pgran.results.Projection
+    lattice : pgran.results.LatticeRecord
+    """
+    x, modes, accurate = _in_units(projection, lattice)
+    chosen = successive(modes, SHOWN if x[0] <= SHOWN <= x[-1] else (x[0] + x[-1]) / 2)
+    near = (x >= modes[chosen[0]] - 0.05) & (x <= modes[chosen[-1]] + 0.05)
+    if np.count_nonzero(near) <= style.HANDFUL:
+        near[:] = True
+    values = np.abs(projection.coefficient[near][:, chosen])
+    good = accurate[near, None] & np.isfinite(values) & (values > 0)
+    ax.set(yscale="log", ylabel=COEFFICIENT)
+    style.frequencies(ax, x[near])
+    labels = [rf"$\omega_i$ = {modes[mode]:.5f} $\omega_{{mx}}$" for mode in chosen]
+    drawn = marks.curves(ax, x[near], values, good, labels)
+    for mode, curve in zip(chosen, drawn, strict=True):
+        ax.axvline(modes[mode], color=curve.get_color(), linestyle=":", zorder=1)
+    marks.failed(ax, x[near & ~accurate])
+    return drawn
+
+
+def successive(modes, centre):
+    """Return the indices of the up to three successive modes nearest to a frequency."""
+    first = range(max(1, len(modes) - 2))
+    windows = [list(range(n, min(n + 3, len(modes)))) for n in first]
+    return min(windows, key=lambda window: np.abs(modes[window] - centre).max())
+
+
+def _in_units(projection, lattice):
+    """Return driving and mode frequencies in units of omega_mx, and which drives are accurate."""
+    unit = lattice.omega_mx
+    return projection.omega / unit, projection.mode_omega / unit, projection.converged_reason > 0

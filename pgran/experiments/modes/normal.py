@@ -1,0 +1,280 @@
+"""Normal modes K f = lambda f, lambda = m omega^2, of one slice of the spectrum, with SLEPc.
+
+The slice comes with the number of its modes (`pgran.driven.counting`), and the solver searches
+until it has them all: an EPS (option prefix `normal_`), by default Krylov-Schur on
+(K - sigma)^-1, sigma in the middle of the slice. A Krylov space sees one vector of each eigenspace,
+so copies of degenerate modes may be missing; the search is repeated in the orthogonal complement of
+what was
+found.
+
+The complex build of SLEPc gives complex vectors. One Rayleigh-Ritz step in real arithmetic makes
+them real and orthonormal.
+"""
+
+import contextlib
+import logging
+
+import numpy as np
+import slepc4py
+from mpi4py import MPI
+
+from pgran.driven.owner import Owner
+from pgran.errors import is_petsc
+from pgran.experiments.modes.shapes import rayleigh_ritz, residuals, with_fixed_sign
+from pgran.run.petsc import PETSc
+
+slepc4py.init([])  # PETSc has its options already
+
+from slepc4py import SLEPc  # noqa: E402
+
+log = logging.getLogger("pgran")
+
+SEARCHES = 40
+SEARCH_AGAIN = 1e-13  # of |K|: residuals above it make the search start again from another sigma
+ROUGHLY = 1e-6  # accuracy of eigenvalues that counts are to confirm
+REFINE = 2e-14  # of |K|: residuals above it are worth a step of refinement
+# Where sigma goes, as parts of the slice: elsewhere if modes are missing, or inaccurate because
+# sigma came too close to one. An interval or a contour is widened by the difference instead.
+SHIFTS = (0.5, 0.43, 0.57, 0.36, 0.64)
+# The eta of selective reorthogonalization: where a Krylov space is a small part of all, doing it
+# only for what has lost a digit saves a quarter of the time; else modes are missed. A search that
+# fails is repeated with SLEPc's own eta, .71.
+ETA, ETA_BALLS = 0.3, 5000
+# Multiplications of a network's factorization for each unknown up to which PETSc's own is faster
+# for the many solves of an EPS; beyond that MUMPS, unless SLEPc is to make slices, by inertias.
+PETSC_SOLVES = 30_000
+
+
+@contextlib.contextmanager
+def plain_errors():
+    """Raise PETSc's errors as they are: a slepc4py from PyPI hides them behind a SystemError."""
+    try:
+        yield
+    except SystemError as error:
+        hidden = error.__cause__
+        if not is_petsc(hidden):
+            raise
+        raise hidden from hidden.__cause__
+
+
+class ModeSolver(Owner):
+    """Finds the modes of slices of the spectrum; destroy with `destroy` or `with`.
+
+    Not collective: each rank has a copy of its own.
+
+    Parameters
+    ----------
+    operators : pgran.driven.operators.Operators
+        Of this rank alone, K flagged symmetric and Hermitian.
+    """
+
+    owns = ("_eps",)
+
+    def __init__(self, operators):
+        """Keep what the slices share."""
+        self.lattice, self.K, self.comm = operators.lattice, operators.K, MPI.COMM_SELF
+        self._layout = operators.layout
+        self.norm = self.K.norm(PETSc.NormType.INFINITY) or 1.0
+        self._eps = None
+
+    @staticmethod
+    def whole():
+        """Return whether the EPS finds all modes at once, without slices. Not collective."""
+        return _eps_type() == "lapack"
+
+    def solve(self, low, high, count):
+        """Return the modes with low < lambda < high, as far as they are found.
+
+        Not collective.
+
+        Parameters
+        ----------
+        low, high : float
+        count : int
+            How many there are.
+
+        Returns
+        -------
+        values : numpy.ndarray, shape (found,)
+            lambda, ascending.
+        vectors : numpy.ndarray, shape (found, *lattice.shape)
+            Real, orthonormal, the entry of largest magnitude positive.
+        residuals : numpy.ndarray, shape (found,)
+            |K f - lambda f| / |K|.
+        """
+        best, self._failure = None, "the EPS did not converge"
+        for part in SHIFTS:
+            first = part == SHIFTS[0]
+            eps = self._eps = self._eps or self._make_eps(first)
+            found = self._search(eps, low, high, count, part)
+            modes = self._real_modes(found, low, high)
+            if _defects(modes, count) > (0, REFINE) and eps.getST().getType() == "sinvert":
+                modes = self._real_modes(self._refined(eps.getST(), found), low, high)
+            if self._deflated or not first or _defects(modes, count) > (0, SEARCH_AGAIN):
+                eps.destroy()  # it never forgets what it was to deflate
+                self._eps = None
+            if best is None or _defects(modes, count) < _defects(best, count):
+                best = modes
+            if _defects(best, count) <= (0, SEARCH_AGAIN):
+                break
+        if len(best[0]) != count:
+            log.warning(
+                "%d of %d modes found for omega^2 m from %.6g to %.6g: %s",
+                len(best[0]), count, low, high, self._failure,
+            )  # fmt: skip
+        return best
+
+    @plain_errors()
+    def nearest(self, value, count):
+        """Return roughly the eigenvalues nearest to a value; none where the EPS has no target.
+
+        Not collective; some may be missing, or belong to others' copies.
+        """
+        eps = self._make_eps(first=True)
+        found = []
+        if eps.getWhichEigenpairs() == SLEPc.EPS.Which.TARGET_MAGNITUDE:
+            eps.setTarget(value)
+            eps.setDimensions(min(count, self.lattice.balls))
+            eps.setTolerances(ROUGHLY, 20)
+            self._start(eps, 0)
+            with contextlib.suppress(PETSc.Error), plain_errors():
+                eps.solve()
+                found = [eps.getEigenvalue(number).real for number in range(eps.getConverged())]
+        eps.destroy()
+        return np.array(found)
+
+    def _real_modes(self, found, low, high):
+        """Return values, shapes and residuals of the slice's real modes that vectors span."""
+        lattice = self.lattice
+        values, vectors = rayleigh_ritz(lattice, self._layout.fields(found))
+        inside = (values > low) & (values < high)
+        values, vectors = values[inside], vectors[inside]
+        missed = residuals(lattice, values, vectors) / self.norm
+        return values, with_fixed_sign(vectors), missed
+
+    @plain_errors()
+    def _make_eps(self, first):
+        """Create an EPS with the defaults of a first search or a later one, then its options."""
+        eps = SLEPc.EPS().create(PETSc.COMM_SELF)
+        eps.setOptionsPrefix("normal_")
+        eps.setOperators(self.K)
+        eps.setProblemType(SLEPc.EPS.ProblemType.HEP)
+        eps.setType(_eps_type())
+        eps.setTolerances(1e-13, 200)
+        if eps.getType() == "lapack":
+            eps.getDS().setMethod(2)  # divide and conquer; the default QR is five times as slow
+        elif eps.getType() == "ciss":
+            eps.setWhichEigenpairs(SLEPc.EPS.Which.ALL)
+        else:
+            eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
+            if first and self.lattice.balls >= ETA_BALLS:
+                eps.getBV().setOrthogonalization(eta=ETA)
+            eps.getST().setType("sinvert")
+            ksp = eps.getST().getKSP()
+            ksp.setType("preonly")
+            ksp.getPC().setType("cholesky")
+            if self.lattice.irregular:
+                ksp.getPC().setFactorOrdering("natural")
+                own_slices = PETSc.Options("normal_").getBool("eps_all", False)
+                if self.lattice.graph.work > PETSC_SOLVES * self.lattice.balls and not own_slices:
+                    # MUMPS has no LDL^T of Hermitian matrices
+                    ksp.getPC().setType("lu")
+                    ksp.getPC().setFactorSolverType("mumps")
+        eps.setFromOptions()
+        return eps
+
+    def _search(self, eps, low, high, count, part):
+        """Return eigenvectors of the slice, a row each, searching on while some are missing."""
+        inside, seen = [], []
+        self._deflated = False
+        once = eps.getType() == "lapack" or eps.getWhichEigenpairs() == SLEPc.EPS.Which.ALL
+        try:
+            with plain_errors():
+                for _ in range(1 if once else SEARCHES):
+                    before = len(seen)
+                    self._aim(eps, low, high, count - len(inside), before, part)
+                    if seen:
+                        eps.setDeflationSpace(seen)
+                        self._deflated = True
+                    self._start(eps, before)
+                    eps.solve()
+                    self._collect(eps, low, high, inside, seen)
+                    if len(inside) >= count or len(seen) == before:
+                        break
+        except PETSc.Error as error:
+            self._failure = str(error).splitlines()[-1]
+        finally:
+            for vector in seen:
+                vector.destroy()
+        return np.array(inside, dtype=complex).reshape(-1, self.lattice.balls)
+
+    def _start(self, eps, seen):
+        """Start from a random vector that depends on nothing but how many modes were seen.
+
+        Another search needs another one: what the last one left out is orthogonal to its own.
+        """
+        vector = self.K.createVecLeft()
+        numbers = np.random.Generator(np.random.Philox(seen)).standard_normal(self.lattice.balls)
+        vector.setArray(numbers)
+        eps.setInitialSpace(vector)
+        vector.destroy()
+
+    def _collect(self, eps, low, high, inside, seen):
+        """Append the converged vectors to `seen`, and copies of those in the slice to `inside`."""
+        for number in range(eps.getConverged()):
+            vector = self.K.createVecLeft()
+            value = eps.getEigenpair(number, vector).real
+            seen.append(vector)
+            if low < value < high:
+                inside.append(vector.getArray().copy())
+
+    @plain_errors()
+    def _refined(self, st, found):
+        """Return x - (K - sigma)^-1 (K x - lambda x) for eigenvectors x, a row each.
+
+        An LDL^T without pivoting is that of a matrix nearby, whose modes the EPS finds. This step
+        takes out what they contain of modes farther from sigma than lambda; Rayleigh-Ritz does the
+        rest.
+        """
+        x, residual = self.K.createVecs()
+        refined = found.copy()
+        for vector in refined:
+            x.setArray(vector)
+            self.K.mult(x, residual)
+            residual.axpy(-residual.dot(x) / x.dot(x), x)
+            st.apply(residual, x)
+            vector -= x.getArray()
+        x.destroy()
+        residual.destroy()
+        return refined
+
+    def _aim(self, eps, low, high, missing, seen, part):
+        """Tell the EPS where to search, and for how many modes."""
+        width = high - low
+        margin = abs(part - SHIFTS[0]) * width
+        if eps.getType() == "ciss":
+            # A flat ellipse around the slice, with room for half as many vectors again. More
+            # moments would need fewer vectors, but lose digits.
+            rg = eps.getRG()
+            rg.setType("ellipse")
+            rg.setEllipseParameters(0.5 * (low + high), 0.5 * width + margin, 0.1)
+            points, moments = 24, 2
+            block = -(-3 * missing // (2 * moments)) + 2
+            eps.setCISSSizes(points, block, moments, 1, block)
+        elif eps.getWhichEigenpairs() == SLEPc.EPS.Which.ALL:
+            eps.setInterval(low - margin, high + margin)
+        elif eps.getType() != "lapack":
+            eps.setTarget(low + part * width)
+            room = self.lattice.balls - seen
+            eps.setDimensions(missing, min(room, missing + missing // 3 + 12))
+
+
+def _defects(modes, count):
+    """Return how many modes of a slice are missing or too many, and the largest residual."""
+    values, _, missed = modes
+    return abs(count - len(values)), missed.max(initial=0.0)
+
+
+def _eps_type():
+    """Return the type of EPS that the options ask for."""
+    return PETSc.Options("normal_").getString("eps_type", "krylovschur")

@@ -1,0 +1,132 @@
+"""The records of modes, of their counts, and of a drive in terms of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgran.experiments.modes.shapes import weyl
+from pgran.store.fields import Frequencies
+from pgran.store.record import Record, array, attribute
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Density(Record):
+    """How many normal modes lie below each of N frequencies, unstable ones included.
+
+    A count is exact where `certified`; where a mode is so close to the frequency that it is open on
+    which side it lies, the count is that at `omega - margin`. Unstable modes, whose omega^2 < 0,
+    have a negative omega; `unstable` says how many there are, without those that rounding hides at
+    0, and -1 if that is not certain. Between neighbouring frequencies the
+    `density` is the modes there, per ball and per `omega_mx`: its integral over omega / omega_mx is
+    the number of modes a ball, NaN next to a count that is not certified.
+    """
+
+    group = "density"
+    balls: int
+    omega_mx: float
+    solve_seconds: float
+    unstable: int = attribute(since=5)
+    omega: np.ndarray = array("frequency, angular", "sqrt(k/m)")
+    count: np.ndarray = array("how many modes lie below; -1: not certain", "1", "omega", dtype=int)
+    certified: np.ndarray = array("the count is exact at omega - margin", "1", "omega", dtype=bool)
+    margin: np.ndarray = array(
+        "by how much less than omega the modes are counted at", "sqrt(k/m)", "omega"
+    )
+    middle: np.ndarray = array("middle between neighbouring frequencies, angular", "sqrt(k/m)")
+    density: np.ndarray = array("modes there per ball and omega_mx", "1", "middle")
+
+    @property
+    def failures(self):
+        """How many counts are not certified."""
+        return int(np.count_nonzero(~self.certified))
+
+    @staticmethod
+    def weyl(lattice, omega):
+        """Return Weyl's law for the record of a lattice, None where it has none.
+
+        Not collective. That is a lattice of two axes whose bonds are all equal.
+
+        Parameters
+        ----------
+        lattice : pgran.results.LatticeRecord or pgran.results.NetworkRecord
+        omega : numpy.ndarray
+        """
+        if lattice.group != "lattice" or len(lattice.shape) != 2:
+            return None
+        bonds = np.concatenate([k.ravel() for k in lattice.stiffness])
+        if not np.all(bonds == bonds[0]):
+            return None
+        return weyl(omega, lattice.shape, np.sqrt(bonds[0] / lattice.mass))
+
+
+def _missing(record):
+    """Return how many modes are missing, at least 1 unless they are certified."""
+    return 0 if record.count_certified else max(1, abs(record.count_expected - record.count_found))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Modes(Record):
+    """Normal modes K f = m omega^2 f (paper: modepic), `nm` of them.
+
+    `count_expected` says how many there are, `count_certified` whether all of these were found,
+    each with a residual of rounding size.
+    """
+
+    group = "modes"
+    count_expected: int
+    count_certified: bool
+    solve_seconds: float
+    omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
+    residual: np.ndarray = array("|K f - m omega^2 f| / |K|", "1", "omega")
+    participation: np.ndarray = array("how many balls take part, 1 / sum f^4", "1", "omega")
+    vector: np.ndarray | None = array(
+        "shape of the mode, orthonormal, its largest entry positive",
+        "1", "omega", "balls", optional=True,
+    )  # fmt: skip
+
+    @property
+    def count_found(self):
+        """How many modes there are here."""
+        return len(self.omega)
+
+    @property
+    def failures(self):
+        """How many modes are missing or inaccurate."""
+        return _missing(self)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Projection(Frequencies, Record):
+    """The driven lattice in terms of its normal modes (paper: cidef, onefreq, maxci, cifreq).
+
+    `nw` driving frequencies, `nm` modes. A frequency whose `converged_reason` is not positive
+    missed the accuracy asked for.
+    """
+
+    group = "projection"
+    count_expected: int
+    count_certified: bool
+    factorizations: int
+    solve_seconds: float
+    omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
+    mode_omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
+    coefficient: np.ndarray = array(
+        "sum over balls of amplitude times mode shape", "1", "omega", "mode_omega", dtype=complex
+    )
+    dominant: np.ndarray = array(
+        "mode of the largest coefficient; -1: none", "1", "omega", dtype=int
+    )
+    error_bound: np.ndarray = array(
+        "bound of the field's part in each coefficient's error; NaN: none is known", "1", "omega"
+    )
+    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
+
+    @property
+    def count_found(self):
+        """How many modes there are here."""
+        return len(self.mode_omega)
+
+    @property
+    def failures(self):
+        """How many frequencies missed their accuracy, and how many modes are missing."""
+        return super().failures + _missing(self)

@@ -1,0 +1,1 @@
+"""Motion in time, proven by Laplace or estimated by TS."""

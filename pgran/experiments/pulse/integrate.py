@@ -1,0 +1,307 @@
+"""The driven lattice in time, by PETSc's integrators (TS, option prefix `pulse_`).
+
+m u'' + beta C u' + K u = U f_k + U' beta f_c, with U the wall's motion. By default an explicit
+Runge-Kutta method works on y = (u, u'), interleaved ball by ball: y' = J y + drive, a product with
+one sparse matrix each stage. `alpha2` takes the equation of second order as it stands.
+"""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgran.driven.operators import SAME
+from pgran.driven.owner import Owner
+from pgran.errors import InputError
+from pgran.experiments.pulse.wall import BAND
+from pgran.run.petsc import PETSc, holding
+
+log = logging.getLogger("pgran")
+
+MOST_STEPS = 10**8
+KINDS = ("rk", "alpha2")
+LONGEST = 2.0  # step, in units of one over the highest frequency: in between is interpolated
+SHORTER, HALF = 0.7, 0.5  # longest and fixed steps of each integration against the one before
+# What options of a run say, and what leaves alpha2 the velocity that it began with.
+REFUSED = {
+    "ts_rtol": "-error_tolerance says how accurate",
+    "ts_atol": "-error_tolerance says how accurate",
+    "ts_init_time": "an integration begins before the pulse",
+    "ts_max_time": "-pulse_time says how long",
+    "ts_time_span": "-pulse_time and -pulse_points say when",
+    "ts_exact_final_time": "-pulse_time says how long",
+}
+# Errors by the largest ball: most of a large lattice is at rest, and a mean would hide the front.
+DEFAULTS = {
+    "ts_type": "rk",
+    "ts_rk_type": "7vr",
+    "ts_adapt_type": "basic",
+    "ts_adapt_wnormtype": "infinity",
+    "snes_linesearch_type": "basic",
+    "pc_type": "lu",
+}
+
+
+@dataclass(frozen=True)
+class History:
+    """What an integrator found at each of its steps.
+
+    Attributes
+    ----------
+    time : numpy.ndarray, shape (steps,)
+    displacement, velocity, acceleration : numpy.ndarray, shape (steps, nd)
+        Of the detectors.
+    force, energy : numpy.ndarray, shape (steps, 2)
+        Of the driven wall, and of balls and springs, each with its slope.
+    fields : list of (float, numpy.ndarray)
+        Times, and on the first rank displacements of all balls.
+    complete : bool
+        Whether the last time was reached.
+    """
+
+    time: np.ndarray
+    displacement: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    force: np.ndarray
+    energy: np.ndarray
+    fields: list
+    complete: bool
+
+
+class Integrator(Owner):
+    """Integrates a lattice from rest; destroy with `destroy` or `with`.
+
+    Collective.
+
+    Parameters
+    ----------
+    operators : pgran.driven.operators.Operators
+    sites : array_like of int, shape (nd, dim)
+        The detectors.
+    pulse : pgran.experiments.pulse.wall.Pulse or pgran.experiments.pulse.wall.Samples
+    highest : float
+        No normal mode has a higher frequency.
+
+    Raises
+    ------
+    InputError
+        If the options ask for another kind of integrator than KINDS, or for what is refused.
+    """
+
+    owns = ("_matrix", "_u", "_v", "_Ku", "_Cv")
+
+    def __init__(self, operators, sites, pulse, highest):
+        """Make matrix and vectors."""
+        self.operators, self.comm, self.pulse = operators, operators.comm, pulse
+        self._later = LONGEST / min(highest or pulse.reach, pulse.reach)
+        self._longest = min(self._later, BAND / pulse.band)  # a longer step could miss the pulse
+        kind = checked_kind(PETSc.Options("pulse_"))
+        self._second_order = kind == "alpha2"
+        self._matrix = operators.K.duplicate() if self._second_order else self._first_order_matrix()
+        self._u, self._v, self._Ku, self._Cv = (operators.M.duplicate() for _ in range(4))
+        self._products = [(operators.K, 1.0, self._u, self._Ku)]
+        if operators.C is not None:
+            self._products.append((operators.C, operators.damping, self._v, self._Cv))
+        numbers, weights = operators.layout.readings(sites)
+        mine = (numbers >= operators.first) & (numbers < operators.last)
+        # of unknowns of others the weight is zero
+        self._detectors = np.where(mine, numbers - operators.first, 0)
+        self._weights, self._count = np.where(mine, weights, 0.0), len(numbers)
+        drives = [operators.f_stiffness.getArray().real, 0.0 * self._u.getArray().real]
+        if operators.C is not None:
+            drives[1] = operators.damping * operators.f_damping.getArray().real
+        self._driven = np.flatnonzero(np.any(drives, axis=0))
+        self._drives = np.array(drives)[:, self._driven]
+
+    def _first_order_matrix(self):
+        """Return J: in row 2 p that u' is the velocity, in row 2 p + 1 what accelerates ball p."""
+        operators = self.operators
+        pointer, columns, k = operators.K.getValuesCSR()
+        c = 0.0 * k
+        if operators.C is not None:
+            c = operators.damping * operators.C.getValuesCSR()[2]
+        own, counts = operators.last - operators.first, np.diff(pointer)
+        lengths = np.ones(2 * own, dtype=PETSc.IntType)
+        lengths[1::2] = 2 * counts
+        rows = np.append(0, np.cumsum(lengths)).astype(PETSc.IntType)
+        J_columns = np.empty(rows[-1], dtype=PETSc.IntType)
+        values = np.ones(rows[-1], dtype=PETSc.ScalarType)
+        J_columns[rows[:-1:2]] = 2 * np.arange(operators.first, operators.last) + 1
+        places = np.arange(2 * len(columns)) + np.repeat(np.arange(1, own + 1), 2 * counts)
+        J_columns[places] = np.stack([2 * columns, 2 * columns + 1], axis=1).ravel()
+        values[places] = np.stack([k, c], axis=1).ravel() / -operators.mass
+        size = (2 * own, 2 * operators.balls)
+        return PETSc.Mat().createAIJ((size, size), csr=(rows, J_columns, values), comm=self.comm)
+
+    def run(self, time, tolerance, number=0, keep_at=(), begin=None):
+        """Integrate from rest until some time.
+
+        Collective.
+
+        Parameters
+        ----------
+        time : float
+        tolerance : float
+            Absolute and relative, of the error that a step makes.
+        number : int
+            How many coarser integrations there were: steps of a fixed length, and the longest of
+            others, shrink with it, so that two integrations are never the same.
+        keep_at : sequence of float
+            Increasing; the field is kept at the first step from each on.
+        begin : float, optional
+            When to begin, unless before the pulse and the time 0.
+
+        Returns
+        -------
+        History
+        """
+        self._rows, self._fields, self._keep_at = [], [], list(keep_at)
+        given = PETSc.Options("pulse_")
+        factors = {"pc_factor_mat_solver_type": "petsc" if self.comm.size == 1 else "mumps"}
+        keys = {
+            f"pulse_{key}": value
+            for key, value in (DEFAULTS | factors).items()
+            if not given.hasName(key)
+        }
+        # PETSc 3.25 calls the key otherwise, and would change it for all integrations to come.
+        step = given.getReal("ts_dt", 0.1 * self._longest)
+        if given.hasName("ts_dt"):
+            keys["pulse_ts_dt"] = None
+        ts, pair = PETSc.TS().create(self.comm), [self._u.duplicate(), self._v.duplicate()]
+        begin = min(0.0, self.pulse.begin) if begin is None else begin
+        with holding(keys):
+            ts.setOptionsPrefix("pulse_")
+            ts.setTime(begin)
+            ts.setMaxTime(time)
+            ts.setMaxSteps(MOST_STEPS)
+            ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
+            ts.setTolerances(rtol=tolerance, atol=tolerance)
+            ts.setErrorIfStepFails(False)
+            ts.setTimeStep(step)
+            if self._second_order:
+                ts.setI2Function(self._balance, self._u.duplicate())
+                ts.setI2Jacobian(self._balance_matrix, self._matrix, self._matrix)
+                ts.setSolution2(*pair)
+                state, self._shifts = pair[0], None
+            else:
+                state = self._matrix.createVecRight()
+                ts.setRHSFunction(self._slope, state.duplicate())
+            ts.setMonitor(self._look)
+            ts.setFromOptions()
+            self._shrink, self._limited = SHORTER**number, not given.hasName("ts_adapt_dt_max")
+            if self._limited:
+                ts.setStepLimits(0.0, self._shrink * self._longest)
+            if given.getString("ts_adapt_type", "") == "none":
+                ts.setTimeStep(HALF**number * ts.getTimeStep())
+            ts.solve(state)
+        given.getReal("ts_dt", step)  # it was used
+        complete = ts.getConvergedReason() > 0 and ts.getTime() >= time
+        if not complete and self.comm.rank == 0:
+            log.warning(
+                "an integration has ended at time %.6g, before %g (TSConvergedReason %d)",
+                ts.getTime(), time, ts.getConvergedReason(),
+            )  # fmt: skip
+        for held in (ts, *pair, *([] if self._second_order else [state])):
+            held.destroy()
+        return self._history(complete)
+
+    def _drive(self, t):
+        """Return what drives this rank's balls at the driven wall."""
+        return self.pulse.moves(t, 2) @ self._drives
+
+    def _slope(self, ts, t, y, slope):
+        """Set y' = J y + drive."""
+        self._matrix.mult(y, slope)
+        values = slope.getArray()
+        values[2 * self._driven + 1] += self._drive(t) / self.operators.mass
+
+    def _balance(self, ts, t, u, v, a, balance):
+        """Set M a + C v + K u - f."""
+        operators = self.operators
+        operators.K.mult(u, balance)
+        if operators.C is not None:
+            operators.C.mult(v, self._Cv)
+            balance.axpy(operators.damping, self._Cv)
+        balance.axpy(operators.mass, a)
+        values = balance.getArray()
+        values[self._driven] -= self._drive(t)
+
+    def _balance_matrix(self, ts, t, u, v, a, of_velocity, of_acceleration, matrix, _):
+        """Set the matrix of a step, and leave it and its factors while the step stays the same."""
+        if self._shifts != (of_velocity, of_acceleration):
+            self._shifts = (of_velocity, of_acceleration)
+            operators = self.operators
+            operators.K.copy(matrix, structure=SAME)
+            if operators.C is not None:
+                matrix.axpy(of_velocity * operators.damping, operators.C, structure=SAME)
+            matrix.shift(of_acceleration * operators.mass)
+        return True
+
+    def _look(self, ts, step, t, state):
+        """Note, as this rank's part of sums, what the lattice does at the end of a step."""
+        operators = self.operators
+        if self._limited and t > self.pulse.rest:
+            ts.setStepLimits(0.0, self._shrink * self._later)
+            self._limited = False
+        if self._second_order:
+            for own, found in zip((self._u, self._v), ts.getSolution2(), strict=True):
+                found.copy(own)
+        else:
+            both = state.getArray(readonly=True)
+            self._u.setArray(both[::2])
+            self._v.setArray(both[1::2])
+        forces, powers = 0.0, []
+        for matrix, factor, x, product in self._products:
+            matrix.mult(x, product)
+            force = factor * product.getArray(readonly=True).real
+            forces = forces + force
+            powers.append(x.getArray(readonly=True).real @ force)
+        u, v = (x.getArray(readonly=True).real for x in (self._u, self._v))
+        a = -forces
+        a[self._driven] += self._drive(t)
+        a /= operators.mass
+        balls = np.array([np.sum(self._weights * x[self._detectors], axis=1) for x in (u, v, a)])
+        wall = np.array([x[self._driven] for x in (u, v, a)]) @ self._drives.T
+        self._rows.append((t, [*balls.ravel(), *wall.ravel(), *powers, operators.mass * v @ v]))
+        if self._keep_at and t >= self._keep_at[0] - 1e-9 * abs(t):
+            del self._keep_at[0]
+            self._fields.append((t, operators.layout.field(self._u)))
+
+    def _history(self, complete):
+        """Return what all ranks have noted."""
+        time, rows = (np.array(column) for column in zip(*self._rows, strict=True))
+        rows = self.comm.allreduce(rows)
+        balls = rows[:, : 3 * self._count].reshape(len(time), 3, -1)
+        wall = rows[:, 3 * self._count :][:, :6].reshape(len(time), 3, 2)
+        (u_k, _), (v_k, v_c), (_, a_c) = np.moveaxis(wall, 0, -1)
+        held, *taken, moving = rows[:, 3 * self._count + 6 :].T
+        k, c = self.operators.lattice.pulls
+        U, speed, turn = self.pulse.moves(time, 3)
+        force = U * k - u_k + speed * c - v_c
+        energy = 0.5 * (moving + held - 2 * U * u_k + U * U * k)
+        power = sum(taken, 0.0) - 2 * speed * v_c + speed * speed * c
+        slopes = speed * k - v_k + turn * c - a_c, force * speed - power
+        sums = (np.stack(pair, axis=1) for pair in zip((force, energy), slopes, strict=True))
+        return History(time, *np.moveaxis(balls, 1, 0), *sums, self._fields, complete)
+
+
+def checked_kind(options):
+    """Return which kind of integrator options ask for, one of KINDS. Not collective.
+
+    Raises
+    ------
+    InputError
+        For another kind, and for what would make an integration other than a run is told of.
+    """
+    for key, why in REFUSED.items():
+        if options.hasName(key):
+            raise InputError(f"-pulse_{key}: not for pulses; {why}")
+    if options.getString("snes_type", "") == "ksponly":
+        raise InputError("-pulse_snes_type ksponly: alpha2 needs one that updates velocities")
+    if options.hasName("ts_dt") and not 0 < options.getReal("ts_dt") < np.inf:
+        raise InputError("-pulse_ts_dt: a step must be positive")
+    kind = options.getString("ts_type", DEFAULTS["ts_type"])
+    if kind not in KINDS:
+        raise InputError(f"-pulse_ts_type {kind}: lattices are integrated by rk or alpha2")
+    return kind

@@ -1,0 +1,99 @@
+"""The record of a pulse."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgran.store.fields import DETECTOR
+from pgran.store.record import Record, array, attribute_array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Signals(Record):
+    """What balls do in time when the driven wall moves: `nt` times, `nd` detectors.
+
+    A front has arrived when a thousandth of the signal's energy, the integral of the velocity's
+    square, has passed, NaN where errors leave that open, or it would be before the wall's own,
+    `wall_arrival`. (Files before version 5: when a displacement first exceeds a tenth of its
+    largest.) `centre` is the mean time, weighted by the square of the envelope, `decay` the rate at
+    which the envelope decays after it, with its standard error. The `method` is `laplace`, with
+    bounds of the errors, `sigma` and `period` those
+    of the inverse transform and `solves` points on its line; or `integrate`, with estimates,
+    `solves` the steps of the last integration.
+    """
+
+    group = "pulse"
+    shape: str
+    pulse_omega: float
+    pulse_width: float
+    method: str
+    sigma: float
+    period: float
+    solves: int
+    factorizations: int
+    solve_seconds: float
+    tolerance: float
+    wall_arrival: float
+    arrival: np.ndarray = attribute_array("detector_number")
+    centre: np.ndarray = attribute_array("detector_number")
+    decay: np.ndarray = attribute_array("detector_number")
+    decay_error: np.ndarray = attribute_array("detector_number")
+    time: np.ndarray = array("time", "sqrt(m/k)")
+    wall: np.ndarray = array("displacement of the driven wall", "1", "time")
+    force: np.ndarray = array("force on the driven wall", "k", "time")
+    work: np.ndarray = array("work of the driven wall until then", "k", "time")
+    detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
+    displacement: np.ndarray = array(
+        "displacement of the detectors", "1", "time", "detector_number"
+    )
+    velocity: np.ndarray = array(
+        "velocity of the detectors", "sqrt(k/m)", "time", "detector_number"
+    )
+    envelope: np.ndarray = array(
+        "sqrt(u^2 + (v / omega)^2), omega^2 the mean of v^2 over that of u^2",
+        "1", "time", "detector_number",
+    )  # fmt: skip
+    energy: np.ndarray | None = array("energy of the balls and springs", "k", "time", optional=True)
+    dissipated: np.ndarray | None = array(
+        "work taken by damping until then", "k", "time", optional=True
+    )
+    error_bound: np.ndarray | None = array(
+        "bound of the error of the displacement", "1", "time", "detector_number", optional=True
+    )
+    velocity_bound: np.ndarray | None = array(
+        "bound of the error of the velocity", "sqrt(k/m)", "time", "detector_number", optional=True
+    )
+    force_estimate: np.ndarray | None = array(
+        "estimate of the error of the force", "k", "time", optional=True
+    )
+    work_estimate: np.ndarray | None = array(
+        "estimate of the error of the work", "k", "time", optional=True
+    )
+    energy_estimate: np.ndarray | None = array(
+        "estimate of the error of the energy", "k", "time", optional=True
+    )
+    dissipated_estimate: np.ndarray | None = array(
+        "estimate of the error of the work taken by damping", "k", "time", optional=True
+    )
+    error_estimate: np.ndarray | None = array(
+        "estimate of the error of the displacement", "1", "time", "detector_number", optional=True
+    )
+    velocity_estimate: np.ndarray | None = array(
+        "estimate of the error of the velocity", "sqrt(k/m)", "time", "detector_number",
+        optional=True,
+    )  # fmt: skip
+    field_time: np.ndarray | None = array("times of the field", "sqrt(m/k)", optional=True)
+    field: np.ndarray | None = array(
+        "displacement of all balls", "1", "field_time", "balls", optional=True
+    )
+
+    @property
+    def error(self):
+        """The bound of the displacement's error, or its estimate."""
+        return self.error_estimate if self.error_bound is None else self.error_bound
+
+    @property
+    def failures(self):
+        """How many detectors' signals miss the accuracy asked for, relative to their largest."""
+        largest = np.abs(self.displacement).max(axis=0)
+        return int(np.count_nonzero(~(self.error.max(axis=0) <= self.tolerance * largest)))

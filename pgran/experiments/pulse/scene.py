@@ -1,0 +1,297 @@
+"""Scene `pulse`: the wall moves as it likes, and balls are listened to in time."""
+
+import math
+from functools import partial
+
+import numpy as np
+
+from pgran.driven import drive as driven
+from pgran.errors import InputError
+from pgran.experiments.pulse.integration import integrate
+from pgran.experiments.pulse.listening import Listening
+from pgran.experiments.pulse.transform import PulseLine
+from pgran.experiments.pulse.wall import SHAPES, Pulse, Samples
+from pgran.medium import sample as common
+from pgran.medium.record import ball_names, record_of
+from pgran.medium.sample import automatic_ranks
+from pgran.run.agreement import agreeing, on_root
+from pgran.run.experiment import Caution, Scene
+from pgran.run.interface import in_parallel
+from pgran.run.numbers import numbers
+from pgran.run.options import FILE, FLAG, INTEGER, REAL, TEXT, Option, alternatives, checks
+from pgran.run.task import carry_out
+from pgran.store.columns import read_columns
+from pgran.store.estimate import counted, two_digits
+from pgran.store.si import SI
+
+PULSE = (
+    Option(
+        "pulse_shape", TEXT, "burst",
+        "how the wall moves: gauss, a bell; ricker, its second derivative; burst, a bell times a "
+        "cosine; step, from 0 to 1",
+        choices=SHAPES,
+    ),
+    Option(
+        "pulse_omega", REAL, 0.6, "burst, ricker: the largest of its spectrum", "angular", above=0
+    ),
+    Option(
+        "pulse_width", REAL, 20.0, "standard deviation of the bell; a ricker's follows from omega",
+        "1/frequency", above=0
+    ),
+    Option(
+        "pulse_file", FILE, None,
+        "how the wall moves, instead of a shape: a column of displacements at the times that are "
+        "recorded, or two columns, equal distances of time and displacements"
+    ),
+    Option("pulse_time", REAL, 600.0, "how long is listened", "1/frequency", above=0),
+    Option("pulse_points", INTEGER, 1201, "times at which signals are recorded", low=2),
+    Option(
+        "pulse_method", TEXT, "auto",
+        "laplace, with proven bounds; integrate, PETSc's TS, with estimates of its errors; auto, "
+        "what is faster",
+        choices=("laplace", "integrate", "auto"),
+    ),
+)  # fmt: skip
+FIELDS = Option("output_fields", FLAG, False, "store the displacement of all balls at four times")
+TOLERANCE = driven.STEADY["error_tolerance"]
+PROVABLE = 1e-6  # tolerance below which rounding leaves little to be proven
+EQUAL = 0.01  # of a step: how far the times of a motion may be from equal ones
+AT_REST = 0.01  # of a motion's largest: where it may begin
+
+
+def check(values, given):
+    """Raise where options contradict each other. Not collective."""
+    common.check_lattice(values, given)
+    shape = "pulse_shape", "pulse_omega", "pulse_width"
+    alternatives(("pulse_file",), shape, values, given)
+    unused = "pulse_width" if values["pulse_shape"] == "ricker" else "pulse_omega"
+    shape, other = given.get("pulse_shape"), given.get(unused)
+    if values["pulse_shape"] not in ("burst", None) and other and other.rank >= shape.rank:
+        raise InputError(f"-{unused}{given[unused].where}: no part of a {values['pulse_shape']}")
+
+
+def run(options, world, crew):
+    """Return the lattice and the signals, on rank 0; None on the others.
+
+    Collective. Parameters are those of `pgran.run.experiment.Scene`.
+    """
+    lattice = common.make_lattice(options, world)
+    with crew(common.ranks_per_lattice(options, lattice, world), lattice) as workers:
+        signals = pulse(
+            lattice,
+            options.detectors,
+            workers,
+            **chosen(options, world),
+            method=options.pulse_method,
+            fields=options.output_fields,
+            error_tolerance=options.error_tolerance,
+            progress=options.output_progress,
+        )
+    return signals and [record_of(lattice), signals]
+
+
+def chosen(options, world):
+    """Return the keywords of `pulse` that say how the wall moves and how long. Collective."""
+    said = {"time": options.pulse_time, "points": options.pulse_points}
+    if options.pulse_file:
+        return said | {"wall": on_root(world, lambda: read_columns(options.pulse_file))}
+    return said | {name: getattr(options, f"pulse_{name}") for name in ("shape", "omega", "width")}
+
+
+def summary(result):
+    """Return in words what a run found. Not collective."""
+    signals, si = result.pulse, SI.of(result)
+    proven = signals.method == "laplace"
+    how = f"an integration of {signals.solves} steps and coarser ones"
+    if proven:
+        how = (
+            f"{signals.solves} points of the line sigma = {signals.sigma:.3g}, "
+            f"{counted(signals.factorizations, 'factorization')}"
+        )
+    yield f"{len(signals.time)} times from {how}, {signals.solve_seconds:.2f} s"
+    for d, ball in enumerate(ball_names(signals.detector)):
+        largest, wrong = np.abs(signals.displacement[:, d]).max(), signals.error[:, d].max()
+        known = "wrong by at most" if proven else "wrong by an estimated"
+        line = f"{ball}: largest displacement {largest:.3g}, {known} {wrong:.1e}"
+        if not wrong <= signals.tolerance * largest:
+            helps = "a smaller -error_tolerance may help"
+            helps += ", or -pulse_method integrate" if proven else ""
+            yield Caution(f"{ball}: not as accurate as asked: {helps}")
+        if np.isfinite(signals.arrival[d]):
+            front, centre = signals.arrival[d], signals.centre[d]
+            line += f"; front at {front:.4g}{si.say('s', front)}"
+            line += f", centre at {centre:.4g}{si.say('s', centre)}"
+        else:
+            line += "; when its front arrives is not certain"
+        if np.isfinite(signals.decay[d]):
+            decay, error = signals.decay[d], two_digits(signals.decay_error[d])
+            line += f", then decay at the rate {decay:.3g} +- {error}{si.say('1/s', decay)}"
+        yield line
+    front = signals.wall_arrival
+    yield f"the wall's own front is at {front:.4g}{si.say('s', front)}"
+    line = f"work of the wall {signals.work[-1]:.6g}"
+    line += f" +- {signals.work_estimate[-1]:.1e} (an estimate)"
+    if signals.energy is not None:
+        line += f", of which {signals.energy[-1]:.3g} is left in balls and springs"
+    if signals.energy is not None and proven:
+        missing = np.abs(signals.work - signals.energy - signals.dissipated).max()
+        line += f"; work, energy and what damping took balance to {missing:.1e}"
+    yield line
+
+
+@in_parallel(automatic_ranks, lattice=common.medium, **checks(PULSE, "pulse_"),
+    wall=partial(numbers, "-pulse_file"), fields=FIELDS.check, error_tolerance=TOLERANCE.check,
+)  # fmt: skip
+def pulse(
+    lattice,
+    detectors,
+    crew=None,
+    *,
+    shape="burst",
+    omega=0.6,
+    width=20.0,
+    wall=None,
+    time=600.0,
+    points=1201,
+    method="auto",
+    fields=False,
+    error_tolerance=1e-4,
+    progress="none",
+):
+    """Send a pulse through the lattice, and return what balls do.
+
+    Collective.
+
+    Parameters
+    ----------
+    lattice : pgran.medium.lattice.Lattice
+    detectors : array_like of int
+        Ball indices, flat or one row a detector.
+    crew : pgran.run.crew.Crew, optional
+        All ranks unless given.
+    shape : str
+        `gauss`, `ricker`, `burst` or `step`: see `wall.Pulse`.
+    omega, width : float
+        Of the pulse.
+    wall : array_like of float, shape (n,) or (n, 2), optional
+        Instead of a shape: displacements at the recorded times, or times and displacements; see
+        `wall.Samples`.
+    time : float
+        How long is listened.
+    points : int
+        Equal distances of time.
+    method : str
+        `laplace`, with proven bounds; `integrate`, PETSc's TS, with estimates; `auto`.
+    fields : bool
+        Whether the displacement of all balls at four times is wanted.
+    error_tolerance : float
+        Asked of displacements, relative to a signal's largest.
+    progress : str
+        Style of `pgran.run.progress.Progress`.
+
+    Returns
+    -------
+    pgran.results.Signals or None
+        With a crew of the caller's None on all ranks but rank 0.
+
+    Raises
+    ------
+    InputError
+        If a detector lies outside the lattice, or a value is impossible.
+    """
+    with agreeing(crew.world):
+        sent = Pulse(shape, omega, width) if wall is None else samples_of(wall, time / (points - 1))
+        listening = Listening(lattice, detectors, sent, time, points, error_tolerance, fields)
+        check_times(listening)
+    lowest = sent.omega if sent.shape in ("ricker", "burst") else 0.0
+    driven.check_driven(lattice, crew.world, lowest, in_time=True)
+    with agreeing(crew.world):
+        task = None if method == "integrate" else PulseLine(listening)
+    if method == "auto":
+        transform, integrations = predicted_seconds(listening, len(task.omegas))
+        exact = error_tolerance < PROVABLE
+        method = "integrate" if exact or integrations < transform else "laplace"
+    if method == "integrate":
+        return integrate(listening, crew, progress)
+    return carry_out(task, crew, progress)
+
+
+def samples_of(wall, step):
+    """Return the motion that numbers make, at times `step` apart unless they say their own.
+
+    Not collective.
+
+    Raises
+    ------
+    InputError
+        If they are no motion that begins at rest, at equal times.
+    """
+    values = np.asarray(wall, dtype=float)
+    if values.ndim == 2 and values.shape[1] == 2:
+        apart = np.diff(values[:, 0])
+        step = np.median(apart) if len(apart) else step  # a gap changes their mean
+        uneven = np.flatnonzero(~(np.abs(apart - step) <= EQUAL * step))
+        if uneven.size or not step > 0:
+            at = values[uneven[0] if uneven.size else 0, 0]
+            raise InputError(
+                f"-pulse_file: times must increase by equal steps, and do not at {at:g}; fill the "
+                "gap, or resample the motion"
+            )
+        step = apart.mean() if len(apart) else step
+    elif values.ndim != 1 and values.shape[1:] != (1,):
+        raise InputError("-pulse_file: a motion is one column of numbers, or times and numbers")
+    values = values[:, -1] if values.ndim == 2 else values
+    largest = np.abs(values).max(initial=0.0)
+    if not (np.all(np.isfinite(values)) and len(values) > 1 and largest > 0):
+        raise InputError("-pulse_file: a motion needs two finite numbers or more, not all zero")
+    if abs(values[0]) > AT_REST * largest:
+        raise InputError(
+            f"-pulse_file: the wall is at rest at 0 before the first number, which is "
+            f"{values[0]:g}; take off a constant, or let the motion begin smoothly"
+        )
+    return Samples(values, float(step))
+
+
+def check_times(listening):
+    """Raise where the times do not hold the pulse, or what it carries. Not collective."""
+    sent, time, count = listening.sent, listening.time[-1], len(listening.time)
+    if time < sent.end * (1 - 1e-9):
+        helps = "" if sent.shape == "file" else ", or take a shorter pulse"
+        raise InputError(
+            f"-pulse_time {time:g}: the pulse lasts until {sent.end:g}; listen longer{helps}"
+        )
+    band = min(sent.band, listening.highest)
+    if math.pi * (count - 1) < band * time:
+        raise InputError(
+            f"-pulse_points {count}: signals go up to omega = {band:.3g}, and times "
+            f"{time / (count - 1):.3g} apart hold no more than {math.pi * (count - 1) / time:.3g}; "
+            f"record {math.ceil(band * time / math.pi) + 1} times or more"
+        )
+
+
+def predicted_seconds(listening, points):
+    """Return what the transform, with so many points, and integrations will take, by measurements.
+
+    Not collective. A point costs a factorization, which grows like the work of nested dissection,
+    or as the graph of a network knows; a step of an integration some passes over the nonzeros of K,
+    and steps are the shorter the smaller the tolerance, by a method of order 7.
+    """
+    lattice, highest = listening.lattice, listening.highest
+    if lattice.irregular:
+        nonzeros = lattice.graph.nonzeros
+        point = 1e-3 + 3.3e-7 * nonzeros + 1.3e-9 * lattice.graph.work
+    else:
+        nonzeros = (2 * lattice.axes + 1) * lattice.balls
+        constant, power = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}[lattice.axes]
+        point = 3e-4 + constant * lattice.balls**power
+    steps = 1.2 * highest * listening.time[-1] * (1e-4 / listening.tolerance) ** 0.125
+    return points * point, steps * (8e-4 + 1.4e-7 * nonzeros)
+
+
+SCENE = Scene(
+    options=(*common.LATTICE, *common.DETECTORS, *PULSE, FIELDS, TOLERANCE),
+    run=run,
+    summary=summary,
+    check=check,
+    shares_lattice=True,
+)

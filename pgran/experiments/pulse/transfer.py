@@ -1,0 +1,122 @@
+"""Spectra of signals over that of the wall, next to the amplitudes of a steady response."""
+
+import numpy as np
+
+from pgran.draw import marks, style
+from pgran.draw.marks import known_amplitudes
+from pgran.errors import FileError
+
+LOUD = 0.01  # of the largest of the wall's spectrum: what spectra are divided by
+FADING = 0.25  # part of the time, the last one, over which motions are faded out before that
+FINER = 8  # times as many frequencies as a signal has: peaks are round
+NARROWEST = 2.0  # inches of a column
+ROWS = 6  # of spectra, before there is another column
+
+
+def spectrum(ax, signals, lattice, number, response=None):
+    r"""Draw the spectrum of a signal over the wall's, and the amplitude of a steady response.
+
+    Velocities are faded out over the last quarter of the time T. This blurs the spectrum of a ball
+    that moves there still, over 2 pi / T or, if it began late, more: the title says how much of its
+    largest velocity is left there. What is below its error, or where the wall's own velocity has
+    next to no spectrum, is not drawn. Returns the curve.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    signals : pgran.results.Signals
+    lattice : pgran.results.LatticeRecord
+    number : int
+        Which detector.
+    response : pgran.results.Response, optional
+        Of the same lattice. Its amplitude is drawn where it has the detector.
+    """
+    omega, size, good = ratio(signals, number)
+    x = omega / lattice.omega_mx
+    ax.set(yscale="log", ylabel=style.AMPLITUDE)
+    style.frequencies(ax, x[np.isfinite(size)])
+    low, high = ax.get_xlim()
+    for d in [] if response is None else shared(signals.detector[number], response):
+        swept, there = response.omega / lattice.omega_mx, known_amplitudes(response)[:, d]
+        there &= (low <= swept) & (swept <= high)
+        look = {"color": style.pale(style.ACCENT), "linewidth": 2.5, "dots": False}
+        marks.curves(ax, swept, response.amplitude[:, d], there, ["steady response"], **look)
+    look = {"color": "black", "dots": False}
+    (curve,) = marks.curves(ax, x, size, good, ["signal / drive"], **look)
+    speed = np.abs(signals.velocity[:, number])
+    left = speed[-round(FADING * len(speed)) :].max() / (speed.max() or 1.0)
+    ax.set_title(f"{style.ball_names(signals.detector[[number]])[0]}, {left:.1%} left")
+    return curve
+
+
+def ratio(signals, number):
+    """Return angular frequencies, |u^ / U^| of one detector there, and which exceed their error.
+
+    From differences between successive times, whose transforms have a factor in common: so a step
+    has a spectrum too. Both are faded out alike; without that a ball that moves still at the end
+    would seem to have heard all frequencies.
+
+    Parameters
+    ----------
+    signals : pgran.results.Signals
+    number : int
+        Which detector.
+
+    Returns
+    -------
+    omega, size : numpy.ndarray, shape (n,)
+        The size is NaN where the wall has next to no spectrum.
+    good : numpy.ndarray of bool, shape (n,)
+    """
+    step, count = signals.time[1] - signals.time[0], FINER * len(signals.time)
+    omega = 2 * np.pi / step * np.fft.rfftfreq(count)
+    window = np.ones(len(signals.time) - 1)
+    fading = max(round(FADING * len(window)), 1)
+    bell = np.blackman(fading + 2)[1:-1]
+    window[-fading:] -= np.cumsum(bell) / bell.sum()
+    moved, wall = (
+        np.abs(np.fft.rfft(np.diff(values) * window, count))
+        for values in (signals.displacement[:, number], signals.wall)
+    )
+    loud = wall > LOUD * wall.max()
+    size = np.divide(moved, wall, out=np.full_like(moved, np.nan), where=loud)
+    error = signals.error[:, number]
+    if not np.isfinite(error).all():
+        return omega, size, np.zeros_like(loud)
+    # An error e at one time adds e |w - z w'|, w and w' in the window before and after, |z| = 1.
+    before, after = np.append(0.0, window), np.append(window, 0.0)
+    turn = 2 * np.abs(np.sin(omega * step / 2))  # |1 - z|
+    wrong = turn * (after @ error) + np.abs(before - after) @ error
+    return omega, size, loud & (moved > wrong)
+
+
+def shared(site, response):
+    """Return the numbers of the response's detectors at a site."""
+    return np.flatnonzero((response.detector == site).all(axis=1))
+
+
+def page(signals, lattice, response):
+    """Return the figure of the spectra, a panel a detector."""
+    count = len(signals.detector)
+    if response and not any(shared(site, response).size for site in signals.detector):
+        raise FileError("the pulse and the response have no detector in common")
+    figure, panels, columns = style.grid(
+        count, ROWS, NARROWEST, lambda rows: 0.7 + max(1.2 * rows, 2.0), sharex=True, sharey=True
+    )
+    for d, ax in enumerate(panels):
+        spectrum(ax, signals, lattice, d, response)
+        ax.set(xlabel="", ylabel="")
+    for ax in panels[max(0, count - columns) :]:  # nothing stands below these
+        ax.set_xlabel(style.FREQUENCY)
+        ax.tick_params(labelbottom=True)
+    if response:
+        style.legend_above([panels[columns - 1], *panels])
+    end = signals.time[-1] * lattice.omega_mx
+    text = (
+        rf"signal / drive until $T$ = {end:.4g}$/\omega_{{mx}}$; what is left in the last quarter "
+        rf"blurs it over $2\pi/T$ = {2 * np.pi / end:.2g} $\omega_{{mx}}$ or more"
+    )
+    style.above(figure, text)
+    figure.caption = f"Spectra of balls over that of the drive: {text}."
+    figure.supylabel(style.AMPLITUDE, fontsize="medium")
+    return figure

@@ -1,0 +1,277 @@
+"""Pulses of the driven wall: their motion, its derivatives, its Laplace transform and its size.
+
+All are made of bells exp(-x^2 / 2), x = (t - centre) / width: transforms are exact, and vanish
+faster than any power above some frequency.
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgran.medium.rounding import EPSILON
+
+SHAPES = ("gauss", "ricker", "burst", "step")
+START = 6.0  # widths from the time 0 to the middle of a pulse: before, it is below 2e-8
+REACH = 9.0  # widths from the middle of a bell to where it is below 3e-18
+EARLIEST = 11.0  # to where it is below 1e-26
+BAND = 3.0  # up to BAND / width the spectrum of a bell is above a hundredth of its largest
+# Further bells on both sides of the samples: a sample decays by e^(-1/2) a bell.
+MARGIN = 40
+
+
+def bells(x, width, carrier, count):
+    """Return exp(-x^2 / 2 + i carrier width x) and its derivatives in time, shape (count, ...).
+
+    Not collective. They are Hermite polynomials times itself.
+
+    Parameters
+    ----------
+    x : numpy.ndarray
+        Times from the middle, in units of `width`.
+    width, carrier : float
+    count : int
+    """
+    z = x - 1j * carrier * width
+    found = [np.exp(-0.5 * x * x + 1j * carrier * width * x)]
+    for n in range(count - 1):
+        before = n * found[n - 1] / width if n else 0.0
+        found.append(-(z * found[n] + before) / width)
+    return np.array(found)
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """A motion of the wall: a bell of standard deviation `width`, of height 1, or made of one.
+
+    Parameters
+    ----------
+    shape : str
+        `gauss`, the bell; `ricker`, its second derivative turned over, its spectrum largest at
+        `omega`; `burst`, the bell times cos(omega t); `step`, its integral, from 0 to 1.
+    omega : float
+    width : float
+        A ricker's follows from its omega.
+    """
+
+    shape: str
+    omega: float
+    width: float
+
+    def __post_init__(self):
+        """Let a ricker have the width of its frequency."""
+        if self.shape == "ricker":
+            object.__setattr__(self, "width", math.sqrt(2) / self.omega)
+
+    @property
+    def begin(self):
+        """The time before which it is below 1e-26."""
+        return self.centre - EARLIEST * self.width
+
+    @property
+    def start(self):
+        """The time from which on its work counts: before, it is below 2e-8."""
+        return 0.0
+
+    @property
+    def centre(self):
+        """The time of its middle."""
+        return START * self.width
+
+    @property
+    def end(self):
+        """The time after which it is at rest again, to 2e-8."""
+        return 2 * self.centre
+
+    @property
+    def rest(self):
+        """The time after which what is left of its motion is below 1e-26."""
+        return self.centre + EARLIEST * self.width
+
+    @property
+    def band(self):
+        """Up to which omega its spectrum is above a hundredth of its largest."""
+        return self._carrier + BAND / self.width
+
+    @property
+    def reach(self):
+        """Up to which omega its spectrum is above 2e-8 of its largest."""
+        return self._carrier + 2 * BAND / self.width
+
+    @property
+    def highest(self):
+        """An omega above which |U(s)| is below 1e-40 of its largest on any line."""
+        return self._carrier + 15.0 / self.width
+
+    @property
+    def _carrier(self):
+        """Return the frequency that the bell is multiplied with."""
+        return self.omega if self.shape == "burst" else 0.0
+
+    def moves(self, t, count=1):
+        """Return the displacement of the wall and its derivatives, shape (count, *t.shape).
+
+        Not collective.
+        """
+        x = (np.asarray(t) - self.centre) / self.width
+        if self.shape == "ricker":
+            return -(self.width**2) * bells(x, self.width, 0.0, count + 2)[2:].real
+        if self.shape == "step":
+            from scipy.special import ndtr  # here: SciPy takes its time
+
+            slope = bells(x, self.width, 0.0, count).real / (self.width * math.sqrt(2 * math.pi))
+            return np.concatenate([[ndtr(x)], slope[: count - 1]])
+        return bells(x, self.width, self._carrier, count).real
+
+    def transform(self, s):
+        """Return int U(t) e^(-s t) dt over all times. Not collective."""
+
+        def bell(s):
+            return np.exp(0.5 * (s * self.width) ** 2)
+
+        area, shift = self.width * math.sqrt(2 * math.pi), np.exp(-s * self.centre)
+        carrier = 1j * self._carrier
+        return {
+            "gauss": lambda: area * bell(s),
+            "ricker": lambda: -area * (s * self.width) ** 2 * bell(s),
+            "burst": lambda: 0.5 * area * (bell(s - carrier) + bell(s + carrier)),
+            "step": lambda: bell(s) / s,
+        }[self.shape]() * shift
+
+    def rounding(self, s, transform):
+        """Return no less than the rounding error of a transform at s. Not collective."""
+        size = np.abs(s)
+        steps = 16 + size * self.centre + (size * self.width) ** 2
+        return 4 * EPSILON * steps * np.abs(transform)
+
+    def sizes(self, t):
+        """Return no less than int |U| dt and int |U'| dt up to some times. Not collective."""
+        area, t = self.width * math.sqrt(2 * math.pi), np.maximum(t, self.width)
+        one = np.ones_like(t)
+        return {
+            "gauss": lambda: (area * one, 2 * one),
+            "ricker": lambda: (2 * area * one, 4 * one),
+            "burst": lambda: (area * one, (2 + self.omega * area) * one),
+            "step": lambda: (t, one),
+        }[self.shape]()
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """A motion of the wall through numbers at equal times: a bell at each, as wide as the spacing.
+
+    Before the first number, at time 0, the wall is at rest at 0; after the last one it stays. In
+    between this is as smooth a curve as there is: a constant has ripples of 5e-9.
+
+    Parameters
+    ----------
+    values : numpy.ndarray, shape (n,)
+    width : float
+        The spacing of their times.
+    """
+
+    values: np.ndarray
+    width: float
+    shape = "file"
+    omega = 0.0
+
+    @functools.cached_property
+    def heights(self):
+        """The height of each bell, MARGIN before the first number and MARGIN after the last."""
+        from scipy.linalg import solveh_banded
+
+        motion = np.concatenate(
+            [np.zeros(MARGIN), self.values, np.full(2 * MARGIN, self.values[-1])]
+        )
+        reach = int(REACH)
+        band = np.exp(-0.5 * np.arange(reach + 1.0) ** 2)
+        found = solveh_banded(np.outer(band, np.ones(len(motion))), motion, lower=True)
+        found = found[:-MARGIN]  # their own end is felt by those cut off alone
+        found[-1] = motion[-1] / (2 * band.sum() - 1)
+        return found
+
+    @property
+    def begin(self):
+        """See `Pulse`."""
+        return -(MARGIN + EARLIEST) * self.width
+
+    @property
+    def start(self):
+        """See `Pulse`; the bells of the first samples rise before the time 0."""
+        return self.begin
+
+    @property
+    def centre(self):
+        """See `Pulse`."""
+        return 0.5 * self.end
+
+    @property
+    def end(self):
+        """See `Pulse`."""
+        return (len(self.values) - 1) * self.width
+
+    @property
+    def rest(self):
+        """See `Pulse`."""
+        return self.end + (MARGIN + EARLIEST) * self.width
+
+    @property
+    def band(self):
+        """See `Pulse`."""
+        return self._above(0.01)
+
+    @property
+    def reach(self):
+        """See `Pulse`; its images beyond the spacing's own frequency do not count."""
+        return self._above(2e-8)
+
+    def _above(self, part):
+        """Return up to which omega the spectrum is above a part of its largest."""
+        size = np.abs(np.fft.rfft(self._steps))[1:]
+        size /= np.arange(1, len(size) + 1)
+        return math.pi / self.width * (1 + np.flatnonzero(size > part * size.max())[-1]) / len(size)
+
+    @property
+    def highest(self):
+        """See `Pulse`."""
+        return 15.0 / self.width
+
+    def moves(self, t, count=1):
+        """See `Pulse`."""
+        x = np.asarray(t)[..., None] / self.width + MARGIN
+        near = np.floor(x) + np.arange(-REACH, REACH + 2)
+        height = self.heights[np.clip(near.astype(int), 0, len(self.heights) - 1)]
+        height = np.where(near < 0, 0.0, height)
+        return np.sum(height * bells(x - near, self.width, 0.0, count).real, axis=-1)
+
+    def transform(self, s):
+        """See `Pulse`."""
+        exact = np.asarray(s, dtype=np.clongdouble)  # the sum cancels where U is small
+        turn, total = np.exp(-exact * self.width), np.zeros_like(exact)
+        for step in self._steps[::-1]:  # Horner's rule: all times are multiples of the spacing
+            total = total * turn + step
+        return (total * self._factor(exact)).astype(complex)
+
+    def rounding(self, s, transform):
+        """See `Pulse`."""
+        sizes = np.sum(np.abs(self._steps)) * np.abs(self._factor(s))
+        count = len(self._steps) * (1 + np.abs(s) * self.width)
+        own = EPSILON * (16 + np.abs(s * self.width) ** 2) * np.abs(transform)
+        return 4 * own + 4 * float(np.finfo(np.longdouble).eps) * count * sizes
+
+    def _factor(self, s):
+        """Return what the transform has in common to all bells, and what steps add up to."""
+        area, shift = self.width * math.sqrt(2 * math.pi), np.exp(s * MARGIN * self.width)
+        return area * shift * np.exp(0.5 * (s * self.width) ** 2) / -np.expm1(-s * self.width)
+
+    @property
+    def _steps(self):
+        """Return from each bell to the next how much higher it is."""
+        return np.diff(self.heights, prepend=0.0)
+
+    def sizes(self, t):
+        """See `Pulse`."""
+        area, heights = self.width * math.sqrt(2 * math.pi), np.abs(self.heights)
+        moved = area * heights.sum() + np.maximum(t - self.end, 0.0) * 2.54 * heights[-1]
+        return moved, np.full_like(moved, 2.54 * np.abs(self._steps).sum())

@@ -1,0 +1,1 @@
+"""One bond a step, by windows of algebra; its spectrum and memory."""

@@ -1,0 +1,125 @@
+"""The figure of a relaxing network: amplitude against time, power spectrum (paper: timeres)."""
+
+import numpy as np
+
+from pgran.draw import marks, style, together
+from pgran.errors import FileError
+from pgran.store.estimate import two_digits
+
+
+def figures(result, **_):
+    """Yield the beginning of the series above its power spectrum and its memory, if there are."""
+    relaxation, power = result.relaxation, getattr(result, "spectrum", None)
+    remembered = getattr(result, "memory", None)
+    rows = 1 + bool(power) + bool(remembered)
+    figure, (ax, *below) = style.page(style.COLUMN, 0.2 + 2.3 * rows, nrows=rows)
+    series(ax, relaxation)
+    style.legend_above([ax])
+    omega = rf"{relaxation.omega / result.medium.omega_mx:.4g} $\omega_{{mx}}$"
+    said = [f"Amplitude at {omega} against time, a step being one bond that is drawn anew."]
+    drawn = [
+        (spectrum, power, "Its power spectrum, the power law fitted to it, and slope -2."),
+        (memory, remembered, "Its autocorrelation, and the band that it must lie in."),
+    ]
+    for panel, (draw, record, text) in zip(below, [d for d in drawn if d[1]], strict=True):
+        draw(panel, record)
+        panel.legend(loc="lower left", borderaxespad=0.8)
+        said.append(text)
+    figure.caption = style.lettered(said)
+    figure.align_ylabels()
+    missed = np.isnan(relaxation.displacement).any(axis=2)
+    if missed.any():
+        count = f"{np.count_nonzero(missed)} of {missed.size} amplitudes"
+        style.note(figure, f"{count} missed the accuracy asked for")
+    yield "timeres", figure
+
+
+def series(ax, relaxation, steps=2000):
+    """Draw the amplitudes of the first trajectory against time (paper: timeres).
+
+    Steps that missed the accuracy asked for are gaps, and crosses on the upper edge; of amplitudes
+    at the floor the upper limit is drawn. Returns the curves.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    relaxation : pgran.results.Relaxation
+    steps : int
+        How many are drawn.
+    """
+    amplitude = np.abs(relaxation.displacement[0, : steps + 1])
+    limit = marks.upper_limits(relaxation)[0, : steps + 1]
+    time, good = np.arange(len(amplitude)), np.isfinite(amplitude) & np.isnan(limit)
+    ax.set(xlabel="time (steps of one bond)", ylabel=style.AMPLITUDE)
+    ax.set_xlim(0, max(len(time) - 1, 1))
+    ax.locator_params("x", nbins=5)
+    drawn = marks.curves(ax, time, amplitude, good, style.ball_names(relaxation.detector), limit)
+    if np.isfinite(amplitude).any():
+        ax.set_ylim(bottom=0)
+    marks.failed(ax, time[np.isnan(amplitude).any(axis=1)])
+    return drawn
+
+
+def spectrum(ax, spectrum):
+    """Draw a power spectrum, the law fitted to it, and a line of slope -2; return the lines."""
+    label = exponent(spectrum)
+    if np.isfinite(spectrum.exponent):
+        label = rf"$S \propto (2\sin\pi f)^{{-\psi}}$, {label}"
+    curve, law = power(ax, spectrum, label, style.ACCENT, shade="#777777")
+    window, values = law.get_data()
+    middle = len(window) // 2
+    height = values[middle]
+    if not np.isfinite(height):
+        height = np.interp(window[middle], spectrum.frequency, spectrum.power)
+    parallel = 6.0 * height * (window / window[middle]) ** -2.0  # well above the spectrum
+    look = {"color": "black", "linestyle": "--", "label": r"slope $-2$"}
+    return [curve, law, *ax.plot(window, parallel, **look)]
+
+
+def memory(ax, memory):
+    """Draw the autocorrelation with its errors, and the band that it must lie in; return them."""
+    ax.set(xlabel="steps in between", ylabel="autocorrelation of $|A|$")
+    ax.set(xscale="symlog", xlim=(0, memory.lag[-1]))
+    words = r"$(1 - \bar k/M)^t$ to $(1 - 1/M)^t$"
+    law = ax.fill_between(memory.lag, memory.lowest, memory.highest, color="#cccccc", label=words)
+    label = rf"$\bar k = {memory.order:.3g} \pm {two_digits(memory.order_error)}$"
+    look = {"color": style.ACCENT, "linewidth": 0.8, "marker": ".", "markersize": 3}
+    return law, ax.errorbar(
+        memory.lag, memory.correlation, memory.correlation_error, label=label, **look
+    )
+
+
+def power(ax, spectrum, label, color, shade=None, linestyle="-"):
+    """Draw a power spectrum in a pale shade, and the law fitted to it; return both lines."""
+    ax.set(xscale="log", xlabel="frequency $f$ (cycles per step)")
+    ax.set(yscale="log", ylabel="power density $S$ (steps per cycle)")
+    window = np.geomspace(spectrum.fit_min, spectrum.fit_max, 100)
+    look = {"color": color, "linewidth": 1.5, "linestyle": linestyle, "label": label}
+    shade = shade or style.pale(color)
+    return [
+        *ax.plot(spectrum.frequency, spectrum.power, color=shade, linewidth=0.5),
+        *ax.plot(window, spectrum.power_law(window), **look),
+    ]
+
+
+def exponent(spectrum):
+    """Return the exponent of a power law with its error, as a legend has it, or that it is none."""
+    if not np.isfinite(spectrum.exponent):
+        return r"$\psi$ withheld: too few steps"
+    return rf"$\psi = {spectrum.exponent:.3f} \pm {spectrum.exponent_error:.3f}$"
+
+
+def over(results, labels):
+    """Yield the power spectra, each with the law fitted to it (paper: timeres)."""
+    if any(getattr(result, "spectrum", None) is None for result in results):
+        raise FileError(
+            "spectra are laid over each other: a result has none, its run was too short"
+        )
+    figure, (ax,) = style.page(style.COLUMN, 2.5)
+    for number, (result, label) in enumerate(zip(results, labels, strict=True)):
+        said = f"{label}:\n{exponent(result.spectrum)}"
+        look = together.look_of(number)
+        power(ax, result.spectrum, said, look["color"], linestyle=look["linestyle"])
+    together.finish(figure)
+    figure.caption = "Power spectra of the amplitude, and the laws fitted to them."
+    yield "spectrum", figure

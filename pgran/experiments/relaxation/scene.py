@@ -1,0 +1,319 @@
+"""Scene `relaxation`: the amplitude at the detectors while one bond a step is redrawn."""
+
+import contextlib
+from functools import partial
+
+import numpy as np
+
+from pgran.driven import drive as driven
+from pgran.driven.accurate import below_relative_accuracy
+from pgran.errors import InputError
+from pgran.experiments.relaxation import fluctuations
+from pgran.experiments.relaxation.changes import draw_changes
+from pgran.experiments.relaxation.record import Relaxation
+from pgran.medium import sample as common
+from pgran.medium.law import TRIED, check_law, drawn
+from pgran.medium.record import record_of
+from pgran.medium.sample import automatic_ranks
+from pgran.medium.units import check_frequency
+from pgran.run.agreement import agreeing
+from pgran.run.experiment import Scene
+from pgran.run.fingerprints import fingerprint
+from pgran.run.interface import in_parallel
+from pgran.run.machine import check_memory
+from pgran.run.options import INTEGER, REAL, TEXT, Option, check_ends, checks
+from pgran.run.task import Task, carry_out
+from pgran.store.estimate import counted
+
+RELAXATION = (
+    Option("relax_steps", INTEGER, 20000, "steps, one bond each", low=1),
+    Option("relax_omega", REAL, 0.6, "driving frequency", "angular", above=0),
+    Option("relax_seed", INTEGER, 1, "which sequence of changes", low=0, high=2**63 - 1),
+    Option(
+        "relax_method", TEXT, "window",
+        "window: many known changes on one factorization; krylov: iterate from the last step; "
+        "direct: factor at each step",
+        choices=("window", "krylov", "direct"),
+    ),
+    Option("relax_window", INTEGER, 0, "steps to a window; 0 = by cost", low=0, high=4096),
+    Option(
+        "relax_trajectories", INTEGER, 1, "independent trajectories, all from the same bonds", low=1
+    ),
+)  # fmt: skip
+STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windows
+
+
+def check(values, given):
+    """Raise where options contradict each other. Not collective."""
+    law = ("bonds_law", "bonds_kmin", "bonds_kmax", "bonds_fraction", "bonds_force", "bonds_hertz")
+    common.check_lattice(values, given, law)
+    if values["network_file"] is not None and "bonds_law" not in given:
+        values["bonds_law"] = None  # the network's own constants
+    if values["bonds_law"] == "file":
+        raise InputError(
+            "-bonds_law file: a relaxation draws new constants and needs a law for them"
+        )
+    check_ends("spectrum_fit", values)
+
+
+def run(options, world, crew):
+    """Return lattice, relaxation and spectrum, on rank 0; None on the others.
+
+    Collective. Parameters are those of `pgran.run.experiment.Scene`.
+    """
+    from pgran.experiments.relaxation.spectrum import check_window
+
+    window = options.spectrum_fit_min, options.spectrum_fit_max
+    check_window(*window)  # before any work; too short a series only has no spectrum
+    lattice = common.make_lattice(options, world)
+    with crew(common.ranks_per_lattice(options, lattice, world), lattice) as workers:
+        relaxation = relax(
+            lattice,
+            common.make_law(options) if options.bonds_law else None,
+            options.relax_omega,
+            options.detectors,
+            workers,
+            steps=options.relax_steps,
+            trajectories=options.relax_trajectories,
+            seed=options.relax_seed,
+            method=options.relax_method,
+            window=options.relax_window,
+            progress=options.output_progress,
+            **driven.steady_of(options),
+        )
+    if relaxation is None:
+        return None
+    found = (
+        [relaxation] if workers.dry else fluctuations.measured(relaxation, window, lattice.bonds)
+    )
+    return [record_of(lattice), *found]
+
+
+def summary(result):
+    """Return in words what a run found. Not collective."""
+    relaxation = result.relaxation
+    steps = relaxation.bond_axis.size
+    yield (
+        f"{counted(steps, 'step')} with {counted(relaxation.factorizations, 'factorization')} in "
+        f"{relaxation.solve_seconds:.2f} s"
+    )
+    yield from driven.reached_accuracy(relaxation, ~np.isnan(relaxation.displacement).any(axis=2))
+    if relaxation.drift > 0:
+        yield (
+            f"largest relative difference between a window's end and the next one's start: "
+            f"{relaxation.drift:.1e}"
+        )
+    yield from fluctuations.summary(result)
+
+
+@in_parallel(automatic_ranks, lattice=common.medium, law=check_law,
+    **checks(RELAXATION, "relax_"), **driven.CHECKS,
+)  # fmt: skip
+def relax(
+    lattice,
+    law,
+    omega,
+    detectors,
+    crew=None,
+    *,
+    steps,
+    trajectories=1,
+    seed=1,
+    method="window",
+    window=0,
+    error_tolerance=1e-4,
+    error_floor=1e-20,
+    refresh_iterations=0,
+    progress="none",
+):
+    """Redraw one bond a step and solve the steady state each time (paper: section 5, timeres).
+
+    Collective.
+
+    Parameters
+    ----------
+    lattice : pgran.medium.lattice.Lattice
+        Before any change.
+    law : callable or None
+        Turns numbers uniform on [0, 1), an array, into bond constants, each number by itself, the
+        same always and on all ranks; None draws from those that there are.
+    omega : float
+        Driving frequency, angular.
+    detectors : array_like of int
+        Ball indices, flat or one row a detector.
+    crew : pgran.run.crew.Crew, optional
+        All ranks unless given.
+    steps, trajectories, seed : int
+        Trajectories are independent and all start from the lattice's bonds.
+    method : {"window", "krylov", "direct"}
+        Windows of known changes on one factorization; an iteration from the last step, with an
+        earlier factorization as preconditioner; or a factorization a step.
+    window : int
+        Steps to a window; 0 decides by the size of the lattice.
+    error_tolerance : float
+        Asked of each amplitude.
+    error_floor, refresh_iterations
+        See `pgran.driven.steady.SteadySolver`.
+    progress : str
+        Style of `pgran.run.progress.Progress`.
+
+    Returns
+    -------
+    pgran.results.Relaxation or None
+        With a crew of the caller's None on all ranks but rank 0.
+
+    Raises
+    ------
+    InputError
+        If a detector lies outside the lattice, a value is impossible, or a law's constants are.
+    """
+    chosen = {
+        "relax_omega": omega,
+        "relax_steps": steps,
+        "relax_trajectories": trajectories,
+        "relax_seed": seed,
+        "relax_method": method,
+        "relax_window": window,
+    }
+    steady = {
+        "error_tolerance": error_tolerance,
+        "error_floor": error_floor,
+        "refresh_iterations": refresh_iterations,
+    }
+    with agreeing(crew.world) as asked:
+        task = Steps(lattice, law, detectors, chosen, steady)
+        asked["law"] = fingerprint(task.law(TRIED))
+    driven.check_driven(lattice, crew.world, omega)
+    return carry_out(task, crew, progress)
+
+
+def redrawn(constants, numbers):
+    """Return constants of a network's own, drawn by numbers uniform on [0, 1). Not collective."""
+    return constants[(numbers * len(constants)).astype(np.int64)]
+
+
+class Steps(Task):
+    """The states of all trajectories, some steps of one trajectory at a time.
+
+    Parameters
+    ----------
+    lattice, law, detectors
+        As in `relax`.
+    chosen : dict
+        Values of the options in RELAXATION.
+    choices : dict
+        Keywords of `pgran.driven.steady.SteadySolver`.
+    """
+
+    items = "states"
+
+    def __init__(self, lattice, law, detectors, chosen, choices):
+        """Cut the trajectories into stretches of whole windows."""
+        self.lattice, self.choices = lattice, choices
+        own = partial(redrawn, lattice.constants[: lattice.bonds])
+        self.law = own if law is None else partial(drawn, law)
+        self.sites = lattice.sites(detectors)
+        self.omega, self.steps, self.trajectories, self.seed, self.method, self.window = (
+            chosen[f"relax_{name}"]
+            for name in ("omega", "steps", "trajectories", "seed", "method", "window")
+        )
+        # Measured: the factorization's price a step falls like 1/s, that of the algebra grows
+        # like s^2.
+        self.window = self.window or (64 if lattice.balls < 5000 else 128)
+        self.scaled, self.unit = lattice.in_own_unit()
+        check_frequency(self.scaled, self.omega)
+        nd = len(self.sites)
+        self.row = np.dtype(
+            [
+                *[("displacement", complex, (nd,)), ("error_bound", float, (nd,))],
+                *[("drift", float), ("factorizations", np.int64)],
+            ]
+        )
+        check_memory("relax_steps", self.trajectories * (self.steps + 1) * self.row.itemsize)
+        length = max(1, STEPS_IN_UNIT // self.window) * self.window
+        self.units = [
+            (trajectory, first, min(length, self.steps - first))
+            for trajectory in range(self.trajectories)
+            for first in range(0, self.steps, length)
+        ]
+
+    @contextlib.contextmanager
+    def open(self, group):
+        """See `Task`."""
+        from pgran.driven.operators import Operators
+        from pgran.driven.steady import SteadySolver
+        from pgran.experiments.relaxation.changing import ChangingBonds
+        from pgran.experiments.relaxation.marching import march_steps, march_windows
+
+        def draw(trajectory, first, count):
+            return self._draw(trajectory, first, count, self.unit)
+
+        with (
+            Operators(self.scaled, group) as operators,
+            SteadySolver(operators, self.sites, **self.choices) as solver,
+        ):
+            changing, s = ChangingBonds(self.scaled, operators, draw), 1j * self.omega
+
+            def work(unit):
+                trajectory, first, count = unit
+                before, changes = solver.factorizations, draw(*unit)
+                changing.move_to(trajectory, first)
+                solver.restart()
+                if self.method == "window":
+                    states = march_windows(changing, solver, s, changes, self.window)
+                else:
+                    states = march_steps(changing, solver, s, changes, self.method == "direct")
+                rows = np.zeros(count + 1, self.row)
+                rows["displacement"], rows["error_bound"], rows["drift"] = states
+                rows[-1]["factorizations"] = solver.factorizations - before
+                return rows[int(first > 0) :]  # a state between units is the earlier one's
+
+            yield work
+
+    def _draw(self, trajectory, first, count, unit=1.0):
+        """Return the changes of some steps, constants in a unit. Not collective."""
+        return draw_changes(self.law, self.lattice.bonds, self.seed, trajectory, first, count, unit)
+
+    def length(self, unit):
+        """See `Task`."""
+        _, first, count = unit
+        return count + (first == 0)
+
+    def sample(self, unit):
+        """See `Task`."""
+        trajectory, first, count = unit
+        few = 4 * self.window if self.method == "window" else 32
+        return trajectory, first, min(count, few)
+
+    def collect(self, rows, seconds):
+        """See `Task`."""
+        rows = rows.reshape(self.trajectories, self.steps + 1)
+        changes = [self._draw(number, 0, self.steps) for number in range(self.trajectories)]
+        axis, index = self.lattice.bond_places(np.stack([c.bond for c in changes]))
+        displacement, error_bound = (rows[name].copy() for name in ("displacement", "error_bound"))
+        tolerance = self.choices["error_tolerance"]
+        return Relaxation(
+            omega=self.omega,
+            factorizations=int(rows["factorizations"].sum()),
+            solve_seconds=seconds,
+            drift=float(rows["drift"].max()),
+            bond_axis=axis,
+            bond_index=index,
+            stiffness=np.stack([c.stiffness for c in changes]),
+            detector=self.sites,
+            displacement=displacement,
+            error_bound=error_bound,
+            at_floor=below_relative_accuracy(error_bound, displacement, tolerance),
+        )
+
+
+SCENE = Scene(
+    options=(
+        *(*common.LATTICE, *common.DETECTORS, *RELAXATION, *fluctuations.SPECTRUM),
+        *driven.STEADY.values(),
+    ),
+    run=run,
+    summary=summary,
+    check=check,
+    shares_lattice=True,
+)

@@ -1,0 +1,1 @@
+"""A sweep: points or proven curves, phases and slopes."""

@@ -1,0 +1,313 @@
+"""Models of the response between frequencies: moments, their bases, and a march that proves them.
+
+The moments of A at omega_0 are its scaled derivatives x_k = h^k A^(k) / k!; with d = omega -
+omega_0, S = S_0 + d S_1 + d^2 S_2 and f = f_0 + d f_1 they follow from the factorization of S_0,
+
+    S_0 x_k = f_k - h S_1 x_(k-1) - h^2 S_2 x_(k-2),    S_1 = i C - 2 omega_0 M,    S_2 = -M,
+
+and those of a detector's adjoint from the same with e_d for f_0. A and all adjoints are solved as
+one block of right-hand sides. Models are reduced and proven by `models`; they need
+damping, which bounds S^-1 for all frequencies alike.
+"""
+
+import logging
+import math
+
+import numpy as np
+
+from pgran.driven.certify import smallest_damping
+from pgran.driven.judge import Detectors
+from pgran.driven.linear import LEAST_NORM, make_ksp, set_up
+from pgran.driven.owner import Owner
+from pgran.errors import is_bad_input, petsc_message
+from pgran.experiments.response.models import MOMENTS, ModelLimits, evaluate, model_dtype, poles
+from pgran.experiments.response.tall import SUMMED, products, qr_rounding, squares, tall_qr
+from pgran.medium.rounding import EPSILON
+from pgran.run.agreement import met_by_all
+from pgran.run.petsc import PETSc
+
+log = logging.getLogger("pgran")
+
+CHECKS = 9  # Chebyshev points of an interval where its bound is checked
+SHARE = 0.5  # of what rounding leaves of the allowed, where it is checked; for what is between
+ORDER = 4 * MOMENTS  # a bound falls like this power of the interval's length
+
+
+class IntervalModels(Owner):
+    """Makes models of one lattice and proves them; destroy with `destroy` or `with`.
+
+    Collective.
+
+    Parameters
+    ----------
+    operators : pgran.driven.operators.Operators
+        With damping.
+    sites : array_like of int, shape (nd, dim)
+        The detectors.
+    tolerance : float
+        Relative accuracy asked of each amplitude.
+    length : callable
+        Takes a frequency, returns about how long an interval there may be.
+
+    Attributes
+    ----------
+    factorizations : int
+        How many there were so far.
+    """
+
+    owns = ("_ksp", "_rhs", "_found", "_image", "_columns", "_products")
+
+    def __init__(self, operators, sites, tolerance, length):
+        """Make the blocks of right-hand sides and of columns."""
+        self.operators, self.comm = operators, operators.comm
+        self.tolerance, self.length = tolerance, length
+        self.factorizations, self._ksp, self._works = 0, None, False
+        self.width = min(2 * MOMENTS, operators.balls)
+        systems = 1 + len(sites)
+        self.dtype = model_dtype(self.width, len(sites), operators.balls)
+        self._rhs, self._found, self._image = (self._block(systems) for _ in range(3))
+        self._columns, self._products = (self._block((systems + 1) * self.width) for _ in range(2))
+        self._read(sites)
+        self.limits = self._limits(sites)
+
+    def _read(self, sites):
+        """Keep this rank's rows of g_0 and g_1 of each system, (systems, own balls, 2); diagonals.
+
+        Of an adjoint g_0 is e_d, and g_1 zero.
+        """
+        operators, damping = self.operators, self.operators.damping
+        with Detectors(operators, sites) as detectors:
+            units = detectors.unit_vectors()
+        loads = [operators.f_stiffness, *units]
+        self._loads = np.zeros((len(loads), operators.last - operators.first, 2), complex)
+        for load, vector in zip(self._loads, loads, strict=True):
+            load[:, 0] = vector.getArray()
+        self._loads[0, :, 1] = 1j * damping * operators.f_damping.getArray()
+        # Half the sums of the rows of |K| and |C|: of Laplacians their diagonals.
+        if operators.layout.laplacian:
+            diagonals = operators.K.getDiagonal(), operators.C.getDiagonal()
+        else:
+            diagonals = [operators.M.duplicate() for _ in range(2)]
+            diagonals[0].set(0.5)
+            K, _, C, _ = operators.sizes
+            C.mult(diagonals[0], diagonals[1])
+            half = diagonals[0].duplicate()
+            K.mult(diagonals[0], half)
+            diagonals[0].destroy()
+            diagonals[0] = half
+        self._diagonal, C = (d.getArray().real[:, None].copy() for d in diagonals)
+        self._damping, self._mass = damping * C, operators.M.getArray().real[:, None].copy()
+        for vector in (*units, *diagonals):
+            vector.destroy()
+
+    def _block(self, columns):
+        """Return a dense matrix of so many columns."""
+        rows = self.operators.f.getSizes()
+        block = PETSc.Mat().createDense((rows, (None, columns)), comm=self.comm)
+        block.setUp()
+        block.assemble()
+        return block
+
+    def _limits(self, sites):
+        """Return what bounds the errors of all models."""
+        operators, rounding = self.operators, self.operators.rounding
+        # a path through the sums of `products`, over the ranks, and of the small algebra
+        terms = 2 * SUMMED + operators.balls / SUMMED + 2 * self.comm.size + 3 * self.width + 16
+        drive, damped = 1.01 * np.sqrt(self._total(squares(self._loads[0])))
+        return ModelLimits(
+            stability=operators.damping * smallest_damping(operators.lattice),
+            stiffness=2.02 * self._largest(self._diagonal).item(),
+            damping=2.02 * self._largest(self._damping).item(),
+            mass=1.01 * self._largest(self._mass).item(),
+            drive=drive,
+            drive_damping=damped,
+            rounding=rounding + 4 * qr_rounding(2 + 2 * self.width),
+            sum_rounding=2 * rounding + 4 * EPSILON * terms,
+            receiver=float(operators.lattice.reading_norms(sites).max()),
+        )
+
+    def _total(self, part):
+        """Return a sum over the ranks of the lattice, the same on each."""
+        return part if self.comm.size == 1 else sum(self.comm.allgather(part))
+
+    def _largest(self, numbers):
+        """Return the largest numbers in the rows, the last axis but one, of all ranks."""
+        largest = np.maximum(np.abs(numbers.real), np.abs(numbers.imag)).max(axis=-2)
+        return largest if self.comm.size == 1 else np.max(self.comm.allgather(largest), axis=0)
+
+    def cover(self, low, high):
+        """Yield models of intervals that follow each other from `low` to `high`.
+
+        Collective. An interval that misses its accuracy anywhere is shortened by the order of the
+        model, and its far end serves a later one; where rounding forbids the accuracy, the model is
+        marked as not proven. Nothing depends on clocks.
+
+        Parameters
+        ----------
+        low, high : float
+
+        Yields
+        ------
+        numpy.ndarray of `models.model_dtype`, shape (1,)
+        """
+        start, ahead, step, done = low, [high], 2 * self.length(low), self.factorizations
+        moments = {}
+        while ahead:
+            pieces = max(1, math.ceil((ahead[-1] - start) / step - 1e-9))
+            end = start + (ahead[-1] - start) / pieces if pieces > 1 else ahead[-1]
+            for omega in (start, end):
+                if omega not in moments:
+                    moments[omega] = self.moments(omega)
+            model = self._model(start, end, moments[start], moments[end])
+            missed, in_vain = self._agreed(self._missed(model[0]))
+            reach = 0.9 * max(missed, 1e-300) ** (-1 / ORDER)
+            reach = min(max(reach, 0.3), 3.0 if missed <= 1 else 0.8)
+            step = (end - start) * (2.0 if in_vain else reach)
+            shortest = max(self.length(start) / 16, 1e-9 * start)
+            if missed <= 1 or in_vain or end - start <= shortest:
+                model["proven"] = missed <= 1
+                model["factorizations"] = self.factorizations - done
+                yield model
+                del moments[start]
+                start, done = end, self.factorizations
+                step = max(step, shortest)
+                if end == ahead[-1]:
+                    ahead.pop()
+            elif end != ahead[-1]:
+                ahead.append(end)
+
+    def _agreed(self, found):
+        """Return what the first rank has found: a last digit must not part the ranks' ways."""
+        return found if self.comm.size == 1 else self.comm.bcast(found)
+
+    def _missed(self, model):
+        """Return the largest bound relative to what is allowed; whether shortening is in vain.
+
+        Checked at the ends, at Chebyshev points, and above the poles.
+        """
+        low, high = model["low"], model["high"]
+        angles = np.pi * (np.arange(CHECKS) + 0.5) / CHECKS
+        inner = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(angles)
+        above = poles(model["own"], low, high)
+        model["poles"] = above[0]
+        checked = np.unique(np.concatenate([[low, high], inner, above[np.isfinite(above)]]))
+        checked = checked[np.diff(checked, prepend=0.0) > 1e-4 * (high - low)]  # A's, not z's twins
+        points = evaluate(model, checked, self.limits, derivatives=False)
+        with np.errstate(all="ignore"):
+            allowed = self.tolerance * np.abs(points["displacement"]) / (1 + self.tolerance)
+            room = allowed - points["rounding"]
+            missed = (points["error_bound"] - points["rounding"]) / (SHARE * room)
+            in_vain = ~np.all(room > 0, axis=1)
+            missed = np.where(in_vain, np.inf, missed.max(axis=1))
+        missed[np.isnan(missed)] = np.inf
+        return missed.max(), np.any(in_vain)
+
+    def moments(self, omega):
+        """Return the moments of A and of the adjoints, shape (systems, own balls, MOMENTS).
+
+        Collective. Not finite where S cannot be factored, or PETSc fails, which is said.
+        """
+        operators, found = self.operators, None
+        operators.combine(1j * omega)
+        self.factorizations += 1
+        if self._ksp is None:
+            self._ksp = make_ksp(operators, operators.S)
+        try:
+            if set_up(self._ksp, operators.S, self.comm):
+                found = self._series(omega)
+        except PETSc.Error as error:
+            wrong = is_bad_input(error) and not self._works
+            if error.__cause__ or wrong or not met_by_all(self.comm):
+                raise
+            log.warning("no model at omega = %g: %s", omega, petsc_message(error))
+        if found is None:
+            self.forget("_ksp")
+            self._ksp = None
+            return np.full((*self._loads.shape[:2], MOMENTS), np.nan, dtype=complex)
+        self._works = True
+        return found
+
+    def _series(self, omega):
+        """Return the moments at a frequency whose S is factored."""
+        operators, factor = self.operators, self._ksp.getPC().getFactorMatrix()
+        h, damping = self.length(omega), operators.damping
+        g = operators.f.getArray()[:, None]
+        rhs = np.concatenate([g, self._loads[1:, :, 0].T], axis=1)
+        found = np.empty((MOMENTS, *rhs.shape), dtype=complex)
+        for k in range(MOMENTS):
+            self._rhs.getDenseArray()[:] = rhs
+            self._rhs.assemble()
+            factor.matSolve(self._rhs, self._found)
+            found[k] = self._found.getDenseArray(readonly=True)
+            operators.C.matMult(self._found, self._image)
+            bent = 1j * damping * self._image.getDenseArray(readonly=True)
+            rhs = -h * (bent - 2 * omega * self._mass * found[k])
+            if k == 0:
+                rhs[:, 0] += h * self._loads[0, :, 1]
+            else:
+                rhs += h * h * self._mass * found[k - 1]
+        return np.ascontiguousarray(found.transpose(2, 1, 0))
+
+    def _model(self, low, high, *moments):
+        """Return the model of an interval from the moments at its ends. Collective."""
+        model = np.zeros(1, self.dtype)
+        into = model[0]
+        into["low"], into["high"] = low, high
+        moments = np.concatenate(moments, axis=-1)  # (systems, own balls, columns)
+        largest = self._largest(moments)
+        if not np.all(np.isfinite(largest)):
+            into["own"] = np.nan
+            return model
+        # Where there are fewer balls than moments, as many columns span everything.
+        X, _ = tall_qr(moments / np.maximum(largest, LEAST_NORM)[:, None], self.comm)
+        X = X[..., : self.width]
+        K, C = self._applied([*X, np.abs(X[0])], (self.operators.K, self.operators.C))
+        W = np.concatenate([self._loads, K[:-1], 1j * C[:-1], -self._mass * X], axis=-1)
+        into["own"] = self._total(X.swapaxes(1, 2) @ W)
+        into["triangle"] = self._triangle(X, W)
+        into["cross"] = self._total(products(X[1:], W[0]))
+        into["reading"] = self._total(self._loads[1:, :, 0].real @ X[0])
+        sizes = high * high * self._mass * np.abs(X[0])
+        if self.operators.layout.laplacian:
+            # |K| has the same diagonal as K, and so on; its other entries are those of -K.
+            sizes += 2 * (self._diagonal + high * self._damping) * np.abs(X[0])
+            sizes -= K[-1].real + high * C[-1].real
+        else:
+            K, C = self._applied([*X, np.abs(X[0])], self.operators.sizes[::2])
+            sizes += K[-1].real + high * C[-1].real
+        drive = np.abs(self._loads[0]) @ [1.0, high]
+        Z = np.abs(X[1:]).swapaxes(1, 2)
+        into["sizes"], into["drive_sizes"] = self._total(Z @ sizes), self._total(Z @ drive)
+        return model
+
+    def _triangle(self, X, W):
+        """Return R of W = Q R, Q being X and columns of what W has beside X.
+
+        M X has nothing beside it, all balls having one mass. Not finite if Q R misses W.
+        """
+        across, p = X.conj().swapaxes(1, 2), X.shape[-1]
+        inside = self._total(across @ W)
+        beside = W[..., :-p] - X @ inside[..., :-p]
+        Q, R = tall_qr(beside, self.comm)
+        missed = self._total(squares(beside - Q @ R))
+        good = np.all(missed <= qr_rounding(p) ** 2 * squares(R))
+        # both parts of Q are orthonormal, and orthogonal to each other but for this
+        overlap = np.sqrt(squares(self._total(across @ Q)).sum(axis=-1))
+        R = np.pad(R, [(0, 0), (0, 0), (0, p)])
+        R = np.concatenate([inside, R], axis=1) * np.sqrt(1 + overlap)[:, None, None]
+        return R if good else np.full_like(R, np.nan)
+
+    def _applied(self, blocks, matrices):
+        """Return K x and C x, all damping, of this rank's rows of blocks of columns. Collective."""
+        width, found = self.width, []
+        columns = self._columns.getDenseArray()
+        for number, block in enumerate(blocks):
+            columns[:, number * width : (number + 1) * width] = block
+        self._columns.assemble()
+        for matrix in matrices:
+            matrix.matMult(self._columns, self._products)
+            product = self._products.getDenseArray(readonly=True)
+            # a copy, of one row too: the next product overwrites this one
+            product = product.reshape(-1, len(blocks), width).swapaxes(0, 1)
+            found.append(np.array(product, order="C"))
+        return found[0], self.operators.damping * found[1]

@@ -1,0 +1,194 @@
+"""The records of a response: its curve at some frequencies, and the models of it in between."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pgran.errors import PgranError
+from pgran.experiments.response.models import ModelLimits
+from pgran.store.fields import BOUND, DETECTOR, FLOOR, PHASE, Frequencies
+from pgran.store.record import Record, array, attribute, attribute_array, part
+
+LINES = 1e-2  # of the amplitude, that straight lines between neighbours should be right to
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Models(ModelLimits, Record):
+    """Models of the response, an interval of frequencies each; `models` says what.
+
+    The plain values, its limits, bound their errors. All are in the unit that the lattice was
+    solved in, which amplitudes and frequencies do not depend on.
+    """
+
+    group, within = "models", "response"
+    low: np.ndarray = array("lower end of the interval, angular", "sqrt(k/m)", "interval")
+    high: np.ndarray = array("upper end of the interval, angular", "sqrt(k/m)", "interval")
+    own: np.ndarray = array(
+        "X^T W of each system: that of A, then one a detector",
+        "k", "interval", "system", "column", "place", dtype=complex,
+    )  # fmt: skip
+    cross: np.ndarray = array(
+        "Z^T W with the W of A", "k", "interval", "detector_number", "column", "place",
+        dtype=complex,
+    )  # fmt: skip
+    triangle: np.ndarray = array(
+        "R of W = Q R", "k", "interval", "system", "row", "place", dtype=complex
+    )
+    reading: np.ndarray = array(
+        "e_d^T X", "1", "interval", "detector_number", "column", dtype=complex
+    )
+    sizes: np.ndarray = array(
+        "|Z|^T |S| |X|", "k", "interval", "detector_number", "column", "other"
+    )
+    drive_sizes: np.ndarray = array("|Z|^T |f|", "k", "interval", "detector_number", "column")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Response(Frequencies, Record):
+    """The frequency response of single balls (paper: freqres, phaseres).
+
+    `nw` frequencies, `nd` detectors. A point whose `converged_reason` is not positive failed or
+    missed the accuracy asked for. The `method` is `points`, each frequency solved for, or `curve`,
+    models of intervals; `resolve` is what straight lines between neighbours were asked to be right
+    to, relative to the amplitude; 0: no frequency was added.
+    """
+
+    group = "response"
+    factorizations: int
+    solve_seconds: float
+    method: str = attribute(since=3)
+    resolve: float = attribute(since=3)
+    phase_slope: np.ndarray = attribute_array("detector_number")
+    phase_slope_error: np.ndarray = attribute_array("detector_number", since=3)
+    phase_velocity: np.ndarray = attribute_array("detector_number")
+    phase_velocity_error: np.ndarray = attribute_array("detector_number", since=3)
+    phase_intercept: np.ndarray = attribute_array("detector_number")
+    phase_fit_min: float
+    phase_fit_max: float
+    phase_used_min: np.ndarray = attribute_array("detector_number", since=3)
+    phase_used_max: np.ndarray = attribute_array("detector_number", since=3)
+    omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
+    requested: np.ndarray = array(
+        "1: this frequency was asked for, 0: added to resolve the curve", "1", "omega",
+        dtype=np.int8, since=3,
+    )  # fmt: skip
+    detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
+    displacement: np.ndarray = array(
+        "amplitude at the detectors relative to the driven wall, convention exp(+i omega t)",
+        "1", "omega", "detector_number", dtype=complex,
+    )  # fmt: skip
+    amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega", "detector_number")
+    phase: np.ndarray = array(PHASE, "rad", "omega", "detector_number")
+    backward_error: np.ndarray = array("normwise backward error of the field", "1", "omega")
+    error_bound: np.ndarray = array(BOUND, "1", "omega", "detector_number")
+    derivative: np.ndarray = array(
+        "derivative of the displacement along omega", "sqrt(m/k)", "omega", "detector_number",
+        dtype=complex, since=3,
+    )  # fmt: skip
+    derivative_bound: np.ndarray = array(
+        "bound of the error of the derivative; NaN: none is known",
+        "sqrt(m/k)", "omega", "detector_number", since=3,
+    )  # fmt: skip
+    delay: np.ndarray = array(
+        "group delay, minus the derivative of the phase along omega; NaN: the amplitude may vanish",
+        "sqrt(m/k)", "omega", "detector_number", since=3,
+    )  # fmt: skip
+    delay_bound: np.ndarray = array(
+        "bound of the error of the delay", "sqrt(m/k)", "omega", "detector_number", since=3
+    )
+    line_error: np.ndarray = array(
+        "how far the curve may leave the straight line from the frequency before, relative to the "
+        "amplitude, by the derivatives at both; infinite: unknown",
+        "1", "omega", "detector_number", since=3,
+    )  # fmt: skip
+    modelled: np.ndarray = array(
+        "1: proven models cover the curve from the frequency before", "1", "omega",
+        dtype=np.int8, since=5,
+    )  # fmt: skip
+    force: np.ndarray = array(
+        "force that drives the wall, or the driven balls along their motion, when they move by 1; "
+        "NaN: no solution",
+        "k", "omega", dtype=complex, since=4,
+    )  # fmt: skip
+    force_bound: np.ndarray = array(
+        "bound of the error of the force; NaN: none is known", "k", "omega", since=4
+    )
+    power: np.ndarray = array(
+        "mean power that the drive of amplitude 1 puts in, and dashpots dissipate: omega / 2 times "
+        "the imaginary part of the force, its error that part of the bound",
+        "k sqrt(k/m)", "omega", since=4,
+    )  # fmt: skip
+    at_floor: np.ndarray = array(FLOOR, "1", "omega", "detector_number", dtype=np.int8, since=2)
+    iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega", dtype=int)
+    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
+    field: np.ndarray | None = array(
+        "amplitudes of all balls relative to the driven wall",
+        "1", "omega", "balls", dtype=complex, optional=True,
+    )  # fmt: skip
+    models: Models | None = part(Models)
+
+    @property
+    def dynamic_mass(self):
+        """The force over the acceleration of what is driven, -F / omega^2; None in older files."""
+        return None if self.force is None else -self.force / self.omega**2
+
+    @property
+    def unmodelled(self):
+        """What part of the sweep no proven model covers; 1 of points, 0 of older files' curves."""
+        if self.modelled is None or len(self.omega) < 2:
+            return float(self.method != "curve")
+        width = np.diff(self.omega)
+        return float(width @ (self.modelled[1:] == 0) / width.sum())
+
+    @property
+    def unresolved(self):
+        """Which straight lines to the next frequency are not the curve, shape (nw - 1,)."""
+        if self.line_error is None:
+            return np.zeros(len(self.omega) - 1, dtype=bool)
+        return ~np.all(self.line_error[1:] <= (self.resolve or LINES), axis=1)
+
+    def at(self, omega):
+        """Return the curve at any frequencies of the sweep, without PETSc.
+
+        Not collective.
+
+        Parameters
+        ----------
+        omega : array_like of float, shape (n,)
+            Driving frequencies, angular.
+
+        Returns
+        -------
+        Curve
+            NaN, with infinite bounds, where no interval's model is proven.
+
+        Raises
+        ------
+        PgranError
+            If the result holds no models.
+        InputError
+            If the frequencies are no numbers.
+        """
+        if self.models is None:
+            raise PgranError(
+                "the response holds no models to tell the amplitude at any frequency: compute it "
+                "with -sweep_method curve and -output_models (keep_models=True)"
+            )
+        from pgran.experiments.response.models import evaluate_all
+        from pgran.run.numbers import numbers
+
+        return Curve(*evaluate_all(self.models, numbers("omega", omega)))
+
+
+class Curve(NamedTuple):
+    """The response at some frequencies: arrays of shape (n, nd), but for `omega`.
+
+    `displacement` and `derivative` are wrong by at most `error_bound` and `derivative_bound`.
+    """
+
+    omega: np.ndarray
+    displacement: np.ndarray
+    error_bound: np.ndarray
+    derivative: np.ndarray
+    derivative_bound: np.ndarray

@@ -1,0 +1,230 @@
+"""Scene `response`: amplitude and phase of single balls over a sweep of driving frequencies."""
+
+import time
+from functools import partial
+
+import numpy as np
+
+from pgran.driven import drive as driven
+from pgran.driven.phase import and_more
+from pgran.experiments.response.curve import choose_method, solve_curve
+from pgran.experiments.response.points import ResponseSweep, phase_lines
+from pgran.experiments.response.record import LINES
+from pgran.medium import sample as common
+from pgran.medium.record import ball_names, record_of
+from pgran.medium.sample import automatic_ranks
+from pgran.run.agreement import agreeing, on_root
+from pgran.run.experiment import Caution, Scene
+from pgran.run.frequencies import SWEEP, check_sweep, checked_frequencies, driving_frequencies
+from pgran.run.interface import in_parallel
+from pgran.run.numbers import window
+from pgran.run.options import FLAG, REAL, TEXT, Option, check_ends
+from pgran.run.task import carry_out
+from pgran.store.estimate import counted, two_digits
+from pgran.store.si import SI
+
+METHOD = Option(
+    "sweep_method", TEXT, "auto",
+    "points, each frequency solved for; curve, models of intervals, proven between frequencies too;"
+    " auto, what is cheaper for the frequencies asked for",
+    choices=("points", "curve", "auto"),
+)  # fmt: skip
+RESOLVE = Option(
+    "sweep_resolve", REAL, None,
+    "with models, frequencies are added until straight lines between them are right to this part "
+    f"of the amplitude; {LINES:g} unless given, 0 = those asked for alone",
+    low=0, high=0.5
+)  # fmt: skip
+PHASE = (
+    Option("phase_fit_min", REAL, 0.3, "window of the phase fit", "omega_mx", low=0),
+    Option("phase_fit_max", REAL, 1.0, "window of the phase fit", "omega_mx", above=0),
+)
+FIELDS = Option("output_fields", FLAG, False, "store the whole field at every frequency")
+MODELS = Option(
+    "output_models", FLAG, None,
+    "keep the models, so that response.at(omega) works later; by default where they are few"
+)  # fmt: skip
+
+
+def check(values, given):
+    """Raise where options contradict each other. Not collective."""
+    common.check_lattice(values, given)
+    check_sweep(values, given)
+    check_ends("phase_fit", values)
+    if values["sweep_omega"] is not None:
+        # how a file resolves its grid is not meant for the few frequencies of a later list
+        listed = given["sweep_omega"].rank
+        for name, otherwise in (("sweep_method", "auto"), ("sweep_resolve", None)):
+            if name in given and given[name].rank < listed:
+                values[name] = otherwise
+
+
+def run(options, world, crew):
+    """Return the lattice and its response, on rank 0; None on the others.
+
+    Collective. Parameters are those of `pgran.run.experiment.Scene`.
+    """
+    lattice = common.make_lattice(options, world)
+    with crew(common.ranks_per_lattice(options, lattice, world), lattice) as workers:
+        response = sweep(
+            lattice,
+            driving_frequencies(options, lattice),
+            options.detectors,
+            workers,
+            method=options.sweep_method,
+            resolve=options.sweep_resolve,
+            keep_models=options.output_models,
+            fields=options.output_fields,
+            phase_window=(options.phase_fit_min, options.phase_fit_max),
+            progress=options.output_progress,
+            **driven.steady_of(options),
+        )
+    return response and [record_of(lattice), response]
+
+
+def summary(result):
+    """Return in words what a run found. Not collective."""
+    lattice, response, si = result.medium, result.response, SI.of(result)
+    nw, asked = len(response.omega), np.count_nonzero(response.requested)
+    added = f", {nw - asked} of them added to resolve the curve," if nw > asked else ""
+    yield (
+        f"{counted(nw, 'frequency')}{added} with "
+        f"{counted(response.factorizations, 'factorization')} in {response.solve_seconds:.2f} s"
+    )
+    yield from driven.reached_accuracy(response, response.converged_reason > 0)
+    yield from unresolved(response, lattice.damping > 0)
+    window = response.phase_fit_min, response.phase_fit_max
+    curves = response.omega, response.phase, response.line_error
+    for ball, line, velocity, error in zip(
+        ball_names(response.detector),
+        phase_lines(lattice, *curves, window),
+        response.phase_velocity,
+        response.phase_velocity_error,
+        strict=True,
+    ):
+        if line.why_not:
+            yield f"{ball}: no phase velocity: {line.why_not}"
+        else:
+            yield (
+                f"{ball}: phase slope {line.slope:.4g} +- {two_digits(line.slope_error)} rad "
+                f"per omega_mx, phase velocity {velocity:.4g} +- {two_digits(error)} "
+                f"{lattice.length} x omega_mx{si.say('m/s', velocity * lattice.omega_mx)}"
+            )
+
+
+def unresolved(response, damped):
+    """Yield in words where straight lines between the points are not the curve. Not collective."""
+    places, omega = np.flatnonzero(response.unresolved), response.omega
+    if response.method == "curve" and response.unmodelled:
+        first = np.flatnonzero(response.modelled[1:] == 0)[0]
+        yield (
+            f"no model could be proven for {100 * response.unmodelled:.3g} % of the sweep, first "
+            f"above {omega[first]:.6g}: there the frequencies asked for were solved one by one"
+        )
+    if places.size:
+        first = places[0]
+        helps = damped and response.method == "points"
+        hint = "; -sweep_method curve resolves it" if helps else ""
+        yield Caution(
+            f"the curve is not resolved between {omega[first]:.6g} and {omega[first + 1]:.6g}"
+            f"{and_more(places.size - 1)}{hint}"
+        )
+
+
+@in_parallel(
+    automatic_ranks, lattice=common.medium, omegas=checked_frequencies, method=METHOD.check,
+    resolve=RESOLVE.check, keep_models=MODELS.check, fields=FIELDS.check,
+    phase_window=partial(window, "phase_fit", PHASE), **driven.CHECKS,
+)  # fmt: skip
+def sweep(
+    lattice,
+    omegas,
+    detectors,
+    crew=None,
+    *,
+    method="auto",
+    resolve=None,
+    keep_models=None,
+    fields=False,
+    phase_window=(0.3, 1.0),
+    error_tolerance=1e-4,
+    error_floor=1e-20,
+    refresh_iterations=0,
+    progress="none",
+):
+    """Solve the driven steady state over a sweep of frequencies (paper: ampeq, freqres).
+
+    Collective.
+
+    Parameters
+    ----------
+    lattice : pgran.medium.lattice.Lattice
+    omegas : array_like of float, shape (nw,)
+        Driving frequencies, angular, increasing.
+    detectors : array_like of int
+        Ball indices, flat or one row a detector.
+    crew : pgran.run.crew.Crew, optional
+        All ranks unless given.
+    method : str
+        `points`, each frequency solved for; `curve`, models of intervals that are proven between
+        the frequencies, too; `auto`, what is cheaper for these frequencies.
+    resolve : float, optional
+        With models, frequencies are added until straight lines between them are right to this part
+        of the amplitude, 1e-2 unless given; 0 adds none.
+    keep_models : bool, optional
+        Keep the models for `Response.at`; by default where they are few.
+    fields : bool
+        Keep the amplitudes of all balls, too.
+    phase_window : tuple of float
+        Where the phase is fitted, in units of omega_mx.
+    error_tolerance : float
+        Asked of each amplitude, and of each field if they are kept.
+    error_floor, refresh_iterations
+        See `pgran.driven.steady.SteadySolver`.
+    progress : str
+        Style of `pgran.run.progress.Progress`.
+
+    Returns
+    -------
+    pgran.results.Response or None
+        With a crew of the caller's None on all ranks but rank 0.
+
+    Raises
+    ------
+    InputError
+        If a detector lies outside the lattice, or a value is impossible.
+    """
+    started = time.perf_counter()
+    steady = {
+        "error_tolerance": error_tolerance,
+        "error_floor": error_floor,
+        "refresh_iterations": refresh_iterations,
+    }
+    with agreeing(crew.world):
+        task = ResponseSweep(lattice, omegas, detectors, fields, steady)
+        method = choose_method(method, task.scaled, task.omegas, resolve, fields)
+    driven.check_driven(lattice, crew.world, omegas[0])
+    models = None
+    if method == "points":
+        resolve, points = 0.0, carry_out(task, crew, progress)
+    else:
+        resolve = LINES if resolve is None else resolve
+        points, models = solve_curve(task, crew, resolve, keep_models, progress)
+
+    def respond():
+        seconds = time.perf_counter() - started
+        return task.response(points, models, method, resolve, phase_window, seconds)
+
+    return on_root(crew.world, respond, keep=True)
+
+
+SCENE = Scene(
+    options=(
+        *(*common.LATTICE, *common.DETECTORS, *SWEEP),
+        *(METHOD, RESOLVE, *driven.STEADY.values(), *PHASE, FIELDS, MODELS),
+    ),
+    run=run,
+    summary=summary,
+    check=check,
+    shares_lattice=True,
+)

@@ -1,0 +1,1 @@
+"""What a signal depends on: derivatives, warm balls, cut bonds."""

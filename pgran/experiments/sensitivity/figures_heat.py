@@ -1,0 +1,195 @@
+"""The figures of what a warm ball, or a cut bond, does to a signal."""
+
+import logging
+
+import numpy as np
+
+from pgran.draw import balls, marks, style
+from pgran.experiments.sensitivity.influence import (
+    MOST,
+    few,
+    logarithmic,
+    note_failed,
+    on_bonds,
+    pages,
+    shares,
+    title,
+)
+from pgran.experiments.sensitivity.maps import Map
+
+log = logging.getLogger("pgran")
+QUARTER = 25.0  # %, what the heater of the experiment changed
+CHANGE = r"change $|A' - A|\,/\,|A|$ (%)"
+WARMED = "red: |A| grows; blue, with a bar: it falls"
+MEANS = "each ball: mean over its bonds; red: |A| grows; blue: it falls"
+SAID = (
+    "Share of balls warmed, or bonds cut, that change the amplitude by more, at all frequencies.",
+    "Median and largest change against the driving frequency.",
+)
+HOLLOW = "red: |A| grows; blue, hollow: it falls; width: square root"
+
+
+def figures(result, **_):
+    """Yield maps of warm balls and cut bonds, how the changes are distributed, and over omega."""
+    heat, medium = result.heat, result.medium
+    chosen = few(heat)
+    if not len(chosen):
+        log.warning("no frequency of the heater is as accurate as asked: none is drawn")
+        return
+    if medium.has_places:
+        if heat.warmed is not None:
+            yield from pages("warmed", warm, heat, medium, "change of |A|", _warmth)
+        if heat.cut is not None:
+            yield from pages("cut", cut, heat, medium, "change in dB", _words)
+    rows = 1 + (np.count_nonzero(heat.converged_reason > 0) > MOST)
+    figure, panels = style.page(style.COLUMN, 2.1 * rows + 0.2, nrows=rows)
+    lines = 0
+    for panel, ax in zip((distribution, over_frequency), panels, strict=False):
+        panel(ax, heat, medium)
+        lines += style.legend_above([ax])
+    figure.set_figheight(figure.get_figheight() + 0.13 * lines)
+    figure.caption = style.lettered(SAID[:rows])
+    note_failed(figure, heat)
+    yield "changes", figure
+
+
+def change(heat, name):
+    """Return by what part amplitudes change, |A'| / |A| - 1 and |A' - A| / |A|, NaN if not known.
+
+    That is where the error is larger than the change, and than a thousandth of the amplitude.
+
+    Parameters
+    ----------
+    heat : pgran.results.Heat
+    name : str
+        `warmed` or `cut`.
+    """
+    before, after = heat.displacement[..., None], getattr(heat, name)
+    size = np.abs(before)
+    with np.errstate(all="ignore"):
+        moved, grown = np.abs(after - before) / size, np.abs(after) / size - 1
+        wrong = (getattr(heat, f"{name}_bound") + heat.error_bound[..., None]) / size
+    known = (wrong <= np.maximum(moved, 1e-3)) & (heat.converged_reason > 0)[:, None, None]
+    return np.where(known, grown, np.nan), np.where(known, moved, np.nan)
+
+
+def warm(ax, record, medium, at, d=0):
+    """Draw by how much each ball, warm, changes |A|, in units of the largest change that is seen.
+
+    Grey: balls that were not warmed. Returns the balls.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    record : pgran.results.Heat
+        With `warmed`.
+    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
+        With positions.
+    at, d : int
+        Numbers of the frequency and of the detector.
+    """
+    seen = Map(medium, record.detector[d])
+    values = np.full(len(seen.network.held), np.nan)
+    values[record.ball] = change(record, "warmed")[0][at, d]
+    unit = balls.scale_of(np.nan_to_num(values[seen.free]))
+    drawn = seen.discs(ax, values / unit)
+    title(ax, record, medium, at, f"{100 * unit:.3g} %", balls.beyond(drawn))
+    return drawn
+
+
+def cut(ax, record, medium, at, d=0):
+    """Draw by how many dB each bond, cut, changes |A|, in units of the largest that is seen.
+
+    What falls by more than 60 dB is drawn as if by 60. Where bonds are too many to be seen, each
+    ball has the mean of its bonds. Returns what a colour bar is of.
+
+    Parameters are those of `warm`.
+    """
+    seen = Map(medium, record.detector[d])
+    drawn, unit = on_bonds(ax, seen, decibels(record, at, d), mean=True)
+    title(ax, record, medium, at, f"{unit:.3g} dB", balls.beyond(drawn))
+    return drawn
+
+
+def _words(record, medium, at, d):
+    """Return what the map of the bonds cut shows, in words."""
+    each = Map(medium, record.detector[d]).each(decibels(record, at, d))
+    return f"each bond cut alone; {HOLLOW if each else MEANS}"
+
+
+def _warmth(record, *_):
+    """Return what the map of warm balls shows, in words."""
+    how = f"bonds {record.factor:g} times as stiff"
+    if not np.isfinite(record.factor):
+        how = f"overlaps larger by {record.overlap:g}"
+    return f"each ball warmed alone, {how}; {WARMED}"
+
+
+def decibels(heat, at, d):
+    """Return what each bond that is cut changes in dB, no less than -60; see `cut`."""
+    return 20 * np.log10(np.maximum(1 + change(heat, "cut")[0][at, d], 1e-3))
+
+
+def changes(heat):
+    """Yield what is changed, the changes in %, shape (nw, nd, count)."""
+    for name, label in (("warmed", "ball warmed"), ("cut", "bond cut")):
+        if getattr(heat, name) is not None:
+            yield label, 100 * change(heat, name)[1]
+
+
+def distribution(ax, heat, medium=None):
+    """Draw the share of balls, or bonds, that change an amplitude by more, at all frequencies.
+
+    A quarter is marked. Returns the curves.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    heat : pgran.results.Heat
+    """
+    drawn = []
+    for n, (label, moved) in enumerate(changes(heat)):
+        for d, name in enumerate(style.ball_names(heat.detector)):
+            size, share = shares(moved[:, d])
+            quarter = np.count_nonzero(size >= QUARTER) / max(len(size), 1)
+            said = f"{label}: {100 * quarter:.2g} % of cases above"
+            said = f"{name}, {said}" if len(heat.detector) > 1 else said
+            look = {"linestyle": "-" if n == 0 else "--", "label": said}
+            drawn += ax.plot(size, share, color=style.colours(len(heat.detector))[d], **look)
+    ax.axvline(QUARTER, color=style.UNRESOLVED, linestyle=":", label="a quarter")
+    ax.set(xlabel=CHANGE, ylabel="share of cases with more")
+    logarithmic(ax, drawn, QUARTER)
+    return drawn
+
+
+def over_frequency(ax, heat, medium):
+    """Draw median and largest change over the driving frequency; return the curves.
+
+    Parameters
+    ----------
+    ax : matplotlib.axes.Axes
+    heat : pgran.results.Heat
+    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
+    """
+    x, drawn = heat.omega / medium.omega_mx, []
+    shades = style.colours(len(heat.detector))
+    looks = ("-", "full"), ("--", "none")
+    for (line, fill), (label, moved) in zip(looks, changes(heat), strict=False):
+        known = np.isfinite(moved)
+        good = known.any(axis=-1)
+        largest = np.where(known, moved, 0.0).max(axis=-1, initial=0.0)
+        median = np.full(good.shape, np.nan)
+        median[good] = np.nanmedian(moved[good], axis=-1)
+        for what, y, width, mark in (("median", median, 0.7, "."), ("largest", largest, 1.4, "^")):
+            look = {"linestyle": line, "linewidth": width}
+            if len(x) <= style.FEW:  # where a line would be a polygon
+                look = {"linestyle": "none", "marker": mark, "fillstyle": fill, "markersize": 3}
+                look["markeredgewidth"] = 0.5
+            for d, shade in enumerate(shades):
+                text = [f"{what}, {label}"] if d == 0 else None
+                drawn += marks.curves(ax, x, y[:, d], good[:, d], text, color=shade, **look)
+    ax.axhline(QUARTER, color=style.UNRESOLVED, linestyle=":")
+    ax.set(yscale="log", ylabel=CHANGE)
+    style.frequencies(ax, x)
+    marks.failed(ax, x[heat.converged_reason <= 0])
+    return drawn

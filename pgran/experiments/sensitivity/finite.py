@@ -1,0 +1,85 @@
+"""Amplitudes after finite changes of a few springs, exact, from one steady state.
+
+With the rows U = B_J of r springs J whose kappa = k + s beta d change by Delta, A the amplitudes
+before and z a detector's adjoint,
+
+    A'_d = A_d - y^T Delta P^-1 t,    P = I + G Delta,    G = U S^-1 U^T,
+
+t and y being how far A and z stretch these springs, what is driven counted in t. Nothing is
+expanded: Delta may be as large as one likes.
+
+Let Q be P^-1 as computed. If F = I - P Q, with what G is wrong by, is at most phi < 1, the true
+P^-1 is Q (I - F)^-1, and with v = y^T Delta Q the last term is wrong by at most
+
+    |v| (phi |t| + dt) / (1 - phi) + dy |Delta| |Q| (|t| + dt) / (1 - phi),
+
+dt and dy bounding the errors of t and y in the 2-norm. NumPy only.
+"""
+
+import numpy as np
+
+from pgran.medium.rounding import EPSILON
+
+
+def changed_amplitudes(before, stretched, flexibility, delta):
+    """Return the amplitudes after each of many changes, one at a time, and their bounds.
+
+    Not collective.
+
+    Parameters
+    ----------
+    before : tuple
+        The amplitudes at nd detectors before any change, and their bounds, each of shape (nd,).
+    stretched : tuple
+        t (count, r), a bound of each row's error (count,), y (nd, count, r), of its rows' errors
+        (nd, count).
+    flexibility : tuple
+        G (count, r, r), and a bound of each one's error in Frobenius' norm (count,).
+    delta : numpy.ndarray of complex, shape (count, r)
+        Zero for springs that only fill up a row.
+
+    Returns
+    -------
+    after, error_bound : numpy.ndarray, shape (nd, count)
+        The bound is infinite where P is singular but for rounding.
+    """
+    (amplitude, known), (t, t_error, y, y_error), (G, G_error) = before, stretched, flexibility
+    r, one = delta.shape[-1], np.eye(delta.shape[-1])
+    with np.errstate(all="ignore"):
+        P = one + G * delta[:, None, :]
+        Q, possible = _inverses(P)
+        sizes = np.abs(Q)
+        rounding = (2 * r + 12) * EPSILON * (_norm(P) + np.sqrt(r)) * _norm(sizes)
+        missed = _norm(one - P @ Q) + rounding + 1.01 * G_error * _norm(delta[:, :, None] * Q)
+        v = np.einsum("dnr,nrq->dnq", y * delta, Q)
+        after = amplitude[:, None] - np.einsum("dnq,nq->dn", v, t)
+        left = 1.01 / (1 - missed)
+        sizes_t = np.linalg.norm(t, axis=-1)
+        theory = np.linalg.norm(v, axis=-1) * (missed * sizes_t + t_error)
+        theory += y_error * np.abs(delta).max(axis=-1) * _norm(sizes) * (sizes_t + t_error)
+        terms = np.einsum("dnr,nrq,nq->dn", np.abs(y * delta), sizes, np.abs(t))
+        bound = known[:, None] + left * theory
+        bound += 1.01 * EPSILON * ((2 * r + 12) * terms + 4 * np.abs(after))
+        bound[:, ~((missed < 1) & possible)] = np.inf
+        bound[np.isnan(bound)] = np.inf
+    return after, bound
+
+
+def _norm(matrices):
+    """Return the Frobenius norm of each matrix."""
+    return np.linalg.norm(matrices, axis=(-2, -1))
+
+
+def _inverses(P):
+    """Return the inverse of each matrix, and which ones have one."""
+    possible = np.ones(len(P), dtype=bool)
+    try:
+        return np.linalg.inv(P), possible
+    except np.linalg.LinAlgError:  # NumPy gives up all if one is singular
+        found = np.zeros_like(P)
+        for number, matrix in enumerate(P):
+            try:
+                found[number] = np.linalg.inv(matrix)
+            except np.linalg.LinAlgError:
+                possible[number] = False
+        return found, possible

@@ -1,0 +1,121 @@
+"""What an amplitude depends on, and where the sound goes: of every spring, ball, and of damping.
+
+With the amplitudes S A = f, the adjoint S z = e_d of a detector, and how far both stretch the
+springs, t = B A + w with the driven balls' motion w, and y = B z (they stay at rest),
+
+    dA_d/dk_b = -y_b t_b,    dA_d/dm_p = -s^2 z_p A_p,    dA_d/dbeta = -s sum_b d_b y_b t_b,
+
+d_b being the part of beta that a spring has. A is homogeneous of degree 0 in all constants, masses
+and beta: the sum of each derivative times what it is by vanishes (Euler).
+
+Where A and z are known to errors a and c in the 2-norm, y_b t_b is wrong by at most
+|b| (|y_b| a + |t_b| c) + |b|^2 a c, and likewise for the rest. NumPy only.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
+
+
+class Gradient(NamedTuple):
+    """Derivatives of the amplitudes at nd detectors for n drives, with the bounds of their errors.
+
+    `springs` (n, nd, springs) by the constants of all springs, `masses` (n, nd, free balls),
+    `damping` (n, nd) by beta.
+    """
+
+    springs: np.ndarray
+    springs_bound: np.ndarray
+    masses: np.ndarray
+    masses_bound: np.ndarray
+    damping: np.ndarray
+    damping_bound: np.ndarray
+
+
+def gradient(medium, s, fields, errors):
+    """Return the Gradient of some steady states.
+
+    Not collective.
+
+    Parameters
+    ----------
+    medium : pgran.medium.lattice.Lattice or pgran.medium.network.Network
+    s : numpy.ndarray of complex, shape (n,)
+    fields : numpy.ndarray of complex, shape (n, 1 + nd, unknowns)
+        The amplitudes of all unknowns, then the adjoints.
+    errors : numpy.ndarray, shape (n, 1 + nd)
+        Bounds of their errors, in the 2-norm.
+    """
+    springs, s = medium.springs, s[:, None]
+    longer = _applied(springs.B, fields)
+    rounding = (springs.columns.shape[1] + 2) * EPSILON
+    errors = (errors + rounding * np.linalg.norm(fields, axis=-1))[..., None]
+    t, y, A, z = longer[:, :1] + springs.drive, longer[:, 1:], fields[:, :1], fields[:, 1:]
+    products, a, c = t * y, errors[:, :1], errors[:, 1:]
+    wrong = _wrong(_size(y), _size(t), springs.lengths * c, springs.lengths * a)
+    loose = _wrong(_size(z), _size(A), c, a)
+    known = (len(springs.damped) + 8) * EPSILON * (_size(products) @ springs.damped)
+    inertia = -(s[..., None] ** 2) * medium.inertia_ratio
+    return Gradient(
+        -products,
+        wrong,
+        inertia * _per_ball(medium, z * A),
+        np.abs(inertia) * _per_ball(medium, loose),
+        -s * (products @ springs.damped),
+        np.abs(s) * (wrong @ springs.damped + known + SMALLEST_NORMAL),
+    )
+
+
+def energy_flux(medium, s, fields):
+    """Return the mean power through each contact, and what it loses, for drives s = i omega.
+
+    Not collective. The power that the springs of a contact give to one of its balls is
+    -(omega/2) Im(kappa t conj(b u)), kappa = k + s beta d and b u the ball's part of the stretch;
+    both powers sum up to minus the loss (1/2) beta omega^2 d |t|^2. What flows from the first ball
+    to the second is half their difference. What all contacts give to a free ball vanishes.
+
+    Parameters
+    ----------
+    medium : pgran.medium.lattice.Lattice or pgran.medium.network.Network
+    s : numpy.ndarray of complex, shape (n,)
+    fields : numpy.ndarray of complex, shape (n, unknowns)
+
+    Returns
+    -------
+    flux, loss : numpy.ndarray, shape (n, contacts)
+        In units of the constants times frequency, for a driven motion of amplitude 1.
+    """
+    springs, beta, s = medium.springs, medium.damping, s[:, None]
+    t = _applied(springs.B, fields) + springs.drive
+    apart = _applied(springs.D, fields) + springs.drive_apart
+    moved = t * apart.conj()
+    # Im((k + i omega beta d) moved)
+    tension = springs.constants * moved.imag + s.imag * beta * springs.damped * moved.real
+    flux = -0.25 * s.imag * tension
+    loss = 0.5 * beta * s.imag**2 * springs.damped * (t.real**2 + t.imag**2)
+    return tuple(x.reshape(len(s), -1, medium.bonds).sum(axis=1) for x in (flux, loss))
+
+
+def _applied(matrix, fields):
+    """Return a sparse matrix times fields (..., unknowns)."""
+    flat = fields.reshape(-1, fields.shape[-1])
+    return np.ascontiguousarray((matrix @ flat.T).T).reshape(*fields.shape[:-1], -1)
+
+
+def _per_ball(medium, values):
+    """Return sums over the components of each ball of values (..., unknowns)."""
+    flat = medium.per_ball(values.reshape(-1, values.shape[-1]))
+    return flat.reshape(*values.shape[:-1], -1)
+
+
+def _size(x):
+    """Return no less than magnitudes, which take longer, and less than 1.5 times them."""
+    return np.abs(x.real) + np.abs(x.imag)
+
+
+def _wrong(x, y, x_error, y_error):
+    """Return how far a product of numbers of these sizes may be off, its rounding included."""
+    found = x * (1.01 * y_error + 16 * EPSILON * y) + 1.01 * x_error * (y + y_error)
+    return found + SMALLEST_NORMAL

@@ -1,0 +1,190 @@
+"""What belongs to bonds and balls, drawn where these are, in lattices and networks alike."""
+
+from dataclasses import replace
+from functools import cached_property
+
+import matplotlib
+import numpy as np
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import ListedColormap
+
+from pgran.draw import bonds
+from pgran.draw.view import MANY, View
+from pgran.medium.space import as_network
+
+CLEAR = 8000  # bonds in the plane that are drawn one by one; of more, what their balls sum up to
+CELLS = 24  # of arrows along the longer side, where there are more bonds
+LOST = ListedColormap(matplotlib.colormaps["YlOrBr"](np.linspace(0.0, 0.7, 64)))
+COLOURS = matplotlib.colormaps["RdBu_r"].with_extremes(bad="#e4e4e4")
+# for lines, which would not be seen if they were white
+STRONG = np.concatenate([np.linspace(0.0, 0.3, 64), np.linspace(0.7, 1.0, 64)])
+STRONG = ListedColormap(matplotlib.colormaps["RdBu_r"](STRONG))
+FAINT = 0.05  # of the largest: no mark for what is smaller
+SHORTEST = 3.0  # points that a line is long, in a panel as it is before the layout
+GROUND = {"colors": "#bbbbbb", "linewidths": 0.3, "zorder": 0.5}
+
+
+class Map:
+    """The balls and bonds that are seen: of three dimensions those in the plane of one ball.
+
+    A lattice is a network whose balls touch, within walls; its free balls come first.
+
+    Parameters
+    ----------
+    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
+        With positions.
+    detector : numpy.ndarray of int, shape (axes,)
+        The ball that the plane goes through, and that is marked.
+    """
+
+    def __init__(self, medium, detector):
+        """Find what is seen."""
+        self.medium, self.lattice = medium, medium.group == "lattice"
+        self.network = network = as_network(medium)
+        if self.lattice:
+            network = replace(network, radius=np.full(len(network.held), 0.5))
+        shape = medium.shape if self.lattice else (len(network.held),)
+        self.detector = int(np.ravel_multi_index(tuple(detector), shape))
+        self.view = View(network, self.detector)
+        self.free = self.view.seen & (network.held == 0)
+        segments, self.numbers = self.view.lines(network.bond)
+        self.segments = segments
+        self.clear = len(segments) <= CLEAR
+
+    @cached_property
+    def extent(self):
+        """Width and height, for `balls.page`."""
+        if self.lattice:
+            nx, ny = (*self.medium.shape, 1)[:2]
+            return (nx + 1, ny + 1 if len(self.medium.shape) > 1 else 1)
+        return self.view.extent
+
+    def points(self, ax):
+        """Return how many points on paper are between neighbours, as the panel is now."""
+        return 72 * ax.bbox.width / ax.figure.dpi * self.view.spacing / self.extent[0]
+
+    def frame(self, ax):
+        """Set the limits; draw walls, balls that are held, faint bonds, and mark the detector."""
+        many = len(self.segments) > MANY
+        if self.lattice:
+            shape = self.medium.shape
+            bonds.walls(ax, *(*shape, 1)[:2], len(shape), arrow=False)
+        else:
+            self.view.frame(ax)
+            self.view.draw(ax, self.view.seen & (self.network.held > 0), zorder=0.6)
+        if self.clear:
+            ax.add_collection(LineCollection(self.segments, rasterized=many, **GROUND))
+        look = {"marker": "o", "markersize": 4.5, "markeredgewidth": 1.0, "linestyle": "none"}
+        look |= {"markerfacecolor": "white", "markeredgecolor": "black", "zorder": 5}
+        ax.plot(*self.view.xy[self.detector], label="detector", **look)
+
+    def lines(self, ax, values):
+        """Draw numbers from -1 to 1 on bonds, NaN: none; return what a colour bar is of.
+
+        Widths are as the root of the magnitude; lines of negative numbers are hollow. Those of a
+        large lattice, a few bonds of which are drawn, are longer than bonds.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes
+        values : numpy.ndarray, shape (bonds,)
+        """
+        self.frame(ax)
+        points = self.points(ax)
+        thickest = min(max(0.45 * points, 1.2), 5.0)
+        of_lines = values[self.numbers]
+        order = np.argsort(np.abs(of_lines), kind="stable")  # the NaNs last
+        order = order[np.isfinite(of_lines[order])]
+        size = np.sqrt(np.minimum(np.abs(of_lines[order]), 1.0))
+        middle = self.segments[order].mean(axis=1, keepdims=True)
+        segments = middle + max(1.0, SHORTEST / points) * (self.segments[order] - middle)
+        look = {"capstyle": "butt", "rasterized": len(order) > MANY}
+        drawn = LineCollection(
+            segments, array=of_lines[order], cmap=STRONG, clim=(-1.0, 1.0),
+            linewidths=thickest * size, zorder=2, **look,
+        )  # fmt: skip
+        ax.add_collection(drawn)
+        hollow = (of_lines[order] < 0) & (size > np.sqrt(FAINT))
+        widths = 0.35 * thickest * size[hollow]
+        look |= {"colors": "white", "linewidths": widths, "zorder": 2.1, "label": "negative"}
+        ax.add_collection(LineCollection(segments[hollow], **look))
+        return drawn
+
+    def each(self, values):
+        """Return whether the bonds with a number are few enough to be drawn one by one."""
+        return np.count_nonzero(np.isfinite(values[self.numbers])) <= CLEAR
+
+    def summed(self, values):
+        """Return for each ball the sum over its bonds, which counts a bond at both its balls."""
+        total = np.zeros(len(self.network.held))
+        for end in self.network.bond.T:
+            np.add.at(total, end, values)
+        return total
+
+    def discs(self, ax, values):
+        """Draw numbers from -1 to 1 as colours of all free balls, NaN: grey; return the balls.
+
+        Negative ones have a white bar, if balls are large enough on paper.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes
+        values : numpy.ndarray, shape (balls of the network,)
+        """
+        self.frame(ax)
+        look = {"cmap": COLOURS, "clim": (-1.0, 1.0), "zorder": 1}
+        shown = np.ma.masked_invalid(values[self.free])
+        drawn = self.view.draw(ax, self.free, array=shown, **look)
+        if self.points(ax) >= 3:
+            below = self.free & (values < -FAINT)
+            look = {"color": "white", "marker": "_", "linestyle": "none", "zorder": 3}
+            look |= {"markersize": min(0.4 * self.points(ax), 5), "markeredgewidth": 0.7}
+            ax.plot(*self.view.xy[below].T, label="negative", **look)
+        return drawn
+
+    def flow(self, ax, values, lost):
+        """Draw what flows through bonds, from the first ball to the second where it is positive.
+
+        A wedge a bond, broad where it comes from, its width as the root of what flows. Of more
+        bonds than are clear a wedge a square cell, for the sum of the vectors along the bonds.
+        Returns the balls, which have what is lost there as colours from 0 to 1.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes
+        values : numpy.ndarray, shape (bonds,)
+            In units of the largest.
+        lost : numpy.ndarray, shape (balls of the network,)
+            Likewise.
+        """
+        self.frame(ax)
+        look = {"cmap": LOST, "clim": (0.0, 1.0), "zorder": 0.4}
+        drawn = self.view.draw(ax, self.free, array=lost[self.free], **look)
+        flows, breadth = values[self.numbers], 0.45 * self.view.spacing
+        start, end = self.segments[:, 0], self.segments[:, 1]
+        if not self.clear:
+            start, end, flows, breadth = self._cells(0.5 * (start + end), flows)
+        shown = np.abs(flows) > FAINT**2
+        flows, start, end = flows[shown], start[shown], end[shown]
+        start, end = (np.where(flows[:, None] >= 0, *pair) for pair in ((start, end), (end, start)))
+        along = end - start
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        across /= np.linalg.norm(along, axis=1, keepdims=True)
+        across *= 0.5 * breadth * np.sqrt(np.abs(flows))[:, None]
+        wedges = np.stack([start - across, start + across, end], axis=1)
+        look = {"facecolors": "black", "linewidths": 0, "rasterized": len(wedges) > MANY}
+        ax.add_collection(PolyCollection(wedges, zorder=2, **look))
+        return drawn
+
+    def _cells(self, middle, flows):
+        """Return start and end of a wedge a cell, its flow, and the breadth of the largest."""
+        vectors = flows[:, None] * (self.segments[:, 1] - self.segments[:, 0])
+        side = self.view.extent.max() / CELLS
+        cell = ((middle - self.view.low) // side).astype(int)
+        known, number = np.unique(cell, axis=0, return_inverse=True)
+        total = np.zeros((len(known), 2))
+        np.add.at(total, number.ravel(), vectors)
+        size = np.linalg.norm(total, axis=1)
+        centre = self.view.low + (known + 0.5) * side
+        half = 0.45 * side * total / np.where(size > 0, size, 1.0)[:, None]
+        return centre - half, centre + half, size / (size.max() or 1.0), 0.5 * side

@@ -1,0 +1,134 @@
+"""The records of what a signal depends on: derivatives, and finite changes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgran.store.fields import BOUND, DETECTOR, Frequencies
+from pgran.store.record import Record, array
+
+WHERE = "omega", "detector_number"
+OF_BOND = "1", *WHERE, "bond_number"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivity(Frequencies, Record):
+    """What the amplitude at each detector depends on, and the power through every bond.
+
+    Bonds are numbered axis after axis, each array in C order, the contacts of a network as there;
+    balls in C order, of a network the free ones. With `most` > 0 only so many bonds and balls are
+    kept at each frequency for each detector, the largest d ln A / d ln k and d ln A / d ln m first:
+    `bond` and `ball` are their numbers. A point whose `converged_reason` is not positive failed, or
+    the bound of a derivative is above the accuracy asked for of the largest one.
+    """
+
+    group = "sensitivity"
+    factorizations: int
+    solve_seconds: float
+    most: int
+    omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
+    detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
+    displacement: np.ndarray = array(
+        "amplitude at the detectors relative to the driven wall, convention exp(+i omega t)",
+        "1", *WHERE, dtype=complex,
+    )  # fmt: skip
+    error_bound: np.ndarray = array(BOUND, "1", *WHERE)
+    by_stiffness: np.ndarray = array(
+        "derivative of the displacement by each bond constant", "1/k", *OF_BOND[1:], dtype=complex
+    )
+    by_stiffness_bound: np.ndarray = array("bound of its error", "1/k", *OF_BOND[1:])
+    log_amplitude: np.ndarray = array("d ln|A| / d ln k of each bond", *OF_BOND)
+    log_phase: np.ndarray = array("d phase / d ln k of each bond", "rad", *OF_BOND[1:])
+    log_bound: np.ndarray = array("bound of the error of both", *OF_BOND)
+    by_mass: np.ndarray = array(
+        "derivative of the displacement by each ball's mass", "1/m", *WHERE, "ball_number",
+        dtype=complex,
+    )  # fmt: skip
+    by_mass_bound: np.ndarray = array("bound of its error", "1/m", *WHERE, "ball_number")
+    by_damping: np.ndarray = array(
+        "derivative of the displacement by beta", "1/sqrt(k m)", *WHERE, dtype=complex
+    )
+    by_damping_bound: np.ndarray = array("bound of its error", "1/sqrt(k m)", *WHERE)
+    flux: np.ndarray = array(
+        "mean power through each bond, from its first ball to its second", "k sqrt(k/m)",
+        "omega", "every_bond",
+    )  # fmt: skip
+    loss: np.ndarray = array(
+        "mean power that each bond's dashpot takes", "k sqrt(k/m)", "omega", "every_bond"
+    )
+    iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega", dtype=int)
+    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
+    bond: np.ndarray | None = array(
+        "numbers of the bonds that are kept", *OF_BOND, dtype=int, optional=True
+    )
+    ball: np.ndarray | None = array(
+        "numbers of the balls that are kept", "1", *WHERE, "ball_number", dtype=int, optional=True
+    )
+    by_tangential: np.ndarray | None = array(
+        "derivative by each contact's tangential stiffness", "1/k", *OF_BOND[1:], dtype=complex,
+        optional=True,
+    )  # fmt: skip
+    by_tangential_bound: np.ndarray | None = array(
+        "bound of its error", "1/k", *OF_BOND[1:], optional=True
+    )
+    by_force: np.ndarray | None = array(
+        "derivative by each contact's force, as pre-stress", "1/force", *OF_BOND[1:],
+        dtype=complex, optional=True,
+    )  # fmt: skip
+    by_force_bound: np.ndarray | None = array(
+        "bound of its error", "1/force", *OF_BOND[1:], optional=True
+    )
+
+    def on_bonds(self, number, d):
+        """Return d ln|A| / d ln k of all bonds, NaN of those that are not kept, shape (bonds,).
+
+        Not collective.
+
+        Parameters
+        ----------
+        number, d : int
+            Of the frequency, and of the detector.
+        """
+        if self.bond is None:
+            return self.log_amplitude[number, d]
+        values = np.full(self.flux.shape[1], np.nan)
+        values[self.bond[number, d]] = self.log_amplitude[number, d]
+        return values
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Heat(Frequencies, Record):
+    """Amplitudes after each ball is warmed, or each bond is cut, one at a time.
+
+    A warm ball's bonds are `factor` times as stiff, or overlap by `overlap` more (NaN: not so). A
+    number that is not known to the accuracy asked for has its bound all the same; `heard` is the
+    share of balls whose warming changes the amplitude, for certain, by a quarter or more.
+    """
+
+    group = "heat"
+    factor: float
+    overlap: float
+    factorizations: int
+    solve_seconds: float
+    omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
+    detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
+    displacement: np.ndarray = array(
+        "amplitude at the detectors before any change", "1", *WHERE, dtype=complex
+    )
+    error_bound: np.ndarray = array(BOUND, "1", *WHERE)
+    ball: np.ndarray = array(
+        "numbers of the balls that are warmed, in C order, of a network as there", "1", dtype=int
+    )
+    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
+    warmed: np.ndarray | None = array(
+        "amplitude with each ball warm", "1", *WHERE, "ball", dtype=complex, optional=True
+    )
+    warmed_bound: np.ndarray | None = array(BOUND, "1", *WHERE, "ball", optional=True)
+    heard: np.ndarray | None = array(
+        "share of the balls whose warming changes the amplitude by a quarter or more", "1", *WHERE,
+        optional=True,
+    )  # fmt: skip
+    cut: np.ndarray | None = array(
+        "amplitude with each bond cut", "1", *WHERE, "every_bond", dtype=complex, optional=True
+    )
+    cut_bound: np.ndarray | None = array(BOUND, "1", *WHERE, "every_bond", optional=True)

@@ -1,0 +1,1 @@
+"""Balls and contacts of other programs become a network."""

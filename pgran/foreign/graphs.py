@@ -1,0 +1,72 @@
+"""Networks in GraphML files, as tables of their nodes and edges."""
+
+import os
+
+import numpy as np
+
+from pgran.errors import FileError, PgranError
+from pgran.foreign.tables import Table, is_number
+from pgran.store.paths import open_regular
+
+LARGEST_GRAPH = 2**28  # bytes; NetworkX keeps all of a graph as Python objects
+
+
+def is_graph(path):
+    """Return whether a file is to be read as GraphML, by its name. Not collective."""
+    return str(path).lower().endswith(".graphml")
+
+
+def read_graph(path):
+    """Return the tables of the nodes and of the edges of a GraphML file, and the nodes' names.
+
+    Not collective. The columns `id` and `id1`, `id2` are the names where these are all integers,
+    else numbers from 0 in the order of the file.
+
+    Raises
+    ------
+    FileError
+        If NetworkX cannot read it.
+    PgranError
+        If there is no NetworkX.
+    """
+    open_regular(path).close()
+    if os.path.getsize(path) > LARGEST_GRAPH:
+        raise FileError(f"{path}: a GraphML file has at most {LARGEST_GRAPH} bytes")
+    try:
+        import networkx
+    except ImportError:
+        raise PgranError("GraphML is read by NetworkX, which is not here: pip install networkx, or "
+                         "give balls and contacts as CSV") from None  # fmt: skip
+    try:
+        graph = networkx.read_graphml(path)
+        nodes, edges = list(graph.nodes(data=True)), list(graph.edges(data=True))
+    except Exception as error:  # whatever a damaged file makes of NetworkX
+        said = f"{type(error).__name__}: {error}"
+        raise FileError(f"{path}: NetworkX cannot read it: {said}") from None
+    names = [str(name) for name, _ in nodes]
+    if all(name.isascii() and name.isdigit() and len(name) < 16 for name in names):
+        ids = {name: int(name) for name in names}
+    else:
+        ids = {name: k for k, name in enumerate(names)}
+    balls = [{**data, "id": ids[str(name)]} for name, data in nodes]
+    pairs = [{**data, "id1": ids[str(a)], "id2": ids[str(b)]} for a, b, data in edges]
+    return (
+        _table_of(path, balls, [f"node {name}" for name in names], "nodes"),
+        _table_of(path, pairs, [f"edge {a} - {b}" for a, b, _ in edges], "edges"),
+        names,
+    )
+
+
+def _table_of(path, rows, places, what):
+    """Return the table of rows given as dictionaries; NaN where one lacks a number."""
+    if not rows:
+        raise FileError(f"{path}: has no {what}")
+    columns, texts = {}, {}
+    for name in dict.fromkeys(name for row in rows for name in row):
+        words = [row.get(name, np.nan) for row in rows]
+        try:
+            columns[str(name)] = np.array(words, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            wrong = next(k for k, word in enumerate(words) if not is_number(str(word)))
+            texts[str(name)] = (wrong, str(words[wrong]))
+    return Table(path, columns, texts, places)

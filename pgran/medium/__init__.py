@@ -1,0 +1,1 @@
+"""What vibrates: balls and springs, who is held, in which order to eliminate them."""

@@ -1,0 +1,198 @@
+"""The bonds of a lattice: which balls they join, how they are stretched, and what follows from it.
+
+Bonds join nearest neighbours, and every ball at a wall to that wall: along an axis there is one
+bond more than balls, and bond `i` joins the balls `i - 1` and `i`. They are numbered axis after
+axis, each array in C order.
+"""
+
+import math
+
+import numpy as np
+
+from pgran.medium.rounding import EPSILON, residual_rounding
+
+AXES = "xyz"
+SIGNS = np.array([-1.0, 1.0])  # in a row of B, of the ball below a bond and of that above
+
+
+def bond_shape(shape, axis):
+    """Return the shape of the array of bonds along `axis`. Not collective."""
+    return tuple(n + (a == axis) for a, n in enumerate(shape))
+
+
+def _bond_counts(shape):
+    """Return the number of bonds along each axis."""
+    return [math.prod(bond_shape(shape, axis)) for axis in range(len(shape))]
+
+
+def bond_count(shape):
+    """Return the number of bonds, wall bonds included. Not collective."""
+    return sum(_bond_counts(shape))
+
+
+def bond_arrays(shape, bonds):
+    """Return numbers a bond, in order, as one array for each axis. Not collective."""
+    parts = np.split(bonds, np.cumsum(_bond_counts(shape))[:-1])
+    return tuple(part.reshape(bond_shape(shape, axis)) for axis, part in enumerate(parts))
+
+
+def bond_sides(values, axis, wall):
+    """Return what the balls below and above each bond along an axis hold, walls included.
+
+    Not collective. This is the topology of the lattice: all else follows from it. Both arrays are
+    one longer than `values` along the axis.
+
+    Parameters
+    ----------
+    values : numpy.ndarray
+        Numbers of the balls.
+    axis : int
+        Of the array.
+    wall : number
+        What both walls hold.
+    """
+    axis %= values.ndim
+    before = (slice(None),) * axis
+    padded = np.empty([n + 2 * (a == axis) for a, n in enumerate(values.shape)], values.dtype)
+    padded[(*before, slice(1, -1))] = values
+    padded[(*before, [0, -1])] = wall
+    return padded[(*before, slice(-1))], padded[(*before, slice(1, None))]
+
+
+def bond_ends(numbers):
+    """Return the numbers of the balls that each bond joins, -1 for a wall, shape (bonds, 2).
+
+    Not collective. These are the columns of B in each of its rows; its entries there are `SIGNS`.
+    The balls have the given numbers, an array over the lattice.
+    """
+    sides = [bond_sides(numbers, axis, -1) for axis in range(numbers.ndim)]
+    return np.concatenate([np.stack([end.ravel() for end in pair], axis=1) for pair in sides])
+
+
+def driven_bonds(shape):
+    """Return which bonds end at the driven wall, shape (bonds,). Not collective."""
+    along = np.zeros(bond_shape(shape, 0), dtype=bool)
+    along[-1] = True
+    return np.pad(along.ravel(), (0, bond_count(shape) - along.size))
+
+
+def bond_places(shape, bonds):
+    """Return the axis of each numbered bond, and its index into that axis's array.
+
+    Not collective. The indices are an array with one axis more, of the length of `shape`.
+    """
+    first = np.cumsum([0, *_bond_counts(shape)[:-1]])
+    axis = np.searchsorted(first, bonds, side="right") - 1
+    index = np.empty((*bonds.shape, len(shape)), dtype=np.int64)
+    for a in range(len(shape)):
+        here = axis == a
+        places = np.unravel_index(bonds[here] - first[a], bond_shape(shape, a))
+        index[here] = np.stack(places, axis=-1)
+    return axis, index
+
+
+def stretch(fields, axes):
+    """Yield B x for the bonds along each axis: how far displacements lengthen them, walls at rest.
+
+    Not collective. The lattice has so many axes, the last ones of `fields`.
+    """
+    for axis in range(-axes, 0):
+        below, above = bond_sides(fields, axis, 0.0)
+        yield above - below
+
+
+def spread(tensions):
+    """Return B^T t, the adjoint of `stretch`: the sum, ball by ball, of what its bonds hold.
+
+    Not collective. `tensions` are arrays over the bonds, as `stretch` yields them.
+    """
+    total, tensions = 0.0, list(tensions)
+    for axis, t in enumerate(tensions, -len(tensions)):
+        total -= np.diff(t, axis=axis)  # the bond below a ball counts +, as in B
+    return total
+
+
+class ElasticBonds:
+    """What follows from the bonds of a lattice; a part of `lattice.Lattice`.
+
+    Of a network `springs.Elastic` says the same.
+    """
+
+    def stretched(self, fields, wall):
+        """Yield how far fields (n, *shape) lengthen bonds, (n, bonds), constants, parts of beta.
+
+        Not collective. The driven wall moves by `wall`, shape (n,).
+        """
+        for axis, longer in enumerate(stretch(fields, self.axes)):
+            if axis == 0:
+                longer[:, -1] += wall.reshape(-1, *[1] * (self.axes - 1))  # above the last bond
+            k = self.stiffness[axis].ravel()
+            yield longer.reshape(len(fields), -1), k, np.ones(len(k))
+
+    @property
+    def irregular(self):
+        """Whether a graph of its own knows in which order to eliminate the balls."""
+        return False
+
+    @property
+    def semidefinite(self):
+        """Whether K has no negative eigenvalues."""
+        return True
+
+    def restoring_forces(self, fields):
+        """Return K f = B^T diag(k) B f for fields of shape (count, *shape). Not collective."""
+        stretches = stretch(fields, self.axes)
+        return spread(k * t for k, t in zip(self.stiffness, stretches, strict=True))
+
+    @property
+    def rows(self):
+        """|b|_2 of a bond between balls, and what rounding adds to b^T x beside its own."""
+        return math.sqrt(2), 0.0
+
+    @property
+    def drive_norms(self):
+        """|f|_2 of what the springs at the driven wall do, and of their dashpots for beta = 1."""
+        driven = self.stiffness[0][-1]
+        return math.sqrt(np.sum(driven**2)), math.sqrt(driven.size)
+
+    @property
+    def pulls(self):
+        """What `pull` is at s = 0, and by how much it grows with s: sum k and sum beta."""
+        driven = self.stiffness[0][-1]
+        return driven.sum(), self.damping * driven.size
+
+    def pull(self, s):
+        """Return the force that moves the driven wall by 1 while all balls stay, sum k + s beta.
+
+        Not collective.
+        """
+        stiffness, damping = self.pulls
+        return stiffness + s * damping
+
+    def pull_rounding(self, size):
+        """Return how much rounding changes `pull(s)`, at most, for an |s|. Not collective."""
+        return (self.stiffness[0][-1].size + 8) * EPSILON * self.pull(size)
+
+    @property
+    def damping_norm(self):
+        """No less than |C|_2."""
+        return 4 * self.axes
+
+    @property
+    def relaxation_rate(self):
+        """The largest k / beta of a bond, infinite without damping."""
+        return self.stiffest / self.damping if self.damping else math.inf
+
+    @property
+    def stiffness_norm(self):
+        """No less than |K|_2: |K|_inf, twice its largest diagonal entry."""
+        diagonal = 0.0
+        for axis, k in enumerate(self.stiffness):
+            k = np.moveaxis(k, axis, 0)
+            diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
+        return 2 * float(np.max(diagonal))
+
+    @property
+    def rounding(self):
+        """How much rounding moves a residual: see `residual_rounding`."""
+        return residual_rounding(self.axes)

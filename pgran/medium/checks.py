@@ -1,0 +1,96 @@
+"""Whether what is given makes a network: arrays that fit, and values that are possible."""
+
+import math
+
+import numpy as np
+
+from pgran.arguments import choice
+from pgran.errors import InputError
+from pgran.medium.bonds import AXES
+from pgran.medium.springs import AT_REST, DRIVEN, FREE
+from pgran.run.numbers import numbers
+
+
+def checked_array(name, value, dtype, rest, count=None):
+    """Return an array of finite numbers as a copy that nobody can change.
+
+    Not collective.
+
+    Parameters
+    ----------
+    name : str
+        What messages call it.
+    value : array_like
+    dtype : type
+        `int` or `float`; whole numbers are not rounded ones.
+    rest : tuple of int
+        Its shape along all axes but the first; None is any length.
+    count : int, optional
+        Its length along the first axis; any unless given.
+
+    Raises
+    ------
+    InputError
+        If it is no such array.
+    """
+    array = np.array(numbers(f"network: {name}", value, whole=dtype is int))
+    wanted = (count if count is not None else len(array) if array.ndim else 0, *rest)
+    if array.ndim != len(wanted) or any(
+        n not in (None, m) for n, m in zip(wanted, array.shape, strict=True)
+    ):
+        raise InputError(f"network: {name}: shape {array.shape} is not {wanted}")
+    if not np.all(np.isfinite(array)):
+        raise InputError(f"network: {name}: every number must be finite")
+    array.flags.writeable = False
+    return array
+
+
+def check_network(network):
+    """Raise InputError where values of a network, whose arrays fit, are impossible.
+
+    Not collective.
+    """
+    held, balls = network.held, len(network.held)
+    if len(network.bond) == 0 or balls == 0:
+        raise InputError("network: it has no contacts")
+    wrong = np.flatnonzero(np.any((network.bond < 0) | (network.bond >= balls), axis=1))
+    if wrong.size:
+        pair = tuple(network.bond[wrong[0]].tolist())
+        raise InputError(f"network: contact {wrong[0]}: no balls {pair} among {balls}")
+    if np.any(network.bond[:, 0] == network.bond[:, 1]):
+        raise InputError("network: a ball touches itself")
+    if not np.all(np.isin(held, (FREE, AT_REST, DRIVEN))):
+        raise InputError("network: held must be 0 (free), 1 (at rest) or 2 (driven)")
+    if not np.any(held == FREE):
+        raise InputError("network: every ball is held")
+    if not np.any(held[network.bond] == FREE):
+        raise InputError("network: no free ball has a contact")
+    if not np.all(network.masses[held == FREE] > 0):
+        raise InputError("network: masses must be positive")
+    choice("network: damped", network.damped, ("all", "normal"))
+    if network.displacement != "scalar":
+        if network.normal.shape[1] not in (2, 3):
+            raise InputError("network: vectors have 2 or 3 components")
+        if np.any(np.abs(np.linalg.norm(network.normal, axis=1) - 1) > 1e-6):
+            raise InputError("network: normals must have the length 1")
+    distance = network.distance
+    if network.force is not None and (distance is None or not np.all(distance > 0)):
+        raise InputError("network: forces need positive distances")
+    if network.turns and network.radius is None:
+        raise InputError("network: rotations need radii")
+    if network.turns and not np.all(network.radius[held == FREE] > 0):
+        raise InputError("network: radii must be positive")
+    axes = network.axes
+    components = ("drive", *AXES[: axes if axes > 1 else 0])
+    choice("-detectors_component", network.component, components)
+
+
+def unit_direction(direction, axes):
+    """Return the direction of a drive, of length 1; along x unless given. Not collective."""
+    if direction is None:
+        return np.eye(axes)[0]
+    direction = numbers("network: the direction of the drive", direction)
+    size = np.linalg.norm(direction)
+    if direction.shape != (axes,) or not 0 < size < math.inf:
+        raise InputError(f"network: the direction of the drive has {axes} components")
+    return direction / size

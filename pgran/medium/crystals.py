@@ -1,0 +1,237 @@
+"""Networks made by rule: crystals, random geometric graphs, and what dilution leaves of them.
+
+Nearest neighbours in a crystal are at the distance 1. Unless it is periodic along the first axis,
+or `held` is given, the balls at that axis' lower end are at rest, and those at its upper end are
+driven; the sides that are not periodic are free. Contacts of two held balls are left out.
+"""
+
+import itertools
+import math
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.medium.law import BondLaw, unit_numbers
+from pgran.medium.network import Network
+from pgran.medium.packing import nearest_images
+from pgran.medium.parts import part, without_floating
+from pgran.medium.springs import AT_REST, DRIVEN, FREE
+
+HALF, ROOT3 = 0.5, math.sqrt(3)
+# The edges of a rectangular unit cell, and where its balls sit, in parts of them.
+CELLS = {
+    "square": ((1.0, 1.0), ((0, 0),)),
+    "triangular": ((1.0, ROOT3), ((0, 0), (HALF, HALF))),
+    "honeycomb": ((ROOT3, 3.0), ((HALF, 0), (0, 1 / 6), (0, HALF), (HALF, 2 / 3))),
+    "cubic": ((1.0, 1.0, 1.0), ((0, 0, 0),)),
+    "fcc": ((math.sqrt(2),) * 3, ((0, 0, 0), (0, HALF, HALF), (HALF, 0, HALF), (HALF, HALF, 0))),
+}
+
+
+def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993, **others):
+    """Return a crystal of balls, each in contact with its nearest neighbours. Not collective.
+
+    Balls are numbered cell by cell in C order, those of a cell together. The contacts of all cells
+    come neighbour by neighbour, each of a ball with one at a larger x (if that is the same: y, z),
+    in the order of the balls: on the square lattice along x first, then along y.
+
+    Parameters
+    ----------
+    name : str
+        A key of `CELLS`.
+    shape : sequence of int
+        Cells along each axis. A cell holds 1 ball (square, cubic), 2 (triangular, in two rows along
+        x), or 4 (honeycomb; fcc, the cube).
+    stiffness : float, array_like or callable
+        Of every contact; of each, those of two held balls included; a `BondLaw`; or what returns
+        as many numbers as it is asked for: stiffness(rng, count).
+    periodic : bool or sequence of bool
+        Whether the last balls along an axis touch the first.
+    held : array_like of int, optional
+        One number a ball, in any shape: see `Network`.
+    seed : int
+        What is drawn is a pure function of it.
+    **others
+        Of `Network`. Vectors are the default, and with rotations balls that touch.
+
+    Raises
+    ------
+    InputError
+        If values are impossible, or a ball would touch itself.
+    """
+    edges, basis = (np.array(values) for values in CELLS[name])
+    axes = len(edges)
+    if len(shape) != axes or min(shape) < 1:
+        raise InputError(f"{name}: the shape is {axes} positive numbers of cells")
+    periodic = np.broadcast_to(periodic, (axes,))
+    cells = np.indices(shape).reshape(axes, -1).T
+    balls = np.arange(len(cells) * len(basis)).reshape(*shape, len(basis))
+    position = ((cells[:, None] + basis) * edges).reshape(-1, axes)
+    bond, normal = [], []
+    for (a, start), (b, end) in itertools.product(enumerate(basis), repeat=2):
+        for step in itertools.product((1, 0, -1), repeat=axes):
+            away = (end + step - start) * edges
+            ahead = away[np.argmax(np.abs(away) > 1e-9)] > 0
+            if not ahead or abs(away @ away - 1) > 1e-9:
+                continue
+            other = cells + step
+            here = np.all(periodic | ((other >= 0) & (other < shape)), axis=1)
+            other = tuple((other[here] % shape).T)
+            bond.append(np.stack([balls[..., a].ravel()[here], balls[(*other, b)]], axis=1))
+            normal.append(np.tile(away, (np.count_nonzero(here), 1)))
+    bond, normal = np.concatenate(bond), np.concatenate(normal)
+    if held is None:
+        held = np.zeros(balls.shape, dtype=int)
+        if not periodic[0]:
+            held[0], held[-1] = AT_REST, DRIVEN
+    if others.setdefault("displacement", "vector") == "rotations":
+        others.setdefault("radius", np.full(balls.size, HALF))
+    others = {"position": position, "normal": normal, "distance": np.ones(len(bond))} | others
+    stiffness = _drawn(stiffness, len(bond), seed)
+    return _moving(Network(bond, stiffness, np.ravel(held), **others))
+
+
+def square(shape, stiffness=1.0, **others):
+    """Return a square lattice: see `crystal`. Not collective."""
+    return crystal("square", shape, stiffness, **others)
+
+
+def triangular(shape, stiffness=1.0, **others):
+    """Return a triangular lattice, close-packed along x: see `crystal`. Not collective."""
+    return crystal("triangular", shape, stiffness, **others)
+
+
+def honeycomb(shape, stiffness=1.0, **others):
+    """Return a honeycomb lattice: see `crystal`. Not collective."""
+    return crystal("honeycomb", shape, stiffness, **others)
+
+
+def cubic(shape, stiffness=1.0, **others):
+    """Return a simple cubic lattice: see `crystal`. Not collective."""
+    return crystal("cubic", shape, stiffness, **others)
+
+
+def fcc(shape, stiffness=1.0, **others):
+    """Return a face-centred cubic lattice: see `crystal`. Not collective."""
+    return crystal("fcc", shape, stiffness, **others)
+
+
+def random_geometric(
+    count, dimension=2, contacts=6.0, *, radius=None, stiffness=1.0, periodic=False, held=None,
+    seed=1993, **others
+):  # fmt: skip
+    """Return a random geometric graph: random points in a box, in contact with all that are near.
+
+    Not collective. One point to each unit of volume of the box. What floats is left out. Held at
+    the first axis' ends is what lies within the radius of them.
+
+    Parameters
+    ----------
+    count : int
+        Points.
+    dimension : int
+        Of space.
+    contacts : float
+        Their mean number at a ball far from the walls, unless the radius is given.
+    radius : float, optional
+        In contact are balls at a smaller distance.
+    stiffness, periodic, held, seed, **others
+        As those of `crystal`; of each contact in the order of the balls' numbers.
+
+    Raises
+    ------
+    InputError
+        If values are impossible, or nothing free is left.
+    """
+    from scipy.spatial import cKDTree
+
+    if count < 1 or dimension not in (1, 2, 3):
+        raise InputError("random_geometric: points in 1 to 3 dimensions are needed")
+    box = np.where(np.broadcast_to(periodic, (dimension,)), count ** (1 / dimension), 0.0)
+    edge = count ** (1 / dimension)
+    if radius is None:
+        ball = math.pi ** (dimension / 2) / math.gamma(dimension / 2 + 1)
+        radius = (contacts / ball) ** (1 / dimension)
+    if np.any(box) and not 2 * radius < edge:
+        raise InputError(f"random_geometric: radius {radius:.3g} in a periodic box of {edge:.3g}")
+    position = edge * unit_numbers(seed, 0, count * dimension).reshape(count, dimension)
+    bond = cKDTree(position, boxsize=box).query_pairs(radius, output_type="ndarray")
+    bond = bond[np.lexsort(bond.T[::-1])]
+    if held is None:
+        held = np.zeros(count, dtype=int)
+        if not box[0]:
+            held[position[:, 0] < radius] = AT_REST
+            held[position[:, 0] > edge - radius] = DRIVEN
+    others.setdefault("displacement", "vector")
+    if others["displacement"] == "rotations":
+        others.setdefault("radius", np.full(count, radius / 2))
+    stiffness = _drawn(stiffness, len(bond), seed)
+    return without_floating(_moving(in_box(position, bond, stiffness, held, box, **others)))[0]
+
+
+def in_box(position, bond, stiffness, held, box, **others):
+    """Return a network in a periodic box: normals and distances are those of nearest images.
+
+    Not collective.
+
+    Parameters
+    ----------
+    position, bond, stiffness, held, **others
+        Of `Network`.
+    box : array_like of float, shape (d,)
+        Its edges; 0 along axes that are not periodic.
+
+    Raises
+    ------
+    InputError
+        If values are impossible.
+    """
+    position, bond = np.asarray(position, dtype=float), np.asarray(bond, dtype=int)
+    periods = np.where(np.asarray(box) > 0, box, np.inf)
+    away, _ = nearest_images(position[bond[:, 1]] - position[bond[:, 0]], periods)
+    distance = np.linalg.norm(away, axis=1)
+    if not np.all(distance > 0):
+        raise InputError(f"network: the balls {bond[np.argmin(distance)]} are at the same place")
+    found = {"position": position, "normal": away / distance[:, None], "distance": distance}
+    return Network(bond, stiffness, held, **(found | others))
+
+
+def diluted(network, missing, seed=1993):
+    """Return a network without a part of its contacts, and without what floats afterwards.
+
+    Not collective. With the same seed more contacts are missing if the part is larger, and none
+    come back.
+
+    Parameters
+    ----------
+    network : Network
+    missing : float
+        Which part of all contacts is removed, 0 to 1.
+    seed : int
+
+    Raises
+    ------
+    InputError
+        If nothing free is left.
+    """
+    if not 0 <= missing <= 1:
+        raise InputError(f"diluted: a part lies between 0 and 1, not at {missing}")
+    count = len(network.bond)
+    order = np.argsort(unit_numbers(seed, 0, count, generation=2), kind="stable")
+    kept = np.sort(order[round(missing * count) :])
+    return without_floating(part(network, contacts=kept))[0]
+
+
+def _drawn(stiffness, count, seed):
+    """Return as many bond constants: given, or drawn by a law."""
+    if isinstance(stiffness, BondLaw):
+        return stiffness(unit_numbers(seed, 0, count, generation=1))
+    if callable(stiffness):
+        return stiffness(np.random.Generator(np.random.Philox(seed)), count)
+    return np.broadcast_to(stiffness, (count,)) if np.ndim(stiffness) == 0 else stiffness
+
+
+def _moving(network):
+    """Return a network without the contacts of two held balls, which move nothing."""
+    moving = np.any(network.held[network.bond] == FREE, axis=1)
+    return network if np.all(moving) else part(network, contacts=np.flatnonzero(moving))

@@ -1,0 +1,264 @@
+"""The lattice of balls and springs: sites, bonds, walls and detectors, along 1 to 3 axes.
+
+Balls sit at integer sites, zero-based. The walls sit one spacing outside; all are at rest but the
+one behind the last ball of the first axis, which is driven. Bonds join nearest neighbours, and
+every ball at a wall to that wall: `stiffness[axis]` is one longer than the lattice along `axis`,
+and its entry `i` joins the balls `i - 1` and `i`.
+"""
+
+import hashlib
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgran.arguments import called_right, shown, whole_number
+from pgran.errors import InputError
+from pgran.medium.bonds import (
+    AXES,
+    SIGNS,
+    ElasticBonds,
+    bond_arrays,
+    bond_count,
+    bond_ends,
+    bond_places,
+    bond_shape,
+    driven_bonds,
+)
+from pgran.medium.law import BondLaw, unit_numbers
+from pgran.medium.springs import Springs
+from pgran.medium.units import check_magnitudes, einstein_frequency, own_unit
+from pgran.run.fingerprints import Distinct
+from pgran.run.machine import check_memory
+from pgran.run.numbers import number, numbers
+
+
+@called_right
+@dataclass(frozen=True, eq=False)
+class Lattice(ElasticBonds, Distinct):
+    """Balls of one mass, springs of individual stiffness, one damping constant.
+
+    Lattices are equal if bonds, mass, damping and kmax are.
+    Solvers and scenes ask the same of it as of a `network.Network`.
+
+    Parameters
+    ----------
+    stiffness : tuple of numpy.ndarray
+        For each axis the bond constants, one longer than the lattice along that axis:
+        (nx+1, ny) and (nx, ny+1) in two dimensions. Finite, not negative.
+    mass : float
+        m of a ball, positive.
+    damping : float
+        beta of every bond, not negative.
+    kmax : float, optional
+        The stiffness that sets the unit of frequency; the largest one unless given.
+
+    Raises
+    ------
+    InputError
+        If shapes or values are impossible.
+    """
+
+    stiffness: tuple
+    mass: float = 1.0
+    damping: float = 0.003
+    kmax: float | None = None
+
+    def __post_init__(self):
+        """Check shapes and values; keep copies that nobody can change."""
+        given = self.stiffness if isinstance(self.stiffness, (list, tuple)) else ()
+        arrays = tuple(np.array(numbers("stiffness", k), order="C") for k in given)
+        if not 1 <= len(arrays) <= 3 or any(k.ndim != len(arrays) for k in arrays):
+            raise InputError("stiffness: one array for each of 1 to 3 axes is needed")
+        for name in ("mass", "damping"):
+            object.__setattr__(self, name, number(f"lattice_{name}", getattr(self, name)))
+        shape = tuple(n - (axis == 0) for axis, n in enumerate(arrays[0].shape))
+        for axis, k in enumerate(arrays):
+            name = f"stiffness_{AXES[axis]}"
+            if k.shape != bond_shape(shape, axis) or min(shape) < 1:
+                raise InputError(f"{name}: shape {k.shape} does not fit a lattice of {shape}")
+            if not np.all(np.isfinite(k)) or np.any(k < 0):
+                raise InputError(f"{name}: every bond constant must be finite and not negative")
+            k.flags.writeable = False
+        object.__setattr__(self, "stiffness", arrays)
+        kmax = self.stiffest if self.kmax is None else number("bonds_kmax", self.kmax)
+        object.__setattr__(self, "kmax", kmax)
+        check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, kmax)
+
+    def __repr__(self):
+        """Say in a line how large it is, and what its unit is."""
+        return (
+            f"Lattice({' x '.join(map(str, self.shape))}, mass={self.mass:g}, "
+            f"damping={self.damping:g}, omega_mx={self.omega_mx:.6g})"
+        )
+
+    @classmethod
+    @called_right
+    def random(cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=0.003, **parameters):
+        """Return the lattice that the options of a run describe, the same on every rank.
+
+        Not collective.
+
+        Parameters
+        ----------
+        shape : sequence of int
+            Balls along each of 1 to 3 axes.
+        seed : int
+            Which sample, 0 to 2^64 - 1.
+        law : str or BondLaw
+            What bond constants are drawn from; its kmax, where it has one, is the lattice's.
+        mass, damping : float
+            m of a ball, beta of every bond.
+        **parameters : float
+            Of a law given by its name: kmin, kmax, fraction, force, hertz.
+
+        Raises
+        ------
+        InputError
+            If a value is impossible.
+        """
+        if not isinstance(law, BondLaw):
+            law = BondLaw(law, **parameters)
+        elif parameters:
+            raise InputError(f"bonds_law: this law has its parameters, and takes no {parameters}")
+        shape, seed = numbers("lattice_shape", shape, whole=True), whole_number("bonds_seed", seed)
+        if shape.ndim != 1 or not 1 <= len(shape) <= 3 or min(shape) < 1:
+            raise InputError(f"lattice_shape: 1 to 3 positive numbers are needed, not {shape}")
+        shape = tuple(shape.tolist())
+        if not 0 <= seed < 2**64:
+            raise InputError(f"bonds_seed: must lie between 0 and 2^64 - 1, not {shown(seed)}")
+        check_memory("lattice_shape", 8 * bond_count(shape))
+        bonds = law(unit_numbers(seed, 0, bond_count(shape)))
+        return cls(bond_arrays(shape, bonds), mass, damping, law.kmax)
+
+    @property
+    def shape(self):
+        """Balls along each axis."""
+        first = self.stiffness[0].shape
+        return (first[0] - 1, *first[1:])
+
+    @property
+    def axes(self):
+        """How many axes the lattice has."""
+        return len(self.stiffness)
+
+    @property
+    def balls(self):
+        """How many balls there are."""
+        return math.prod(self.shape)
+
+    @property
+    def constants(self):
+        """The constants of all bonds, axis after axis, each array in C order."""
+        return np.concatenate([k.ravel() for k in self.stiffness])
+
+    @cached_property
+    def springs(self):
+        """See `springs.Springs`."""
+        ends = bond_ends(np.arange(self.balls).reshape(self.shape))
+        drive = driven_bonds(self.shape).astype(float)
+        constants, ones = self.constants, np.ones_like(drive)
+        return Springs(
+            self.balls, ("normal",), ends, SIGNS[None], drive, drive, constants, ones, constants
+        )
+
+    @property
+    def stiffest(self):
+        """The largest bond constant."""
+        return max(float(k.max()) for k in self.stiffness)
+
+    @property
+    def omega_mx(self):
+        """The unit of frequency, angular: see `einstein_frequency`."""
+        return einstein_frequency(self.axes, self.kmax, self.mass)
+
+    @property
+    def bonds(self):
+        """How many bonds there are, wall bonds included."""
+        return bond_count(self.shape)
+
+    def bond_places(self, bonds):
+        """Return axis and index of numbered bonds: see `bond_places`. Not collective."""
+        return bond_places(self.shape, bonds)
+
+    def check_driven(self):
+        """Do nothing: a driven lattice always has a bounded answer. Not collective."""
+
+    def sites(self, detectors, name="detectors"):
+        """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
+
+        Not collective. Raises InputError, which calls them by their `name`, if an index is missing
+        or a ball lies outside the lattice.
+        """
+        shape, axes = self.shape, self.axes
+        given = numbers(name, detectors, whole=True)
+        if given.size == 0 or given.size % axes or (given.ndim > 1 and given.shape[1:] != (axes,)):
+            size = " x ".join(map(str, given.shape)) or "1"
+            raise InputError(
+                f"{name}: a ball of this lattice has {axes} "
+                f"{'index' if axes == 1 else 'indices'}, so {size} numbers name no balls"
+            )
+        sites = given.reshape(-1, axes)
+        for site in sites:
+            if np.any(site < 0) or np.any(site >= shape):
+                raise InputError(
+                    f"{name}: ball {tuple(site.tolist())} is outside the lattice of "
+                    f"{' x '.join(map(str, shape))} balls (indices count from 0)"
+                )
+        return sites
+
+    def reading_norms(self, sites):
+        """Return |e_d| of each detector, shape (nd,), which reads one unknown. Not collective."""
+        return np.ones(len(sites))
+
+    def depths(self, sites):
+        """Return distances of balls from the driven wall, in spacings, (nd,). Not collective."""
+        return self.shape[0] - sites[:, 0]
+
+    def displacements(self, field):
+        """Return an array of unknowns as displacements, which they are here. Not collective."""
+        return field
+
+    components = 1  # how many unknowns a ball has
+
+    @property
+    def ball_numbers(self):
+        """The numbers of all balls, in C order."""
+        return np.arange(self.balls)
+
+    def numbers_of(self, sites):
+        """Return the numbers of balls given by their indices, (count, dim). Not collective."""
+        return np.ravel_multi_index(sites.T, self.shape)
+
+    @property
+    def inertia_ratio(self):
+        """The unit of mass over each ball's mass, all of which are equal."""
+        return 1.0
+
+    def per_ball(self, squares):
+        """Return squares by ball, which has one unknown, shape (n, balls). Not collective."""
+        return squares.reshape(len(squares), math.prod(squares.shape[1:]))
+
+    def in_own_unit(self):
+        """Return the same lattice with its largest bond constant between 1 and 2, and the unit.
+
+        Not collective. Stiffness, mass and damping lose the same factor, so amplitudes and
+        frequencies stay as they are; it is a power of two, which rounds nothing but bonds 1e-308
+        times softer than the stiffest. PETSc and SLEPc take small pivots for zero by absolute
+        thresholds, and squares of small numbers vanish. Raises InputError if mass or damping do not
+        fit into doubles in that unit.
+        """
+        unit = own_unit(self.stiffest, self.mass, self.damping)
+        mass, damping, kmax = self.mass / unit, self.damping / unit, self.kmax / unit
+        return Lattice(tuple(k / unit for k in self.stiffness), mass, damping, kmax), unit
+
+    @cached_property
+    def bonds_sha256(self):
+        """Checksum of all bond constants, as little-endian doubles, axis after axis."""
+        return hashlib.sha256(self.constants.astype("<f8", copy=False)).hexdigest()
+
+
+def smallest_damping_eigenvalue(shape):
+    """Return lambda_min(C), C the Laplacian of the uniform lattice with walls. Not collective."""
+    return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in shape)

@@ -1,0 +1,193 @@
+"""Bond constants as a pure function of seed, bond and generation.
+
+Bond b of a lattice (axis after axis, each array in C order) has the b-th number of the Philox
+stream keyed by the seed: a counter-based generator whose raw output NumPy guarantees for good. So
+the constants depend neither on the number of ranks nor on the order in which they are drawn.
+Elementary functions are evaluated in extended precision and rounded once, because double-precision
+exp and log differ in the last bit between processors and NumPy versions.
+"""
+
+import math
+
+import numpy as np
+
+from pgran.arguments import called_right, choice, shown
+from pgran.errors import InputError, PgranError
+from pgran.run.numbers import number, numbers
+
+
+def unit_numbers(seed, first, count, generation=0):
+    """Return numbers uniform on [0, 1), multiples of 2**-53, those of the bonds from `first` on.
+
+    Not collective.
+
+    Parameters
+    ----------
+    seed : int
+        0 <= seed < 2**64.
+    first, count : int
+        Which part of the stream.
+    generation : int
+        Independent streams of the same seed.
+    """
+    block, skip = divmod(first, 4)  # Philox makes four numbers for each value of its counter
+    stream = np.random.Philox(key=seed, counter=[block, 0, generation, 0])
+    raw = stream.random_raw(skip + count)[skip:]
+    return (raw >> np.uint64(11)) * 2.0**-53
+
+
+def _uniform(u, kmin, kmax):
+    """Uniform on [kmin, kmax), the paper's law with kmin = 0."""
+    return kmin + (kmax - kmin) * u
+
+
+def _constant(u, kmax):
+    """Every bond the same."""
+    return np.full_like(u, kmax)
+
+
+def _loguniform(u, kmin, kmax):
+    """Uniform in log k between kmin and kmax."""
+    low, high = np.log(np.array([kmin, kmax], dtype=np.longdouble))
+    k = np.exp(low + (high - low) * u.astype(np.longdouble)).astype(float)
+    return np.clip(k, kmin, kmax)
+
+
+def _bimodal(u, kmin, kmax, fraction):
+    """A `fraction` of the bonds kmax, the others kmin."""
+    return np.where(u < fraction, kmax, kmin)
+
+
+def _hertz(u, force, contact):
+    """Springs of Hertzian contacts under random forces (paper: hertz, basespr).
+
+    F = c h^(3/2) linearised at the force F gives k = 3/2 c h^(1/2) = 3/2 c^(2/3) F^(1/3); F is
+    exponentially distributed with mean `force`, c is `contact`.
+    """
+    forces = -np.longdouble(force) * np.log1p(-u.astype(np.longdouble))
+    return (1.5 * np.cbrt(np.longdouble(contact) ** 2 * forces)).astype(float)
+
+
+# Of each law its function, and which parameters it has.
+LAWS = {
+    "uniform": (_uniform, ("kmin", "kmax")),
+    "constant": (_constant, ("kmax",)),
+    "loguniform": (_loguniform, ("kmin", "kmax")),
+    "bimodal": (_bimodal, ("kmin", "kmax", "fraction")),
+    "hertz": (_hertz, ("force", "hertz")),
+}
+
+
+DEFAULTS = {"kmin": 0.0, "kmax": 0.25, "fraction": 0.5, "force": 1.0, "hertz": 1.0}
+
+
+@called_right
+class BondLaw:
+    """The law that bond constants are drawn from, with its parameters.
+
+    Parameters
+    ----------
+    name : str
+        A key of `LAWS`.
+    kmin, kmax, fraction, force, hertz : float, optional
+        The options `-bonds_kmin` and so on, those of this law; as `DEFAULTS` unless given.
+
+    Raises
+    ------
+    InputError
+        If the parameters are impossible, or another law's.
+    """
+
+    def __init__(self, name, *, kmin=None, kmax=None, fraction=None, force=None, hertz=None):
+        """Check and keep the parameters."""
+        self.function, names = LAWS[choice("bonds_law", name, LAWS)]
+        given = {"kmin": kmin, "kmax": kmax, "fraction": fraction, "force": force, "hertz": hertz}
+        for key, value in given.items():
+            if value is not None and key not in names:
+                raise InputError(
+                    f"bonds_{key}: no parameter of the law {name}; it has {' and '.join(names)}"
+                )
+        given = DEFAULTS | {key: value for key, value in given.items() if value is not None}
+        values = {key: number(f"bonds_{key}", given[key]) for key in names}
+        for key, value in values.items():
+            positive = key not in ("kmin", "fraction")
+            if not math.isfinite(value) or value < 0 or (positive and value == 0):
+                raise InputError(
+                    f"bonds_{key}: must be {'positive' if positive else '0 or more'} "
+                    f"and finite, not {value}"
+                )
+        if "kmin" in names and values["kmin"] > values["kmax"]:
+            raise InputError(f"bonds_kmin: {values['kmin']} is above bonds_kmax, {values['kmax']}")
+        if name == "loguniform" and values["kmin"] == 0:
+            raise InputError("bonds_kmin: must be positive for -bonds_law loguniform")
+        if name == "bimodal" and values["fraction"] > 1:
+            raise InputError(f"bonds_fraction: must lie in [0, 1], not {values['fraction']}")
+        self.name, self.parameters, self.kmax = name, values, values.get("kmax")
+
+    def __call__(self, u):
+        """Return the constants that belong to numbers uniform on [0, 1)."""
+        return self.function(u, *self.parameters.values())
+
+    def __repr__(self):
+        """Say what makes the same law."""
+        parameters = (f"{key}={value}" for key, value in self.parameters.items())
+        return f"BondLaw({', '.join([repr(self.name), *parameters])})"
+
+
+def drawn(law, u):
+    """Return the constants that a law of the user's makes of numbers uniform on [0, 1).
+
+    Not collective.
+
+    Raises
+    ------
+    InputError
+        Unless there is one for each number, finite and not negative.
+    """
+    try:
+        found = law(u.copy())
+    except PgranError:
+        raise
+    except Exception as error:
+        raise InputError(f"law: fails: {type(error).__name__}: {error}") from error
+    constants = numbers("law: what it returns", found)
+    if constants.shape != u.shape:
+        raise InputError(
+            f"law: returns numbers of the shape {constants.shape} for {u.shape}; it must turn each "
+            "number between 0 and 1 into a bond constant"
+        )
+    wrong = constants[~(np.isfinite(constants) & (constants >= 0))]
+    if wrong.size:
+        raise InputError(
+            f"law: bond constants must be finite and not negative, and it returns {wrong[0]:g}"
+        )
+    return constants
+
+
+def check_law(law):
+    """Return a law of the user's, or None for none, once it has been tried.
+
+    Not collective. Each constant must depend on its own number alone: else results would depend on
+    how many are drawn at a time.
+
+    Raises
+    ------
+    InputError
+    """
+    if law is None:
+        return None
+    if not callable(law):
+        raise InputError(
+            f"law: {shown(law)} is no function of numbers between 0 and 1; pgran.BondLaw makes one"
+        )
+    whole = drawn(law, TRIED)
+    parts = np.concatenate([drawn(law, TRIED[:3]), drawn(law, TRIED[3:])])
+    if not np.allclose(whole, parts, rtol=1e-12, atol=0):
+        raise InputError(
+            "law: returns other constants for the same numbers; each must depend on its own number "
+            "alone, not on others, earlier calls or another source of chance"
+        )
+    return law
+
+
+TRIED = unit_numbers(0, 0, 16)  # what laws are tried with

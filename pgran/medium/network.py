@@ -1,0 +1,331 @@
+"""Any network of balls and springs: who touches whom, in which direction, how stiffly.
+
+A ball has one displacement (`scalar`, the paper's model on any graph), a vector of them (`vector`),
+or these and its rotation (`rotations`). `springs` says what springs a contact is. All
+is computed in mass-weighted unknowns sqrt(m_p / m) u_p, m the median of all balls: these have one
+mass m, and S stays symmetric.
+"""
+
+import dataclasses
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgran.arguments import called_right, choice
+from pgran.errors import InputError
+from pgran.medium.bonds import AXES
+from pgran.medium.checks import check_network, checked_array, unit_direction
+from pgran.medium.graph import Graph
+from pgran.medium.parts import anchored
+from pgran.medium.springs import DRIVEN, FREE, Elastic, springs_of
+from pgran.medium.units import check_magnitudes, einstein_frequency, own_unit
+from pgran.run.fingerprints import Distinct
+from pgran.run.numbers import number, numbers
+
+KINDS = ("scalar", "vector", "rotations")
+
+
+@called_right
+@dataclass(frozen=True, eq=False)
+class Network(Elastic, Distinct):
+    """Balls, the contacts between them, and which of them are held.
+
+    Networks are equal if all that they are made of is.
+
+    Parameters
+    ----------
+    bond : array_like of int, shape (nb, 2)
+        The balls of each contact, counted from 0; more than one contact may join the same two.
+    stiffness : array_like of float, shape (nb,)
+        Of its normal spring; may be negative.
+    held : array_like of int, shape (N,)
+        0: free; 1: at rest; 2: driven, along `direction`.
+    masses : array_like of float, shape (N,), or float
+    damping : float
+        beta of each contact.
+    displacement : str
+        `scalar`, `vector` or `rotations`.
+    position : array_like of float, shape (N, d), optional
+        For pictures, and for normals and distances that are not given.
+    normal : array_like of float, shape (nb, d), optional
+        Of length 1, from the first ball of a contact to the second.
+    distance, force, tangential : array_like of float, shape (nb,), optional
+        Of the centres, repulsive, of the tangential spring.
+    radius : array_like of float, shape (N,), optional
+        With rotations: of discs or spheres of uniform density.
+    direction : array_like of float, shape (d,), optional
+        Of the drive; along x unless given.
+    damped : str
+        `all` of the relative velocity at a contact, or its `normal` part.
+    component : str
+        What of a displacement is read: `drive`, `x`, `y` or `z`.
+    kmax : float, optional
+        The stiffness that sets the unit of frequency; the largest one unless given.
+    median_mass : float, optional
+        The mass that does; the median of all balls, free or held, unless given: of the whole
+        packing, where this is what is left of it.
+
+    Raises
+    ------
+    InputError
+        If shapes or values are impossible.
+    """
+
+    bond: np.ndarray
+    stiffness: np.ndarray
+    held: np.ndarray
+    masses: np.ndarray = 1.0
+    damping: float = 0.003
+    displacement: str = "scalar"
+    position: np.ndarray | None = None
+    normal: np.ndarray | None = None
+    distance: np.ndarray | None = None
+    force: np.ndarray | None = None
+    tangential: np.ndarray | None = None
+    radius: np.ndarray | None = None
+    direction: np.ndarray | None = None
+    damped: str = "all"
+    component: str = "drive"
+    kmax: float | None = None
+    median_mass: float | None = None
+
+    def __post_init__(self):
+        """Check shapes and values; keep copies that nobody can change."""
+        self._keep("held", int, ())
+        self._keep("bond", int, (2,))
+        contacts, balls = len(self.bond), len(self.held)
+        masses = numbers("network: masses", self.masses)
+        if masses.ndim == 0:
+            object.__setattr__(self, "masses", np.full(balls, masses))
+        object.__setattr__(self, "damping", number("network: damping", self.damping))
+        choice("network: displacement", self.displacement, KINDS)
+        self._keep("position", float, (None,), balls)
+        if self.displacement != "scalar" and self.normal is None:
+            self._find_normals()
+        self._keep("normal", float, (None,), contacts)
+        for name in ("stiffness", "distance", "force", "tangential"):
+            self._keep(name, float, (), contacts)
+        for name in ("masses", "radius"):
+            self._keep(name, float, (), balls)
+        check_network(self)
+        object.__setattr__(self, "direction", unit_direction(self.direction, self.axes))
+        if self.median_mass is None:
+            heavy = self.masses[self.masses > 0]  # walls may be given none
+            object.__setattr__(self, "median_mass", float(np.median(heavy)))
+        else:
+            median = number("network: median_mass", self.median_mass)
+            object.__setattr__(self, "median_mass", median)
+        kmax = self.stiffest if self.kmax is None else number("network: kmax", self.kmax)
+        object.__setattr__(self, "kmax", kmax)
+        check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, abs(kmax))
+
+    def __repr__(self):
+        """Say in a line how large it is, and what its unit is."""
+        plane = "" if self.displacement == "scalar" else f" in {self.axes} dimensions"
+        return (
+            f"Network({len(self.held)} balls, {len(self.free)} of them free, {self.bonds} "
+            f"contacts, {self.displacement}{plane}, damping={self.damping:g}, "
+            f"omega_mx={self.omega_mx:.6g})"
+        )
+
+    def _keep(self, name, dtype, rest, count=None):
+        """Keep an array, one that may be missing if there is one, as a copy nobody can change."""
+        value, required = getattr(self, name), ("bond", "stiffness", "held")
+        if value is not None or name in required:
+            object.__setattr__(self, name, checked_array(name, value, dtype, rest, count))
+
+    def _find_normals(self):
+        """Find normals and distances by the positions."""
+        if self.position is None:
+            raise InputError("network: vectors need normals, or positions to find them by")
+        bond = np.clip(self.bond, 0, len(self.held) - 1)
+        away = self.position[bond[:, 1]] - self.position[bond[:, 0]]
+        distance = np.linalg.norm(away, axis=1)
+        if not np.all(distance > 0):
+            at = np.argmin(distance)
+            raise InputError(f"network: the balls of contact {at} are at the same place")
+        object.__setattr__(self, "normal", away / distance[:, None])
+        if self.distance is None:
+            object.__setattr__(self, "distance", distance)
+
+    @property
+    def axes(self):
+        """How many components a translation has."""
+        return 1 if self.displacement == "scalar" else self.normal.shape[1]
+
+    @property
+    def turns(self):
+        """How many components a rotation has."""
+        if self.displacement != "rotations":
+            return 0
+        return {2: 1, 3: 3}[self.axes]
+
+    @property
+    def components(self):
+        """How many unknowns a free ball has."""
+        return self.axes + self.turns
+
+    @cached_property
+    def free(self):
+        """The numbers of the free balls."""
+        return np.flatnonzero(self.held == FREE)
+
+    @property
+    def shape(self):
+        """The unknowns, ball after ball: an array of one axis."""
+        return (self.components * len(self.free),)
+
+    @property
+    def balls(self):
+        """How many unknowns there are."""
+        return self.shape[0]
+
+    @property
+    def mass(self):
+        """The mass of the mass-weighted unknowns."""
+        return self.median_mass
+
+    @property
+    def constants(self):
+        """The constants of all springs, those of contacts' normal springs first."""
+        return self.springs.constants
+
+    @cached_property
+    def stiffest(self):
+        """The largest magnitude of a spring's constant."""
+        return float(np.abs(self.springs.constants).max())
+
+    @property
+    def omega_mx(self):
+        """The unit of frequency, angular, as on the square lattice: see `einstein_frequency`."""
+        return einstein_frequency(self.axes, abs(self.kmax), self.mass)
+
+    @cached_property
+    def bonds_sha256(self):
+        """Checksum of all that the springs follow from."""
+        digest = hashlib.sha256()
+        for part in (self.springs.columns.astype("<i8"), self.springs.values.astype("<f8")):
+            digest.update(part.tobytes())
+        digest.update(self.springs.constants.astype("<f8").tobytes())
+        return digest.hexdigest()
+
+    @cached_property
+    def weights(self):
+        """Displacement per mass-weighted unknown, shape (unknowns,)."""
+        inertia = np.repeat(self.masses[self.free][:, None], self.components, axis=1)
+        if self.turns:
+            part = {2: 0.5, 3: 0.4}[self.axes]  # of m R^2, of a disc and a sphere
+            inertia[:, self.axes :] *= part * self.radius[self.free][:, None] ** 2
+        return np.sqrt(self.mass / inertia.ravel())
+
+    @property
+    def bonds(self):
+        """How many contacts there are."""
+        return len(self.bond)
+
+    def bond_places(self, bonds):
+        """Return axis, which is 0, and index of numbered contacts. Not collective."""
+        return np.zeros_like(bonds), bonds[..., None]
+
+    @cached_property
+    def springs(self):
+        """See `springs.Springs`."""
+        return springs_of(self)
+
+    @cached_property
+    def graph(self):
+        """See `graph.Graph`."""
+        return Graph(self)
+
+    @property
+    def isotropic(self):
+        """Whether damping acts on each component alike: C is the graph's Laplacian for each."""
+        return self.displacement == "scalar" or (self.damped == "all" and not self.turns)
+
+    def check_driven(self):
+        """Raise InputError if nothing is driven, or if balls float. Not collective."""
+        if not np.any(self.held == DRIVEN):
+            raise InputError("network: no ball is driven; /network/held has 2 for those that are")
+        floating = np.flatnonzero(~anchored(self.bond, self.held))
+        if len(floating):
+            raise InputError(
+                f"network: {len(floating)} balls float, ball {floating[0]} first: no path of "
+                "contacts leads to a held one; pgran import leaves them out, and "
+                "pgran.medium.parts.without_floating"
+            )
+
+    def sites(self, detectors, name="detectors"):
+        """Return ball numbers as an array (nd, 1).
+
+        Not collective. Raises InputError, which calls them by their `name`, unless these balls are
+        free.
+        """
+        given = numbers(name, detectors, whole=True)
+        if given.ndim > 1 and given.shape[1:] != (1,):
+            raise InputError(f"{name}: balls of a network have one number each, from 0")
+        sites = given.reshape(-1, 1)
+        for ball in sites[:, 0]:
+            if not 0 <= ball < len(self.held):
+                raise InputError(f"{name}: no ball {ball} among {len(self.held)}, from 0")
+            if self.held[ball] != FREE:
+                raise InputError(f"{name}: ball {ball} is held")
+        if not len(sites):
+            raise InputError(f"{name}: one ball at least is needed")
+        return sites
+
+    def readings(self, sites):
+        """Return unknowns that detectors read and their weights, (nd, axes). Not collective."""
+        first = np.searchsorted(self.free, np.asarray(sites)[:, 0]) * self.components
+        unknowns = first[:, None] + np.arange(self.axes)
+        along = self.direction
+        if self.component != "drive":
+            along = np.eye(self.axes)[AXES.index(self.component)]
+        return unknowns, along * self.weights[unknowns]
+
+    def reading_norms(self, sites):
+        """Return |e_d| of each detector, shape (nd,). Not collective."""
+        return np.linalg.norm(self.readings(sites)[1], axis=1)
+
+    def depths(self, sites):
+        """Return distances from the nearest driven ball, NaN if unknown. Not collective."""
+        driven = np.flatnonzero(self.held == DRIVEN)
+        if self.position is None or not len(driven):
+            return np.full(len(sites), np.nan)
+        away = self.position[sites[:, 0]][:, None] - self.position[driven]
+        return np.sqrt(np.sum(away**2, axis=2)).min(axis=1)
+
+    def displacements(self, field):
+        """Return mass-weighted unknowns as displacements, shape (..., unknowns). Not collective."""
+        return self.weights * field
+
+    @property
+    def ball_numbers(self):
+        """The numbers of all balls that are unknown."""
+        return self.free
+
+    def numbers_of(self, sites):
+        """Return places among the free balls, of numbers (count, 1). Not collective."""
+        return np.searchsorted(self.free, sites[:, 0])
+
+    @property
+    def inertia_ratio(self):
+        """The unit of mass over the mass of each free ball, shape (free balls,)."""
+        return self.mass / self.masses[self.free]
+
+    def per_ball(self, squares):
+        """Return sums over the components of each free ball, (n, balls). Not collective."""
+        return squares.reshape(len(squares), -1, self.components).sum(axis=2)
+
+    def in_own_unit(self):
+        """Return the same network with its largest constant between 1 and 2, and the unit.
+
+        Not collective. As `lattice.Lattice.in_own_unit`.
+        """
+        unit = own_unit(self.stiffest, self.mass, self.damping)
+        names = "stiffness", "masses", "damping", "force", "tangential", "kmax", "median_mass"
+        scaled = {
+            name: getattr(self, name) / unit for name in names if getattr(self, name) is not None
+        }
+        return dataclasses.replace(self, **scaled), unit

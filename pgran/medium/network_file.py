@@ -1,0 +1,241 @@
+"""Networks on disk: one HDF5 file, `/network`, which h5py writes in five lines as well.
+
+    with h5py.File("mine.h5", "w") as file:
+        file["network/bond"] = [[0, 1], [1, 2]]
+        file["network/stiffness"] = [1.0, 2.0]
+        file["network/held"] = [2, 0, 1]
+
+What is missing has a default or follows from the rest; what is there must be right.
+"""
+
+import contextlib
+import difflib
+import io
+import os
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from pgran.arguments import called_right
+from pgran.errors import FileError, InputError
+from pgran.medium.bonds import AXES
+from pgran.medium.network import Network
+from pgran.medium.springs import FREE
+from pgran.store import careful as hdf5
+from pgran.store import file as store
+from pgran.store.paths import open_regular, whole
+from pgran.store.seal import check_seal, has_seal
+
+FORMAT, FORMAT_VERSION = "pgran network", 1
+# Of each dataset: its type, units, and what it is.
+DATASETS = {
+    "position": (float, "length", "positions of the balls"),
+    "mass": (float, "mass", "masses of the balls"),
+    "radius": (float, "length", "radii of the balls"),
+    "held": (int, "1", "0: free, 1: at rest, 2: driven"),
+    "bond": (int, "1", "the balls of each contact, from 0"),
+    "stiffness": (float, "force/length", "stiffness of each contact along its normal"),
+    "tangential": (float, "force/length", "stiffness of each contact along its tangents"),
+    "normal": (float, "1", "direction from the first ball of each contact to the second"),
+    "distance": (float, "length", "distance of the centres of each contact"),
+    "force": (float, "force", "repulsive force that each contact bears: the pre-stress"),
+    "id": (int, "1", "numbers of the balls in the program that they come from"),
+}
+ATTRIBUTES = {
+    "displacement": str, "damped": str, "damping": float, "kmax": float, "median_mass": float,
+    "direction": np.ndarray,
+}  # fmt: skip
+NOT_READ = ("id",)
+CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
+
+
+def write_network(path, members, attributes, overwrite=False):
+    """Write a network whole, or leave what was there as it was.
+
+    Not collective: rank 0.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+    members : dict of str: array_like
+        Keys of `DATASETS`; what is None is left out.
+    attributes : dict
+        Of `/network`: `displacement`, `direction` and so on.
+    overwrite : bool
+        Whether a network that is there may be replaced; nothing else ever may.
+
+    Raises
+    ------
+    FileError
+    """
+    path = Path(path)
+    check_output(path, overwrite)
+    memory = io.BytesIO()
+    with h5py.File(memory, "w", libver=CHECKED) as file:
+        file.attrs.update(format=FORMAT, format_version=FORMAT_VERSION)
+        group = file.create_group("network")
+        group.attrs.update(attributes)
+        for name, value in members.items():
+            if value is not None:
+                dtype, units, long_name = DATASETS[name]
+                texts = np.asarray(value).dtype.kind == "S"
+                data = np.asarray(value, dtype=None if texts else dtype)
+                # compressed, which helps whole numbers most, and with a checksum
+                data = group.create_dataset(name, data=data, compression="gzip", fletcher32=True)
+                data.attrs.update(units=units, long_name=long_name)
+    with whole(path, lambda: check_output(path, overwrite)) as stream:
+        stream.write(memory.getbuffer())
+
+
+def check_output(path, overwrite):
+    """Raise a FileError unless a network can be written there. Not collective."""
+    try:
+        if not os.path.lexists(path):
+            return
+    except ValueError as error:
+        raise FileError(f"{path}: cannot be written: {error}") from None
+    ours = False
+    with contextlib.suppress(FileError), hdf5.opened(path) as file:
+        ours = str(file.attributes("/").get("format")) == FORMAT
+    if not ours:
+        raise FileError(f"{path}: exists and is no network of pgran import: move it away yourself")
+    if not overwrite:
+        raise FileError(f"{path}: exists already; --overwrite replaces it")
+
+
+def members_of(file):
+    """Return what `/network` of a `pgran.store.careful.CarefulFile` holds, as `Network` takes it.
+
+    Not collective.
+    """
+    known = [*DATASETS, *ATTRIBUTES]
+    there = file.members("network", known)
+    said = file.attributes("network")
+    for name in [*file.file["network"], *said]:
+        if name not in known:  # others' data may stay, if no word is misspelt
+            meant = difflib.get_close_matches(name, known, 1, 0.8)
+            if meant:
+                file.refuse(f"network/{name}", f"is not known; is {meant[0]} meant?")
+    for name in ("bond", "stiffness"):
+        if name not in there:
+            file.refuse(f"network/{name}", "is missing")
+    values = {
+        name: file.array(f"network/{name}", DATASETS[name][0])
+        for name in there
+        if name not in (*NOT_READ, *ATTRIBUTES)
+    }
+    for name, kind in ATTRIBUTES.items():
+        if name in there:
+            file.refuse(f"network/{name}", "is an attribute, not a dataset")
+        if name in said:
+            values[name] = _plain(file, name, said[name], kind)
+    balls = next((len(values[name]) for name in ("held", "mass", "position") if name in values
+                  and values[name].ndim), None)  # fmt: skip
+    if balls is None:
+        file.refuse("network", "does not say how many balls there are: it needs position or mass")
+    values.setdefault("held", np.full(balls, FREE))
+    if "mass" in values:
+        values["masses"] = values.pop("mass")
+    vectors = {"normal", "position"} & values.keys()
+    values.setdefault("displacement", "vector" if vectors else "scalar")
+    return values
+
+
+def _plain(file, name, value, kind):
+    """Return an attribute as the type that it must have."""
+    if name == "direction" and isinstance(value, str) and value in tuple(AXES):
+        return value
+    number = np.asarray(value)
+    if kind is str and isinstance(value, str):
+        return value
+    if kind is float and number.shape in ((), (1,)) and number.dtype.kind in "fiu":
+        return float(number.reshape(()))
+    if kind is np.ndarray and number.ndim == 1 and number.dtype.kind in "fiu":
+        return number.astype(float)
+    called = {str: "text", float: "number", np.ndarray: "list of numbers"}[kind]
+    return file.refuse(f"network/{name}", f"must be a {called}")
+
+
+def read_network(path, **overrides):
+    """Return the network in an HDF5 file: `read_network("packing.h5", damping=0.01)`.
+
+    Not collective. The file is tried first by a process of its own, because HDF5 can crash on
+    damage.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+    **overrides
+        What `pgran.Network` takes, instead of what the file says.
+
+    Returns
+    -------
+    pgran.medium.network.Network
+
+    Raises
+    ------
+    FileError
+        If the file is damaged, lacks something or makes no network.
+    InputError
+        If the overrides make none.
+    """
+    hdf5.try_apart(path, "pgran.medium.network_file")
+    with hdf5.opened(path) as file:
+        values = members_of(file)
+    if values["displacement"] == "scalar":
+        values.pop("direction", None)
+    elif isinstance(values.get("direction"), str):
+        values["direction"] = _unit_vector(path, values)
+    try:
+        with np.errstate(all="ignore"):  # of absurd numbers: what comes of them is checked
+            network = Network(**values)
+    except InputError as error:
+        raise FileError(f"{path}: {error}") from None
+    if overrides.get("displacement") == "scalar":
+        values.pop("direction", None)
+    return Network(**values | overrides) if overrides else network
+
+
+def _unit_vector(path, values):
+    """Return the direction of the drive that is given by the name of an axis."""
+    wide = [values[name].shape for name in ("normal", "position") if name in values]
+    axis = AXES.index(values["direction"])
+    if not wide or len(wide[0]) != 2 or axis >= wide[0][1]:
+        raise FileError(f"{path}: /network/direction {AXES[axis]}: there is no such axis")
+    return np.eye(wide[0][1])[axis]
+
+
+@called_right
+def load(path):
+    """Return a result, `load(path).response.omega`, or the network in a file of one.
+
+    Not collective. The structure of the file is checked; its checksum only where that costs
+    nothing, in a small file that still has its seal, because HDF5 can crash on damage. Groups that
+    pgran does not know are left out.
+
+    Returns
+    -------
+    pgran.store.record.Result or pgran.medium.network.Network
+        Each group as the record that declares it, and the attributes of the file. A network of
+        `pgran import`, or one that other programs wrote, is read by `read_network`.
+
+    Raises
+    ------
+    FileError
+        If the file is neither, is damaged, or lacks what its records declare.
+    """
+    open_regular(path).close()
+    if os.path.getsize(path) <= hdf5.MODEST and has_seal(path):
+        check_seal(path)
+    with hdf5.opened(path) as file:
+        facts = file.attributes("/")
+        ours = str(facts.get("format")) == store.FORMAT
+        if not ours and not file.members("/", ["network"]):
+            raise FileError(f"{path}: neither a result of pgran nor a network")
+    return store.read_result(path) if ours else read_network(path)
+
+
+if __name__ == "__main__":
+    sys.exit(hdf5.main(sys.argv[1], members_of))

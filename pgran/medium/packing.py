@@ -1,0 +1,127 @@
+"""Packings: laws of contacts, periodic boxes, what hangs together, whether forces balance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgran.medium.parts import anchored
+from pgran.medium.springs import FREE
+
+
+def hertz(force, overlap):
+    """Return k = dF/dh = 3/2 F / h of Hertz's law F = c h^(3/2). Not collective."""
+    return 1.5 * force / overlap
+
+
+def hertz_of_force(force, c):
+    """Return k = 3/2 c^(2/3) F^(1/3) of Hertz's law F = c h^(3/2). Not collective."""
+    return 1.5 * np.cbrt(c**2 * force)
+
+
+def harmonic(force, overlap):
+    """Return k = F / h. Not collective."""
+    return force / overlap
+
+
+def nearest_images(away, periods):
+    """Return vectors between the nearest images, and through which ends they lead.
+
+    Not collective.
+
+    Parameters
+    ----------
+    away : numpy.ndarray, shape (n, d)
+        Vectors between balls in the box.
+    periods : numpy.ndarray, shape (d,)
+        Infinite along an axis without period.
+
+    Returns
+    -------
+    numpy.ndarray, shape (n, d)
+    numpy.ndarray of bool, shape (n, d)
+    """
+    finite = np.isfinite(periods)
+    turns = np.rint(away / periods)  # 0 where the period is infinite
+    return away - turns * np.where(finite, periods, 0.0), turns != 0
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """What of a packing can vibrate, and why the rest cannot.
+
+    Attributes
+    ----------
+    balls, contacts : numpy.ndarray of bool
+        Which are kept.
+    rattlers, torn_off, floating, idle : int
+        Balls left out: free and without contacts; free and without contacts since some were cut;
+        free and without a path to a held ball; held, and touching no free ball that is kept.
+    inert : int
+        Contacts left out because both balls are held.
+    """
+
+    balls: np.ndarray
+    contacts: np.ndarray
+    rattlers: int
+    torn_off: int
+    floating: int
+    idle: int
+    inert: int
+
+
+def keep(bond, held, cut):
+    """Return which balls and contacts of a packing are kept.
+
+    Not collective.
+
+    Parameters
+    ----------
+    bond : numpy.ndarray of int, shape (nb, 2)
+        The balls of each contact.
+    held : numpy.ndarray of int, shape (N,)
+        0: free. If none is held, parts may float.
+    cut : numpy.ndarray of bool, shape (nb,)
+        Contacts that are cut.
+
+    Returns
+    -------
+    Kept
+    """
+    free, count = held == FREE, len(held)
+    whole = bond[~cut]
+    touched = np.isin(np.arange(count), bond)
+    still_touched = np.isin(np.arange(count), whole)
+    fixed = np.ones(count, dtype=bool) if np.all(free) else anchored(whole, held)
+    moving = free & still_touched & fixed
+    contacts = ~cut & np.any(moving[bond], axis=1)
+    balls = np.isin(np.arange(count), bond[contacts])
+    return Kept(
+        balls,
+        contacts,
+        rattlers=np.count_nonzero(free & ~touched),
+        torn_off=np.count_nonzero(free & touched & ~still_touched),
+        floating=np.count_nonzero(free & still_touched & ~fixed),
+        idle=np.count_nonzero(~free & ~balls),
+        inert=np.count_nonzero(~cut & ~np.any(free[bond], axis=1)),
+    )
+
+
+def unbalanced(bond, normal, force, free):
+    """Return the largest total force on a free ball, in units of the mean contact force.
+
+    Not collective.
+
+    Parameters
+    ----------
+    bond : numpy.ndarray of int, shape (nb, 2)
+    normal : numpy.ndarray, shape (nb, d)
+        From the first ball of a contact to the second.
+    force : numpy.ndarray, shape (nb,)
+        Repulsive along the normal.
+    free : numpy.ndarray of bool, shape (N,)
+    """
+    total = np.zeros((len(free), normal.shape[1]))
+    np.add.at(total, bond[:, 0], -force[:, None] * normal)
+    np.add.at(total, bond[:, 1], force[:, None] * normal)
+    mean = np.abs(force).mean()
+    return float(np.linalg.norm(total[free], axis=1).max() / mean) if mean > 0 else 0.0

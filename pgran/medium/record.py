@@ -1,0 +1,169 @@
+"""The records of what a result belongs to: a lattice, or another network."""
+
+import math
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+
+import numpy as np
+
+from pgran.medium.lattice import Lattice
+from pgran.medium.network import Network
+from pgran.medium.springs import FREE
+from pgran.store.record import SPACE, MisfitError, Record, Result, array, attribute, attribute_array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LatticeRecord(Record):
+    """The lattice a result belongs to."""
+
+    group = "lattice"
+    shape: tuple[int, ...]
+    mass: float
+    damping: float
+    omega_mx: float
+    bonds_sha256: str = field(metadata={"of_run": True})  # an attribute of the whole file
+    stiffness_x: np.ndarray = array("constants of the bonds along x", "k", "bonds_x")
+    stiffness_y: np.ndarray | None = array(
+        "constants of the bonds along y", "k", "bonds_y", optional=True
+    )
+    stiffness_z: np.ndarray | None = array(
+        "constants of the bonds along z", "k", "bonds_z", optional=True
+    )
+
+    def __post_init__(self):
+        """Hold one array of bonds for each axis."""
+        there = [k is not None for k in (self.stiffness_x, self.stiffness_y, self.stiffness_z)]
+        axes = len(self.shape)
+        if there != [True] * axes + [False] * (3 - axes) or min(self.shape) < 1:
+            raise MisfitError(f"shape: {self.shape} does not fit {sum(there)} arrays stiffness_*")
+
+    length = "spacings"  # what distances are in
+    has_places = True  # its balls, to be drawn at
+
+    @property
+    def stiffness(self):
+        """The constants of the bonds, an array for each axis, as `Lattice` takes them."""
+        return (self.stiffness_x, self.stiffness_y, self.stiffness_z)[: len(self.shape)]
+
+    @property
+    def axes(self):
+        """How long the axes of the lattice and of its bonds are, by name."""
+        balls = dict(zip(SPACE, self.shape, strict=False))
+        return {"axis": len(balls)} | balls | {f"bond_{name}": n + 1 for name, n in balls.items()}
+
+    @property
+    def free_balls(self):
+        """How many balls move freely: all."""
+        return math.prod(self.shape)
+
+    @cached_property
+    def built(self):
+        """The lattice itself, a `lattice.Lattice`."""
+        kmax = self.mass * self.omega_mx**2 / (2 * len(self.shape))
+        return Lattice(self.stiffness, self.mass, self.damping, kmax)
+
+    @classmethod
+    def of(cls, lattice):
+        """Return the record of a `lattice.Lattice`."""
+        same = ("shape", "mass", "damping", "omega_mx", "bonds_sha256")
+        arrays = {f"stiffness_{x}": k for x, k in zip(SPACE, lattice.stiffness, strict=False)}
+        return cls(**{name: getattr(lattice, name) for name in same}, **arrays)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NetworkRecord(Record):
+    """The network a result belongs to: N balls, nb contacts, laid out like a network's own file.
+
+    Arrays of `balls` in other records have the components of its free balls one after the other.
+    """
+
+    group = "network"
+    displacement: str
+    damped: str
+    component: str
+    damping: float
+    kmax: float
+    median_mass: float = attribute(since=5)
+    omega_mx: float
+    unknowns: int
+    bonds_sha256: str = field(metadata={"of_run": True})
+    direction: np.ndarray = attribute_array("drive_coordinate")
+    bond: np.ndarray = array("balls of the contacts", "1", "contact", "end", dtype=int)
+    stiffness: np.ndarray = array("constants of the contacts", "k", "contact")
+    held: np.ndarray = array("0: free, 1: at rest, 2: driven", "1", "ball", dtype=int)
+    mass: np.ndarray = array("masses of the balls", "m", "ball")
+    position: np.ndarray | None = array(
+        "positions of the balls", "1", "ball", "coordinate", optional=True
+    )
+    radius: np.ndarray | None = array("radii of the balls", "1", "ball", optional=True)
+    normal: np.ndarray | None = array(
+        "from the first ball of a contact to the second, of length 1",
+        "1", "contact", "coordinate", optional=True,
+    )  # fmt: skip
+    distance: np.ndarray | None = array("of the centres", "1", "contact", optional=True)
+    force: np.ndarray | None = array("repulsive force", "k", "contact", optional=True)
+    tangential: np.ndarray | None = array(
+        "constants of tangential springs", "k", "contact", optional=True
+    )
+
+    length = "lengths"
+
+    @property
+    def has_places(self):
+        """Whether its balls have positions, to be drawn at."""
+        return self.position is not None
+
+    @property
+    def axes(self):
+        """How long the axes of its unknowns are, by name."""
+        return {"axis": 1, "x": self.unknowns}
+
+    @property
+    def shape(self):
+        """The unknowns, as those of `network.Network`."""
+        return (self.unknowns,)
+
+    @property
+    def free_balls(self):
+        """How many balls move freely."""
+        return int(np.count_nonzero(self.held == FREE))
+
+    @cached_property
+    def built(self):
+        """The network itself, a `network.Network`."""
+        same = [item.name for item in fields(self) if item.name in Network.__dataclass_fields__]
+        values = {name: getattr(self, name) for name in same}
+        if self.median_mass is None:  # of an older file: the median of the free balls
+            values["median_mass"] = float(np.median(self.mass[self.held == FREE]))
+        return Network(masses=self.mass, **values)
+
+    @classmethod
+    def of(cls, network):
+        """Return the record of a `network.Network`."""
+        same = [item.name for item in fields(cls) if item.name not in ("mass", "unknowns")]
+        values = {name: getattr(network, name) for name in same}
+        return cls(mass=network.masses, unknowns=network.balls, **values)
+
+
+def record_of(lattice):
+    """Return the record of a lattice or of another network. Not collective."""
+    return (NetworkRecord if isinstance(lattice, Network) else LatticeRecord).of(lattice)
+
+
+def as_result(medium):
+    """Return a lattice or a network by itself as a result, others as they are. Not collective."""
+    if not isinstance(medium, Lattice | Network):
+        return medium
+    record = record_of(medium)
+    return Result([record], scene=record.group)
+
+
+def ball_names(detectors):
+    """Return what each detector is called, "ball (8, 10)". Not collective."""
+    return [f"ball {site_name(site)}" for site in detectors]
+
+
+def site_name(site):
+    """Return the number of a ball, "11", or its indices on the axes, "(8, 10)". Not collective."""
+    numbers = np.asarray(site).tolist()
+    return str(numbers[0] if len(numbers) == 1 else tuple(numbers))

@@ -1,0 +1,156 @@
+"""Balls of a network in space, for pictures and other programs: contacts, displacements."""
+
+import numpy as np
+
+from pgran.medium.bonds import bond_ends, driven_bonds
+from pgran.medium.network import Network
+from pgran.medium.record import NetworkRecord
+
+
+def in_space(vectors):
+    """Return vectors of 1 to 3 components with 3, the last ones 0. Not collective."""
+    missing = 3 - vectors.shape[-1]
+    return np.pad(vectors, [(0, 0)] * (vectors.ndim - 1) + [(0, missing)])
+
+
+def reaches(network):
+    """Return how far each contact reaches from its first ball, and which cross the box.
+
+    Not collective. The box of a packing may be periodic. Where two balls that touch are not apart
+    by the normal and the distance of their contact, one touches an image of the other.
+
+    Parameters
+    ----------
+    network : pgran.results.NetworkRecord
+        With positions.
+
+    Returns
+    -------
+    along : numpy.ndarray, shape (nb, 3)
+        To the second ball, or to its image.
+    crosses : numpy.ndarray of bool, shape (nb,)
+    """
+    i, j = network.bond.T
+    away = in_space(network.position[j] - network.position[i])
+    if network.normal is None:
+        return away, np.zeros(len(away), dtype=bool)
+    apart = np.linalg.norm(away, axis=1)
+    size = apart if network.distance is None else network.distance
+    normal = in_space(network.normal)
+    crosses = np.linalg.norm(away - normal * size[:, None], axis=1) > 0.5 * size
+    if network.distance is None and not crosses.all():  # as long as the others
+        size = np.where(crosses, np.median(apart[~crosses]), apart)
+    return np.where(crosses[:, None], normal * size[:, None], away), crosses
+
+
+def everywhere(network, values, drive=0.0):
+    """Return displacements of all balls, held ones too, shape (n, N, components).
+
+    Not collective.
+
+    Parameters
+    ----------
+    network : pgran.results.NetworkRecord
+    values : numpy.ndarray, shape (n, unknowns)
+        Displacements and rotations of the free balls.
+    drive : array_like, shape (n,), optional
+        Of the driven balls, along the direction of the drive.
+    """
+    built = network.built
+    moves = np.zeros((len(values), len(network.held), built.components), dtype=values.dtype)
+    moves[:, built.free] = values.reshape(len(values), -1, built.components)
+    moves[:, network.held == 2, : built.axes] = np.reshape(drive, (-1, 1, 1)) * network.direction
+    return moves
+
+
+def mesh(result):
+    """Return what there is in space: points, lines between them, and data of both.
+
+    Not collective.
+
+    Returns
+    -------
+    points : numpy.ndarray, shape (n, 3)
+    lines : numpy.ndarray of int, shape (m, 2)
+    of_points, of_lines : dict of str: numpy.ndarray
+        Of as many rows; vectors have 3 components.
+    """
+    network = as_network(result.medium)
+    of_points = {"mass": network.mass, "radius": network.radius, "held": network.held}
+    names = ("stiffness", "tangential", "force", "distance", "normal")
+    of_lines = {name: getattr(network, name) for name in names}
+    if of_lines["normal"] is not None:
+        of_lines["normal"] = in_space(network.normal)
+    of_lines["crosses"] = reaches(network)[1].astype(int)
+    of_points, of_lines = (
+        {name: values for name, values in data.items() if values is not None}
+        for data in (of_points, of_lines)
+    )
+    of_lines |= dict(_of_bonds(result))
+    for name, values, drive in _motions(result):
+        moves = everywhere(network, values.reshape(1, -1), [drive])[0]
+        axes = 1 if network.displacement == "scalar" else len(network.direction)
+        of_points[name] = moves[:, 0] if axes == 1 else in_space(moves[:, :axes])
+        turned = moves[:, axes:]
+        if turned.shape[1]:
+            of_points[f"{name}_rotation"] = np.pad(turned, ((0, 0), (3 - turned.shape[1], 0)))
+    return in_space(network.position), network.bond, of_points, of_lines
+
+
+def as_network(medium):
+    """Return a network as it is, a lattice as one of scalar displacements.
+
+    Not collective. Where a bond of the lattice ends at a wall there is a held ball; bonds and free
+    balls keep their order.
+
+    Parameters
+    ----------
+    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
+    """
+    return medium if medium.group == "network" else _with_walls(medium)
+
+
+def _with_walls(lattice):
+    """Return a lattice as a network with a held ball of no mass where a bond ends."""
+    built, count = lattice.built, lattice.free_balls
+    bond, driven = bond_ends(np.arange(count).reshape(lattice.shape)), driven_bonds(lattice.shape)
+    axis, _ = built.bond_places(np.arange(built.bonds))
+    sites = np.indices(lattice.shape).reshape(len(lattice.shape), -1).T
+    wall, end = np.nonzero(bond < 0)
+    beside = (
+        sites[bond[wall, 1 - end]]
+        + np.where(end, 1, -1)[:, None] * np.eye(len(lattice.shape), dtype=int)[axis[wall]]
+    )
+    bond[wall, end] = count + np.arange(len(wall))
+    held = np.append(np.zeros(count, dtype=int), np.where(driven[wall] & (end == 1), 2, 1))
+    mass = np.append(np.full(count, lattice.mass), np.zeros(len(wall)))
+    position = np.concatenate([sites, beside]).astype(float)
+    network = Network(bond, built.constants, held, mass, lattice.damping, position=position)
+    return NetworkRecord.of(network)
+
+
+def _of_bonds(result):
+    """Yield what a signal depends on and the power, by name, at the frequencies that succeeded."""
+    found = getattr(result, "sensitivity", None)
+    for n in [] if found is None else np.flatnonzero(found.converged_reason > 0):
+        yield f"flux_{n + 1:04}", found.flux[n]
+        yield f"loss_{n + 1:04}", found.loss[n]
+        for d, site in enumerate(found.detector.tolist()):
+            name = "_".join(map(str, ["log_amplitude", f"{n + 1:04}", *site]))
+            yield name, found.on_bonds(n, d)
+
+
+def _motions(result):
+    """Yield the names of displacements of all balls, those of the free ones, that of the drive."""
+    modes, response, pulse = (getattr(result, x, None) for x in ("modes", "response", "pulse"))
+    if modes is not None and modes.vector is not None:
+        for number, vector in enumerate(modes.vector, 1):
+            yield f"mode_{number:04}", result.medium.built.displacements(vector), 0.0
+    if response is not None and response.field is not None:
+        for number, field in enumerate(response.field, 1):
+            yield f"response_{number:04}_real", field.real, 1.0
+            yield f"response_{number:04}_imag", field.imag, 0.0
+    if pulse is not None and pulse.field is not None:
+        walls = np.interp(pulse.field_time, pulse.time, pulse.wall)
+        for number, (field, wall) in enumerate(zip(pulse.field, walls, strict=True), 1):
+            yield f"field_{number:04}", field, wall

@@ -1,0 +1,277 @@
+"""Springs of a network as rows of B, and what follows from them: forces, sizes, rounding.
+
+A contact of the balls i and j is a few springs; b u is how far each is stretched:
+
+- along the normal n, from i to j, of the contact's stiffness: b u = n . (u_j - u_i);
+- along each tangent t, of its tangential stiffness: b u = t . (u_j - u_i), with rotations less
+  (R_i theta_i + R_j theta_j) . (n x t), which is zero for rolling;
+- along each tangent, of the constant -F / d, if the contact bears a force F at a distance d:
+  b u = t . (u_j - u_i) (pre-stress).
+
+So K = B^T diag(k) B. Damping is beta on the relative velocity at each contact, or on its normal
+part. Balls at rest and driven ones are no unknowns.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgran.medium.rounding import EPSILON
+
+FREE, AT_REST, DRIVEN = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """The rows of B in mass-weighted unknowns: blocks of a spring for each contact.
+
+    Attributes
+    ----------
+    unknowns : int
+        How many there are.
+    blocks : tuple of str
+        What each block is, the first one `normal`: `tangential`, of the tangential stiffness,
+        `pre_stress`, or `transverse`, both in one where balls do not turn.
+    columns : numpy.ndarray of int, shape (springs, w)
+        Unknowns, those of the contact's first ball in the first half; -1 where there is none.
+    values : numpy.ndarray, shape (springs, w) or (1, w)
+        Entries of B.
+    drive : numpy.ndarray, shape (springs,)
+        How far the driven balls' motion, of size 1, stretches each.
+    drive_apart : numpy.ndarray, shape (springs,)
+        The same with the part of each contact's first ball turned around, as in `D`.
+    constants, damped : numpy.ndarray, shape (springs,)
+        Of each its constant, and the part of beta that it has.
+    elastic : numpy.ndarray, shape (springs,)
+        The constants without pre-stress: what grows with a contact's stiffness.
+    """
+
+    unknowns: int
+    blocks: tuple
+    columns: np.ndarray
+    values: np.ndarray
+    drive: np.ndarray
+    drive_apart: np.ndarray
+    constants: np.ndarray
+    damped: np.ndarray
+    elastic: np.ndarray
+
+    @cached_property
+    def B(self):  # noqa: N802
+        """The rows of B, sparse, shape (springs, unknowns)."""
+        return self._sparse(self.values)
+
+    @cached_property
+    def D(self):  # noqa: N802
+        """B with the entries of each contact's first ball turned around, like B."""
+        half = self.columns.shape[1] // 2
+        return self._sparse(self.values * np.repeat([-1.0, 1.0], half))
+
+    def _sparse(self, values):
+        """Return entries at the columns as a sparse matrix."""
+        from scipy.sparse import csr_matrix  # here: SciPy takes its time
+
+        there = self.columns >= 0
+        rows = np.repeat(np.arange(len(there)), np.count_nonzero(there, axis=1))
+        entries = np.broadcast_to(values, there.shape)[there]
+        return csr_matrix((entries, (rows, self.columns[there])), (len(there), self.unknowns))
+
+    @cached_property
+    def lengths(self):
+        """|b|_2 of each spring, shape (springs,)."""
+        there = self.columns >= 0
+        return np.sqrt(np.sum(there * self.values**2, axis=1))
+
+
+class Elastic:
+    """What follows from the `springs` of a network; a part of `network.Network`."""
+
+    @property
+    def B(self):  # noqa: N802
+        """The rows of B, sparse, shape (springs, unknowns)."""
+        return self.springs.B
+
+    def stretched(self, fields, wall):
+        """Yield how far fields (n, unknowns) lengthen springs, constants, parts of beta.
+
+        Not collective. What is driven moves by `wall`, shape (n,).
+        """
+        springs = self.springs
+        yield (
+            (self.B @ fields.T).T + wall[:, None] * springs.drive,
+            springs.constants,
+            springs.damped,
+        )
+
+    @property
+    def irregular(self):
+        """Whether its `graph` knows in which order to eliminate the balls, and what that costs."""
+        return True
+
+    @cached_property
+    def semidefinite(self):
+        """Whether K has no negative eigenvalues for certain, as all constants are positive."""
+        return bool(np.all(self.springs.constants >= 0))
+
+    def restoring_forces(self, fields):
+        """Return K f = B^T diag(k) B f for fields of shape (count, unknowns). Not collective."""
+        return (self.B.T @ (self.springs.constants[:, None] * (self.B @ fields.T))).T
+
+    @property
+    def rows(self):
+        """The largest |b|_2 of a contact, and what rounding adds to b^T x, in units of |x|_2."""
+        values = self.springs.values
+        size = float(np.sqrt(np.sum(values[: self.bonds] ** 2, axis=1)).max())
+        return size, (values.shape[1] + 1) * EPSILON * size
+
+    @cached_property
+    def drive_norms(self):
+        """|f|_2 of what the springs at driven balls do, and of their dashpots for beta = 1."""
+        springs = self.springs
+        return tuple(
+            float(np.linalg.norm(self.B.T @ (k * springs.drive)))
+            for k in (springs.constants, springs.damped)
+        )
+
+    @cached_property
+    def _pulls(self):
+        """Sums of k w^2, of d w^2 and of |k| w^2 over the springs that the drive stretches by w."""
+        springs = self.springs
+        squares = springs.drive**2
+        parts = springs.constants, springs.damped, np.abs(springs.constants)
+        return [float(part @ squares) for part in parts]
+
+    @property
+    def pulls(self):
+        """What `pull` is at s = 0, and by how much it grows with s."""
+        stiffness, damped, _ = self._pulls
+        return stiffness, self.damping * damped
+
+    def pull(self, s):
+        """Return the force that moves what is driven by 1 while all balls stay.
+
+        Not collective. It is the sum of (k + s beta d) w^2 over the springs, stretched by w.
+        """
+        stiffness, damping = self.pulls
+        return stiffness + s * damping
+
+    def pull_rounding(self, size):
+        """Return how much rounding changes `pull(s)`, at most, for an |s|. Not collective."""
+        _, damped, stiffness = self._pulls
+        stretched = np.count_nonzero(self.springs.drive)
+        return (stretched + 8) * EPSILON * (stiffness + size * (self.damping * damped))
+
+    @cached_property
+    def damping_norm(self):
+        """No less than |C|_2."""
+        size = abs(self.B)
+        return 1.01 * float((size.T @ (self.springs.damped * (size @ np.ones(self.balls)))).max())
+
+    @cached_property
+    def relaxation_rate(self):
+        """The largest k / beta of a spring that pulls back, infinite if one has no dashpot."""
+        pulls = self.springs.constants > 0
+        with np.errstate(divide="ignore", over="ignore"):
+            rates = self.springs.constants[pulls] / (self.damping * self.springs.damped[pulls])
+        return float(rates.max(initial=0.0))
+
+    @cached_property
+    def stiffness_norm(self):
+        """No less than |K|_2: the largest sum of magnitudes in a row."""
+        size = abs(self.B)
+        sums = np.abs(self.springs.constants) * np.asarray(size.sum(axis=1)).ravel()
+        return float((size.T @ sums).max())
+
+    @cached_property
+    def rounding(self):
+        """How much rounding moves a residual, in units of what it is summed from.
+
+        As `rounding.residual_rounding`: sums over the springs at an unknown, and over
+        the unknowns that these couple it to.
+        """
+        met = int(np.bincount(self.B.indices).max())
+        return (met * (1 + self.springs.columns.shape[1]) + 12) * EPSILON
+
+
+def springs_of(network):
+    """Return the springs of a `network.Network`. Not collective."""
+    balls, components = len(network.held), network.components
+    unknown = np.full((balls + 1, components), -1)
+    unknown[network.free] = np.arange(network.balls).reshape(-1, components)
+    i, j = network.bond.T
+    columns = np.concatenate([unknown[i], unknown[j]], axis=1)
+    moving = np.zeros((balls, components))
+    moving[network.held == DRIVEN, : network.axes] = network.direction
+    first, second = moving[i], moving[j]
+    weights = np.append(network.weights, 0.0)[columns]
+    blocks, rows, constants, elastic, damped = zip(*_rows(network, i, j), strict=True)
+    values = np.concatenate(rows)
+
+    def stretched(*moving):
+        moving = np.concatenate(moving, axis=1)
+        return np.einsum("sw,sw->s", values, np.tile(moving, (len(rows), 1)))
+
+    return Springs(
+        network.balls,
+        blocks,
+        np.tile(columns, (len(rows), 1)),
+        values * np.tile(weights, (len(rows), 1)),
+        stretched(first, second),
+        stretched(-first, second),
+        np.concatenate(constants),
+        np.repeat(damped, len(i)),
+        np.concatenate(elastic),
+    )
+
+
+def _rows(network, i, j):
+    """Return blocks: what each is, rows over both balls' components, constants, beta's part.
+
+    Beside the constants stands what they are without pre-stress.
+    """
+    still = np.zeros((len(i), network.turns))
+
+    def row(t, first=still, second=still):
+        return np.concatenate([-t, first, t, second], axis=1)
+
+    if network.displacement == "scalar":
+        return [("normal", row(np.ones((len(i), 1))), network.stiffness, network.stiffness, 1.0)]
+    blocks = [("normal", row(network.normal), network.stiffness, network.stiffness, 1.0)]
+    nothing = np.zeros(len(i))
+    pre_stress = nothing if network.force is None else -network.force / network.distance
+    shear = nothing if network.tangential is None else network.tangential
+    part = float(network.damped == "all")
+    # constants that are given, zeros too: amplitudes have derivatives by them
+    bent, sheared = network.force is not None, network.tangential is not None or part
+    for t in tangents(network.normal):
+        if not network.turns:
+            kinds = [("transverse", row(t), shear + pre_stress, shear, part)]
+            wanted = [bent or sheared]
+        else:
+            lever = _cross(network.normal, t)
+            turned = [-network.radius[end][:, None] * lever for end in (i, j)]
+            kinds = [
+                ("tangential", row(t, *turned), shear, shear, part),
+                ("pre_stress", row(t), pre_stress, nothing, 0.0),
+            ]
+            wanted = [sheared, bent]
+        blocks += [kind for kind, there in zip(kinds, wanted, strict=True) if there]
+    return blocks
+
+
+def tangents(normal):
+    """Return the directions across normals, an array like them for each. Not collective."""
+    if normal.shape[1] == 2:
+        return [np.stack([-normal[:, 1], normal[:, 0]], axis=1)]
+    axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
+    first = np.cross(normal, axis)
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return [first, np.cross(normal, first)]
+
+
+def _cross(a, b):
+    """Return a x b, in two dimensions its component along z, shape (n, 1 or 3)."""
+    if a.shape[1] == 3:
+        return np.cross(a, b)
+    return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]

@@ -1,1 +1,0 @@
-"""Ranks in groups, the journal of finished work, agreement over ranks, progress."""

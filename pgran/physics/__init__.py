@@ -1,1 +1,0 @@
-"""What is computed: NumPy and SciPy only. No PETSc, no MPI, no files."""

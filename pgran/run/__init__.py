@@ -1,0 +1,1 @@
+"""One run: what it is asked, its ranks, its journal, its end."""

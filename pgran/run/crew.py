@@ -1,0 +1,224 @@
+"""Ranks in groups: the ranks of a group share one lattice, the groups share out the work.
+
+Work comes in units whose size does not depend on the number of ranks, and a unit's results do not
+depend on what its group did before: so the numbers do not depend on the number of ranks either,
+nor on whether the run was stopped in between and went on from its journal.
+"""
+
+import contextlib
+
+import numpy as np
+from mpi4py import MPI
+
+from pgran.errors import InputError, is_foreseen
+from pgran.run.agreement import agree, agreeing, on_root
+
+WORD, FIRST_TAG = 1, 2  # tags of messages: a word to stop; results, a tag for each call of `share`
+
+
+class Crew:
+    """All ranks of a run, cut into groups. Collective; use with `with`.
+
+    Parameters
+    ----------
+    world : mpi4py.MPI.Comm
+    ranks_per_lattice : int
+        How many ranks share a lattice.
+    journal : pgran.run.journal.Journal, optional
+        Keeps finished units, and says when to stop.
+    begins : callable, optional
+        Called on rank 0 when all that is given has been read and checked, before the work.
+
+    Attributes
+    ----------
+    group : mpi4py.MPI.Comm
+        The ranks that share a lattice with this one.
+    number, groups : int
+        Which group this rank is in, of how many.
+    dry : bool
+        Whether units are only tried, in a dry run.
+
+    Raises
+    ------
+    InputError
+        If the ranks cannot be cut into groups of that size.
+    """
+
+    dry = False
+
+    def __init__(self, world, ranks_per_lattice, journal=None, begins=None):
+        """Split the world."""
+        if world.size % ranks_per_lattice:
+            raise InputError(
+                f"-ranks_per_lattice {ranks_per_lattice}: {world.size} ranks cannot be cut into "
+                "groups of that size"
+            )
+        self.world, self.journal, self._begins = world, journal, begins
+        self.groups = world.size // ranks_per_lattice
+        self.number = world.rank // ranks_per_lattice
+        self.group = world.Split(self.number, world.rank)
+        self._shared, self._told, self._words = 0, None, []
+
+    def __enter__(self):
+        """Return the crew."""
+        return self
+
+    def __exit__(self, *error):
+        """Free the group's communicator, unless an error is on its way: others may not follow."""
+        if error[0] is None:
+            self.group.Free()
+
+    def begin(self):
+        """Note that all that is given has been read and checked, once. Collective."""
+        begins, self._begins = self._begins, None
+        if begins is not None:
+            on_root(self.world, begins)
+
+    def open(self, task):
+        """Return the context of a task, whose value works on its units. Collective."""
+        return task.open(self.group)
+
+    def share(self, task, work, deliver):
+        """Call `work` for every unit on one group, and `deliver` with its rows on rank 0.
+
+        Collective. Units that the journal holds are delivered from there.
+
+        Parameters
+        ----------
+        task : pgran.run.task.Task
+            Its `units` and `row`, the same on every rank.
+        work : callable
+            Takes a unit, collectively on a group, and returns its rows, on the first rank of the
+            group at least.
+        deliver : callable
+            Takes the position of a unit and its rows; called on rank 0 alone, as they arrive.
+
+        Raises
+        ------
+        StoppedError
+            If a signal asked for it; on every rank.
+        """
+        # A tag of its own keeps a fast rank's next results apart from a slow one's present ones.
+        self._shared += 1
+        results = _Results(self, FIRST_TAG + self._shared, task, deliver)
+        left = self.world.bcast(results.left)
+        for position in (p for turn, p in enumerate(left) if self._takes(turn)):
+            if self.journal is not None and self._stop_asked():
+                break
+            rows = work(task.units[position])
+            if self.group.rank == 0:
+                results.put((position, rows))
+        if self.group.rank == 0:
+            results.put(None)
+        if self.journal is not None:
+            self._agree_to_stop()
+
+    def _takes(self, turn):
+        """Return whether a unit is this group's.
+
+        The groups take turns, each round in the opposite order, which shares out evenly what is
+        sorted by size.
+        """
+        cycle, place = divmod(turn, self.groups)
+        return self.number == (place if cycle % 2 == 0 else self.groups - 1 - place)
+
+    def _stop_asked(self):
+        """Return whether a signal asks to stop, here or in another group. Collective over a group.
+
+        Groups do not wait for each other, so the one that gets a signal sends word.
+        """
+        first = self.group.rank == 0
+        heard = first and self.world.Iprobe(tag=WORD)
+        names, heard = zip(*self.group.allgather((self.journal.stop_asked, heard)), strict=True)
+        name = next(filter(None, names), None)
+        if name and first:
+            others = set(range(0, self.world.size, self.group.size)) - {self.world.rank}
+            self._told = name
+            self._words = [self.world.isend(name, rank, tag=WORD) for rank in others]
+        return name or any(heard)
+
+    def _agree_to_stop(self):
+        """Raise StoppedError on all ranks if one of them has stopped; leave no word unheard."""
+        told = self.world.allgather(self._told)
+        for rank, name in enumerate(told):
+            if name and self.group.rank == 0 and rank != self.world.rank:
+                self.world.recv(source=rank, tag=WORD)
+        MPI.Request.waitall(self._words)
+        stopped = next(filter(None, told), None)
+        if stopped:
+            self.journal.stop(stopped)
+
+
+class AgreeingCrew(Crew):
+    """Ranks of which all raise what one of them meets: where a study goes on, others end.
+
+    Of ranks that share a lattice one could not agree while the others wait for it: there only what
+    all meet alike is agreed on.
+    """
+
+    @contextlib.contextmanager
+    def open(self, task):
+        """See `Crew`."""
+        with contextlib.ExitStack() as opened:
+            if self.group.size > 1:
+                work = opened.enter_context(task.open(self.group))
+            else:
+                with agreeing(self.world):
+                    work = opened.enter_context(task.open(self.group))
+            yield work
+
+    def share(self, task, work, deliver):
+        """Do as a Crew does; after an error a rank takes part without working.
+
+        Collective. Parameters are those of `Crew.share`.
+        """
+        met = []
+
+        def tried(unit):
+            if not met:
+                try:
+                    return work(unit)
+                except Exception as error:
+                    if self.group.size > 1 and not is_foreseen(error):
+                        raise
+                    met.append(error)
+            return np.zeros(0, task.row)
+
+        super().share(task, tried, deliver)
+        agree(self.world, met[0] if met else None)
+
+
+class _Results:
+    """The way of results to rank 0: into the journal, and to whom they are delivered."""
+
+    def __init__(self, crew, tag, task, deliver):
+        """Deliver what the journal holds; `left` are the positions of the other units."""
+        self.world, self.tag, self.deliver, self.journal = crew.world, tag, deliver, crew.journal
+        self.left, self._sent, self._working = list(range(len(task.units))), [], crew.groups
+        if self.journal is not None and self.world.rank == 0:
+            self.stage = self.journal.stage(tag, task.units, task.row)
+            kept = self.journal.kept(self.stage, task.row)
+            for position, rows in kept.items():
+                deliver(position, rows)
+            self.left = sorted(set(self.left).difference(kept))
+
+    def put(self, message):
+        """Hand in a unit's position and rows, or None after the last, on a group's first rank."""
+        if self.world.rank == 0:
+            self._take(message)
+            while self._working and (message is None or self.world.Iprobe(tag=self.tag)):
+                self._take(self.world.recv(tag=self.tag))
+        else:
+            self._sent = [request for request in self._sent if not request.Test()]
+            self._sent.append(self.world.isend(message, 0, tag=self.tag))
+            if message is None:
+                MPI.Request.waitall(self._sent)
+
+    def _take(self, message):
+        """Keep and deliver the rows of a unit, or note that a group has no more, on rank 0."""
+        if message is None:
+            self._working -= 1
+            return
+        if self.journal is not None:
+            self.journal.write(self.stage, *message)
+        self.deliver(*message)

@@ -1,0 +1,73 @@
+"""The driving frequencies of a sweep: what may be asked, and what that makes."""
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.run.machine import check_memory
+from pgran.run.numbers import numbers
+from pgran.run.options import INTEGER, REAL, REALS, TEXT, Option, alternatives, check_ends
+
+FREQUENCIES = (
+    Option("sweep_min", REAL, 0.01, "lowest driving frequency", "angular", above=0),
+    Option("sweep_max", REAL, 1.3, "highest driving frequency", "angular", above=0),
+    Option("sweep_points", INTEGER, 1291, "frequencies of the linear grid", low=1),
+    Option(
+        "sweep_omega", REALS, None, "driving frequencies, instead of a grid", "angular", above=0
+    ),
+)
+SWEEP = (
+    *FREQUENCIES,
+    Option(
+        "sweep_unit", TEXT, "absolute", "what the frequencies of a sweep are given in",
+        choices=("absolute", "omega_mx")
+    ),
+)  # fmt: skip
+
+
+def check_sweep(values, given):
+    """Raise where the options of a sweep contradict each other. Not collective."""
+    alternatives(("sweep_omega",), ("sweep_min", "sweep_max", "sweep_points"), values, given)
+    omega = values["sweep_omega"]
+    if omega is None:
+        check_ends("sweep", values)
+    elif list(omega) != sorted(set(omega)):
+        raise InputError("-sweep_omega: the frequencies must increase")
+
+
+def driving_frequencies(options, lattice=None):
+    """Return the frequencies of the sweep, angular, increasing; the lattice may be their unit.
+
+    Not collective.
+
+    Raises
+    ------
+    InputError
+        If the lattice has no omega_mx to measure them in.
+    """
+    if options.sweep_omega:
+        omegas = np.array(options.sweep_omega)
+    else:
+        check_memory("sweep_points", 8 * options.sweep_points)
+        omegas = np.linspace(options.sweep_min, options.sweep_max, options.sweep_points)
+    if lattice is None or options.sweep_unit == "absolute":
+        return omegas
+    if not lattice.omega_mx > 0:
+        raise InputError("-sweep_unit omega_mx: without stiff bonds omega_mx is 0")
+    return omegas * lattice.omega_mx
+
+
+def checked_frequencies(omegas):
+    """Return driving frequencies as an array; raise unless they are positive and increase.
+
+    Not collective.
+
+    Raises
+    ------
+    InputError
+    """
+    omegas = np.atleast_1d(numbers("-sweep_omega", omegas))
+    if omegas.ndim != 1 or not omegas.size or not np.all(np.isfinite(omegas) & (omegas > 0)):
+        raise InputError("-sweep_omega: the frequencies must be positive and finite, in a list")
+    if np.any(np.diff(omegas) <= 0):
+        raise InputError("-sweep_omega: the frequencies must increase")
+    return omegas

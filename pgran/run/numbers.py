@@ -1,0 +1,71 @@
+"""What Python hands in as numbers and arrays, as plain ones."""
+
+import numpy as np
+
+from pgran.arguments import shown
+from pgran.errors import InputError
+from pgran.run.options import check_ends, check_values
+
+
+def numbers(name, value, whole=False):
+    """Return real numbers as an array of floats, or of integers; nothing is rounded or left out.
+
+    Not collective. Whole numbers may come as floats; the array may be the one that was given.
+
+    Parameters
+    ----------
+    name : str
+        What messages call them.
+    value : array_like
+    whole : bool
+        Whether whole numbers are needed.
+
+    Raises
+    ------
+    InputError
+        If they are anything else: complex, truth values, texts, masked.
+    """
+    try:
+        array = None if _has_truth_values(value) else np.asarray(value)
+    except Exception:  # rows of several lengths, or whatever an object's own conversion raises
+        array = None
+    if array is None or array.dtype.kind not in "iuf" or np.ma.is_masked(value):
+        needed = "whole" if whole else "real"
+        raise InputError(f"{name}: {needed} numbers are needed, not {shown(value)}")
+    with np.errstate(all="ignore"):
+        found = array.astype(np.int64 if whole else float, copy=False)
+    if whole and not np.array_equal(found, array):
+        raise InputError(f"{name}: whole numbers are needed, not {shown(value)}")
+    return found
+
+
+def number(name, value):
+    """Return one real number as a float; raise an InputError if it is anything else.
+
+    Not collective.
+    """
+    found = numbers(name, value)
+    if found.ndim:
+        raise InputError(f"{name}: one number is needed, not {shown(value)}")
+    return float(found)
+
+
+def _has_truth_values(value):
+    """Return whether a list holds truth values, which NumPy takes for numbers among others."""
+    if isinstance(value, (list, tuple)):
+        return any(map(_has_truth_values, value))
+    return isinstance(value, (bool, np.bool_))
+
+
+def window(name, options, ends):
+    """Return the two ends of a window that was handed in, by options `name`_min and `name`_max.
+
+    Not collective. Raises InputError if there are not two, or they are impossible for these.
+    """
+    ends = numbers(f"-{name}_min, -{name}_max", ends)
+    if ends.shape != (2,):
+        raise InputError(f"-{name}_min, -{name}_max: a window has two ends, not {ends.size}")
+    values = dict(zip((f"{name}_min", f"{name}_max"), ends, strict=True))
+    check_values(options, **values)
+    check_ends(name, values)
+    return tuple(ends.tolist())

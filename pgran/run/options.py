@@ -1,0 +1,315 @@
+"""Options: how one is declared, read and written; those of every run; a run's own, resolved."""
+
+import difflib
+import hashlib
+import math
+import operator
+import re
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pgran.arguments import shown
+from pgran.errors import InputError
+from pgran.run.keys import is_solver_key
+from pgran.store.paths import open_regular
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A type of option, and how its text is read."""
+
+    name: str
+    read: Callable
+
+
+def _only(possible, read):
+    """Return what reads a value, and raises ValueError unless it is possible."""
+
+    def checked(text):
+        value = read(text)
+        if not possible(value):
+            raise ValueError
+        return value
+
+    return checked
+
+
+def _several(kind):
+    return Kind(f"{kind.name}s", lambda text: tuple(map(kind.read, text.split(","))))
+
+
+# A key without a value is true.
+FLAGS = dict.fromkeys(("", "true", "yes", "1", "on"), True)
+FLAGS |= dict.fromkeys(("false", "no", "0", "off"), False)
+INTEGER = Kind("integer", _only(lambda value: abs(value) < 2**64, int))
+REAL = Kind("real", _only(math.isfinite, float))
+FLAG = Kind("flag", lambda text: FLAGS[text.lower()])
+TEXT = Kind("text", _only(len, str))
+INTEGERS, REALS = _several(INTEGER), _several(REAL)
+# Names of files that a run reads: what these hold is part of what the run is.
+FILE = Kind("file", TEXT.read)
+FILES = _several(FILE)
+
+
+def text_of(value):
+    """Return the text that a value is read from. Not collective."""
+    value = _without_numpy(value)
+    if isinstance(value, tuple):
+        return ",".join(map(text_of, value))
+    if isinstance(value, bool):
+        return str(value).lower()
+    return value if isinstance(value, str) else repr(value)
+
+
+def _without_numpy(value):
+    """Return NumPy's numbers and arrays, and lists, as Python's own numbers and tuples."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    return tuple(map(_without_numpy, value)) if isinstance(value, (list, tuple)) else value
+
+
+def _meant(text):
+    """Return how to write 20x20, or 1e3 where a whole number is needed, or None."""
+    if re.fullmatch(r"\d+(x\d+)+", text):
+        return text.replace("x", ",")
+    if re.fullmatch(r"\d(\.\d*)?e\+?\d{1,2}|\d+\.0*", text) and float(text).is_integer():
+        return f"{float(text):.0f}"
+    return None
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option: `-name`, and what its value may be.
+
+    `low` and `high` bound every number of a value, `above` from below excluding itself. A default
+    of None means that the option need not be given and that nothing stands in for it.
+    """
+
+    name: str
+    kind: Kind
+    default: object
+    meaning: str
+    unit: str = ""
+    low: float | None = None
+    above: float | None = None
+    high: float | None = None
+    choices: tuple = ()
+
+    def read(self, text, where=""):
+        """Return the value that `text` means.
+
+        Raises
+        ------
+        InputError
+            If it is of the wrong type or out of range.
+        """
+        try:
+            value = self.kind.read(text.strip())
+        except (ValueError, KeyError):
+            raise self._wrong_type(text, where) from None
+        if self.choices and value not in self.choices:
+            near = nearest(value, self.choices)
+            hint = f"; did you mean {near}?" if near else ""
+            choices = ", ".join(self.choices)
+            raise InputError(f"-{self.name} {text}{where}: choose {choices}{hint}")
+        for number in value if isinstance(value, tuple) else (value,):
+            if not all(holds(number, bound) for _, holds, bound in self._bounds()):
+                raise InputError(f"-{self.name} {text}{where}: {number} is not {self.range()}")
+        return value
+
+    def range(self):
+        """Return the range in words."""
+        return " and ".join(f"{sign} {bound:.3g}" for sign, _, bound in self._bounds())
+
+    def _bounds(self):
+        """Return the sign of each bound that there is, what it means, and the bound."""
+        above, low = (">", operator.gt, self.above), (">=", operator.ge, self.low)
+        bounds = (above, low, ("<=", operator.le, self.high))
+        return [(sign, holds, bound) for sign, holds, bound in bounds if bound is not None]
+
+    def write(self, value):
+        """Return the line of an options file that sets this value."""
+        return f"-{self.name} {shlex.quote(text_of(value))}"
+
+    def check(self, value):
+        """Return a value given in Python as the command line would read it; raise as it does."""
+        try:
+            plain = _without_numpy(value)
+            text = text_of(plain)
+        except Exception:  # whatever an object's own conversion raises
+            raise self._wrong_type(shown(value)) from None
+        read = self.read(text)
+        if read != plain:
+            raise self._wrong_type(text)
+        return read
+
+    def _wrong_type(self, text, where=""):
+        meant = _meant(text.strip())
+        hint = f"; did you mean {meant}?" if meant else ""
+        return InputError(
+            f"{f'-{self.name} {text}'.rstrip()}{where}: needs a value of the type "
+            f"`{self.kind.name}`{hint}"
+        )
+
+
+def nearest(word, words):
+    """Return the word most like `word`, or None. Not collective."""
+    return next(iter(difflib.get_close_matches(word, words, n=1, cutoff=0.5)), None)
+
+
+# The options of every run.
+RUN = (
+    Option(
+        "ranks_per_lattice", INTEGER, 0,
+        "ranks that share one lattice, the rest share out the work; 0 = automatic", low=0
+    ),
+    Option(
+        "output_file", TEXT, None, "result (default: results/<name of the options file>.h5)"
+    ),
+    Option("output_overwrite", FLAG, False, "replace an existing result"),
+    Option(
+        "output_progress", TEXT, "auto", "auto = a bar on a terminal, lines elsewhere",
+        choices=("auto", "bar", "lines", "none"),
+    ),
+    Option("output_log", TEXT, None, "log file; a log that is there already goes on"),
+    Option("units_length", REAL, None, "unit of length, the spacing of a lattice", "m", above=0),
+    Option("units_time", REAL, None, "unit of time: figures and summaries in Hz", "s", above=0),
+    Option("dry_run", FLAG, False, "say what the run will need, and stop"),
+)  # fmt: skip
+
+
+def options_in(text):
+    """Return {name: text} of what `Options.text` has written, but how a run was carried out."""
+    lines = [line.lstrip("-").partition(" ") for line in text.splitlines()]
+    how = {option.name for option in RUN}
+    told = {name: value for name, _, value in lines if name and not name.startswith("output_")}
+    return {name: value for name, value in told.items() if name not in how}
+
+
+def _contents(path):
+    """Return the beginning of a checksum of a file."""
+    with open_regular(path) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()[:16]
+
+
+class Options:
+    """The resolved options of a run: `options.lattice_shape` is the value of `-lattice_shape`.
+
+    Parameters
+    ----------
+    scene : str
+    declared : iterable of Option
+    values : dict
+        By the names of the declared options.
+    solver : dict of str
+        The keys that go to PETSc.
+    """
+
+    def __init__(self, scene, declared, values, solver):
+        """Keep the values of the options that a scene declares."""
+        self.scene, self._declared, self._values, self.solver = scene, declared, values, solver
+
+    def __getattr__(self, name):
+        """Return the value of an option of this scene."""
+        if name not in self.__dict__["_values"]:
+            raise AttributeError(f"scene {self.scene} has no option -{name}")
+        return self._values[name]
+
+    def changed(self, **values):
+        """Return the same options with other values. Not collective."""
+        return Options(self.scene, self._declared, self._values | values, self.solver)
+
+    def text(self):
+        """Return a complete options file that reproduces the run.
+
+        Not collective. Without what was meant for this run alone: to replace a result, to be dry.
+        """
+        lines = [f"-scene {self.scene}"]
+        for option, value in self._known():
+            if option.name not in ("output_overwrite", "dry_run"):
+                lines.append(option.write(value))
+        for key, text in self.solver.items():
+            lines.append(f"-{key} {shlex.quote(text)}" if text else f"-{key}")
+        return "\n".join(lines) + "\n"
+
+    def identity(self):
+        """Return what decides the run's numbers, {option: text}; how it is carried out does not.
+
+        Not collective. The files that it names are read: what they hold counts.
+
+        Raises
+        ------
+        FileError
+            If one cannot be read.
+        """
+        found = {option.name: text_of(v) for option, v in self._known() if option not in RUN}
+        for option, value in self._known():
+            if option.kind in (FILE, FILES):
+                paths = value if isinstance(value, tuple) else (value,)
+                held = ", ".join(f"{path} holds {_contents(path)}" for path in paths)
+                found[option.name] += f" ({held})"
+        solver = {key: text for key, text in self.solver.items() if is_solver_key(key)}
+        return {"scene": self.scene} | found | solver
+
+    def _known(self):
+        """Return pairs of the options that have a value, and it."""
+        pairs = [(option, self._values[option.name]) for option in self._declared]
+        return [(option, value) for option, value in pairs if value is not None]
+
+
+def alternatives(some, others, values, given):
+    """Let one of two ways to say the same stand: what was given, and of both the winning source.
+
+    Not collective.
+
+    Parameters
+    ----------
+    some, others : sequence of str
+        Options. `some` stand only where given; without any, `others` have their defaults.
+    values : dict
+        Of all options; those of the way that does not stand become None.
+    given : dict of pgran.run.reading.Given
+
+    Raises
+    ------
+    InputError
+        If both ways are given at the same place.
+    """
+    first, second = (
+        max((given[k].rank for k in keys if k in given), default=-1) for keys in (some, others)
+    )
+    if first == second >= 0:
+        one, other = (next(given[k] for k in keys if k in given) for keys in (some, others))
+        raise InputError(
+            f"-{other.key}{other.where}: contradicts -{one.key}{one.where}; give one of them"
+        )
+    if max(first, second) >= 0 or values[some[0]] is not None:
+        values.update(dict.fromkeys(others if first > second else some))
+
+
+def check_values(options, **values):
+    """Raise unless values given in Python are possible for the options of their names.
+
+    Not collective.
+
+    Raises
+    ------
+    InputError
+        As for the same value on the command line.
+    """
+    for option in options:
+        if option.name in values:
+            option.check(values[option.name])
+
+
+def check_ends(name, values):
+    """Raise unless the lower end of a window lies below its upper end. Not collective."""
+    low, high = (values.get(f"{name}_{end}") for end in ("min", "max"))
+    if low is not None and low >= high:
+        raise InputError(f"-{name}_min: {low:g} is not below -{name}_max, {high:g}")
+
+
+def checks(options, prefix=""):
+    """Return what checks values of options, by their names without a prefix. Not collective."""
+    return {option.name.removeprefix(prefix): option.check for option in options}

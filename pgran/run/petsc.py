@@ -1,0 +1,78 @@
+"""The one door to PETSc, and its option database: keys that hold for a while, or go unused.
+
+MPI comes before PETSc, which may have no MPI library of its own; and PETSc reads no file of
+options. `pgran run` starts it with the keys of its options file; nobody else has any.
+"""
+
+import contextlib
+import ctypes
+import logging
+
+import petsc4py
+
+from pgran.errors import PgranError
+from pgran.run import launch
+
+launch.start()
+petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler"])  # once: later calls do nothing
+
+from petsc4py import PETSc  # noqa: E402
+
+if PETSc.ScalarType().dtype.kind != "c":
+    raise PgranError("this PETSc has real scalars; pgran needs a complex one (pgran doctor)")
+
+log = logging.getLogger("pgran")
+
+
+@contextlib.contextmanager
+def holding(keys):
+    """Let solver keys, without their dash, hold for the objects that are made meanwhile.
+
+    Not collective, but every rank must hold the same. A key whose text is None is hidden.
+    """
+    database = PETSc.Options()
+    before = database.getAll()
+    for key, text in keys.items():
+        if text is None:
+            database.delValue(key)
+        else:
+            database.setValue(key, text)
+    try:
+        yield
+    finally:
+        for key in keys:
+            if key in before:
+                database.setValue(key, before[key])
+            else:
+                database.delValue(key)
+
+
+def unused(keys):
+    """Return those of some keys in the database that no object has asked for. Not collective."""
+    used = _whether_used()
+    return [key for key in keys if not used(key)]
+
+
+def warn_of_unused(keys):
+    """Warn of those of some keys in the database that no object has asked for. Not collective."""
+    for key in unused(keys):
+        log.warning("-%s was not used: no solver of this run has such an option", key)
+
+
+def _whether_used():
+    """Return what says whether any object has asked for a key; true where nothing can tell."""
+    database = PETSc.Options()
+    if hasattr(database, "used"):  # from petsc4py 3.19 on
+        return database.used
+    try:
+        ask = ctypes.CDLL(PETSc.__file__).PetscOptionsUsed
+    except (OSError, AttributeError):
+        return lambda key: True
+    ask.argtypes = ctypes.c_void_p, ctypes.c_char_p, ctypes.POINTER(ctypes.c_int)
+    ask.restype = ctypes.c_int
+
+    def used(key):
+        answer = ctypes.c_int(0)
+        return ask(None, key.encode(), answer) != 0 or answer.value != 0
+
+    return used

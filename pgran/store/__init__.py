@@ -1,0 +1,1 @@
+"""Records: declared once, written, checked, read, said in SI."""

@@ -1,0 +1,17 @@
+"""What records of several experiments hold."""
+
+import numpy as np
+
+DETECTOR = "indices of the detecting balls"
+PHASE = "phase, unwrapped along omega; without damping 0 or pi"
+BOUND = "bound of the error of the displacement; NaN: none is known"
+FLOOR = "1: the bound is below error_floor, but not small against the amplitude"
+
+
+class Frequencies:
+    """What records with a `converged_reason` for each frequency have in common."""
+
+    @property
+    def failures(self):
+        """How many frequencies missed the accuracy asked for."""
+        return int(np.count_nonzero(self.converged_reason <= 0))

@@ -1,0 +1,91 @@
+"""Results as tables: a row for each frequency, time, mode or whatever a record has arrays along."""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from pgran.errors import FileError
+
+ASIDE = "detector_number", "axis"  # along these a table has columns, not rows
+IN_SPACE = "balls", "bonds_"  # what arrays along these hold is a picture, no table
+
+
+def tables(result):
+    """Return the tables of a result: columns by their names.
+
+    Not collective. Of each record but the lattice's or the network's all arrays along the same axes
+    make a table: a row for each place along them, first what is there (`omega`, or a number from
+    0), then the arrays, of each detector a column: `amplitude_8_10`, `amplitude_17`.
+
+    Parameters
+    ----------
+    result : pgran.store.record.Result
+
+    Returns
+    -------
+    dict of str: dict of str: numpy.ndarray
+        By what tells them apart, the group and the axes; the first, of the scene's own record if it
+        has one, by "".
+
+    Raises
+    ------
+    FileError
+        If there is none.
+    """
+    records, scene = result.records, str(result.scene)
+    own = {scene: records[scene]} if scene in records else {}
+    found = {}
+    for group, record in (own | records).items():
+        if group in ("lattice", "network"):
+            continue
+        first = True
+        for axes, columns in _of_record(record).items():
+            name = [group] * (group not in own) + [*axes] * (not first)
+            found["-".join(name) if found else ""] = columns
+            first = False
+    if not found:
+        raise FileError(f"no table in this result (scene {result.scene})")
+    return found
+
+
+def _of_record(record):
+    """Return the tables of a record by their axes."""
+    fields = [item for item in dataclasses.fields(record) if "axes" in item.metadata]
+    along = {item.name: item.metadata["axes"] for item in fields}
+    coordinates = {name for name, axes in along.items() if not axes}
+    used = {axis for axes in along.values() for axis in axes}
+    found = {}
+    for name, axes in along.items():
+        values = getattr(record, name)
+        if values is None or name in used or axes == ("detector_number", "axis"):
+            continue
+        axes = axes or (name,)
+        if any(axis.startswith(IN_SPACE) for axis in axes):
+            continue
+        rows = tuple(axis for axis in axes if axis not in ASIDE)
+        at = [axes.index(axis) for axis in rows]
+        if rows not in found:
+            places = [
+                getattr(record, axis) if axis in coordinates else np.arange(values.shape[n])
+                for axis, n in zip(rows, at, strict=True)
+            ]
+            every = np.meshgrid(*places, indexing="ij")
+            found[rows] = {axis: all_.ravel() for axis, all_ in zip(rows, every, strict=True)}
+        if name not in coordinates:
+            found[rows] |= _columns(record, name, values, axes, at)
+    found = {rows: columns for rows, columns in found.items() if len(columns[rows[0]])}
+    return dict(sorted(found.items(), key=lambda table: len(table[0])))
+
+
+def _columns(record, name, values, axes, at):
+    """Return the columns of an array, one for each place along the axes that have columns."""
+    aside = [n for n in range(len(axes)) if n not in at]
+    flat = values.transpose(*at, *aside).reshape(math.prod(values.shape[n] for n in at), -1)
+    labels = [name]
+    for n in aside:
+        sites = np.arange(values.shape[n])[:, None]
+        if axes[n] == "detector_number":
+            sites = record.detector
+        labels = ["_".join(map(str, [label, *site])) for label in labels for site in sites.tolist()]
+    return dict(zip(labels, flat.T, strict=True))
