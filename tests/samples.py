@@ -20,6 +20,7 @@ from pgran.driven.operators import Operators
 from pgran.driven.steady import SteadySolver
 from pgran.experiments.pulse.scene import pulse
 from pgran.experiments.response.scene import sweep
+from pgran.medium import sample
 from pgran.medium.lattice import Lattice
 from pgran.run.crew import Crew
 from pgran.store.record import Record
@@ -76,7 +77,9 @@ def option_values(text):
 def run_scene(options, world, journal=None):
     """Run the scene of some options; return its records on rank 0, None on the others."""
     scene = SCENES[options.scene]
-    return scene.run(options, world, lambda ranks, _=None: Crew(world, ranks, journal))
+    return sample.run_scene(
+        scene, options, world, lambda ranks, _=None: Crew(world, ranks, journal)
+    )
 
 
 @contextlib.contextmanager

@@ -13,11 +13,11 @@ import pgran
 from pgran.command.forecast import forecast
 from pgran.command.resolve import SCENES, resolve
 from pgran.errors import InputError, PgranError, StoppedError
+from pgran.experiments.ensemble import scene
 from pgran.experiments.ensemble.bands import over_samples
 from pgran.experiments.ensemble.scene import KEPT
 from pgran.experiments.relaxation.memory import Series, mean_order
 from pgran.experiments.relaxation.spectrum import power_spectrum
-from pgran.experiments.response import scene as response
 from pgran.medium.crystals import triangular
 from pgran.medium.network_file import write_network
 from pgran.medium.record import record_of
@@ -218,14 +218,14 @@ def test_a_sample_that_misses_its_accuracy_is_left_out(world):
 
 @pytest.mark.parametrize("failing", [{1994}, set(SEEDS)])
 def test_a_sample_that_cannot_be_computed_is_left_out_aloud(world, monkeypatch, caplog, failing):
-    run = response.run
+    run_one = scene.run_scene
 
-    def broken(options, group, crew):
+    def broken(facts, options, group, crew):
         if options.bonds_seed in failing:
             raise PgranError("it is broken")
-        return run(options, group, crew)
+        return run_one(facts, options, group, crew)
 
-    monkeypatch.setattr(response, "run", broken)
+    monkeypatch.setattr(scene, "run_scene", broken)
     records = ran("response", "", world)
     found = records[1]
     assert set(found.seed[found.good == 0]) == failing
@@ -241,7 +241,7 @@ def test_wrong_input_is_the_runs_and_not_a_samples(world, monkeypatch):
     def broken(*given):
         raise InputError("wrong")
 
-    monkeypatch.setattr(response, "run", broken)
+    monkeypatch.setattr(scene, "run_scene", broken)
     if world.size == 1:
         with pytest.raises(InputError, match="wrong"):
             ran("response", "", world)

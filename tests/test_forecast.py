@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from petsc4py import PETSc
-from samples import random_lattice, steady
+from samples import random_lattice, run_scene, steady
 
 from pgran.command import forecast
 from pgran.command.resolve import SCENES, resolve
@@ -18,7 +18,6 @@ from pgran.errors import InputError
 from pgran.medium import crystals as makers
 from pgran.medium.network import Network
 from pgran.run import machine
-from pgran.run.crew import Crew
 from pgran.run.reading import read_file, read_words
 from pgran.run.task import Task
 
@@ -125,7 +124,7 @@ def test_work_and_disk_are_those_of_the_run(world, monkeypatch, name, words, wor
     options = chosen(name, *words.split())
     lines = foreseen(world, options)
     assert re.fullmatch(work, lines["work"])
-    records = SCENES[options.scene].run(options, world, lambda ranks, _=None: Crew(world, ranks))
+    records = run_scene(options, world)
     if world.rank == 0:
         value, unit = lines["disk"].split()[1:3]
         size = forecast.stored_bytes(records)

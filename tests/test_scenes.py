@@ -8,13 +8,14 @@ import pytest
 from mpi4py import MPI
 from samples import run_scene
 
-from pgran.command.resolve import SCENES, resolve
+from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.experiments.continuum.series import Continuum
 from pgran.experiments.ensemble.scene import ENSEMBLE, KEPT
 from pgran.experiments.sensitivity.scene import joins
 from pgran.medium.lattice import Lattice
 from pgran.medium.record import record_of
 from pgran.medium.space import as_network
+from pgran.run.options import RUN
 from pgran.run.petsc import holding
 from pgran.run.reading import read_words
 from pgran.store.record import Record, Result
@@ -105,15 +106,19 @@ SEEN_ELSEWHERE = {
 IDLE = {"modes": ["lattice_damping"], "ensemble modes": ["lattice_damping"]}
 
 
+def own_options(scene):
+    return [option for option in options_of(scene).values() if option not in RUN]
+
+
 def options_in(scene):
     """The options of a scene, of an ensemble those of its experiment."""
     scene, _, repeated = scene.partition(" ")
     if not repeated:
-        return SCENES[scene].options
+        return own_options(scene)
     return [
         option
-        for option in SCENES[scene].options
-        if option.name in {o.name for o in (*ENSEMBLE, *SCENES[repeated].options)}
+        for option in own_options(scene)
+        if option.name in {o.name for o in (*ENSEMBLE, *own_options(repeated))}
         and (option.name != "ensemble_keep" or repeated in KEPT)
     ]
 

@@ -5,11 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from mpi4py import MPI
+from network_samples import as_network
 from samples import assert_same, random_lattice, swept
 
-from pgran.command.resolve import resolve
+from pgran.command.resolve import SCENES, resolve
 from pgran.errors import InputError
-from pgran.medium.sample import LARGE, LARGE_WORK, automatic_ranks, ranks_per_lattice
+from pgran.medium import lattice, network
+from pgran.medium.sample import ranks_per_lattice
 from pgran.run.crew import Crew
 from pgran.run.reading import read_words
 
@@ -19,7 +21,7 @@ LATTICE = random_lattice((9, 8), 12)
 def test_groups(world):
     for size in (size for size in range(1, world.size + 1) if world.size % size == 0):
         options = resolve(read_words(f"-scene response -ranks_per_lattice {size}".split()))
-        with Crew(world, ranks_per_lattice(options, LATTICE, world)) as crew:
+        with Crew(world, ranks_per_lattice(SCENES["response"], options, LATTICE, world)) as crew:
             assert crew.group.size == size
             assert crew.groups == world.size // size
             everyone = world.allgather((crew.number, crew.group.rank))
@@ -31,15 +33,15 @@ def test_groups(world):
             Crew(world, 2)
 
 
-def test_automatic_ranks():
-    """One rank a lattice, unless it is large."""
-    for axes, balls in LARGE.items():
-        for count, ranks in ((balls, 1), (balls + 1, 8)):
-            lattice = SimpleNamespace(balls=count, axes=axes, irregular=False)
-            assert automatic_ranks(lattice, 8) == ranks
-    for work, ranks in ((LARGE_WORK, 1), (LARGE_WORK + 1, 8)):  # of a network, however many balls
-        network = SimpleNamespace(balls=10**9, irregular=True, graph=SimpleNamespace(work=work))
-        assert automatic_ranks(network, 8) == ranks
+def test_what_is_large(monkeypatch):
+    """One rank a lattice, unless it has many balls; a network, unless its factors take long."""
+    assert not LATTICE.is_large
+    monkeypatch.setitem(lattice.LARGE, 2, 71)
+    assert LATTICE.is_large
+    chain = as_network(LATTICE)
+    assert not chain.is_large
+    monkeypatch.setattr(network, "LARGE_WORK", 0.99 * chain.graph.work)
+    assert chain.is_large
 
 
 ROW = np.dtype([("rank", int), ("value", complex, (3,))])

@@ -21,7 +21,7 @@ from pgran.experiments.pulse.transform import limits_of
 from pgran.experiments.pulse.wall import Pulse
 from pgran.medium import crystals as makers
 from pgran.medium.lattice import Lattice
-from pgran.run.interface import holding_solver, solver_keys_of
+from pgran.run.keys import holding_solver, solver_keys_of
 
 SHORT = {"shape": "gauss", "width": 4.0, "time": 100.0, "points": 101}
 MOTION = Pulse("gauss", 0.0, 4.0)

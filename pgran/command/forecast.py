@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 
 from pgran.command.opening import opening
-from pgran.medium.sample import make_lattice, ranks_per_lattice
+from pgran.medium.sample import make_lattice, ranks_per_lattice, run_scene
 from pgran.run.crew import Crew
 from pgran.run.machine import free_memory, most_resident
 from pgran.store.estimate import counted
@@ -130,7 +130,7 @@ def forecast(scene, options, world, started):
     PgranError
         If the options are impossible, as the run itself would.
     """
-    lattice = make_lattice(options, world) if scene.needs_petsc else None
+    lattice = make_lattice(options, world) if scene.on_medium else None
     lines = [f"run       {opening(options, world.size, lattice)}"]
     if lattice is not None:
         balls = " x ".join(map(str, lattice.shape))
@@ -138,7 +138,7 @@ def forecast(scene, options, world, started):
             balls = len(lattice.free)
         lines.append(f"unknowns  {lattice.balls} ({balls} balls, {lattice.bonds} bonds)")
         factored = options.solver.get("steady_pc_type", "lu") in ("lu", "cholesky")
-        ranks = ranks_per_lattice(options, lattice, world) if scene.shares_lattice else 1
+        ranks = ranks_per_lattice(scene, options, lattice, world)
         needed = _machine_total(world, lattice_memory(lattice, ranks, factored))
         free = free_memory()
         if any(world.allgather(free and needed > TRIED * free)):  # on one machine of several
@@ -154,7 +154,7 @@ def forecast(scene, options, world, started):
         crews.append(Rehearsal(world, ranks))
         return crews[-1]
 
-    records = scene.run(options, world, rehearse)
+    records = run_scene(scene, options, world, rehearse)
     memory = np.array(world.allgather(most_resident()))
     together = _machine_total(world, memory[world.rank])
     if world.rank > 0:

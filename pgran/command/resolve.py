@@ -1,11 +1,15 @@
 """Which experiment a run is, and its options: all scenes, and what keys mean to one of them."""
 
+import hashlib
+import shlex
 from collections.abc import Mapping
 
 from pgran import catalogue
 from pgran.errors import InputError
+from pgran.medium.sample import LATTICE, check_lattice
 from pgran.run import keys as solver_keys
-from pgran.run.options import RUN, TEXT, Option, Options, nearest
+from pgran.run.options import FILE, FILES, RUN, TEXT, Option, nearest, text_of
+from pgran.store.paths import open_regular
 
 
 class Scenes(Mapping):
@@ -30,7 +34,9 @@ SCENE_OPTION = Option("scene", TEXT, None, "the experiment", choices=tuple(SCENE
 
 def options_of(scene):
     """Return all options of a scene by name, those of every run last. Not collective."""
-    return {option.name: option for option in (*SCENES[scene].options, *RUN)}
+    facts = SCENES[scene]
+    medium = LATTICE if facts.on_medium else ()
+    return {option.name: option for option in (*medium, *facts.options, *RUN)}
 
 
 def resolve(given, output_file=None):
@@ -66,6 +72,8 @@ def resolve(given, output_file=None):
     solver_keys.check_pivot_shifts(solver)
     if not SCENES[scene].shares_lattice and values["ranks_per_lattice"] > 1:
         raise InputError(f"-ranks_per_lattice: scene {scene} has one rank for each lattice only")
+    if SCENES[scene].on_medium:
+        check_lattice(values, last, SCENES[scene].draws(values))
     SCENES[scene].check(values, last)
     return Options(scene, options.values(), values, solver)
 
@@ -93,3 +101,74 @@ def _check_foreign(key, item, scene):
         near = f"normal_{key}"
     hint = f"; did you mean -{near}?" if near else ""
     raise InputError(f"-{key}{item.where}: unknown option{hint} (pgran options {scene} lists all)")
+
+
+def _contents(path):
+    """Return the beginning of a checksum of a file."""
+    with open_regular(path) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()[:16]
+
+
+class Options:
+    """The resolved options of a run: `options.lattice_shape` is the value of `-lattice_shape`.
+
+    Parameters
+    ----------
+    scene : str
+    declared : iterable of Option
+    values : dict
+        By the names of the declared options.
+    solver : dict of str
+        The keys that go to PETSc.
+    """
+
+    def __init__(self, scene, declared, values, solver):
+        """Keep the values of the options that a scene declares."""
+        self.scene, self._declared, self._values, self.solver = scene, declared, values, solver
+
+    def __getattr__(self, name):
+        """Return the value of an option of this scene."""
+        if name not in self.__dict__["_values"]:
+            raise AttributeError(f"scene {self.scene} has no option -{name}")
+        return self._values[name]
+
+    def changed(self, **values):
+        """Return the same options with other values. Not collective."""
+        return Options(self.scene, self._declared, self._values | values, self.solver)
+
+    def text(self):
+        """Return a complete options file that reproduces the run.
+
+        Not collective. Without what was meant for this run alone: to replace a result, to be dry.
+        """
+        lines = [f"-scene {self.scene}"]
+        for option, value in self._known():
+            if option.name not in ("output_overwrite", "dry_run"):
+                lines.append(option.write(value))
+        for key, text in self.solver.items():
+            lines.append(f"-{key} {shlex.quote(text)}" if text else f"-{key}")
+        return "\n".join(lines) + "\n"
+
+    def identity(self):
+        """Return what decides the run's numbers, {option: text}; how it is carried out does not.
+
+        Not collective. The files that it names are read: what they hold counts.
+
+        Raises
+        ------
+        FileError
+            If one cannot be read.
+        """
+        found = {option.name: text_of(v) for option, v in self._known() if option not in RUN}
+        for option, value in self._known():
+            if option.kind in (FILE, FILES):
+                paths = value if isinstance(value, tuple) else (value,)
+                held = ", ".join(f"{path} holds {_contents(path)}" for path in paths)
+                found[option.name] += f" ({held})"
+        solver = {key: text for key, text in self.solver.items() if solver_keys.is_solver_key(key)}
+        return {"scene": self.scene} | found | solver
+
+    def _known(self):
+        """Return pairs of the options that have a value, and it."""
+        pairs = [(option, self._values[option.name]) for option in self._declared]
+        return [(option, value) for option, value in pairs if value is not None]

@@ -73,7 +73,7 @@ def run(words):
     if options.output_log:
         _start_log(options, words, world)
     scene = SCENES[options.scene]
-    if scene.needs_petsc:
+    if scene.on_medium:
         start_petsc(options)
     if options.dry_run:
         return _foresee(scene, options, world, started)
@@ -120,6 +120,7 @@ def _compute(scene, options, words, world, started):
     import numpy
 
     from pgran.command.opening import opening
+    from pgran.medium.sample import run_scene
     from pgran.run.crew import Crew
     from pgran.run.experiment import Caution
     from pgran.run.journal import Journal
@@ -143,7 +144,7 @@ def _compute(scene, options, words, world, started):
 
             return Crew(world, ranks, journal, begins)
 
-        records = scene.run(options, world, crew)
+        records = run_scene(scene, options, world, crew)
 
         def finish():
             failures = sum(int(numpy.sum(r.failures)) for r in records)

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import offset_copy
 
 from pgran.errors import FileError
-from pgran.medium.record import ball_names as ball_names
+from pgran.store.fields import ball_names as ball_names
 
 MM = 1 / 25.4  # in inches
 COLUMN, PAGE = 85 * MM, 170 * MM  # widths: one column of a journal, and two

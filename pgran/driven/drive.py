@@ -9,7 +9,7 @@ from pgran.errors import InputError
 from pgran.medium.lattice import Lattice
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Caution
-from pgran.run.options import INTEGER, REAL, Option
+from pgran.run.options import INTEGER, INTEGERS, REAL, TEXT, Option
 
 log = logging.getLogger("pgran")
 
@@ -33,13 +33,17 @@ STEADY = {
 }  # fmt: skip
 
 
-CHECKS = {keyword: option.check for keyword, option in STEADY.items()}
-
-
-def steady_of(options):
-    """Return those keywords of `STEADY` that the options of a run have. Not collective."""
-    given = {keyword: getattr(options, o.name, None) for keyword, o in STEADY.items()}
-    return {keyword: value for keyword, value in given.items() if value is not None}
+DETECTORS = (
+    Option(
+        "detectors", INTEGERS, (8, 10), "ball indices from 0, flat: 8,10 or 8,10,3,4",
+        low=0, high=2**63 - 1
+    ),
+    Option(
+        "detectors_component", TEXT, "drive",
+        "of networks with vectors: what of a displacement is read, along the drive or an axis",
+        choices=("drive", "x", "y", "z")
+    ),
+)  # fmt: skip
 
 
 def check_driven(lattice, world, lowest, in_time=False):

@@ -15,6 +15,7 @@ import numpy as np
 
 from pgran.arguments import called_right, shown, whole_number
 from pgran.errors import InputError
+from pgran.medium.base import Medium
 from pgran.medium.bonds import (
     AXES,
     SIGNS,
@@ -29,14 +30,15 @@ from pgran.medium.bonds import (
 from pgran.medium.law import BondLaw, unit_numbers
 from pgran.medium.springs import Springs
 from pgran.medium.units import check_magnitudes, einstein_frequency, own_unit
-from pgran.run.fingerprints import Distinct
 from pgran.run.machine import check_memory
 from pgran.run.numbers import number, numbers
+
+LARGE = {1: 10**7, 2: 100_000, 3: 20_000}  # balls, by axes: beyond these all ranks share it
 
 
 @called_right
 @dataclass(frozen=True, eq=False)
-class Lattice(ElasticBonds, Distinct):
+class Lattice(ElasticBonds, Medium):
     """Balls of one mass, springs of individual stiffness, one damping constant.
 
     Lattices are equal if bonds, mass, damping and kmax are.
@@ -147,6 +149,11 @@ class Lattice(ElasticBonds, Distinct):
     def balls(self):
         """How many balls there are."""
         return math.prod(self.shape)
+
+    @property
+    def is_large(self):
+        """Whether all ranks should share it."""
+        return self.balls > LARGE[self.axes]
 
     @property
     def constants(self):

@@ -14,6 +14,7 @@ import numpy as np
 from pgran.arguments import called_right, choice, shown
 from pgran.errors import InputError, PgranError
 from pgran.run.numbers import number, numbers
+from pgran.run.options import REAL, Option
 
 
 def unit_numbers(seed, first, count, generation=0):
@@ -69,6 +70,9 @@ def _hertz(u, force, contact):
 
 
 # Of each law its function, and which parameters it has.
+HERTZ = Option(
+    "bonds_hertz", REAL, 1.0, "hertz: c in F = c h^(3/2)", "force / length^(3/2)", above=0
+)
 LAWS = {
     "uniform": (_uniform, ("kmin", "kmax")),
     "constant": (_constant, ("kmax",)),
@@ -191,3 +195,9 @@ def check_law(law):
 
 
 TRIED = unit_numbers(0, 0, 16)  # what laws are tried with
+
+
+def make_law(options):
+    """Return the law that the bond constants are drawn from."""
+    _, names = LAWS[options.bonds_law]
+    return BondLaw(options.bonds_law, **{name: getattr(options, f"bonds_{name}") for name in names})

@@ -15,21 +15,22 @@ import numpy as np
 
 from pgran.arguments import called_right, choice
 from pgran.errors import InputError
+from pgran.medium.base import Medium
 from pgran.medium.bonds import AXES
 from pgran.medium.checks import check_network, checked_array, unit_direction
 from pgran.medium.graph import Graph
 from pgran.medium.parts import anchored
 from pgran.medium.springs import DRIVEN, FREE, Elastic, springs_of
 from pgran.medium.units import check_magnitudes, einstein_frequency, own_unit
-from pgran.run.fingerprints import Distinct
 from pgran.run.numbers import number, numbers
 
+LARGE_WORK = 3e9  # of a factorization: beyond it all ranks share the network
 KINDS = ("scalar", "vector", "rotations")
 
 
 @called_right
 @dataclass(frozen=True, eq=False)
-class Network(Elastic, Distinct):
+class Network(Elastic, Medium):
     """Balls, the contacts between them, and which of them are held.
 
     Networks are equal if all that they are made of is.
@@ -186,6 +187,11 @@ class Network(Elastic, Distinct):
     def mass(self):
         """The mass of the mass-weighted unknowns."""
         return self.median_mass
+
+    @property
+    def is_large(self):
+        """Whether all ranks should share it."""
+        return self.graph.work > LARGE_WORK
 
     @property
     def constants(self):

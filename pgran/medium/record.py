@@ -156,14 +156,3 @@ def as_result(medium):
         return medium
     record = record_of(medium)
     return Result([record], scene=record.group)
-
-
-def ball_names(detectors):
-    """Return what each detector is called, "ball (8, 10)". Not collective."""
-    return [f"ball {site_name(site)}" for site in detectors]
-
-
-def site_name(site):
-    """Return the number of a ball, "11", or its indices on the axes, "(8, 10)". Not collective."""
-    numbers = np.asarray(site).tolist()
-    return str(numbers[0] if len(numbers) == 1 else tuple(numbers))

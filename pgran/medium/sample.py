@@ -2,11 +2,10 @@
 
 import dataclasses
 
-from pgran.arguments import shown
 from pgran.errors import InputError, PgranError
 from pgran.medium.lattice import Lattice
-from pgran.medium.law import LAWS, BondLaw
-from pgran.medium.network import Network
+from pgran.medium.law import HERTZ, LAWS, make_law
+from pgran.medium.record import record_of
 from pgran.run.agreement import on_root
 from pgran.run.options import FILE, INTEGER, INTEGERS, REAL, TEXT, Option, alternatives
 
@@ -28,7 +27,7 @@ LATTICE = (
     ),
     Option("bonds_fraction", REAL, 0.5, "bimodal: part of the bonds that is kmax", low=0, high=1),
     Option("bonds_force", REAL, 1.0, "hertz: mean contact force", "force", above=0),
-    Option("bonds_hertz", REAL, 1.0, "hertz: c in F = c h^(3/2)", "force / length^(3/2)", above=0),
+    HERTZ,
     Option("bonds_seed", INTEGER, 1993, "which sample", low=0, high=2**63 - 1),
     Option("bonds_file", FILE, None, "law file: HDF5 file with /lattice/stiffness_x ..."),
 )  # fmt: skip
@@ -42,29 +41,17 @@ NETWORK = (
         "mass x frequency", low=0
     ),
 )  # fmt: skip
+LAW = ("bonds_law", "bonds_kmin", "bonds_kmax", "bonds_fraction", "bonds_force", "bonds_hertz")
 LATTICE = (*LATTICE, *NETWORK)
-DETECTORS = (
-    Option(
-        "detectors", INTEGERS, (8, 10), "ball indices from 0, flat: 8,10 or 8,10,3,4",
-        low=0, high=2**63 - 1
-    ),
-    Option(
-        "detectors_component", TEXT, "drive",
-        "of networks with vectors: what of a displacement is read, along the drive or an axis",
-        choices=("drive", "x", "y", "z")
-    ),
-)  # fmt: skip
 OWN_KMAX = ("hertz", "file")  # laws of bonds whose largest constant is not known beforehand
-# Beyond this many balls all ranks share one lattice, unless options say otherwise; beyond this
-# work of a factorization a network.
-LARGE, LARGE_WORK = {1: 10**7, 2: 100_000, 3: 20_000}, 3e9
 
 
-def check_lattice(values, given, law=()):
-    """Raise where the options of a lattice contradict each other.
+def check_lattice(values, given, draws=False):
+    """Raise where the options of a medium contradict each other.
 
-    Not collective. `law` are names of options that say more than what a lattice is made of.
+    `draws` says that the experiment draws constants itself, of networks by the law, too.
     """
+    law = LAW if draws else ()
     named = [o.name for o in LATTICE if o not in NETWORK and o.name not in law]
     alternatives(("network_file", "network_damping"), named, values, given)
     if values["network_file"] is not None:
@@ -87,19 +74,6 @@ def check_lattice(values, given, law=()):
             if name in given and given[name].rank >= given["bonds_file"].rank:
                 raise InputError(f"-{name}{given[name].where}: contradicts -bonds_file")
             values[name] = None
-
-
-def medium(value):
-    """Return a lattice or a network that was handed in, as a result's record, too.
-
-    Not collective. Raises InputError if it is none.
-    """
-    value = getattr(value, "built", value)
-    if not isinstance(value, (Lattice, Network)):
-        raise InputError(
-            f"lattice: a pgran.Lattice or a pgran.Network is needed, not {shown(value)}"
-        )
-    return value
 
 
 def make_lattice(options, world):
@@ -143,31 +117,32 @@ def make_lattice(options, world):
     return lattice
 
 
-def make_law(options):
-    """Return the law that the bond constants are drawn from. Not collective."""
-    _, names = LAWS[options.bonds_law]
-    return BondLaw(options.bonds_law, **{name: getattr(options, f"bonds_{name}") for name in names})
+def ranks_per_lattice(scene, options, medium, world):
+    """Return how many ranks share the medium of a run: as asked, or all if it is large."""
+    if not scene.shares_lattice:
+        return 1
+    return options.ranks_per_lattice or (world.size if medium.is_large else 1)
 
 
-def ranks_per_lattice(options, lattice, world):
-    """Return how many ranks share the lattice: as the options say, or all if it is large.
+def run_scene(scene, options, world, crew):
+    """Carry an experiment out, and return its records on rank 0, None on the others.
 
-    Not collective.
+    Collective.
 
     Parameters
     ----------
-    options : pgran.run.options.Options
-    lattice : pgran.medium.lattice.Lattice
+    scene : pgran.run.experiment.Scene
+    options : Options
+        Of the run.
     world : mpi4py.MPI.Comm
+    crew : callable
+        Makes a crew of all ranks: `crew(ranks, medium)` takes how many share the medium, and it.
     """
-    return options.ranks_per_lattice or automatic_ranks(lattice, world.size)
-
-
-def automatic_ranks(lattice, ranks):
-    """Return how many of the ranks should share a lattice: one, unless it is large.
-
-    Not collective.
-    """
-    if lattice.irregular:
-        return ranks if lattice.graph.work > LARGE_WORK else 1
-    return ranks if lattice.balls > LARGE[lattice.axes] else 1
+    if not scene.on_medium:
+        with crew(1, None) as workers:
+            return scene.run(None, options, workers)
+    medium = make_lattice(options, world)
+    ranks = world.size if scene.whole else ranks_per_lattice(scene, options, medium, world)
+    with crew(ranks, medium) as workers:
+        records = scene.run(medium, options, workers)
+    return records and [record_of(medium), *records]

@@ -1,59 +1,57 @@
 """What makes the functions of the scenes a Python interface, in a notebook and under mpirun."""
 
-import contextlib
 import functools
 import inspect
 
-from pgran.arguments import bound, shown
+from pgran.arguments import bound
 from pgran.errors import InputError
 from pgran.run import launch
 from pgran.run.agreement import agreeing
 from pgran.run.fingerprints import fingerprint
-from pgran.run.keys import SOLVER_PREFIXES, check_pivot_shifts, is_solver_key
-from pgran.run.options import RUN, nearest, text_of
+from pgran.run.keywords import declarations, described
 from pgran.run.streams import saying_once
 
-PROGRESS = next(option for option in RUN if option.name == "output_progress")
 
-
-def in_parallel(share=None, **declared):
+def in_parallel(prefix="", shares_lattice=False, **checks):
     """Let a function do without a crew: it gets all ranks, and what it returns goes to all.
 
-    Not collective. With a crew of the caller's its record stays on rank 0. The function also takes
-    `solver`, a dict of keys for PETSc's and SLEPc's solvers that hold meanwhile.
-
-    What is handed in is checked here, before any work, and reaches the function as plain values.
-    Without a crew the ranks agree on what one of them finds wrong, and that all ask for the same.
+    With a crew of the caller's its record stays on rank 0. What is handed in is checked here,
+    before any work, and reaches the function as plain values. Without a crew the ranks agree on
+    what one of them finds wrong, and that all ask for the same.
 
     Parameters
     ----------
-    share : callable, optional
-        How many of so many ranks share the function's lattice, `share(lattice, ranks)`.
-    **declared : callable
-        Of arguments by name: what takes a value, and returns it as a plain one or raises an
-        InputError. None is left as it is where it is the default.
+    prefix : str
+        What the names of the options begin with that its keywords declare.
+    shares_lattice : bool
+        Whether all ranks share the function's lattice, if it is large.
+    **checks : callable
+        Of arguments that declare no option, by name: what takes a value, and returns it as a plain
+        one or raises an InputError. None is left as it is where it is the default.
     """
-    declared = {"progress": PROGRESS.check, "solver": solver_keys_of} | declared
 
     def decorate(function):
-        signature = inspect.signature(function)
-        solver = inspect.Parameter("solver", inspect.Parameter.KEYWORD_ONLY, default=None)
-        # by kind, because **keywords come last
-        shown = sorted([*signature.parameters.values(), solver], key=lambda given: given.kind)
-        absent = {parameter.name for parameter in shown if parameter.default is None}
+        declared, signature = declarations(function, prefix), inspect.signature(function)
+        checking = {name: keyword.check for name, keyword in declared.items()} | checks
+        plain = [
+            p.replace(default=declared[p.name].default) if p.name in declared else p
+            for p in signature.parameters.values()
+        ]
+        signature = signature.replace(parameters=plain)
+        absent = {parameter.name for parameter in plain if parameter.default is None}
 
         def check(*arguments, **choices):
-            """Return the arguments of a call, checked. Not collective."""
+            """Return the arguments of a call, checked."""
             given = bound(wrapped, arguments, choices)
             for name, value in given.arguments.items():
-                if name in declared and not (value is None and name in absent):
-                    given.arguments[name] = declared[name](value)
+                if name in checking and not (value is None and name in absent):
+                    given.arguments[name] = checking[name](value)
             return given
 
         def carry_out(given, **crew):
+            given.apply_defaults()
             given.arguments |= crew
-            with holding_solver(given.arguments.pop("solver", None)):
-                return function(*given.args, **given.kwargs)
+            return function(*given.args, **given.kwargs)
 
         @functools.wraps(function)
         def wrapped(*arguments, **choices):
@@ -69,54 +67,14 @@ def in_parallel(share=None, **declared):
                 if world.size > 1:
                     asked |= {name: fingerprint(v) for name, v in given.arguments.items()}
                     asked["function"] = function.__qualname__
-            ranks = 1
-            if share:
-                ranks = share(given.arguments["lattice"], world.size)
+            shared = shares_lattice and given.arguments["lattice"].is_large
+            ranks = world.size if shared else 1
             with saying_once(), AgreeingCrew(world, ranks) as crew:
                 record = carry_out(given, crew=crew)
             return world.bcast(record)
 
-        wrapped.__signature__ = signature.replace(parameters=shown)
-        wrapped.check = check
+        wrapped.__signature__, wrapped.check, wrapped.declared = signature, check, declared
+        wrapped.__doc__ = described(function.__doc__, signature, declared)
         return wrapped
 
     return decorate
-
-
-def solver_keys_of(solver):
-    """Return the keys of a dict for solvers, as texts. Not collective.
-
-    Raises
-    ------
-    InputError
-        For a key that belongs to no solver, or pivots that PETSc might shift for ever.
-    """
-    if not isinstance(solver, dict):
-        raise InputError(f"solver: a dict of keys is needed, not {shown(solver)}")
-    keys = {}
-    for key, value in solver.items():
-        key = str(key).lower()
-        if not (key.isidentifier() and is_solver_key(key)):
-            near = nearest(key, [prefix + key for prefix in SOLVER_PREFIXES])
-            hint = f"; did you mean {near!r}?" if near else ""
-            raise InputError(f"solver: {key!r} belongs to no solver{hint}")
-        keys[key] = "" if value is None or value is True else text_of(value)
-        if not keys[key].isprintable():
-            raise InputError(f"solver: {keys[key]!r} is no value of {key!r}")
-    check_pivot_shifts(keys)
-    return keys
-
-
-@contextlib.contextmanager
-def holding_solver(keys):
-    """Let keys hold for all solvers that are made meanwhile. Not collective."""
-    if not keys:
-        yield  # what needs no PETSc does without
-        return
-    world = launch.start().COMM_WORLD
-    from pgran.run.petsc import holding, warn_of_unused
-
-    with holding(keys):
-        yield
-        if world.rank == 0:
-            warn_of_unused(keys)

@@ -6,9 +6,13 @@ files. What is not on the list is taken from the command line only, from who mea
 
 import contextlib
 import functools
+import inspect
 import re
 
+from pgran.arguments import shown
 from pgran.errors import InputError
+from pgran.run import launch
+from pgran.run.options import nearest, text_of
 
 SMALLEST_SHIFT = 1e-14  # of pivots, against bond constants of about 1
 SOLVER_PREFIXES = {
@@ -206,3 +210,68 @@ def check_pivot_shifts(keys):
                     f"and never end; leave it out, give {SMALLEST_SHIFT:g} or more, or say "
                     f"-{pc}factor_shift_type none"
                 )
+
+
+class SolverKeys:
+    """Declares the keyword `solver` of a function: keys that PETSc's solvers get meanwhile."""
+
+    default = None
+    check = staticmethod(lambda solver: solver_keys_of(solver))
+
+
+def with_solver(function):
+    """Let a function take `solver`, a dict of keys for PETSc's and SLEPc's solvers.
+
+    They hold while it runs. Collective, as the function.
+    """
+    signature = inspect.signature(function)
+    solver = inspect.Parameter("solver", inspect.Parameter.KEYWORD_ONLY, default=SolverKeys())
+    # by kind, because **keywords come last
+    parameters = sorted([*signature.parameters.values(), solver], key=lambda p: p.kind)
+
+    @functools.wraps(function)
+    def wrapped(*arguments, solver=None, **keywords):
+        with holding_solver(solver):
+            return function(*arguments, **keywords)
+
+    wrapped.__signature__ = signature.replace(parameters=parameters)
+    return wrapped
+
+
+def solver_keys_of(solver):
+    """Return the keys of a dict for solvers, as texts.
+
+    Raises
+    ------
+    InputError
+        For a key that belongs to no solver, or pivots that PETSc might shift for ever.
+    """
+    if not isinstance(solver, dict):
+        raise InputError(f"solver: a dict of keys is needed, not {shown(solver)}")
+    keys = {}
+    for key, value in solver.items():
+        key = str(key).lower()
+        if not (key.isidentifier() and is_solver_key(key)):
+            near = nearest(key, [prefix + key for prefix in SOLVER_PREFIXES])
+            hint = f"; did you mean {near!r}?" if near else ""
+            raise InputError(f"solver: {key!r} belongs to no solver{hint}")
+        keys[key] = "" if value is None or value is True else text_of(value)
+        if not keys[key].isprintable():
+            raise InputError(f"solver: {keys[key]!r} is no value of {key!r}")
+    check_pivot_shifts(keys)
+    return keys
+
+
+@contextlib.contextmanager
+def holding_solver(keys):
+    """Let keys hold for all solvers that are made meanwhile."""
+    if not keys:
+        yield  # what needs no PETSc does without
+        return
+    world = launch.start().COMM_WORLD
+    from pgran.run.petsc import holding, warn_of_unused
+
+    with holding(keys):
+        yield
+        if world.rank == 0:
+            warn_of_unused(keys)

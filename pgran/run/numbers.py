@@ -4,7 +4,6 @@ import numpy as np
 
 from pgran.arguments import shown
 from pgran.errors import InputError
-from pgran.run.options import check_ends, check_values
 
 
 def numbers(name, value, whole=False):
@@ -55,17 +54,3 @@ def _has_truth_values(value):
     if isinstance(value, (list, tuple)):
         return any(map(_has_truth_values, value))
     return isinstance(value, (bool, np.bool_))
-
-
-def window(name, options, ends):
-    """Return the two ends of a window that was handed in, by options `name`_min and `name`_max.
-
-    Not collective. Raises InputError if there are not two, or they are impossible for these.
-    """
-    ends = numbers(f"-{name}_min, -{name}_max", ends)
-    if ends.shape != (2,):
-        raise InputError(f"-{name}_min, -{name}_max: a window has two ends, not {ends.size}")
-    values = dict(zip((f"{name}_min", f"{name}_max"), ends, strict=True))
-    check_values(options, **values)
-    check_ends(name, values)
-    return tuple(ends.tolist())

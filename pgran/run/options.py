@@ -1,7 +1,6 @@
 """Options: how one is declared, read and written; those of every run; a run's own, resolved."""
 
 import difflib
-import hashlib
 import math
 import operator
 import re
@@ -11,8 +10,6 @@ from dataclasses import dataclass
 
 from pgran.arguments import shown
 from pgran.errors import InputError
-from pgran.run.keys import is_solver_key
-from pgran.store.paths import open_regular
 
 
 @dataclass(frozen=True)
@@ -128,6 +125,15 @@ class Option:
         bounds = (above, low, ("<=", operator.le, self.high))
         return [(sign, holds, bound) for sign, holds, bound in bounds if bound is not None]
 
+    @property
+    def options(self):
+        """The options of a keyword that this declares; see `pgran.run.keywords`."""
+        return (self,)
+
+    def of_run(self, options, world):
+        """Return the value that the options of a run say, None if they do not have this one."""
+        return getattr(options, self.name, None)
+
     def write(self, value):
         """Return the line of an options file that sets this value."""
         return f"-{self.name} {shlex.quote(text_of(value))}"
@@ -187,77 +193,6 @@ def options_in(text):
     return {name: value for name, value in told.items() if name not in how}
 
 
-def _contents(path):
-    """Return the beginning of a checksum of a file."""
-    with open_regular(path) as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()[:16]
-
-
-class Options:
-    """The resolved options of a run: `options.lattice_shape` is the value of `-lattice_shape`.
-
-    Parameters
-    ----------
-    scene : str
-    declared : iterable of Option
-    values : dict
-        By the names of the declared options.
-    solver : dict of str
-        The keys that go to PETSc.
-    """
-
-    def __init__(self, scene, declared, values, solver):
-        """Keep the values of the options that a scene declares."""
-        self.scene, self._declared, self._values, self.solver = scene, declared, values, solver
-
-    def __getattr__(self, name):
-        """Return the value of an option of this scene."""
-        if name not in self.__dict__["_values"]:
-            raise AttributeError(f"scene {self.scene} has no option -{name}")
-        return self._values[name]
-
-    def changed(self, **values):
-        """Return the same options with other values. Not collective."""
-        return Options(self.scene, self._declared, self._values | values, self.solver)
-
-    def text(self):
-        """Return a complete options file that reproduces the run.
-
-        Not collective. Without what was meant for this run alone: to replace a result, to be dry.
-        """
-        lines = [f"-scene {self.scene}"]
-        for option, value in self._known():
-            if option.name not in ("output_overwrite", "dry_run"):
-                lines.append(option.write(value))
-        for key, text in self.solver.items():
-            lines.append(f"-{key} {shlex.quote(text)}" if text else f"-{key}")
-        return "\n".join(lines) + "\n"
-
-    def identity(self):
-        """Return what decides the run's numbers, {option: text}; how it is carried out does not.
-
-        Not collective. The files that it names are read: what they hold counts.
-
-        Raises
-        ------
-        FileError
-            If one cannot be read.
-        """
-        found = {option.name: text_of(v) for option, v in self._known() if option not in RUN}
-        for option, value in self._known():
-            if option.kind in (FILE, FILES):
-                paths = value if isinstance(value, tuple) else (value,)
-                held = ", ".join(f"{path} holds {_contents(path)}" for path in paths)
-                found[option.name] += f" ({held})"
-        solver = {key: text for key, text in self.solver.items() if is_solver_key(key)}
-        return {"scene": self.scene} | found | solver
-
-    def _known(self):
-        """Return pairs of the options that have a value, and it."""
-        pairs = [(option, self._values[option.name]) for option in self._declared]
-        return [(option, value) for option, value in pairs if value is not None]
-
-
 def alternatives(some, others, values, given):
     """Let one of two ways to say the same stand: what was given, and of both the winning source.
 
@@ -288,28 +223,8 @@ def alternatives(some, others, values, given):
         values.update(dict.fromkeys(others if first > second else some))
 
 
-def check_values(options, **values):
-    """Raise unless values given in Python are possible for the options of their names.
-
-    Not collective.
-
-    Raises
-    ------
-    InputError
-        As for the same value on the command line.
-    """
-    for option in options:
-        if option.name in values:
-            option.check(values[option.name])
-
-
 def check_ends(name, values):
     """Raise unless the lower end of a window lies below its upper end. Not collective."""
     low, high = (values.get(f"{name}_{end}") for end in ("min", "max"))
     if low is not None and low >= high:
         raise InputError(f"-{name}_min: {low:g} is not below -{name}_max, {high:g}")
-
-
-def checks(options, prefix=""):
-    """Return what checks values of options, by their names without a prefix. Not collective."""
-    return {option.name.removeprefix(prefix): option.check for option in options}

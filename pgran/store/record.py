@@ -26,7 +26,7 @@ KINDS = {
 }
 
 
-def array(long_name, units, *axes, dtype=float, since=1, optional=False):
+def array(long_name, units, *axes, dtype=float, since=1, optional=False, row=False):
     """Declare an array: a dataset of a file.
 
     Parameters
@@ -40,12 +40,40 @@ def array(long_name, units, *axes, dtype=float, since=1, optional=False):
         The first version of the file format that has it; None in a record of an older file.
     optional : bool
         Whether it may be missing in any file.
+    row : bool
+        Whether ranks compute it, one entry of the first axis after the other: see `row_of`.
     """
     said = {"long_name": long_name, "units": units, "axes": axes, "dtype": dtype, "since": since}
     return dataclasses.field(
-        metadata=said | {"optional": optional},
+        metadata=said | {"optional": optional, "row": row},
         default=None if optional else dataclasses.MISSING,
     )
+
+
+def row_of(kind, without=(), **lengths):
+    """Return the fields of a row that ranks send: a record's arrays without their first axis.
+
+    Parameters
+    ----------
+    kind : type
+        The record; those of its arrays count that are declared with `row`.
+    without : sequence of str
+        Optional arrays that are not wanted.
+    **lengths : tuple of int
+        Of the other axes by name; `balls` may be several.
+    """
+    row = []
+    for item in dataclasses.fields(kind):
+        if item.metadata.get("row") and item.name not in without:
+            shape = sum((lengths[axis] for axis in item.metadata["axes"][1:]), ())
+            row.append((item.name, item.metadata["dtype"], shape))
+    return row
+
+
+def columns_of(kind, rows):
+    """Return the arrays of a record that rows hold, by name, each in one piece."""
+    names = [item.name for item in dataclasses.fields(kind) if item.metadata.get("row")]
+    return {name: rows[name].copy() for name in names if name in rows.dtype.names}
 
 
 def attribute_array(*along, since=1):

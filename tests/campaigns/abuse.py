@@ -131,8 +131,8 @@ def cases():
     """Return the functions, and of their arguments kinds and good values."""
     lattice, known = kinds()
     omegas, balls = [0.2, 0.5, 0.8], [(2, 1), (4, 3)]
-    always = {"progress": ("choice", "none"), "solver": ("keys", {})}
-    on = always | {"lattice": ("medium", lattice)}
+    always = {"progress": ("choice", "none")}
+    on = always | {"lattice": ("medium", lattice), "solver": ("keys", {})}
     swept, heard = on | {"omegas": ("omegas", omegas)}, {"detectors": ("balls", balls)}
     steady = {
         "error_tolerance": ("real", 1e-5), "error_floor": ("real", 1e-18),

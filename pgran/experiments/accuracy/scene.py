@@ -15,11 +15,12 @@ from pgran.experiments.modes.shapes import RESIDUAL
 from pgran.experiments.pulse import scene as pulse
 from pgran.experiments.relaxation import scene as relaxation
 from pgran.experiments.response import scene as response
-from pgran.medium import sample as common
-from pgran.medium.record import record_of
+from pgran.medium.law import make_law
+from pgran.medium.sample import ranks_per_lattice
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Scene
 from pgran.run.frequencies import SWEEP, driving_frequencies
+from pgran.run.keywords import call, options_of
 from pgran.run.options import FILES, INTEGER, REALS, TEXT, Option
 from pgran.run.reading import read_solver
 from pgran.run.task import carry_out
@@ -73,25 +74,6 @@ def check(values, given):
     if values["ranks_per_lattice"] > 1 and not experiment.shares_lattice:
         raise InputError("-ranks_per_lattice: of modes, each lattice has one rank only")
     experiment.check(values, given)
-
-
-def run(options, world, crew):
-    """Return the lattice and the comparison, on rank 0; None on the others.
-
-    Collective. Parameters are those of `pgran.run.experiment.Scene`.
-    """
-    from pgran.run.crew import AgreeingCrew
-
-    configurations = on_root(world, lambda: read_configurations(options))
-    lattice = common.make_lattice(options, world)
-    shared = EXPERIMENTS[options.accuracy_of].SCENE.shares_lattice
-    ranks = common.ranks_per_lattice(options, lattice, world) if shared else 1
-    with crew(world.size, lattice) as whole, AgreeingCrew(world, ranks) as workers:
-        study = make_study(options, lattice, world)
-        reference = carry_out(Reference(study, workers), whole)
-        task = Comparison(study, configurations, options.accuracy_repeats, reference, workers)
-        accuracy = carry_out(task, whole, options.output_progress)
-    return accuracy and [record_of(lattice), accuracy]
 
 
 def summary(result):
@@ -152,43 +134,67 @@ def read_configurations(options):
 
 def make_study(options, lattice, world):
     """Return the experiment that the options name. Collective."""
-    smallest = 0.1 * min(options.accuracy_tolerances)
-    exact = {"error_tolerance": min(REFERENCE, smallest)}
-    if options.accuracy_of == "modes":
-        solve = partial(modes.find_modes, lattice, **modes.chosen(options))
-        return Study("modes", solve, partial(read_modes, lattice, RESIDUAL), {}, MODES_REFERENCE)
-    if options.accuracy_of == "response":
-        omegas = driving_frequencies(options, lattice)
-        solve = partial(
-            response.sweep, lattice, omegas, options.detectors, resolve=0.0, error_floor=0.0
-        )
-        return Study("response", solve, read_response, exact | {"method": "points"}, smallest)
-    if options.accuracy_of == "pulse":
-        solve = partial(pulse.pulse, lattice, options.detectors, **pulse.chosen(options, world))
-        return Study("pulse", solve, read_pulse, exact | {"method": "laplace"}, smallest)
-    solve = partial(
-        relaxation.relax,
-        lattice,
-        common.make_law(options),
-        options.relax_omega,
-        options.detectors,
-        steps=options.relax_steps,
-        trajectories=options.relax_trajectories,
-        seed=options.relax_seed,
-        error_floor=0.0,
-    )
-    return Study("relaxation", solve, read_relaxation, exact | {"method": "direct"}, smallest)
+    of, smallest = options.accuracy_of, 0.1 * min(options.accuracy_tolerances)
+    exact, certified = {"error_tolerance": min(REFERENCE, smallest)}, smallest
+    if of == "modes":
+        function, places, fixed = modes.find_modes, (lattice,), modes.chosen(options)
+        read, exact, certified = partial(read_modes, lattice, RESIDUAL), {}, MODES_REFERENCE
+    elif of == "response":
+        places = lattice, driving_frequencies(options, lattice), options.detectors
+        function, fixed, read = response.sweep, {"resolve": 0.0, "error_floor": 0.0}, read_response
+        exact["method"] = "points"
+    elif of == "pulse":
+        function, places, read = pulse.pulse, (lattice, options.detectors), read_pulse
+        fixed = {"wall": function.declared["wall"].of_run(options, world)}  # read once
+        exact["method"] = "laplace"
+    else:
+        places = lattice, make_law(options), options.relax_omega, options.detectors
+        function, fixed, read = relaxation.relax, {"error_floor": 0.0}, read_relaxation
+        exact["method"] = "direct"
+
+    def solve(crew, **choices):
+        return call(function, options, crew, *places, progress="none", **fixed | choices)
+
+    return Study(of, solve, read, exact, certified)
 
 
+def run(lattice, options, crew):
+    """Return the comparison; see `pgran.run.experiment.Scene`."""
+    from pgran.run.crew import AgreeingCrew
+
+    world = crew.world
+    configurations = on_root(world, lambda: read_configurations(options))
+    shared = EXPERIMENTS[options.accuracy_of].SCENE
+    with AgreeingCrew(world, ranks_per_lattice(shared, options, lattice, world)) as workers:
+        study = make_study(options, lattice, world)
+        reference = carry_out(Reference(study, workers), crew)
+        task = Comparison(study, configurations, options.accuracy_repeats, reference, workers)
+        accuracy = carry_out(task, crew, options.output_progress)
+    return accuracy and [accuracy]
+
+
+# Of the experiments' options, a study takes those of the one that it repeats; but it decides itself
+# how accurate results are, and what is kept of them.
+DECIDED = {
+    *("error_tolerance", "error_floor", "sweep_resolve", "phase_fit_min", "phase_fit_max"),
+    *("output_fields", "output_models"),
+}
 SCENE = Scene(
-    # Of the experiments' options, a study takes those of the one that it repeats.
     options=(
-        *(*STUDY, *common.LATTICE, *common.DETECTORS, *SWEEP, response.METHOD),
-        *(driven.STEADY["refresh_iterations"], *relaxation.RELAXATION, *modes.WHICH),
-        *pulse.PULSE,
+        *(*STUDY, *driven.DETECTORS, *SWEEP),
+        *(
+            option
+            for option in (
+                *options_of(response.sweep, relaxation.relax, pulse.pulse),
+                *(relaxation.OMEGA, *modes.WHICH),
+            )
+            if option.name not in DECIDED
+        ),
     ),
     run=run,
     summary=summary,
     check=check,
+    draws=lambda values: EXPERIMENTS[values["accuracy_of"]].SCENE.draws(values),
     shares_lattice=True,
+    whole=True,
 )

@@ -4,23 +4,15 @@ import contextlib
 
 import numpy as np
 
-from pgran.driven.phase import phase_of_sign
 from pgran.errors import InputError
 from pgran.experiments.continuum.record import ContinuumResponse
 from pgran.experiments.continuum.series import Continuum
 from pgran.run.experiment import Scene
 from pgran.run.frequencies import FREQUENCIES, check_sweep, checked_frequencies, driving_frequencies
 from pgran.run.interface import in_parallel
-from pgran.run.options import REAL, REALS, Option, checks
+from pgran.run.keywords import PROGRESS, call, option, options_of
 from pgran.run.task import Task, carry_out
 
-CONTINUUM = (
-    Option("continuum_point", REALS, (0.47, 0.52), "where the amplitude is taken", "length"),
-    Option("continuum_size", REALS, (1.0, 1.0), "extent of the box along x, y", "length", above=0),
-    Option("continuum_mass", REAL, 1.0, "mass per area", above=0),
-    Option("continuum_stiffness", REAL, 1.0, "K0", above=0),
-    Option("continuum_damping", REAL, 0.003, "beta", low=0),
-)
 LONGEST_UNIT = 256  # frequencies
 
 
@@ -29,25 +21,6 @@ def check(values, given):
     check_sweep(values, given)
     if values["units_length"] is not None or values["units_time"] is not None:
         raise InputError("-units_length, -units_time: the box has its own, -continuum_size ...")
-
-
-def run(options, world, crew):
-    """Return the response of the box on rank 0; None on the others.
-
-    Collective. Parameters are those of `pgran.run.experiment.Scene`.
-    """
-    with crew(1) as workers:
-        response = continuum(
-            driving_frequencies(options),
-            options.continuum_point,
-            workers,
-            size=options.continuum_size,
-            mass=options.continuum_mass,
-            stiffness=options.continuum_stiffness,
-            damping=options.continuum_damping,
-            progress=options.output_progress,
-        )
-    return response and [response]
 
 
 def summary(result):
@@ -59,34 +32,21 @@ def summary(result):
     )
 
 
-@in_parallel(omegas=checked_frequencies, **checks(CONTINUUM, "continuum_"))
+@in_parallel("continuum", omegas=checked_frequencies)
 def continuum(
     omegas,
-    point,
+    point=option((0.47, 0.52), "where the amplitude is taken", "length"),
     crew=None,
     *,
-    size=(1.0, 1.0),
-    mass=1.0,
-    stiffness=1.0,
-    damping=0.003,
-    progress="none",
+    size=option((1.0, 1.0), "extent of the box along x, y", "length", above=0),
+    mass=option(1.0, "mass per area", above=0),
+    stiffness=option(1.0, "K0", above=0),
+    damping=option(0.003, "beta", low=0),
+    progress=PROGRESS,
 ):
     """Evaluate the exact response of the homogeneous box over a sweep (paper: axysol, exactpl).
 
     Collective.
-
-    Parameters
-    ----------
-    omegas : array_like of float, shape (nw,)
-        Driving frequencies, angular, increasing.
-    point : tuple of float
-        x and y in the box.
-    crew : pgran.run.crew.Crew, optional
-        All ranks unless given.
-    size, mass, stiffness, damping
-        See `series.Continuum`.
-    progress : str
-        Style of `pgran.run.progress.Progress`.
 
     Returns
     -------
@@ -147,17 +107,22 @@ class Series(Task):
             omega=self.omegas,
             displacement=displacement,
             amplitude=np.abs(displacement),
-            phase=(
-                np.unwrap(np.angle(displacement)) if box.damping else phase_of_sign(displacement)
-            ),
+            # without damping 0 or pi
+            phase=np.unwrap(np.angle(displacement)) if box.damping else np.angle(displacement.real),
             resonance=self.resonances,
         )
 
 
+def run(medium, options, crew):
+    """Return the response of the box; see `pgran.run.experiment.Scene`."""
+    response = call(continuum, options, crew, driving_frequencies(options))
+    return response and [response]
+
+
 SCENE = Scene(
-    options=(*CONTINUUM, *FREQUENCIES),
+    options=(*options_of(continuum), *FREQUENCIES),
     run=run,
     summary=summary,
     check=check,
-    needs_petsc=False,
+    on_medium=False,
 )

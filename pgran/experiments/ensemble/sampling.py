@@ -8,10 +8,10 @@ import numpy as np
 from pgran.errors import PgranError, is_bad_input, is_petsc
 from pgran.experiments.ensemble.bands import STATISTICS, over_samples
 from pgran.experiments.ensemble.record import Ensemble
-from pgran.medium.record import ball_names
 from pgran.run.machine import check_memory
 from pgran.run.task import Task
 from pgran.store.estimate import two_digits
+from pgran.store.fields import ball_names
 from pgran.store.si import SI
 
 log = logging.getLogger("pgran")

@@ -1,5 +1,6 @@
 """Scene `ensemble`: one experiment on many samples, and what holds over them."""
 
+import inspect
 import logging
 import os
 
@@ -16,14 +17,16 @@ from pgran.experiments.relaxation import fluctuations
 from pgran.experiments.relaxation import scene as relaxation
 from pgran.experiments.response import scene as response
 from pgran.experiments.sensitivity import scene as sensitivity
-from pgran.medium import sample as common
+from pgran.medium.base import medium
 from pgran.medium.lattice import Lattice
-from pgran.medium.record import record_of
+from pgran.medium.sample import LATTICE, run_scene
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Caution, Scene
-from pgran.run.frequencies import SWEEP, driving_frequencies
+from pgran.run.frequencies import driving_frequencies
 from pgran.run.interface import in_parallel
-from pgran.run.options import INTEGER, REALS, TEXT, Option, checks
+from pgran.run.keys import with_solver
+from pgran.run.keywords import PROGRESS
+from pgran.run.options import INTEGER, REALS, TEXT, Option
 from pgran.run.task import carry_out
 
 log = logging.getLogger("pgran")
@@ -58,6 +61,7 @@ ENSEMBLE = (
     ),
 )  # fmt: skip
 OF, SAMPLES, KEEP = ENSEMBLE[:3]
+SEED = next(option for option in LATTICE if option.name == "bonds_seed")
 # Options of the experiments that make no sense for many samples, and what stands for them.
 LEFT_OUT = {"output_fields": False, "output_models": False, "sweep_resolve": 0.0}
 LEFT_OUT |= {"modes_target": None, "modes_count": None, "modes_density": None}
@@ -105,63 +109,17 @@ def check_kept(of, keep):
         raise InputError(f"-ensemble_keep curves: of {' and '.join(KEPT)} only, not of {of}")
 
 
-def run(options, world, crew):
-    """Return the first sample's lattice, the ensemble, and its noise if asked for, on rank 0.
-
-    Collective; None on the other ranks. Parameters are those of `pgran.run.experiment.Scene`.
-    """
-    from pgran.run.crew import AgreeingCrew
-
-    lattice, of = common.make_lattice(options, world), options.ensemble_of
-    experiment = EXPERIMENTS[of][0]
-    seeds = seeds_of(options.bonds_seed, options.ensemble_samples)
-    seeds_of(options.relax_seed or 0, options.ensemble_samples)
-    swept = SWEEP[0] in experiment.SCENE.options
-    omegas = driving_frequencies(options, lattice) if swept else None
-    windows = options.statistics_windows
-    if windows is not None:
-        windows = noise.windows_of(windows, omegas)
-
-    def solve(seed, group):
-        changed = {"bonds_seed": seed, "output_progress": "none"}
-        if of == "relaxation":  # else all samples would become the same network
-            changed["relax_seed"] = options.relax_seed + seed - options.bonds_seed
-        sample = options.changed(**changed)
-        return experiment.run(sample, group, lambda *_: AgreeingCrew(group, group.size))
-
-    shared = experiment.SCENE.shares_lattice
-    ranks = common.ranks_per_lattice(options, lattice, world) if shared else 1
-    whole = of == "modes" and not modes.chosen(options)
-    chosen = options.ensemble_keep, omegas, options.detectors, whole
-    with crew(ranks, lattice) as workers:
-        task = Samples(of, seeds, solve, lattice, *chosen)
-        found = [carry_out(task, workers, options.output_progress)]
-        if found[0] and windows is not None and not workers.dry:
-            found.append(noise.statistics(found[0], windows))
-        kept = found[0] and found[0].displacement is not None and not workers.dry
-        if kept and transport.is_line(lattice, found[0].detector):
-            try:
-                found.append(transport.transport(lattice, found[0]))
-            except InputError as error:
-                log.warning("no transport: %s", error)
-    return [record_of(lattice), *found] if found[0] else None
-
-
 def seeds_of(first, samples):
-    """Return the seeds of so many samples, or raise where there are none. Not collective."""
+    """Return the seeds of so many samples, or raise where there are none."""
     if first + samples > SEEDS:
         raise InputError(f"-ensemble_samples {samples}: no seeds are left beyond {SEEDS - 1}")
     return range(first, first + samples)
 
 
-@in_parallel(
-    of=OF.check,
-    samples=SAMPLES.check,
-    keep=KEEP.check,
-    seed=checks(common.LATTICE)["bonds_seed"],
-)
+@in_parallel(of=OF.check, samples=SAMPLES.check)
+@with_solver
 def ensemble(
-    of, samples, crew=None, *, lattice, seed=1993, keep="measures", progress="none", **experiment
+    of, samples, crew=None, *, lattice, seed=SEED, keep=KEEP, progress=PROGRESS, **experiment
 ):
     """Repeat an experiment on many samples.
 
@@ -176,19 +134,12 @@ def ensemble(
     of : {"response", "modes", "relaxation", "pulse", "sensitivity"}
         `sweep`, `find_modes`, `relax`, `pulse` or `sensitivity` is repeated.
     samples : int
-    crew : pgran.run.crew.Crew, optional
-        All ranks unless given.
     lattice : dict, callable or list
         What `pgran.Lattice.random` takes besides the seed; or a function of the seed that returns
         a lattice or a network, the same on every rank; or the samples: lattices, networks, or paths
         of networks' files or of results. All have as many unknowns.
     seed : int
         Of the first sample; the others' follow one by one. Samples of a list are numbered from 0.
-    keep : {"measures", "curves"}
-        What is kept of each sample: a few numbers; of responses the amplitudes, of modes their
-        frequencies and participation ratios as well.
-    progress : str
-        Style of `pgran.run.progress.Progress`.
     **experiment
         What the repeated function takes besides the lattice. A relaxation's changes are those of
         the seeds 1, 2, ..., one a sample.
@@ -247,7 +198,7 @@ def _sample(lattice, seed):
     Not collective.
     """
     if isinstance(lattice, (list, tuple)):
-        return common.medium(_listed(lattice, seed))
+        return medium(_listed(lattice, seed))
     if callable(lattice):
         try:
             sample = lattice(seed)
@@ -255,7 +206,7 @@ def _sample(lattice, seed):
             raise InputError(
                 f"ensemble: lattice({seed}) fails: {type(error).__name__}: {error}"
             ) from error
-        return common.medium(sample)
+        return medium(sample)
     if not isinstance(lattice, dict):
         raise InputError(
             "ensemble: lattice is what pgran.Lattice.random takes, as a dict, a function of the "
@@ -298,6 +249,44 @@ def summary(result):
         yield from transport.summary(result)
 
 
+def run(lattice, options, crew):
+    """Return the ensemble, its noise and transport; see `pgran.run.experiment.Scene`."""
+    from pgran.run.crew import AgreeingCrew
+
+    of = options.ensemble_of
+    module, function, _ = EXPERIMENTS[of]
+    seeds = seeds_of(options.bonds_seed, options.ensemble_samples)
+    seeds_of(options.relax_seed or 0, options.ensemble_samples)
+    swept = "omegas" in inspect.signature(function).parameters
+    omegas = driving_frequencies(options, lattice) if swept else None
+    windows = options.statistics_windows
+    if windows is not None:
+        windows = noise.windows_of(windows, omegas)
+
+    def solve(seed, group):
+        changed = {"bonds_seed": seed, "output_progress": "none"}
+        if of == "relaxation":  # else all samples would become the same network
+            changed["relax_seed"] = options.relax_seed + seed - options.bonds_seed
+        sample = options.changed(**changed)
+        one = lambda *_: AgreeingCrew(group, group.size)  # noqa: E731
+        return run_scene(module.SCENE, sample, group, one)
+
+    whole = of == "modes" and options.modes_target is None and options.modes_omega_min is None
+    task = Samples(
+        of, seeds, solve, lattice, options.ensemble_keep, omegas, options.detectors, whole
+    )
+    found = [carry_out(task, crew, options.output_progress)]
+    if found[0] and windows is not None and not crew.dry:
+        found.append(noise.statistics(found[0], windows))
+    kept = found[0] and found[0].displacement is not None and not crew.dry
+    if kept and transport.is_line(lattice, found[0].detector):
+        try:
+            found.append(transport.transport(lattice, found[0]))
+        except InputError as error:
+            log.warning("no transport: %s", error)
+    return found if found[0] else None
+
+
 SCENE = Scene(
     options=tuple(
         {
@@ -312,5 +301,6 @@ SCENE = Scene(
     run=run,
     summary=summary,
     check=check,
+    draws=lambda values: EXPERIMENTS[values["ensemble_of"]][0].SCENE.draws(values),
     shares_lattice=True,
 )

@@ -8,10 +8,10 @@ import numpy as np
 from pgran.arguments import called_right
 from pgran.errors import InputError
 from pgran.experiments.ensemble.record import Ensemble, NoiseStatistics
-from pgran.medium.record import ball_names
 from pgran.run.numbers import numbers
 from pgran.run.streams import saying_once
 from pgran.store.estimate import two_digits
+from pgran.store.fields import ball_names
 
 log = logging.getLogger("pgran")
 

@@ -6,7 +6,7 @@ from pgran.arguments import called_right
 from pgran.errors import InputError
 from pgran.experiments.ensemble.record import Ensemble, Transport
 from pgran.experiments.modes.scene import REGIMES
-from pgran.medium import sample as common
+from pgran.medium.base import medium as medium_of
 from pgran.run.streams import saying_once
 from pgran.store.estimate import two_digits
 from pgran.store.si import SI
@@ -51,7 +51,7 @@ def transport(medium, ensemble):
 
     if not isinstance(ensemble, Ensemble) or ensemble.displacement is None:
         raise InputError("transport: this ensemble has no curves; -ensemble_keep curves keeps them")
-    medium = common.medium(medium)
+    medium = medium_of(medium)
     first, omega = first_mode(medium), ensemble.omega
     waves = omega >= first
     if not waves.any():

@@ -9,10 +9,12 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.experiments.modes.record import Density
-from pgran.medium import sample as common
+from pgran.medium.base import medium
 from pgran.medium.units import check_frequency
 from pgran.run.experiment import Caution
 from pgran.run.interface import in_parallel
+from pgran.run.keys import with_solver
+from pgran.run.keywords import PROGRESS
 from pgran.run.numbers import numbers
 from pgran.run.options import INTEGER, Option, alternatives
 from pgran.run.task import Task, carry_out
@@ -53,21 +55,19 @@ def frequencies(options, lattice):
     return np.linspace(low, high, options.modes_density)
 
 
-@in_parallel(lattice=common.medium, omegas=partial(numbers, "omegas"))
-def count_modes(lattice, omegas, crew=None, *, progress="none"):
+@in_parallel(lattice=medium, omegas=partial(numbers, "omegas"))
+@with_solver
+def count_modes(lattice, omegas, crew=None, *, progress=PROGRESS):
     """Count the normal modes below each of some frequencies; no mode is computed.
 
     Collective. Each frequency is counted at by one rank, on a copy of its own.
 
     Parameters
     ----------
-    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
     omegas : array_like, shape (N,)
         Angular, increasing, two or more.
     crew : pgran.run.crew.Crew, optional
         All ranks unless given; of groups of one rank.
-    progress : str
-        Style of `pgran.run.progress.Progress`.
 
     Returns
     -------

@@ -13,12 +13,13 @@ from pgran.driven.sweep import FrequencySweep
 from pgran.errors import InputError
 from pgran.experiments.modes.record import Projection
 from pgran.experiments.modes.scene import WHICH, certificate, check_modes, chosen, find_modes
-from pgran.medium import sample as common
-from pgran.medium.record import record_of
+from pgran.medium.base import medium
 from pgran.medium.units import check_frequency
 from pgran.run.experiment import Scene
 from pgran.run.frequencies import SWEEP, check_sweep, checked_frequencies, driving_frequencies
 from pgran.run.interface import in_parallel
+from pgran.run.keys import with_solver
+from pgran.run.keywords import PROGRESS, call
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted
 
@@ -28,28 +29,8 @@ NEAR = 60  # so many
 
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
-    common.check_lattice(values, given)
     check_sweep(values, given)
     check_modes(values, given)
-
-
-def run(options, world, crew):
-    """Return the lattice and its projection, on rank 0; None on the others.
-
-    Collective. Parameters are those of `pgran.run.experiment.Scene`.
-    """
-    lattice = common.make_lattice(options, world)
-    omegas = driving_frequencies(options, lattice)
-    with crew(1, lattice) as workers:
-        projection = project(
-            lattice,
-            omegas,
-            workers,
-            which_modes(options, lattice.balls, omegas),
-            progress=options.output_progress,
-            **driven.steady_of(options),
-        )
-    return projection and [record_of(lattice), projection]
 
 
 def which_modes(options, balls, omegas):
@@ -98,44 +79,42 @@ def modes_chosen(which):
     return which
 
 
-@in_parallel(lattice=common.medium, omegas=checked_frequencies, which=modes_chosen, **driven.CHECKS)
+@in_parallel("project", lattice=medium, omegas=checked_frequencies, which=modes_chosen)
+@with_solver
 def project(
-    lattice, omegas, crew=None, which=None, *, error_tolerance=1e-4, error_floor=1e-20,
-    refresh_iterations=0, progress="none",
-):  # fmt: skip
+    lattice,
+    omegas,
+    crew=None,
+    which=None,
+    *,
+    error_tolerance=driven.STEADY["error_tolerance"],
+    error_floor=driven.STEADY["error_floor"],
+    refresh_iterations=driven.STEADY["refresh_iterations"],
+    progress=PROGRESS,
+):
     """Project driven steady states on normal modes: c_i = sum_p A_p f_i(p) (paper: cidef).
 
-    Collective. The modes are computed once; a field lives until it is projected.
+    Collective. The modes are computed once; a field lives until it is projected. A coefficient is
+    no more in error than the field, in the 2-norm.
 
     Parameters
     ----------
-    lattice : pgran.medium.lattice.Lattice
-    omegas : array_like of float, shape (nw,)
-        Driving frequencies, angular, increasing.
     crew : pgran.run.crew.Crew, optional
         All ranks unless given; of groups of one rank.
     which : dict, optional
-        Which modes: arguments of `scene.find_modes`; all by default.
-    error_tolerance : float
-        Asked of each field, in the 2-norm; a coefficient is no more in error than the field.
-    error_floor, refresh_iterations
-        See `pgran.driven.steady.SteadySolver`.
-    progress : str
-        Style of `pgran.run.progress.Progress`.
+        Which modes: arguments of `find_modes`; all by default.
 
     Returns
     -------
     pgran.results.Projection or None
         With a crew of the caller's None on all ranks but rank 0.
     """
-    started, choices = (
-        time.perf_counter(),
-        {
-            "error_tolerance": error_tolerance,
-            "error_floor": error_floor,
-            "refresh_iterations": refresh_iterations,
-        },
-    )
+    started = time.perf_counter()
+    choices = {
+        "error_tolerance": error_tolerance,
+        "error_floor": error_floor,
+        "refresh_iterations": refresh_iterations,
+    }
     scaled, _ = lattice.in_own_unit()
     check_frequency(scaled, omegas[-1])  # before any work
     driven.check_driven(lattice, crew.world, omegas[0])
@@ -181,9 +160,7 @@ class ProjectedSweep(FrequencySweep):
 
     def collect(self, rows, seconds):
         """See `Task`; what belongs to the modes is added by `project`."""
-        coefficient = rows[
-            "coefficient"
-        ].copy()  # in one piece: see pgran.experiments.relaxation.windows.SHORTEST
+        coefficient = rows["coefficient"].copy()  # in one piece, on which sums depend
         return Projection(
             count_expected=len(self.vectors),
             count_certified=False,
@@ -214,9 +191,17 @@ def _on_all_ranks(vectors, world):
     return vectors.reshape(shape[0], math.prod(shape[1:]))
 
 
+def run(lattice, options, crew):
+    """Return the projection; see `pgran.run.experiment.Scene`."""
+    omegas = driving_frequencies(options, lattice)
+    which = which_modes(options, lattice.balls, omegas)
+    projection = call(project, options, crew, lattice, omegas, which=which)
+    return projection and [projection]
+
+
 SCENE = Scene(
     options=(
-        *(*common.LATTICE, *SWEEP, *WHICH),
+        *(*SWEEP, *WHICH),
         *(driven.STEADY["error_tolerance"], driven.STEADY["refresh_iterations"]),
     ),
     run=run,

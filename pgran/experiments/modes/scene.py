@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import math
 import time
-from functools import partial
 
 import numpy as np
 
@@ -13,38 +12,28 @@ from pgran.errors import InputError
 from pgran.experiments.modes import density, levels
 from pgran.experiments.modes.record import Modes
 from pgran.experiments.modes.shapes import RESIDUAL, participation
-from pgran.medium import sample as common
-from pgran.medium.record import record_of
+from pgran.medium.base import medium
 from pgran.medium.units import check_frequency, einstein_frequency
 from pgran.run.experiment import Caution, Scene
 from pgran.run.interface import in_parallel
+from pgran.run.keys import with_solver
+from pgran.run.keywords import PROGRESS, Window, call, option, options_of
 from pgran.run.machine import check_memory
-from pgran.run.numbers import numbers, window
-from pgran.run.options import FLAG, INTEGER, REAL, Option, alternatives, check_ends
+from pgran.run.numbers import numbers
+from pgran.run.options import INTEGER, REAL, Option, alternatives, check_ends
 from pgran.run.task import Task, carry_out
 from pgran.store.estimate import counted
 from pgran.store.si import SI
 
-WHICH = (
-    Option("modes_omega_min", REAL, None, "interval of modes: its lower end", "angular", low=0),
-    Option("modes_omega_max", REAL, None, "interval of modes: its upper end", "angular", above=0),
-    Option("modes_target", REAL, None, "the modes nearest to this frequency", "angular", low=0),
-    Option(
-        "modes_count", INTEGER, None,
-        "how many nearest modes; a projection without target: nearest to each driving frequency",
-        low=1
-    ),
-)  # fmt: skip
+TARGET = Option("modes_target", REAL, None, "the modes nearest to this frequency", "angular", low=0)
 REGIMES = ("below .3", 0.0, 0.3), ("from .3 to 1", 0.3, 1.0), ("above 1", 1.0, math.inf)
 # A frequency smaller than this part of what the stiffest bonds make is a zero mode's, but for
 # rounding; omega_mx may be any number that the user gives.
 ZERO = 1e-6
-SHAPES = Option("output_fields", FLAG, False, "store the shapes of the modes")
 
 
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
-    common.check_lattice(values, given)
     density.check(values, given)
     check_modes(values, given)
     if values["modes_count"] is not None and values["modes_target"] is None:
@@ -64,27 +53,6 @@ def check_modes(values, given):
     check_ends("modes_omega", values)
     if target is not None and count is None:
         raise InputError("-modes_target: -modes_count must say how many modes")
-
-
-def run(options, world, crew):
-    """Return the lattice and its modes, or their numbers, on rank 0; None on the others.
-
-    Collective. Parameters are those of `pgran.run.experiment.Scene`.
-    """
-    lattice, progress = common.make_lattice(options, world), options.output_progress
-    with crew(1, lattice) as workers:
-        if options.modes_density:
-            omegas = density.frequencies(options, lattice)
-            counts = density.count_modes(lattice, omegas, workers, progress=progress)
-            return counts and [record_of(lattice), counts]
-        modes = find_modes(
-            lattice,
-            workers,
-            **chosen(options),
-            shapes=options.output_fields,
-            progress=progress,
-        )
-    return modes and [record_of(lattice), modes]
 
 
 def chosen(options):
@@ -165,16 +133,31 @@ def targets_of(targets):
     return list(map(TARGET.check, targets))
 
 
-TARGET, COUNT = WHICH[2:]
-
-
-@in_parallel(
-    lattice=common.medium, interval=partial(window, "modes_omega", WHICH),
-    targets=targets_of, count=COUNT.check, shapes=SHAPES.check,
-)  # fmt: skip
+@in_parallel("modes", lattice=medium, targets=targets_of)
+@with_solver
 def find_modes(
-    lattice, crew=None, *, interval=None, targets=None, count=None, shapes=False, progress="none"
-):
+    lattice,
+    crew=None,
+    *,
+    interval=Window(
+        option(
+            None, "interval of modes: its lower end", "angular", key="modes_omega_min", kind=REAL,
+            low=0,
+        ),
+        option(
+            None, "interval of modes: its upper end", "angular", key="modes_omega_max", kind=REAL,
+            above=0,
+        ),
+    ),
+    targets=None,
+    count=option(
+        None,
+        "how many nearest modes; a projection without target: nearest to each driving frequency",
+        kind=INTEGER, low=1,
+    ),
+    shapes=option(False, "store the shapes of the modes", key="output_fields"),
+    progress=PROGRESS,
+):  # fmt: skip
     """Find the normal modes K f = m omega^2 f, all unless an interval or targets are given.
 
     Collective. The spectrum is cut into slices by counts, which every rank makes, and the slices
@@ -182,18 +165,12 @@ def find_modes(
 
     Parameters
     ----------
-    lattice : pgran.medium.lattice.Lattice
     crew : pgran.run.crew.Crew, optional
         All ranks unless given; of groups of one rank.
     interval : tuple of float, optional
         Lowest and highest omega; both ends belong to it.
     targets : sequence of float, optional
         Modes are wanted that are among the `count` nearest to any of these omegas.
-    count : int, optional
-    shapes : bool
-        Keep the shapes.
-    progress : str
-        Style of `pgran.run.progress.Progress`.
 
     Returns
     -------
@@ -312,8 +289,19 @@ class Slices(Task):
         )
 
 
+def run(lattice, options, crew):
+    """Return the modes, or their numbers; see `pgran.run.experiment.Scene`."""
+    if options.modes_density:
+        omegas = density.frequencies(options, lattice)
+        counts = call(density.count_modes, options, crew, lattice, omegas)
+        return counts and [counts]
+    modes = call(find_modes, options, crew, lattice, **chosen(options))
+    return modes and [modes]
+
+
+WHICH = (*options_of(find_modes)[:2], TARGET, options_of(find_modes)[2])
 SCENE = Scene(
-    options=(*common.LATTICE, *WHICH, density.DENSITY, SHAPES),
+    options=(*WHICH, density.DENSITY, *options_of(find_modes)),
     run=run,
     summary=summary,
     check=check,

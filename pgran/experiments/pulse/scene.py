@@ -1,7 +1,6 @@
 """Scene `pulse`: the wall moves as it likes, and balls are listened to in time."""
 
 import math
-from functools import partial
 
 import numpy as np
 
@@ -11,49 +10,19 @@ from pgran.experiments.pulse.integration import integrate
 from pgran.experiments.pulse.listening import Listening
 from pgran.experiments.pulse.transform import PulseLine
 from pgran.experiments.pulse.wall import SHAPES, Pulse, Samples
-from pgran.medium import sample as common
-from pgran.medium.record import ball_names, record_of
-from pgran.medium.sample import automatic_ranks
-from pgran.run.agreement import agreeing, on_root
+from pgran.medium.base import medium
+from pgran.run.agreement import agreeing
 from pgran.run.experiment import Caution, Scene
 from pgran.run.interface import in_parallel
-from pgran.run.numbers import numbers
-from pgran.run.options import FILE, FLAG, INTEGER, REAL, TEXT, Option, alternatives, checks
+from pgran.run.keys import with_solver
+from pgran.run.keywords import PROGRESS, call, columns, option, options_of
+from pgran.run.options import alternatives
 from pgran.run.task import carry_out
 from pgran.store.columns import read_columns
 from pgran.store.estimate import counted, two_digits
+from pgran.store.fields import ball_names
 from pgran.store.si import SI
 
-PULSE = (
-    Option(
-        "pulse_shape", TEXT, "burst",
-        "how the wall moves: gauss, a bell; ricker, its second derivative; burst, a bell times a "
-        "cosine; step, from 0 to 1",
-        choices=SHAPES,
-    ),
-    Option(
-        "pulse_omega", REAL, 0.6, "burst, ricker: the largest of its spectrum", "angular", above=0
-    ),
-    Option(
-        "pulse_width", REAL, 20.0, "standard deviation of the bell; a ricker's follows from omega",
-        "1/frequency", above=0
-    ),
-    Option(
-        "pulse_file", FILE, None,
-        "how the wall moves, instead of a shape: a column of displacements at the times that are "
-        "recorded, or two columns, equal distances of time and displacements"
-    ),
-    Option("pulse_time", REAL, 600.0, "how long is listened", "1/frequency", above=0),
-    Option("pulse_points", INTEGER, 1201, "times at which signals are recorded", low=2),
-    Option(
-        "pulse_method", TEXT, "auto",
-        "laplace, with proven bounds; integrate, PETSc's TS, with estimates of its errors; auto, "
-        "what is faster",
-        choices=("laplace", "integrate", "auto"),
-    ),
-)  # fmt: skip
-FIELDS = Option("output_fields", FLAG, False, "store the displacement of all balls at four times")
-TOLERANCE = driven.STEADY["error_tolerance"]
 PROVABLE = 1e-6  # tolerance below which rounding leaves little to be proven
 EQUAL = 0.01  # of a step: how far the times of a motion may be from equal ones
 AT_REST = 0.01  # of a motion's largest: where it may begin
@@ -61,41 +30,12 @@ AT_REST = 0.01  # of a motion's largest: where it may begin
 
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
-    common.check_lattice(values, given)
     shape = "pulse_shape", "pulse_omega", "pulse_width"
     alternatives(("pulse_file",), shape, values, given)
     unused = "pulse_width" if values["pulse_shape"] == "ricker" else "pulse_omega"
     shape, other = given.get("pulse_shape"), given.get(unused)
     if values["pulse_shape"] not in ("burst", None) and other and other.rank >= shape.rank:
         raise InputError(f"-{unused}{given[unused].where}: no part of a {values['pulse_shape']}")
-
-
-def run(options, world, crew):
-    """Return the lattice and the signals, on rank 0; None on the others.
-
-    Collective. Parameters are those of `pgran.run.experiment.Scene`.
-    """
-    lattice = common.make_lattice(options, world)
-    with crew(common.ranks_per_lattice(options, lattice, world), lattice) as workers:
-        signals = pulse(
-            lattice,
-            options.detectors,
-            workers,
-            **chosen(options, world),
-            method=options.pulse_method,
-            fields=options.output_fields,
-            error_tolerance=options.error_tolerance,
-            progress=options.output_progress,
-        )
-    return signals and [record_of(lattice), signals]
-
-
-def chosen(options, world):
-    """Return the keywords of `pulse` that say how the wall moves and how long. Collective."""
-    said = {"time": options.pulse_time, "points": options.pulse_points}
-    if options.pulse_file:
-        return said | {"wall": on_root(world, lambda: read_columns(options.pulse_file))}
-    return said | {name: getattr(options, f"pulse_{name}") for name in ("shape", "omega", "width")}
 
 
 def summary(result):
@@ -139,55 +79,47 @@ def summary(result):
     yield line
 
 
-@in_parallel(automatic_ranks, lattice=common.medium, **checks(PULSE, "pulse_"),
-    wall=partial(numbers, "-pulse_file"), fields=FIELDS.check, error_tolerance=TOLERANCE.check,
-)  # fmt: skip
+@in_parallel("pulse", shares_lattice=True, lattice=medium)
+@with_solver
 def pulse(
     lattice,
     detectors,
     crew=None,
     *,
-    shape="burst",
-    omega=0.6,
-    width=20.0,
-    wall=None,
-    time=600.0,
-    points=1201,
-    method="auto",
-    fields=False,
-    error_tolerance=1e-4,
-    progress="none",
-):
+    shape=option(
+        "burst",
+        "how the wall moves: gauss, a bell; ricker, its second derivative; burst, a bell times a "
+        "cosine; step, from 0 to 1",
+        choices=SHAPES,
+    ),
+    omega=option(0.6, "burst, ricker: the largest of its spectrum", "angular", above=0),
+    width=option(
+        20.0, "standard deviation of the bell; a ricker's follows from omega", "1/frequency",
+        above=0,
+    ),
+    wall=columns(
+        "pulse_file",
+        "how the wall moves, instead of a shape: a column of displacements at the times that are "
+        "recorded, or two columns, equal distances of time and displacements",
+        read_columns,
+    ),
+    time=option(600.0, "how long is listened", "1/frequency", above=0),
+    points=option(1201, "times at which signals are recorded", low=2),
+    method=option(
+        "auto",
+        "laplace, with proven bounds; integrate, PETSc's TS, with estimates of its errors; auto, "
+        "what is faster",
+        choices=("laplace", "integrate", "auto"),
+    ),
+    fields=option(
+        False, "store the displacement of all balls at four times", key="output_fields"
+    ),
+    error_tolerance=driven.STEADY["error_tolerance"],
+    progress=PROGRESS,
+):  # fmt: skip
     """Send a pulse through the lattice, and return what balls do.
 
     Collective.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice
-    detectors : array_like of int
-        Ball indices, flat or one row a detector.
-    crew : pgran.run.crew.Crew, optional
-        All ranks unless given.
-    shape : str
-        `gauss`, `ricker`, `burst` or `step`: see `wall.Pulse`.
-    omega, width : float
-        Of the pulse.
-    wall : array_like of float, shape (n,) or (n, 2), optional
-        Instead of a shape: displacements at the recorded times, or times and displacements; see
-        `wall.Samples`.
-    time : float
-        How long is listened.
-    points : int
-        Equal distances of time.
-    method : str
-        `laplace`, with proven bounds; `integrate`, PETSc's TS, with estimates; `auto`.
-    fields : bool
-        Whether the displacement of all balls at four times is wanted.
-    error_tolerance : float
-        Asked of displacements, relative to a signal's largest.
-    progress : str
-        Style of `pgran.run.progress.Progress`.
 
     Returns
     -------
@@ -226,7 +158,7 @@ def samples_of(wall, step):
     InputError
         If they are no motion that begins at rest, at equal times.
     """
-    values = np.asarray(wall, dtype=float)
+    values = wall
     if values.ndim == 2 and values.shape[1] == 2:
         apart = np.diff(values[:, 0])
         step = np.median(apart) if len(apart) else step  # a gap changes their mean
@@ -288,8 +220,14 @@ def predicted_seconds(listening, points):
     return points * point, steps * (8e-4 + 1.4e-7 * nonzeros)
 
 
+def run(lattice, options, crew):
+    """Return the signals; see `pgran.run.experiment.Scene`."""
+    signals = call(pulse, options, crew, lattice, options.detectors)
+    return signals and [signals]
+
+
 SCENE = Scene(
-    options=(*common.LATTICE, *common.DETECTORS, *PULSE, FIELDS, TOLERANCE),
+    options=(*driven.DETECTORS, *options_of(pulse)),
     run=run,
     summary=summary,
     check=check,

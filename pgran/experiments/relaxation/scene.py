@@ -11,42 +11,26 @@ from pgran.errors import InputError
 from pgran.experiments.relaxation import fluctuations
 from pgran.experiments.relaxation.changes import draw_changes
 from pgran.experiments.relaxation.record import Relaxation
-from pgran.medium import sample as common
-from pgran.medium.law import TRIED, check_law, drawn
-from pgran.medium.record import record_of
-from pgran.medium.sample import automatic_ranks
+from pgran.medium.base import medium
+from pgran.medium.law import TRIED, check_law, drawn, make_law
 from pgran.medium.units import check_frequency
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Scene
 from pgran.run.fingerprints import fingerprint
 from pgran.run.interface import in_parallel
+from pgran.run.keys import with_solver
+from pgran.run.keywords import PROGRESS, call, option, options_of
 from pgran.run.machine import check_memory
-from pgran.run.options import INTEGER, REAL, TEXT, Option, check_ends, checks
+from pgran.run.options import REAL, Option, check_ends
 from pgran.run.task import Task, carry_out
 from pgran.store.estimate import counted
 
-RELAXATION = (
-    Option("relax_steps", INTEGER, 20000, "steps, one bond each", low=1),
-    Option("relax_omega", REAL, 0.6, "driving frequency", "angular", above=0),
-    Option("relax_seed", INTEGER, 1, "which sequence of changes", low=0, high=2**63 - 1),
-    Option(
-        "relax_method", TEXT, "window",
-        "window: many known changes on one factorization; krylov: iterate from the last step; "
-        "direct: factor at each step",
-        choices=("window", "krylov", "direct"),
-    ),
-    Option("relax_window", INTEGER, 0, "steps to a window; 0 = by cost", low=0, high=4096),
-    Option(
-        "relax_trajectories", INTEGER, 1, "independent trajectories, all from the same bonds", low=1
-    ),
-)  # fmt: skip
+OMEGA = Option("relax_omega", REAL, 0.6, "driving frequency", "angular", above=0)
 STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windows
 
 
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
-    law = ("bonds_law", "bonds_kmin", "bonds_kmax", "bonds_fraction", "bonds_force", "bonds_hertz")
-    common.check_lattice(values, given, law)
     if values["network_file"] is not None and "bonds_law" not in given:
         values["bonds_law"] = None  # the network's own constants
     if values["bonds_law"] == "file":
@@ -54,39 +38,6 @@ def check(values, given):
             "-bonds_law file: a relaxation draws new constants and needs a law for them"
         )
     check_ends("spectrum_fit", values)
-
-
-def run(options, world, crew):
-    """Return lattice, relaxation and spectrum, on rank 0; None on the others.
-
-    Collective. Parameters are those of `pgran.run.experiment.Scene`.
-    """
-    from pgran.experiments.relaxation.spectrum import check_window
-
-    window = options.spectrum_fit_min, options.spectrum_fit_max
-    check_window(*window)  # before any work; too short a series only has no spectrum
-    lattice = common.make_lattice(options, world)
-    with crew(common.ranks_per_lattice(options, lattice, world), lattice) as workers:
-        relaxation = relax(
-            lattice,
-            common.make_law(options) if options.bonds_law else None,
-            options.relax_omega,
-            options.detectors,
-            workers,
-            steps=options.relax_steps,
-            trajectories=options.relax_trajectories,
-            seed=options.relax_seed,
-            method=options.relax_method,
-            window=options.relax_window,
-            progress=options.output_progress,
-            **driven.steady_of(options),
-        )
-    if relaxation is None:
-        return None
-    found = (
-        [relaxation] if workers.dry else fluctuations.measured(relaxation, window, lattice.bonds)
-    )
-    return [record_of(lattice), *found]
 
 
 def summary(result):
@@ -106,9 +57,8 @@ def summary(result):
     yield from fluctuations.summary(result)
 
 
-@in_parallel(automatic_ranks, lattice=common.medium, law=check_law,
-    **checks(RELAXATION, "relax_"), **driven.CHECKS,
-)  # fmt: skip
+@in_parallel("relax", shares_lattice=True, lattice=medium, law=check_law, omega=OMEGA.check)
+@with_solver
 def relax(
     lattice,
     law,
@@ -116,15 +66,20 @@ def relax(
     detectors,
     crew=None,
     *,
-    steps,
-    trajectories=1,
-    seed=1,
-    method="window",
-    window=0,
-    error_tolerance=1e-4,
-    error_floor=1e-20,
-    refresh_iterations=0,
-    progress="none",
+    steps=option(20000, "steps, one bond each", low=1),
+    seed=option(1, "which sequence of changes", low=0, high=2**63 - 1),
+    method=option(
+        "window",
+        "window: many known changes on one factorization; krylov: iterate from the last step; "
+        "direct: factor at each step",
+        choices=("window", "krylov", "direct"),
+    ),
+    window=option(0, "steps to a window; 0 = by cost", low=0, high=4096),
+    trajectories=option(1, "independent trajectories, all from the same bonds", low=1),
+    error_tolerance=driven.STEADY["error_tolerance"],
+    error_floor=driven.STEADY["error_floor"],
+    refresh_iterations=driven.STEADY["refresh_iterations"],
+    progress=PROGRESS,
 ):
     """Redraw one bond a step and solve the steady state each time (paper: section 5, timeres).
 
@@ -132,30 +87,11 @@ def relax(
 
     Parameters
     ----------
-    lattice : pgran.medium.lattice.Lattice
-        Before any change.
     law : callable or None
         Turns numbers uniform on [0, 1), an array, into bond constants, each number by itself, the
         same always and on all ranks; None draws from those that there are.
     omega : float
         Driving frequency, angular.
-    detectors : array_like of int
-        Ball indices, flat or one row a detector.
-    crew : pgran.run.crew.Crew, optional
-        All ranks unless given.
-    steps, trajectories, seed : int
-        Trajectories are independent and all start from the lattice's bonds.
-    method : {"window", "krylov", "direct"}
-        Windows of known changes on one factorization; an iteration from the last step, with an
-        earlier factorization as preconditioner; or a factorization a step.
-    window : int
-        Steps to a window; 0 decides by the size of the lattice.
-    error_tolerance : float
-        Asked of each amplitude.
-    error_floor, refresh_iterations
-        See `pgran.driven.steady.SteadySolver`.
-    progress : str
-        Style of `pgran.run.progress.Progress`.
 
     Returns
     -------
@@ -167,14 +103,7 @@ def relax(
     InputError
         If a detector lies outside the lattice, a value is impossible, or a law's constants are.
     """
-    chosen = {
-        "relax_omega": omega,
-        "relax_steps": steps,
-        "relax_trajectories": trajectories,
-        "relax_seed": seed,
-        "relax_method": method,
-        "relax_window": window,
-    }
+    chosen = omega, steps, trajectories, seed, method, window
     steady = {
         "error_tolerance": error_tolerance,
         "error_floor": error_floor,
@@ -199,8 +128,8 @@ class Steps(Task):
     ----------
     lattice, law, detectors
         As in `relax`.
-    chosen : dict
-        Values of the options in RELAXATION.
+    chosen : tuple
+        omega, steps, trajectories, seed, method and window of `relax`.
     choices : dict
         Keywords of `pgran.driven.steady.SteadySolver`.
     """
@@ -213,10 +142,7 @@ class Steps(Task):
         own = partial(redrawn, lattice.constants[: lattice.bonds])
         self.law = own if law is None else partial(drawn, law)
         self.sites = lattice.sites(detectors)
-        self.omega, self.steps, self.trajectories, self.seed, self.method, self.window = (
-            chosen[f"relax_{name}"]
-            for name in ("omega", "steps", "trajectories", "seed", "method", "window")
-        )
+        self.omega, self.steps, self.trajectories, self.seed, self.method, self.window = chosen
         # Measured: the factorization's price a step falls like 1/s, that of the algebra grows
         # like s^2.
         self.window = self.window or (64 if lattice.balls < 5000 else 128)
@@ -307,13 +233,24 @@ class Steps(Task):
         )
 
 
+def run(lattice, options, crew):
+    """Return the relaxation, its spectrum and memory; see `pgran.run.experiment.Scene`."""
+    from pgran.experiments.relaxation.spectrum import check_window
+
+    window = options.spectrum_fit_min, options.spectrum_fit_max
+    check_window(*window)  # before any work; too short a series only has no spectrum
+    law = make_law(options) if options.bonds_law else None
+    relaxation = call(relax, options, crew, lattice, law, options.relax_omega, options.detectors)
+    if relaxation is None or crew.dry:
+        return relaxation and [relaxation]
+    return fluctuations.measured(relaxation, window, lattice.bonds)
+
+
 SCENE = Scene(
-    options=(
-        *(*common.LATTICE, *common.DETECTORS, *RELAXATION, *fluctuations.SPECTRUM),
-        *driven.STEADY.values(),
-    ),
+    options=(*driven.DETECTORS, OMEGA, *options_of(relax), *fluctuations.SPECTRUM),
     run=run,
     summary=summary,
     check=check,
+    draws=lambda values: True,
     shares_lattice=True,
 )

@@ -1,7 +1,6 @@
 """Scene `response`: amplitude and phase of single balls over a sweep of driving frequencies."""
 
 import time
-from functools import partial
 
 import numpy as np
 
@@ -10,45 +9,22 @@ from pgran.driven.phase import and_more
 from pgran.experiments.response.curve import choose_method, solve_curve
 from pgran.experiments.response.points import ResponseSweep, phase_lines
 from pgran.experiments.response.record import LINES
-from pgran.medium import sample as common
-from pgran.medium.record import ball_names, record_of
-from pgran.medium.sample import automatic_ranks
+from pgran.medium.base import medium
 from pgran.run.agreement import agreeing, on_root
 from pgran.run.experiment import Caution, Scene
 from pgran.run.frequencies import SWEEP, check_sweep, checked_frequencies, driving_frequencies
 from pgran.run.interface import in_parallel
-from pgran.run.numbers import window
-from pgran.run.options import FLAG, REAL, TEXT, Option, check_ends
+from pgran.run.keys import with_solver
+from pgran.run.keywords import PROGRESS, Window, call, option, options_of
+from pgran.run.options import FLAG, REAL, check_ends
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted, two_digits
+from pgran.store.fields import ball_names
 from pgran.store.si import SI
-
-METHOD = Option(
-    "sweep_method", TEXT, "auto",
-    "points, each frequency solved for; curve, models of intervals, proven between frequencies too;"
-    " auto, what is cheaper for the frequencies asked for",
-    choices=("points", "curve", "auto"),
-)  # fmt: skip
-RESOLVE = Option(
-    "sweep_resolve", REAL, None,
-    "with models, frequencies are added until straight lines between them are right to this part "
-    f"of the amplitude; {LINES:g} unless given, 0 = those asked for alone",
-    low=0, high=0.5
-)  # fmt: skip
-PHASE = (
-    Option("phase_fit_min", REAL, 0.3, "window of the phase fit", "omega_mx", low=0),
-    Option("phase_fit_max", REAL, 1.0, "window of the phase fit", "omega_mx", above=0),
-)
-FIELDS = Option("output_fields", FLAG, False, "store the whole field at every frequency")
-MODELS = Option(
-    "output_models", FLAG, None,
-    "keep the models, so that response.at(omega) works later; by default where they are few"
-)  # fmt: skip
 
 
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
-    common.check_lattice(values, given)
     check_sweep(values, given)
     check_ends("phase_fit", values)
     if values["sweep_omega"] is not None:
@@ -57,29 +33,6 @@ def check(values, given):
         for name, otherwise in (("sweep_method", "auto"), ("sweep_resolve", None)):
             if name in given and given[name].rank < listed:
                 values[name] = otherwise
-
-
-def run(options, world, crew):
-    """Return the lattice and its response, on rank 0; None on the others.
-
-    Collective. Parameters are those of `pgran.run.experiment.Scene`.
-    """
-    lattice = common.make_lattice(options, world)
-    with crew(common.ranks_per_lattice(options, lattice, world), lattice) as workers:
-        response = sweep(
-            lattice,
-            driving_frequencies(options, lattice),
-            options.detectors,
-            workers,
-            method=options.sweep_method,
-            resolve=options.sweep_resolve,
-            keep_models=options.output_models,
-            fields=options.output_fields,
-            phase_window=(options.phase_fit_min, options.phase_fit_max),
-            progress=options.output_progress,
-            **driven.steady_of(options),
-        )
-    return response and [record_of(lattice), response]
 
 
 def summary(result):
@@ -131,58 +84,44 @@ def unresolved(response, damped):
         )
 
 
-@in_parallel(
-    automatic_ranks, lattice=common.medium, omegas=checked_frequencies, method=METHOD.check,
-    resolve=RESOLVE.check, keep_models=MODELS.check, fields=FIELDS.check,
-    phase_window=partial(window, "phase_fit", PHASE), **driven.CHECKS,
-)  # fmt: skip
+@in_parallel("sweep", shares_lattice=True, lattice=medium, omegas=checked_frequencies)
+@with_solver
 def sweep(
     lattice,
     omegas,
     detectors,
     crew=None,
     *,
-    method="auto",
-    resolve=None,
-    keep_models=None,
-    fields=False,
-    phase_window=(0.3, 1.0),
-    error_tolerance=1e-4,
-    error_floor=1e-20,
-    refresh_iterations=0,
-    progress="none",
-):
+    method=option(
+        "auto",
+        "points, each frequency solved for; curve, models of intervals, proven between frequencies "
+        "too; auto, what is cheaper for the frequencies asked for",
+        choices=("points", "curve", "auto"),
+    ),
+    resolve=option(
+        None,
+        "with models, frequencies are added until straight lines between them are right to this "
+        f"part of the amplitude; {LINES:g} unless given, 0 = those asked for alone",
+        kind=REAL, low=0, high=0.5,
+    ),
+    error_tolerance=driven.STEADY["error_tolerance"],
+    error_floor=driven.STEADY["error_floor"],
+    refresh_iterations=driven.STEADY["refresh_iterations"],
+    phase_window=Window(
+        option(0.3, "window of the phase fit", "omega_mx", key="phase_fit_min", low=0),
+        option(1.0, "window of the phase fit", "omega_mx", key="phase_fit_max", above=0),
+    ),
+    fields=option(False, "store the whole field at every frequency", key="output_fields"),
+    keep_models=option(
+        None,
+        "keep the models, so that response.at(omega) works later; by default where they are few",
+        key="output_models", kind=FLAG,
+    ),
+    progress=PROGRESS,
+):  # fmt: skip
     """Solve the driven steady state over a sweep of frequencies (paper: ampeq, freqres).
 
     Collective.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice
-    omegas : array_like of float, shape (nw,)
-        Driving frequencies, angular, increasing.
-    detectors : array_like of int
-        Ball indices, flat or one row a detector.
-    crew : pgran.run.crew.Crew, optional
-        All ranks unless given.
-    method : str
-        `points`, each frequency solved for; `curve`, models of intervals that are proven between
-        the frequencies, too; `auto`, what is cheaper for these frequencies.
-    resolve : float, optional
-        With models, frequencies are added until straight lines between them are right to this part
-        of the amplitude, 1e-2 unless given; 0 adds none.
-    keep_models : bool, optional
-        Keep the models for `Response.at`; by default where they are few.
-    fields : bool
-        Keep the amplitudes of all balls, too.
-    phase_window : tuple of float
-        Where the phase is fitted, in units of omega_mx.
-    error_tolerance : float
-        Asked of each amplitude, and of each field if they are kept.
-    error_floor, refresh_iterations
-        See `pgran.driven.steady.SteadySolver`.
-    progress : str
-        Style of `pgran.run.progress.Progress`.
 
     Returns
     -------
@@ -218,11 +157,15 @@ def sweep(
     return on_root(crew.world, respond, keep=True)
 
 
+def run(lattice, options, crew):
+    """Return the response; see `pgran.run.experiment.Scene`."""
+    omegas = driving_frequencies(options, lattice)
+    response = call(sweep, options, crew, lattice, omegas, options.detectors)
+    return response and [response]
+
+
 SCENE = Scene(
-    options=(
-        *(*common.LATTICE, *common.DETECTORS, *SWEEP),
-        *(METHOD, RESOLVE, *driven.STEADY.values(), *PHASE, FIELDS, MODELS),
-    ),
+    options=(*driven.DETECTORS, *SWEEP, *options_of(sweep)),
     run=run,
     summary=summary,
     check=check,

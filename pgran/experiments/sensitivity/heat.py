@@ -8,34 +8,19 @@ from pgran.experiments.sensitivity import warm as warming
 from pgran.experiments.sensitivity.adjoint import MISSED, AdjointSweep
 from pgran.experiments.sensitivity.finite import changed_amplitudes
 from pgran.experiments.sensitivity.record import Heat
-from pgran.medium import sample as common
-from pgran.medium.record import ball_names
+from pgran.medium.base import medium
+from pgran.medium.law import HERTZ
 from pgran.medium.rounding import EPSILON
-from pgran.medium.sample import automatic_ranks
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Caution
 from pgran.run.frequencies import checked_frequencies
 from pgran.run.interface import in_parallel
-from pgran.run.options import FLAG, INTEGERS, REAL, Option, checks
+from pgran.run.keys import with_solver
+from pgran.run.keywords import PROGRESS, option
+from pgran.run.options import INTEGERS, REAL
 from pgran.run.task import carry_out
+from pgran.store.fields import ball_names
 
-HEAT = (
-    Option(
-        "heat_factor", REAL, None,
-        "warm balls one at a time: their bonds become so many times as stiff", low=0
-    ),
-    Option(
-        "heat_overlap", REAL, None,
-        "warm balls one at a time: their contacts overlap by so much more, by Hertz's law "
-        "(-bonds_hertz, or a network's forces)", "length"
-    ),
-    Option(
-        "heat_balls", INTEGERS, None,
-        "balls to warm, flat: 8,10 or 8,10,3,4; all unless given", low=0, high=2**63 - 1
-    ),
-    Option("heat_cut", FLAG, False, "cut bonds one at a time, dashpots too"),
-)  # fmt: skip
-HERTZ = next(option for option in common.LATTICE if option.name == "bonds_hertz")
 QUARTER = 0.25  # of the amplitude: what the heater of the experiment changed
 
 
@@ -48,18 +33,9 @@ def check(values):
         raise InputError("-heat_balls: by how much? -heat_factor or -heat_overlap says")
 
 
-def chosen(options):
-    """Return what of `heat` the options ask for; nothing if it is not wanted. Not collective."""
-    found = {
-        "factor": options.heat_factor,
-        "overlap": options.heat_overlap,
-        "balls": options.heat_balls,
-        "cut": options.heat_cut or None,
-    }
-    found = {name: value for name, value in found.items() if value is not None}
-    if "overlap" in found and options.bonds_hertz is not None:
-        found["hertz"] = options.bonds_hertz
-    return found
+def is_wanted(options):
+    """Return whether the options of a run warm balls or cut bonds."""
+    return options.heat_cut or (options.heat_factor, options.heat_overlap) != (None, None)
 
 
 def summary(found):
@@ -89,42 +65,39 @@ def summary(found):
             yield text
 
 
-@in_parallel(automatic_ranks, lattice=common.medium, omegas=checked_frequencies,
-    hertz=HERTZ.check, **checks([o for o in HEAT if o.kind is not INTEGERS], "heat_"),
-    error_tolerance=driven.CHECKS["error_tolerance"],
+@in_parallel(
+    "heat", shares_lattice=True, lattice=medium, omegas=checked_frequencies,
+    balls=lambda balls: balls,  # rows or flat, which the lattice checks
 )  # fmt: skip
+@with_solver
 def heat(
-    lattice, omegas, detectors, crew=None, *, factor=None, overlap=None, hertz=1.0, balls=None,
-    cut=False, error_tolerance=1e-4, progress="none",
+    lattice,
+    omegas,
+    detectors,
+    crew=None,
+    *,
+    factor=option(
+        None, "warm balls one at a time: their bonds become so many times as stiff", kind=REAL,
+        low=0,
+    ),
+    overlap=option(
+        None,
+        "warm balls one at a time: their contacts overlap by so much more, by Hertz's law "
+        "(-bonds_hertz, or a network's forces)", "length", kind=REAL,
+    ),
+    hertz=HERTZ,
+    balls=option(
+        None, "balls to warm, flat: 8,10 or 8,10,3,4; all unless given", kind=INTEGERS, low=0,
+        high=2**63 - 1,
+    ),
+    cut=option(False, "cut bonds one at a time, dashpots too"),
+    error_tolerance=driven.STEADY["error_tolerance"],
+    progress=PROGRESS,
 ):  # fmt: skip
     """Return the amplitudes after each ball is warmed, or each bond is cut, one at a time.
 
-    Collective. Not an expansion: see `finite`. Each unknown at the springs that
-    change takes one solve with the factorization of its frequency.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
-    omegas : array_like of float, shape (nw,)
-        Driving frequencies, angular, increasing.
-    detectors : array_like of int
-        Ball indices, flat or one row a detector.
-    crew : pgran.run.crew.Crew, optional
-        All ranks unless given.
-    factor : float, optional
-        How many times as stiff a warm ball's bonds become; tangential springs too.
-    overlap : float, optional
-        Instead: by how much more they overlap (`warm`).
-    hertz : float
-        c of Hertz's law, where a network's forces do not say it.
-    balls : array_like of int, optional
-        Which balls are warmed, as `detectors`; all.
-    cut : bool
-        Cut each bond, too, its dashpot with it.
-    error_tolerance : float
-        Asked of each amplitude before a change.
-    progress : str
-        Style of `pgran.run.progress.Progress`.
+    Collective. Not an expansion: see `finite`. Each unknown at the springs that change takes one
+    solve with the factorization of its frequency. Tangential springs become as much stiffer.
 
     Returns
     -------

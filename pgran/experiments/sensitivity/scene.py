@@ -7,47 +7,27 @@ from pgran.experiments.sensitivity import heat
 from pgran.experiments.sensitivity.adjoint import MISSED, AdjointSweep
 from pgran.experiments.sensitivity.gradient import energy_flux, gradient
 from pgran.experiments.sensitivity.record import Sensitivity
-from pgran.medium import sample as common
+from pgran.medium.base import medium
 from pgran.medium.bonds import bond_places
-from pgran.medium.record import ball_names, record_of, site_name
-from pgran.medium.sample import automatic_ranks
+from pgran.medium.law import HERTZ
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Caution, Scene
 from pgran.run.frequencies import SWEEP, check_sweep, checked_frequencies, driving_frequencies
 from pgran.run.interface import in_parallel
-from pgran.run.options import INTEGER, Option
+from pgran.run.keys import with_solver
+from pgran.run.keywords import PROGRESS, call, option, options_of
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted, two_digits
+from pgran.store.fields import ball_names, site_name
 from pgran.store.si import SI
 
-MOST = Option(
-    "sensitivity_most", INTEGER, 0,
-    "keep the derivatives by so many bonds and balls, the largest; 0 = by all", low=0
-)  # fmt: skip
 TOGETHER = 2**22  # bytes of fields that derivatives are computed of at a time
 
 
 def check(values, given):
     """Raise where options contradict each other. Not collective."""
-    common.check_lattice(values, given)
     check_sweep(values, given)
     heat.check(values)
-
-
-def run(options, world, crew):
-    """Return the lattice, its sensitivity, and what heating does if asked for, on rank 0.
-
-    Collective; None on the other ranks. Parameters are those of `pgran.run.experiment.Scene`.
-    """
-    lattice = common.make_lattice(options, world)
-    omegas, asked = driving_frequencies(options, lattice), driven.steady_of(options)
-    asked["progress"] = options.output_progress
-    with crew(common.ranks_per_lattice(options, lattice, world), lattice) as workers:
-        given = lattice, omegas, options.detectors, workers
-        found = [sensitivity(*given, most=options.sensitivity_most, **asked)]
-        if heating := heat.chosen(options):
-            found.append(heat.heat(*given, **heating, **asked))
-    return [record_of(lattice), *found] if found[0] else None
 
 
 def summary(result):
@@ -91,31 +71,24 @@ def joins(medium, number):
     return f"{ends[0]} to {ends[1]}"
 
 
-@in_parallel(automatic_ranks, lattice=common.medium, omegas=checked_frequencies, most=MOST.check,
-    error_tolerance=driven.CHECKS["error_tolerance"],
-)  # fmt: skip
+@in_parallel("sensitivity", shares_lattice=True, lattice=medium, omegas=checked_frequencies)
+@with_solver
 def sensitivity(
-    lattice, omegas, detectors, crew=None, *, most=0, error_tolerance=1e-4, progress="none"
+    lattice,
+    omegas,
+    detectors,
+    crew=None,
+    *,
+    most=option(
+        0, "keep the derivatives by so many bonds and balls, the largest; 0 = by all", low=0
+    ),
+    error_tolerance=driven.STEADY["error_tolerance"],
+    progress=PROGRESS,
 ):
     """Differentiate amplitudes by all bond constants, masses and beta, at each frequency.
 
-    Collective. See `gradient`.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
-    omegas : array_like of float, shape (nw,)
-        Driving frequencies, angular, increasing.
-    detectors : array_like of int
-        Ball indices, flat or one row a detector.
-    crew : pgran.run.crew.Crew, optional
-        All ranks unless given.
-    most : int
-        Keep the derivatives by so many bonds and balls, the largest; 0: by all.
-    error_tolerance : float
-        Asked of each amplitude, and of derivatives by bonds and masses, relative to the largest.
-    progress : str
-        Style of `pgran.run.progress.Progress`.
+    Collective. See `gradient`. The accuracy is asked of derivatives by bonds and masses, too,
+    relative to the largest.
 
     Returns
     -------
@@ -267,11 +240,17 @@ class GradientSweep(AdjointSweep):
         )
 
 
+def run(lattice, options, crew):
+    """Return the sensitivity, and what heating does if asked for; see `Scene`."""
+    places = lattice, driving_frequencies(options, lattice), options.detectors
+    records = [call(sensitivity, options, crew, *places)]
+    if heat.is_wanted(options):
+        records.append(call(heat.heat, options, crew, *places))
+    return records if records[0] else None
+
+
 SCENE = Scene(
-    options=(
-        *(*common.LATTICE, *common.DETECTORS, *SWEEP, MOST, *heat.HEAT),
-        driven.STEADY["error_tolerance"],
-    ),
+    options=(*driven.DETECTORS, *SWEEP, *options_of(sensitivity, heat.heat, without=[HERTZ])),
     run=run,
     summary=summary,
     check=check,
