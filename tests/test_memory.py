@@ -23,10 +23,6 @@ def runs():
     return [Series(MADE.series(rng, 150 * MADE.bonds), MADE.bonds) for _ in range(200)]
 
 
-def test_autocovariance(runs):
-    fair([memory.autocovariance(run, LAGS) for run in runs], MADE.covariance(LAGS))
-
-
 def test_autocorrelation(runs):
     found = [memory.autocorrelation(run, LAGS) for run in runs]
     assert all(e.value[0] == pytest.approx(1) and e.error[0] < 1e-12 for e in found)
@@ -86,20 +82,6 @@ def test_bounds_hold(weights):
     assert np.all((low <= C + 1e-15) & (high + 1e-15 >= C))
     if weights == {1: 1.0}:
         np.testing.assert_allclose(low, high)
-    run = Series(made.series(np.random.default_rng(4), 2000), made.bonds)
-    assert np.all(np.abs(memory.outside_bounds(run, LAGS)) < 3)
-
-
-def test_series_that_break_the_law_are_told():
-    """A slower memory than M lies above; one that oscillates lies below."""
-    rng, steps = np.random.default_rng(5), 5000
-    slow = Series(BondSums(40, {1: 1.0}).series(rng, steps), 10)
-    assert np.all(memory.outside_bounds(slow, [10, 20]) > 3)
-    period = np.cos(0.3 * np.arange(steps)) + 0.3 * rng.standard_normal(steps)
-    found = memory.outside_bounds(Series(period, 10), [0, 10, 21])
-    assert found[0] == 0
-    assert found[1] < -3
-    assert found[2] > 3
 
 
 RANDOM = np.random.default_rng(6).standard_normal(200)
@@ -129,13 +111,7 @@ def test_series_without_a_memory(values, bonds, message):
 @pytest.mark.parametrize("lags", [[-1], [0.5], [], [101]])
 def test_lags_that_there_are_not(lags):
     with pytest.raises(InputError, match=r"^lags: "):
-        memory.autocovariance(Series(RANDOM, 2), lags)
-
-
-def test_a_variance_needs_a_longer_series():
-    with pytest.raises(InputError, match=r"199 steps .* 200 are needed"):
-        memory.autocovariance(Series(RANDOM[1:], 2), [0])
-    assert memory.autocovariance(Series(RANDOM, 2), [0]).error > 0
+        memory.autocorrelation(Series(RANDOM, 2), lags)
 
 
 @pytest.mark.parametrize("order", [0.9, 13, math.nan])

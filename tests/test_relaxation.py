@@ -14,8 +14,7 @@ from pgran.command.resolve import resolve
 from pgran.driven.steady import SteadySolver
 from pgran.errors import InputError
 from pgran.experiments.relaxation import windows
-from pgran.experiments.relaxation.changes import draw_changes
-from pgran.experiments.relaxation.changing import ChangingBonds
+from pgran.experiments.relaxation.changes import ChangingBonds, draw_changes
 from pgran.experiments.relaxation.spectrum import power_spectrum
 from pgran.experiments.relaxation.windows import Windows, march
 from pgran.medium.bonds import bond_arrays, bond_count, bond_places

@@ -5,6 +5,7 @@ import logging
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.experiments.relaxation import memory
 from pgran.experiments.relaxation.record import Memory
 from pgran.run.options import REAL, Option
 from pgran.store.estimate import two_digits
@@ -15,30 +16,22 @@ SPECTRUM = (
     Option("spectrum_fit_min", REAL, 0.01, "window of the exponent's fit", "cycles/step", above=0),
     Option("spectrum_fit_max", REAL, 0.3, "window of the exponent's fit", "cycles/step", above=0),
 )
-LAGS = 60  # at which the memory is looked at
 FIT = tuple(option.default for option in SPECTRUM)
+LAGS = 60  # of the autocorrelation, evenly spaced in their logarithm
 
 
 def measured(relaxation, window, bonds):
-    """Return a relaxation, and its spectrum and its memory where it has them. Not collective."""
-    spectrum = spectrum_of(relaxation, window, bonds)
-    memory = memory_of(relaxation, bonds) if spectrum else None
-    return [record for record in (relaxation, spectrum, memory) if record]
+    """Return a relaxation, and its spectrum and its memory where it has them.
 
-
-def spectrum_of(relaxation, window, memory):
-    """Return the power spectrum of the first detector's amplitude; None, aloud, if it has none.
-
-    Not collective.
-
-    Parameters
-    ----------
-    relaxation : pgran.results.Relaxation
-    window : tuple of float
-        Of the exponent's fit, in cycles per step.
-    memory : float
-        Longest correlation time, in steps.
+    `window` is that of the exponent's fit, in cycles per step; one of `bonds` is redrawn a step.
     """
+    spectrum = _spectrum_of(relaxation, window, bonds)
+    remembered = _memory_of(relaxation, bonds) if spectrum else None
+    return [record for record in (relaxation, spectrum, remembered) if record]
+
+
+def _spectrum_of(relaxation, window, bonds):
+    """Return the power spectrum of the first detector's amplitude; None, aloud, if it has none."""
     from pgran.experiments.relaxation.spectrum import power_spectrum
 
     if relaxation.failures:
@@ -47,26 +40,14 @@ def spectrum_of(relaxation, window, memory):
         log.warning("no spectrum: some amplitudes have an upper limit only (at_floor)")
     else:
         try:
-            return power_spectrum(relaxation.amplitude[:, :, 0], *window, memory=memory)
+            return power_spectrum(relaxation.amplitude[:, :, 0], *window, memory=bonds)
         except InputError as error:
             log.warning("no spectrum: %s", error)
     return None
 
 
-def memory_of(relaxation, bonds):
-    """Return what the first detector's amplitude remembers; None where the series is too short.
-
-    Not collective.
-
-    Parameters
-    ----------
-    relaxation : pgran.results.Relaxation
-        All of whose states are accurate.
-    bonds : int
-        M, one of which is redrawn a step.
-    """
-    from pgran.experiments.relaxation import memory
-
+def _memory_of(relaxation, bonds):
+    """Return what the first detector's amplitude remembers; None where the series is too short."""
     values = np.abs(relaxation.displacement[:, :, 0])
     if len(values) > 1:  # they know of each other until most bonds are redrawn
         values = values[:, bonds:]
@@ -77,15 +58,10 @@ def memory_of(relaxation, bonds):
         return None
     longest = min(3 * bonds, values.shape[1] // 2)
     lags = np.unique(np.append(0, np.geomspace(1, longest, LAGS).astype(int)))
-    found = memory.autocorrelation(series, lags)
-    order, increment, successive = (
-        measure(series)
-        for measure in (
-            memory.mean_order,
-            memory.increment_correlation,
-            memory.successive_correlation,
-        )
-    )
+    correlation = memory.autocorrelation(series, lags)
+    order = memory.mean_order(series)
+    increment = memory.increment_correlation(series)
+    successive = memory.successive_correlation(series)
     lowest, highest = memory.bounds(lags, bonds, min(max(order.value, 1.0), bonds))
     return Memory(
         bonds=bonds,
@@ -96,15 +72,15 @@ def memory_of(relaxation, bonds):
         successive=successive.value,
         successive_error=successive.error,
         lag=lags,
-        correlation=found.value,
-        correlation_error=found.error,
+        correlation=correlation.value,
+        correlation_error=correlation.error,
         lowest=lowest,
         highest=highest,
     )
 
 
 def summary(result):
-    """Return in words what the fluctuations tell. Not collective."""
+    """Return in words what the fluctuations tell."""
     spectrum = getattr(result, "spectrum", None)
     if spectrum and np.isfinite(spectrum.exponent):
         yield (
@@ -112,11 +88,11 @@ def summary(result):
             f"{spectrum.exponent_error:.3f} between {spectrum.fit_min:g} and "
             f"{spectrum.fit_max:g} cycles per step"
         )
-    memory = getattr(result, "memory", None)
-    if memory:
-        errors = two_digits(memory.order_error), two_digits(memory.increment_error)
+    remembered = getattr(result, "memory", None)
+    if remembered:
+        errors = two_digits(remembered.order_error), two_digits(remembered.increment_error)
         yield (
-            f"memory: {memory.order:.3g} +- {errors[0]} of {memory.bonds} bonds act jointly on "
-            "average; the amplitude and its next increment have the correlation "
-            f"{memory.increment:.3g} +- {errors[1]}"
+            f"memory: {remembered.order:.3g} +- {errors[0]} of {remembered.bonds} bonds act "
+            "jointly on average; the amplitude and its next increment have the correlation "
+            f"{remembered.increment:.3g} +- {errors[1]}"
         )

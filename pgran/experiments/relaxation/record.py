@@ -32,9 +32,11 @@ class Relaxation(Record):
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, entry 0 before any change",
-        "1", "trajectory", "state", "detector_number", dtype=complex,
+        "1", "trajectory", "state", "detector_number", dtype=complex, row=True,
     )  # fmt: skip
-    error_bound: np.ndarray = array(BOUND, "1", "trajectory", "state", "detector_number", since=2)
+    error_bound: np.ndarray = array(
+        BOUND, "1", "trajectory", "state", "detector_number", since=2, row=True
+    )
     at_floor: np.ndarray = array(
         FLOOR, "1", "trajectory", "state", "detector_number", dtype=np.int8, since=2
     )

@@ -2,6 +2,7 @@
 
 import contextlib
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,13 +25,14 @@ from pgran.run.machine import check_memory
 from pgran.run.options import REAL, Option, check_ends
 from pgran.run.task import Task, carry_out
 from pgran.store.estimate import counted
+from pgran.store.record import columns_of, row_of
 
 OMEGA = Option("relax_omega", REAL, 0.6, "driving frequency", "angular", above=0)
 STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windows
 
 
 def check(values, given):
-    """Raise where options contradict each other. Not collective."""
+    """Raise where options contradict each other."""
     if values["network_file"] is not None and "bonds_law" not in given:
         values["bonds_law"] = None  # the network's own constants
     if values["bonds_law"] == "file":
@@ -41,7 +43,7 @@ def check(values, given):
 
 
 def summary(result):
-    """Return in words what a run found. Not collective."""
+    """Return in words what a run found."""
     relaxation = result.relaxation
     steps = relaxation.bond_axis.size
     yield (
@@ -103,64 +105,63 @@ def relax(
     InputError
         If a detector lies outside the lattice, a value is impossible, or a law's constants are.
     """
-    chosen = omega, steps, trajectories, seed, method, window
     steady = {
         "error_tolerance": error_tolerance,
         "error_floor": error_floor,
         "refresh_iterations": refresh_iterations,
     }
     with agreeing(crew.world) as asked:
-        task = Steps(lattice, law, detectors, chosen, steady)
+        march = March(omega, steps, trajectories, seed, method, window)
+        task = Steps(lattice, law, detectors, march, steady)
         asked["law"] = fingerprint(task.law(TRIED))
     driven.check_driven(lattice, crew.world, omega)
     return carry_out(task, crew, progress)
 
 
 def redrawn(constants, numbers):
-    """Return constants of a network's own, drawn by numbers uniform on [0, 1). Not collective."""
+    """Return constants of a network's own, drawn by numbers uniform on [0, 1)."""
     return constants[(numbers * len(constants)).astype(np.int64)]
+
+
+class March(NamedTuple):
+    """How far the bonds change, and how their states are solved: keywords of `relax`."""
+
+    omega: float
+    steps: int
+    trajectories: int
+    seed: int
+    method: str
+    window: int
 
 
 class Steps(Task):
     """The states of all trajectories, some steps of one trajectory at a time.
 
-    Parameters
-    ----------
-    lattice, law, detectors
-        As in `relax`.
-    chosen : tuple
-        omega, steps, trajectories, seed, method and window of `relax`.
-    choices : dict
-        Keywords of `pgran.driven.steady.SteadySolver`.
+    `steady` are keywords of `pgran.driven.steady.SteadySolver`.
     """
 
     items = "states"
 
-    def __init__(self, lattice, law, detectors, chosen, choices):
+    def __init__(self, lattice, law, detectors, march, steady):
         """Cut the trajectories into stretches of whole windows."""
-        self.lattice, self.choices = lattice, choices
+        self.lattice, self.march, self.steady = lattice, march, steady
         own = partial(redrawn, lattice.constants[: lattice.bonds])
         self.law = own if law is None else partial(drawn, law)
         self.sites = lattice.sites(detectors)
-        self.omega, self.steps, self.trajectories, self.seed, self.method, self.window = chosen
         # Measured: the factorization's price a step falls like 1/s, that of the algebra grows
         # like s^2.
-        self.window = self.window or (64 if lattice.balls < 5000 else 128)
+        self.window = march.window or (64 if lattice.balls < 5000 else 128)
         self.scaled, self.unit = lattice.in_own_unit()
-        check_frequency(self.scaled, self.omega)
-        nd = len(self.sites)
-        self.row = np.dtype(
-            [
-                *[("displacement", complex, (nd,)), ("error_bound", float, (nd,))],
-                *[("drift", float), ("factorizations", np.int64)],
-            ]
-        )
-        check_memory("relax_steps", self.trajectories * (self.steps + 1) * self.row.itemsize)
+        check_frequency(self.scaled, march.omega)
+        states = row_of(Relaxation, state=(), detector_number=(len(self.sites),))
+        self.row = np.dtype([*states, ("drift", float), ("factorizations", np.int64)])
+        count = march.trajectories * (march.steps + 1)
+        check_memory("relax_steps", count * self.row.itemsize)
         length = max(1, STEPS_IN_UNIT // self.window) * self.window
         self.units = [
-            (trajectory, first, min(length, self.steps - first))
-            for trajectory in range(self.trajectories)
-            for first in range(0, self.steps, length)
+            (trajectory, first, min(length, march.steps - first))
+            for trajectory in range(march.trajectories)
+            for first in range(0, march.steps, length)
         ]
 
     @contextlib.contextmanager
@@ -168,37 +169,38 @@ class Steps(Task):
         """See `Task`."""
         from pgran.driven.operators import Operators
         from pgran.driven.steady import SteadySolver
-        from pgran.experiments.relaxation.changing import ChangingBonds
-        from pgran.experiments.relaxation.marching import march_steps, march_windows
+        from pgran.experiments.relaxation.changes import ChangingBonds
+        from pgran.experiments.relaxation.windows import march_steps, march_windows
 
-        def draw(trajectory, first, count):
-            return self._draw(trajectory, first, count, self.unit)
-
+        draw, s = partial(self._draw, unit=self.unit), 1j * self.march.omega
         with (
             Operators(self.scaled, group) as operators,
-            SteadySolver(operators, self.sites, **self.choices) as solver,
+            SteadySolver(operators, self.sites, **self.steady) as solver,
         ):
-            changing, s = ChangingBonds(self.scaled, operators, draw), 1j * self.omega
+            changing = ChangingBonds(self.scaled, operators, draw)
 
             def work(unit):
                 trajectory, first, count = unit
                 before, changes = solver.factorizations, draw(*unit)
                 changing.move_to(trajectory, first)
                 solver.restart()
-                if self.method == "window":
+                if self.march.method == "window":
                     states = march_windows(changing, solver, s, changes, self.window)
                 else:
-                    states = march_steps(changing, solver, s, changes, self.method == "direct")
+                    direct = self.march.method == "direct"
+                    states = march_steps(changing, solver, s, changes, direct)
                 rows = np.zeros(count + 1, self.row)
                 rows["displacement"], rows["error_bound"], rows["drift"] = states
                 rows[-1]["factorizations"] = solver.factorizations - before
-                return rows[int(first > 0) :]  # a state between units is the earlier one's
+                # unit   0 [state 0, 1, ... n]  1 [n, n + 1, ... ]: a state between two units is
+                return rows[int(first > 0) :]  # the earlier one's
 
             yield work
 
     def _draw(self, trajectory, first, count, unit=1.0):
-        """Return the changes of some steps, constants in a unit. Not collective."""
-        return draw_changes(self.law, self.lattice.bonds, self.seed, trajectory, first, count, unit)
+        """Return the changes of some steps, constants in a unit."""
+        bonds, seed = self.lattice.bonds, self.march.seed
+        return draw_changes(self.law, bonds, seed, trajectory, first, count, unit)
 
     def length(self, unit):
         """See `Task`."""
@@ -208,18 +210,18 @@ class Steps(Task):
     def sample(self, unit):
         """See `Task`."""
         trajectory, first, count = unit
-        few = 4 * self.window if self.method == "window" else 32
+        few = 4 * self.window if self.march.method == "window" else 32
         return trajectory, first, min(count, few)
 
     def collect(self, rows, seconds):
         """See `Task`."""
-        rows = rows.reshape(self.trajectories, self.steps + 1)
-        changes = [self._draw(number, 0, self.steps) for number in range(self.trajectories)]
+        march = self.march
+        changes = [self._draw(number, 0, march.steps) for number in range(march.trajectories)]
         axis, index = self.lattice.bond_places(np.stack([c.bond for c in changes]))
-        displacement, error_bound = (rows[name].copy() for name in ("displacement", "error_bound"))
-        tolerance = self.choices["error_tolerance"]
+        states = columns_of(Relaxation, rows.reshape(march.trajectories, march.steps + 1))
+        tolerance = self.steady["error_tolerance"]
         return Relaxation(
-            omega=self.omega,
+            omega=march.omega,
             factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,
             drift=float(rows["drift"].max()),
@@ -227,9 +229,10 @@ class Steps(Task):
             bond_index=index,
             stiffness=np.stack([c.stiffness for c in changes]),
             detector=self.sites,
-            displacement=displacement,
-            error_bound=error_bound,
-            at_floor=below_relative_accuracy(error_bound, displacement, tolerance),
+            at_floor=below_relative_accuracy(
+                states["error_bound"], states["displacement"], tolerance
+            ),
+            **states,
         )
 
 

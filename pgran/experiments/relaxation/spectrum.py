@@ -19,8 +19,8 @@ import numpy as np
 from scipy.signal import periodogram
 
 from pgran.errors import InputError
+from pgran.experiments.relaxation.memory import ROUNDING, checked_series
 from pgran.experiments.relaxation.record import Spectrum
-from pgran.experiments.relaxation.series import ROUNDING, checked_series
 
 log = logging.getLogger("pgran")
 
@@ -31,16 +31,13 @@ GROUPS, FEWEST = 20, 4  # parts of the series for the error bar: wanted, needed
 BINS_PER_DECADE = 10
 CORNERS_ABOVE = 5  # the local slope of a series of one memory is 2 / (1 + 1/25) there
 ALIASED = 0.44  # sin(pi f) / (pi f) < 1 / sqrt(2): most of a random walk's power is aliased
-MEMORIES = (
-    10  # that errors need: of 2 exponents miss by 2.1 errors (rms), of 5 by 1.3, of 10 by 1.2
-)
+# Memories that errors need: of 2 exponents miss by 2.1 errors (rms), of 5 by 1.3, of 10 by 1.2.
+MEMORIES = 10
 FLATTER, FLATTER_ERRORS = 0.25, 5  # slope missing at the low end that is warned about; in errors
 
 
 def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     """Return the power spectrum of a time series and its exponent (paper: powspc).
-
-    Not collective.
 
     The fit is by least squares through the means of log S and log sin(pi f) in bins evenly spaced
     in log f. Powers are averaged over segments before logarithms are taken, whose bias is then the
@@ -49,43 +46,29 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     part. At the paper's parameters seeds differ from their mean by .9 error bars (rms) for 10^5
     steps, by 1.2 for 2 10^4.
 
-    Parameters
-    ----------
-    series : array_like of float, shape (R, T) or (T,)
-        R independent trajectories of T steps: |A_d| after each step.
-    fit_min, fit_max : float
-        Window of the fit, cycles per step.
-    memory : float, optional
-        Longest correlation time of the series, in steps: n, if one of n bonds is redrawn a step.
-        The exponent is withheld, NaN, aloud, where all trajectories together are shorter than
-        `MEMORIES` of it: they have seen too few states for its error.
+    `series`, (R, T) or (T,), is |A_d| after each step of R independent trajectories; `fit_min` and
+    `fit_max`, in cycles per step, the window of the fit; `memory` the longest correlation time in
+    steps: n, if one of n bonds is redrawn a step. The exponent is withheld, NaN, aloud, where all
+    trajectories together are shorter than `MEMORIES` of it: they have seen too few states for its
+    error. A window that reaches where the series is flat or aliased is warned about.
 
-    Returns
-    -------
-    pgran.results.Spectrum
-        Warns, through `logging`, of a window that reaches where the series is flat or aliased.
-
-    Raises
-    ------
-    InputError
-        If the window is impossible, or the series too short for it, not finite or constant.
+    Raises InputError if the window is impossible, or the series too short for it, not finite or
+    constant.
     """
     series = checked_series(series, "spectrum")
     segment = _segment_length(*series.shape, fit_min, fit_max)
     frequency, parts, segments = _powers(series, segment)
-    power = parts.sum(axis=0) / segments
+    total = parts.sum(axis=0)
+    power = total / segments
 
     window = (frequency >= fit_min) & (frequency <= fit_max)
-    f, others = frequency[window], (parts.sum(axis=0) - parts)[:, window]
+    f, others = frequency[window], (total - parts)[:, window]
     if np.any(others <= ROUNDING * segments * power[window]):
         raise InputError(
             "relax_steps: the amplitude changes in one part of the series only, so the exponent "
             "has no error bar; more steps are needed"
         )
-    bins = max(3, round(BINS_PER_DECADE * math.log10(fit_max / fit_min)))
-    edges = np.geomspace(fit_min, fit_max, bins + 1)[1:-1]
-    member = np.searchsorted(edges, f, side="right") == np.arange(bins)[:, None]
-    means = member / member.sum(axis=1, keepdims=True)  # over bins evenly spaced in log f
+    means = _means_of_bins(f, fit_min, fit_max)
     weights = _slope_weights(f, means)
     exponent, plain, flatter = -np.log(power[window]) @ weights
     replicas = -np.log(others) @ weights  # the jackknife's: each leaves out one part
@@ -100,12 +83,11 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     else:
         _warn(fit_min, fit_max, memory, flatter, flatter_error)
     law = np.log(power[window]) + exponent * np.log(2 * np.sin(np.pi * f))
-    scale = math.exp(means.mean(axis=0) @ law)
     return Spectrum(
         exponent=float(exponent),
         exponent_error=float(error),
         exponent_plain=float(plain),
-        scale=scale,
+        scale=math.exp(means.mean(axis=0) @ law),
         fit_min=float(fit_min),
         fit_max=float(fit_max),
         segment=segment,
@@ -133,7 +115,7 @@ def _segment_length(trajectories, steps, fit_min, fit_max):
 
 
 def check_window(fit_min, fit_max):
-    """Raise InputError unless an exponent can be fitted in a window. Not collective."""
+    """Raise InputError unless an exponent can be fitted in a window."""
     if not 1e-300 < fit_min < 0.5:
         raise InputError(f"spectrum_fit_min: must lie between 1e-300 and .5, not {fit_min}")
     if not 2 * fit_min <= fit_max <= 0.5:
@@ -149,6 +131,8 @@ def _powers(series, segment):
     count = (steps - segment) // (segment // 2) + 1
     groups = min(math.ceil(GROUPS / trajectories), count)
     starts = np.arange(groups) * count // groups
+    # of a trajectory   |<- segment ->|         each segment begins at the middle of the one before;
+    #                          |<- segment ->|  `starts`: which segment is the first one of a part
     parts = []
     for row in series:
         pieces = np.lib.stride_tricks.sliding_window_view(row, segment)[:: segment // 2]
@@ -158,13 +142,21 @@ def _powers(series, segment):
     return frequency[1:-1], np.concatenate(parts)[:, 1:-1], trajectories * count
 
 
+def _means_of_bins(f, fit_min, fit_max):
+    """Return weights (bins, nf) that average over bins evenly spaced in log f."""
+    bins = max(3, round(BINS_PER_DECADE * math.log10(fit_max / fit_min)))
+    edges = np.geomspace(fit_min, fit_max, bins + 1)[1:-1]
+    member = np.searchsorted(edges, f, side="right") == np.arange(bins)[:, None]
+    return member / member.sum(axis=1, keepdims=True)
+
+
 def _slope_weights(f, means):
     """Return weights (nf, 3) of log S: slopes over log sin(pi f), log f, and what the first misses.
 
     The third is by how much the slope in the lowest third of the bins is smaller than in all.
     """
 
-    def weights(means, abscissa):
+    def weights(means, abscissa):  # of least squares: slope = sum x y / sum x^2 over bins
         x = means @ abscissa
         x -= x.mean()
         return x @ means / (x @ x)

@@ -1,15 +1,21 @@
-"""Windows of relaxation steps: one factorization, one solve for each bond, and algebra.
+"""The amplitudes along a stretch of changes of bonds: window by window, or step by step.
+
+A window is one factorization, one solve for each of its bonds, and algebra:
+
+    step   0        1        2            s
+    state  x0 ----> x1 ----> x2 -> ... -> xs          algebra with S0, Y, G alone
+           |                              |
+           S0 factored, x0, Y solved      the next window's S0: xs is solved afresh, and compared
 
 A change delta of bond b turns S into S + delta b b^T and moves the drive along when b ends at the
 driven wall; with w = b^T A, the driven wall counted as displacement 1, the amplitudes become
 
     A' = A - S^-1 b c w,    c = delta / (1 + delta b^T S^-1 b).
 
-The changes of the next steps are known ahead (`changes`). So the amplitudes of a
-window of steps follow exactly from one factorization at its start, one solve for each of its bonds,
-and algebra among those bonds alone (`pgran.driven.deformation`).
+As the changes are known ahead (`changes`), that is algebra among the bonds of a window alone
+(`pgran.driven.deformation`), and it is exact but for rounding.
 
-That algebra proves its own results. Let S0, x0, z0 be the matrix, the amplitudes and the adjoint
+The algebra proves its own results. Let S0, x0, z0 be the matrix, the amplitudes and the adjoint
 at the start, with residuals r0 and q0; B the bonds b_1 .. b_s of a window, Y the solutions of
 S0 Y = B with residuals R, G = B^T Y, Delta the changes so far, and w, q the displacements B^T x0
 (the driven wall counted) and B^T z0. After some steps x = x0 + Y gamma and z = z0 + Y eta have the
@@ -42,21 +48,9 @@ SHORTEST = 4
 
 
 class Windows(Owner):
-    """Solves windows of steps; destroy with `destroy` or `with`.
+    """Solves windows of steps at s = i omega; destroy with `destroy` or `with`. Collective.
 
-    Collective.
-
-    Parameters
-    ----------
-    changing : pgran.experiments.relaxation.changing.ChangingBonds
-    solver : pgran.driven.steady.SteadySolver
-    s : complex
-        i omega.
-
-    Raises
-    ------
-    InputError
-        If the solver's preconditioner is no factorization, or there is no damping.
+    Raises InputError if the solver's preconditioner is no factorization, or there is no damping.
     """
 
     owns = ("_columns",)
@@ -84,33 +78,29 @@ class Windows(Owner):
         return self.state
 
     def follow(self, changes):
-        """Return the amplitudes after each of some Changes, `start` being the state before them.
+        """Return the amplitudes after each change, shape (n, nd), and their bounds. Collective.
 
-        Collective. The bonds stay as they are.
-
-        Returns
-        -------
-        after, error_bound : numpy.ndarray, shape (n, nd)
-            n is smaller than the number of changes, even 0, where more would lose accuracy.
+        `start` was the state before them, and the bonds stay as they are. n is smaller than the
+        number of changes, even 0, where more would lose accuracy.
         """
         if self.state.converged_reason <= 0:
             nothing = np.empty((0, len(self.state.displacement)))
             return nothing + 0j, nothing
         wanted, changes = len(changes), changes.extended(SHORTEST)
-        G, *columns = self._flexibility(changes.bond)
-        with np.errstate(all="ignore"):
-            found = self._amplitudes(*columns, *self._deformations(changes, G, columns[0]))
-            after, error_bound = (np.stack(columns, axis=1) for columns in zip(*found, strict=True))
-            kept = self._are_kept(after[:wanted], error_bound[:wanted])
-        count = wanted if np.all(kept) else np.argmin(kept)
+        G, norms, residuals = self._flexibility(changes.bond)
+        with np.errstate(all="ignore"):  # what is not finite is not accurate
+            primal, adjoints = self._deformations(changes, G, norms)
+            detectors = self._amplitudes(norms, residuals, primal, adjoints)
+            after, error_bound = (np.stack(x, axis=1) for x in zip(*detectors, strict=True))
+            accurate = self._are_accurate(after[:wanted], error_bound[:wanted])
+        count = wanted if np.all(accurate) else np.argmin(accurate)
         return after[:count], error_bound[:count]
 
     def _flexibility(self, bonds):
         """Return G, and bounds of the norms of Y's columns and of their residuals."""
-        solved = self._columns.solved(bonds, self.operators.spread, self._rows[0])
+        blocks = self._columns.solved(bonds, self.operators.spread, self._rows[0])
         columns, norms, residuals = zip(
-            *((self.operators.stretch(found, bonds), *known) for _, found, *known in solved),
-            strict=True,
+            *((self.operators.stretch(Y, bonds), *bounds) for _, Y, *bounds in blocks), strict=True
         )
         return np.concatenate(columns, axis=1), np.concatenate(norms), np.concatenate(residuals)
 
@@ -121,24 +111,28 @@ class Windows(Owner):
         """
         systems = [self.solver.primal, *self.solver.adjoints]
         fields = np.stack([system.solution.getArray(readonly=True) for system in systems], axis=1)
-        # rows of their own: see SHORTEST
+        # b^T x0 and b^T z0, in rows of their own: see SHORTEST
         starts = np.ascontiguousarray(self.operators.stretch(fields, changes.bond).T)
-        delta, driven = (
-            self.changing.differences(changes),
-            self.operators.layout.drive[changes.bond],
+        delta = self.changing.differences(changes)
+        T, c = march(G, delta)
+        walls = [self.operators.layout.drive[changes.bond], *[0.0] * len(self.solver.adjoints)]
+        primal, *adjoints = (
+            Deformation(T, c, G, delta, start, self._rows, (system.solution.norm(), norms), wall)
+            for system, start, wall in zip(systems, starts, walls, strict=True)
         )
-        algebra, (primal, *adjoints) = (*march(G, delta), G, delta), starts
-        known = [(self._rows, (system.solution.norm(), norms)) for system in systems]
-        return Deformation(*algebra, primal, *known[0], driven), [
-            Deformation(*algebra, z, *size) for z, size in zip(adjoints, known[1:], strict=True)
-        ]
+        return primal, adjoints
 
     def _amplitudes(self, norms, residuals, primal, adjoints):
-        """Yield the amplitudes at each detector after each step, and their bounds."""
+        """Yield the amplitudes at each detector after each step, and their bounds:
+
+        |r| |r_z| |S^-1| + |q0| |Y gamma| + |Y eta| (|r0| + |R gamma|), and what rounding adds.
+        """
         solver, bounds = self.solver, self.solver.bounds
         terms = bounds.rounding(solver.primal.solution)
         r0 = bounds.primal_residual(solver.primal, terms)
-        moved, r = norms @ primal.coefficient_sizes, primal.residual(r0, residuals)
+        moved = norms @ primal.coefficient_sizes  # |Y gamma|
+        missed = residuals @ primal.coefficient_sizes  # |R gamma|
+        r = primal.residual(r0, residuals)
         for system, adjoint, before in zip(
             solver.adjoints, adjoints, self.state.displacement, strict=True
         ):
@@ -146,17 +140,67 @@ class Windows(Owner):
             amplitude, rounding = amplitudes(before, primal, adjoint)
             theory = r * adjoint.residual(q0, residuals) / bounds.stability(self.s)
             # products of residuals with Y, which the amplitude leaves out
-            left_out = q0 * moved + (norms @ adjoint.coefficient_sizes) * (
-                r0 + residuals @ primal.coefficient_sizes
-            )
+            left_out = q0 * moved + (norms @ adjoint.coefficient_sizes) * (r0 + missed)
             bound = 1.01 * (theory + left_out + rounding)
             bound += bounds.evaluation(r0, terms, system, before)
             yield amplitude, bound + 64 * len(r) ** 2 * SMALLEST_NORMAL
 
-    def _are_kept(self, after, error_bound):
+    def _are_accurate(self, after, error_bound):
         """Return which steps are accurate at all detectors, or as accurate as their start."""
         solver, start = self.solver, self.state
-        kept = is_accurate(error_bound, after, min(solver.tolerance, LONGEST_REACH))
+        accurate = is_accurate(error_bound, after, min(solver.tolerance, LONGEST_REACH))
         # The floor is for what was no more accurate at the start either.
-        known = is_accurate(start.error_bound, start.displacement, solver.tolerance)
-        return np.all(kept | ((error_bound <= solver.floor) & ~known), axis=1)
+        at_start = is_accurate(start.error_bound, start.displacement, solver.tolerance)
+        return np.all(accurate | ((error_bound <= solver.floor) & ~at_start), axis=1)
+
+
+def march_windows(changing, solver, s, changes, window):
+    """Return the amplitudes before and after each change, their bounds, and how windows drift.
+
+    Collective. Each window, of at most so many steps, starts from a state solved for afresh, which
+    is compared with what the window before made of it.
+    """
+    amplitude = np.empty((len(changes) + 1, len(solver.adjoints)), dtype=complex)
+    bound, drift = np.empty(amplitude.shape), np.zeros(len(amplitude))
+    done, last, reach = 0, 0, window  # `last`: up to which step windows have come
+    with Windows(changing, solver, s) as windows:
+        while True:
+            start, start_bound = _as_asked(windows.start())
+            if done and last == done:
+                compared = is_accurate(start_bound, start, solver.tolerance)
+                compared &= is_accurate(bound[done], amplitude[done], solver.tolerance)
+                moved = np.abs(amplitude[done] - start)[compared] / np.abs(start[compared])
+                drift[done] = moved.max(initial=0.0)
+            amplitude[done], bound[done] = start, start_bound
+            if done == len(changes):
+                return amplitude, bound, drift
+            after, after_bound = windows.follow(changes[done : done + reach])
+            last = done + len(after)
+            amplitude[done + 1 : last + 1], bound[done + 1 : last + 1] = after, after_bound
+            steps = max(1, len(after))
+            changing.apply(changes[done : done + steps])
+            done += steps
+            reach = min(window, 2 * steps)  # after an early end not much more may be reached
+
+
+def march_steps(changing, solver, s, changes, direct):
+    """Return what `march_windows` does, solved for step by step, factored at each if `direct`.
+
+    Collective.
+    """
+    states = [_as_asked(solver.solve(s))]
+    for step in range(len(changes)):
+        changing.apply(changes[step : step + 1])
+        if direct:
+            solver.restart()
+        states.append(_as_asked(solver.solve(s)))
+    amplitude, bound = zip(*states, strict=True)
+    return np.stack(amplitude), np.stack(bound), np.zeros(len(amplitude))
+
+
+def _as_asked(state):
+    """Return a state's amplitudes and bounds, NaN if they miss their accuracy."""
+    if state.converged_reason > 0:
+        return state.displacement, state.error_bound
+    missing = np.full(state.displacement.shape, np.nan)
+    return missing, missing
