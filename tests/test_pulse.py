@@ -24,9 +24,8 @@ import pgran
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.experiments.pulse import scene as pulse
-from pgran.experiments.pulse.laplace import Line, largest_amplitudes
-from pgran.experiments.pulse.signal import arrivals
-from pgran.experiments.pulse.transform import limits_of
+from pgran.experiments.pulse.laplace import Line, largest_amplitudes, limits_of
+from pgran.experiments.pulse.signals import arrivals
 from pgran.experiments.pulse.wall import SHAPES, Pulse
 from pgran.medium.lattice import Lattice
 from pgran.run.reading import read_file, read_words

@@ -13,11 +13,10 @@ from scipy.special import jv
 import pgran
 from pgran.driven.operators import Operators
 from pgran.errors import InputError
-from pgran.experiments.pulse.integrate import Integrator
-from pgran.experiments.pulse.laplace import Line
+from pgran.experiments.pulse.integrator import Integrator
+from pgran.experiments.pulse.laplace import Line, limits_of
 from pgran.experiments.pulse.scene import predicted_seconds
-from pgran.experiments.pulse.signal import codas, envelopes
-from pgran.experiments.pulse.transform import limits_of
+from pgran.experiments.pulse.signals import codas, envelopes
 from pgran.experiments.pulse.wall import Pulse
 from pgran.medium import crystals as makers
 from pgran.medium.lattice import Lattice

@@ -5,58 +5,52 @@ from functools import partial
 
 import numpy as np
 
-from pgran.experiments.pulse import signal
-from pgran.experiments.pulse.listening import FIELDS
+from pgran.experiments.pulse.signals import FIELDS, interpolated
 from pgran.run.agreement import on_root
 from pgran.run.task import Task, carry_out
 
 COARSE, FINER = 0.3, 0.1  # tolerance of the first integration, and of each against the one before
 LEAST = 1e-13  # tolerance of an integration
-TAKEN = ("force", "work", "energy", "dissipated")  # of the wall, and what became of it
+MOTION = ("displacement", "velocity")
+WALL = ("force", "work", "energy", "dissipated")  # of the wall, and what became of it
 
 
 class Integration(Task):
-    """The signals by PETSc's integrators, at each of some tolerances.
+    """The signals of a Recording by PETSc's integrators, at each of some tolerances.
 
-    Parameters
-    ----------
-    listening : Listening
-    tolerances : sequence of (int, float)
-        How many coarser integrations there are, and the tolerance.
+    `tolerances` are pairs: how many coarser integrations there are, and the tolerance.
     """
 
     items = "times"
 
-    def __init__(self, listening, tolerances):
+    def __init__(self, recording, tolerances):
         """Plan an integration at each tolerance."""
-        self.listening = listening
-        end = float(listening.time[-1])
+        self.recording = recording
+        end = float(recording.time[-1])
         self.units = [(number, tolerance, None, end) for number, tolerance in tolerances]
-        times, detectors = len(listening.time), len(listening.sites)
-        kept = [
-            ("displacement", float, (times, detectors)),
-            ("velocity", float, (times, detectors)),
-            *((name, float, (times,)) for name in TAKEN),
-            ("rough", float, (times,)),
+        times, detectors = len(recording.time), len(recording.sites)
+        row = [
+            *((name, float, (times, detectors)) for name in MOTION),
+            *((name, float, (times,)) for name in (*WALL, "rough")),
             ("steps", np.int64),
             ("complete", bool),
         ]
-        if listening.fields:
-            kept.append(("field_time", float, (FIELDS,)))
-            kept.append(("field", float, (FIELDS, *listening.lattice.shape)))
-        self.row = np.dtype(kept)
+        if recording.fields:
+            row.append(("field_time", float, (FIELDS,)))
+            row.append(("field", float, (FIELDS, *recording.lattice.shape)))
+        self.row = np.dtype(row)
 
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`."""
         from pgran.driven.operators import Operators
-        from pgran.experiments.pulse.integrate import Integrator
+        from pgran.experiments.pulse.integrator import Integrator
 
-        listening = self.listening
-        keep_at = listening.field_time if listening.fields else ()
+        recording = self.recording
+        keep_at = recording.field_time if recording.fields else ()
         with (
-            Operators(listening.scaled, group) as operators,
-            Integrator(operators, listening.sites, listening.sent, listening.highest) as integrator,
+            Operators(recording.scaled, group) as operators,
+            Integrator(operators, recording.sites, recording.sent, recording.highest) as integrator,
         ):
 
             def work(unit):
@@ -66,31 +60,31 @@ class Integration(Task):
             yield work
 
     def read(self, history):
-        """Return a row: the history at the times that are wanted. Not collective."""
-        row, listening = np.zeros(1, self.row), self.listening
+        """Return a row: the history at the times that are wanted."""
+        row, recording = np.zeros(1, self.row), self.recording
         row["steps"], row["complete"] = len(history.time) - 1, history.complete
         if history.complete:
 
-            def at(values, slopes, time=listening.time):
-                return signal.interpolated(history.time, values, slopes, time)
+            def at(values, slopes, time=recording.time):
+                return interpolated(history.time, values, slopes, time)
 
             row["displacement"] = at(history.displacement, history.velocity)
             row["velocity"] = at(history.velocity, history.acceleration)
-            force = at(*history.force.T, listening.fine)
-            row["force"] = listening.coarse(force)
-            row["work"], row["rough"] = listening.integral(force * listening.speed)
+            force = at(*history.force.T, recording.fine)
+            row["force"] = recording.coarse(force)
+            row["work"], row["rough"] = recording.integral(force * recording.speed)
             row["energy"] = at(*history.energy.T)
             row["dissipated"] = row["work"] - row["energy"]
             for number, (time, field) in enumerate(history.fields):
                 row["field_time"][0, number] = time
                 if field is not None:
-                    row["field"][0, number] = listening.scaled.displacements(field.real)
+                    row["field"][0, number] = recording.scaled.displacements(field.real)
         return row
 
     def length(self, unit):
         """See `Task`: times."""
         *_, begin, end = unit
-        time = self.listening.time
+        time = self.recording.time
         return np.count_nonzero((time >= (begin or 0.0)) & (time <= end))
 
     def blank(self, unit):
@@ -100,52 +94,47 @@ class Integration(Task):
     def sample(self, unit):
         """See `Task`: a little after the middle of the pulse, where steps are short."""
         number, tolerance, _, end = unit
-        begin = self.listening.sent.centre
-        part = max(0.02 * (end - begin), 2 * self.listening.time[1])
-        return number, tolerance, begin, begin + part
+        begin = self.recording.sent.centre
+        length = max(0.02 * (end - begin), 2 * self.recording.time[1])
+        return number, tolerance, begin, begin + length
 
     def collect(self, rows, seconds):
         """Return the rows, and what they took."""
         return rows, seconds
 
 
-def integrate(listening, crew, progress):
-    """Return the signals by integrations at ever smaller tolerances, until two of them agree.
+def integrate(recording, crew, progress):
+    """Return the Signals by integrations at ever smaller tolerances, until two of them agree.
 
     Collective. The record comes to rank 0, None to the others. The error of the last one is
     estimated, too large by about a power of ten, by its difference from the one before.
-
-    Parameters
-    ----------
-    listening : Listening
-    crew : pgran.run.crew.Crew
-    progress : str
-        Style of `pgran.run.progress.Progress`.
     """
-    tolerance = COARSE * listening.tolerance
+    tolerance = COARSE * recording.tolerance
     tolerances, rows, seconds = [(0, tolerance), (1, FINER * tolerance)], [], 0.0
     while tolerances:
-        found = carry_out(Integration(listening, tolerances), crew, progress)
-        if found:
-            rows, seconds = [*rows, *found[0]][-2:], seconds + found[1]
-        smaller = partial(next_tolerance, listening, rows, tolerances[-1])
+        results = carry_out(Integration(recording, tolerances), crew, progress)
+        if results:
+            rows, seconds = [*rows, *results[0]][-2:], seconds + results[1]
+        smaller = partial(_next_tolerances, recording.tolerance, rows, tolerances[-1])
         tolerances = on_root(crew.world, smaller)
     if crew.world.rank > 0:
         return None
     before, last = rows
+    complete = before["complete"] and last["complete"]
     errors = {
         name: np.maximum.accumulate(np.abs(last[name] - before[name]), axis=0)
-        if before["complete"] and last["complete"]
+        if complete
         else np.full_like(last[name], np.inf)
-        for name in ("displacement", "velocity", *TAKEN)
+        for name in (*MOTION, *WALL)
     }
     for name in ("work", "dissipated"):
         errors[name] += last["rough"]
-    return listening.signals(
+    fields = ("field_time", "field") if recording.fields else ()
+    return recording.record(
         "integrate",
-        (last["displacement"], last["velocity"]),
-        (errors["displacement"], errors["velocity"]),
-        {name: (last[name], errors[name]) for name in TAKEN},
+        [last[name] for name in MOTION],
+        [errors[name] for name in MOTION],
+        {name: (last[name], errors[name]) for name in WALL},
         sigma=0.0,
         period=0.0,
         solves=int(last["steps"]),
@@ -153,31 +142,23 @@ def integrate(listening, crew, progress):
         solve_seconds=seconds,
         error_estimate=errors["displacement"],
         velocity_estimate=errors["velocity"],
-        field_time=last["field_time"] if listening.fields else None,
-        field=last["field"] if listening.fields else None,
+        **{name: last[name] for name in fields},
     )
 
 
-def next_tolerance(listening, rows, last):
+def _next_tolerances(wanted, rows, last):
     """Return at which tolerances to integrate once more, none if that is no use.
 
-    Not collective.
-
-    Parameters
-    ----------
-    listening : Listening
-    rows : list of numpy.void
-        What the last two integrations found.
-    last : (int, float)
-        Number and tolerance of the last one.
+    `wanted` is relative to a signal's largest; `rows` are of the last two integrations, `last` the
+    number and the tolerance of the last one.
     """
-    (number, tolerance), (before, last) = last, rows
-    largest = np.abs(last["displacement"]).max(axis=0)
-    wrong = np.abs(last["displacement"] - before["displacement"]).max(axis=0)
-    allowed = listening.tolerance * largest
-    if not (before["complete"] and last["complete"]) or np.all(wrong <= allowed):
+    (number, tolerance), (coarse, fine) = last, rows
+    error = np.abs(fine["displacement"] - coarse["displacement"]).max(axis=0)
+    allowed = wanted * np.abs(fine["displacement"]).max(axis=0)
+    missed = ~(error <= allowed)
+    if not (coarse["complete"] and fine["complete"]) or not missed.any():
         return []
-    # what is left is the error of `last`: may it serve as the coarser one of the next pair?
-    missing = np.min(allowed[wrong > allowed] / (FINER * wrong[wrong > allowed]))
+    # what is left is the error of the last: may it serve as the coarser one of the next pair?
+    missing = np.min(allowed[missed] / (FINER * error[missed]))
     smaller = tolerance * (FINER if missing > 1 else np.clip(0.5 * missing, 1e-6, FINER))
     return [(number + 1, smaller)] if smaller >= LEAST else []

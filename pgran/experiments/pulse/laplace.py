@@ -1,4 +1,4 @@
-"""What follows a pulse in time: the inverse Laplace transform, and what bounds its error.
+"""Signals by the inverse Laplace transform, and what bounds its error.
 
 On the line s = sigma + i omega the displacement of a ball is A(s) U(s), U(s) the transform of the
 wall's motion. Taken at omega_k = 2 pi k / P only, the inverse transform
@@ -14,12 +14,16 @@ part of the error is bounded:
 - frequencies left out: |A| <= |S^-1| |f|, and U is known;
 - later turns: with E the energy, dE/dt <= |u'| |f|, and so |u'|_2 <= (1/m) int |f|, never more;
   earlier ones, and frequencies above the pulse's highest, are below 1e-16 of what the wall does.
+
+`Line` has the formulas; `PulseLine` computes the amplitudes on it.
 """
 
 import math
 
 import numpy as np
 
+from pgran.driven.limits import Limits
+from pgran.driven.sweep import FrequencySweep
 from pgran.medium.rounding import EPSILON
 
 GROWTH = 16.0  # sigma times the time wanted
@@ -27,10 +31,11 @@ SHORTEST = 1.2  # the period, in units of the time wanted
 LEFT_OUT = 1e-9  # of the tolerance: what frequencies left out may add up to
 LATER = 1e-4  # of the tolerance: what later turns may
 AT_ONCE = 300_000  # numbers of a Fourier transform that are kept at once
+WHOLE = 4e8  # amplitudes of all balls are kept, for energies at all times, if that costs no more
 
 
 def largest_amplitudes(limits, s):
-    """Return no less than any |A(s)|, sigma > 0. Not collective."""
+    """Return no less than any |A(s)|, sigma > 0."""
     size = np.abs(s)
     damped = size * (limits.stability + s.real * limits.mass)
     inertial = limits.mass * size**2 - limits.stiffness - size * limits.damping
@@ -38,16 +43,7 @@ def largest_amplitudes(limits, s):
 
 
 def largest_speed(limits, pulse, t):
-    """Return no less than |u'|_2 up to some times.
-
-    Not collective.
-
-    Parameters
-    ----------
-    limits : pgran.driven.limits.Limits
-    pulse : pgran.experiments.pulse.wall.Pulse or pgran.experiments.pulse.wall.Samples
-    t : float or numpy.ndarray
-    """
+    """Return no less than |u'|_2 up to some times."""
     moved, turned = pulse.sizes(t)
     return (limits.drive * moved + limits.drive_damping * turned) / limits.mass
 
@@ -58,10 +54,8 @@ class Line:
     Parameters
     ----------
     pulse : pgran.experiments.pulse.wall.Pulse or pgran.experiments.pulse.wall.Samples
-    time : float
-        How long the signals are wanted.
-    points : int
-        At so many equal times, 0 and the last included.
+    time, points : float, int
+        How long the signals are wanted, at so many equal times, 0 and the last included.
     limits : pgran.driven.limits.Limits
     tolerance : float
         Of displacements, in units of the wall's.
@@ -70,7 +64,8 @@ class Line:
 
     Attributes
     ----------
-    s : numpy.ndarray, shape (ns,)
+    s, transform : numpy.ndarray, shape (ns,)
+        Where on the line, and U(s) there.
     growth : float
         An error of every A(s) is as many times larger in a displacement, at most.
     left_out, left_out_speed : float
@@ -82,8 +77,9 @@ class Line:
         self.pulse, self.limits, self.sigma = pulse, limits, GROWTH / time
         self.readings = np.asarray(readings)
         tolerance = tolerance / self.readings.max(initial=1.0)
+        # P so long that u(t + P) e^(-sigma P) is small, |u(t)| being t |u'| at most,
         later = 3 * time * float(largest_speed(limits, pulse, 3 * time)) / (LATER * tolerance)
-        # and so long that the pulse before this one's time 0 is no part of the turn before either
+        # and that the pulse before this one's time 0 is no part of the turn before either
         earlier = max(SHORTEST, 1.0 - pulse.begin / time)
         turn = max(earlier, min(3.0, math.log(max(later, 1.0)) / GROWTH))
         step = time / (points - 1)
@@ -93,6 +89,7 @@ class Line:
         count = math.ceil(pulse.highest * self.period / (2 * math.pi)) + 1
         s = self.sigma + 2j * np.pi / self.period * np.arange(count)
         U = pulse.transform(s)
+        # the smallest terms of the sum over k are left out, as long as they add up to little
         size = 2 / self.period * largest_amplitudes(limits, s) * np.abs(U)
         order = np.argsort(size, kind="stable")
         small = np.cumsum(size[order]) * math.exp(GROWTH) <= LEFT_OUT * tolerance
@@ -100,25 +97,15 @@ class Line:
         out, self.number = order[small], np.sort(order[~small])
         self.s, self.transform = s[self.number], U[self.number]
         self.left_out, self.left_out_speed = size[out].sum(), (size * np.abs(s))[out].sum()
+        # k and -k, which is its conjugate, are one term
         self._weight = np.where(self.number == 0, 1.0, 2.0) / self.period
         self.growth = math.exp(GROWTH) * np.sum(self._weight * np.abs(self.transform))
 
     def inverse(self, transforms, finer=1, before=0):
-        """Return functions at the times of the signals from their transforms on the line.
+        """Return functions, from transforms (ns, ...) on the line, at the times of the signals.
 
-        Not collective.
-
-        Parameters
-        ----------
-        transforms : numpy.ndarray, shape (ns, ...)
-        finer : int
-            Each step between these times is cut into so many.
-        before : int
-            So many of the finer steps before the time 0 are wanted, too.
-
-        Returns
-        -------
-        numpy.ndarray, shape (before + finer (points - 1) + 1, ...)
+        Each step between these is cut into `finer`, and `before` finer steps before the time 0 come
+        first: the shape is (before + finer (points - 1) + 1, ...).
         """
         from scipy.fft import irfft  # here: SciPy takes its time, and all scenes are imported
 
@@ -127,7 +114,9 @@ class Line:
         n = fold * times
         spectrum = np.zeros((n // 2 + 1, *transforms.shape[1:]), dtype=complex)
         spectrum[self.number] = transforms
-        turn = irfft(spectrum, n, axis=0)  # a period, at the end of which is what was before 0
+        # The transform repeats itself after a period: its end is what was before 0.
+        #   turn   [ 0 ........ T ........ | -before ... -1 ]
+        turn = irfft(spectrum, n, axis=0)
         values = np.concatenate([turn[n - fold * before :: fold], turn[: fold * count : fold]])
         time = np.linspace(0.0, self.time[-1], count)
         time = np.append(-self.period / times * np.arange(before, 0, -1), time)
@@ -135,49 +124,40 @@ class Line:
         return values * growth.reshape(-1, *[1] * (values.ndim - 1))
 
     def at(self, time, transforms):
-        """Return functions at any times, shape (times, ...); `inverse` is quicker for many.
-
-        Not collective. Parameters are those of `inverse`.
-        """
-        found = []
-        for part in np.array_split(time, 1 + len(time) * len(self.s) // AT_ONCE):
-            turning = self._weight * np.exp(np.outer(part, self.s))
+        """Return functions at any times, shape (times, ...); `inverse` is quicker for many."""
+        values = []
+        for some in np.array_split(time, 1 + len(time) * len(self.s) // AT_ONCE):
+            turning = self._weight * np.exp(np.outer(some, self.s))
             real, imaginary = (np.ascontiguousarray(x) for x in (turning.real, turning.imag))
             moved = np.tensordot(real, transforms.real, 1)
-            found.append(moved - np.tensordot(imaginary, transforms.imag, 1))
-        return np.concatenate(found)
+            values.append(moved - np.tensordot(imaginary, transforms.imag, 1))
+        return np.concatenate(values)
 
     def signals(self, amplitude, bound):
         """Return displacements, velocities, and a bound of the error of each, shape (nt, nd).
 
-        Not collective.
-
-        Parameters
-        ----------
-        amplitude, bound : numpy.ndarray, shape (ns, nd)
-            A(s) of each detector and the bound of its error.
+        From A(s) of each detector and the bound of its error, shape (ns, nd).
         """
         growth, U = np.exp(self.sigma * self.time)[:, None], self.transform[:, None]
-        size, found = np.abs(self.s), []
+        size = np.abs(self.s)
         steps = len(self.s) + 16 + 6 * math.log2(self.times + len(self.s)) + size * self.period
         rounding = 4 * EPSILON * steps * np.abs(self.transform)
         rounding += self.pulse.rounding(self.s, self.transform)
-        for power, left_out, later in (
+        displacement_and_velocity = (
             (np.ones_like(self.s), self.left_out, self._later(1)),
             (self.s, self.left_out_speed, self._later(0)),
-        ):
+        )
+        signals = []
+        for power, left_out, later in displacement_and_velocity:
             weight = (self._weight * np.abs(power))[:, None]
-            wrong = weight * (np.abs(U) * bound + rounding[:, None] * np.abs(amplitude))
-            found.append(self.inverse(power[:, None] * amplitude * U))
-            others = left_out * self.readings, later[:, None] * self.readings
-            found.append(1.01 * growth * (wrong.sum(axis=0) + others[0]) + others[1])
-        return found
+            error = weight * (np.abs(U) * bound + rounding[:, None] * np.abs(amplitude))
+            at_start = error.sum(axis=0) + left_out * self.readings
+            signals.append(self.inverse(power[:, None] * amplitude * U))
+            signals.append(1.01 * growth * at_start + later[:, None] * self.readings)
+        return signals
 
     def summed(self, errors):
-        """Return what errors of a function on the line, but for U, add up to without e^(sigma t).
-
-        Not collective; `errors` has the shape (ns,).
-        """
+        """Return what errors (ns,) of a function, but for U, add up to without e^(sigma t)."""
         return np.sum(self._weight * np.abs(self.transform) * errors)
 
     def _later(self, power):
@@ -187,3 +167,133 @@ class Line:
             t, damped = self.time + n * self.period, math.exp(-n * self.sigma * self.period)
             total += 1.1 * largest_speed(self.limits, self.pulse, t) * t**power * damped
         return total
+
+
+def energies(lattice, line, field, time, fine):
+    """Return the energy of springs and balls at times, and the power of the dashpots at fine ones.
+
+    From A(s) of all balls, shape (ns, *lattice.shape).
+    """
+    s, U = line.s[:, None], line.transform.reshape(-1, *[1] * (field.ndim - 1))
+    moved = field * U
+    flat = moved.reshape(len(s), -1)
+    energy = _squares(line, s * flat, np.full(flat.shape[1], 0.5 * lattice.mass), time)
+    power = np.zeros_like(fine)
+    for longer, k, damped in lattice.stretched(moved, line.transform):
+        energy += _squares(line, longer, 0.5 * k, time)
+        if lattice.damping:
+            power += _squares(line, s * longer, lattice.damping * damped, fine)
+    return energy, power
+
+
+def _squares(line, transforms, weights, time):
+    """Return at some times the weighted sum of squares of functions, from transforms (ns, n)."""
+    parts = np.array_split(time, 1 + len(time) * len(line.s) // AT_ONCE)
+    return np.concatenate([line.at(part, transforms) ** 2 @ weights for part in parts])
+
+
+class PulseLine(FrequencySweep):
+    """The amplitudes at the detectors of a Recording along the line, and its Signals."""
+
+    def __init__(self, recording):
+        """Choose the points of the line."""
+        self.recording, lattice = recording, recording.lattice
+        time, tolerance = recording.time, recording.tolerance
+        limits = limits_of(recording.scaled)
+        readings = recording.scaled.reading_norms(recording.sites)
+        self.line = Line(recording.sent, time[-1], len(time), limits, tolerance, readings)
+        cost = len(self.line.s) * math.prod(lattice.shape) * len(recording.fine)
+        self.whole = recording.fields or cost <= WHOLE
+        row = [
+            ("displacement", complex, (len(recording.sites),)),
+            ("error_bound", float, (len(recording.sites),)),
+            ("force", complex),
+            ("force_error", float),
+            ("reaction", complex),
+            ("reaction_bound", float),
+        ]
+        if self.whole:
+            row.append(("field", complex, lattice.shape))
+        # below the floor an amplitude matters no more
+        relative = 1e-2 * tolerance / max(self.line.growth, 1.0)
+        steady = {"error_tolerance": relative, "error_floor": 1e-20, "derivatives": True}
+        omegas = self.line.s.imag
+        super().__init__(lattice, omegas, recording.sites, row, steady, self.line.sigma)
+
+    def keep(self, point, solver):
+        """See `FrequencySweep`: f^T A, and the field, which comes to the first rank of a group."""
+        operators, moved = solver.operators, solver.field
+        reaction = operators.f.tDot(moved)
+        point["force"] = self.scaled.pull(operators.s) - reaction
+        missed = abs(reaction - point["reaction"]) + point["reaction_bound"]
+        point["force_error"] = missed + self.scaled.pull_rounding(abs(operators.s))
+        if self.whole:
+            field = operators.layout.field(moved)
+            point["field"] = 0.0 if field is None else field
+
+    def collect(self, rows, seconds):
+        """See `Task`; what failed has an infinite bound."""
+        line, recording = self.line, self.recording
+        bound = np.where(np.isnan(rows["error_bound"]), np.inf, rows["error_bound"])
+        displacement, error_bound, velocity, velocity_bound = line.signals(
+            np.nan_to_num(rows["displacement"]), bound
+        )
+        wall, field = self._work(rows["force"], rows["force_error"]), None
+        if self.whole:
+            field = np.nan_to_num(rows["field"])
+            times = recording.time, recording.fine
+            energy, power = energies(recording.scaled, line, field, *times)
+            dissipated, rough = recording.integral(power)
+            work, error = wall["work"]
+            # all three are computed apart from each other
+            error = error + rough + np.maximum.accumulate(np.abs(work - energy - dissipated))
+            wall |= {"energy": (energy, error), "dissipated": (dissipated, error)}
+        at_times = {}
+        if recording.fields:
+            U = line.transform.reshape(-1, *[1] * len(recording.lattice.shape))
+            moved = recording.scaled.displacements(line.at(recording.field_time, U * field))
+            at_times = {"field_time": recording.field_time, "field": moved}
+        return recording.record(
+            "laplace",
+            (displacement, velocity),
+            (error_bound, velocity_bound),
+            wall,
+            sigma=line.sigma,
+            period=line.period,
+            solves=len(rows),
+            factorizations=int(rows["factorizations"].sum()),
+            solve_seconds=seconds,
+            error_bound=error_bound,
+            velocity_bound=velocity_bound,
+            **at_times,
+        )
+
+    def _work(self, force, error):
+        """Return force and work of the wall, each with an estimate of its error."""
+        line, recording = self.line, self.recording
+        force, error = np.nan_to_num(force), np.where(np.isnan(error), np.inf, error)
+        error = line.summed(error + EPSILON * np.abs(force)) * np.exp(line.sigma * recording.fine)
+        force = line.inverse(force * line.transform, recording.finer, recording.before)
+        work, rough = recording.integral(force * recording.speed)
+        with np.errstate(invalid="ignore"):  # a wall at rest does no work, whatever its force is
+            power = np.nan_to_num(error * np.abs(recording.speed), posinf=np.inf)
+        added = np.cumsum(power) * (recording.time[1] / recording.finer)
+        return {
+            "force": (recording.coarse(force), recording.coarse(error)),
+            "work": (work, rough + recording.coarse(added)),
+        }
+
+
+def limits_of(lattice):
+    """Return what bounds the motion of a lattice."""
+    from pgran.driven.certify import smallest_damping
+
+    (drive, damped), beta = lattice.drive_norms, lattice.damping
+    return Limits(
+        mass=lattice.mass,
+        stability=beta and beta * smallest_damping(lattice),
+        stiffness=lattice.stiffness_norm,
+        damping=beta * lattice.damping_norm,
+        drive=1.01 * drive,
+        drive_damping=1.01 * beta * damped,
+    )

@@ -7,6 +7,9 @@ import numpy as np
 from pgran.store.fields import DETECTOR
 from pgran.store.record import Record, array, attribute_array
 
+BOUND = "bound of the error of the "
+ESTIMATE = "estimate of the error of the "
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Signals(Record):
@@ -17,9 +20,8 @@ class Signals(Record):
     `wall_arrival`. (Files before version 5: when a displacement first exceeds a tenth of its
     largest.) `centre` is the mean time, weighted by the square of the envelope, `decay` the rate at
     which the envelope decays after it, with its standard error. The `method` is `laplace`, with
-    bounds of the errors, `sigma` and `period` those
-    of the inverse transform and `solves` points on its line; or `integrate`, with estimates,
-    `solves` the steps of the last integration.
+    bounds of the errors, `sigma` and `period` those of the inverse transform and `solves` points on
+    its line; or `integrate`, with estimates, `solves` the steps of the last integration.
     """
 
     group = "pulse"
@@ -58,30 +60,23 @@ class Signals(Record):
         "work taken by damping until then", "k", "time", optional=True
     )
     error_bound: np.ndarray | None = array(
-        "bound of the error of the displacement", "1", "time", "detector_number", optional=True
+        BOUND + "displacement", "1", "time", "detector_number", optional=True
     )
     velocity_bound: np.ndarray | None = array(
-        "bound of the error of the velocity", "sqrt(k/m)", "time", "detector_number", optional=True
+        BOUND + "velocity", "sqrt(k/m)", "time", "detector_number", optional=True
     )
-    force_estimate: np.ndarray | None = array(
-        "estimate of the error of the force", "k", "time", optional=True
-    )
-    work_estimate: np.ndarray | None = array(
-        "estimate of the error of the work", "k", "time", optional=True
-    )
-    energy_estimate: np.ndarray | None = array(
-        "estimate of the error of the energy", "k", "time", optional=True
-    )
+    force_estimate: np.ndarray | None = array(ESTIMATE + "force", "k", "time", optional=True)
+    work_estimate: np.ndarray | None = array(ESTIMATE + "work", "k", "time", optional=True)
+    energy_estimate: np.ndarray | None = array(ESTIMATE + "energy", "k", "time", optional=True)
     dissipated_estimate: np.ndarray | None = array(
-        "estimate of the error of the work taken by damping", "k", "time", optional=True
+        ESTIMATE + "work taken by damping", "k", "time", optional=True
     )
     error_estimate: np.ndarray | None = array(
-        "estimate of the error of the displacement", "1", "time", "detector_number", optional=True
+        ESTIMATE + "displacement", "1", "time", "detector_number", optional=True
     )
     velocity_estimate: np.ndarray | None = array(
-        "estimate of the error of the velocity", "sqrt(k/m)", "time", "detector_number",
-        optional=True,
-    )  # fmt: skip
+        ESTIMATE + "velocity", "sqrt(k/m)", "time", "detector_number", optional=True
+    )
     field_time: np.ndarray | None = array("times of the field", "sqrt(m/k)", optional=True)
     field: np.ndarray | None = array(
         "displacement of all balls", "1", "field_time", "balls", optional=True

@@ -7,8 +7,8 @@ import numpy as np
 from pgran.driven import drive as driven
 from pgran.errors import InputError
 from pgran.experiments.pulse.integration import integrate
-from pgran.experiments.pulse.listening import Listening
-from pgran.experiments.pulse.transform import PulseLine
+from pgran.experiments.pulse.laplace import PulseLine
+from pgran.experiments.pulse.signals import Recording
 from pgran.experiments.pulse.wall import SHAPES, Pulse, Samples
 from pgran.medium.base import medium
 from pgran.run.agreement import agreeing
@@ -29,7 +29,7 @@ AT_REST = 0.01  # of a motion's largest: where it may begin
 
 
 def check(values, given):
-    """Raise where options contradict each other. Not collective."""
+    """Raise where options contradict each other."""
     shape = "pulse_shape", "pulse_omega", "pulse_width"
     alternatives(("pulse_file",), shape, values, given)
     unused = "pulse_width" if values["pulse_shape"] == "ricker" else "pulse_omega"
@@ -39,7 +39,7 @@ def check(values, given):
 
 
 def summary(result):
-    """Return in words what a run found. Not collective."""
+    """Return in words what a run found."""
     signals, si = result.pulse, SI.of(result)
     proven = signals.method == "laplace"
     how = f"an integration of {signals.solves} steps and coarser ones"
@@ -50,23 +50,7 @@ def summary(result):
         )
     yield f"{len(signals.time)} times from {how}, {signals.solve_seconds:.2f} s"
     for d, ball in enumerate(ball_names(signals.detector)):
-        largest, wrong = np.abs(signals.displacement[:, d]).max(), signals.error[:, d].max()
-        known = "wrong by at most" if proven else "wrong by an estimated"
-        line = f"{ball}: largest displacement {largest:.3g}, {known} {wrong:.1e}"
-        if not wrong <= signals.tolerance * largest:
-            helps = "a smaller -error_tolerance may help"
-            helps += ", or -pulse_method integrate" if proven else ""
-            yield Caution(f"{ball}: not as accurate as asked: {helps}")
-        if np.isfinite(signals.arrival[d]):
-            front, centre = signals.arrival[d], signals.centre[d]
-            line += f"; front at {front:.4g}{si.say('s', front)}"
-            line += f", centre at {centre:.4g}{si.say('s', centre)}"
-        else:
-            line += "; when its front arrives is not certain"
-        if np.isfinite(signals.decay[d]):
-            decay, error = signals.decay[d], two_digits(signals.decay_error[d])
-            line += f", then decay at the rate {decay:.3g} +- {error}{si.say('1/s', decay)}"
-        yield line
+        yield from _summary_of_ball(signals, si, d, ball)
     front = signals.wall_arrival
     yield f"the wall's own front is at {front:.4g}{si.say('s', front)}"
     line = f"work of the wall {signals.work[-1]:.6g}"
@@ -76,6 +60,28 @@ def summary(result):
     if signals.energy is not None and proven:
         missing = np.abs(signals.work - signals.energy - signals.dissipated).max()
         line += f"; work, energy and what damping took balance to {missing:.1e}"
+    yield line
+
+
+def _summary_of_ball(signals, si, d, ball):
+    """Return in words what one detector's signal tells."""
+    proven = signals.method == "laplace"
+    largest, error = np.abs(signals.displacement[:, d]).max(), signals.error[:, d].max()
+    if not error <= signals.tolerance * largest:
+        helps = "a smaller -error_tolerance may help"
+        helps += ", or -pulse_method integrate" if proven else ""
+        yield Caution(f"{ball}: not as accurate as asked: {helps}")
+    accuracy = "wrong by at most" if proven else "wrong by an estimated"
+    line = f"{ball}: largest displacement {largest:.3g}, {accuracy} {error:.1e}"
+    if np.isfinite(signals.arrival[d]):
+        front, centre = signals.arrival[d], signals.centre[d]
+        line += f"; front at {front:.4g}{si.say('s', front)}"
+        line += f", centre at {centre:.4g}{si.say('s', centre)}"
+    else:
+        line += "; when its front arrives is not certain"
+    if np.isfinite(signals.decay[d]):
+        decay, error = signals.decay[d], two_digits(signals.decay_error[d])
+        line += f", then decay at the rate {decay:.3g} +- {error}{si.say('1/s', decay)}"
     yield line
 
 
@@ -133,32 +139,26 @@ def pulse(
     """
     with agreeing(crew.world):
         sent = Pulse(shape, omega, width) if wall is None else samples_of(wall, time / (points - 1))
-        listening = Listening(lattice, detectors, sent, time, points, error_tolerance, fields)
-        check_times(listening)
+        recording = Recording(lattice, detectors, sent, time, points, error_tolerance, fields)
+        check_times(recording)
     lowest = sent.omega if sent.shape in ("ricker", "burst") else 0.0
     driven.check_driven(lattice, crew.world, lowest, in_time=True)
     with agreeing(crew.world):
-        task = None if method == "integrate" else PulseLine(listening)
+        task = None if method == "integrate" else PulseLine(recording)
     if method == "auto":
-        transform, integrations = predicted_seconds(listening, len(task.omegas))
+        transform, integrations = predicted_seconds(recording, len(task.omegas))
         exact = error_tolerance < PROVABLE
         method = "integrate" if exact or integrations < transform else "laplace"
     if method == "integrate":
-        return integrate(listening, crew, progress)
+        return integrate(recording, crew, progress)
     return carry_out(task, crew, progress)
 
 
-def samples_of(wall, step):
+def samples_of(values, step):
     """Return the motion that numbers make, at times `step` apart unless they say their own.
 
-    Not collective.
-
-    Raises
-    ------
-    InputError
-        If they are no motion that begins at rest, at equal times.
+    Raises InputError if they are no motion that begins at rest, at equal times.
     """
-    values = wall
     if values.ndim == 2 and values.shape[1] == 2:
         apart = np.diff(values[:, 0])
         step = np.median(apart) if len(apart) else step  # a gap changes their mean
@@ -184,15 +184,15 @@ def samples_of(wall, step):
     return Samples(values, float(step))
 
 
-def check_times(listening):
-    """Raise where the times do not hold the pulse, or what it carries. Not collective."""
-    sent, time, count = listening.sent, listening.time[-1], len(listening.time)
+def check_times(recording):
+    """Raise where the times do not hold the pulse, or what it carries."""
+    sent, time, count = recording.sent, recording.time[-1], len(recording.time)
     if time < sent.end * (1 - 1e-9):
         helps = "" if sent.shape == "file" else ", or take a shorter pulse"
         raise InputError(
             f"-pulse_time {time:g}: the pulse lasts until {sent.end:g}; listen longer{helps}"
         )
-    band = min(sent.band, listening.highest)
+    band = min(sent.band, recording.highest)
     if math.pi * (count - 1) < band * time:
         raise InputError(
             f"-pulse_points {count}: signals go up to omega = {band:.3g}, and times "
@@ -201,14 +201,14 @@ def check_times(listening):
         )
 
 
-def predicted_seconds(listening, points):
+def predicted_seconds(recording, points):
     """Return what the transform, with so many points, and integrations will take, by measurements.
 
-    Not collective. A point costs a factorization, which grows like the work of nested dissection,
-    or as the graph of a network knows; a step of an integration some passes over the nonzeros of K,
-    and steps are the shorter the smaller the tolerance, by a method of order 7.
+    A point costs a factorization, which grows like the work of nested dissection, or as the graph
+    of a network knows; a step of an integration some passes over the nonzeros of K, and steps are
+    the shorter the smaller the tolerance, by a method of order 7.
     """
-    lattice, highest = listening.lattice, listening.highest
+    lattice, highest = recording.lattice, recording.highest
     if lattice.irregular:
         nonzeros = lattice.graph.nonzeros
         point = 1e-3 + 3.3e-7 * nonzeros + 1.3e-9 * lattice.graph.work
@@ -216,7 +216,7 @@ def predicted_seconds(listening, points):
         nonzeros = (2 * lattice.axes + 1) * lattice.balls
         constant, power = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}[lattice.axes]
         point = 3e-4 + constant * lattice.balls**power
-    steps = 1.2 * highest * listening.time[-1] * (1e-4 / listening.tolerance) ** 0.125
+    steps = 1.2 * highest * recording.time[-1] * (1e-4 / recording.tolerance) ** 0.125
     return points * point, steps * (8e-4 + 1.4e-7 * nonzeros)
 
 

@@ -22,37 +22,28 @@ MARGIN = 40
 
 
 def bells(x, width, carrier, count):
-    """Return exp(-x^2 / 2 + i carrier width x) and its derivatives in time, shape (count, ...).
+    """Return g = exp(-x^2 / 2 + i carrier width x) and its derivatives, shape (count, ...).
 
-    Not collective. They are Hermite polynomials times itself.
+    x is the time from the middle in units of `width`. With z = x - i carrier width the derivatives
+    in time are Hermite polynomials times g: g' = -z g / width, and so
 
-    Parameters
-    ----------
-    x : numpy.ndarray
-        Times from the middle, in units of `width`.
-    width, carrier : float
-    count : int
+        g^(n + 1) = -(z g^(n) + n g^(n - 1) / width) / width.
     """
     z = x - 1j * carrier * width
-    found = [np.exp(-0.5 * x * x + 1j * carrier * width * x)]
+    derivatives = [np.exp(-0.5 * x * x + 1j * carrier * width * x)]
     for n in range(count - 1):
-        before = n * found[n - 1] / width if n else 0.0
-        found.append(-(z * found[n] + before) / width)
-    return np.array(found)
+        before = n * derivatives[n - 1] / width if n else 0.0
+        derivatives.append(-(z * derivatives[n] + before) / width)
+    return np.array(derivatives)
 
 
 @dataclass(frozen=True)
 class Pulse:
     """A motion of the wall: a bell of standard deviation `width`, of height 1, or made of one.
 
-    Parameters
-    ----------
-    shape : str
-        `gauss`, the bell; `ricker`, its second derivative turned over, its spectrum largest at
-        `omega`; `burst`, the bell times cos(omega t); `step`, its integral, from 0 to 1.
-    omega : float
-    width : float
-        A ricker's follows from its omega.
+    Its shape is `gauss`, the bell; `ricker`, its second derivative turned over, its spectrum
+    largest at `omega`, from which its width follows; `burst`, the bell times cos(omega t); or
+    `step`, its integral, from 0 to 1.
     """
 
     shape: str
@@ -110,10 +101,7 @@ class Pulse:
         return self.omega if self.shape == "burst" else 0.0
 
     def moves(self, t, count=1):
-        """Return the displacement of the wall and its derivatives, shape (count, *t.shape).
-
-        Not collective.
-        """
+        """Return the displacement of the wall and its derivatives, shape (count, *t.shape)."""
         x = (np.asarray(t) - self.centre) / self.width
         if self.shape == "ricker":
             return -(self.width**2) * bells(x, self.width, 0.0, count + 2)[2:].real
@@ -125,7 +113,7 @@ class Pulse:
         return bells(x, self.width, self._carrier, count).real
 
     def transform(self, s):
-        """Return int U(t) e^(-s t) dt over all times. Not collective."""
+        """Return int U(t) e^(-s t) dt over all times."""
 
         def bell(s):
             return np.exp(0.5 * (s * self.width) ** 2)
@@ -140,13 +128,13 @@ class Pulse:
         }[self.shape]() * shift
 
     def rounding(self, s, transform):
-        """Return no less than the rounding error of a transform at s. Not collective."""
+        """Return no less than the rounding error of a transform at s."""
         size = np.abs(s)
         steps = 16 + size * self.centre + (size * self.width) ** 2
         return 4 * EPSILON * steps * np.abs(transform)
 
     def sizes(self, t):
-        """Return no less than int |U| dt and int |U'| dt up to some times. Not collective."""
+        """Return no less than int |U| dt and int |U'| dt up to some times."""
         area, t = self.width * math.sqrt(2 * math.pi), np.maximum(t, self.width)
         one = np.ones_like(t)
         return {
@@ -164,11 +152,8 @@ class Samples:
     Before the first number, at time 0, the wall is at rest at 0; after the last one it stays. In
     between this is as smooth a curve as there is: a constant has ripples of 5e-9.
 
-    Parameters
-    ----------
-    values : numpy.ndarray, shape (n,)
-    width : float
-        The spacing of their times.
+        number              0   1  ...  n - 1              before it 0, after it as the last one
+        bell     0  ...  MARGIN  ...  MARGIN + n - 1  ...  2 MARGIN + n - 1
     """
 
     values: np.ndarray
@@ -184,12 +169,12 @@ class Samples:
         motion = np.concatenate(
             [np.zeros(MARGIN), self.values, np.full(2 * MARGIN, self.values[-1])]
         )
-        reach = int(REACH)
-        band = np.exp(-0.5 * np.arange(reach + 1.0) ** 2)
-        found = solveh_banded(np.outer(band, np.ones(len(motion))), motion, lower=True)
-        found = found[:-MARGIN]  # their own end is felt by those cut off alone
-        found[-1] = motion[-1] / (2 * band.sum() - 1)
-        return found
+        # At the time of a number the sum of all bells, exp(-j^2 / 2) of one j places away, is it.
+        band = np.exp(-0.5 * np.arange(int(REACH) + 1.0) ** 2)
+        heights = solveh_banded(np.outer(band, np.ones(len(motion))), motion, lower=True)
+        heights = heights[:-MARGIN]  # their own end is felt by those cut off alone
+        heights[-1] = motion[-1] / (2 * band.sum() - 1)  # it stands for all that would follow
+        return heights
 
     @property
     def begin(self):
@@ -226,11 +211,13 @@ class Samples:
         """See `Pulse`; its images beyond the spacing's own frequency do not count."""
         return self._above(2e-8)
 
-    def _above(self, part):
-        """Return up to which omega the spectrum is above a part of its largest."""
+    def _above(self, share):
+        """Return up to which omega the spectrum is above a share of its largest."""
         size = np.abs(np.fft.rfft(self._steps))[1:]
         size /= np.arange(1, len(size) + 1)
-        return math.pi / self.width * (1 + np.flatnonzero(size > part * size.max())[-1]) / len(size)
+        return (
+            math.pi / self.width * (1 + np.flatnonzero(size > share * size.max())[-1]) / len(size)
+        )
 
     @property
     def highest(self):
@@ -273,5 +260,6 @@ class Samples:
     def sizes(self, t):
         """See `Pulse`."""
         area, heights = self.width * math.sqrt(2 * math.pi), np.abs(self.heights)
+        # 2.54 is no less than the sum of bells of height 1 that follow each other, sqrt(2 pi)
         moved = area * heights.sum() + np.maximum(t - self.end, 0.0) * 2.54 * heights[-1]
         return moved, np.full_like(moved, 2.54 * np.abs(self._steps).sum())

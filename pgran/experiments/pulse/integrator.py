@@ -1,12 +1,19 @@
 """The driven lattice in time, by PETSc's integrators (TS, option prefix `pulse_`).
 
-m u'' + beta C u' + K u = U f_k + U' beta f_c, with U the wall's motion. By default an explicit
-Runge-Kutta method works on y = (u, u'), interleaved ball by ball: y' = J y + drive, a product with
-one sparse matrix each stage. `alpha2` takes the equation of second order as it stands.
+    m u'' + beta C u' + K u = U f_k + U' beta f_c,      U the wall's motion.
+
+By default an explicit Runge-Kutta method works on y = (u, u'), interleaved ball by ball:
+y' = J y + drive, a product with one sparse matrix each stage. Of a ball p, and q next to it, J has
+
+    columns          2 p    2 p + 1     2 q    2 q + 1
+    row 2 p           0        1         0        0         u_p' is the velocity
+    row 2 p + 1    -K_pp/m  -C_pp/m   -K_pq/m  -C_pq/m      with C times beta
+
+`alpha2` takes the equation of second order as it stands.
 """
 
 import logging
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +25,7 @@ from pgran.run.petsc import PETSc, holding
 
 log = logging.getLogger("pgran")
 
-MOST_STEPS = 10**8
+STEPS_AT_MOST = 10**8
 KINDS = ("rk", "alpha2")
 LONGEST = 2.0  # step, in units of one over the highest frequency: in between is interpolated
 SHORTER, HALF = 0.7, 0.5  # longest and fixed steps of each integration against the one before
@@ -42,51 +49,24 @@ DEFAULTS = {
 }
 
 
-@dataclass(frozen=True)
-class History:
-    """What an integrator found at each of its steps.
-
-    Attributes
-    ----------
-    time : numpy.ndarray, shape (steps,)
-    displacement, velocity, acceleration : numpy.ndarray, shape (steps, nd)
-        Of the detectors.
-    force, energy : numpy.ndarray, shape (steps, 2)
-        Of the driven wall, and of balls and springs, each with its slope.
-    fields : list of (float, numpy.ndarray)
-        Times, and on the first rank displacements of all balls.
-    complete : bool
-        Whether the last time was reached.
-    """
+class History(NamedTuple):
+    """What an integrator found at each of its steps."""
 
     time: np.ndarray
-    displacement: np.ndarray
+    displacement: np.ndarray  # of the detectors, shape (steps, nd), as are velocity, acceleration
     velocity: np.ndarray
     acceleration: np.ndarray
-    force: np.ndarray
-    energy: np.ndarray
-    fields: list
-    complete: bool
+    force: np.ndarray  # of the driven wall, and its slope, shape (steps, 2)
+    energy: np.ndarray  # of balls and springs, and its slope
+    fields: list  # times, and on the first rank displacements of all balls
+    complete: bool  # whether the last time was reached
 
 
 class Integrator(Owner):
-    """Integrates a lattice from rest; destroy with `destroy` or `with`.
+    """Integrates a lattice from rest; destroy with `destroy` or `with`. Collective.
 
-    Collective.
-
-    Parameters
-    ----------
-    operators : pgran.driven.operators.Operators
-    sites : array_like of int, shape (nd, dim)
-        The detectors.
-    pulse : pgran.experiments.pulse.wall.Pulse or pgran.experiments.pulse.wall.Samples
-    highest : float
-        No normal mode has a higher frequency.
-
-    Raises
-    ------
-    InputError
-        If the options ask for another kind of integrator than KINDS, or for what is refused.
+    `sites` are the detectors, and no normal mode has a higher frequency than `highest`. Raises
+    InputError if the options ask for another kind of integrator than KINDS, or what is REFUSED.
     """
 
     owns = ("_matrix", "_u", "_v", "_Ku", "_Cv")
@@ -96,8 +76,8 @@ class Integrator(Owner):
         self.operators, self.comm, self.pulse = operators, operators.comm, pulse
         self._later = LONGEST / min(highest or pulse.reach, pulse.reach)
         self._longest = min(self._later, BAND / pulse.band)  # a longer step could miss the pulse
-        kind = checked_kind(PETSc.Options("pulse_"))
-        self._second_order = kind == "alpha2"
+        self._given = PETSc.Options("pulse_")
+        self._second_order = checked_kind(self._given) == "alpha2"
         self._matrix = operators.K.duplicate() if self._second_order else self._first_order_matrix()
         self._u, self._v, self._Ku, self._Cv = (operators.M.duplicate() for _ in range(4))
         self._products = [(operators.K, 1.0, self._u, self._Ku)]
@@ -112,22 +92,24 @@ class Integrator(Owner):
         if operators.C is not None:
             drives[1] = operators.damping * operators.f_damping.getArray().real
         self._driven = np.flatnonzero(np.any(drives, axis=0))
-        self._drives = np.array(drives)[:, self._driven]
+        self._drives = np.array(drives)[:, self._driven]  # of U and of U'
 
     def _first_order_matrix(self):
-        """Return J: in row 2 p that u' is the velocity, in row 2 p + 1 what accelerates ball p."""
+        """Return J, from this rank's rows of K and C, which have the same entries."""
         operators = self.operators
         pointer, columns, k = operators.K.getValuesCSR()
         c = 0.0 * k
         if operators.C is not None:
             c = operators.damping * operators.C.getValuesCSR()[2]
         own, counts = operators.last - operators.first, np.diff(pointer)
+        # Row 2 p has one entry; row 2 p + 1 a pair, of k and c, for each entry of row p of K.
         lengths = np.ones(2 * own, dtype=PETSc.IntType)
         lengths[1::2] = 2 * counts
         rows = np.append(0, np.cumsum(lengths)).astype(PETSc.IntType)
         J_columns = np.empty(rows[-1], dtype=PETSc.IntType)
         values = np.ones(rows[-1], dtype=PETSc.ScalarType)
         J_columns[rows[:-1:2]] = 2 * np.arange(operators.first, operators.last) + 1
+        # Before the pairs of row p, the p-th of this rank, stand p + 1 entries of rows 2 p.
         places = np.arange(2 * len(columns)) + np.repeat(np.arange(1, own + 1), 2 * counts)
         J_columns[places] = np.stack([2 * columns, 2 * columns + 1], axis=1).ravel()
         values[places] = np.stack([k, c], axis=1).ravel() / -operators.mass
@@ -135,46 +117,26 @@ class Integrator(Owner):
         return PETSc.Mat().createAIJ((size, size), csr=(rows, J_columns, values), comm=self.comm)
 
     def run(self, time, tolerance, number=0, keep_at=(), begin=None):
-        """Integrate from rest until some time.
+        """Integrate from rest until some time, and return the History. Collective.
 
-        Collective.
-
-        Parameters
-        ----------
-        time : float
-        tolerance : float
-            Absolute and relative, of the error that a step makes.
-        number : int
-            How many coarser integrations there were: steps of a fixed length, and the longest of
-            others, shrink with it, so that two integrations are never the same.
-        keep_at : sequence of float
-            Increasing; the field is kept at the first step from each on.
-        begin : float, optional
-            When to begin, unless before the pulse and the time 0.
-
-        Returns
-        -------
-        History
+        A step makes an error of `tolerance`, absolute and relative, at most. After `number` coarser
+        integrations steps of a fixed length, and the longest of others, are as many times shorter,
+        so that two integrations are never the same. Of the times `keep_at`, which increase, the
+        field is kept at the first step from each on. It begins before the pulse and the time 0,
+        unless a time is given.
         """
         self._rows, self._fields, self._keep_at = [], [], list(keep_at)
-        given = PETSc.Options("pulse_")
-        factors = {"pc_factor_mat_solver_type": "petsc" if self.comm.size == 1 else "mumps"}
-        keys = {
-            f"pulse_{key}": value
-            for key, value in (DEFAULTS | factors).items()
-            if not given.hasName(key)
-        }
-        # PETSc 3.25 calls the key otherwise, and would change it for all integrations to come.
-        step = given.getReal("ts_dt", 0.1 * self._longest)
-        if given.hasName("ts_dt"):
-            keys["pulse_ts_dt"] = None
-        ts, pair = PETSc.TS().create(self.comm), [self._u.duplicate(), self._v.duplicate()]
+        self._shrink, self._limited = SHORTER**number, not self._given.hasName("ts_adapt_dt_max")
         begin = min(0.0, self.pulse.begin) if begin is None else begin
-        with holding(keys):
+        ts, pair = PETSc.TS().create(self.comm), [self._u.duplicate(), self._v.duplicate()]
+        state = pair[0] if self._second_order else self._matrix.createVecRight()
+        # PETSc 3.25 calls the key otherwise, and would change it for all integrations to come.
+        step = self._given.getReal("ts_dt", 0.1 * self._longest)
+        with holding(self._keys()):
             ts.setOptionsPrefix("pulse_")
             ts.setTime(begin)
             ts.setMaxTime(time)
-            ts.setMaxSteps(MOST_STEPS)
+            ts.setMaxSteps(STEPS_AT_MOST)
             ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
             ts.setTolerances(rtol=tolerance, atol=tolerance)
             ts.setErrorIfStepFails(False)
@@ -183,19 +145,17 @@ class Integrator(Owner):
                 ts.setI2Function(self._balance, self._u.duplicate())
                 ts.setI2Jacobian(self._balance_matrix, self._matrix, self._matrix)
                 ts.setSolution2(*pair)
-                state, self._shifts = pair[0], None
+                self._shifts = None
             else:
-                state = self._matrix.createVecRight()
                 ts.setRHSFunction(self._slope, state.duplicate())
-            ts.setMonitor(self._look)
+            ts.setMonitor(self._note)
             ts.setFromOptions()
-            self._shrink, self._limited = SHORTER**number, not given.hasName("ts_adapt_dt_max")
             if self._limited:
                 ts.setStepLimits(0.0, self._shrink * self._longest)
-            if given.getString("ts_adapt_type", "") == "none":
+            if self._given.getString("ts_adapt_type", "") == "none":
                 ts.setTimeStep(HALF**number * ts.getTimeStep())
             ts.solve(state)
-        given.getReal("ts_dt", step)  # it was used
+        self._given.getReal("ts_dt", step)  # it was used
         complete = ts.getConvergedReason() > 0 and ts.getTime() >= time
         if not complete and self.comm.rank == 0:
             log.warning(
@@ -205,6 +165,14 @@ class Integrator(Owner):
         for held in (ts, *pair, *([] if self._second_order else [state])):
             held.destroy()
         return self._history(complete)
+
+    def _keys(self):
+        """Return the options of an integration that are not given, and `ts_dt` as one that is."""
+        solver = {"pc_factor_mat_solver_type": "petsc" if self.comm.size == 1 else "mumps"}
+        keys = {k: v for k, v in (DEFAULTS | solver).items() if not self._given.hasName(k)}
+        if self._given.hasName("ts_dt"):
+            keys["ts_dt"] = None
+        return {f"pulse_{key}": value for key, value in keys.items()}
 
     def _drive(self, t):
         """Return what drives this rank's balls at the driven wall."""
@@ -238,20 +206,20 @@ class Integrator(Owner):
             matrix.shift(of_acceleration * operators.mass)
         return True
 
-    def _look(self, ts, step, t, state):
+    def _note(self, ts, step, t, state):
         """Note, as this rank's part of sums, what the lattice does at the end of a step."""
         operators = self.operators
         if self._limited and t > self.pulse.rest:
             ts.setStepLimits(0.0, self._shrink * self._later)
             self._limited = False
         if self._second_order:
-            for own, found in zip((self._u, self._v), ts.getSolution2(), strict=True):
-                found.copy(own)
+            for own, now in zip((self._u, self._v), ts.getSolution2(), strict=True):
+                now.copy(own)
         else:
             both = state.getArray(readonly=True)
             self._u.setArray(both[::2])
             self._v.setArray(both[1::2])
-        forces, powers = 0.0, []
+        forces, powers = 0.0, []  # K u + beta C u', and u^T K u, u'^T beta C u'
         for matrix, factor, x, product in self._products:
             matrix.mult(x, product)
             force = factor * product.getArray(readonly=True).real
@@ -261,6 +229,7 @@ class Integrator(Owner):
         a = -forces
         a[self._driven] += self._drive(t)
         a /= operators.mass
+        # A row has u, u', u'' of each detector, those of both drives, then powers and m u'^2.
         balls = np.array([np.sum(self._weights * x[self._detectors], axis=1) for x in (u, v, a)])
         wall = np.array([x[self._driven] for x in (u, v, a)]) @ self._drives.T
         self._rows.append((t, [*balls.ravel(), *wall.ravel(), *powers, operators.mass * v @ v]))
@@ -269,30 +238,41 @@ class Integrator(Owner):
             self._fields.append((t, operators.layout.field(self._u)))
 
     def _history(self, complete):
-        """Return what all ranks have noted."""
+        """Return what all ranks have noted.
+
+        With u_k = f_k^T u, u_c = beta f_c^T u and so on, and k, c what holds the balls at the wall:
+        the force is k U - u_k + c U' - u_c', the energy (m u'^2 + u^T K u - 2 U u_k + k U^2) / 2,
+        and the dashpots take u'^T beta C u' - 2 U' u_c' + c U'^2.
+        """
         time, rows = (np.array(column) for column in zip(*self._rows, strict=True))
         rows = self.comm.allreduce(rows)
-        balls = rows[:, : 3 * self._count].reshape(len(time), 3, -1)
-        wall = rows[:, 3 * self._count :][:, :6].reshape(len(time), 3, 2)
+        balls, wall, sums = np.split(rows, [3 * self._count, 3 * self._count + 6], axis=1)
+        balls = balls.reshape(len(time), 3, -1)
+        wall = wall.reshape(len(time), 3, 2)
         (u_k, _), (v_k, v_c), (_, a_c) = np.moveaxis(wall, 0, -1)
-        held, *taken, moving = rows[:, 3 * self._count + 6 :].T
+        held, *taken, moving = sums.T
         k, c = self.operators.lattice.pulls
         U, speed, turn = self.pulse.moves(time, 3)
         force = U * k - u_k + speed * c - v_c
         energy = 0.5 * (moving + held - 2 * U * u_k + U * U * k)
         power = sum(taken, 0.0) - 2 * speed * v_c + speed * speed * c
-        slopes = speed * k - v_k + turn * c - a_c, force * speed - power
-        sums = (np.stack(pair, axis=1) for pair in zip((force, energy), slopes, strict=True))
-        return History(time, *np.moveaxis(balls, 1, 0), *sums, self._fields, complete)
+        force_slope = speed * k - v_k + turn * c - a_c
+        energy_slope = force * speed - power
+        return History(
+            time,
+            *np.moveaxis(balls, 1, 0),
+            np.stack([force, force_slope], axis=1),
+            np.stack([energy, energy_slope], axis=1),
+            self._fields,
+            complete,
+        )
 
 
 def checked_kind(options):
-    """Return which kind of integrator options ask for, one of KINDS. Not collective.
+    """Return which kind of integrator options ask for, one of KINDS.
 
-    Raises
-    ------
-    InputError
-        For another kind, and for what would make an integration other than a run is told of.
+    Raises InputError for another kind, and for what would make an integration other than a run is
+    told of.
     """
     for key, why in REFUSED.items():
         if options.hasName(key):

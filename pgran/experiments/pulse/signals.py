@@ -1,0 +1,209 @@
+"""What is recorded after a pulse, and what signals tell: fronts, envelopes, codas, work."""
+
+import math
+
+import numpy as np
+
+from pgran.experiments.pulse.record import Signals
+from pgran.medium.rounding import SMALLEST_NORMAL
+from pgran.run.machine import check_memory
+
+FIELDS = 4  # times at which the field is kept
+FINE = 0.6  # step times frequency of what is integrated by splines: to about 1e-9
+FRONT = 1e-3  # of the integral of v^2: what has passed when a front has arrived
+BLOCKS, FEWEST_BLOCKS = 16, 6  # that a coda is cut into, and that a rate needs
+NODES = 6  # steps of an integrator that a polynomial goes through
+DEGREE = 11  # of the splines that are integrated: an odd number
+
+
+class Recording:
+    """What is recorded of a pulse `sent`: the lattice, its detectors, and the times.
+
+    Signals at `points` equal times until `time`, to a `tolerance` relative to their largest; if
+    `fields`, the displacement of all balls at FIELDS times, too. Powers are integrated on a finer
+    grid, which begins where the wall does:
+
+        fine   -2  -1   0   1   2   3   4   5   6  ...      before = 2, finer = 3
+        time            0           1           2  ...
+    """
+
+    def __init__(self, lattice, detectors, sent, time, points, tolerance, fields):
+        """Choose how finely powers are integrated."""
+        self.lattice, self.sent, self.tolerance, self.fields = lattice, sent, tolerance, fields
+        self.sites = lattice.sites(detectors)
+        self.scaled, self.unit = lattice.in_own_unit()
+        self.highest = math.sqrt(self.scaled.stiffness_norm / self.scaled.mass)  # of normal modes
+        step = time / (points - 1)
+        self.finer = math.ceil(2 * step * sent.reach / FINE)
+        self.before = math.ceil(-sent.start * self.finer / step)
+        fine = points * self.finer + self.before
+        check_memory("pulse_points", 48 * points * len(self.sites) + 64 * fine)
+        self.time = np.linspace(0.0, time, points)
+        fine = np.linspace(0.0, time, self.finer * (points - 1) + 1)
+        self.fine = np.append(-step / self.finer * np.arange(self.before, 0, -1), fine)
+        self.field_time = np.linspace(sent.centre, time, FIELDS + 1)[1:]
+
+    @property
+    def speed(self):
+        """The wall's velocity at the times of `fine`."""
+        return self.sent.moves(self.fine, 2)[1]
+
+    def coarse(self, values):
+        """Return values at the times of the signals from those at the times of `fine`."""
+        return values[self.before :: self.finer]
+
+    def integral(self, power):
+        """Return the integral of a power, given at the times of `fine`, until each time.
+
+        And an estimate of its error: the largest so far of its difference from the integral by
+        every second time.
+        """
+        work = self.coarse(integral(self.fine, power))
+        rare = slice((len(self.fine) - 1) % 2, None, 2)  # the last one, too
+        rougher = integral(self.fine[rare], power[rare], self.time)
+        return work, np.maximum.accumulate(np.abs(work - rougher))
+
+    def record(self, method, motion, errors, wall, **more):
+        """Return the Signals.
+
+        `motion` are displacement and velocity, shape (nt, nd), `errors` what these may be wrong by;
+        `wall` has by name the force and work of the wall, energy and what the dashpots took, where
+        they are known, each (nt,) with an estimate of its error, in the unit of `scaled`; `more`
+        are other fields of `Signals`.
+        """
+        displacement, velocity = motion
+        envelope = envelopes(displacement, velocity)
+        moves, speed = self.sent.moves(self.time, 2)
+        wall_arrival = float(arrivals(self.time, speed[:, None], 0 * speed[:, None])[0])
+        for name, (values, estimate) in wall.items():
+            more |= {name: self.unit * values, f"{name}_estimate": self.unit * estimate}
+        decay, decay_error = codas(self.time, envelope, errors[0])
+        return Signals(
+            shape=self.sent.shape,
+            pulse_omega=self.sent.omega,
+            pulse_width=self.sent.width,
+            method=method,
+            tolerance=self.tolerance,
+            wall_arrival=wall_arrival,
+            arrival=arrivals(self.time, velocity, errors[1], wall_arrival),
+            centre=centres(self.time, envelope),
+            decay=decay,
+            decay_error=decay_error,
+            time=self.time,
+            wall=moves,
+            detector=self.sites,
+            displacement=displacement,
+            velocity=velocity,
+            envelope=envelope,
+            **more,
+        )
+
+
+def arrivals(time, velocity, error, earliest=0.0):
+    """Return when FRONT of each signal's energy, the integral of v^2, has passed, shape (nd,).
+
+    NaN where errors hide it, nothing moves, or it would be before the `earliest`, the driven wall's
+    own: of a motion whose early part alone passes, say, shares of the whole tell no front.
+    Velocities and errors have the shape (nt, nd).
+    """
+    fronts = []
+    for energy, missed in zip(_passed(time, velocity).T, _passed(time, error).T, strict=True):
+        level = FRONT * energy[-1]
+        first = np.argmax(energy > level)
+        if not missed[first] < 0.01 * level:  # a tenth of the velocity
+            fronts.append(np.nan)
+            continue
+        share = (level - energy[first - 1]) / (energy[first] - energy[first - 1])
+        front = time[first - 1] + share * (time[first] - time[first - 1])
+        fronts.append(front if front >= earliest else np.nan)
+    return np.array(fronts)
+
+
+def _passed(time, x):
+    """Return the integral of x^2 until each time, by the trapezoidal rule, shape (nt, nd)."""
+    squares = x**2
+    steps = 0.5 * np.diff(time)[:, None] * (squares[1:] + squares[:-1])
+    return np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(steps, axis=0)])
+
+
+def envelopes(displacement, velocity):
+    """Return sqrt(u^2 + (v / omega)^2), omega^2 the mean of v^2 over that of u^2, shape (nt, nd).
+
+    It begins with the signal, unlike those by Hilbert's transform or a smoothing.
+    """
+    u, v = np.sum(displacement**2, axis=0), np.sum(velocity**2, axis=0)
+    slowness = np.sqrt(u / np.maximum(v, SMALLEST_NORMAL))
+    return np.hypot(displacement, slowness * velocity)
+
+
+def centres(time, envelope):
+    """Return the mean time of each envelope, weighted by its square."""
+    weights = envelope**2
+    return time @ weights / np.maximum(weights.sum(axis=0), SMALLEST_NORMAL)
+
+
+def codas(time, envelope, error):
+    """Return the rates at which envelopes decay after their centres, and their standard errors.
+
+    A straight line goes through the logarithm of the mean square of each of BLOCKS blocks, as far
+    as errors of the displacement are below a tenth of it; NaN where too few are left, or nothing
+    decays. Envelopes and errors have the shape (nt, nd).
+    """
+    from scipy.stats import linregress  # here: SciPy takes its time, and all scenes are imported
+
+    rates = np.full((2, envelope.shape[1]), np.nan)
+    for d, centre in enumerate(centres(time, envelope)):
+        after = np.flatnonzero(time > centre)
+        if len(after) < 4 * BLOCKS:
+            continue
+        blocks = np.array_split(after, BLOCKS)
+        level = np.array([np.mean(envelope[block, d] ** 2) for block in blocks])
+        certain = np.array([error[block, d].max() for block in blocks]) ** 2 < 0.01 * level
+        count = BLOCKS if certain.all() else np.argmin(certain)
+        if count >= FEWEST_BLOCKS:
+            middle = [time[block].mean() for block in blocks[:count]]
+            line = linregress(middle, np.log(level[:count]))
+            if line.slope < 0:  # of the square, which decays twice as fast
+                rates[:, d] = -line.slope / 2, line.stderr / 2
+    return rates
+
+
+def integral(time, values, at=None):
+    """Return the integral of a smooth function, given at equal times, from the first one on.
+
+    By a spline of degree DEGREE; at the same times unless others are given.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    degree, at = min(DEGREE, (len(time) - 1) // 2 * 2 - 1), time if at is None else at
+    if degree < 1:
+        steps = np.diff(time) * (values[1:] + values[:-1]) / 2
+        return np.interp(at, time, np.append(0.0, np.cumsum(steps)))
+    return make_interp_spline(time, values, degree).antiderivative()(at)
+
+
+def interpolated(nodes, values, slopes, time):
+    """Return functions at any times from their values and slopes at an integrator's steps.
+
+    By Hermite's polynomials of degree 11 through six steps around each time: with Lagrange's
+    l_n(t), 1 at the node t_n and 0 at the others,
+
+        f(t) = sum_n l_n(t)^2 ((1 - 2 (t - t_n) l_n'(t_n)) f(t_n) + (t - t_n) f'(t_n)).
+
+    The `nodes` increase and embrace all times; values and slopes have the shape (steps, ...).
+    """
+    count = min(NODES, len(nodes))
+    first = np.searchsorted(nodes, time) - count // 2
+    near = np.clip(first, 0, len(nodes) - count)[:, None] + np.arange(count)
+    # Factors of l_n are (t - t_m) / (t_n - t_m), m != n, in arrays [time, n, m]; 1 for m = n.
+    t = nodes[near]
+    apart = t[:, :, None] - t[:, None, :] + np.eye(count)
+    away = (time[:, None] - t)[:, None, :] * np.ones((count, 1))
+    away[:, np.eye(count, dtype=bool)] = 1.0
+    square = np.prod(away / apart, axis=2) ** 2
+    turn = np.sum(1 / apart, axis=2) - 1.0  # l_n'(t_n), without the 1 for m = n
+    offset = time[:, None] - t
+    of_values, of_slopes = (1 - 2 * offset * turn) * square, offset * square
+    return np.einsum("tn,tn...->t...", of_values, values[near]) + np.einsum(
+        "tn,tn...->t...", of_slopes, slopes[near]
+    )
