@@ -10,36 +10,39 @@ from synthetic import BondSums, fair
 from pgran.errors import InputError
 from pgran.experiments.relaxation import memory
 from pgran.experiments.relaxation.memory import Series
-from pgran.store.estimate import Estimate
 
 MADE = BondSums(12, {1: 0.5, 2: 0.6, 3: 0.8})
 LAGS = np.array([0, 1, 4, 12, 24])
+
+
+M, ORDER = MADE.bonds, MADE.order
+SQUARES = sum(k**2 * w for k, w in MADE.W.items()) / sum(MADE.W.values())  # <k^2>
+CORRELATION = MADE.covariance(LAGS) / MADE.covariance(0)
+MEASURES = [
+    (lambda run: memory.autocorrelation(run, LAGS[1:]), CORRELATION[1:]),
+    (memory.mean_order, ORDER),
+    (memory.increment_correlation, -math.sqrt(ORDER / (2 * M))),
+    (memory.successive_correlation, -SQUARES / (2 * ORDER * M)),
+]
 
 
 @pytest.fixture(scope="module")
 def runs():
     """Single trajectories of 150 M steps."""
     rng = np.random.default_rng(1)
-    return [Series(MADE.series(rng, 150 * MADE.bonds), MADE.bonds) for _ in range(200)]
+    return [Series(MADE.series(rng, 150 * M), M) for _ in range(200)]
 
 
-def test_autocorrelation(runs):
-    found = [memory.autocorrelation(run, LAGS) for run in runs]
-    assert all(e.value[0] == pytest.approx(1) and e.error[0] < 1e-12 for e in found)
-    found = [Estimate(e.value[1:], e.error[1:]) for e in found]
-    fair(found, (MADE.covariance(LAGS) / MADE.covariance(0))[1:])
+@pytest.mark.parametrize(("measure", "truth"), MEASURES)
+def test_measures_and_their_errors(runs, measure, truth):
+    fair([measure(run) for run in runs], truth)
 
 
-def test_mean_order(runs):
-    fair([memory.mean_order(run) for run in runs], MADE.order)
-
-
-def test_correlations_of_the_increments(runs):
-    M = MADE.bonds
-    fair([memory.increment_correlation(run) for run in runs], -math.sqrt(MADE.order / (2 * M)))
-    squares = sum(k**2 * w for k, w in MADE.W.items()) / sum(MADE.W.values())
-    truth = -squares / (2 * MADE.order * M)
-    fair([memory.successive_correlation(run) for run in runs], truth)
+def test_measures_of_one_series(runs):
+    """The correlation with itself has no error; those of increments as NumPy has them."""
+    whole = memory.autocorrelation(runs[0], [0])
+    assert whole.value == pytest.approx(1)
+    assert whole.error < 1e-12
     B = runs[0].values[0]
     naive = np.corrcoef(B[:-1], np.diff(B))[0, 1]
     assert memory.increment_correlation(runs[0]).value == pytest.approx(naive, abs=0.02)
@@ -49,13 +52,8 @@ def test_correlations_of_the_increments(runs):
 
 def test_several_short_trajectories():
     rng = np.random.default_rng(2)
-    found = [
-        memory.mean_order(
-            Series([MADE.series(rng, 10 * MADE.bonds) for _ in range(12)], MADE.bonds)
-        )
-        for _ in range(150)
-    ]
-    fair(found, MADE.order)
+    series = ([MADE.series(rng, 10 * M) for _ in range(12)] for _ in range(150))
+    fair([memory.mean_order(Series(values, M)) for values in series], ORDER)
 
 
 def test_pairs_are_all_counted():
@@ -92,11 +90,7 @@ RANDOM = np.random.default_rng(6).standard_normal(200)
     [
         (RANDOM + 0j, 4, "^series: .* real"),
         (np.ones((2, 2, 100)), 4, "^series: shape"),
-        (
-            np.where(RANDOM[7] == RANDOM, np.inf, RANDOM),
-            4,
-            "^series: step 7 of .* 0 is inf",
-        ),
+        (np.where(RANDOM[7] == RANDOM, np.inf, RANDOM), 4, "^series: step 7 of .* 0 is inf"),
         (np.full(200, 0.1), 4, "^series: .* never changes"),
         (RANDOM, 0, "^bonds: "),
         (RANDOM, 10, "^series: 200 steps .* 210 are needed"),

@@ -1,4 +1,4 @@
-"""Motions of the wall given by numbers, from files too, and what is refused."""
+"""Motions of the wall, by shape or by numbers: transforms, sizes, derivatives, what is refused."""
 
 import math
 
@@ -9,44 +9,70 @@ from scipy.integrate import quad
 
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.experiments.pulse.wall import Pulse, Samples
+from pgran.experiments.pulse.wall import SHAPES, Pulse, Samples
 from pgran.run.reading import read_words
 
-SHORT = {"shape": "gauss", "width": 4.0, "time": 100.0, "points": 101}
+
+def transformed(moves, s, pieces):
+    """Integrals of moves(t) e^(-s t) over pieces of time, by quadrature."""
+
+    def integrand(t, which):
+        return getattr(moves(t) * np.exp(-s * t), which)
+
+    return sum(
+        unit * quad(integrand, *ends, args=(name,), limit=900, epsabs=1e-13)[0]
+        for unit, name in ((1, "real"), (1j, "imag"))
+        for ends in pieces
+    )
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_transforms_and_sizes_of_pulses(shape):
+    """Against quadrature of the wall's motion itself, and of its velocity."""
+    sent = Pulse(shape, 0.7, 3.0)
+    ends = sent.centre - 20 * sent.width, sent.centre + 20 * sent.width
+    t = np.linspace(*ends, 20001)
+    for s in (0.3 + 0.1j, 0.2 - 0.8j, 0.05 + 1.2j):
+        U = transformed(lambda t: sent.moves(t)[0], s, [ends])
+        if shape == "step":
+            U += np.exp(-s * ends[1]) / s  # U = 1 from there on
+        assert abs(sent.transform(s) - U) < 1e-10 * abs(U) + 1e-12
+        speed = transformed(lambda t: sent.moves(t, 2)[1], s, [ends])
+        assert abs(s * sent.transform(s) - speed) < 1e-10 * abs(speed) + 1e-12
+    moved, turned = (size[-1] for size in sent.sizes(t))
+    U = sent.moves(t)[0]
+    assert np.sum(np.abs(np.diff(U))) <= turned * (1 + 1e-9) <= 4 * np.sum(np.abs(np.diff(U)))
+    assert np.sum(np.abs(U[1:] + U[:-1]) / 2 * np.diff(t)) <= moved * (1 + 1e-9)
+
+
+VALUES = np.append(0.0, np.random.default_rng(3).normal(size=29))
+SENT = [*(Pulse(shape, 0.7, 3.0) for shape in SHAPES), Samples(VALUES, 0.7)]
+
+
+@pytest.mark.parametrize("sent", SENT, ids=lambda sent: sent.shape)
+@pytest.mark.parametrize("order", [1, 2])
+def test_derivatives(sent, order):
+    h, t = 1e-4, np.linspace(-3, sent.end + 5, 57)
+    before, later = sent.moves(t - h, 3)[order - 1], sent.moves(t + h, 3)[order - 1]
+    slope = sent.moves(t, 3)[order]
+    assert np.abs((later - before) / (2 * h) - slope).max() < 1e-6 * np.abs(slope).max()
 
 
 def test_a_motion_goes_through_its_numbers():
-    """Any numbers; at rest before them, and after them too; derivatives and transform of itself."""
-    values = np.random.default_rng(3).normal(size=30)
-    values[0] = 0.0
-    sent, width = Samples(values, 0.7), 0.7
+    """At rest before them, and after them too; its transform is that of itself."""
+    sent, width = SENT[-1], 0.7
     t = width * np.arange(30)
-    assert np.abs(sent.moves(t)[0] - values).max() < 1e-12
+    assert np.abs(sent.moves(t)[0] - VALUES).max() < 1e-12
     assert np.abs(sent.moves(-width * np.arange(1, 30))[0]).max() < 1e-12
     assert not sent.moves(np.array([-60.0])).any()
-    assert np.abs(sent.moves(sent.end + t)[0] - values[-1]).max() < 1e-12
+    assert np.abs(sent.moves(sent.end + t)[0] - VALUES[-1]).max() < 1e-12
     after = np.linspace(sent.end + 30, sent.end + 300, 999)
-    assert np.abs(sent.moves(after)[0] - values[-1]).max() < 1e-7 * np.abs(values).max()
-    h, inner = 1e-4, np.linspace(-3, 25, 57)
-    for order in (1, 2):
-        before, later = sent.moves(inner - h, 3)[order - 1], sent.moves(inner + h, 3)[order - 1]
-        slope = sent.moves(inner, 3)[order]
-        assert np.abs((later - before) / (2 * h) - slope).max() < 1e-6 * np.abs(slope).max()
+    assert np.abs(sent.moves(after)[0] - VALUES[-1]).max() < 1e-7 * np.abs(VALUES).max()
     end = sent.end + 60
     for s in (0.3 + 0.1j, 0.2 - 2.0j, 0.05 + 4j):
-
-        def part(t, which, s=s):
-            return getattr(sent.moves(t)[0] * np.exp(-s * t), which)
-
-        whole = (
-            sum(
-                unit * quad(part, *ends, args=(name,), limit=900, epsabs=1e-11)[0]
-                for unit, name in ((1, "real"), (1j, "imag"))
-                for ends in ((-35, 0), (0, 10), (10, sent.end), (sent.end, end))
-            )
-            + values[-1] * np.exp(-s * end) / s
-        )
-        assert abs(sent.transform(np.array(s)) - whole) < 1e-7 * abs(whole) + 1e-9
+        pieces = (-35, 0), (0, 10), (10, sent.end), (sent.end, end)
+        U = transformed(lambda t: sent.moves(t)[0], s, pieces) + VALUES[-1] * np.exp(-s * end) / s
+        assert abs(sent.transform(np.array(s)) - U) < 1e-7 * abs(U) + 1e-9
     moved, turned = (size[0] for size in sent.sizes(np.array([end])))
     fine = np.abs(sent.moves(np.linspace(-35, end, 9999), 2)).mean(axis=1) * (end + 35)
     assert fine[0] <= moved
@@ -107,6 +133,3 @@ def test_a_file_and_a_shape_are_alternatives():
     with pytest.raises(InputError, match="pulse_file") as refused:
         resolve(read_words(words.split()))
     assert "pulse_shape" in str(refused.value)
-
-
-# Integrations

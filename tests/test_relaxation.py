@@ -1,5 +1,6 @@
 """One bond a step: every amplitude against a dense solve from the stored bonds and events."""
 
+from functools import partial
 from itertools import product
 from types import SimpleNamespace
 
@@ -100,12 +101,12 @@ def spoil_solves(spoilt):
     """Let the displacements that bonds make be wrong."""
     factor = SteadySolver.factor.fget
 
-    def spoilt_factor(solver):
-        def solve(rhs, found):
-            factor(solver).matSolve(rhs, found)
-            found.getDenseArray()[:] = spoilt(found.getDenseArray())
+    def solve(solver, rhs, found):
+        factor(solver).matSolve(rhs, found)
+        found.getDenseArray()[:] = spoilt(found.getDenseArray())
 
-        return SimpleNamespace(matSolve=solve)
+    def spoilt_factor(solver):
+        return SimpleNamespace(matSolve=partial(solve, solver))
 
     return SteadySolver, "factor", property(spoilt_factor)
 
@@ -115,16 +116,12 @@ def spoil_solves(spoilt):
 def test_the_bound_covers_windows_that_went_wrong(spoil, size, monkeypatch):
     """Residuals find the errors of block solves and of the algebra, which are in part corrected."""
     monkeypatch.setattr(windows, "LONGEST_REACH", 10.0)
-    window = (
-        random_lattice((5, 6), 5, 0.1),
-        0.6,
-        [2, 2],
-        draw_changes(UNIFORM, bond_count((5, 6)), 1, 0, 0, 40),
-    )
-    _, right, _ = follow(*window, 10.0)
+    changes = draw_changes(UNIFORM, bond_count((5, 6)), 1, 0, 0, 40)
+    window = random_lattice((5, 6), 5, 0.1), 0.6, [2, 2], changes, 10.0
+    _, right, _ = follow(*window)
     rng = np.random.default_rng(1)
     monkeypatch.setattr(*spoil(lambda x: x * (1 + size * rng.standard_normal(x.shape))))
-    after, bound, exact = follow(*window, 10.0)
+    after, bound, exact = follow(*window)
     error = np.abs(after - exact)
     assert len(after) == 40
     assert np.all(bound > right)

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from samples import Naive, listened, random_lattice, reference_of, swept, uniform_lattice
 from scipy.integrate import trapezoid
 from scipy.special import jv
@@ -24,6 +23,18 @@ from pgran.run.keys import holding_solver, solver_keys_of
 
 SHORT = {"shape": "gauss", "width": 4.0, "time": 100.0, "points": 101}
 MOTION = Pulse("gauss", 0.0, 4.0)
+WALL = ("force", "work", "energy", "dissipated")
+
+
+def known_of_wall(lattice, naive):
+    """Force and work of the wall, energy, and what damping took, by a naive computation."""
+    energy, bonds = naive.energy(lattice), lattice.stiffness[0][-1]
+    U, speed = MOTION.moves(naive.times, 2)
+    force = (U[:, None] - naive.u[:, -1]) @ bonds
+    force += lattice.damping * (len(bonds) * speed - naive.v[:, -1].sum(axis=1))
+    return dict(
+        zip(WALL, (force, energy + naive.dissipated, energy, naive.dissipated), strict=True)
+    )
 
 
 @pytest.mark.parametrize(
@@ -39,11 +50,9 @@ def test_orders_of_integrators(comm, solver_options, options, step, order):
     """Fixed steps, halved twice: displacement, velocity, force and energy."""
     lattice, errors = random_lattice((4, 3), 5, 0.1), []
     naive = Naive(lattice, MOTION, -20 + 1.6 * np.arange(37))
-    energy, bonds = naive.energy(lattice), lattice.stiffness[0][-1]
-    U, speed = MOTION.moves(naive.times, 2)
-    force = (U[:, None] - naive.u[:, -1]) @ bonds
-    force += 0.1 * (3 * speed - naive.v[:, -1].sum(axis=1))
-    expected = np.stack([naive.u[:, 2, 1], naive.v[:, 2, 1], force, energy], axis=1)
+    known = known_of_wall(lattice, naive)
+    columns = naive.u[:, 2, 1], naive.v[:, 2, 1], known["force"], known["energy"]
+    expected = np.stack(columns, axis=1)
     solver_options(f"{options} -pulse_ts_adapt_type none")
     for h in (step, step / 2, step / 4):
         solver_options(f"-pulse_ts_dt {h}")
@@ -92,8 +101,7 @@ def test_force_and_work_in_any_unit_of_time(world, unit):
         lattice = Lattice((scale**2 * bonds,), 1.0, 0.05 * scale)
         pulse = SHORT | {"width": 4.0 / scale, "time": 100.0 / scale}
         found = listened(lattice, [0], world, **pulse, method="integrate")
-        names = "force", "work", "energy", "dissipated"
-        known.append([getattr(found, name) / scale**2 for name in names])
+        known.append([getattr(found, name) / scale**2 for name in WALL])
     for one, other in zip(*known, strict=True):
         assert np.abs(one - other).max() < 1e-5 * np.abs(one).max()
 
@@ -103,12 +111,8 @@ def test_errors_of_force_and_work_are_no_larger_than_estimated(world, method):
     """Judged by a naive computation; estimates themselves are small."""
     lattice = random_lattice((5, 4), 7, 0.1)
     found = listened(lattice, [2, 1], world, **SHORT, method=method)
-    naive = Naive(lattice, MOTION, found.time)
-    energy, bonds = naive.energy(lattice), lattice.stiffness[0][-1]
-    U, speed = MOTION.moves(naive.times, 2)
-    force = (U[:, None] - naive.u[:, -1]) @ bonds + 0.1 * (4 * speed - naive.v[:, -1].sum(axis=1))
-    known = {"force": force, "energy": energy, "dissipated": naive.dissipated}
-    for name, exact in (known | {"work": energy + naive.dissipated}).items():
+    known = known_of_wall(lattice, Naive(lattice, MOTION, found.time))
+    for name, exact in known.items():
         estimate, largest = getattr(found, f"{name}_estimate"), np.abs(exact).max()
         assert np.all(np.abs(getattr(found, name) - exact) <= estimate + 1e-8 * largest)
         assert np.all(np.diff(estimate) >= 0)
@@ -126,7 +130,7 @@ def test_work_before_the_first_sample_counts(world, spacing):
     assert found.energy[0] > 1e-5 * largest
     assert np.abs(found.work - found.energy - found.dissipated).max() < 2e-9 * largest
     stepped = listened(lattice, [1, 1], world, wall=wall, **time, method="integrate")
-    for name in ("force", "work", "energy", "dissipated"):
+    for name in WALL:
         one, other = getattr(found, name), getattr(stepped, name)
         wrong = getattr(found, f"{name}_estimate") + getattr(stepped, f"{name}_estimate")
         assert np.all(np.abs(one - other) <= wrong + 1e-9 * np.abs(one).max())
@@ -194,9 +198,11 @@ def test_a_uniform_chain_against_bessel_functions(world, method):
         answer = 2 * n / past * jv(2 * n, 2 * omega0 * past)
         return 0.5 * (t - begin) * (MOTION.moves(t - past, 2) @ (weight * answer))
 
-    for place, t in enumerate(found.time):
-        if place % 8:
-            continue
+    errors = found.error_bound, found.velocity_bound
+    if method == "integrate":
+        estimates = found.error_estimate.max(axis=0), found.velocity_estimate.max(axis=0)
+        errors = [np.broadcast_to(estimate, found.velocity.shape) for estimate in estimates]
+    for place, t in list(enumerate(found.time))[::8]:
         for d, n in enumerate(far):
             once = moves(n, t)
             back = sum(moves(2 * j * (balls + 1) + n, t) - moves(2 * j * (balls + 1) - n, t)
@@ -204,10 +210,6 @@ def test_a_uniform_chain_against_bessel_functions(world, method):
             if t < (2 * balls + 2 - n) / (2 * omega0) * 0.5:
                 assert np.abs(back).max() < 1e-9
             u, v = once + back
-            errors = (found.error_bound, found.velocity_bound)
-            if method == "integrate":
-                errors = (found.error_estimate.max(axis=0), found.velocity_estimate.max(axis=0))
-                errors = tuple(np.broadcast_to(e, found.velocity.shape) for e in errors)
             assert abs(found.displacement[place, d] - u) <= errors[0][place, d] + 1e-12
             assert abs(found.velocity[place, d] - v) <= errors[1][place, d] + 1e-12
 
@@ -226,9 +228,6 @@ def test_the_spectrum_of_a_long_signal_is_the_steady_response(world):
     allowed = (found.error_bound.sum(axis=0) + 1e-7) / np.abs(moved)[:, None]
     assert np.all(wrong <= allowed + response.error_bound)
     assert allowed.max() < 1e-3 * np.abs(response.displacement).max()
-
-
-# Motions that are given by numbers
 
 
 PULSE = "-scene pulse -lattice_shape 5,4 -detectors 2,2 -pulse_time 250 -pulse_points 101"
@@ -272,20 +271,6 @@ def test_steps_of_a_fixed_length_are_halved_for_the_estimate(world, solver_optio
     wrong = np.abs(found.displacement - right)
     assert 1e-5 < wrong.max() <= 1.1 * found.error_estimate.max()
     assert found.failures == 0
-
-
-def test_ranks_that_share_a_lattice_integrate_alike(world):
-    """With the one that each has to itself, within estimates; so do the fields."""
-    lattice, sites = random_lattice((7, 6), 4), (2, 2, 6, 5)
-    choices = {"method": "integrate", "fields": True, "error_tolerance": 1e-7}
-    alone = listened(lattice, sites, MPI.COMM_SELF, **choices)
-    shared = listened(lattice, sites, world, ranks=world.size, **choices)
-    wrong = np.abs(alone.displacement - shared.displacement)
-    assert np.all(wrong <= alone.error_estimate.max(axis=0) + shared.error_estimate.max(axis=0))
-    exact = listened(lattice, sites, world, fields=True, error_tolerance=1e-7)
-    assert np.all(alone.field_time >= exact.field_time * (1 - 1e-9))
-    assert alone.field[-1] == pytest.approx(exact.field[-1], abs=1e-6)
-    assert shared.field[-1] == pytest.approx(exact.field[-1], abs=1e-6)
 
 
 # Codas and envelopes
