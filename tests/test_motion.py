@@ -1,6 +1,7 @@
 """Motions of the wall, by shape or by numbers: transforms, sizes, derivatives, what is refused."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy.integrate import quad
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.experiments.pulse.wall import SHAPES, Pulse, Samples
-from pgran.run.reading import read_words
+from pgran.run.reading import read_file, read_words
 
 
 def transformed(moves, s, pieces):
@@ -128,8 +129,20 @@ def test_what_is_refused_says_what_to_change(world, said):
     assert "\n" not in str(refused.value)
 
 
-def test_a_file_and_a_shape_are_alternatives():
-    words = "-scene pulse -pulse_file a.txt -pulse_shape gauss"
-    with pytest.raises(InputError, match="pulse_file") as refused:
-        resolve(read_words(words.split()))
-    assert "pulse_shape" in str(refused.value)
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("-pulse_shape ricker -pulse_width 3", "pulse_width.* no part of a ricker"),
+        ("-pulse_shape gauss -pulse_omega 1", "pulse_omega.* no part of a gauss"),
+        ("-pulse_file a.txt -pulse_shape gauss", "pulse_shape.* contradicts -pulse_file"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(words, message):
+    with pytest.raises(InputError, match=message):
+        resolve(read_words(f"-scene pulse {words}".split()))
+
+
+def test_a_shape_on_the_command_line_replaces_the_one_of_a_file():
+    shipped = Path(__file__).parents[1] / "options" / "pulse.opts"
+    given = read_file(shipped) + read_words(["-pulse_shape", "gauss"])
+    assert resolve(given).pulse_shape == "gauss"

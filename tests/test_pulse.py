@@ -1,7 +1,6 @@
 """Pulses of the wall: their signals against an integrator, and what bounds them."""
 
 import math
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,14 +19,12 @@ from samples import (
 )
 
 import pgran
-from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.experiments.pulse import scene as pulse
 from pgran.experiments.pulse.laplace import Line, largest_amplitudes, limits_of
 from pgran.experiments.pulse.signals import arrivals
 from pgran.experiments.pulse.wall import SHAPES, Pulse
 from pgran.medium.lattice import Lattice
-from pgran.run.reading import read_file, read_words
 
 KINDS = [
     ((6, 5), 0.003, (2, 2)),
@@ -105,18 +102,6 @@ def test_a_wall_that_drives_nothing(world):
     found = listened(still, (2, 2), world)
     assert not found.displacement.any()
     assert found.error_bound.max() < 1e-10
-
-
-@pytest.mark.parametrize("words", ["ricker -pulse_width 3", "gauss -pulse_omega 1"])
-def test_what_a_pulse_has_no_use_for_is_refused(words):
-    with pytest.raises(InputError, match="no part of a"):
-        resolve(read_words(f"-scene pulse -pulse_shape {words}".split()))
-
-
-def test_a_shape_on_the_command_line_replaces_the_one_of_a_file():
-    shipped = Path(__file__).parents[1] / "options" / "pulse.opts"
-    given = read_file(shipped) + read_words(["-pulse_shape", "gauss"])
-    assert resolve(given).pulse_shape == "gauss"
 
 
 def test_arrival_of_a_front():

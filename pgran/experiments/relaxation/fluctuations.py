@@ -58,25 +58,17 @@ def _memory_of(relaxation, bonds):
         return None
     longest = min(3 * bonds, values.shape[1] // 2)
     lags = np.unique(np.append(0, np.geomspace(1, longest, LAGS).astype(int)))
-    correlation = memory.autocorrelation(series, lags)
     order = memory.mean_order(series)
-    increment = memory.increment_correlation(series)
-    successive = memory.successive_correlation(series)
     lowest, highest = memory.bounds(lags, bonds, min(max(order.value, 1.0), bonds))
-    return Memory(
-        bonds=bonds,
-        order=order.value,
-        order_error=order.error,
-        increment=increment.value,
-        increment_error=increment.error,
-        successive=successive.value,
-        successive_error=successive.error,
-        lag=lags,
-        correlation=correlation.value,
-        correlation_error=correlation.error,
-        lowest=lowest,
-        highest=highest,
-    )
+    estimates = {
+        "order": order,
+        "increment": memory.increment_correlation(series),
+        "successive": memory.successive_correlation(series),
+        "correlation": memory.autocorrelation(series, lags),
+    }
+    values = {name: estimate.value for name, estimate in estimates.items()}
+    errors = {f"{name}_error": estimate.error for name, estimate in estimates.items()}
+    return Memory(bonds=bonds, lag=lags, lowest=lowest, highest=highest, **values, **errors)
 
 
 def summary(result):

@@ -210,8 +210,8 @@ class Steps(Task):
     def sample(self, unit):
         """See `Task`."""
         trajectory, first, count = unit
-        few = 4 * self.window if self.march.method == "window" else 32
-        return trajectory, first, min(count, few)
+        most = 4 * self.window if self.march.method == "window" else 32
+        return trajectory, first, min(count, most)
 
     def collect(self, rows, seconds):
         """See `Task`."""
