@@ -4,9 +4,7 @@ All are made of bells exp(-x^2 / 2), x = (t - centre) / width: transforms are ex
 faster than any power above some frequency.
 """
 
-import functools
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +15,7 @@ START = 6.0  # widths from the time 0 to the middle of a pulse: before, it is be
 REACH = 9.0  # widths from the middle of a bell to where it is below 3e-18
 EARLIEST = 11.0  # to where it is below 1e-26
 BAND = 3.0  # up to BAND / width the spectrum of a bell is above a hundredth of its largest
+HIGHEST = 15.0  # up to HIGHEST / width it is above 1e-40
 # Further bells on both sides of the samples: a sample decays by e^(-1/2) a bell.
 MARGIN = 40
 
@@ -37,68 +36,45 @@ def bells(x, width, carrier, count):
     return np.array(derivatives)
 
 
-@dataclass(frozen=True)
-class Pulse:
-    """A motion of the wall: a bell of standard deviation `width`, of height 1, or made of one.
+class Motion:
+    """A motion of the wall, and how far it extends in time and in frequency.
+
+    Attributes
+    ----------
+    shape, omega, width : str, float, float
+    begin, rest : float
+        The times before which it is below 1e-26, and after which what is left of it is.
+    start : float
+        The time from which on its work counts: before, it is below 2e-8.
+    centre, end : float
+        The time of its middle, and after which it is at rest again, to 2e-8.
+    band, reach : float
+        Up to which omega its spectrum is above a hundredth, and above 2e-8, of its largest.
+    highest : float
+        An omega above which |U(s)| is below 1e-40 of its largest on any line.
+    """
+
+
+class Pulse(Motion):
+    """A bell of standard deviation `width`, of height 1, or made of one.
 
     Its shape is `gauss`, the bell; `ricker`, its second derivative turned over, its spectrum
     largest at `omega`, from which its width follows; `burst`, the bell times cos(omega t); or
     `step`, its integral, from 0 to 1.
     """
 
-    shape: str
-    omega: float
-    width: float
+    start = 0.0
 
-    def __post_init__(self):
-        """Let a ricker have the width of its frequency."""
-        if self.shape == "ricker":
-            object.__setattr__(self, "width", math.sqrt(2) / self.omega)
-
-    @property
-    def begin(self):
-        """The time before which it is below 1e-26."""
-        return self.centre - EARLIEST * self.width
-
-    @property
-    def start(self):
-        """The time from which on its work counts: before, it is below 2e-8."""
-        return 0.0
-
-    @property
-    def centre(self):
-        """The time of its middle."""
-        return START * self.width
-
-    @property
-    def end(self):
-        """The time after which it is at rest again, to 2e-8."""
-        return 2 * self.centre
-
-    @property
-    def rest(self):
-        """The time after which what is left of its motion is below 1e-26."""
-        return self.centre + EARLIEST * self.width
-
-    @property
-    def band(self):
-        """Up to which omega its spectrum is above a hundredth of its largest."""
-        return self._carrier + BAND / self.width
-
-    @property
-    def reach(self):
-        """Up to which omega its spectrum is above 2e-8 of its largest."""
-        return self._carrier + 2 * BAND / self.width
-
-    @property
-    def highest(self):
-        """An omega above which |U(s)| is below 1e-40 of its largest on any line."""
-        return self._carrier + 15.0 / self.width
-
-    @property
-    def _carrier(self):
-        """Return the frequency that the bell is multiplied with."""
-        return self.omega if self.shape == "burst" else 0.0
+    def __init__(self, shape, omega, width):
+        """Place the bell so late that before the time 0 next to nothing moves."""
+        self.shape, self.omega = shape, omega
+        self.width = width = math.sqrt(2) / omega if shape == "ricker" else width
+        self._carrier = carrier = omega if shape == "burst" else 0.0  # the bell is multiplied by it
+        self.centre = START * width
+        self.end = 2 * self.centre
+        self.begin, self.rest = self.centre - EARLIEST * width, self.centre + EARLIEST * width
+        self.band, self.reach = carrier + BAND / width, carrier + 2 * BAND / width
+        self.highest = carrier + HIGHEST / width
 
     def moves(self, t, count=1):
         """Return the displacement of the wall and its derivatives, shape (count, *t.shape)."""
@@ -145,9 +121,8 @@ class Pulse:
         }[self.shape]()
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """A motion of the wall through numbers at equal times: a bell at each, as wide as the spacing.
+class Samples(Motion):
+    """Numbers at equal times, `width` apart, and between: a bell at each, as wide as the spacing.
 
     Before the first number, at time 0, the wall is at rest at 0; after the last one it stays. In
     between this is as smooth a curve as there is: a constant has ripples of 5e-9.
@@ -156,14 +131,22 @@ class Samples:
         bell     0  ...  MARGIN  ...  MARGIN + n - 1  ...  2 MARGIN + n - 1
     """
 
-    values: np.ndarray
-    width: float
-    shape = "file"
-    omega = 0.0
+    shape, omega = "file", 0.0
 
-    @functools.cached_property
-    def heights(self):
-        """The height of each bell, MARGIN before the first number and MARGIN after the last."""
+    def __init__(self, values, width):
+        """Find the bells."""
+        self.values, self.width = values, width
+        self.heights = self._heights()
+        self._steps = np.diff(self.heights, prepend=0.0)  # from each bell to the next
+        self.end = (len(values) - 1) * width
+        self.centre = 0.5 * self.end
+        self.begin, self.rest = -(MARGIN + EARLIEST) * width, self.end + (MARGIN + EARLIEST) * width
+        self.start = self.begin  # the bells of the first samples rise before the time 0
+        self.band, self.reach = self._above(0.01), self._above(2e-8)
+        self.highest = HIGHEST / width
+
+    def _heights(self):
+        """Return the height of each bell, MARGIN of them before the numbers and MARGIN after."""
         from scipy.linalg import solveh_banded
 
         motion = np.concatenate(
@@ -176,53 +159,15 @@ class Samples:
         heights[-1] = motion[-1] / (2 * band.sum() - 1)  # it stands for all that would follow
         return heights
 
-    @property
-    def begin(self):
-        """See `Pulse`."""
-        return -(MARGIN + EARLIEST) * self.width
-
-    @property
-    def start(self):
-        """See `Pulse`; the bells of the first samples rise before the time 0."""
-        return self.begin
-
-    @property
-    def centre(self):
-        """See `Pulse`."""
-        return 0.5 * self.end
-
-    @property
-    def end(self):
-        """See `Pulse`."""
-        return (len(self.values) - 1) * self.width
-
-    @property
-    def rest(self):
-        """See `Pulse`."""
-        return self.end + (MARGIN + EARLIEST) * self.width
-
-    @property
-    def band(self):
-        """See `Pulse`."""
-        return self._above(0.01)
-
-    @property
-    def reach(self):
-        """See `Pulse`; its images beyond the spacing's own frequency do not count."""
-        return self._above(2e-8)
-
     def _above(self, share):
-        """Return up to which omega the spectrum is above a share of its largest."""
+        """Return up to which omega the spectrum is above a share of its largest.
+
+        Its images beyond the spacing's own frequency do not count.
+        """
         size = np.abs(np.fft.rfft(self._steps))[1:]
         size /= np.arange(1, len(size) + 1)
-        return (
-            math.pi / self.width * (1 + np.flatnonzero(size > share * size.max())[-1]) / len(size)
-        )
-
-    @property
-    def highest(self):
-        """See `Pulse`."""
-        return 15.0 / self.width
+        last = np.flatnonzero(size > share * size.max())[-1]
+        return math.pi / self.width * (1 + last) / len(size)
 
     def moves(self, t, count=1):
         """See `Pulse`."""
@@ -251,11 +196,6 @@ class Samples:
         """Return what the transform has in common to all bells, and what steps add up to."""
         area, shift = self.width * math.sqrt(2 * math.pi), np.exp(s * MARGIN * self.width)
         return area * shift * np.exp(0.5 * (s * self.width) ** 2) / -np.expm1(-s * self.width)
-
-    @property
-    def _steps(self):
-        """Return from each bell to the next how much higher it is."""
-        return np.diff(self.heights, prepend=0.0)
 
     def sizes(self, t):
         """See `Pulse`."""

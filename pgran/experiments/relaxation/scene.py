@@ -153,6 +153,7 @@ class Steps(Task):
         self.window = march.window or (64 if lattice.balls < 5000 else 128)
         self.scaled, self.unit = lattice.in_own_unit()
         check_frequency(self.scaled, march.omega)
+        # A row is one state of one trajectory: its arrays have the axis of detectors alone.
         states = row_of(Relaxation, state=(), detector_number=(len(self.sites),))
         self.row = np.dtype([*states, ("drift", float), ("factorizations", np.int64)])
         count = march.trajectories * (march.steps + 1)
@@ -192,8 +193,8 @@ class Steps(Task):
                 rows = np.zeros(count + 1, self.row)
                 rows["displacement"], rows["error_bound"], rows["drift"] = states
                 rows[-1]["factorizations"] = solver.factorizations - before
-                # unit   0 [state 0, 1, ... n]  1 [n, n + 1, ... ]: a state between two units is
-                return rows[int(first > 0) :]  # the earlier one's
+                # The last state of a unit is the first one of the next, and counts once.
+                return rows[int(first > 0) :]
 
             yield work
 
