@@ -16,6 +16,7 @@ from pgran.catalogue import EXPERIMENTS
 from pgran.store.fields import DETECTOR
 from pgran.store.record import Record, array, attribute
 
+Array = np.ndarray | None  # what not every ensemble has
 CURVE = "omega", "detector_number"
 VALUE = "seed", "detector_number"
 # Units of measures: as axes show them, in SI, and the power of omega_mx that numbers are in.
@@ -28,7 +29,7 @@ UNITS = {
 
 
 class Sampled(NamedTuple):
-    """How a number of each sample is read, `read(record, medium)` of its record of a group.
+    """How a number of each sample is read: by `read(record, medium)` from its record of a group.
 
     `words` tell it, `label` names its axis; without them it is stored only.
     """
@@ -45,20 +46,23 @@ class Sampled(NamedTuple):
         return self.label, *UNITS[self.units]
 
 
-def sampled(group, read, long_name, units, *axes, dtype=float, words="", label=""):
-    """Declare an array that is read of each sample; see `Sampled` and `pgran.store.record.array`.
+def sampled(source, long_name, units, *axes, read=None, dtype=float, words="", label=""):
+    """Declare an array that is read of each sample; see `pgran.store.record.array`.
 
-    Its first axis is `seed`, or `statistic` where only the band of all samples is stored.
+    The source is a group and what is read of its record, "pulse.arrival", or a group and `read`, as
+    in `Sampled`. The first axis is `seed`, or `statistic` where only the band of all is stored.
     """
+    group, _, name = source.partition(".")
+    read = read or (lambda record, medium: getattr(record, name))
     declared = array(long_name, units, *axes, dtype=dtype, optional=True, row=True)
-    reading = Sampled(group, read, units, words, label)
-    return dataclasses.field(default=None, metadata=declared.metadata | {"sampled": reading})
+    reading = {"sampled": Sampled(group, read, units, words, label)}
+    return dataclasses.field(default=None, metadata=declared.metadata | reading)
 
 
-def measure(group, read, long_name, units, *axes, words="", label=""):
-    """Declare a number of each sample that is told and drawn; its long name is its words."""
+def measure(source, long_name, units, *axes, words="", label="", **reading):
+    """Declare a number of each sample that is told and drawn, in its long name or other words."""
     words = words or long_name
-    return sampled(group, read, long_name, units, *axes, words=words, label=label or words)
+    return sampled(source, long_name, units, *axes, words=words, label=label or words, **reading)
 
 
 def logarithms(response, medium):
@@ -94,88 +98,66 @@ class Ensemble(Record):
     left_out: int
     seed: np.ndarray = array("which sample", "1", dtype=int)
     good: np.ndarray = array("1: as accurate as asked", "1", "seed", dtype=np.int8, row=True)
-    detector: np.ndarray | None = array(
-        DETECTOR, "1", "detector_number", "axis", dtype=int, optional=True
-    )
-    omega: np.ndarray | None = array("driving frequency, angular", "sqrt(k/m)", optional=True)
-    statistic: np.ndarray | None = array(
+    detector: Array = array(DETECTOR, "1", "detector_number", "axis", dtype=int, optional=True)
+    omega: Array = array("driving frequency, angular", "sqrt(k/m)", optional=True)
+    statistic: Array = array(
         "what over the samples: mean, its standard error, median, what a tenth of the samples is "
         "below (low) and above (high)", "1", dtype=str, optional=True,
     )  # fmt: skip
-    ln_amplitude: np.ndarray | None = sampled(
-        "response", logarithms, "ln|A|", "1", "statistic", *CURVE
+    ln_amplitude: Array = sampled("response", "ln|A|", "1", "statistic", *CURVE, read=logarithms)
+    delay: Array = sampled("response.delay", "group delay", "sqrt(m/k)", "statistic", *CURVE)
+    delay_samples: Array = array(
+        "how many samples have a group delay that is certain", "1", *CURVE, dtype=int, optional=True
     )
-    delay: np.ndarray | None = sampled(
-        "response", lambda response, _: response.delay,
-        "group delay", "sqrt(m/k)", "statistic", *CURVE,
-    )  # fmt: skip
-    delay_samples: np.ndarray | None = array(
-        "how many samples have a group delay that is certain", "1", *CURVE, dtype=int,
-        optional=True,
-    )  # fmt: skip
-    coherent: np.ndarray | None = array(
-        "mean of the displacement", "1", *CURVE, dtype=complex, optional=True
+    coherent: Array = array("mean of the displacement", "1", *CURVE, dtype=complex, optional=True)
+    intensity: Array = array("mean of |displacement|^2", "1", *CURVE, optional=True)
+    slope: Array = sampled("response.phase_slope", "slope of the phase", "rad", *VALUE)
+    velocity: Array = measure(
+        "response.phase_velocity", "phase velocity", "length x omega_mx", *VALUE
     )
-    intensity: np.ndarray | None = array("mean of |displacement|^2", "1", *CURVE, optional=True)
-    slope: np.ndarray | None = sampled(
-        "response", lambda response, _: response.phase_slope, "slope of the phase", "rad", *VALUE
-    )
-    velocity: np.ndarray | None = measure(
-        "response", lambda response, _: response.phase_velocity,
-        "phase velocity", "length x omega_mx", *VALUE,
-    )  # fmt: skip
-    exponent: np.ndarray | None = measure(
-        "spectrum", lambda spectrum, _: spectrum.exponent,
-        "exponent psi of the spectrum", "1", "seed",
+    exponent: Array = measure(
+        "spectrum.exponent", "exponent psi of the spectrum", "1", "seed",
         words="exponent psi", label=r"exponent $\psi$ of the spectrum",
     )  # fmt: skip
-    exponent_error: np.ndarray | None = sampled(
-        "spectrum", lambda spectrum, _: spectrum.exponent_error,
-        "its standard error", "1", "seed",
-    )  # fmt: skip
-    order: np.ndarray | None = measure(
-        "memory", lambda memory, _: memory.order,
-        "bonds that act jointly, kbar of a relaxation", "1", "seed",
+    exponent_error: Array = sampled("spectrum.exponent_error", "its standard error", "1", "seed")
+    order: Array = measure(
+        "memory.order", "bonds that act jointly, kbar of a relaxation", "1", "seed",
         words="bonds that act jointly", label=r"bonds that act jointly, $\bar k$",
     )  # fmt: skip
-    modes: np.ndarray | None = measure(
-        "modes", lambda modes, _: len(modes.omega),
-        "how many modes were found", "1", "seed", words="modes found",
+    modes: Array = measure(
+        "modes", "how many modes were found", "1", "seed", words="modes found",
+        read=lambda modes, medium: len(modes.omega),
     )  # fmt: skip
-    above: np.ndarray | None = measure(
-        "modes", lambda modes, medium: np.count_nonzero(modes.omega > medium.omega_mx),
-        "modes above omega_mx", "1", "seed", label=r"modes above $\omega_{mx}$",
+    above: Array = measure(
+        "modes", "modes above omega_mx", "1", "seed", label=r"modes above $\omega_{mx}$",
+        read=lambda modes, medium: np.count_nonzero(modes.omega > medium.omega_mx),
     )  # fmt: skip
-    arrival: np.ndarray | None = measure(
-        "pulse", lambda pulse, _: pulse.arrival, "arrival of the front", "sqrt(m/k)", *VALUE
+    arrival: Array = measure("pulse.arrival", "arrival of the front", "sqrt(m/k)", *VALUE)
+    centre: Array = measure(
+        "pulse.centre", "mean time of the envelope", "sqrt(m/k)", *VALUE,
+        words="centre of the envelope",
+    )  # fmt: skip
+    decay: Array = measure(
+        "pulse.decay", "rate of decay of the envelope", "sqrt(k/m)", *VALUE, words="rate of decay"
     )
-    centre: np.ndarray | None = measure(
-        "pulse", lambda pulse, _: pulse.centre,
-        "mean time of the envelope", "sqrt(m/k)", *VALUE, words="centre of the envelope",
-    )  # fmt: skip
-    decay: np.ndarray | None = measure(
-        "pulse", lambda pulse, _: pulse.decay,
-        "rate of decay of the envelope", "sqrt(k/m)", *VALUE, words="rate of decay",
-    )  # fmt: skip
-    effective_bonds: np.ndarray | None = measure(
-        "sensitivity", effective_bonds,
+    effective_bonds: Array = measure(
+        "sensitivity",
         "participation ratio of (d ln|A| / d ln k)^2 over the bonds, mean over frequencies", "1",
-        *VALUE,
-        words="bonds that matter, on the mean over frequencies,", label="bonds that matter",
+        *VALUE, read=effective_bonds, label="bonds that matter",
+        words="bonds that matter, on the mean over frequencies,",
     )  # fmt: skip
-    mode_omega: np.ndarray | None = sampled(
-        "modes", lambda modes, medium: padded(modes.omega, medium),
-        "mode frequencies, NaN after the last", "sqrt(k/m)", "seed", "mode",
+    mode_omega: Array = sampled(
+        "modes", "mode frequencies, NaN after the last", "sqrt(k/m)", "seed", "mode",
+        read=lambda modes, medium: padded(modes.omega, medium),
     )  # fmt: skip
-    participation: np.ndarray | None = sampled(
-        "modes", lambda modes, medium: padded(modes.participation, medium),
-        "participation ratios", "1", "seed", "mode",
+    participation: Array = sampled(
+        "modes", "participation ratios", "1", "seed", "mode",
+        read=lambda modes, medium: padded(modes.participation, medium),
     )  # fmt: skip
-    displacement: np.ndarray | None = sampled(
-        "response", lambda response, _: response.displacement,
-        "amplitudes of each sample", "1", "seed", *CURVE, dtype=complex,
-    )  # fmt: skip
-    sample_delay: np.ndarray | None = array(
+    displacement: Array = sampled(
+        "response.displacement", "amplitudes of each sample", "1", "seed", *CURVE, dtype=complex
+    )
+    sample_delay: Array = array(
         "group delay of each sample", "sqrt(m/k)", "seed", *CURVE, optional=True
     )
 
@@ -187,9 +169,9 @@ class Ensemble(Record):
 
 def sampled_of(of=None):
     """Return what is read of each sample of an experiment, or of all of them: `Sampled` by name."""
-    groups = EXPERIMENTS[of].groups if of else ()
+    groups = EXPERIMENTS[of].groups if of else None
     declared = {i.name: i.metadata.get("sampled") for i in dataclasses.fields(Ensemble)}
-    return {name: s for name, s in declared.items() if s and (of is None or s.group in groups)}
+    return {name: s for name, s in declared.items() if s and (not of or s.group in groups)}
 
 
 def measures():
