@@ -149,12 +149,12 @@ def _correlations(intensity, weights):
     """
     points = intensity.shape[1]
     lags, size = points // 2 + 1, 2 * points  # twice as long, so that no pair wraps around
-    kept = (weights > 0).astype(float)
-    x = intensity / _moment(intensity, kept) - 1
+    mask = (weights > 0).astype(float)
+    x = intensity / _moment(intensity, mask) - 1
     if len(x) > 1:
         x -= x.mean(axis=0)
     transform = np.fft.rfft(x, size)
-    masked = transform if np.all(kept) else np.fft.rfft(kept * x, size)
+    firsts_only = transform if np.all(mask) else np.fft.rfft(mask * x, size)
 
     def pairs(products):
         return np.fft.irfft(products, size)[:lags]
@@ -162,10 +162,10 @@ def _correlations(intensity, weights):
     def firsts(y):  # sums over the first points that have a partner at each lag
         return np.cumsum(y)[points - 1 - np.arange(lags)]
 
-    count = len(x) * firsts(kept)
-    product = pairs(np.sum(np.conj(masked) * transform, axis=0)) / count
-    seconds = pairs(np.conj(np.fft.rfft(kept, size)) * transform.sum(axis=0))
-    means = firsts((kept * x).sum(axis=0)) * seconds / count**2
+    count = len(x) * firsts(mask)
+    product = pairs(np.sum(np.conj(firsts_only) * transform, axis=0)) / count
+    seconds = pairs(np.conj(np.fft.rfft(mask, size)) * transform.sum(axis=0))
+    means = firsts((mask * x).sum(axis=0)) * seconds / count**2
     C = product - means
     if not C[0] > 1e-12:
         raise InputError("amplitude: the intensity is the same everywhere and has no correlation")
@@ -179,14 +179,14 @@ def maxima_spacing(curves):
     of splines through the points counts: a curve must be computed more exactly than it varies from
     point to point.
     """
-    found = curves.estimate(spacing_of_maxima, curves.maxima, slow=False)
-    points = found.value / np.average(np.diff(curves.omega))
+    spacing = curves.estimate(spacing_of_maxima, curves.maxima, slow=False)
+    points = spacing.value / np.average(np.diff(curves.omega))
     if points < POINTS_TO_MAXIMUM:
         raise InputError(
             f"omega: {points:.2g} points to a maximum of |A| are too few to tell maxima apart; "
             f"{POINTS_TO_MAXIMUM} are needed"
         )
-    return found
+    return spacing
 
 
 def histogram(curves, edges):
@@ -217,13 +217,13 @@ def histogram(curves, edges):
     ]
 
     def measure(x, w):
-        kept = len(x) * np.sum(w) / size
+        rest = len(x) * np.sum(w) / size
         mean = _along(_moment(x, w), w)
-        return (share(x, w, edges) / kept + np.diff(growth) * (mean - 1)) / np.diff(edges)
+        return (share(x, w, edges) / rest + np.diff(growth) * (mean - 1)) / np.diff(edges)
 
-    found = curves.estimate(measure, x, slow=False)
+    density = curves.estimate(measure, x, slow=False)
     bins = np.searchsorted(edges, x, side="right") - 1
     owner = curves.stretch if curves.samples == 1 else np.arange(curves.samples)[:, None]
     owner = np.broadcast_to(owner, bins.shape)
     reached = np.array([len(np.unique(owner[bins == n])) for n in range(len(edges) - 1)])
-    return Estimate(found.value, np.where(reached < FEWEST, math.nan, found.error))
+    return Estimate(density.value, np.where(reached < FEWEST, math.nan, density.error))

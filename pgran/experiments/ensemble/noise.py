@@ -182,13 +182,14 @@ class NoisyCurves:
         """
         data, w = self.intensity if data is None else data, self.weights
         if self.samples > 1:
-            return jackknife_samples(lambda kept: measure(data[kept], w), self.samples)
+            return jackknife_samples(lambda some: measure(data[some], w), self.samples)
         count, factor = self.stretches
-        found = jackknife(
-            lambda part: measure(data, w if part is None else w * (self.stretch != part)),
-            count,
-        )
-        return Estimate(found.value, found.error * (factor if slow else 1.0))
+
+        def without(stretch):
+            return measure(data, w if stretch is None else w * (self.stretch != stretch))
+
+        estimate = jackknife(without, count)
+        return Estimate(estimate.value, estimate.error * (factor if slow else 1.0))
 
 
 def finite_samples(amplitude):

@@ -294,15 +294,15 @@ def run(lattice, options, crew):
     solve = _solver(seeds, sample, one)
     places = omegas, options.detectors
     task = Samples(of, seeds, solve, lattice, options.ensemble_keep, *places, all_modes)
-    found = carry_out(task, crew, options.output_progress)
-    if found is None or found.displacement is None or crew.dry:
-        return found and [found]
-    records = [found]
+    record = carry_out(task, crew, options.output_progress)
+    if record is None or record.displacement is None or crew.dry:
+        return record and [record]
+    records = [record]
     if windows is not None:
-        records.append(noise.statistics(found, windows))
-    if transport.is_line(lattice, found.detector):
+        records.append(noise.statistics(record, windows))
+    if transport.is_line(lattice, record.detector):
         try:
-            records.append(transport.transport(lattice, found))
+            records.append(transport.transport(lattice, record))
         except InputError as error:
             log.warning("no transport: %s", error)
     return records
