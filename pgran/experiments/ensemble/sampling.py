@@ -25,29 +25,17 @@ QUANTILES = (0.5, 0.1, 0.9)
 
 
 class Samples(Task):
-    """The experiment on each sample, a seed a unit.
+    """The experiment `of` on each sample, a seed a unit.
 
-    Parameters
-    ----------
-    of : str
-        The experiment.
-    seeds : sequence of int
-    solve : callable
-        Takes a seed and the ranks of a group; returns the sample's medium and the experiment's
-        records, on the first of them. Collective over the group.
-    first : pgran.Lattice or pgran.Network
-        The medium of the first seed; all are of its size.
-    keep : {"measures", "curves"}
-    omegas, detectors : array_like, optional
-        Of the experiment, if it has them.
-    all_modes : bool
-        Whether modes are all there are.
+    `solve(seed, group)`, collective over the group, returns the medium of a sample and the
+    experiment's records on its first rank. All media are as large as the `first`. `all_modes`: an
+    interval has none above omega_mx to count.
     """
 
     items = "samples"
 
     def __init__(self, of, seeds, solve, first, keep, omegas=None, detectors=None, all_modes=False):
-        """Make the row that a sample's numbers travel in."""
+        """Find what is read of a sample, and make the row that it travels in."""
         self.of, self.units, self.solve, self.curves = of, list(seeds), solve, keep == "curves"
         self.omegas = None if omegas is None else np.asarray(omegas, dtype=float)
         self.sites = None if detectors is None else first.sites(detectors)

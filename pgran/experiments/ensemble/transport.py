@@ -23,20 +23,10 @@ FALLS = 2.0  # errors that a slope is negative by, for an attenuation length
 class Profiles:
     """Responses of samples at detectors of several depths, and their means against depth.
 
+    `depth` are those of the detectors, shape (nd,); `amplitude` and `derivative` are A and
+    dA/domega, shape (samples, nw, nd). Samples that are not finite everywhere are left out, aloud.
     Means have the shape (nw, nx), of frequencies and of `depths`, ascending; detectors of one depth
-    are averaged in each sample.
-
-    Parameters
-    ----------
-    depth : array_like of float, shape (nd,)
-        Of the detectors.
-    amplitude, derivative : array_like of complex, shape (samples, nw, nd)
-        A and dA/domega. Samples that are not finite everywhere are left out, aloud.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit, samples are too few, or an amplitude vanishes in all of them.
+    are averaged in each sample. An InputError says what does not fit, or is too little.
     """
 
     def __init__(self, depth, amplitude, derivative):
@@ -197,7 +187,7 @@ def transport(medium, ensemble):
     displacement = ensemble.displacement[good]
     # dA/domega along the circle |A| alone: d arg A / domega is minus the delay
     turned = -1j * np.nan_to_num(ensemble.sample_delay[good]) * displacement
-    profiles = Profiles(depths_of(medium, ensemble.detector), displacement, turned)
+    profiles = Profiles(medium.depths(ensemble.detector), displacement, turned)
     rate, length = profiles.attenuation()
     edges, over = _bands(omega, first, medium.omega_mx)
     return Transport(
@@ -231,14 +221,9 @@ def _bands(omega, first, unit):
     return np.array(ends), np.array(rows)
 
 
-def depths_of(medium, detectors):
-    """Return the depth of each detector; NaN where it is unknown."""
-    return np.asarray(medium.depths(detectors), dtype=float)
-
-
 def is_line(medium, detectors):
     """Return whether detectors have so many depths that a run looks at transport unasked."""
-    depth = depths_of(medium, detectors)
+    depth = np.asarray(medium.depths(detectors), dtype=float)
     return bool(np.all(np.isfinite(depth)) and len(np.unique(depth)) >= FEWEST_DEPTHS)
 
 
