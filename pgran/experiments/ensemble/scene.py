@@ -178,10 +178,13 @@ def ensemble(
     if of == "response":
         choices |= {"resolve": 0.0, "keep_models": False}
 
-    def one(medium, number, crew):
+    def another(seed, group):
+        medium = sample(seed)
         if (type(medium), medium.shape) != (type(first), first.shape):
-            seed = seeds[number]
             raise InputError(f"ensemble: the sample of seed {seed} is of another size")
+        return medium
+
+    def one(medium, number, crew):
         own = {"seed": 1 + number} if of == "relaxation" else {}
         record = function(medium, crew=crew, **choices, **own)
         if record and of == "relaxation":
@@ -189,8 +192,7 @@ def ensemble(
         return record and [record]
 
     with agreeing(crew.world):
-        solve = _solver(seeds, lambda seed, _: sample(seed), one)
-        task = Samples(of, seeds, solve, first, keep, *places, all_modes)
+        task = Samples(of, seeds, _solver(seeds, another, one), first, keep, *places, all_modes)
     return carry_out(task, crew, progress)
 
 
