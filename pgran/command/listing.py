@@ -171,3 +171,30 @@ def _filled(text, indent, later=None):
     return textwrap.wrap(
         text, WIDTH, initial_indent=margin, subsequent_indent=others, break_on_hyphens=False
     )
+
+
+def tables():
+    """Return all options, and the prefixes of solvers, as the manual's page on options has them.
+
+    An option that means something else in another scene has all of its meanings.
+    """
+    same = {}
+    for option in (SCENE_OPTION, *(o for scene in SCENES for o in options_of(scene).values())):
+        same.setdefault(option.name, {})[option] = None
+    names = [name for heading in HEADINGS for name in same if heading_of(name) == heading]
+    yield from ("| key | default | meaning |", "|---|---|---|")
+    for name in names:
+        first, *_ = same[name]
+        default = "" if first.default is None else text_of(first.default)
+        yield f"| `-{name}` | {default} | {'; '.join(map(_meaning, same[name]))} |"
+    yield from ("", "| prefix | PETSc's and SLEPc's options of |", "|---|---|")
+    for prefix, of in solver_keys.SOLVER_PREFIXES.items():
+        yield f"| `-{prefix}*` | {of} |"
+
+
+def _meaning(option):
+    """Return what an option means, its choices unless that names them, and its unit."""
+    meaning = option.meaning
+    if not all(choice in meaning for choice in option.choices):
+        meaning += f": {', '.join(f'`{choice}`' for choice in option.choices)}"
+    return meaning + (f" ({option.unit})" if option.unit else "")

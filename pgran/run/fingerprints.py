@@ -30,7 +30,7 @@ class Distinct:
 
 
 def fingerprint(value):
-    """Return a checksum of plain values, arrays and what holds them; of functions, of their names."""
+    """Return a checksum of plain values, arrays and what holds them; of functions their names."""
     digest = hashlib.sha256()
     try:
         _feed(digest, value)

@@ -171,7 +171,7 @@ RUN = (
         "ranks that share one lattice, the rest share out the work; 0 = automatic", low=0
     ),
     Option(
-        "output_file", TEXT, None, "result (default: results/<name of the options file>.h5)"
+        "output_file", TEXT, None, "result (default: results/NAME.h5 for NAME.opts)"
     ),
     Option("output_overwrite", FLAG, False, "replace an existing result"),
     Option(
