@@ -20,7 +20,6 @@ from pgran.errors import (
 )
 
 SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail alike
-FAILED = 0  # tag of the message in which it tells them
 
 
 def on_root(comm, action, keep=False):
@@ -116,26 +115,3 @@ def met_by_all(comm):
             return False
         time.sleep(0.001)
     return True
-
-
-def who_reports(comm, failure):
-    """Return which rank is to report a failure, and whether all ranks have met it alike.
-
-    Not collective: the other ranks may be at work, or wait for this one for ever. The first rank
-    to fail reports; of those that failed before they heard of another, the lowest. `failure` says
-    what has happened on this rank.
-    """
-    others = [rank for rank in range(comm.size) if rank != comm.rank]
-    late = any(comm.Iprobe(rank, FAILED) for rank in others)
-    failures = {comm.rank: (failure, late)}
-    requests = [comm.isend((failure, late), rank, tag=FAILED) for rank in others]
-    deadline = time.monotonic() + SECONDS_FOR_OTHERS
-    while len(failures) < comm.size and time.monotonic() < deadline:
-        for rank in others:
-            if comm.Iprobe(rank, FAILED):
-                failures[rank] = comm.recv(source=rank, tag=FAILED)
-        time.sleep(0.01)
-    del requests  # not waited for: who does not fail does not receive
-    first = min((rank for rank, (_, late) in failures.items() if not late), default=0)
-    alike = len(failures) == comm.size and len({failure for failure, _ in failures.values()}) == 1
-    return first, alike
