@@ -164,9 +164,6 @@ def run(words):
     add("-width", type=float, metavar="MM", help="of the figures on paper; else 85 or 170")
     add("-caption", action="store_true", help="write a caption beside each figure, FIGURE.txt")
     given = parser.parse_intermixed_args(words)
-    if files := [each for each in given.result if each.endswith(".opts")]:
-        computes = f"pgran run {files[0]} computes a result, which pgran plot draws"
-        raise InputError(f"plot: {files[0]} is an options file; {computes}")
     paths, over = [Path(each) for each in given.result], {}
     if len({os.path.realpath(each) for each in given.result}) < len(given.result):
         raise InputError("plot: the same result is given twice")
