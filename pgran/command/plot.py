@@ -32,8 +32,6 @@ def plot(
 
     A network, or its file, is drawn by itself.
 
-    Not collective.
-
     Parameters
     ----------
     result : pgran.store.record.Result, pgran.Network, str or os.PathLike, or a list of these
@@ -92,7 +90,7 @@ def plot(
 
 
 def check_result(given):
-    """Raise an InputError unless a result was handed in. Not collective."""
+    """Raise an InputError unless a result was handed in."""
     if not hasattr(given, "scene"):
         raise InputError(
             f"a result is needed, what pgran.load returns or its path, not {arguments.shown(given)}"
@@ -100,10 +98,7 @@ def check_result(given):
 
 
 def units_of(results, length=None, time=None):
-    """Return the SI units of results, those given here if any; none where results disagree.
-
-    Not collective.
-    """
+    """Return the SI units of results, those given here if any; none where results disagree."""
     if length is not None or time is not None:
         found = {SI(length, time)}
     else:
@@ -184,16 +179,10 @@ def run(words):
 
 
 def labels_of(results, names):
-    """Return what tells results apart: the options in which they differ, else their names.
+    """Return what tells results apart: the options in which they differ, else their files' names.
 
-    Not collective. How a run was carried out, and what it stored, is no difference. Where options
-    are too many for a legend they are logged.
-
-    Parameters
-    ----------
-    results : sequence of pgran.store.record.Result
-    names : sequence of str
-        Of the files.
+    How a run was carried out, and what it stored, is no difference. Where options are too many for
+    a legend they are logged.
     """
     options = [options_in(str(getattr(result, "options", ""))) for result in results]
     keys = dict.fromkeys(key for each in options for key in each)

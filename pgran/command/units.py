@@ -124,16 +124,7 @@ def _damping(given, scale):
 
 
 def table(scale, damping=None):
-    """Return rows of a quantity, its value in SI units, and that in the program's.
-
-    Not collective.
-
-    Parameters
-    ----------
-    scale : pgran.medium.hertz.Scale
-    damping : float, optional
-        In SI units.
-    """
+    """Return rows of a quantity, its value in SI units, as damping is, and in the program's."""
     material, omega = scale.material, scale.omega_mx
     weights = scale.force / (scale.mass * GRAVITY)
     rows = [
@@ -169,7 +160,7 @@ def table(scale, damping=None):
 
 
 def option_words(scale, damping=None):
-    """Return what an options file needs for a lattice in these units. Not collective."""
+    """Return what an options file needs for a lattice in these units."""
     words = f"-lattice_mass 1 -bonds_kmax {scale.kmax!r}"
     if damping is not None:
         words += f" -lattice_damping {scale.own_damping(damping)!r}"

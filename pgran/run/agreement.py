@@ -23,17 +23,9 @@ SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail
 
 
 def on_root(comm, action, keep=False):
-    """Return `action()`, called on rank 0 alone; raise its error on every rank.
+    """Return `action()`, called on rank 0 alone; raise its error on every rank. Collective.
 
-    Collective. Raises the PgranError that `action` raised; an OSError becomes a FileError.
-
-    Parameters
-    ----------
-    comm : mpi4py.MPI.Comm
-    action : callable
-        Called without arguments.
-    keep : bool
-        Keep what it returns on rank 0, None on the others, instead of broadcasting it.
+    An OSError becomes a FileError. Where `keep` is true only rank 0 gets the value, others None.
     """
     value, failure = None, None
     if comm.rank == 0:
@@ -41,8 +33,8 @@ def on_root(comm, action, keep=False):
             value = action()
         except Exception as error:
             failure = error
-    told, shared = comm.bcast((_told(failure), None if keep else value))
-    _raise(told, failure)
+    description, shared = comm.bcast((_described(failure), None if keep else value))
+    _raise(description, failure)
     return value if keep else shared
 
 
@@ -68,8 +60,8 @@ def agree(comm, failure, asked=None):
     PETSc did; what no one has foreseen is raised as it is where it was met. Raises an InputError
     if what is `asked` differs.
     """
-    told, everyone = zip(*comm.allgather((_told(failure), asked)), strict=True)
-    _raise(next(filter(None, told), None), failure)
+    failures, everyone = zip(*comm.allgather((_described(failure), asked)), strict=True)
+    _raise(next(filter(None, failures), None), failure)
     first = everyone[0]
     for rank, other in enumerate(everyone if first else ()):
         names = [name for name in first | other if first.get(name) != other.get(name)]
@@ -81,7 +73,7 @@ def agree(comm, failure, asked=None):
             )
 
 
-def _told(failure):
+def _described(failure):
     """Return the kind and the message of an error, as other ranks are told of it."""
     if failure is None:
         return None
@@ -94,13 +86,13 @@ def _told(failure):
     return PgranError, f"{type(failure).__name__}: {failure}"
 
 
-def _raise(told, failure):
-    """Raise what ranks were told of, if anything, or what was met here unforeseen."""
-    if told is None:
+def _raise(description, failure):
+    """Raise what some rank has met, if anything, or what was met here unforeseen."""
+    if description is None:
         return
     if failure is not None and not (is_foreseen(failure) or isinstance(failure, OSError)):
         raise failure
-    kind, message = told
+    kind, message = description
     raise kind(message) from failure
 
 

@@ -5,17 +5,10 @@ import time
 
 
 class Progress:
-    """Counts finished items; close with `with`.
+    """Counts finished items, `what` in the plural, on rank 0; close with `with`.
 
-    Not collective: rank 0 makes one.
-
-    Parameters
-    ----------
-    total : int
-    what : str
-        What an item is, in the plural.
-    style : {"auto", "bar", "lines", "none"}
-        A bar through tqdm, or a line every ten seconds; `auto` is a bar on a terminal.
+    The style is `bar`, through tqdm, `lines`, one every ten seconds, `none`, or `auto`, which is a
+    bar on a terminal.
     """
 
     seconds_between_lines = 10.0

@@ -34,18 +34,12 @@ class Given:
 
     @property
     def rank(self):
-        """What wins: the command line over the file over the environment. Not collective."""
+        """What wins: the command line over the file over the environment."""
         return {"": 2, ENVIRONMENT: 0}.get(self.where, 1)
 
 
 def read_file(path):
-    """Return what an options file gives, in order. Not collective.
-
-    Raises
-    ------
-    FileError, InputError
-        If it cannot be read, is no text of a sensible size, or a line is not `-key value`.
-    """
+    """Return what an options file gives, in order; an error names what is no `-key value`."""
     with open_regular(path) as stream:
         content = stream.read(LONGEST_FILE + 1)
     if len(content) > LONGEST_FILE:
@@ -71,7 +65,7 @@ def read_file(path):
 
 
 def read_words(words, where=""):
-    """Return what a command line gives: `-key value`, or `-key` alone. Not collective."""
+    """Return what a command line gives: `-key value`, or `-key` alone."""
     given = []
     for word in words:
         check_word(word, where)
@@ -90,7 +84,7 @@ def read_words(words, where=""):
 
 
 def check_word(word, where=""):
-    """Raise where a word could not be read again from an options file. Not collective."""
+    """Raise where a word could not be read again from an options file."""
     if NO_TEXT.search(word) or "".join(word.splitlines()) != word:
         odd = "a line break, a control character, or a byte that is no UTF-8"
         raise InputError(f"{word}{where}: holds {odd}")
@@ -115,12 +109,7 @@ def _hint(word, given=()):
 def read_solver(path, own):
     """Return what the options file of a solver sets: values of options, and keys for PETSc.
 
-    Not collective. `own` are the options by name that it may set besides keys of PETSc's solvers.
-
-    Raises
-    ------
-    FileError, InputError
-        If it cannot be read, or holds anything else.
+    `own` are the options by name that it may set besides keys of PETSc's solvers.
     """
     values, keys = {}, {}
     for item in read_file(path):
@@ -138,7 +127,7 @@ def read_solver(path, own):
 
 
 def read_environment():
-    """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked. Not collective."""
+    """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked."""
     if os.environ.pop("PETSC_OPTIONS_YAML", ""):
         raise InputError("PETSC_OPTIONS_YAML: not read; an options file or PETSC_OPTIONS is")
     return read_words(os.environ.pop("PETSC_OPTIONS", "").split(), ENVIRONMENT)

@@ -48,7 +48,7 @@ class Messages(logging.Formatter):
 
 @contextlib.contextmanager
 def saying_once():
-    """Let each warning be said once, however often it is met meanwhile. Not collective."""
+    """Let each warning be said once, however often it is met meanwhile."""
     log, said = logging.getLogger("pgran"), set()
 
     def is_new(record):
@@ -65,7 +65,7 @@ def saying_once():
 
 
 def guard():
-    """Let this process use standard streams that break in order. Not collective."""
+    """Let this process use standard streams that break in order."""
     for number in range(3):
         try:
             os.fstat(number)

@@ -16,17 +16,7 @@ PIECE = 2**20  # bytes read at a time
 
 
 def seal_of(stream, version, start, stop):
-    """Return the seal of a part of a file, which is read through.
-
-    Not collective.
-
-    Parameters
-    ----------
-    stream : io.RawIOBase
-    version : int
-        Of the seal.
-    start, stop : int
-    """
+    """Return the seal, of some version, of the bytes of a file from `start` to `stop`."""
     stream.seek(start)
     digest, left = hashlib.sha256(), stop - start
     while piece := stream.read(min(left, PIECE)):
@@ -49,13 +39,13 @@ def _read_seal(stream):
 
 
 def has_seal(path):
-    """Return whether a file has a seal, right or wrong. Not collective."""
+    """Return whether a file has a seal, right or wrong."""
     with open_regular(path) as stream:
         return bool(_read_seal(stream)[0])
 
 
 def check_seal(path):
-    """Raise a FileError unless a file is a result, unchanged since written. Not collective."""
+    """Raise a FileError unless a file is a result, unchanged since written."""
     with open_regular(path) as stream:
         seal, version, content = _read_seal(stream)
         if not seal:
