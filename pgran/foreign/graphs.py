@@ -5,7 +5,8 @@ import os
 import numpy as np
 
 from pgran.errors import FileError, PgranError
-from pgran.foreign.tables import Table, is_number
+from pgran.foreign.tables import Table
+from pgran.store.lines import is_number
 from pgran.store.paths import open_regular
 
 LARGEST_GRAPH = 2**28  # bytes; NetworkX keeps all of a graph as Python objects

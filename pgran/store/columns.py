@@ -1,8 +1,11 @@
 """Columns of numbers in a text file: motions of the wall, and what was measured."""
 
+import os
+
 import numpy as np
 
 from pgran.errors import FileError
+from pgran.store.lines import Lines, is_number
 from pgran.store.paths import open_regular
 
 LONGEST_FILE = 2**26  # bytes
@@ -26,7 +29,7 @@ def read_measured(path):
     to the drive, or three, `phase` in rad too. A header may name them in another order.
     """
     lines, names, widths = _lines(path), MEASURED, (2, 3)
-    if lines and not any(map(_is_number, lines[0][1])):
+    if lines and not any(map(is_number, lines[0][1])):
         place, header, _ = lines.pop(0)
         names = [word.strip("\"'").lower() for word in header]
         widths = (len(names),)
@@ -40,34 +43,27 @@ def read_measured(path):
     return columns
 
 
-def _is_number(word):
-    """Return whether a word can be read as a number."""
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
 def _lines(path):
     """Return of each line that is not empty its place, its words, and itself."""
     with open_regular(path) as stream:
-        content = stream.read(LONGEST_FILE + 1)
-    if len(content) > LONGEST_FILE:
-        raise FileError(f"{path}: a file of numbers has at most {LONGEST_FILE} bytes")
-    lines = []
-    for number, line in enumerate(content.decode("utf-8-sig", errors="replace").splitlines(), 1):
-        words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
-        if words:
-            lines.append((f"{path}:{number}", words, repr(line.strip()[:60])))
-    return lines
+        if os.path.getsize(path) > LONGEST_FILE:
+            raise FileError(f"{path}: a file of numbers has at most {LONGEST_FILE} bytes")
+        lines = Lines(path, stream)
+        return [
+            (
+                f"{path}:{lines.number}",
+                line.replace(",", " ").replace(";", " ").split(),
+                repr(line[:60]),
+            )
+            for line in iter(lines.next_content, None)
+        ]
 
 
 def _numbers(path, lines, widths, meaning):
     """Return of each line its place, and as many finite numbers as the first one has."""
     rows = []
     for place, words, line in lines:
-        if not all(map(_is_number, words)):
+        if not all(map(is_number, words)):
             raise FileError(f"{place}: {line} is no number; begin comments with #")
         row = [float(word) for word in words]
         if not np.all(np.isfinite(row)):
