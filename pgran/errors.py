@@ -47,8 +47,10 @@ def petsc_message(error):
     # Its text: a number, the calls, a kind of error, and what it was in particular.
     lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
     calls = [line.split(" at ")[0] for line in lines if "() at " in line]
-    said = [line for line in lines[1:] if "() at " not in line]
-    return str(PgranError(f"PETSc: {(said[1:] or said or lines)[0]} ({', '.join(calls[:1])})"))
+    details = [line for line in lines[1:] if "() at " not in line]
+    return str(
+        PgranError(f"PETSc: {(details[1:] or details or lines)[0]} ({', '.join(calls[:1])})")
+    )
 
 
 class FileError(PgranError):

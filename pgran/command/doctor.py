@@ -143,12 +143,12 @@ def threads():
     chosen = {name: os.environ[name] for name in blas.CHOICES if name in os.environ}
     ranks, cores = ranks_and_cores()
     each = max((int(text) for text in chosen.values() if text.isdigit()), default=cores)
-    said = ", ".join(f"{name} is {text}" for name, text in chosen.items())
+    choices = ", ".join(f"{name} is {text}" for name, text in chosen.items())
     text = f"ranks: {ranks}, threads of each: up to {each}, cores: {cores} "
     cure = "more threads than cores get in each other's way: "
     cure += "start fewer ranks" if each == 1 else "export OMP_NUM_THREADS=1"
     good = (ranks * each <= cores and "OMP_NUM_THREADS" in chosen) or None
-    yield good, text + f"({said or 'OMP_NUM_THREADS is not set'})", cure
+    yield good, text + f"({choices or 'OMP_NUM_THREADS is not set'})", cure
 
 
 def ranks_and_cores():

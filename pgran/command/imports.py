@@ -32,23 +32,23 @@ snapshots the last one is taken. A CONDITION compares a coordinate or another co
 
 def run(words):
     """Make a network from files of another program, and say what became of them, on rank 0."""
-    given = _parser().parse_intermixed_args(words)
+    options = _parser().parse_intermixed_args(words)
     if launch.rank() > 0:
         return DONE
-    _check(given)
-    check_output(given.output, given.overwrite)
+    _check(options)
+    check_output(options.output, options.overwrite)
     with np.errstate(all="ignore"):  # of absurd numbers in a file: what comes of them is checked
-        contacts, names = _read(given)
-        made = assemble(contacts, given)
+        contacts, names = _read(options)
+        made = assemble(contacts, options)
         if names is not None and not np.array_equal(names, contacts.balls.id.astype(str)):
             made.members["id"] = np.char.encode(names, "utf-8")[made.kept.balls]
         network = made.network()
-    write_network(given.output, made.members, made.attributes, given.overwrite)
+    write_network(options.output, made.members, made.attributes, options.overwrite)
     if not network.held.any():
         log.warning(
             "no ball is held: the network floats and cannot be driven; see --rest and --drive"
         )
-    for line in _summary(network, made, contacts, given):
+    for line in _summary(network, made, contacts, options):
         print(line)
     return DONE
 
@@ -100,36 +100,38 @@ def _direction(text):
     raise argparse.ArgumentTypeError(f"{text} is neither x, y, z nor 2 or 3 components")
 
 
-def _check(given):
+def _check(options):
     """Refuse words that contradict each other."""
-    if given.hertz is not None and given.law != "hertz":
+    if options.hertz is not None and options.law != "hertz":
         raise InputError("--hertz goes with --law hertz")
-    if given.cut is not None and not re.fullmatch("[xyz]{1,3}", given.cut):
-        raise InputError(f"--cut {given.cut}: must be axes, such as x or xy")
-    if given.displacement == "scalar" and (given.prestress or given.tangential or given.direction):
+    if options.cut is not None and not re.fullmatch("[xyz]{1,3}", options.cut):
+        raise InputError(f"--cut {options.cut}: must be axes, such as x or xy")
+    if options.displacement == "scalar" and (
+        options.prestress or options.tangential or options.direction
+    ):
         raise InputError("--prestress, --tangential and --direction need vector displacements")
-    if graphs.is_graph(given.balls) == (given.contacts is not None):
+    if graphs.is_graph(options.balls) == (options.contacts is not None):
         raise InputError(
             "one GraphML file holds balls and contacts"
-            if given.contacts
+            if options.contacts
             else "CONTACTS is missing: only GraphML holds balls and contacts in one file"
         )
 
 
-def _read(given):
+def _read(options):
     """Return the contacts between the balls in the files, and the names of nodes of a graph."""
-    if given.contacts is None:
-        nodes, edges, names = graphs.read_graph(given.balls)
-        return read_contacts(edges, read_balls(nodes), given.columns), np.array(names)
-    balls = read_balls(read_table(given.balls))
-    return read_contacts(read_table(given.contacts), balls, given.columns), None
+    if options.contacts is None:
+        nodes, edges, names = graphs.read_graph(options.balls)
+        return read_contacts(edges, read_balls(nodes), options.columns), np.array(names)
+    balls = read_balls(read_table(options.balls))
+    return read_contacts(read_table(options.contacts), balls, options.columns), None
 
 
-def _summary(network, made, contacts, given):
+def _summary(network, made, contacts, options):
     """Say in a few lines what has been written, what was left out, and what to do next."""
     kept, members, kind = made.kept, made.members, network.displacement
     free, rest, driven = np.bincount(network.held, minlength=3)
-    yield f"{given.output}: {counted(free, 'free ball')}, {rest} at rest, {driven} driven; " \
+    yield f"{options.output}: {counted(free, 'free ball')}, {rest} at rest, {driven} driven; " \
         f"{counted(len(network.bond), 'contact')}"  # fmt: skip
     moves = {"vector": "vectors", "rotations": "vectors and rotations"}.get(kind, kind)
     plane = f" in {network.axes} dimensions, driven along {_words(network.direction)}"
@@ -150,12 +152,12 @@ def _summary(network, made, contacts, given):
     )
     texts = [f"{counted(count, what)} {why}" for count, what, why in left_out if count]
     yield f"left out: {'; '.join(texts) or 'nothing'}"
-    if given.cut:
-        yield f"cut: {counted(made.cut, 'contact')} across {' and '.join(given.cut)}"
-    k, law = members["stiffness"], given.law or contacts.roles["stiffness"]
+    if options.cut:
+        yield f"cut: {counted(made.cut, 'contact')} across {' and '.join(options.cut)}"
+    k, law = members["stiffness"], options.law or contacts.roles["stiffness"]
     formula = {"hertz": "hertz, 3/2 F/h", "harmonic": "harmonic, F/h"}.get(law, f"column {law}")
-    if given.hertz is not None:
-        formula = f"hertz, 3/2 c^(2/3) F^(1/3) with c = {given.hertz:g}"
+    if options.hertz is not None:
+        formula = f"hertz, 3/2 c^(2/3) F^(1/3) with c = {options.hertz:g}"
     yield f"stiffness: {formula}; {k.min():.4g} to {k.max():.4g}"
     yield f"omega_mx {network.omega_mx:.4g}, by the stiffest contact, {network.kmax:.4g}, and " \
         f"the median mass, {network.mass:.4g}, of the whole packing, whatever is held"  # fmt: skip
@@ -167,7 +169,7 @@ def _summary(network, made, contacts, given):
     ball = _middle(network)
     name = members["id"][ball]
     name = name.decode() if isinstance(name, bytes) else name
-    yield f"next: pgran run FILE -network_file {given.output} -detectors {ball}"
+    yield f"next: pgran run FILE -network_file {options.output} -detectors {ball}"
     yield f"(ball {ball}, of the id {name}, is free and in the middle; /network/id has all ids)"
 
 

@@ -38,13 +38,13 @@ def list_options(words):
     parser.add_argument(
         "--copy", metavar="DIR", type=Path, help="copy the options files of pgran into a folder"
     )
-    given = parser.parse_args(words)
-    if given.copy is not None:
+    asked = parser.parse_args(words)
+    if asked.copy is not None:
         if launch.rank() == 0:
-            copy_files(given.copy)
-            print(f"to run one of them: pgran run {shlex.quote(str(given.copy / 'response.opts'))}")
+            copy_files(asked.copy)
+            print(f"to run one of them: pgran run {shlex.quote(str(asked.copy / 'response.opts'))}")
         return DONE
-    scene = given.scene
+    scene = asked.scene
     if scene is not None and scene not in SCENES:
         near = nearest(scene, SCENES)
         hint = f"did you mean {near}?" if near else f"there are {', '.join(SCENES)}"

@@ -151,22 +151,22 @@ def run(words):
         add(f"-units_{name}", type=positive, metavar=unit.upper(), help=words_of)
     add("-width", type=float, metavar="MM", help="of the figures on paper; else 85 or 170")
     add("-caption", action="store_true", help="write a caption beside each figure, FIGURE.txt")
-    given = parser.parse_intermixed_args(words)
-    paths, over = [Path(each) for each in given.result], {}
+    options = parser.parse_intermixed_args(words)
+    paths, over = [Path(each) for each in options.result], {}
     if len(set(map(os.path.realpath, paths))) < len(paths):
         raise InputError("plot: the same result is given twice")
-    results = [as_result(pgran.load(each)) for each in given.result]
+    results = [as_result(pgran.load(each)) for each in options.result]
     if len({str(result.scene) for result in results}) > 1:
         number, name, record = _pair(*results)
         paths, results = [paths[number]], [results[number]]
         over[name] = record.omega if name == "modes" else record
         if name == "modes" and not record.count_certified:
             log.warning("modes are missing or inaccurate, so not all are marked")
-    units = given.units_length, given.units_time
-    made = _make(results, [p.name for p in paths], units, given.plot_with, given.width, **over)
+    units = options.units_length, options.units_time
+    made = _make(results, [p.name for p in paths], units, options.plot_with, options.width, **over)
     several = "-compared" if len(results) > 1 else ""
-    output = given.output or paths[0].with_name(f"{paths[0].stem}{several}.png")
-    for path in _save(made, output, given.caption, given.plot_with):
+    output = options.output or paths[0].with_name(f"{paths[0].stem}{several}.png")
+    for path in _save(made, output, options.caption, options.plot_with):
         print(path)
     return DONE
 

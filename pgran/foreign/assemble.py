@@ -37,30 +37,30 @@ class Imported:
         return Network(**values, **self.attributes)
 
 
-def assemble(contacts, words):
+def assemble(contacts, options):
     """Return the network of contacts: what touches, is not cut, and hangs together.
 
-    `words` are those of `pgran import`. An InputError or a FileError says what is wrong with them,
+    `options` are those of `pgran import`. An InputError or a FileError says what is wrong with them,
     or with the contacts.
     """
     balls = contacts.balls
-    kind = words.displacement or ("vector" if balls.axes else "scalar")
+    kind = options.displacement or ("vector" if balls.axes else "scalar")
     if kind != "scalar" and not balls.axes:
         raise InputError(f"--displacement {kind} needs positions of the balls")
     if kind == "rotations" and balls.radius is None:
         raise InputError("--displacement rotations needs radii of the balls")
-    stiffness = contacts.stiffness(words.law, words.hertz)
+    stiffness = contacts.stiffness(options.law, options.hertz)
     touch = stiffness != 0
     once = touch & _first_of_each(contacts, stiffness, touch)
-    across = _crossing(contacts, words.cut)
-    held = _held(balls, words)
+    across = _crossing(contacts, options.cut)
+    held = _held(balls, options)
     index = np.flatnonzero(once)
     kept = packing.keep(contacts.bond[index], held, across[index])
     rows = index[kept.contacts]
     if not len(rows):
         raise InputError("no contact is left that a free ball has: see --rest, --drive, --cut")
-    if words.drive and not np.any(held[kept.balls] == DRIVEN):
-        raise InputError(f"--drive {words.drive}: none of these balls touches a free one")
+    if options.drive and not np.any(held[kept.balls] == DRIVEN):
+        raise InputError(f"--drive {options.drive}: none of these balls touches a free one")
     if balls.axes:
         _check_images(contacts, rows)
 
@@ -77,7 +77,7 @@ def assemble(contacts, words):
     }
     attributes = {
         "displacement": kind,
-        "damping": words.damping,
+        "damping": options.damping,
         # the unit of frequency is that of all balls and contacts, whatever is held, cut or left out
         "kmax": float(np.abs(stiffness).max()),
         "median_mass": float(np.median(balls.mass)),
@@ -88,17 +88,17 @@ def assemble(contacts, words):
         ratio = packing.unbalanced(bond, normal[rows], force[rows], held == FREE)
     if kind != "scalar":
         members |= {"normal": normal[rows], "distance": contacts.distance[rows]}
-        if words.prestress and force is None:
+        if options.prestress and force is None:
             raise InputError("--prestress needs forces; --columns says which column they are in")
-        if words.prestress is not False and force is not None:
+        if options.prestress is not False and force is not None:
             members["force"] = force[rows]
         shear = contacts.column("tangential")
-        if words.tangential is not None:
-            shear = words.tangential * stiffness
+        if options.tangential is not None:
+            shear = options.tangential * stiffness
         if shear is not None:
             members["tangential"] = shear[rows]
             attributes["kmax"] = max(attributes["kmax"], float(np.abs(shear[touch]).max()))
-        attributes["direction"] = _components(words.direction, balls.axes)
+        attributes["direction"] = _components(options.direction, balls.axes)
     left_out = (~touch, touch & ~once, across & once)
     return Imported(members, attributes, kept, *map(np.count_nonzero, left_out), ratio)
 
@@ -140,12 +140,12 @@ def _crossing(contacts, cut):
     return across
 
 
-def _held(balls, words):
+def _held(balls, options):
     """Return which balls are free, at rest, driven: as the file says, and then --rest, --drive."""
     held = np.full(len(balls.id), FREE) if balls.held is None else balls.held.copy()
     chosen = np.zeros((2, len(balls.id)), dtype=bool)
     for k, (option, kind) in enumerate((("rest", AT_REST), ("drive", DRIVEN))):
-        condition = getattr(words, option)
+        condition = getattr(options, option)
         if condition is not None:
             try:
                 chosen[k] = choose(condition, balls.id, balls.column)

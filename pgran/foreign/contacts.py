@@ -151,8 +151,8 @@ class Contacts:
     def lengths(self):
         """Distances by the positions, shape (nb,); of balls at one place there is no normal."""
         lengths = np.linalg.norm(self._away[0], axis=1)
-        wrong = ~((lengths > 0) & (lengths < np.inf))
-        self.table.refuse_any(wrong, lambda row: f"these balls are {lengths[row]} apart")
+        odd = ~((lengths > 0) & (lengths < np.inf))
+        self.table.refuse_any(odd, lambda row: f"these balls are {lengths[row]} apart")
         return lengths
 
     @property

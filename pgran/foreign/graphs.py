@@ -59,6 +59,6 @@ def _table_of(path, rows, places, what):
         try:
             columns[str(name)] = np.array(words, dtype=float)
         except (TypeError, ValueError, OverflowError):
-            wrong = next(k for k, word in enumerate(words) if not is_number(str(word)))
-            texts[str(name)] = (wrong, str(words[wrong]))
+            row = next(k for k, word in enumerate(words) if not is_number(str(word)))
+            texts[str(name)] = (row, str(words[row]))
     return Table(path, columns, texts, places)

@@ -38,7 +38,7 @@ class Crew:
         self.groups = world.size // ranks_per_lattice
         self.number = world.rank // ranks_per_lattice
         self.group = world.Split(self.number, world.rank)
-        self._shared, self._told, self._words = 0, None, []
+        self._shared, self._stopped_by, self._words = 0, None, []
 
     def __enter__(self):
         """Return the crew."""
@@ -102,18 +102,18 @@ class Crew:
         name = next(filter(None, names), None)
         if name and first:
             others = set(range(0, self.world.size, self.group.size)) - {self.world.rank}
-            self._told = name
+            self._stopped_by = name
             self._words = [self.world.isend(name, rank, tag=WORD) for rank in others]
         return name or any(heard)
 
     def _agree_to_stop(self):
         """Raise StoppedError on all ranks if one of them has stopped; leave no word unheard."""
-        told = self.world.allgather(self._told)
-        for rank, name in enumerate(told):
+        names = self.world.allgather(self._stopped_by)
+        for rank, name in enumerate(names):
             if name and self.group.rank == 0 and rank != self.world.rank:
                 self.world.recv(source=rank, tag=WORD)
         MPI.Request.waitall(self._words)
-        stopped = next(filter(None, told), None)
+        stopped = next(filter(None, names), None)
         if stopped:
             self.journal.stop(stopped)
 

@@ -16,7 +16,7 @@ class Progress:
     def __init__(self, total, what, style="auto"):
         """Start the clock."""
         self.total, self.what, self.done = total, what, 0
-        self.said, self.said_done, self.bar = time.monotonic(), 0, None
+        self.last_time, self.last_done, self.bar = time.monotonic(), 0, None
         if style == "auto":
             style = "bar" if sys.stderr.isatty() else "lines"
         self.lines = style == "lines"
@@ -43,10 +43,10 @@ class Progress:
         if self.bar is not None:
             self.bar.update(count)
         now = time.monotonic()
-        if self.lines and count and now - self.said >= self.seconds_between_lines:
+        if self.lines and count and now - self.last_time >= self.seconds_between_lines:
             # by the pace since the last line: what an earlier run had finished came at once
-            left = (now - self.said) * (self.total - self.done) / (self.done - self.said_done)
-            self.said, self.said_done = now, self.done
+            left = (now - self.last_time) * (self.total - self.done) / (self.done - self.last_done)
+            self.last_time, self.last_done = now, self.done
             text = f"{self.done} of {self.total} {self.what}, about {_duration(left)} left"
             print(f"pgran: {text}", file=sys.stderr, flush=True)
 

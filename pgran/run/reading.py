@@ -48,7 +48,7 @@ def read_file(path):
     if strange := NO_TEXT.search(text):
         line = 1 + text.count("\n", 0, strange.start())
         raise FileError(f"{path}: not a text file (line {line})")
-    given = []
+    items = []
     for number, line in enumerate(text.splitlines(), 1):
         words = UNQUOTED.findall(line.partition("#")[0])
         if not words:
@@ -60,27 +60,27 @@ def read_file(path):
         except ValueError as error:
             hint = next((hint for word in line.split() if (hint := _hint(word))), error)
             raise InputError(f"{line.strip()}{where}: {hint}") from None
-        given += read_words(words, where)
-    return given
+        items += read_words(words, where)
+    return items
 
 
 def read_words(words, where=""):
     """Return what a command line gives: `-key value`, or `-key` alone."""
-    given = []
+    items = []
     for word in words:
         check_word(word, where)
         if KEY.fullmatch(word):
-            given.append(Given(word.lstrip("-"), "", where))
+            items.append(Given(word.lstrip("-"), "", where))
         elif re.match("--?[A-Za-z]", word):
             key, sign, value = word.partition("=")
             hint = f"write {key} {value}" if sign else "no key has such a name"
             raise InputError(f"{word}{where}: {hint}")
-        elif given and not given[-1].text:
-            given[-1] = Given(given[-1].key, word, where)
+        elif items and not items[-1].text:
+            items[-1] = Given(items[-1].key, word, where)
         else:
-            hint = _hint(word, given) or "a value without a key (keys look like -key)"
+            hint = _hint(word, items) or "a value without a key (keys look like -key)"
             raise InputError(f"{word}{where}: {hint}")
-    return given
+    return items
 
 
 def check_word(word, where=""):
@@ -90,7 +90,7 @@ def check_word(word, where=""):
         raise InputError(f"{word}{where}: holds {odd}")
 
 
-def _hint(word, given=()):
+def _hint(word, items=()):
     """Return what a word may have been meant to be that is no value, or None."""
     if word.startswith(COMMENTS):
         return "a comment begins with #"
@@ -98,11 +98,11 @@ def _hint(word, given=()):
         return "begins with a long dash; keys begin with -"
     if re.fullmatch("[a-z]+(_[a-z]+)+|scene|detectors", word.lower()):
         return f"a value without a key; did you mean -{word.lower()}?"
-    if given and given[-1].text in ("=", ":"):
-        return f"write -{given[-1].key} {word}"
-    if given and re.fullmatch(r"[\d.,e+-]+", word):
-        both = f"{given[-1].text.strip(',')},{word.strip(',')}"
-        return f"a value without a key; a list has no blanks: -{given[-1].key} {both}"
+    if items and items[-1].text in ("=", ":"):
+        return f"write -{items[-1].key} {word}"
+    if items and re.fullmatch(r"[\d.,e+-]+", word):
+        both = f"{items[-1].text.strip(',')},{word.strip(',')}"
+        return f"a value without a key; a list has no blanks: -{items[-1].key} {both}"
     return None
 
 

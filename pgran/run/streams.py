@@ -49,12 +49,12 @@ class Messages(logging.Formatter):
 @contextlib.contextmanager
 def saying_once():
     """Let each warning be said once, however often it is met meanwhile."""
-    log, said = logging.getLogger("pgran"), set()
+    log, texts = logging.getLogger("pgran"), set()
 
     def is_new(record):
         text = record.getMessage()
-        new = text not in said
-        said.add(text)
+        new = text not in texts
+        texts.add(text)
         return new or record.levelno < logging.WARNING
 
     log.addFilter(is_new)
