@@ -40,7 +40,7 @@ class Imported:
 def assemble(contacts, options):
     """Return the network of contacts: what touches, is not cut, and hangs together.
 
-    `options` are those of `pgran import`. An InputError or a FileError says what is wrong with them,
+    `options` are those of `pgran import`. An InputError or a FileError says what is wrong with them
     or with the contacts.
     """
     balls = contacts.balls
@@ -54,7 +54,7 @@ def assemble(contacts, options):
     once = touch & _first_of_each(contacts, stiffness, touch)
     across = _crossing(contacts, options.cut)
     held = _held(balls, options)
-    index = np.flatnonzero(once)
+    index = np.flatnonzero(once)  # of contacts in the file: all that could be kept
     kept = packing.keep(contacts.bond[index], held, across[index])
     rows = index[kept.contacts]
     if not len(rows):
@@ -106,6 +106,7 @@ def assemble(contacts, options):
 def _first_of_each(contacts, stiffness, touch):
     """Return which contacts are the first of the same two balls; those listed again must agree."""
     low, high = np.sort(contacts.bond, axis=1).T
+    # contacts that touch come first, those of the same two balls together, in the file's order
     order = np.lexsort((np.arange(len(low)), high, low, ~touch))
     order = order[: np.count_nonzero(touch)]
     again = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)

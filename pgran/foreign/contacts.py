@@ -73,6 +73,7 @@ def read_balls(table):
     again = ~np.isin(np.arange(len(ids)), first)
     table.refuse_any(again, lambda row: f"a second ball has the id {ids[row]}")
     position, periods = _positions(table)
+    # a file says a mass, or the density of what has a radius, or nothing: then all are alike
     radius = held = None
     if "radius" in table:
         radius = table.numbers("radius", positive=True)
@@ -114,7 +115,7 @@ def _positions(table):
         position[:, inside] = low[inside] + np.mod(away, periods[inside])
     endless = ~np.isfinite(position).all(axis=1)
     table.refuse_any(endless, lambda row: "the position is too large a number")
-    if len(axes) == 3 and len(position) > 1 and np.ptp(position[:, 2]) == 0:
+    if len(axes) == 3 and len(position) > 1 and np.ptp(position[:, 2]) == 0:  # a plane
         position, periods = position[:, :2], periods[:2]
     return position, periods
 
@@ -250,6 +251,7 @@ class Contacts:
 def rows_of(table, name, balls):
     """Return the rows of the balls whose ids a column holds."""
     ids, order = table.integers(name), np.argsort(balls.id)
+    # the row of the ball that each id would have in a sorted list, which it is only if it is there
     rows = order[np.searchsorted(balls.id[order], ids).clip(max=len(order) - 1)]
     unknown = balls.id[rows] != ids
     table.refuse_any(unknown, lambda row: f"no ball {ids[row]} in {balls.table.path}")

@@ -79,6 +79,7 @@ def _roles_of_balls(table, balls):
                 _columns_like_components(contacts),
             )
             pairs.append(((sum(map(bool, recognised)), np.mean(right)), (a, b), bond))
+    # (how many things the other columns are, in how many rows they hold balls): the most wins
     best = max((score for score, *_ in pairs), default=(0, 0.0))
     pairs = [(pair, bond) for score, pair, bond in pairs if score == best]
     if not best[0]:

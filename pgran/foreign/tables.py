@@ -125,6 +125,11 @@ def _read_dump(lines):
     snapshots = lines.last("ITEM: TIMESTEP")
     if not snapshots:
         raise FileError(f"{lines.path}: is no dump: it has no line ITEM: TIMESTEP")
+    # a head in any order, at last the line that repeats the kind and names the columns:
+    #   ITEM: NUMBER OF ENTRIES
+    #   812
+    #   ITEM: BOX BOUNDS pp ff ff         two ends in each of the next three lines
+    #   ITEM: ENTRIES c_p[1] c_p[2] ...
     step = count = box = kind = None
     while True:
         line = lines.need("head")

@@ -101,6 +101,7 @@ def met_by_all(comm):
 
     For an error that may have been raised on some ranks only, while the others go on or wait.
     """
+    # a barrier that need not be waited for: whoever is not there is at work, or waits elsewhere
     request, deadline = comm.Ibarrier(), time.monotonic() + SECONDS_FOR_OTHERS
     while not request.Test():
         if time.monotonic() > deadline:

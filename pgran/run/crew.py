@@ -88,6 +88,8 @@ class Crew:
         The groups take turns, each round in the opposite order, which shares out evenly what is
         sorted by size.
         """
+        # turn   0 1 2 3 4 5 6 7 8
+        # group  0 1 2 2 1 0 0 1 2
         cycle, place = divmod(turn, self.groups)
         return self.number == (place if cycle % 2 == 0 else self.groups - 1 - place)
 

@@ -27,7 +27,8 @@ from pgran.run.launch import SIGNALS
 log = logging.getLogger("pgran")
 
 MAGIC = b"pgran journal 1\n"
-RECORD = struct.Struct("<IIQI")  # stage, position, bytes, checksum
+# MAGIC | head | identity | head | rows of a unit | head | rows of a unit ...
+RECORD = struct.Struct("<IIQI")  # a head: stage, position, bytes, checksum of both
 IDENTITY = (0, 0)  # stage and position of the record that says what the run is
 SECONDS_BETWEEN_SYNCS = 1.0  # a kill loses nothing in between, only a power failure does
 

@@ -58,6 +58,7 @@ class CarefulFile:
 
     def _member(self, name, kind):
         """Return a member, found without following a link that leads elsewhere."""
+        # step by step: HDF5 itself would follow a link before it can be asked whether it is one
         member, way = self.file, ""
         for part in name.strip("/").split("/") if name != "/" else []:
             way = f"{way}/{part}"
@@ -101,6 +102,7 @@ class CarefulFile:
             self.refuse(name, f"holds no {called}s but {data.dtype}")
         if data.shape is None:
             self.refuse(name, "is empty")
+        # a few bytes of compressed zeros can declare terabytes
         self._left -= data.size * data.dtype.itemsize
         if self._left < 0:
             self.refuse(name, f"of shape {data.shape} declares far more than the file holds")

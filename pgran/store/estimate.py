@@ -27,6 +27,7 @@ def jackknife(measure, parts):
     (Quenouille, Biometrika 43, 353 (1956); Tukey, Ann. Math. Stat. 29, 614 (1958)). `measure(None)`
     is T, `measure(g)` is T_g, numbers or arrays of one shape; `parts` is n.
     """
+    # the measure of all data but a part, for each part: their scatter is the error's
     replicas = np.array([measure(part) for part in range(parts)])
     mean = replicas.mean(axis=0)
     value = parts * measure(None) - (parts - 1) * mean

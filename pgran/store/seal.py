@@ -10,6 +10,7 @@ import os
 from pgran.errors import FileError
 from pgran.store.paths import open_regular
 
+# | what HDF5 has written ... | pgran result 2, sha256 of all before, zeros: 512 bytes |
 SEAL_SIZE, SEAL = 512, b"pgran result "
 AT_END = 2  # the version of a seal in this place, that of the format which brought it
 PIECE = 2**20  # bytes read at a time

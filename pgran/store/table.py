@@ -48,6 +48,7 @@ def _of_record(record):
         axes = axes or (name,)
         if any(axis.startswith(IN_SPACE) for axis in axes):
             continue
+        # displacement (omega, detector_number): a row each omega, a column each detector
         rows = tuple(axis for axis in axes if axis not in ASIDE)
         at = [axes.index(axis) for axis in rows]
         if rows not in of_axes:
