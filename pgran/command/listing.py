@@ -15,7 +15,7 @@ from pgran.command.words import WIDTH, Parser
 from pgran.errors import DONE, FileError, InputError
 from pgran.run import keys as solver_keys
 from pgran.run import launch
-from pgran.run.options import nearest, text_of
+from pgran.run.options import text_of
 
 FILES = Path(__file__).parents[1] / "options"
 NAMED = re.compile(r"^(#?-\w+ )(options/.*)$", re.MULTILINE)  # values of options that are files
@@ -46,9 +46,7 @@ def list_options(words):
         return DONE
     scene = asked.scene
     if scene is not None and scene not in SCENES:
-        near = nearest(scene, SCENES)
-        hint = f"did you mean {near}?" if near else f"there are {', '.join(SCENES)}"
-        raise InputError(f"options: there is no scene {scene}; {hint}")
+        raise InputError(f"options: there is no scene {scene}; there are {', '.join(SCENES)}")
     if launch.rank() == 0:
         print(describe_options(scene), end="")
     return DONE
