@@ -16,7 +16,7 @@ from pgran.command.plot import labels_of
 from pgran.command.plot import run as plot
 from pgran.command.resolve import resolve
 from pgran.draw import pages as figures
-from pgran.draw import together
+from pgran.draw import style, together
 from pgran.errors import FileError, InputError
 from pgran.experiments.relaxation.spectrum import power_spectrum
 from pgran.run.options import options_in
@@ -174,11 +174,11 @@ def test_sweeps_of_different_ranges():
 def test_modes_over_each_other():
     shown = [find_modes((6, 5)), find_modes((7, 6))]
     made = figures.compare(shown, ["small", "large"])
-    for line, result in zip(made["participation"].axes[0].get_lines(), shown, strict=False):
+    drawn = lines(made["participation"].axes[0], linestyle="None")
+    for line, result in zip(drawn, shown, strict=True):
         assert np.array_equal(line.get_xdata(), result.modes.omega / result.medium.omega_mx)
         assert np.array_equal(line.get_ydata(), result.modes.participation)
-    markers = {line.get_marker() for line in made["participation"].axes[0].get_lines()}
-    assert len(markers - {"None"}) == 2
+    assert len({line.get_marker() for line in drawn}) == 2
     steps = [patch.get_data() for patch in made["density"].axes[0].patches]
     assert np.array_equal(steps[0].edges, steps[1].edges)
     for step in steps:
@@ -293,4 +293,4 @@ def test_the_command(written, damped, monkeypatch, capsys):
 
 
 def test_there_are_as_many_looks_as_results():
-    assert len(together.LINES) == len(together.COLOURS) == len(together.MARKS) == together.MOST
+    assert len(together.LINES) == len(style.COLOURS) == len(together.MARKS) == together.MOST

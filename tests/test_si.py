@@ -12,7 +12,7 @@ from samples import run_scene
 
 import pgran
 from pgran.command.resolve import SCENES, resolve
-from pgran.draw import physical, style
+from pgran.draw import scales
 from pgran.errors import InputError
 from pgran.medium.record import record_of
 from pgran.run.reading import read_words
@@ -163,7 +163,7 @@ def test_axes(make, name, axis, quantity, factor):
             assert np.array_equal(line.get_xdata(), same.get_xdata())
         shown = getattr(ax, f"{axis}axis")
         if shown.get_label_text() in (label, "" if axis == "x" else label):  # "": as that below
-            assert isinstance(shown.get_major_locator(), physical.Ticks)
+            assert isinstance(shown.get_major_locator(), scales.Ticks)
             said, there = at_ticks(shown, unit)
             assert len(said) >= 2
             assert said == pytest.approx(factor * there, rel=1e-3)
@@ -180,7 +180,7 @@ def test_ticks_of_any_scale(scale, high):
     ax = Figure().subplots()
     ax.plot([1.0, high], [1.0, 2.0])
     ax.set_xscale(scale)
-    physical.convert(ax.xaxis, 0.37)
+    scales.convert(ax.xaxis, 0.37)
     said, there = at_ticks(ax.xaxis, "Hz")
     assert len(said) >= 2
     assert said == pytest.approx(0.37 * there, rel=1e-3)
@@ -193,7 +193,7 @@ def test_ticks_of_an_axis_that_is_linear_up_to_a_threshold():
     ax = Figure().subplots()
     ax.plot([0.0, 7000.0], [1.0, 2.0])
     ax.set_xscale("symlog", linthresh=100.0)
-    physical.convert(ax.xaxis, 0.01)
+    scales.convert(ax.xaxis, 0.01)
     assert sorted(at_ticks(ax.xaxis, "Hz")[0]) == [0, 1, 10]
 
 
@@ -203,8 +203,8 @@ def test_ticks_on_both_sides_of_zero_are_apart(power):
     from matplotlib.figure import Figure
 
     ax = Figure().subplots()
-    style.symmetric(ax, np.array([-1e4, 3e4]), 37.0)
-    physical.convert(ax.yaxis, 10**power)
+    scales.symmetric(ax, np.array([-1e4, 3e4]), 37.0)
+    scales.convert(ax.yaxis, 10**power)
     places = ax.yaxis.get_majorticklocs()
     assert np.count_nonzero(places == 0) == 1
     assert np.abs(places[places != 0]).min() >= 37.0

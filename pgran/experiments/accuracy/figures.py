@@ -1,5 +1,7 @@
 """The figure of an accuracy study: error against run time, a colour and a mark a solver."""
 
+from functools import partial
+
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -16,21 +18,16 @@ def figures(result, **_):
     drawn = np.isfinite(accuracy.error_max)
     style.check_any(np.flatnonzero(drawn), "configuration has computed anything")
     alike = np.nanmax(accuracy.error_max) < ALIKE * np.nanmin(accuracy.error_max)
-    if alike:
-        figure, (ax,) = style.page(style.PAGE, 0.9 + 0.18 * np.count_nonzero(drawn))
-        times(ax, accuracy)
-    else:
-        figure, (ax,) = style.page(style.PAGE, 2.9)
-        front(ax, accuracy)
-        figure.set_figheight(2.8 + 0.13 * style.legend_above([ax]))
-    if not np.all(drawn):
-        nothing = ", ".join(dict.fromkeys(accuracy.solver[~drawn]))
-        style.note(figure, f"without a result, at some tolerance: {nothing}")
-    figure.caption = (
+    panel, height = (times, 0.9 + 0.18 * np.count_nonzero(drawn)) if alike else (front, 2.8)
+    caption = (
         f"Largest relative error against run time of {accuracy.experiment}, by solvers and the "
         f"tolerances given to them; median of {accuracy.repeats} runs, bars: from the shortest to "
         "the longest."
     )
+    figure = style.single(partial(panel, accuracy=accuracy), caption, style.PAGE, height)
+    if not np.all(drawn):
+        nothing = ", ".join(dict.fromkeys(accuracy.solver[~drawn]))
+        style.note(figure, f"without a result, at some tolerance: {nothing}")
     yield "front", figure
 
 
