@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from pgran.draw import style
+from pgran.draw import captions, style
 
 ALIKE = 10  # errors that differ by less are one line: run times are what is to be seen
 MARKS = "os^Dv<>"  # 7, so that with 6 colours no two solvers of 42 look alike
@@ -29,6 +29,12 @@ def figures(result, **_):
         nothing = ", ".join(dict.fromkeys(accuracy.solver[~drawn]))
         style.note(figure, f"without a result, at some tolerance: {nothing}")
     yield "front", figure
+
+
+def errors(record, _):
+    """Return what errors are relative to."""
+    reference = captions.number(record.reference_bound)
+    return f"The reference's own relative error: at most {reference}."
 
 
 def times(ax, accuracy):

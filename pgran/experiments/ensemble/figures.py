@@ -79,6 +79,12 @@ def _pages(found, lattice):
             yield name, figure
 
 
+def errors(record, _):
+    """Return how many samples are good."""
+    lost = f"; {record.left_out} more are left out" if record.left_out else ""
+    return f"Each of {np.count_nonzero(record.good)} samples has the accuracy asked for{lost}."
+
+
 def known(found, name, detector=None):
     """Return a number of all samples that are good and have it, shape (n,)."""
     values = getattr(found, name)[found.good > 0]

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from pgran.draw import balls, scales, style, together
+from pgran.draw import balls, captions, scales, style, together
 
 CAPTIONS = {
     "shapes": "Shapes of normal modes; $P_i$: how many balls take part.",
@@ -34,6 +34,18 @@ def figures(result, **_):
     for name, figure in made.items():
         style.note_missing(figure, record)
         yield name, figure
+
+
+def errors(record, _):
+    """Return how many modes were found, and whether their count certifies them."""
+    words = f"{record.count_found} of {record.count_expected} normal modes"
+    if not record.count_certified:
+        return f"{words} were found; they are not certified."
+    residual = getattr(record, "residual", None)
+    if residual is None or not len(residual):
+        return f"{words}, certified by their count."
+    largest = captions.number(residual.max())
+    return f"{words}, certified by their count; residuals at most {largest}."
 
 
 def shape(ax, modes, lattice, mode):

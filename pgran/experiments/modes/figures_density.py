@@ -23,6 +23,11 @@ def figures(result, **_):
         yield panel.__name__, figure
 
 
+def errors(record, _):
+    """Return how many counts are certain."""
+    return f"{np.count_nonzero(record.certified)} of {len(record.omega)} counts are certified."
+
+
 def staircase(ax, density, lattice):
     """Draw how many modes lie below each frequency; return the curve.
 

@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 
 from pgran.draw import marks, scales, style
+from pgran.experiments.modes import figures as modes_figures
 
 COEFFICIENT = "coefficient $|c_i|$ (drive = 1)"
 SHOWN = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes of cifreq lie
@@ -35,6 +36,14 @@ def figures(result, **_):
     figure = style.single(panel, CAPTIONS[name])
     style.note_missing(figure, projection)
     yield name, figure
+
+
+def errors(record, how):
+    """Return how many modes there are, and how many frequencies failed."""
+    failed = record.converged_reason <= 0
+    missed = f"{np.count_nonzero(failed)} of {len(failed)} frequencies"
+    lost = f" {missed} missed the accuracy asked for." if failed.any() else ""
+    return modes_figures.errors(record, how) + lost
 
 
 def coefficients(ax, projection, lattice, drive=SHOWN):

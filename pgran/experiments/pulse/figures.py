@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from pgran.draw import balls, bonds, scales, style, together
+from pgran.draw import balls, bonds, captions, scales, style, together
 from pgran.experiments.pulse import transfer
 
 
@@ -31,6 +31,14 @@ def figures(result, response=None, **_):
     yield "spectrum", transfer.page(signals, lattice, response)
     if lattice.group == "lattice":
         yield "bonds", bonds.page(lattice, signals.detector)
+
+
+def errors(record, _):
+    """Return the largest error of signals in units of their largest displacement."""
+    relative = np.nanmax(record.error.max(axis=0) / np.abs(record.displacement).max(axis=0))
+    how = "proven" if record.error_bound is not None else "estimated"
+    most = captions.number(relative)
+    return f"Error of every signal: at most {most} of its largest displacement ({how})."
 
 
 def seismogram(ax, signals, lattice):

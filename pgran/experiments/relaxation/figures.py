@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from pgran.draw import marks, scales, style, together
+from pgran.draw import captions, marks, scales, style, together
 from pgran.errors import FileError
 from pgran.store.estimate import two_digits
 
@@ -27,6 +27,9 @@ def figures(result, **_):
         count = f"{np.count_nonzero(missed)} of {missed.size} amplitudes"
         style.note(figure, f"{count} missed the accuracy asked for")
     yield "timeres", figure
+
+
+errors = captions.amplitudes
 
 
 def series(ax, relaxation, steps=2000):

@@ -42,7 +42,7 @@ def figures(result, modes=None, **_):
 
     yield "amplitude", amplitude_page([(response, lattice, None, {})], modes)
     figure = page(phase)
-    figure.caption += captions.slopes(response)
+    figure.caption += _slopes(response)
     yield "phase", figure
     if lattice.damping and response.delay is not None and np.isfinite(response.delay).any():
         yield "delay", page(delay)
@@ -51,6 +51,9 @@ def figures(result, modes=None, **_):
         yield "wall", page(*panels, height=1.4, shared=True)
     if lattice.group == "lattice":
         yield "bonds", bonds.page(lattice, response.detector)
+
+
+errors = captions.amplitudes
 
 
 def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf), labels=None, **line):
@@ -117,6 +120,17 @@ def _velocity(response, lattice, d):
     if error is not None:  # as it is in a file of version 0.1
         number += rf" \pm {two_digits(error[d])}"
     return f"${'v' if 'velocity' in name else 's'} = {number}$ {unit}"
+
+
+def _slopes(response):
+    """Return the slopes of fitted phases in words, none where none is known."""
+    errors, slopes = response.phase_slope_error, []
+    for d, name in enumerate(style.ball_names(response.detector)):
+        if np.isfinite(response.phase_slope[d]):
+            error = "" if errors is None else rf" \pm {two_digits(errors[d])}"
+            slopes.append(rf"${response.phase_slope[d]:.4g}{error}$ at {name}")
+    unit = r"rad per $\omega_{mx}$; $v$: phase velocity, $d$: unit of length"
+    return f" Slopes: {', '.join(slopes)}, in {unit}." if slopes else ""
 
 
 def delay(ax, response, lattice, modes=None):

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from pgran.draw import balls, bonds, style
+from pgran.draw import balls, bonds, captions, style
 from pgran.experiments.sensitivity import maps
 from pgran.experiments.sensitivity.maps import Map, few
 
@@ -35,6 +35,17 @@ def figures(result, **_):
     yield "distribution", figure
     if medium.group == "lattice":
         yield "bonds", bonds.page(medium, found.detector)
+
+
+def errors(record, how):
+    """Return the bounds of amplitudes, and the largest of the derivatives d ln|A| / d ln k."""
+    words = captions.amplitudes(record, how)
+    largest = np.max(record.log_bound[record.converged_reason > 0], initial=0.0)
+    if 0 < largest < np.inf:
+        slope = "$d\\,\\ln|A| / d\\,\\ln k$"
+        most = captions.number(largest)
+        words += f" Error of every derivative {slope}: at most {most} ({how})."
+    return words
 
 
 def derivatives(ax, record, medium, at, d=0):

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from pgran.draw import balls, marks, scales, style
+from pgran.draw import balls, captions, marks, scales, style
 from pgran.experiments.sensitivity import maps
 from pgran.experiments.sensitivity.maps import Map
 
@@ -32,12 +32,15 @@ def figures(result, **_):
             yield from maps.pages("warmed", warm, heat, medium, "change of |A|", _warmth)
         if heat.cut is not None:
             yield from maps.pages("cut", cut, heat, medium, "change in dB", _words)
-    several = np.count_nonzero(heat.converged_reason > 0) > maps.MOST
+    several = bool(np.count_nonzero(heat.converged_reason > 0) > maps.MOST)
     panels = [distribution] + [over_frequency] * several
     draws = [partial(panel, heat=heat, medium=medium) for panel in panels]
     figure = style.stack(draws, CAPTIONS[: len(draws)])
     maps.note_failed(figure, heat)
     yield "changes", figure
+
+
+errors = captions.amplitudes
 
 
 def change(heat, name):
