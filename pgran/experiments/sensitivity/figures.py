@@ -1,6 +1,5 @@
 """The figures of what a signal depends on: derivatives by bonds, and the power through them."""
 
-import logging
 from functools import partial
 
 import numpy as np
@@ -9,9 +8,6 @@ from pgran.draw import balls, bonds, captions, style
 from pgran.experiments.sensitivity import maps
 from pgran.experiments.sensitivity.maps import Map, few
 
-log = logging.getLogger("pgran")
-SIGNS = "red: |A| grows with k; blue, hollow: it falls; width: square root"
-SUMS = "each ball: sum over its bonds; red: |A| grows with k; blue: it falls"
 SLOPE = r"$|d\,\ln|A|\,/\,d\,\ln k|$"
 
 
@@ -20,7 +16,6 @@ def figures(result, **_):
     found, medium = result.sensitivity, result.medium
     chosen = few(found)
     if not len(chosen):
-        log.warning("no frequency of the sensitivity is as accurate as asked: none is drawn")
         return
     if medium.has_places:
         yield from maps.pages("sensitivity", derivatives, found, medium, "derivative", _words)
@@ -64,8 +59,7 @@ def derivatives(ax, record, medium, at, d=0):
 
 def _words(record, medium, at, d):
     """Return what the map of a detector shows, in words."""
-    each = Map(medium, record.detector[d]).each(record.on_bonds(at, d))
-    return SIGNS if each else SUMS
+    return Map(medium, record.detector[d]).words(record.on_bonds(at, d), "|A| grows with k")
 
 
 def flux(ax, record, medium, at):

@@ -1,6 +1,5 @@
 """The figures of what a warm ball, or a cut bond, does to a signal."""
 
-import logging
 from functools import partial
 
 import numpy as np
@@ -9,23 +8,18 @@ from pgran.draw import balls, captions, marks, scales, style
 from pgran.experiments.sensitivity import maps
 from pgran.experiments.sensitivity.maps import Map
 
-log = logging.getLogger("pgran")
 QUARTER = 25.0  # %, what the heater of the experiment changed
 CHANGE = r"change $|A' - A|\,/\,|A|$ (%)"
-WARMED = "red: |A| grows; blue, with a bar: it falls"
-MEANS = "each ball: mean over its bonds; red: |A| grows; blue: it falls"
 CAPTIONS = (
     "Share of balls warmed, or bonds cut, that change the amplitude by more, at all frequencies.",
     "Median and largest change against the driving frequency.",
 )
-HOLLOW = "red: |A| grows; blue, hollow: it falls; width: square root"
 
 
 def figures(result, **_):
     """Yield maps of warm balls and cut bonds, how the changes are distributed, and over omega."""
     heat, medium = result.heat, result.medium
     if not maps.few(heat):
-        log.warning("no frequency of the heater is as accurate as asked: none is drawn")
         return
     if medium.has_places:
         if heat.warmed is not None:
@@ -87,8 +81,8 @@ def cut(ax, record, medium, at, d=0):
 
 def _words(record, medium, at, d):
     """Return what the map of the bonds cut shows, in words."""
-    each = Map(medium, record.detector[d]).each(decibels(record, at, d))
-    return f"each bond cut alone; {HOLLOW if each else MEANS}"
+    seen, values = Map(medium, record.detector[d]), decibels(record, at, d)
+    return f"each bond cut alone; {seen.words(values, '|A| grows', 'mean')}"
 
 
 def _warmth(record, *_):
@@ -96,7 +90,7 @@ def _warmth(record, *_):
     how = f"bonds {record.factor:g} times as stiff"
     if not np.isfinite(record.factor):
         how = f"overlaps larger by {record.overlap:g}"
-    return f"each ball warmed alone, {how}; {WARMED}"
+    return f"each ball warmed alone, {how}; red: |A| grows; blue, with a bar: it falls"
 
 
 def decibels(heat, at, d):

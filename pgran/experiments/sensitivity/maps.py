@@ -106,6 +106,12 @@ class Map:
         """Return whether the bonds with a number are few enough to be drawn one by one."""
         return np.count_nonzero(np.isfinite(values[self.numbers])) <= CLEAR
 
+    def words(self, values, grows, combined="sum"):
+        """Return what `on_bonds` shows of these numbers, in words; what red is."""
+        if self.each(values):
+            return f"red: {grows}; blue, hollow: it falls; width: square root"
+        return f"each ball: {combined} over its bonds; red: {grows}; blue: it falls"
+
     def on_bonds(self, ax, values, mean=False):
         """Draw numbers of bonds, NaN: none, in units of the largest that is seen.
 
@@ -189,6 +195,8 @@ class Map:
 def few(record):
     """Return the numbers of up to three good frequencies: the middles of as many equal parts."""
     good = np.flatnonzero(record.converged_reason > 0)
+    if not len(good):
+        log.warning("no frequency of the %s is as accurate as asked: none is drawn", record.group)
     count = min(MOST, len(good))
     return [int(good[(2 * n + 1) * len(good) // (2 * count)]) for n in range(count)]
 
