@@ -138,7 +138,6 @@ def motions(medium, draws, caption, *more):
         held = f"dark{rim}: balls at rest; blue{rim}: driven balls"
     text = "; ".join(filter(None, [scaled, *more, held]))
     style.above(figure, text)
-    figure.grow(0.12)  # titles have two lines
     figure.caption = f"{caption} {text.capitalize()}."
     return figure
 
