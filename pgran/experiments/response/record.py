@@ -77,21 +77,18 @@ class Models(ModelLimits, Record):
 
 def model_dtype(columns, detectors, balls):
     """Return the dtype of a model that ranks send: X and each Z have so many columns, p."""
-    systems, width = 1 + detectors, 2 + 3 * columns  # the columns of W
     lengths = {
-        "detector_number": (detectors,),
-        "system": (systems,),
-        "column": (columns,),
-        "other": (columns,),
-        "place": (width,),
-        "row": (columns + min(2 + 2 * columns, balls),),
+        "detector_number": detectors,
+        "system": 1 + detectors,
+        "column": columns,
+        "other": columns,
+        "place": 2 + 3 * columns,  # columns of W
+        "row": columns + min(2 + 2 * columns, balls),
     }
-    others = [
-        ("proven", np.int8),
-        ("factorizations", np.int64),
-        ("poles", float, (2 * columns,)),  # frequencies above the poles of system 0
-    ]
-    return np.dtype(row_of(Models, **lengths) + others)
+    row = row_of(Models, **{name: (length,) for name, length in lengths.items()})
+    row += [("proven", np.int8), ("factorizations", np.int64)]
+    row.append(("poles", float, (2 * columns,)))  # the frequencies above those of system 0
+    return np.dtype(row)
 
 
 def proven_models(models, limits):
