@@ -179,20 +179,10 @@ class CurvePoints(Task):
 def solve_curve(task, crew, tolerance, keep_models, progress):
     """Return the points of the curve, and the record of its models if they are kept, on rank 0.
 
-    Collective. Where no model is proven the frequencies asked for are solved for one by one, and so
-    are points of the curve that a proven model misses, as where the amplitude almost vanishes.
-
-    Parameters
-    ----------
-    task : pgran.experiments.response.points.ResponseSweep
-        That solves for the frequencies one by one.
-    crew : pgran.run.crew.Crew
-    tolerance : float
-        What straight lines between neighbours are to be right to, relative to the amplitude.
-    keep_models : bool or None
-        None: where they are few.
-    progress : str
-        Style of `pgran.run.progress.Progress`.
+    Collective. Where no model is proven the frequencies asked for are solved for one by one by the
+    `task`, a ResponseSweep, and so are points of the curve that a proven model misses, as where the
+    amplitude almost vanishes. Straight lines between neighbours are right to the `tolerance`.
+    Models are kept by default, None, where they are few.
     """
     intervals = IntervalSweep(task.scaled, task.omegas, task.sites, task.choices["error_tolerance"])
     models = crew.world.bcast(carry_out(intervals, crew, progress))

@@ -12,6 +12,7 @@ need damping, which bounds S^-1 for all frequencies alike.
 
 import logging
 import math
+from functools import cached_property
 
 import numpy as np
 
@@ -35,20 +36,10 @@ ORDER = 4 * MOMENTS  # a bound falls like this power of the interval's length
 
 
 class IntervalModels(Owner):
-    """Makes models of one lattice and proves them; destroy with `destroy` or `with`.
+    """Makes models of one lattice, with damping, and proves them; destroy with `destroy` or `with`.
 
-    Collective.
-
-    Parameters
-    ----------
-    operators : pgran.driven.operators.Operators
-        With damping.
-    sites : array_like of int, shape (nd, dim)
-        The detectors.
-    tolerance : float
-        Relative accuracy asked of each amplitude.
-    length : callable
-        Takes a frequency, returns about how long an interval there may be.
+    Collective. The `tolerance` is the relative accuracy asked of each amplitude at the detectors,
+    `sites` (nd, dim); `length` takes a frequency and returns about how long an interval may be.
     """
 
     owns = ("_ksp", "_rhs", "_solution", "_image", "_columns", "_products")
@@ -57,7 +48,7 @@ class IntervalModels(Owner):
         """Make the blocks of right-hand sides and of columns."""
         self.operators, self.comm = operators, operators.comm
         self.tolerance, self.length = tolerance, length
-        self.factorizations, self._ksp, self._works = 0, None, False
+        self.factorizations, self._works = 0, False
         self.width = min(2 * MOMENTS, operators.balls)
         systems = 1 + len(sites)
         self.dtype = model_dtype(self.width, len(sites), operators.balls)
@@ -92,6 +83,11 @@ class IntervalModels(Owner):
         self._damping, self._mass = damping * C, operators.M.getArray().real[:, None].copy()
         for vector in (*units, *diagonals):
             vector.destroy()
+
+    @cached_property
+    def _ksp(self):
+        """What factors S. Collective when first asked for."""
+        return make_ksp(self.operators, self.operators.S)
 
     def _block(self, columns):
         """Return a dense matrix of so many columns."""
@@ -196,13 +192,11 @@ class IntervalModels(Owner):
 
         Collective. Not finite where S cannot be factored, or PETSc fails, which is said.
         """
-        operators, moments = self.operators, None
-        operators.combine(1j * omega)
+        self.operators.combine(1j * omega)
         self.factorizations += 1
-        if self._ksp is None:
-            self._ksp = make_ksp(operators, operators.S)
+        ksp, moments = self._ksp, None
         try:
-            if set_up(self._ksp, operators.S, self.comm):
+            if set_up(ksp, self.operators.S, self.comm):
                 moments = self._series(omega)
         except PETSc.Error as error:
             wrong_options = is_bad_input(error) and not self._works
@@ -211,7 +205,6 @@ class IntervalModels(Owner):
             log.warning("no model at omega = %g: %s", omega, petsc_message(error))
         if moments is None:
             self.forget("_ksp")
-            self._ksp = None
             return np.full((*self._loads.shape[:2], MOMENTS), np.nan, dtype=complex)
         self._works = True
         return moments

@@ -46,15 +46,9 @@ SHORTEST = 4  # frequencies: NumPy rounds products of fewer complex numbers in o
 class ModelLimits(Limits):
     """What bounds the errors of all models of a lattice.
 
-    Attributes
-    ----------
-    rounding : float
-        What a residual's norm misses, relative to |f| + (|K| + omega |C| + omega^2 |M|) |x|.
-    sum_rounding : float
-        The same of a sum over all balls.
-    receiver : float
-        |e_d| is at most this: 1 unless a detector's ball has another mass than the unit. None in
-        files before format version 5.
+    By rounding a residual's norm misses the part `rounding` of |f| + (|K| + omega |C| + omega^2
+    |M|) |x|, a sum over all balls `sum_rounding`. |e_d| is at most `receiver`: 1 unless a
+    detector's ball has another mass than the unit; None in files before format version 5.
     """
 
     rounding: float
@@ -80,21 +74,11 @@ def point_dtype(detectors):
 
 
 def evaluate(model, omega, limits, derivatives=True):
-    """Return amplitudes at some frequencies of an interval, derivatives, reactions, all bounds.
+    """Return amplitudes at frequencies of an interval, derivatives, reactions, and all bounds.
 
-    Parameters
-    ----------
-    model : numpy.void or dict
-        The arrays of one interval.
-    omega : numpy.ndarray, shape (n,)
-    limits : ModelLimits
-    derivatives : bool
-        Whether they are wanted, and reactions; else they are zero.
-
-    Returns
-    -------
-    numpy.ndarray of `point_dtype`, shape (n,)
-        What cannot be computed is not finite.
+    The `model` is a row or a dict of its arrays, `omega` (n,). What is returned is of the dtype
+    `point_dtype`, shape (n,); what cannot be computed is not finite. Without `derivatives` these
+    and the reactions are zero.
     """
     if len(omega) < SHORTEST:
         return evaluate(model, np.resize(omega, SHORTEST), limits, derivatives)[: len(omega)]

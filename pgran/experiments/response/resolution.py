@@ -105,15 +105,9 @@ def normal_frequencies(medium):
 def resolve(evaluate, omegas, tolerance):
     """Return a curve at frequencies so close that straight lines between them are right.
 
-    Parameters
-    ----------
-    evaluate : callable
-        Takes frequencies and whether `derivatives` are wanted, returns an array of
-        `models.point_dtype`.
-    omegas : numpy.ndarray
-        Frequencies to begin with, ascending.
-    tolerance : float
-        Of the lines, relative to the amplitude.
+    To the `tolerance`, relative to the amplitude. `evaluate` takes frequencies, and whether
+    `derivatives` are wanted, and returns points, as `models.evaluate` does; `omegas`, ascending,
+    are those to begin with.
     """
     points = evaluate(omegas)
     for _ in range(PASSES):
