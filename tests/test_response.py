@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from samples import random_lattice, reference_of, swept
 
-from pgran.driven.phase import BLOCKS, CERTAIN, fit_phase, unwrap
+from pgran.driven.phase import BLOCKS, CERTAIN, fit_phase
 from pgran.experiments.response.points import ResponseSweep
 from pgran.experiments.response.scene import summary
 from pgran.medium.lattice import Lattice
@@ -141,14 +141,6 @@ def test_a_phase_that_is_certain_turns_as_on_a_finer_grid(world, response):
         assert not np.any(wrong & certain)
         missed.append(np.count_nonzero(wrong))
     assert missed[-1] > 0
-
-
-def test_unwrap_follows_a_fall_of_many_turns():
-    """And passes over missing points."""
-    phase = -150 * np.linspace(0, 1, 400)[:, None] + [0.3, -1.2]
-    phase[100] = np.nan
-    found = unwrap(np.exp(1j * phase))
-    assert np.allclose(found, phase, rtol=0, atol=1e-10, equal_nan=True)
 
 
 @pytest.mark.parametrize("within", [False, True])

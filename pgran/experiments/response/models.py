@@ -34,6 +34,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgran.driven.limits import Limits
+from pgran.experiments.response.tall import squares
 from pgran.medium.rounding import SMALLEST_NORMAL
 
 MOMENTS = 8  # of each right-hand side at each end
@@ -121,14 +122,14 @@ class SmallSystems:
         self.T = T.reshape(-1, systems, p, p)
         self.y = self._solve(self.loads @ self.powers[:2])
         self.c = self._coefficients(self.powers, _times(self.powers, self.y))
-        self.size = _norms(self.y)  # |X y|, as X is orthonormal
+        self.size = np.sqrt(squares(self.y))  # |X y|, as X is orthonormal
         self.sizes = np.abs(self.y)
         # bounds of |S|, of |f| and each |e_d|, and of |S^-1|
         self.norm = limits.stiffness + omega * (limits.damping + omega * limits.mass)
         self.drive = np.empty_like(self.size)
         self.drive[0] = limits.drive + omega * limits.drive_damping
         if limits.receiver is None:  # R is no shorter than W, whose first columns are the e_d
-            self.drive[1:] = 1.01 * _norms(model["triangle"][1:, :, :1])
+            self.drive[1:] = 1.01 * np.sqrt(squares(model["triangle"][1:, :, :1]))
         else:
             self.drive[1:] = limits.receiver
         self.inverse = 1.01 / (omega * limits.stability)
@@ -153,7 +154,7 @@ class SmallSystems:
 
     def _residual(self, c):
         """Return |W c|, but for rounding."""
-        return 1.01 * _norms(self.model["triangle"] @ c)
+        return 1.01 * np.sqrt(squares(self.model["triangle"] @ c))
 
     def amplitudes(self, points):
         """Fill in e_d^T X y + (Z w)^T r and its bounds."""
@@ -182,7 +183,7 @@ class SmallSystems:
         slope = limits.damping + 2 * omega * limits.mass  # of |S'|
         drive = np.zeros_like(self.size)
         drive[0] = limits.drive_damping
-        rounding = drive + 1.01 * (slope * self.size + self.norm * _norms(y1))
+        rounding = drive + 1.01 * (slope * self.size + self.norm * np.sqrt(squares(y1)))
         r, r1 = self.r, self._residual(c1) + limits.rounding * rounding + LOST_NORM
         theory = self.inverse * (r[0] * r1[1:] + r1[0] * r[1:] + slope * self.theory)
         # |S'| is at most 2 / omega of |K| + omega |C| + omega^2 |M|, ball by ball
@@ -211,13 +212,6 @@ def _times(powers, y):
 def _sums(a, b):
     """Return the sums of products along the last axis but one."""
     return np.einsum("...in,...in->...n", a, b)
-
-
-def _norms(vectors):
-    """Return the 2-norms along the last axis but one."""
-    numbers = np.ascontiguousarray(vectors).view(float)
-    both = _sums(numbers, numbers)
-    return np.sqrt(both[..., ::2] + both[..., 1::2])
 
 
 def poles(own, low, high):

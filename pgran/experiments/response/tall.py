@@ -59,7 +59,7 @@ def products(Z, W):
 
 
 def squares(columns):
-    """Return the sums of squares down the columns of this rank's rows."""
+    """Return the sums of squares of the magnitudes down the columns, the last axis but one."""
     numbers = np.ascontiguousarray(columns).view(float)
     both = np.einsum("...in,...in->...n", numbers, numbers)
     return both[..., ::2] + both[..., 1::2]
