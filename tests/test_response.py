@@ -91,14 +91,12 @@ def test_phase_window_is_in_units_of_omega_mx(world, response):
     assert doubled.phase_velocity == pytest.approx(response.phase_velocity, rel=1e-6)
 
 
-def test_failures_are_counted_and_left_out_of_the_fit(world, response, solver_options):
+def test_failures_are_counted_and_left_out_of_the_fit(world, solver_options):
     solver_options("-steady_ksp_type gmres -steady_pc_type none -steady_ksp_max_it 1")
     found = swept(random_lattice((8, 9)), np.linspace(0.1, 1.2, 23), (3, 4), world)
     assert found.failures == 23
     assert np.all(np.isnan(found.phase_slope))
     assert np.all(np.isnan(found.phase_velocity))
-    reasons = np.array([2, 0, -3, 1])
-    assert dataclasses.replace(response, converged_reason=reasons).failures == 2
 
 
 def test_without_damping_there_is_no_phase_to_follow(world):
