@@ -12,7 +12,7 @@ from samples import assert_same, islands, random_lattice, reference_of, run_scen
 
 import pgran
 from pgran.command.resolve import resolve
-from pgran.experiments.modes import density, staircase
+from pgran.experiments.modes import density
 from pgran.experiments.modes.condensation import Condensation
 from pgran.medium.lattice import Lattice
 from pgran.run.crew import Crew
@@ -155,8 +155,8 @@ def test_counts_that_nothing_certifies(monkeypatch):
         return count, np.nan if 0.1 < shift < 0.3 else missed
 
     monkeypatch.setattr(Condensation, "inertia", unsure)
-    monkeypatch.setattr(staircase, "CLEARANCES", (0.01,))
-    monkeypatch.setattr(staircase, "ATTEMPTS", 3)
+    monkeypatch.setattr(density, "CLEARANCES", (0.01,))
+    monkeypatch.setattr(density, "ATTEMPTS", 3)
     lattice = random_lattice((5, 4))
     mass = lattice.in_own_unit()[0].mass
     found = pgran.count_modes(lattice, np.sqrt(np.array([0.05, 0.2, 0.5, 0.8]) / mass))

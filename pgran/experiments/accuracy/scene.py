@@ -137,7 +137,7 @@ def make_study(options, lattice, world):
     of, smallest = options.accuracy_of, 0.1 * min(options.accuracy_tolerances)
     exact, certified = {"error_tolerance": min(REFERENCE, smallest)}, smallest
     if of == "modes":
-        function, places, fixed = modes.find_modes, (lattice,), modes.chosen(options)
+        function, places, fixed = modes.find_modes, (lattice,), {}
         read, exact, certified = partial(read_modes, lattice, RESIDUAL), {}, MODES_REFERENCE
     elif of == "response":
         places = lattice, driving_frequencies(options, lattice), options.detectors
@@ -185,8 +185,8 @@ SCENE = Scene(
         *(
             option
             for option in (
-                *options_of(response.sweep, relaxation.relax, pulse.pulse),
-                *(relaxation.OMEGA, *modes.WHICH),
+                *options_of(response.sweep, relaxation.relax, pulse.pulse, modes.find_modes),
+                relaxation.OMEGA,
             )
             if option.name not in DECIDED
         ),

@@ -27,10 +27,14 @@ class Density(Record):
     solve_seconds: float
     unstable: int = attribute(since=5)
     omega: np.ndarray = array("frequency, angular", "sqrt(k/m)")
-    count: np.ndarray = array("how many modes lie below; -1: not certain", "1", "omega", dtype=int)
-    certified: np.ndarray = array("the count is exact at omega - margin", "1", "omega", dtype=bool)
+    count: np.ndarray = array(
+        "how many modes lie below; -1: not certain", "1", "omega", dtype=int, row=True
+    )
+    certified: np.ndarray = array(
+        "the count is exact at omega - margin", "1", "omega", dtype=bool, row=True
+    )
     margin: np.ndarray = array(
-        "by how much less than omega the modes are counted at", "sqrt(k/m)", "omega"
+        "by how much less than omega the modes are counted at", "sqrt(k/m)", "omega", row=True
     )
     middle: np.ndarray = array("middle between neighbouring frequencies, angular", "sqrt(k/m)")
     density: np.ndarray = array("modes there per ball and omega_mx", "1", "middle")
@@ -42,14 +46,9 @@ class Density(Record):
 
     @staticmethod
     def weyl(lattice, omega):
-        """Return Weyl's law for the record of a lattice, None where it has none.
+        """Return Weyl's law at frequencies for the record of a lattice, None where it has none.
 
-        Not collective. That is a lattice of two axes whose bonds are all equal.
-
-        Parameters
-        ----------
-        lattice : pgran.results.LatticeRecord or pgran.results.NetworkRecord
-        omega : numpy.ndarray
+        It has one of two axes whose bonds are all equal.
         """
         if lattice.group != "lattice" or len(lattice.shape) != 2:
             return None
@@ -60,7 +59,7 @@ class Density(Record):
 
 
 def _missing(record):
-    """Return how many modes are missing, at least 1 unless they are certified."""
+    """Return how many modes are missing or too many, at least 1 unless they are certified."""
     return 0 if record.count_certified else max(1, abs(record.count_expected - record.count_found))
 
 
@@ -77,11 +76,13 @@ class Modes(Record):
     count_certified: bool
     solve_seconds: float
     omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
-    residual: np.ndarray = array("|K f - m omega^2 f| / |K|", "1", "omega")
-    participation: np.ndarray = array("how many balls take part, 1 / sum f^4", "1", "omega")
+    residual: np.ndarray = array("|K f - m omega^2 f| / |K|", "1", "omega", row=True)
+    participation: np.ndarray = array(
+        "how many balls take part, 1 / sum f^4", "1", "omega", row=True
+    )
     vector: np.ndarray | None = array(
         "shape of the mode, orthonormal, its largest entry positive",
-        "1", "omega", "balls", optional=True,
+        "1", "omega", "balls", optional=True, row=True,
     )  # fmt: skip
 
     @property
@@ -111,15 +112,18 @@ class Projection(Frequencies, Record):
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
     mode_omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
     coefficient: np.ndarray = array(
-        "sum over balls of amplitude times mode shape", "1", "omega", "mode_omega", dtype=complex
-    )
+        "sum over balls of amplitude times mode shape", "1", "omega", "mode_omega", dtype=complex,
+        row=True,
+    )  # fmt: skip
     dominant: np.ndarray = array(
         "mode of the largest coefficient; -1: none", "1", "omega", dtype=int
     )
     error_bound: np.ndarray = array(
         "bound of the field's part in each coefficient's error; NaN: none is known", "1", "omega"
     )
-    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
+    converged_reason: np.ndarray = array(
+        "positive: as accurate as asked", "1", "omega", dtype=int, row=True
+    )
 
     @property
     def count_found(self):
