@@ -1,6 +1,5 @@
 """Normal modes against dense linear algebra, closed forms and identities."""
 
-import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +33,8 @@ def narrow(monkeypatch):
 
 
 def modes_of(lattice, crew, **which):
-    """The modes, on every rank."""
-    return crew.world.bcast(find_modes(lattice, crew, **which))
+    """The modes and their shapes, on every rank."""
+    return crew.world.bcast(find_modes(lattice, crew, **{"shapes": True} | which))
 
 
 def make(kind, shape, seed=5):
@@ -78,7 +77,7 @@ def check(lattice, modes, interval=(0.0, np.inf)):
 def test_all_modes(kind, shape, crew, narrow):
     """On any ranks; the closed form for equal bonds, zero modes of loose balls."""
     lattice = make(kind, shape)
-    modes = modes_of(lattice, crew, shapes=True)
+    modes = modes_of(lattice, crew)
     check(lattice, modes)
     with Crew(MPI.COMM_SELF, 1) as single:
         alone = find_modes(lattice, single, shapes=True)
@@ -88,7 +87,7 @@ def test_all_modes(kind, shape, crew, narrow):
         np.testing.assert_allclose(modes.omega, uniform_frequencies(shape, 0.25, 0.8), rtol=1e-12)
     if kind == "islands":
         assert np.count_nonzero(modes.omega < 1e-6) >= 2
-        check(lattice, modes_of(lattice, crew, interval=(0, 1e-4), shapes=True), (0, 1e-4))
+        check(lattice, modes_of(lattice, crew, interval=(0, 1e-4)), (0, 1e-4))
 
 
 @pytest.mark.parametrize(("kind", "shape"), [("equal", (9, 9)), ("islands", (5, 4, 4))])
@@ -100,7 +99,7 @@ def test_random_intervals_miss_no_mode(kind, shape, crew, narrow):
     ends = rng.uniform(0, 1.05 * omegas[-1], (9, 2))
     ends[::4] = rng.choice(omegas, (3, 2))
     for interval in [*np.sort(ends).tolist(), (0.0, 1e-3), (5.0, 6.0)]:
-        check(lattice, modes_of(lattice, crew, interval=interval, shapes=True), interval)
+        check(lattice, modes_of(lattice, crew, interval=interval), interval)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +108,7 @@ def test_random_intervals_miss_no_mode(kind, shape, crew, narrow):
 )
 def test_modes_nearest_to_targets(targets, count, crew):
     lattice = random_lattice((10, 13), seed=4)  # of more modes than a slice has
-    modes = modes_of(lattice, crew, targets=targets, count=count)
+    modes = modes_of(lattice, crew, targets=targets, count=count, shapes=False)
     omegas = np.sqrt(Reference(lattice.stiffness).eigenvalues())
     nearest = {i for t in targets for i in np.argsort(np.abs(omegas - t))[:count]}
     assert modes.count_expected == len(nearest)
@@ -124,8 +123,8 @@ def test_solver_files(name, crew, solver_options):
     lines = (SOLVERS / f"modes_{name}.opts").read_text().splitlines()
     solver_options(" ".join(line for line in lines if not line.startswith("#")))
     lattice = random_lattice((6, 5), seed=8)
-    check(lattice, modes_of(lattice, crew, shapes=True))
-    part = modes_of(lattice, crew, interval=(0.3, 0.6), shapes=True)
+    check(lattice, modes_of(lattice, crew))
+    part = modes_of(lattice, crew, interval=(0.3, 0.6))
     check(lattice, part, (0.3, 0.6))
     for unit in (2.0**33, 2.0**-33):
         scaled = Lattice(tuple(unit**2 * k for k in lattice.stiffness), 1.0)
@@ -160,7 +159,7 @@ def test_a_search_that_failed_is_repeated_elsewhere(crew, monkeypatch, narrow):
 
     monkeypatch.setattr(normal.ModeSolver, "_search", spoilt)
     lattice = uniform_lattice((8, 8))
-    check(lattice, modes_of(lattice, crew, shapes=True))
+    check(lattice, modes_of(lattice, crew))
 
 
 @pytest.mark.parametrize("fault", ["missing", "twice", "inaccurate"])
@@ -192,27 +191,20 @@ def test_wrong_modes_are_never_certified(fault, crew, monkeypatch, caplog, narro
     assert warned or fault != "missing"
 
 
-@contextlib.contextmanager
-def counting_modes(lattice):
-    """A counter for a lattice, with its eigenvalues."""
+def test_counts_equal_dense_ones_but_next_to_a_mode():
+    """With spoilt factors, too: at 2, between 1 and 3, the first pivot of two balls is tiny."""
+    lattice = random_lattice((8, 9), seed=3)
+    values = Reference(lattice.stiffness).eigenvalues()
     with (
         Operators(lattice, MPI.COMM_SELF) as operators,
         ModeCounter(operators.K, lattice) as counter,
     ):
-        yield counter, Reference(lattice.stiffness).eigenvalues()
-
-
-def test_counts_equal_dense_ones_but_next_to_a_mode():
-    with counting_modes(random_lattice((8, 9), seed=3)) as (counter, values):
         for shift in np.random.default_rng(0).uniform(-0.1, 1.5, 100):
             assert counter.below(shift, 1e-9) == np.count_nonzero(values < shift)
         for value in values:
             for off in (0.0, 0.4e-6, -0.9e-6):
                 assert counter.below(value + off, 1e-6) is None
-
-
-def test_spoilt_factors_are_refused():
-    """The eigenvalues are 1 and 3; at 2 the first pivot is tiny, though no eigenvalue is near."""
-    with counting_modes(uniform_lattice((2,), 1.0)) as (counter, _):
+    pair = uniform_lattice((2,), 1.0)
+    with Operators(pair, MPI.COMM_SELF) as operators, ModeCounter(operators.K, pair) as counter:
         assert counter.below(1.8, 1e-11) == 1
         assert counter.below(2.0, 1e-11) is None

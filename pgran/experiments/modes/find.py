@@ -6,12 +6,11 @@ import time
 
 import numpy as np
 
-from pgran.driven import drive as driven
 from pgran.errors import InputError
 from pgran.experiments.modes.record import Modes
 from pgran.experiments.modes.shapes import RESIDUAL, participation
 from pgran.medium.base import medium
-from pgran.medium.units import check_frequency, einstein_frequency
+from pgran.medium.units import check_frequency, einstein_frequency, warn_above_modes
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, Window, option
@@ -78,7 +77,7 @@ def find_modes(
         raise InputError("-modes_target and -modes_count belong together: give both")
     started = time.perf_counter()
     if interval is not None:
-        driven.warn_above_modes(lattice, crew.world, interval[0])
+        warn_above_modes(lattice, crew.world, interval[0])
     lattice, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
     check_frequency(lattice, max(targets or interval or (0.0,)))
     from mpi4py import MPI

@@ -1,10 +1,10 @@
 """The records of modes, of their counts, and of a drive in terms of them."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.experiments.modes.shapes import weyl
 from pgran.store.fields import Frequencies
 from pgran.store.record import Record, array, attribute
 
@@ -46,16 +46,22 @@ class Density(Record):
 
     @staticmethod
     def weyl(lattice, omega):
-        """Return Weyl's law at frequencies for the record of a lattice, None where it has none.
+        """Return how many modes long waves have below frequencies, by Weyl's law for a rectangle.
 
-        It has one of two axes whose bonds are all equal.
+        N(omega) = A omega^2 / (4 pi c^2) - P omega / (4 pi c), c = sqrt(k/m), with the area A and
+        the perimeter P of the box between the walls, which are at rest one spacing outside of the
+        balls; for L x L, L^2 omega^2 / (4 pi c^2) - L omega / (pi c). Shorter waves are slower on a
+        lattice: A (omega / c)^4 / (64 pi) modes more. None unless `lattice` is the record of one of
+        two axes whose bonds are all equal.
         """
         if lattice.group != "lattice" or len(lattice.shape) != 2:
             return None
         bonds = np.concatenate([k.ravel() for k in lattice.stiffness])
         if not np.all(bonds == bonds[0]):
             return None
-        return weyl(omega, lattice.shape, np.sqrt(bonds[0] / lattice.mass))
+        sides = np.add(lattice.shape, 1.0)
+        waves = np.asarray(omega) / np.sqrt(bonds[0] / lattice.mass)
+        return (sides.prod() * waves**2 - 2 * sides.sum() * waves) / (4 * math.pi)
 
 
 def _missing(record):

@@ -47,16 +47,3 @@ def participation(lattice, vectors):
     """Return 1 / sum |f_p|^4 of each mode: how many balls take part."""
     squares = lattice.per_ball(vectors * vectors)
     return 1.0 / np.sum(squares * squares, axis=1)
-
-
-def weyl(omega, shape, velocity):
-    """Return how many modes long waves have below a frequency, by Weyl's law for a rectangle.
-
-    N(omega) = A omega^2 / (4 pi c^2) - P omega / (4 pi c): area A and perimeter P of the box
-    between the walls, which are at rest, one spacing outside of the balls; for L x L,
-    L^2 omega^2 / (4 pi c^2) - L omega / (pi c). Shorter waves are slower on a lattice:
-    A (omega / c)^4 / (64 pi) modes more. The velocity c, in spacings, is sqrt(k/m) of equal bonds.
-    """
-    sides = np.add(shape, 1.0)
-    waves = np.asarray(omega) / velocity
-    return (sides.prod() * waves**2 - 2 * sides.sum() * waves) / (4 * math.pi)
