@@ -74,21 +74,26 @@ def test_spacing_ratio_is_that_of_any_smooth_scale():
     assert ratio.value == pytest.approx(np.mean(naive), rel=1e-12)
 
 
+LEVELS, MODES = np.arange(99.0), np.arange(0.005, 1.0, 0.01)
+
+
 @pytest.mark.parametrize(
-    ("values", "window", "message"),
+    ("statistic", "arguments", "message"),
     [
-        (np.arange(51.0), None, "^values: 49 ratios .* 50 are needed"),
-        (np.arange(99.0), (10.0, 40.0), "^values: 29 ratios"),
-        (np.arange(99.0)[::-1], None, "^values: .* ascend"),
-        (np.append(np.arange(99.0), [98.0, 98.0]), None, "^values: three modes coincide at 98"),
-        (np.append(np.arange(99.0), np.nan), None, "^values: .* finite"),
-        (np.arange(99.0), (1.0, 1.0), "^window: 1 to 1"),
-        ([], None, "^values: 0 ratios"),
+        (levels.spacing_ratio, [LEVELS[:51]], "^values: 49 ratios .* 50 are needed"),
+        (levels.spacing_ratio, [LEVELS, (10.0, 40.0)], "^values: 29 ratios"),
+        (levels.spacing_ratio, [LEVELS[::-1]], "^values: .* ascend"),
+        (levels.spacing_ratio, [[*LEVELS, 98, 98]], "^values: three modes coincide at 98"),
+        (levels.spacing_ratio, [[*LEVELS, np.nan]], "^values: .* finite"),
+        (levels.spacing_ratio, [LEVELS, (1.0, 1.0)], "^window: 1 to 1"),
+        (levels.spacing_ratio, [[]], "^values: 0 ratios"),
+        (levels.modal_overlap, [MODES, MODES, (0.0, 0.09)], "^window: 9 modes of 1 .* 10 of each"),
+        (levels.modal_overlap, [MODES, MODES, (1.0, 1.0)], "^window: 1 to 1"),
     ],
 )
-def test_spectra_without_ratios(values, window, message):
+def test_levels_that_are_too_few_or_no_spectrum(statistic, arguments, message):
     with pytest.raises(InputError, match=message):
-        levels.spacing_ratio(values, window)
+        statistic(*arguments)
 
 
 def widths_by(K, C, lattice):
@@ -142,13 +147,3 @@ def test_modal_overlap():
             some = (omega, width) if samples > 1 else (omega[0], width[0])
             found.append(levels.modal_overlap(*some, window))
         fair(found, 0.01 * 0.5 * 400)
-
-
-@pytest.mark.parametrize(
-    ("window", "message"),
-    [((0.0, 0.09), "^window: 9 modes of 1 samples .* 10 of each"), ((1.0, 1.0), "^window: 1 to 1")],
-)
-def test_windows_without_overlap(window, message):
-    omega = np.arange(0.005, 1.0, 0.01)
-    with pytest.raises(InputError, match=message):
-        levels.modal_overlap(omega, omega, window)

@@ -18,6 +18,7 @@ from pgran.medium.lattice import Lattice
 from pgran.run.crew import Crew
 
 SOLVERS = Path(__file__).parents[1] / "options" / "solvers"
+EQUAL, LOOSE = uniform_lattice((5, 5, 5), mass=0.8), islands((9, 8), 5)
 
 
 @pytest.fixture
@@ -35,15 +36,6 @@ def narrow(monkeypatch):
 def modes_of(lattice, crew, **which):
     """The modes and their shapes, on every rank."""
     return crew.world.bcast(find_modes(lattice, crew, **{"shapes": True} | which))
-
-
-def make(kind, shape, seed=5):
-    """A lattice of random bonds, of equal ones, or of many missing ones and two loose balls."""
-    if kind == "equal":
-        return uniform_lattice(shape, mass=0.8)
-    if kind == "islands":
-        return islands(shape, seed)
-    return random_lattice(shape, seed, mass=1.7, law=kind)
 
 
 def check(lattice, modes, interval=(0.0, np.inf)):
@@ -68,34 +60,35 @@ def check(lattice, modes, interval=(0.0, np.inf)):
 
 
 @pytest.mark.parametrize(
-    ("kind", "shape"),
+    "lattice",
     [
-        ("uniform", (30,)), ("uniform", (1, 1)), ("bimodal", (6, 7)), ("wide", (13, 9)),
-        ("equal", (5, 5, 5)), ("islands", (9, 8)),
+        random_lattice((30,), 5, mass=1.7), random_lattice((1, 1), 5, mass=1.7),
+        random_lattice((6, 7), 5, law="bimodal"), random_lattice((13, 9), 5, law="wide"),
+        EQUAL, LOOSE,
     ],
+    ids=lambda lattice: "x".join(map(str, lattice.shape)),
 )  # fmt: skip
-def test_all_modes(kind, shape, crew, narrow):
+def test_all_modes(lattice, crew, narrow):
     """On any ranks; the closed form for equal bonds, zero modes of loose balls."""
-    lattice = make(kind, shape)
     modes = modes_of(lattice, crew)
     check(lattice, modes)
     with Crew(MPI.COMM_SELF, 1) as single:
         alone = find_modes(lattice, single, shapes=True)
     np.testing.assert_array_equal(modes.omega, alone.omega)
     np.testing.assert_array_equal(modes.vector, alone.vector)
-    if kind == "equal":
-        np.testing.assert_allclose(modes.omega, uniform_frequencies(shape, 0.25, 0.8), rtol=1e-12)
-    if kind == "islands":
+    if lattice is EQUAL:
+        exact = uniform_frequencies(lattice.shape, 0.25, lattice.mass)
+        np.testing.assert_allclose(modes.omega, exact, rtol=1e-12)
+    if lattice is LOOSE:
         assert np.count_nonzero(modes.omega < 1e-6) >= 2
         check(lattice, modes_of(lattice, crew, interval=(0, 1e-4)), (0, 1e-4))
 
 
-@pytest.mark.parametrize(("kind", "shape"), [("equal", (9, 9)), ("islands", (5, 4, 4))])
-def test_random_intervals_miss_no_mode(kind, shape, crew, narrow):
+@pytest.mark.parametrize("lattice", [uniform_lattice((9, 9), mass=0.8), islands((5, 4, 4), 1)])
+def test_random_intervals_miss_no_mode(lattice, crew, narrow):
     """Some intervals are empty, some begin and end on a mode."""
-    lattice = make(kind, shape, 1)
     omegas = np.sqrt(np.maximum(Reference(lattice.stiffness).eigenvalues(), 0) / lattice.mass)
-    rng = np.random.default_rng([1, *shape])
+    rng = np.random.default_rng([1, *lattice.shape])
     ends = rng.uniform(0, 1.05 * omegas[-1], (9, 2))
     ends[::4] = rng.choice(omegas, (3, 2))
     for interval in [*np.sort(ends).tolist(), (0.0, 1e-3), (5.0, 6.0)]:
