@@ -93,9 +93,9 @@ def find_modes(
 
 
 class Slices(Task):
-    """The modes of slices (low, high, count) of the spectrum, each certified by its count.
+    """The modes of slices of the spectrum, each certified by its count.
 
-    The ends are values of lambda = m omega^2. K of the `operators` is of this rank alone.
+    K of the `operators` is of this rank alone.
     """
 
     items = "modes"
@@ -119,8 +119,8 @@ class Slices(Task):
         with ModeSolver(self.operators) as solver:
 
             def work(unit):
-                number, ends_and_count = unit
-                values, vectors, residual = solver.solve(*ends_and_count)
+                number, piece = unit
+                values, vectors, residual = solver.solve(*piece)
                 rows = np.zeros(len(values), self.row)
                 rows["slice"] = number
                 rows["value"] = values
@@ -134,8 +134,8 @@ class Slices(Task):
 
     def length(self, unit):
         """See `Task`."""
-        _, (_, _, count) = unit
-        return count
+        _, piece = unit
+        return piece.count
 
     def collect(self, rows, seconds):
         """See `Task`; modes that no target asks for are left out."""

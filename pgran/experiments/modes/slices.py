@@ -30,12 +30,20 @@ class Cut(NamedTuple):
     below: int
 
 
-def find_slices(operators, crew, interval=None, targets=None, count=None):
-    """Return the slices of the spectrum (low, high, count) that hold the wanted modes.
+class Slice(NamedTuple):
+    """The modes between two cuts: their shifts, and how many modes there are."""
 
-    Collective: the ranks share out the counts. The modes wanted are those of `pgran.find_modes`.
-    From the lowest frequency 0 on they include the unstable ones. In a dry run one slice amid the
-    wanted modes stands for all. K of the `operators` is of this rank alone.
+    low: float
+    high: float
+    count: int
+
+
+def find_slices(operators, crew, interval=None, targets=None, count=None):
+    """Return the slices of the spectrum that hold the wanted modes, as `pgran.find_modes` has them.
+
+    Collective: the ranks share out the counts. From the lowest frequency 0 on modes include the
+    unstable ones. In a dry run one slice amid the wanted modes stands for all. K of the `operators`
+    is of this rank alone.
     """
     world, mass = crew.world, operators.mass
     with ModeCounter(operators.K, operators.lattice) as counter:
@@ -53,8 +61,7 @@ def find_slices(operators, crew, interval=None, targets=None, count=None):
 
                 intervals = _united(shared(world, wanted, nearest_to))
         if ModeSolver.whole():
-            slices = [_slice(low, high) for low, high in intervals]
-            return [piece for piece in slices if piece[2] > 0]
+            return _between(intervals)
         if not crew.dry:
             return [piece for ends in intervals for piece in cut(counter, ends, world)]
         return _like_one_slice(counter, intervals, mass)
@@ -147,9 +154,10 @@ def shared(comm, items, work):
     return [results[number % comm.size][number // comm.size] for number in range(len(items))]
 
 
-def _slice(low, high):
-    """Return the slice between two cuts."""
-    return low.shift, high.shift, high.below - low.below
+def _between(pairs):
+    """Return the slices between pairs of cuts, without the empty ones."""
+    slices = [Slice(low.shift, high.shift, high.below - low.below) for low, high in pairs]
+    return [piece for piece in slices if piece.count > 0]
 
 
 def _merged(cuts):
@@ -159,8 +167,7 @@ def _merged(cuts):
     for candidate, following in pairwise([*middle, last]):
         if following.below - chosen[-1].below > SLICE:
             chosen.append(candidate)
-    slices = [_slice(low, high) for low, high in pairwise([*chosen, last])]
-    return sorted((piece for piece in slices if piece[2] > 0), key=lambda piece: -piece[2])
+    return sorted(_between(pairwise([*chosen, last])), key=lambda piece: -piece.count)
 
 
 def _united(intervals):
@@ -192,8 +199,8 @@ def _like_one_slice(counter, intervals, mass):
     omega = (0.5 * (low + high) / mass) ** 0.5
     pieces = []
     while total > 0:
-        piece = _slice(*around(counter, omega, mass, min(SLICE, total)))
-        copies = max(1, total // piece[2])
+        (piece,) = _between([around(counter, omega, mass, min(SLICE, total))])
+        copies = max(1, total // piece.count)
         pieces += [piece] * copies
-        total -= piece[2] * copies
+        total -= piece.count * copies
     return pieces
