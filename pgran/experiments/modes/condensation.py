@@ -43,7 +43,12 @@ class Boxes:
     around: np.ndarray
     cut: tuple  # pairs (offset, (shape, sides)) of the two parts; none if the box stays whole
     origins: list = field(default_factory=list)
-    parts: list = field(default_factory=list)  # (boxes, place of the first one's part, offset)
+    # Of each of the two parts: its boxes, which of these is the first box's, offset.
+    parts: list = field(default_factory=list)
+    # Where numbers go, by `_prepare`; a matrix has rows and columns for `inner`, then for `around`.
+    springs: list = field(default_factory=list)  # (axis, rows, columns, bonds) of what meets inner
+    scatter: list = field(default_factory=list)  # of each part the rows of the balls around it
+    modes: list = field(default_factory=list)  # what `_modes` returns, if the boxes stay whole
 
     def chunks(self):
         """Yield slices of the boxes whose matrices are worked on together."""
@@ -93,8 +98,8 @@ class Condensation:
         """
         counts = set()
         for side in (-1, 1):
-            count, missed = self.inertia(shift + side * clearance)
-            if not missed <= clearance:
+            count, distance = self.inertia(shift + side * clearance)
+            if not distance <= clearance:  # NaN, too
                 return None
             counts.add(count)
         return counts.pop() if len(counts) == 1 else None
@@ -105,7 +110,7 @@ class Condensation:
         The distance is a bound of |E|_2 for K - shift + E. A ball lies in one box of a level, or in
         a layer between two: so many of their errors overlap at most.
         """
-        negative, missed, complements = 0, 0.0, {}
+        negative, distance, complements = 0, 0.0, {}
         scale = self.norm + abs(shift)
         with np.errstate(all="ignore"):
             for level in reversed(self._levels):
@@ -114,8 +119,8 @@ class Condensation:
                     complements[boxes], count, error = self._condense(boxes, shift, scale, of_parts)
                     negative += count
                     worst = max(worst, error)
-                missed += 2 * worst
-        return negative, missed
+                distance += 2 * worst
+        return negative, distance
 
     def _dissect(self):
         """Return the boxes of each level, from the whole lattice to the smallest ones."""
@@ -138,36 +143,30 @@ class Condensation:
         return levels
 
     def _prepare(self, boxes):
-        """Find where numbers go in the matrices of boxes, and modes of those that stay whole.
-
-        Rows and columns of a matrix are places: those of `inner` first, then those of `around`.
-        """
+        """Find where numbers go in the matrices of boxes, and modes of those that stay whole."""
         nodes = np.concatenate([boxes.inner, boxes.around])
         inner, extent = len(boxes.inner), nodes.max(axis=0) + 3
         # Sites are numbered in a grid wider by one on each side: the neighbour along an axis is a
-        # stride away, and has the place -1 where nothing of the box is.
+        # stride away, and has the row -1 where nothing of the box is.
         strides = _strides(extent)
         site = (nodes + 1) @ strides
-        place = np.full(np.prod(extent), -1)
-        place[site] = np.arange(len(nodes))
-
-        boxes.springs = []  # of an axis: between which places, and which of its bonds
+        row_of = np.full(np.prod(extent), -1)
+        row_of[site] = np.arange(len(nodes))
         for axis, stride in enumerate(strides):
             upward = np.arange(len(strides)) == axis
             for sign in (1, -1):
-                neighbour = place[site[:inner] + sign * stride]
+                neighbour = row_of[site[:inner] + sign * stride]
                 # Bonds between two inner balls are met from below only, so that each comes once.
                 first = np.flatnonzero(neighbour >= (0 if sign > 0 else inner))
                 # The bond below a ball has the ball's coordinates, that above has one more.
                 bond = boxes.inner[first] + (upward if sign > 0 else 0)
                 boxes.springs.append((axis, first, neighbour[first], bond @ self._strides[axis]))
-        boxes.ball = boxes.inner @ _strides(self.shape)
         boxes.scatter = [
-            _runs(place[(part.around + offset + 1) @ strides]) for part, _, offset in boxes.parts
+            _runs(row_of[(part.around + offset + 1) @ strides]) for part, _, offset in boxes.parts
         ]
         if not boxes.cut:
-            found = [_modes(self._assemble(boxes, some), inner) for some in boxes.chunks()]
-            boxes.modes = [np.concatenate(arrays) for arrays in zip(*found, strict=True)]
+            modes = [_modes(self._assemble(boxes, some), inner) for some in boxes.chunks()]
+            boxes.modes = [np.concatenate(arrays) for arrays in zip(*modes, strict=True)]
 
     def _assemble(self, boxes, some):
         """Return the rows of K of what is eliminated in some boxes, each a matrix."""
@@ -175,22 +174,18 @@ class Condensation:
         size = inner + len(boxes.around)
         matrix = np.zeros((len(origins), size, size))
         diagonal = np.arange(inner)
-        first_ball = origins @ _strides(self.shape)
-        matrix[:, diagonal, diagonal] = self._diagonal[first_ball[:, None] + boxes.ball]
-        for axis, one, other, bond in boxes.springs:
-            first_bond = origins @ self._strides[axis]
-            springs = self._bonds[axis][first_bond[:, None] + bond]
-            matrix[:, one, other] = -springs
-            both = other < inner
-            matrix[:, other[both], one[both]] = -springs[:, both]
+        # a ball's number is that of its box's first ball, and what it is farther
+        ball = (origins @ _strides(self.shape))[:, None] + boxes.inner @ _strides(self.shape)
+        matrix[:, diagonal, diagonal] = self._diagonal[ball]
+        for axis, rows, columns, bond in boxes.springs:
+            springs = self._bonds[axis][(origins @ self._strides[axis])[:, None] + bond]
+            matrix[:, rows, columns] = -springs
+            both = columns < inner
+            matrix[:, columns[both], rows[both]] = -springs[:, both]
         return matrix
 
     def _condense(self, boxes, shift, scale, of_parts):
-        """Return the Schur complements of boxes, negative values eliminated, and a bound of errors.
-
-        Errors of one box: those of its modes' values and couplings, of the sums over its modes,
-        and of what is stored.
-        """
+        """Return the Schur complements of boxes, negative values eliminated, and a bound of errors."""
         inner, around = len(boxes.inner), len(boxes.around)
         schur = np.empty((len(boxes.origins), around, around))
         negative, worst = 0, 0.0
@@ -212,6 +207,7 @@ class Condensation:
             through = coupled.transpose(0, 2, 1) @ (inverse[:, :, None] * coupled)
             np.subtract(outer, through, out=schur[some])
             negative += np.count_nonzero(values < 0)
+            # of what is stored; of the modes' values and couplings; of the sums over modes
             error = np.sqrt(np.einsum("bij,bij->b", schur[some], schur[some]))
             error += 4 * inner * (np.abs(values).max(axis=1) + np.sqrt(squares.sum(axis=1)) + scale)
             error += (0.5 * inner + 2) * (squares * np.abs(inverse)).sum(axis=1)

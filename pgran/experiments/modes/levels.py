@@ -146,11 +146,10 @@ def modal_widths(lattice, vectors):
     """
     widths, at_once = np.empty(len(vectors)), max(1, NUMBERS_AT_ONCE // lattice.bonds)
     for first in range(0, len(vectors), at_once):
-        some = vectors[first : first + at_once]
-        power = sum(
-            longer**2 @ damped for longer, _, damped in lattice.stretched(some, np.zeros(len(some)))
-        )
-        size = np.sum(some.reshape(len(some), -1) ** 2, axis=1)
+        chunk = vectors[first : first + at_once]
+        springs = lattice.stretched(chunk, np.zeros(len(chunk)))
+        power = sum(longer**2 @ damped for longer, _, damped in springs)
+        size = np.sum(chunk.reshape(len(chunk), -1) ** 2, axis=1)
         widths[first : first + at_once] = lattice.damping * power / (lattice.mass * size)
     return widths
 

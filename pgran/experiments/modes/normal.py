@@ -87,11 +87,12 @@ class ModeSolver(Owner):
             |K f - lambda f| / |K|.
         """
         best, self._failure = None, "the EPS did not converge"
-        for part in SHIFTS:
-            first = part == SHIFTS[0]
+        for fraction in SHIFTS:
+            first = fraction == SHIFTS[0]
             eps = self._eps = self._eps or self._make_eps(first)
-            rough = self._search(eps, low, high, count, part)
+            rough = self._search(eps, low, high, count, fraction)
             modes = self._real_modes(rough, low, high)
+            # pairs compare by their first numbers first: what is missing is worse than residuals
             if _defects(modes, count) > (0, REFINE) and eps.getST().getType() == "sinvert":
                 modes = self._real_modes(self._refined(eps.getST(), rough), low, high)
             if self._deflated or not first or _defects(modes, count) > (0, SEARCH_AGAIN):
@@ -169,7 +170,7 @@ class ModeSolver(Owner):
                 pc.setType("lu")  # MUMPS has no LDL^T of Hermitian matrices
                 pc.setFactorSolverType("mumps")
 
-    def _search(self, eps, low, high, count, part):
+    def _search(self, eps, low, high, count, fraction):
         """Return eigenvectors of the slice, a row each, searching on while some are missing."""
         inside, seen = [], []  # copies of those in the slice; all that converged, to be deflated
         self._deflated = False
@@ -178,7 +179,7 @@ class ModeSolver(Owner):
             with plain_errors():
                 for _ in range(1 if once else SEARCHES):
                     before = len(seen)
-                    self._aim(eps, low, high, count - len(inside), before, part)
+                    self._aim(eps, low, high, count - len(inside), before, fraction)
                     if seen:
                         eps.setDeflationSpace(seen)
                         self._deflated = True
@@ -199,10 +200,10 @@ class ModeSolver(Owner):
                 vector.destroy()
         return np.array(inside, dtype=complex).reshape(-1, self.lattice.balls)
 
-    def _aim(self, eps, low, high, missing, seen, part):
+    def _aim(self, eps, low, high, missing, seen, fraction):
         """Tell the EPS where to search, and for how many modes."""
         width = high - low
-        margin = abs(part - SHIFTS[0]) * width
+        margin = abs(fraction - SHIFTS[0]) * width
         if eps.getType() == "ciss":
             # A flat ellipse around the slice, with room for half as many vectors again. More
             # moments would need fewer vectors, but lose digits.
@@ -215,7 +216,7 @@ class ModeSolver(Owner):
         elif eps.getWhichEigenpairs() == SLEPc.EPS.Which.ALL:
             eps.setInterval(low - margin, high + margin)
         elif eps.getType() != "lapack":
-            eps.setTarget(low + part * width)
+            eps.setTarget(low + fraction * width)
             room = self.lattice.balls - seen
             eps.setDimensions(missing, min(room, missing + missing // 3 + 12))
 
@@ -252,7 +253,7 @@ class ModeSolver(Owner):
 
 
 def _defects(modes, count):
-    """Return how many modes are missing or too many, and the largest residual: pairs in order."""
+    """Return how many modes are missing or too many, and the largest residual."""
     values, _, residual = modes
     return abs(count - len(values)), residual.max(initial=0.0)
 
