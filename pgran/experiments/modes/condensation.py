@@ -185,7 +185,7 @@ class Condensation:
         return matrix
 
     def _condense(self, boxes, shift, scale, of_parts):
-        """Return the Schur complements of boxes, negative values eliminated, and a bound of errors."""
+        """Return Schur complements of boxes, how many values are negative, a bound of errors."""
         inner, around = len(boxes.inner), len(boxes.around)
         schur = np.empty((len(boxes.origins), around, around))
         negative, worst = 0, 0.0

@@ -55,8 +55,14 @@ def find_modes(
     """Find the normal modes K f = m omega^2 f, all unless an interval or targets are given.
 
     Collective. The spectrum is cut into slices by counts, which every rank makes, and the slices
-    are shared out over the ranks; no slice depends on the number of ranks. Both ends of an interval
-    belong to it. Of targets, modes are found that are among the `count` nearest to any of them.
+    are shared out over the ranks; no slice depends on the number of ranks.
+
+    Parameters
+    ----------
+    interval : tuple of float, optional
+        Lowest and highest omega; both ends belong to it.
+    targets : sequence of float, optional
+        Modes are wanted that are among the `count` nearest to any of these omegas.
 
     Returns
     -------
@@ -93,10 +99,7 @@ def find_modes(
 
 
 class Slices(Task):
-    """The modes of slices of the spectrum, each certified by its count.
-
-    K of the `operators` is of this rank alone.
-    """
+    """The modes of slices of the spectrum, each certified by its count, on this rank's K."""
 
     items = "modes"
 
