@@ -170,12 +170,13 @@ def test_counts_that_nothing_certifies(monkeypatch):
     assert "NOT CERTIFIED: 1 of the counts" in said
 
 
-@pytest.mark.parametrize("omegas", [[0.5], [], [[0.1, 0.2]], [0.2, 0.1], [-0.1, 0.1], [0, np.nan]])
+@pytest.mark.parametrize(
+    "omegas", [[0.5], [], [[0.1, 0.2]], [0.2, 0.1], [-0.1, 0.1], [0, np.nan], [0.1, 1e200]]
+)
 def test_frequencies_that_make_no_staircase(omegas):
-    with pytest.raises(pgran.InputError, match="two frequencies or more"):
+    message = "too large" if 1e200 in omegas else "two frequencies or more"
+    with pytest.raises(pgran.InputError, match=message):
         pgran.count_modes(random_lattice((4, 4)), omegas)
-    with pytest.raises(pgran.InputError, match="too large"):
-        pgran.count_modes(random_lattice((4, 4)), [0.1, 1e200])
 
 
 def test_the_scene_and_its_words(world):
