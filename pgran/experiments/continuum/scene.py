@@ -15,6 +15,7 @@ from pgran.run.task import Task, carry_out
 from pgran.store.record import columns_of, row_of
 
 LONGEST_UNIT = 256  # frequencies
+POSITIVE = {"low": 1e-100, "high": 1e100}  # no square of it overflows or underflows
 
 
 def check(values, given):
@@ -39,10 +40,10 @@ def continuum(
     point=option((0.47, 0.52), "where the amplitude is taken", "length"),
     crew=None,
     *,
-    size=option((1.0, 1.0), "extent of the box along x, y", "length", above=0),
-    mass=option(1.0, "mass per area", above=0),
-    stiffness=option(1.0, "K0", above=0),
-    damping=option(0.003, "beta", low=0),
+    size=option((1.0, 1.0), "extent of the box along x, y", "length", **POSITIVE),
+    mass=option(1.0, "mass per area", **POSITIVE),
+    stiffness=option(1.0, "K0", **POSITIVE),
+    damping=option(0.003, "beta", low=0, high=1e100),
     progress=PROGRESS,
 ):
     """Evaluate the exact response of the homogeneous box over a sweep (paper: axysol, exactpl).
