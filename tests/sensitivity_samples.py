@@ -151,6 +151,24 @@ def solved(S, f):
     return A[:, order:]
 
 
+def assert_exact(found, medium, sites, **by):
+    """Amplitudes after each change are those of elimination with 40 digits; return the errors."""
+    if isinstance(medium, Lattice):
+        sites = np.ravel_multi_index(np.transpose(sites), medium.shape)
+    with mp.workdps(40):
+        exact, kinds, errors = Exact(medium), {}, {}
+        if found.warmed is not None:
+            kinds["warmed"] = found.ball, lambda s, ball: exact.warmed(s, sites, ball, **by)
+        if found.cut is not None:
+            kinds["cut"] = range(medium.bonds), lambda s, contact: exact.cut(s, sites, contact)
+        for name, (changes, solve) in kinds.items():
+            right = [np.array([solve(1j * w, change) for change in changes]).T for w in found.omega]
+            after, bound = getattr(found, name), getattr(found, f"{name}_bound")
+            broken, errors[name] = missed(after, np.array(right), bound)
+            assert not broken.any(), name
+    return errors
+
+
 def missed(found, exact, bound):
     """Where a finite bound is broken, and the errors, as arrays."""
     with np.errstate(all="ignore"):

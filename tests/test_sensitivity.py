@@ -8,15 +8,12 @@ import pytest
 from campaigns.sensitivity import derivative_faults, faults, random_case
 from mpmath import mp, mpf
 from network_samples import as_network, exactly
-from samples import assert_same, random_lattice, swept
+from samples import assert_same, random_lattice
 from sensitivity_samples import STALE, Exact, derived, missed, number, packing
 
-from pgran.command.resolve import resolve
 from pgran.driven import sweep as sweeping
-from pgran.errors import InputError
 from pgran.medium.lattice import Lattice
 from pgran.medium.network import Network
-from pgran.run.reading import read_words
 
 DERIVATIVES = "by_stiffness", "by_mass", "by_damping", "by_tangential", "by_force"
 
@@ -114,49 +111,34 @@ def test_amplitudes_do_not_change_with_all_units_of_mass(name):
     assert np.all(found.converged_reason > 0)
 
 
-def test_logarithms_are_those_of_amplitude_and_phase():
-    lattice, sites = MEDIA["1d"], [[2], [4]]
-    found = derived(lattice, [0.3, 0.8], sites)
-    response = swept(lattice, [0.3, 0.8], sites)
-    relative = lattice.constants * found.by_stiffness / response.displacement[:, :, None]
-    assert np.allclose(found.log_amplitude + 1j * found.log_phase, relative, rtol=1e-12, atol=0)
-    assert np.all(found.log_bound <= 1e-8 * np.abs(relative).max())
-    step = 1e-6
-    for bond in range(lattice.bonds):
-        k = lattice.constants.copy()
-        k[bond] *= 1 + step
-        other = swept(Lattice((k,), lattice.mass, lattice.damping), [0.3, 0.8], sites)
-        moved = np.log(other.displacement / response.displacement) / step
-        assert np.allclose(moved, relative[:, :, bond], rtol=1e-3, atol=1e-6)
-
-
 @pytest.mark.parametrize("displacement", ["scalar", "vector"])
 def test_drive_and_detector_change_places(displacement):
-    """What the transfer between two balls depends on is the same both ways."""
-    rng, directions, alike = np.random.default_rng(1), np.ones((2, 1)), {}
-    if displacement == "vector":  # drives whose springs are alike in all directions
-        directions = np.eye(2)
-        alike = {"position": rng.uniform(0, 2, (5, 2)), "tangential": rng.uniform(0.2, 1, 6)}
-        alike |= {"force": np.array([0.03, 0.02, 0.01, 0.02, 0.0, 0.0])}
-        alike["tangential"][4:] = 0.7
-    bond, stiffness = [[1, 2], [2, 3], [3, 1], [2, 1], [0, 1], [3, 4]], rng.uniform(0.5, 1, 6)
-    stiffness[4:] = 0.7
-    found = []
-    for held, direction, read, site in (
-        ([2, 0, 0, 0, 1], directions[0], "y", 3), ([1, 0, 0, 0, 2], directions[-1], "x", 1)
+    """What the transfer between two balls depends on is the same both ways.
+
+    Balls 0 and 4 are driven in turn, by springs that are alike in all directions; 3 or 1 is read.
+    """
+    rng, ends = np.random.default_rng(1), [[1, 2], [2, 3], [3, 1], [2, 1], [0, 1], [3, 4]]
+    stiffness, shared = np.append(rng.uniform(0.5, 1, 4), [0.7, 0.7]), {}
+    if displacement == "vector":
+        shared = {"position": rng.uniform(0, 2, (5, 2)), "tangential": rng.uniform(0.2, 1, 6)}
+        shared["force"] = np.array([0.03, 0.02, 0.01, 0.02, 0.0, 0.0])
+        shared["tangential"][4:] = 0.7
+    both = []
+    for held, drive, read, site in (
+        ([2, 0, 0, 0, 1], [1, 0], "y", 3), ([1, 0, 0, 0, 2], [0, 1], "x", 1)
     ):  # fmt: skip
-        component = read if displacement == "vector" else "drive"
-        given = {"direction": direction, "component": component, **alike}
-        medium = Network(bond, stiffness, held, [1, 2, 3, 0.5, 1], 0.02, displacement, **given)
-        found.append(derived(medium, [0.2, 0.7], [site]))
-    one, other = found
-    assert np.all(one.converged_reason > 0)
+        along = {"direction": drive, "component": read} if shared else {}
+        medium = Network(
+            ends, stiffness, held, [1, 2, 3, 0.5, 1], 0.02, displacement, **along, **shared
+        )
+        both.append(derived(medium, [0.2, 0.7], [site]))
+        assert np.all(both[-1].converged_reason > 0)
     for kind in ("displacement", *DERIVATIVES):
-        if (first := getattr(one, kind)) is not None:
-            second = getattr(other, kind)
+        if getattr(both[0], kind) is not None:
+            one, other = (getattr(found, kind) for found in both)
             if kind in ("by_stiffness", "by_tangential", "by_force"):  # but the drives' own
-                first, second = first[..., :4], second[..., :4]
-            assert np.abs(first - second).max() <= 1e-10 * np.abs(first).max(), kind
+                one, other = one[..., :4], other[..., :4]
+            assert np.abs(one - other).max() <= 1e-10 * np.abs(one).max(), kind
 
 
 # Power
@@ -254,12 +236,8 @@ def test_inexact_factors(monkeypatch, solver_options, solver):
     """Bounds hold, and derivatives are as accurate as asked or marked; with direct ones none is."""
     solver_options(solver)
     monkeypatch.setattr(sweeping, "ranges", lambda count: [range(count)])
-    lattice, sites, omegas = (
-        random_lattice((4, 3), 3),
-        np.array([[1, 1]]),
-        np.linspace(0.4, 0.41, 6),
-    )
-    found = derived(lattice, omegas, sites)
+    lattice, omegas = random_lattice((4, 3), 3), np.linspace(0.4, 0.41, 6)
+    found = derived(lattice, omegas, [[1, 1]])
     case = dataclasses.replace(random_case(0), tolerance=1e-4, omegas=omegas)
     with mp.workdps(40):
         exact = Exact(lattice)
@@ -273,19 +251,4 @@ def test_random_cases():
     """The campaign in short, on one rank."""
     seen = Counter()
     assert [fault for seed in range(8) for fault in faults(random_case(seed), seen)] == []
-    assert seen["good"] > 5
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("-sensitivity_most -1", "-sensitivity_most -1"),
-        ("-lattice_shape 3,3 -detectors 3,3", "ball .3, 3. is outside"),
-        ("-sweep_omega .2,.1", "must increase"),
-    ],
-)
-def test_impossible_options(words, said):
-    options = lambda: resolve(read_words(f"-scene sensitivity {words}".split()))  # noqa: E731
-    with pytest.raises(InputError, match=said) as caught:
-        derived(random_lattice((3, 3)), [0.1], options().detectors)
-    assert "\n" not in str(caught.value)
+    assert min(seen["good"], seen["logarithms"], seen["warmed"], seen["cut"]) > 5
