@@ -155,11 +155,9 @@ class HeatSweep(AdjointSweep):
             else:
                 growth = warming.grown_by_overlap(lattice, self.overlap, hertz)
             self.balls, contacts = free[warm], warming.contacts_of(lattice, warm)
-            springs, self.delta = warming.changes(lattice, contacts, growth)
-            groups["warmed"] = np.where(self.delta != 0, springs, -1)
+            groups["warmed"], self.delta = warming.changes(lattice, contacts, growth)
         if cut:
-            springs, delta = warming.cuts(lattice, 1j)  # what is zero is so for any other s
-            groups["cut"] = np.where(delta != 0, springs, -1)
+            groups["cut"], _ = warming.cuts(lattice, 1j)
         self.groups = {name: springs for name, springs in groups.items() if len(springs)}
         missing = {"warmed", "cut"} - self.groups.keys()
         row = row_of(

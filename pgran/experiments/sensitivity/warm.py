@@ -56,23 +56,28 @@ def grown_by_overlap(medium, overlap, hertz):
 def changes(medium, contacts, growth):
     """Return the springs of groups of contacts, and how far their constants change.
 
-    Springs that do not change are left out; `growth` is that of each spring's constant. Contacts
-    have the shape (count, c), the springs and their changes (count, r); -1 fills up, with a change
-    of 0.
+    `growth` is that of each spring's constant. Contacts have the shape (count, c), springs and
+    changes (count, r); -1 fills up, and stands for springs that do not change.
     """
+    # springs stand block by block, one of each for every contact
     grown = growth.reshape(-1, medium.bonds)
     blocks = np.flatnonzero(np.any(grown, axis=1) | (np.arange(len(grown)) == 0))
-    groups = np.concatenate(
+    springs = np.concatenate(
         [np.where(contacts >= 0, contacts + b * medium.bonds, -1) for b in blocks], axis=1
     )
-    return groups, np.where(groups >= 0, growth[groups], 0.0)
+    return _changed(springs, np.where(springs >= 0, growth[springs], 0.0))
 
 
 def cuts(medium, s):
-    """Return the springs of each contact, and what its being cut takes away; see `changes`.
+    """Return the springs of each contact, and what its being cut takes away at the drive s.
 
-    At the drive s, dashpots too.
+    Its dashpots, too. As `changes` does; what is zero at one s > 0 is so at any other one.
     """
-    springs, bonds = medium.springs, medium.bonds
-    groups = np.arange(len(springs.drive)).reshape(-1, bonds).T
-    return groups, -(springs.constants + s * medium.damping * springs.damped)[groups]
+    constants = medium.springs.constants + s * medium.damping * medium.springs.damped
+    springs = np.arange(len(constants)).reshape(-1, medium.bonds).T
+    return _changed(springs, -constants[springs])
+
+
+def _changed(springs, delta):
+    """Return groups of springs, -1 for those that do not change, and the changes."""
+    return np.where(delta != 0, springs, -1), delta
