@@ -59,29 +59,13 @@ class Continuum:
             raise InputError(f"continuum_size: two lengths are needed, not {len(self.size)}")
 
     def response(self, omega, point):
-        """Return the amplitude at a point for each driving frequency (paper: axysol).
+        """Return the amplitude at (x, y) for each driving frequency, 0 or more (paper: axysol).
 
-        Parameters
-        ----------
-        omega : array_like of float
-            Angular frequencies, 0 or more.
-        point : tuple of float
-            x and y in the box; the corners belong to the walls at rest.
+        Complex, relative to the driven wall, for exp(+i omega t), in the shape of `omega`; the
+        corners belong to the walls at rest. No double falls on an undamped resonance exactly.
+        Raises an InputError if the point lies outside the box, or a frequency is negative, not
+        finite, or so high that more than `HALF_WAVES` half-waves fit along the box.
 
-        Returns
-        -------
-        numpy.ndarray of complex, the shape of `omega`
-            Relative to the driven wall, for exp(+i omega t). No double falls on an undamped
-            resonance exactly.
-
-        Raises
-        ------
-        InputError
-            If the point lies outside the box, or a frequency is negative, not finite, or so high
-            that more than `HALF_WAVES` half-waves fit along the box.
-
-        Notes
-        -----
         The result is exact for the given doubles to 1e-12 of itself, next to every wall and every
         resonance too. Exceptions: within about 1e-10 of omega of a zero of the undamped response,
         where A is more than 1e6 times smaller than the terms that cancel (there the error is below

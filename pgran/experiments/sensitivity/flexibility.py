@@ -13,23 +13,19 @@ class Flexibility:
 
         G_ij = sum over the unknowns u of spring j of L(i, u) b_j(u).
 
-    Parameters
-    ----------
-    operators : pgran.driven.operators.Operators
-    groups : numpy.ndarray of int, shape (count, r)
-        Springs; -1 fills up a row.
+    `groups`, shape (count, r), are numbers of springs; -1 fills up a row.
     """
 
     def __init__(self, operators, groups):
         """Find the unknowns to solve for, and which L(i, u) each G_ij needs."""
         self.operators, self.groups, layout = operators, groups, operators.layout
-        self.there = groups >= 0
+        self._there = groups >= 0
         # `place` (count, r) is where a spring of a group stands among all `springs`, each once;
         # `number` (count, r, w) is where an unknown of that spring stands among all `unknowns`.
         # Both lists may begin with -1, which is none.
         self.springs, place = np.unique(groups, return_inverse=True)
         self._place = place.reshape(groups.shape)
-        ends = np.where(self.there[..., None], layout.ends[groups], -1)
+        ends = np.where(self._there[..., None], layout.ends[groups], -1)
         self._unknowns, number = np.unique(ends, return_inverse=True)
         self._number = number.reshape(ends.shape)
         self._no_spring, self._no_unknown = int(self.springs[0] < 0), int(self._unknowns[0] < 0)
@@ -52,24 +48,16 @@ class Flexibility:
     def stretched(self, fields, errors):
         """Return how far fields stretch the springs of each group, and bounds of the errors.
 
-        Collective over a group of ranks.
-
-        Parameters
-        ----------
-        fields : numpy.ndarray, shape (rows of this rank, 1 + nd)
-            The amplitudes, whose drive stretches springs, too, then the adjoints.
-        errors : numpy.ndarray, shape (1 + nd,)
-            Bounds of the fields' errors in the 2-norm.
-
-        Returns
-        -------
-        t (count, r), its rows' errors (count,), y (nd, count, r), its rows' errors (nd, count)
+        Fields, this rank's rows, shape (rows, 1 + nd), are the amplitudes, with which the drive
+        moves, then the adjoints; `errors`, shape (1 + nd,), bound theirs in the 2-norm. Collective.
+        Returns what `changed_amplitudes` takes: t (count, r), a bound of each row's error, y (nd,
+        count, r), bounds of its rows' errors.
         """
         springs = self.operators.lattice.springs
         stretch = self.operators.stretch(fields, np.maximum(self.springs, 0)).T
         stretch[0] += springs.drive[self.springs]
-        stretch = np.where(self.there, stretch[:, self._place], 0.0)
-        lengths = np.where(self.there, springs.lengths[self.groups], 0.0)
+        stretch = np.where(self._there, stretch[:, self._place], 0.0)
+        lengths = np.where(self._there, springs.lengths[self.groups], 0.0)
         missed = 1.01 * errors[:, None] * np.linalg.norm(lengths, axis=1)
         missed += 4 * EPSILON * np.linalg.norm(stretch, axis=2)
         return stretch[0], missed[0], stretch[1:], missed[1:]

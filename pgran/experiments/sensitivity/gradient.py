@@ -35,16 +35,10 @@ class Gradient(NamedTuple):
 
 
 def gradient(medium, s, fields, errors):
-    """Return the Gradient of some steady states.
+    """Return the Gradient of steady states at n values of s.
 
-    Parameters
-    ----------
-    medium : pgran.Lattice or pgran.Network
-    s : numpy.ndarray of complex, shape (n,)
-    fields : numpy.ndarray of complex, shape (n, 1 + nd, unknowns)
-        The amplitudes of all unknowns, then the adjoints.
-    errors : numpy.ndarray, shape (n, 1 + nd)
-        Bounds of their errors, in the 2-norm.
+    Fields, shape (n, 1 + nd, unknowns), are the amplitudes of all unknowns, then the adjoints;
+    `errors`, shape (n, 1 + nd), bound their errors in the 2-norm.
     """
     springs, s = medium.springs, s[:, None]
     stretch = _applied(springs.B, fields)

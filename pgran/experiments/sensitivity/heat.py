@@ -145,7 +145,7 @@ class HeatSweep(AdjointSweep):
         """Find the springs that change."""
         sites, free = lattice.sites(detectors), lattice.ball_numbers
         self.factor, self.overlap, hertz = law
-        self.balls, groups = free[:0], {}  # the springs of each change, kind by kind
+        self.balls, groups = free[:0], {}  # groups[kind][n]: the springs that change n changes
         if self.factor is not None or self.overlap is not None:
             warm = np.arange(len(free))
             if balls is not None:
@@ -191,8 +191,7 @@ class HeatSweep(AdjointSweep):
             for name, flexibility in self.flexibilities.items():
                 stretched = flexibility.stretched(fields, errors)
                 matrices = flexibility.matrices(columns)
-                delta = self._delta(name, solver.operators.s)
-                delta = np.where(flexibility.there, delta, 0.0)
+                delta = self._delta(name, solver.operators.s)  # zero where rows are filled up
                 after = changed_amplitudes(before, stretched, matrices, delta)
                 point[name], point[f"{name}_bound"] = after
 
@@ -216,6 +215,7 @@ class HeatSweep(AdjointSweep):
         if "warmed" in arrays:
             before, bound = (arrays[n][..., None] for n in ("displacement", "error_bound"))
             moved = np.abs(arrays["warmed"] - before) - arrays["warmed_bound"] - bound
+            # for certain: by a quarter of what the amplitude may be at most
             heard = np.mean(moved >= QUARTER * (np.abs(before) + bound), axis=-1)
             heard[arrays["converged_reason"] <= 0] = np.nan
         return Heat(
