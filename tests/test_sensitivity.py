@@ -8,8 +8,8 @@ import pytest
 from campaigns.sensitivity import derivative_faults, faults, random_case
 from mpmath import mp, mpf
 from network_samples import as_network, exactly
-from samples import assert_same, random_lattice
-from sensitivity_samples import STALE, Exact, derived, missed, number, packing
+from samples import random_lattice
+from sensitivity_samples import STALE, Exact, assert_same_on_ranks, derived, missed, number, packing
 
 from pgran.driven import sweep as sweeping
 from pgran.medium.lattice import Lattice
@@ -179,42 +179,39 @@ def test_power_flows_from_the_drive_into_the_dashpots(name):
 # Which are kept, on how many ranks, and what fails
 
 
-def test_the_largest_are_kept():
-    lattice, omegas, sites = random_lattice((4, 3), 5), np.linspace(0.1, 1.0, 5), [[0, 0], [2, 1]]
-    for medium, where in ((lattice, sites), (packing("rotations"), [1, 3])):
-        every, few = (derived(medium, omegas, where, most=most) for most in (0, 3))
-        inertia = 1.0 if medium is lattice else medium.masses[medium.free]
-        for size, kept, kinds in (
-            (np.hypot(every.log_amplitude, every.log_phase), few.bond,
-             ("by_stiffness", "by_stiffness_bound", "log_amplitude", "log_bound", "by_force")),
-            (np.abs(every.by_mass * inertia), few.ball, ("by_mass", "by_mass_bound")),
-        ):  # fmt: skip
-            largest = np.sort(size, axis=-1)[..., :-4:-1]
-            assert np.allclose(np.take_along_axis(size, kept, -1), largest, rtol=1e-12)
-            for kind in kinds:
-                if (values := getattr(every, kind)) is not None:
-                    values = np.take_along_axis(values, kept, -1)
-                    assert np.array_equal(values, getattr(few, kind)), kind
-        assert np.array_equal(every.flux, few.flux)
-        number = derived(medium, omegas, where, most=10**6)
-        assert number.bond.shape[-1] == medium.bonds
+@pytest.mark.parametrize(
+    ("medium", "sites", "inertia"),
+    [
+        (random_lattice((4, 3), 5), [[0, 0], [2, 1]], 1.0),
+        (packing("rotations"), [1, 3], packing("rotations").masses[1:4]),
+    ],
+)
+def test_the_largest_are_kept(medium, sites, inertia):
+    every, few, all_kept = (
+        derived(medium, np.linspace(0.1, 1.0, 5), sites, most=most) for most in (0, 3, 10**6)
+    )
+    bonds = "by_stiffness", "by_stiffness_bound", "log_amplitude", "log_bound", "by_force"
+    for size, kept, names in (
+        (np.hypot(every.log_amplitude, every.log_phase), few.bond, bonds),
+        (np.abs(every.by_mass * inertia), few.ball, ("by_mass", "by_mass_bound")),
+    ):
+        largest = np.sort(size, axis=-1)[..., :-4:-1]
+        assert np.allclose(np.take_along_axis(size, kept, -1), largest, rtol=1e-12)
+        for name in names:
+            if (values := getattr(every, name)) is not None:
+                values = np.take_along_axis(values, kept, -1)
+                assert np.array_equal(values, getattr(few, name)), name
+    assert np.array_equal(every.flux, few.flux)
+    assert all_kept.bond.shape[-1] == medium.bonds
 
 
-@pytest.mark.parametrize("kind", ["lattice", "rotations"])
-def test_any_number_of_ranks(world, kind):
-    """Bit for bit, or to rounding where ranks share a lattice."""
-    medium, sites = (random_lattice((4, 5), 6), [[1, 1], [3, 2]])
-    if kind != "lattice":
-        medium, sites = packing(kind), [1, 3]
-    omegas = np.linspace(0.2, 1.2, 9)
-    alone = derived(medium, omegas, sites)
-    assert_same(derived(medium, omegas, sites, world), alone)
-    shared = derived(medium, omegas, sites, world, world.size)
-    assert np.all(shared.converged_reason > 0)
-    for name in (*DERIVATIVES, "displacement", "flux", "loss", "log_amplitude", "log_phase"):
-        if (one := getattr(alone, name)) is not None:
-            other = getattr(shared, name)
-            assert np.abs(one - other).max() <= 1e-9 * np.abs(one).max(), name
+@pytest.mark.parametrize(
+    ("medium", "sites"),
+    [(random_lattice((4, 5), 6), [[1, 1], [3, 2]]), (packing("rotations"), [1, 3])],
+)
+def test_any_number_of_ranks(world, medium, sites):
+    names = *DERIVATIVES, "displacement", "flux", "loss", "log_amplitude", "log_phase"
+    assert_same_on_ranks(world, derived, medium, np.linspace(0.2, 1.2, 9), sites, names)
 
 
 def test_what_fails_is_marked(solver_options):
