@@ -158,22 +158,14 @@ def run(lattice, options, crew):
 
 # Of the experiments' options, a study takes those of the one that it repeats; but it decides itself
 # how accurate results are, and what is kept of them.
-DECIDED = {
-    *("error_tolerance", "error_floor", "sweep_resolve", "phase_fit_min", "phase_fit_max"),
-    *("output_fields", "output_models"),
-}
+DECIDED = (
+    "error_tolerance", "error_floor", "sweep_resolve", "phase_fit_min", "phase_fit_max",
+    "output_fields", "output_models",
+)  # fmt: skip
+REPEATED = options_of(response.sweep, relaxation.relax, pulse.pulse, modes.find_modes)
+OPTIONS = (*STUDY, *driven.DETECTORS, *SWEEP, relaxation.OMEGA, *REPEATED)
 SCENE = Scene(
-    options=(
-        *(*STUDY, *driven.DETECTORS, *SWEEP),
-        *(
-            option
-            for option in (
-                *options_of(response.sweep, relaxation.relax, pulse.pulse, modes.find_modes),
-                relaxation.OMEGA,
-            )
-            if option.name not in DECIDED
-        ),
-    ),
+    options=tuple(option for option in OPTIONS if option.name not in DECIDED),
     run=run,
     summary=summary,
     check=check,

@@ -3,6 +3,7 @@
 import numpy as np
 
 from pgran.driven.sweep import FrequencySweep
+from pgran.store.record import row_of
 
 MISSED = 0  # the reason of a frequency whose results miss the accuracy asked for
 
@@ -10,13 +11,17 @@ MISSED = 0  # the reason of a frequency whose results miss the accuracy asked fo
 class AdjointSweep(FrequencySweep):
     """Steady states of which more than the amplitudes is computed, frequency by frequency.
 
-    `row` are the fields of a row that its record declares; the rest is as of `FrequencySweep`.
+    A row holds what `record` declares, but for `missing`, optional arrays with their bounds, which
+    the sweep does not compute; `lengths` are those of the record's other axes.
     """
 
-    def __init__(self, lattice, omegas, sites, row, error_tolerance):
+    def __init__(self, lattice, omegas, sites, error_tolerance, record, missing, **lengths):
         """Ask for whole fields."""
+        without = {*missing, *(f"{name}_bound" for name in missing)}
+        lengths |= {"detector_number": (len(sites),), "every_bond": (lattice.bonds,)}
+        row = [("field_bound", float), *row_of(record, without, **lengths)]
         choices = {"error_tolerance": error_tolerance, "whole_field": True, "whole_adjoints": True}
-        super().__init__(lattice, omegas, sites, [("field_bound", float), *row], choices)
+        super().__init__(lattice, omegas, sites, row, choices)
 
     def keep(self, point, solver):
         """See `FrequencySweep`; a frequency without proven bounds misses the accuracy."""

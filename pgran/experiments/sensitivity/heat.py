@@ -20,7 +20,7 @@ from pgran.run.keywords import PROGRESS, option
 from pgran.run.options import INTEGERS, REAL
 from pgran.run.task import carry_out
 from pgran.store.fields import ball_names
-from pgran.store.record import columns_of, row_of
+from pgran.store.record import columns_of
 
 QUARTER = 0.25  # of the amplitude: what the heater of the experiment changed
 
@@ -160,11 +160,8 @@ class HeatSweep(AdjointSweep):
             groups["cut"], _ = warming.cuts(lattice, 1j)
         self.groups = {name: springs for name, springs in groups.items() if len(springs)}
         missing = {"warmed", "cut"} - self.groups.keys()
-        row = row_of(
-            Heat, without=[*missing, *(f"{name}_bound" for name in missing)],
-            detector_number=(len(sites),), ball=(len(self.balls),), every_bond=(lattice.bonds,),
-        )  # fmt: skip
-        super().__init__(lattice, omegas, sites, row, error_tolerance)
+        balls = (len(self.balls),)
+        super().__init__(lattice, omegas, sites, error_tolerance, Heat, missing, ball=balls)
 
     def prepare(self, operators):
         """See `FrequencySweep`."""

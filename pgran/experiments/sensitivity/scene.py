@@ -19,7 +19,7 @@ from pgran.run.keywords import PROGRESS, call, option, options_of
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted, two_digits
 from pgran.store.fields import ball_names, site_name
-from pgran.store.record import columns_of, row_of
+from pgran.store.record import columns_of
 from pgran.store.si import SI
 
 TOGETHER = 2**22  # bytes of fields that derivatives are computed of at a time
@@ -124,18 +124,14 @@ class GradientSweep(AdjointSweep):
         self.blocks = {
             name: np.flatnonzero(np.isin(springs.blocks, blocks)) for name, blocks in kinds.items()
         }
-        missing = [f"by_{name}" for name in {"tangential", "force"} - kinds.keys()]
-        missing += [f"{name}_bound" for name in missing]
+        missing = {f"by_{name}" for name in {"tangential", "force"} - kinds.keys()}
         bonds, balls = lattice.bonds, lattice.balls // lattice.components
         if most:
             bonds, balls = min(most, bonds), min(most, balls)
         else:
-            missing += ["bond", "ball"]
-        row = row_of(
-            Sensitivity, without=missing, detector_number=(len(sites),), bond_number=(bonds,),
-            ball_number=(balls,), every_bond=(lattice.bonds,),
-        )  # fmt: skip
-        super().__init__(lattice, omegas, sites, row, error_tolerance)
+            missing |= {"bond", "ball"}
+        lengths = {"bond_number": (bonds,), "ball_number": (balls,)}
+        super().__init__(lattice, omegas, sites, error_tolerance, Sensitivity, missing, **lengths)
         self._waiting = []  # states of this unit that derivatives are still to be computed of
 
     def keep(self, point, solver):
