@@ -146,14 +146,14 @@ class Exact(NetworkReference):
         """The amplitudes with a ball warm; None if S is singular."""
         warm = np.flatnonzero(np.any(self.ends == ball, axis=1))
         found = self.states(s, sites, [self.grown(contact, **by) for contact in warm])
-        return None if found is None else found[2]
+        return found and found[2]
 
     def cut(self, s, sites, contact):
         """The amplitudes without a contact; None if S is singular."""
         here, elastic, lossy = self.contact(contact)
         added = -elastic - mpmath.mpmathify(complex(s)) * self.beta * lossy
         found = self.states(s, sites, [(here, added)])
-        return None if found is None else found[2]
+        return found and found[2]
 
 
 def solved(S, f):
