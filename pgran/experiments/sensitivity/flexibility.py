@@ -32,13 +32,14 @@ class Flexibility:
         entries = layout.entries[groups if len(layout.entries) > 1 else 0 * groups]
         self._entries = np.where(ends >= 0, entries, 0.0)
         self._size = np.linalg.norm(np.linalg.norm(self._entries, axis=-1), axis=1)  # |U|
-        # What G_ij needs stands in the table L of all springs (rows) and all unknowns (columns):
+        # What G of group p needs stands in the table L, a row a spring, a column an unknown:
         #
-        #              u of spring j                                   [p, i, j, u] ->
-        #     spring i    L(i, u)        at  place[p, i], number[p, j, u]
+        #                       number[p, j, u]
+        #                              |
+        #     place[p, i]  -  -  -  L(i, u)  =  needed[p, i, j, u]
         #
-        # Its columns are solved for a few at a time. Sorted by columns, what some of them are
-        # needed for is one slice of these lists.
+        # A few columns are solved for at a time; `order` sorts all [p, i, j, u] by columns, so that
+        # those which need some columns are a slice of it.
         self._shape = (*groups.shape, *ends.shape[1:])
         rows = np.broadcast_to(self._place[:, :, None, None], self._shape).ravel()
         columns = np.broadcast_to(self._number[:, None], self._shape).ravel()
@@ -58,9 +59,9 @@ class Flexibility:
         stretch[0] += springs.drive[self.springs]
         stretch = np.where(self._there, stretch[:, self._place], 0.0)
         lengths = np.where(self._there, springs.lengths[self.groups], 0.0)
-        missed = 1.01 * errors[:, None] * np.linalg.norm(lengths, axis=1)
-        missed += 4 * EPSILON * np.linalg.norm(stretch, axis=2)
-        return stretch[0], missed[0], stretch[1:], missed[1:]
+        bounds = 1.01 * errors[:, None] * np.linalg.norm(lengths, axis=1)
+        bounds += 4 * EPSILON * np.linalg.norm(stretch, axis=2)
+        return stretch[0], bounds[0], stretch[1:], bounds[1:]
 
     def matrices(self, columns):
         """Return G for each group, and a bound of its error in Frobenius' norm.
@@ -69,30 +70,29 @@ class Flexibility:
         bounds are prepared. G, shape (count, r, r), is zero in rows and columns that only fill up.
         """
         bounds, width = columns.solver.bounds, self._shape[-1]
-        needed = np.zeros(len(self._order), dtype=complex)  # each L(i, u), then in G's order
-        missed = np.zeros(len(self._unknowns))  # bounds of the errors of S^-1 e_u
+        needed = np.zeros(len(self._order), dtype=complex)  # in G's order
+        errors = np.zeros(len(self._unknowns))  # bounds of those of S^-1 e_u
         start = self._no_unknown
-        solved = columns.solved(self._unknowns[start:], self._units, 1.0)
+        solved = columns.solved(self._unknowns[start:], self._unit_vectors, 1.0)
         for unknowns, solutions, norms, residuals in solved:
             stop = start + len(unknowns)
             table = np.zeros((len(self.springs), len(unknowns)), dtype=complex)
-            table[self._no_spring :] = self.operators.stretch(
-                solutions, self.springs[self._no_spring :]
-            )
+            springs = self.springs[self._no_spring :]
+            table[self._no_spring :] = self.operators.stretch(solutions, springs)
             here = slice(*np.searchsorted(self._columns, [start, stop]))
             needed[self._order[here]] = table[self._rows[here], self._columns[here] - start]
-            missed[start:stop] = residuals * bounds.inverse_norm + (width + 2) * EPSILON * norms
+            errors[start:stop] = residuals * bounds.inverse_norm + (width + 2) * EPSILON * norms
             start = stop
         needed = needed.reshape(self._shape)
         G = np.einsum("pije,pje->pij", needed, self._entries)
-        across = np.einsum("pje,pje->pj", np.abs(self._entries), missed[self._number])
+        across = np.einsum("pje,pje->pj", np.abs(self._entries), errors[self._number])
         error = 1.01 * self._size * np.linalg.norm(across, axis=1)
         # what rounds while the parts of a column are summed up
         size = np.einsum("pije,pje->pij", np.abs(needed), np.abs(self._entries))
         error += (width + 4) * EPSILON * np.linalg.norm(size, axis=(1, 2))
         return G, error
 
-    def _units(self, unknowns, columns):
+    def _unit_vectors(self, unknowns, columns):
         """Set columns to the unit vectors of unknowns, as far as they lie in this rank's rows."""
         first, last = self.operators.first, self.operators.last
         columns[:] = 0.0

@@ -22,7 +22,9 @@ from pgran.store.fields import ball_names, site_name
 from pgran.store.record import columns_of
 from pgran.store.si import SI
 
-TOGETHER = 2**22  # bytes of fields that derivatives are computed of at a time
+# Bytes of fields that derivatives are computed of at a time: for one state of a small lattice the
+# calls of NumPy would take as long as the solve.
+TOGETHER = 2**22
 
 
 def check(values, given):
