@@ -9,8 +9,7 @@ from pgran.arguments import called_right
 from pgran.errors import InputError
 from pgran.experiments.ensemble.noise import finite_samples
 from pgran.experiments.ensemble.record import Ensemble, Transport, with_errors
-from pgran.experiments.modes.levels import first_mode
-from pgran.experiments.modes.scene import REGIMES
+from pgran.experiments.modes.levels import REGIMES, first_mode
 from pgran.medium.base import medium as medium_of
 from pgran.run.streams import saying_once
 from pgran.store.estimate import FEWEST_SAMPLES, Estimate, jackknife_samples, mean_of, two_digits
