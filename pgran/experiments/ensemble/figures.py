@@ -7,6 +7,7 @@ import numpy as np
 
 from pgran.draw import scales, style
 from pgran.draw.scales import Quantity
+from pgran.experiments.ensemble.record import measures
 from pgran.experiments.modes.figures import (
     bin_edges,
     density_axes,
@@ -14,18 +15,8 @@ from pgran.experiments.modes.figures import (
     participation_axes,
 )
 
-# Numbers of a sample, by their names in the record.
-NUMBERS = {
-    "velocity": Quantity("phase velocity", r"($d\,\omega_{mx}$)", "m/s", 1),
-    "exponent": Quantity(r"exponent $\psi$ of the spectrum"),
-    "order": Quantity(r"bonds that act jointly, $\bar k$"),
-    "arrival": Quantity("arrival of the front", r"($\sqrt{m/k}$)", "s"),
-    "centre": Quantity("centre of the envelope", r"($\sqrt{m/k}$)", "s"),
-    "decay": Quantity("rate of decay", r"($\sqrt{k/m}$)", "1/s"),
-    "effective_bonds": Quantity("bonds that matter"),
-    "modes": Quantity("modes found"),
-    "above": Quantity(r"modes above $\omega_{mx}$"),
-}
+# Numbers of a sample, by their names in the record, which declares how they are called.
+NUMBERS = {name: Quantity(*measure.quantity) for name, measure in measures().items()}
 CAPTIONS = {
     "amplitude": "Amplitude against the driving frequency over samples: the band of 80 % of them, "
     "their median, and the coherent part $|\\langle A\\rangle|$, where it is more than the mean of "
