@@ -6,8 +6,6 @@ import numpy as np
 def is_accurate(bound, amplitude, tolerance):
     """Return whether errors are small against the true amplitudes.
 
-    Not collective.
-
     Parameters
     ----------
     bound : numpy.ndarray of float
@@ -23,7 +21,7 @@ def is_accurate(bound, amplitude, tolerance):
 def below_relative_accuracy(error_bound, amplitude, tolerance):
     """Return which amplitudes have a bound, but miss the relative accuracy.
 
-    Not collective. Parameters are those of `is_accurate`.
+    Parameters are those of `is_accurate`.
     """
     missed = np.isfinite(error_bound) & ~is_accurate(error_bound, amplitude, tolerance)
     return missed.astype(np.int8)

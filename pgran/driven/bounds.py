@@ -70,7 +70,7 @@ class ErrorBounds(Owner):
 
     @cached_property
     def _counter(self):
-        """What counts eigenvalues of K. Not collective."""
+        """What counts eigenvalues of K."""
         return ModeCounter(self.operators.K, self.operators.lattice)
 
     @cached_property
@@ -80,7 +80,7 @@ class ErrorBounds(Owner):
         return self.operators.layout.vector(signs.reshape(self.operators.shape))
 
     def stability(self, s):
-        """Return a c with |S x|_2 >= c |x|_2 for every x; 0 if none is certain. Not collective."""
+        """Return a c with |S x|_2 >= c |x|_2 for every x; 0 if none is certain."""
         damping = self.operators.damping and self.operators.damping * (
             abs(s) * smallest_damping(self.operators.lattice)
         )

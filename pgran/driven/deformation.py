@@ -11,7 +11,7 @@ from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 def march(G, delta):
     """Change one bond after the other; return how each then deforms the lattice.
 
-    Not collective. This is the inverse, column by column, of the factor L^T in the L D L^T
+    This is the inverse, column by column, of the factor L^T in the L D L^T
     factorization of diag(1/delta) + G, whose leading blocks are the networks after each step.
 
     Parameters
@@ -88,19 +88,19 @@ class Deformation:
         self._loose = loose * (sizes[0] + sizes[1] @ self.coefficient_sizes)
 
     def stretch_rounding(self, weights):
-        """Bound, step by step, the rounding of a sum of weights times stretches. Not collective."""
+        """Bound, step by step, the rounding of a sum of weights times stretches."""
         found = (self._rounding @ weights) * self._norm + self._rounding_of_start @ weights
         return found + self._loose * weights.sum(axis=0)
 
     def missed_rounding(self, weights):
-        """Bound the same for weights times `missed`. Not collective."""
+        """Bound the same for weights times `missed`."""
         changed = self.stretch_rounding(self._changes * weights)
         return changed + 2 * EPSILON * _column_sums(weights, self.coefficient_sizes)
 
     def residual(self, start, columns):
         """Return bounds of |f - S x|_2, or of |e_d - S x|_2, after each step.
 
-        Not collective; `start` bounds it before any change, `columns` the residuals of Y's columns.
+        `start` bounds it before any change, `columns` the residuals of Y's columns.
         """
         rounding = self.missed_rounding(np.ones(self.missed.shape))
         missed = np.sum(self.missed_sizes, axis=0) + rounding
@@ -109,8 +109,6 @@ class Deformation:
 
 def amplitudes(before, primal, adjoint):
     """Return A_d + q^T gamma - (q + G eta)^T h after each step, and bounds of its rounding.
-
-    Not collective.
 
     Parameters
     ----------
@@ -130,7 +128,7 @@ def amplitudes(before, primal, adjoint):
 
 
 def squares(columns):
-    """Return the sum of squares of each column of this rank's part of a block. Not collective."""
+    """Return the sum of squares of each column of this rank's part of a block."""
     rows = np.ascontiguousarray(columns.T).view(float)
     return np.einsum("ij,ij->i", rows, rows)
 

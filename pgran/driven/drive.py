@@ -88,7 +88,7 @@ def check_driven(lattice, world, lowest, in_time=False):
 def warn_above_modes(lattice, world, lowest):
     """Warn where no mode is above the lowest frequency asked for, which is then often in Hz.
 
-    Not collective; rank 0 warns.
+    Rank 0 warns.
     """
     if world.rank == 0 and lowest > math.sqrt(lattice.stiffness_norm / lattice.mass):
         log.warning(
@@ -117,7 +117,7 @@ def _say_unprovable(lattice, world):
 
 
 def reached_accuracy(record, good):
-    """Yield in words how accurate amplitudes are. Not collective.
+    """Yield in words how accurate amplitudes are.
 
     Parameters
     ----------

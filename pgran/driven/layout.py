@@ -51,7 +51,7 @@ class Layout(Owner):
     def driving(self, constants, size=lambda x: x):
         """Return this rank's rows of the drive, -B^T diag(k) of what is driven.
 
-        Not collective. `size` is applied to each spring's part before these are summed up.
+        `size` is applied to each spring's part before these are summed up.
         """
         springs = np.flatnonzero(self.drive)
         pull, total = -constants[springs] * self.drive[springs], np.zeros(self.last - self.first)
@@ -150,7 +150,7 @@ class LatticeLayout(Layout):
         return np.column_stack([k.sum(axis=1), -k]).astype(PETSc.ScalarType)
 
     def csr(self, constants):
-        """Return row pointers, columns and nonzeros of B^T diag(k) B. Not collective."""
+        """Return row pointers, columns and nonzeros of B^T diag(k) B."""
         pointer = np.append(0, np.cumsum(np.count_nonzero(self._exists, axis=1)))
         columns, values = self._columns[self._exists], self._values(constants)[self._exists]
         return pointer.astype(PETSc.IntType), columns, values
@@ -158,7 +158,7 @@ class LatticeLayout(Layout):
     def change(self, matrix, bonds, constants):
         """Set in a matrix what some bonds contribute to; the rest of those rows, too.
 
-        Not collective; it is to be assembled. What was before leaves no rounding behind.
+        It is to be assembled. What was before leaves no rounding behind.
         """
         balls = self.ends[bonds].ravel()
         balls = balls[(balls >= self.first) & (balls < self.last)]
@@ -221,7 +221,7 @@ class NetworkLayout(Layout):
         self._contributions = csr_matrix(triplets, shape=(len(keys), len(self.ends)))
 
     def csr(self, constants):
-        """Return row pointers, columns and nonzeros of B^T diag(k) B. Not collective."""
+        """Return row pointers, columns and nonzeros of B^T diag(k) B."""
         values = self._contributions @ constants
         return self._pointer, self._columns, values.astype(PETSc.ScalarType)
 
@@ -263,7 +263,7 @@ class NetworkLayout(Layout):
 def partition(network, parts):
     """Return which rank has each unknown: those of a ball together, neighbours mostly, as many.
 
-    Not collective; the same on every rank. By bisection along the longest extent of the positions,
+    The same on every rank. By bisection along the longest extent of the positions,
     without positions along the order of reverse Cuthill and McKee.
     """
     balls = len(network.free)

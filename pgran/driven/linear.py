@@ -44,7 +44,7 @@ class System(Owner):
         self.norm = math.inf
 
     def advance(self):
-        """Keep the solution as the last one; a start then fills `solution`. Not collective."""
+        """Keep the solution as the last one; a start then fills `solution`."""
         self.solution, self.last, self.before_last = self.before_last, self.solution, self.last
 
     def start_from_zero(self):
@@ -94,7 +94,7 @@ class Krylov(Owner):
 
     @property
     def pc(self):
-        """The preconditioner. Not collective."""
+        """The preconditioner."""
         return self.ksp.getPC()
 
     def begin(self, longest=None):
@@ -139,12 +139,12 @@ class Krylov(Owner):
 
 
 def is_factored():
-    """Return whether the options ask for a factorization of S. Not collective."""
+    """Return whether the options ask for a factorization of S."""
     return PETSc.Options("steady_").getString("pc_type", "cholesky") in FACTORIZATIONS
 
 
 def factor_package(lattice, ranks):
-    """Return what factors the matrix of a lattice that so many ranks share. Not collective."""
+    """Return what factors the matrix of a lattice that so many ranks share."""
     if ranks > 1:
         return "mumps"
     if lattice.irregular:
@@ -209,7 +209,7 @@ def set_up(ksp, matrix, comm):
 def analyse_by_pattern(pc, lattice):
     """Let MUMPS analyse the pattern alone, and not for longer than that saves; options win.
 
-    Not collective. Else MUMPS permutes by the values of the first matrix, and the last digits of
+    Else MUMPS permutes by the values of the first matrix, and the last digits of
     all later solutions depend on which frequency a rank happened to factor first.
     """
     if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
@@ -221,7 +221,7 @@ def analyse_by_pattern(pc, lattice):
 
 
 def accept_small_pivots(pc):
-    """Call no pivot zero that is not, unless options say otherwise. Not collective.
+    """Call no pivot zero that is not, unless options say otherwise.
 
     PETSc's threshold is absolute, 2e-14, and constants of one lattice may differ by more. A pivot
     that is zero but for rounding shows in the residuals. But the threshold is the least that a

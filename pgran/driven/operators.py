@@ -138,7 +138,7 @@ class Operators(Owner):
     def spread(self, bonds, columns):
         """Set columns to b = B^T e of some bonds, as far as it lies in this rank's rows.
 
-        Not collective. Columns beyond those of the bonds become zero.
+        Columns beyond those of the bonds become zero.
         """
         columns[:] = 0.0
         for entries, rows, mine in self.layout.own_entries(bonds):

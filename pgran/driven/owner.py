@@ -34,7 +34,7 @@ class Owner:
             vars(self).pop(name, None)
 
     def vectors(self):
-        """Yield all vectors, those of other owners too. Not collective."""
+        """Yield all vectors, those of other owners too."""
         for held in self._held(self.owns):
             if isinstance(held, Owner):
                 yield from held.vectors()

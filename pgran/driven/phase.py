@@ -14,7 +14,7 @@ BENT = 2.0  # a phase is no line if its slope in one half of the window is so ma
 def phase_of_sign(displacement):
     """Return the phase of amplitudes that are real, as without damping: 0 or pi; NaN where unknown.
 
-    Not collective. Its jumps are changes of sign, to be followed by no unwrapping.
+    Its jumps are changes of sign, to be followed by no unwrapping.
     """
     sign = np.where(displacement.real < 0, np.pi, 0.0)
     return np.where(np.isnan(displacement), np.nan, sign)
@@ -23,7 +23,7 @@ def phase_of_sign(displacement):
 def unwrap(displacement):
     """Return the phase along the first axis without its jumps, from the lowest frequency on.
 
-    Not collective. Frequencies that have no amplitude keep NaN and are passed over.
+    Frequencies that have no amplitude keep NaN and are passed over.
     """
     phase = np.angle(displacement)
     for column in phase.T:
@@ -35,7 +35,7 @@ def unwrap(displacement):
 def fit_line(x, y):
     """Return slope and intercept of the straight line through some points; y may hold NaN.
 
-    Not collective. NaN where less than three points are known, or where these are too close
+    NaN where less than three points are known, or where these are too close
     together, by 1e-10, to tell a slope from rounding.
     """
     known = np.isfinite(y)
@@ -73,7 +73,7 @@ class PhaseLine:
 def fit_phase(x, phase, line_error, low, high):
     """Fit the straight line to a phase, if it is one, its turns certain over the whole window.
 
-    Not collective. The line is that of least squares along the curve, whose points may lie closer
+    The line is that of least squares along the curve, whose points may lie closer
     here than there. What it misses is correlated over the width of a resonance; so the standard
     error is that of `BLOCKS` parts of the window taken as independent.
 
@@ -134,14 +134,14 @@ def _least_squares(x, phase):
 
 
 def and_more(count):
-    """Say in words that a place is not the only one. Not collective."""
+    """Say in words that a place is not the only one."""
     return f", and in {count} more places" if count else ""
 
 
 def group_delay(amplitude, derivative, error_bound, derivative_bound):
     """Return -d arg A / d omega, and a bound of its error.
 
-    Not collective. With A and its derivative A' wrong by at most a and b, A'/A is wrong by at most
+    With A and its derivative A' wrong by at most a and b, A'/A is wrong by at most
     (b + |A'/A| a) / (|A| - a); NaN and infinite where A may vanish.
 
     Parameters
@@ -162,7 +162,7 @@ def group_delay(amplitude, derivative, error_bound, derivative_bound):
 def phase_velocity(slope, distance):
     """Return the velocity in spacings times omega_mx (paper: phsvel).
 
-    Not collective. The slope of the phase is in rad per omega_mx, the distance from the driven wall
+    The slope of the phase is in rad per omega_mx, the distance from the driven wall
     in spacings. It is no speed of sound: absorbing diffusion makes the slope fall like
     1 / sqrt(beta), seen from .003 to .03, and a pulse arrives far earlier.
     """

@@ -27,13 +27,13 @@ class ReusePolicy:
         self.restart()
 
     def restart(self):
-        """Forget the past: the next frequency gets a fresh factorization. Not collective."""
+        """Forget the past: the next frequency gets a fresh factorization."""
         self._served, self._spent, self._last, self._first = 0, 0, math.inf, None
 
     def due(self, guess=0.0):
         """Return whether to factor before the next frequency.
 
-        Not collective; `guess` is what to expect of a first reuse while there is no experience.
+        `guess` is what to expect of a first reuse while there is no experience.
         """
         if self._served == 0:
             return True
@@ -45,11 +45,11 @@ class ReusePolicy:
         return expected * self._served >= self.price + self._spent
 
     def patience(self):
-        """Return after how many iterations a reused factorization is given up. Not collective."""
+        """Return after how many iterations a reused factorization is given up."""
         return None if self.limit or not self.price else max(4, math.ceil(2 * self.price))
 
     def count(self, fresh, iterations):
-        """Note what a frequency took. Not collective."""
+        """Note what a frequency took."""
         if fresh:
             self._served = self._spent = 0
         self._served += 1
@@ -59,7 +59,7 @@ class ReusePolicy:
             self._first = iterations
 
     def count_failure(self):
-        """Note that reusing the factorization did not work. Not collective."""
+        """Note that reusing the factorization did not work."""
         if self._served == 1:
             self._first = math.inf
 
@@ -67,9 +67,9 @@ class ReusePolicy:
 def expected_iterations(before, s, axes, mass, damping):
     """Return the iterations that a solve takes with the factorization of another s.
 
-    Not collective. A resonance of the lattice is about |s| (2 d beta + sigma m) wide in m s^2, 2 d
-    the mean eigenvalue of C. Each application of the old factorization reduces the residual by the
-    part of that width which m s^2 has moved.
+    A resonance of the lattice is about |s| (2 d beta + sigma m) wide in m s^2, 2 d the mean
+    eigenvalue of C. Each application of the old factorization reduces the residual by the part of
+    that width which m s^2 has moved.
 
     Parameters
     ----------

@@ -104,12 +104,12 @@ class SteadySolver(Owner):
 
     @property
     def bounds(self):
-        """What bounds the errors. Not collective."""
+        """What bounds the errors."""
         return self._judge.bounds
 
     @property
     def field(self):
-        """The amplitudes of all balls at the last s. Not collective."""
+        """The amplitudes of all balls at the last s."""
         return self.primal.solution
 
     @property
@@ -148,7 +148,7 @@ class SteadySolver(Owner):
         self._make_systems()
 
     def restart(self):
-        """Let nothing that follows depend on what was solved before. Not collective."""
+        """Let nothing that follows depend on what was solved before."""
         self._policy.restart()
         self._earlier, self._size = [], None
 

@@ -52,7 +52,7 @@ class FrequencySweep(Task):
         """
 
     def complete(self, points):
-        """Put into the rows of a unit what is computed for all of them together. Not collective."""
+        """Put into the rows of a unit what is computed for all of them together."""
 
     @contextlib.contextmanager
     def open(self, group):
@@ -89,9 +89,6 @@ class FrequencySweep(Task):
 
 
 def ranges(count):
-    """Cut a sweep into ranges of frequencies; how many ranks there are does not matter.
-
-    Not collective.
-    """
+    """Cut a sweep into ranges of frequencies; how many ranks there are does not matter."""
     length = min(LONGEST_UNIT, max(1, count // 64))
     return [range(start, min(start + length, count)) for start in range(0, count, length)]

@@ -15,8 +15,6 @@ from pgran.store.seal import check_seal, has_seal
 def read_bonds(path):
     """Return the bond constants in a file, which make a lattice, and what sets their unit.
 
-    Not collective.
-
     Returns
     -------
     stiffness : tuple of numpy.ndarray
@@ -37,7 +35,7 @@ def read_bonds(path):
 
 
 def bonds(file):
-    """Return what `read_stiffness` does, from a `CarefulFile`. Not collective."""
+    """Return what `read_stiffness` does, from a `CarefulFile`."""
     names = [f.name for f in dataclasses.fields(LatticeRecord) if "axes" in f.metadata]
     there = file.members("lattice", names)
     if not there or there != names[: len(there)]:
@@ -53,7 +51,7 @@ def bonds(file):
 
 
 def read_stiffness(path):
-    """Return the bond constants in `/lattice/stiffness_x` and so on. Not collective.
+    """Return the bond constants in `/lattice/stiffness_x` and so on.
 
     A result that is as it was written is read directly; any other HDF5 file is tried first by a
     process of its own.

@@ -14,8 +14,6 @@ from pgran.run.numbers import numbers
 def checked_array(name, value, dtype, rest, count=None):
     """Return an array of finite numbers as a copy that nobody can change.
 
-    Not collective.
-
     Parameters
     ----------
     name : str
@@ -46,10 +44,7 @@ def checked_array(name, value, dtype, rest, count=None):
 
 
 def check_network(network):
-    """Raise InputError where values of a network, whose arrays fit, are impossible.
-
-    Not collective.
-    """
+    """Raise InputError where values of a network, whose arrays fit, are impossible."""
     held, balls = network.held, len(network.held)
     if len(network.bond) == 0 or balls == 0:
         raise InputError("network: it has no contacts")
@@ -86,7 +81,7 @@ def check_network(network):
 
 
 def unit_direction(direction, axes):
-    """Return the direction of a drive, of length 1; along x unless given. Not collective."""
+    """Return the direction of a drive, of length 1; along x unless given."""
     if direction is None:
         return np.eye(axes)[0]
     direction = numbers("network: the direction of the drive", direction)

@@ -29,7 +29,7 @@ CELLS = {
 
 
 def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993, **others):
-    """Return a crystal of balls, each in contact with its nearest neighbours. Not collective.
+    """Return a crystal of balls, each in contact with its nearest neighbours.
 
     Balls are numbered cell by cell in C order, those of a cell together. The contacts of all cells
     come neighbour by neighbour, each of a ball with one at a larger x (if that is the same: y, z),
@@ -92,27 +92,27 @@ def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993,
 
 
 def square(shape, stiffness=1.0, **others):
-    """Return a square lattice: see `crystal`. Not collective."""
+    """Return a square lattice: see `crystal`."""
     return crystal("square", shape, stiffness, **others)
 
 
 def triangular(shape, stiffness=1.0, **others):
-    """Return a triangular lattice, close-packed along x: see `crystal`. Not collective."""
+    """Return a triangular lattice, close-packed along x: see `crystal`."""
     return crystal("triangular", shape, stiffness, **others)
 
 
 def honeycomb(shape, stiffness=1.0, **others):
-    """Return a honeycomb lattice: see `crystal`. Not collective."""
+    """Return a honeycomb lattice: see `crystal`."""
     return crystal("honeycomb", shape, stiffness, **others)
 
 
 def cubic(shape, stiffness=1.0, **others):
-    """Return a simple cubic lattice: see `crystal`. Not collective."""
+    """Return a simple cubic lattice: see `crystal`."""
     return crystal("cubic", shape, stiffness, **others)
 
 
 def fcc(shape, stiffness=1.0, **others):
-    """Return a face-centred cubic lattice: see `crystal`. Not collective."""
+    """Return a face-centred cubic lattice: see `crystal`."""
     return crystal("fcc", shape, stiffness, **others)
 
 
@@ -122,7 +122,7 @@ def random_geometric(
 ):  # fmt: skip
     """Return a random geometric graph: random points in a box, in contact with all that are near.
 
-    Not collective. One point to each unit of volume of the box. What floats is left out. Held at
+    One point to each unit of volume of the box. What floats is left out. Held at
     the first axis' ends is what lies within the radius of them.
 
     Parameters
@@ -172,8 +172,6 @@ def random_geometric(
 def in_box(position, bond, stiffness, held, box, **others):
     """Return a network in a periodic box: normals and distances are those of nearest images.
 
-    Not collective.
-
     Parameters
     ----------
     position, bond, stiffness, held, **others
@@ -199,7 +197,7 @@ def in_box(position, bond, stiffness, held, box, **others):
 def diluted(network, missing, seed=1993):
     """Return a network without a part of its contacts, and without what floats afterwards.
 
-    Not collective. With the same seed more contacts are missing if the part is larger, and none
+    With the same seed more contacts are missing if the part is larger, and none
     come back.
 
     Parameters

@@ -17,8 +17,6 @@ SYMMETRIC = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 class Graph:
     """The graph of a network's free balls.
 
-    Not collective.
-
     Parameters
     ----------
     network : pgran.medium.network.Network

@@ -53,31 +53,28 @@ MATERIALS = {
 
 
 def ball_mass(material, diameter):
-    """Return the mass rho pi d^3 / 6 of a ball. Not collective."""
+    """Return the mass rho pi d^3 / 6 of a ball."""
     return material.density * math.pi * diameter**3 / 6
 
 
 def contact_constant(material, diameter):
     """Return c of F = c h^(3/2) between two equal balls (paper: hertz).
 
-    Not collective. c = 4/3 E* sqrt(R*), 1/E* = 2 (1 - nu^2)/E, 1/R* = 2/R.
+    c = 4/3 E* sqrt(R*), 1/E* = 2 (1 - nu^2)/E, 1/R* = 2/R.
     """
     effective = material.modulus / (2 * (1 - material.poisson**2))
     return 4 / 3 * effective * math.sqrt(diameter / 4)
 
 
 def force_of_stiffness(constant, stiffness):
-    """Return the force F at which a contact has a stiffness k = 3/2 c^(2/3) F^(1/3).
-
-    Not collective.
-    """
+    """Return the force F at which a contact has a stiffness k = 3/2 c^(2/3) F^(1/3)."""
     return (stiffness / 1.5) ** 3 / constant**2
 
 
 def force_of_pressure(pressure, diameter, fraction=0.64, contacts=6.0):
     """Return the mean force of a contact in a bed of balls under pressure.
 
-    Not collective. The mean stress of contacts F d, Z/2 of them a ball and phi a part of the
+    The mean stress of contacts F d, Z/2 of them a ball and phi a part of the
     volume, is p = phi Z F / (pi d^2) (Rumpf); in the simple cubic lattice F = p d^2.
 
     Parameters
@@ -94,7 +91,7 @@ def force_of_pressure(pressure, diameter, fraction=0.64, contacts=6.0):
 def damping_of_quality(stiffness, quality, omega):
     """Return beta of a contact that makes waves of frequency omega ring with a quality factor.
 
-    Not collective. beta omega = k / Q: the loss angle of a contact, and with equal contacts
+    beta omega = k / Q: the loss angle of a contact, and with equal contacts
     omega over the full width at half power of a mode.
 
     Parameters
@@ -112,7 +109,7 @@ def damping_of_quality(stiffness, quality, omega):
 def damping_of_restitution(stiffness, mass, restitution):
     """Return beta of a linear contact between two balls that part with a part e of their speed.
 
-    Not collective. e = exp(-pi zeta / sqrt(1 - zeta^2)), beta = 2 zeta sqrt(k m/2).
+    e = exp(-pi zeta / sqrt(1 - zeta^2)), beta = 2 zeta sqrt(k m/2).
 
     Parameters
     ----------
@@ -128,7 +125,7 @@ def damping_of_restitution(stiffness, mass, restitution):
 def restitution_of_damping(stiffness, mass, damping):
     """Return the coefficient of restitution of a linear contact, 0 if it is overdamped.
 
-    Not collective. The inverse of `damping_of_restitution`.
+    The inverse of `damping_of_restitution`.
 
     Parameters
     ----------
@@ -142,7 +139,7 @@ def restitution_of_damping(stiffness, mass, damping):
 def effective_stiffness(dimensions):
     """Return the constant that acts as bonds uniform on [0, 1] do, for long waves of the lattice.
 
-    Not collective. By effective-medium theory (Kirkpatrick, Rev. Mod. Phys. 45, 574, 1973): 0 for a
+    By effective-medium theory (Kirkpatrick, Rev. Mod. Phys. 45, 574, 1973): 0 for a
     chain, .3979 for the square lattice, where it is right to 2 % or so.
     """
     others = dimensions - 1  # constants by which the rest of the lattice acts beside each bond
@@ -236,5 +233,5 @@ class Scale:
         return math.sqrt(self.overlap / self.diameter)
 
     def own_damping(self, damping):
-        """Return a damping in the program's units, of mass times frequency. Not collective."""
+        """Return a damping in the program's units, of mass times frequency."""
         return damping / (self.mass * self.omega_mx)

@@ -100,8 +100,6 @@ class Lattice(ElasticBonds, Medium):
     def random(cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=0.003, **parameters):
         """Return the lattice that the options of a run describe, the same on every rank.
 
-        Not collective.
-
         Parameters
         ----------
         shape : sequence of int
@@ -186,16 +184,16 @@ class Lattice(ElasticBonds, Medium):
         return bond_count(self.shape)
 
     def bond_places(self, bonds):
-        """Return axis and index of numbered bonds: see `bond_places`. Not collective."""
+        """Return axis and index of numbered bonds: see `bond_places`."""
         return bond_places(self.shape, bonds)
 
     def check_driven(self):
-        """Do nothing: a driven lattice always has a bounded answer. Not collective."""
+        """Do nothing: a driven lattice always has a bounded answer."""
 
     def sites(self, detectors, name="detectors"):
         """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
 
-        Not collective. Raises InputError, which calls them by their `name`, if an index is missing
+        Raises InputError, which calls them by their `name`, if an index is missing
         or a ball lies outside the lattice.
         """
         shape, axes = self.shape, self.axes
@@ -216,15 +214,15 @@ class Lattice(ElasticBonds, Medium):
         return sites
 
     def reading_norms(self, sites):
-        """Return |e_d| of each detector, shape (nd,), which reads one unknown. Not collective."""
+        """Return |e_d| of each detector, shape (nd,), which reads one unknown."""
         return np.ones(len(sites))
 
     def depths(self, sites):
-        """Return distances of balls from the driven wall, in spacings, (nd,). Not collective."""
+        """Return distances of balls from the driven wall, in spacings, (nd,)."""
         return self.shape[0] - sites[:, 0]
 
     def displacements(self, field):
-        """Return an array of unknowns as displacements, which they are here. Not collective."""
+        """Return an array of unknowns as displacements, which they are here."""
         return field
 
     components = 1  # how many unknowns a ball has
@@ -235,7 +233,7 @@ class Lattice(ElasticBonds, Medium):
         return np.arange(self.balls)
 
     def numbers_of(self, sites):
-        """Return the numbers of balls given by their indices, (count, dim). Not collective."""
+        """Return the numbers of balls given by their indices, (count, dim)."""
         return np.ravel_multi_index(sites.T, self.shape)
 
     @property
@@ -244,17 +242,17 @@ class Lattice(ElasticBonds, Medium):
         return 1.0
 
     def per_ball(self, squares):
-        """Return squares by ball, which has one unknown, shape (n, balls). Not collective."""
+        """Return squares by ball, which has one unknown, shape (n, balls)."""
         return squares.reshape(len(squares), math.prod(squares.shape[1:]))
 
     def in_own_unit(self):
         """Return the same lattice with its largest bond constant between 1 and 2, and the unit.
 
-        Not collective. Stiffness, mass and damping lose the same factor, so amplitudes and
-        frequencies stay as they are; it is a power of two, which rounds nothing but bonds 1e-308
-        times softer than the stiffest. PETSc and SLEPc take small pivots for zero by absolute
-        thresholds, and squares of small numbers vanish. Raises InputError if mass or damping do not
-        fit into doubles in that unit.
+        Stiffness, mass and damping lose the same factor, so amplitudes and frequencies stay as they
+        are; it is a power of two, which rounds nothing but bonds 1e-308 times softer than the
+        stiffest. PETSc and SLEPc take small pivots for zero by absolute thresholds, and squares of
+        small numbers vanish. Raises InputError if mass or damping do not fit into doubles in that
+        unit.
         """
         unit = own_unit(self.stiffest, self.mass, self.damping)
         mass, damping, kmax = self.mass / unit, self.damping / unit, self.kmax / unit
@@ -267,5 +265,5 @@ class Lattice(ElasticBonds, Medium):
 
 
 def smallest_damping_eigenvalue(shape):
-    """Return lambda_min(C), C the Laplacian of the uniform lattice with walls. Not collective."""
+    """Return lambda_min(C), C the Laplacian of the uniform lattice with walls."""
     return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in shape)

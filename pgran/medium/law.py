@@ -20,8 +20,6 @@ from pgran.run.options import REAL, Option
 def unit_numbers(seed, first, count, generation=0):
     """Return numbers uniform on [0, 1), multiples of 2**-53, those of the bonds from `first` on.
 
-    Not collective.
-
     Parameters
     ----------
     seed : int
@@ -141,8 +139,6 @@ class BondLaw:
 def drawn(law, u):
     """Return the constants that a law of the user's makes of numbers uniform on [0, 1).
 
-    Not collective.
-
     Raises
     ------
     InputError
@@ -171,7 +167,7 @@ def drawn(law, u):
 def check_law(law):
     """Return a law of the user's, or None for none, once it has been tried.
 
-    Not collective. Each constant must depend on its own number alone: else results would depend on
+    Each constant must depend on its own number alone: else results would depend on
     how many are drawn at a time.
 
     Raises

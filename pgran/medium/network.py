@@ -232,7 +232,7 @@ class Network(Elastic, Medium):
         return len(self.bond)
 
     def bond_places(self, bonds):
-        """Return axis, which is 0, and index of numbered contacts. Not collective."""
+        """Return axis, which is 0, and index of numbered contacts."""
         return np.zeros_like(bonds), bonds[..., None]
 
     @cached_property
@@ -251,7 +251,7 @@ class Network(Elastic, Medium):
         return self.displacement == "scalar" or (self.damped == "all" and not self.turns)
 
     def check_driven(self):
-        """Raise InputError if nothing is driven, or if balls float. Not collective."""
+        """Raise InputError if nothing is driven, or if balls float."""
         if not np.any(self.held == DRIVEN):
             raise InputError("network: no ball is driven; /network/held has 2 for those that are")
         floating = np.flatnonzero(~anchored(self.bond, self.held))
@@ -265,7 +265,7 @@ class Network(Elastic, Medium):
     def sites(self, detectors, name="detectors"):
         """Return ball numbers as an array (nd, 1).
 
-        Not collective. Raises InputError, which calls them by their `name`, unless these balls are
+        Raises InputError, which calls them by their `name`, unless these balls are
         free.
         """
         given = numbers(name, detectors, whole=True)
@@ -282,7 +282,7 @@ class Network(Elastic, Medium):
         return sites
 
     def readings(self, sites):
-        """Return unknowns that detectors read and their weights, (nd, axes). Not collective."""
+        """Return unknowns that detectors read and their weights, (nd, axes)."""
         first = np.searchsorted(self.free, np.asarray(sites)[:, 0]) * self.components
         unknowns = first[:, None] + np.arange(self.axes)
         along = self.direction
@@ -291,11 +291,11 @@ class Network(Elastic, Medium):
         return unknowns, along * self.weights[unknowns]
 
     def reading_norms(self, sites):
-        """Return |e_d| of each detector, shape (nd,). Not collective."""
+        """Return |e_d| of each detector, shape (nd,)."""
         return np.linalg.norm(self.readings(sites)[1], axis=1)
 
     def depths(self, sites):
-        """Return distances from the nearest driven ball, NaN if unknown. Not collective."""
+        """Return distances from the nearest driven ball, NaN if unknown."""
         driven = np.flatnonzero(self.held == DRIVEN)
         if self.position is None or not len(driven):
             return np.full(len(sites), np.nan)
@@ -303,7 +303,7 @@ class Network(Elastic, Medium):
         return np.sqrt(np.sum(away**2, axis=2)).min(axis=1)
 
     def displacements(self, field):
-        """Return mass-weighted unknowns as displacements, shape (..., unknowns). Not collective."""
+        """Return mass-weighted unknowns as displacements, shape (..., unknowns)."""
         return self.weights * field
 
     @property
@@ -312,7 +312,7 @@ class Network(Elastic, Medium):
         return self.free
 
     def numbers_of(self, sites):
-        """Return places among the free balls, of numbers (count, 1). Not collective."""
+        """Return places among the free balls, of numbers (count, 1)."""
         return np.searchsorted(self.free, sites[:, 0])
 
     @property
@@ -321,13 +321,13 @@ class Network(Elastic, Medium):
         return self.mass / self.masses[self.free]
 
     def per_ball(self, squares):
-        """Return sums over the components of each free ball, (n, balls). Not collective."""
+        """Return sums over the components of each free ball, (n, balls)."""
         return squares.reshape(len(squares), -1, self.components).sum(axis=2)
 
     def in_own_unit(self):
         """Return the same network with its largest constant between 1 and 2, and the unit.
 
-        Not collective. As `lattice.Lattice.in_own_unit`.
+        As `lattice.Lattice.in_own_unit`.
         """
         unit = own_unit(self.stiffest, self.mass, self.damping)
         names = "stiffness", "masses", "damping", "force", "tangential", "kmax", "median_mass"

@@ -54,7 +54,7 @@ CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with
 def write_network(path, members, attributes, overwrite=False):
     """Write a network whole, or leave what was there as it was.
 
-    Not collective: rank 0.
+    Rank 0.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def write_network(path, members, attributes, overwrite=False):
 
 
 def check_output(path, overwrite):
-    """Raise a FileError unless a network can be written there. Not collective."""
+    """Raise a FileError unless a network can be written there."""
     try:
         if not os.path.lexists(path):
             return
@@ -161,7 +161,7 @@ def _plain(file, name, value, kind):
 def read_network(path, **overrides):
     """Return the network in an HDF5 file: `read_network("packing.h5", damping=0.01)`.
 
-    Not collective. The file is tried first by a process of its own, because HDF5 can crash on
+    The file is tried first by a process of its own, because HDF5 can crash on
     damage.
 
     Parameters
@@ -211,9 +211,9 @@ def _unit_vector(path, values):
 def load(path):
     """Return a result, `load(path).response.omega`, or the network in a file of one.
 
-    Not collective. The structure of the file is checked; its checksum only where that costs
-    nothing, in a small file that still has its seal, because HDF5 can crash on damage. Groups that
-    pgran does not know are left out.
+    The structure of the file is checked; its checksum only where that costs nothing, in a small
+    file that still has its seal, because HDF5 can crash on damage. Groups that pgran does not know
+    are left out.
 
     Returns
     -------

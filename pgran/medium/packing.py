@@ -9,24 +9,22 @@ from pgran.medium.springs import FREE
 
 
 def hertz(force, overlap):
-    """Return k = dF/dh = 3/2 F / h of Hertz's law F = c h^(3/2). Not collective."""
+    """Return k = dF/dh = 3/2 F / h of Hertz's law F = c h^(3/2)."""
     return 1.5 * force / overlap
 
 
 def hertz_of_force(force, c):
-    """Return k = 3/2 c^(2/3) F^(1/3) of Hertz's law F = c h^(3/2). Not collective."""
+    """Return k = 3/2 c^(2/3) F^(1/3) of Hertz's law F = c h^(3/2)."""
     return 1.5 * np.cbrt(c**2 * force)
 
 
 def harmonic(force, overlap):
-    """Return k = F / h. Not collective."""
+    """Return k = F / h."""
     return force / overlap
 
 
 def nearest_images(away, periods):
     """Return vectors between the nearest images, and through which ends they lead.
-
-    Not collective.
 
     Parameters
     ----------
@@ -72,8 +70,6 @@ class Kept:
 def keep(bond, held, cut):
     """Return which balls and contacts of a packing are kept.
 
-    Not collective.
-
     Parameters
     ----------
     bond : numpy.ndarray of int, shape (nb, 2)
@@ -108,8 +104,6 @@ def keep(bond, held, cut):
 
 def unbalanced(bond, normal, force, free):
     """Return the largest total force on a free ball, in units of the mean contact force.
-
-    Not collective.
 
     Parameters
     ----------

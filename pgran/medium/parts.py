@@ -10,9 +10,8 @@ from pgran.medium.springs import FREE
 def without_floating(network):
     """Return a network without what floats, and the numbers of the balls that are kept.
 
-    Not collective. A free ball floats if no path of contacts leads from it to a held ball: its
-    motion is no answer to the drive, and K and C are singular. Where no ball is held, all parts but
-    the largest float.
+    A free ball floats if no path of contacts leads from it to a held ball: its motion is no answer
+    to the drive, and K and C are singular. Where no ball is held, all parts but the largest float.
 
     Returns
     -------
@@ -31,7 +30,7 @@ def without_floating(network):
 
 
 def anchored(bond, held):
-    """Return which balls do not float, shape (balls,). Not collective.
+    """Return which balls do not float, shape (balls,).
 
     Parameters
     ----------
@@ -53,8 +52,6 @@ def anchored(bond, held):
 
 def part(network, balls=None, contacts=None):
     """Return the network of some balls, and of those contacts that join two of them.
-
-    Not collective.
 
     Parameters
     ----------

@@ -146,12 +146,12 @@ class NetworkRecord(Record):
 
 
 def record_of(lattice):
-    """Return the record of a lattice or of another network. Not collective."""
+    """Return the record of a lattice or of another network."""
     return (NetworkRecord if isinstance(lattice, Network) else LatticeRecord).of(lattice)
 
 
 def as_result(medium):
-    """Return a lattice or a network by itself as a result, others as they are. Not collective."""
+    """Return a lattice or a network by itself as a result, others as they are."""
     if not isinstance(medium, Lattice | Network):
         return medium
     record = record_of(medium)

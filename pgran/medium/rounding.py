@@ -9,7 +9,7 @@ SMALLEST_NORMAL = float(np.finfo(float).tiny)  # a result below it may be lost
 def residual_rounding(axes):
     """Return the u for which rounding moves a ball's residual by at most u (|f| + |S| |x|).
 
-    Not collective. Each operation adds at most h = EPSILON / 2 of the sum of all magnitudes, a
+    Each operation adds at most h = EPSILON / 2 of the sum of all magnitudes, a
     product of complex numbers sqrt(5) h (Brent, Percival, Zimmermann 2007). On a path from the
     constants to f - S x lie
 

@@ -8,7 +8,7 @@ from pgran.medium.record import NetworkRecord
 
 
 def in_space(vectors):
-    """Return vectors of 1 to 3 components with 3, the last ones 0. Not collective."""
+    """Return vectors of 1 to 3 components with 3, the last ones 0."""
     missing = 3 - vectors.shape[-1]
     return np.pad(vectors, [(0, 0)] * (vectors.ndim - 1) + [(0, missing)])
 
@@ -16,7 +16,7 @@ def in_space(vectors):
 def reaches(network):
     """Return how far each contact reaches from its first ball, and which cross the box.
 
-    Not collective. The box of a packing may be periodic. Where two balls that touch are not apart
+    The box of a packing may be periodic. Where two balls that touch are not apart
     by the normal and the distance of their contact, one touches an image of the other.
 
     Parameters
@@ -46,8 +46,6 @@ def reaches(network):
 def everywhere(network, values, drive=0.0):
     """Return displacements of all balls, held ones too, shape (n, N, components).
 
-    Not collective.
-
     Parameters
     ----------
     network : pgran.results.NetworkRecord
@@ -65,8 +63,6 @@ def everywhere(network, values, drive=0.0):
 
 def mesh(result):
     """Return what there is in space: points, lines between them, and data of both.
-
-    Not collective.
 
     Returns
     -------
@@ -100,7 +96,7 @@ def mesh(result):
 def as_network(medium):
     """Return a network as it is, a lattice as one of scalar displacements.
 
-    Not collective. Where a bond of the lattice ends at a wall there is a held ball; bonds and free
+    Where a bond of the lattice ends at a wall there is a held ball; bonds and free
     balls keep their order.
 
     Parameters

@@ -95,7 +95,7 @@ class Elastic:
     def stretched(self, fields, wall):
         """Yield how far fields (n, unknowns) lengthen springs, constants, parts of beta.
 
-        Not collective. What is driven moves by `wall`, shape (n,).
+        What is driven moves by `wall`, shape (n,).
         """
         springs = self.springs
         yield (
@@ -115,7 +115,7 @@ class Elastic:
         return bool(np.all(self.springs.constants >= 0))
 
     def restoring_forces(self, fields):
-        """Return K f = B^T diag(k) B f for fields of shape (count, unknowns). Not collective."""
+        """Return K f = B^T diag(k) B f for fields of shape (count, unknowns)."""
         return (self.B.T @ (self.springs.constants[:, None] * (self.B @ fields.T))).T
 
     @property
@@ -151,13 +151,13 @@ class Elastic:
     def pull(self, s):
         """Return the force that moves what is driven by 1 while all balls stay.
 
-        Not collective. It is the sum of (k + s beta d) w^2 over the springs, stretched by w.
+        It is the sum of (k + s beta d) w^2 over the springs, stretched by w.
         """
         stiffness, damping = self.pulls
         return stiffness + s * damping
 
     def pull_rounding(self, size):
-        """Return how much rounding changes `pull(s)`, at most, for an |s|. Not collective."""
+        """Return how much rounding changes `pull(s)`, at most, for an |s|."""
         _, damped, stiffness = self._pulls
         stretched = np.count_nonzero(self.springs.drive)
         return (stretched + 8) * EPSILON * (stiffness + size * (self.damping * damped))
@@ -195,7 +195,7 @@ class Elastic:
 
 
 def springs_of(network):
-    """Return the springs of a `network.Network`. Not collective."""
+    """Return the springs of a `network.Network`."""
     balls, components = len(network.held), network.components
     unknown = np.full((balls + 1, components), -1)
     unknown[network.free] = np.arange(network.balls).reshape(-1, components)
@@ -261,7 +261,7 @@ def _rows(network, i, j):
 
 
 def tangents(normal):
-    """Return the directions across normals, an array like them for each. Not collective."""
+    """Return the directions across normals, an array like them for each."""
     if normal.shape[1] == 2:
         return [np.stack([-normal[:, 1], normal[:, 0]], axis=1)]
     axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]

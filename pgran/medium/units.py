@@ -8,8 +8,6 @@ from pgran.errors import InputError
 def check_magnitudes(axes, mass, damping, stiffest, kmax):
     """Raise InputError where mass, damping and stiffness make no vibrations.
 
-    Not collective.
-
     Parameters
     ----------
     axes : int
@@ -33,7 +31,7 @@ def check_magnitudes(axes, mass, damping, stiffest, kmax):
 def einstein_frequency(axes, stiffness, mass):
     """Return sqrt(2 d k / m), of a ball on 2 d springs whose other ends rest (paper: omxdef).
 
-    Not collective. With k = kmax it is the unit of frequency.
+    With k = kmax it is the unit of frequency.
 
     Parameters
     ----------
@@ -47,8 +45,6 @@ def einstein_frequency(axes, stiffness, mass):
 
 def own_unit(stiffest, mass, damping):
     """Return the unit in which the largest bond constant lies between 1 and 2.
-
-    Not collective.
 
     Parameters
     ----------
@@ -73,7 +69,7 @@ def own_unit(stiffest, mass, damping):
 def check_frequency(lattice, omega):
     """Raise InputError unless the driven lattice's numbers and their squares fit into doubles.
 
-    Not collective. No entry of S exceeds 4 d (k + omega beta) + m omega^2 up to the frequency.
+    No entry of S exceeds 4 d (k + omega beta) + m omega^2 up to the frequency.
     """
     omega = float(omega)
     springs = 4 * lattice.axes * (lattice.stiffest + omega * lattice.damping)
