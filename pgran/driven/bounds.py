@@ -39,9 +39,7 @@ from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 
 
 class ErrorBounds(Owner):
-    """Bounds for the steady states of one lattice; destroy with `destroy`.
-
-    Collective.
+    """Bounds for the steady states of one lattice; destroy with `destroy`. Collective.
 
     Attributes
     ----------
@@ -90,7 +88,7 @@ class ErrorBounds(Owner):
         return max(found, 0.0)
 
     def prepare(self, s, tolerance):
-        """Bound the sizes of S(s), which must be combined, and of its inverse.
+        """Bound the norms of S(s), which must be combined, and of its inverse.
 
         Collective; `tolerance` is the relative accuracy that will be asked of amplitudes.
         """
@@ -119,11 +117,11 @@ class ErrorBounds(Owner):
 
     @cached_property
     def _sizes(self):
-        """The sizes of S. Collective when first asked for."""
+        """The magnitudes of S. Collective when first asked for."""
         return self.operators.K.duplicate()
 
     def _combine_sizes(self, size):
-        """Combine the sizes of S and f for an |s|; `_weights` are the sums of S's rows."""
+        """Combine the magnitudes of S and f for an |s|; `_weights` are the sums of S's rows."""
         (K, drive, *damping), beta = self.operators.sizes, self.operators.damping
         K.copy(self._sizes, structure=SAME)
         drive.copy(self._work)
@@ -191,18 +189,10 @@ class ErrorBounds(Owner):
         return adjoint.norm + self.unit * (adjoint.rhs.norm() + self.scale * size) + self.lost
 
     def evaluation(self, residual, terms, adjoint, value):
-        """Return a bound of what rounding does to A~_d + z~^T r in evaluating it.
+        """Return a bound of what rounding does to A~_d + z~^T r, the `value`, in evaluating it.
 
-        Collective.
-
-        Parameters
-        ----------
-        residual, terms : float, numpy.ndarray
-            `primal_residual` and `rounding` of A~.
-        adjoint : pgran.driven.linear.System
-            z~.
-        value : complex
-            The amplitude as evaluated.
+        Collective. `residual` and `terms` are the `primal_residual` and the `rounding` of A~;
+        `adjoint` is the system of z~.
         """
         z = np.abs(adjoint.solution.getArray(readonly=True))
         known = self.unit * self._total(z @ terms)
@@ -212,10 +202,7 @@ class ErrorBounds(Owner):
         return 1.01 * (known + product) + 4 * EPSILON * abs(value) + lost
 
     def amplitude(self, residual, terms, adjoint, value):
-        """Return the bound of a corrected amplitude.
-
-        Collective. Parameters are those of `evaluation`.
-        """
+        """Return the bound of a corrected amplitude, from what `evaluation` takes. Collective."""
         # The last digits cover the rounding of this very formula.
         theory = 1.01 * residual * self.adjoint_residual(adjoint) * self.inverse_norm
         return theory + self.evaluation(residual, terms, adjoint, value)
@@ -223,8 +210,7 @@ class ErrorBounds(Owner):
     def reaction(self, residual, primal, value):
         """Return the bound of f^T A, evaluated as f^T A~ + A~^T r, which misses r^T S^-1 r.
 
-        Collective. Parameters are those of `evaluation`. What rounding does to r and f, ball by
-        ball, `residual` holds as a norm.
+        Collective. What rounding does to r and f, ball by ball, `residual` holds as a norm.
         """
         theory = residual * residual * self.inverse_norm
         force, rounded = primal.rhs.norm(), 2 * (residual - primal.norm)

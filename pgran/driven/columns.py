@@ -12,14 +12,9 @@ COLUMNS = 32  # right-hand sides solved for at once
 
 
 class Columns(Owner):
-    """Solves with the factorization that a solver has; destroy with `destroy` or `with`.
+    """Solves with the factorization of S, as it is, that a solver has; destroy with `destroy`.
 
     Collective.
-
-    Parameters
-    ----------
-    solver : pgran.driven.steady.SteadySolver
-        Its preconditioner is a factorization of S as it is.
     """
 
     owns = ("_rhs", "_found", "_residual")
@@ -37,23 +32,12 @@ class Columns(Owner):
             block.assemble()
 
     def solved(self, items, fill, size):
-        """Yield some of the items, this rank's rows of S^-1 b for each, and bounds of norms.
+        """Yield some items, this rank's rows of S^-1 b for each, and bounds of norms and residuals.
 
-        Collective. A KSP may make up for an inexact factorization; here its residual shows.
-
-        Parameters
-        ----------
-        items : numpy.ndarray
-            One for each right-hand side b.
-        fill : callable
-            Sets this rank's rows of right-hand sides: fill(items, array).
-        size : float
-            No less than |b|_2.
-
-        Yields
-        ------
-        items, columns, norms, residuals : numpy.ndarray
-            The bounds, of |S^-1 b| as computed and of the residual, are the same on every rank.
+        Collective. `fill(items, array)` sets this rank's rows of the right-hand sides b, one for
+        each item, with |b|_2 <= size. The bounds, of |S^-1 b| as computed and of the residual, are
+        the same on every rank. A KSP may make up for an inexact factorization; here its residual
+        shows.
         """
         S, factor, bounds = self.operators.S, self.solver.factor, self.solver.bounds
         for start in range(0, len(items), COLUMNS):

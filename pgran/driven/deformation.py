@@ -11,8 +11,8 @@ from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 def march(G, delta):
     """Change one bond after the other; return how each then deforms the lattice.
 
-    This is the inverse, column by column, of the factor L^T in the L D L^T
-    factorization of diag(1/delta) + G, whose leading blocks are the networks after each step.
+    This is the inverse, column by column, of the factor L^T in the L D L^T factorization of
+    diag(1/delta) + G, whose leading blocks are the networks after each step.
 
     Parameters
     ----------
@@ -44,10 +44,8 @@ class Deformation:
 
     Parameters
     ----------
-    T, c : numpy.ndarray
-        From `march`.
-    G, delta : numpy.ndarray
-        As there.
+    T, c, G, delta : numpy.ndarray
+        Of `march`.
     start : numpy.ndarray, shape (s,)
         b^T x0 with all walls at rest.
     rows : tuple of float
@@ -110,12 +108,7 @@ class Deformation:
 def amplitudes(before, primal, adjoint):
     """Return A_d + q^T gamma - (q + G eta)^T h after each step, and bounds of its rounding.
 
-    Parameters
-    ----------
-    before : complex
-        A_d.
-    primal, adjoint : Deformation
-        Of the amplitudes, and of the detector's adjoint.
+    `before` is A_d; the deformations are those of the amplitudes and of the detector's adjoint.
     """
     missed = np.sum(adjoint.stretch * primal.missed, axis=0)
     amplitude = before + adjoint.start @ primal.coefficients - missed

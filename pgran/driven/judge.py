@@ -65,10 +65,7 @@ class SteadyState:
 
 
 class Detectors(Owner):
-    """Balls whose entries are read out of distributed vectors; destroy with `destroy`.
-
-    Collective; `sites` has the shape (nd, dim).
-    """
+    """Balls (nd, dim) whose entries are read out of distributed vectors. Collective."""
 
     owns = ("_scatter", "_readings")
 
@@ -113,10 +110,7 @@ class Detectors(Owner):
 
 
 class Judge(Owner):
-    """Bounds the errors of solutions and judges them; destroy with `destroy`.
-
-    Collective. Parameters are those of `steady.SteadySolver`.
-    """
+    """Bounds the errors of solutions and judges them, for a `steady.SteadySolver`. Collective."""
 
     owns = ("bounds", "detectors", "_comparison", "_bent", "_inertia")
 
@@ -149,16 +143,8 @@ class Judge(Owner):
     def assess(self, s, systems, krylov):
         """Return the state reached, its bounds, and whether they meet the tolerance.
 
-        Collective.
-
-        Parameters
-        ----------
-        s : complex
-            For which the bounds are prepared.
-        systems : list of pgran.driven.linear.System
-            That of the amplitudes, then each detector's adjoint; none where no bound is known.
-        krylov : pgran.driven.linear.Krylov
-            What has solved them.
+        Collective. `systems` are that of the amplitudes, then each detector's adjoint, none where
+        no bound is known; `krylov` has solved them, and the bounds are prepared for s.
         """
         bounds, (primal, *adjoints) = self.bounds, systems
         displacement = self.detectors.read(primal.solution)
@@ -186,13 +172,7 @@ class Judge(Owner):
     def compared(self, state, primal, krylov):
         """Return a state that misses its accuracy with bounds ball by ball; judge by the floor.
 
-        Collective.
-
-        Parameters
-        ----------
-        state : SteadyState
-        primal : pgran.driven.linear.System
-        krylov : pgran.driven.linear.Krylov
+        Collective. `primal` is the system of the amplitudes.
         """
         if not math.isfinite(state.backward_error) or not np.all(np.isfinite(state.displacement)):
             return state
@@ -213,11 +193,10 @@ class Judge(Owner):
     def with_derivatives(self, state, systems):
         """Return a state with the derivatives dA_d/domega, the reaction f^T A, and their bounds.
 
-        Collective. With S' = C + 2 s M, all damping in C, and g = f' - S' A~ (derivatives along s),
+        Collective; `assess` has looked at these systems last. With S' = C + 2 s M, all damping in
+        C, and g = f' - S' A~ (derivatives along s),
 
             dA_d/ds - z~^T g = q^T S^-1 g - z~^T S' S^-1 r - q^T S^-1 S' S^-1 r.
-
-        Parameters are those of `assess`, which has looked at these systems last.
         """
         reaction = self._reaction(state, systems[0])
         if not self.bounds.proven or not math.isfinite(state.backward_error):

@@ -14,7 +14,7 @@ from pgran.run.petsc import PETSc
 
 
 class Layout(Owner):
-    """What both kinds have in common.
+    """What the layouts of lattices and of other networks have in common.
 
     Attributes
     ----------
@@ -22,14 +22,13 @@ class Layout(Owner):
         A vector of unknowns, to duplicate.
     first, last : int
         The range of this rank's unknowns.
-    ends : numpy.ndarray of int, shape (springs, w)
-        The unknowns in each row of B: PETSc's numbers, -1 for none.
-    entries : numpy.ndarray, shape (springs, w) or (1, w)
-        B's entries there.
-    drive : numpy.ndarray, shape (springs,)
-        How far each spring is stretched when what is driven moves by 1.
-    damped : numpy.ndarray, shape (springs,)
-        Which part of beta each spring has.
+    ends, entries : numpy.ndarray, shape (springs, w)
+        The unknowns in each row of B, PETSc's numbers, -1 for none; B's entries there, which may be
+        one row for all.
+    drive, damped : numpy.ndarray, shape (springs,)
+        How far each spring is stretched when what is driven moves by 1; which part of beta it has.
+    laplacian : bool
+        Whether K and C have no positive entries beside their diagonals.
     """
 
     owns = ("like",)
@@ -61,20 +60,7 @@ class Layout(Owner):
 
 
 class LatticeLayout(Layout):
-    """The balls of a lattice on a DMDA.
-
-    Collective.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice
-    comm : mpi4py.MPI.Comm
-
-    Raises
-    ------
-    InputError
-        If the lattice cannot be cut among so many ranks.
-    """
+    """The balls of a lattice on a DMDA; InputError if so many ranks cannot share it. Collective."""
 
     owns = ("like", "da")
     laplacian = True  # K and C have no positive entries beside their diagonals
@@ -156,9 +142,9 @@ class LatticeLayout(Layout):
         return pointer.astype(PETSc.IntType), columns, values
 
     def change(self, matrix, bonds, constants):
-        """Set in a matrix what some bonds contribute to; the rest of those rows, too.
+        """Set in a matrix, to be assembled, the rows of all balls at some bonds.
 
-        It is to be assembled. What was before leaves no rounding behind.
+        They are summed up anew, so that what was before leaves no rounding behind.
         """
         balls = self.ends[bonds].ravel()
         balls = balls[(balls >= self.first) & (balls < self.last)]
@@ -168,14 +154,9 @@ class LatticeLayout(Layout):
 
 
 class NetworkLayout(Layout):
-    """The unknowns of any network, on ranges of a partition; on one rank in order of elimination.
+    """The unknowns of any network on ranges of a partition; on one rank in order of elimination.
 
     Collective. What is said of springs is known to every rank.
-
-    Parameters
-    ----------
-    network : pgran.medium.network.Network
-    comm : mpi4py.MPI.Comm
     """
 
     laplacian = False
@@ -231,7 +212,7 @@ class NetworkLayout(Layout):
         return self._pointer, self._columns, values.astype(PETSc.ScalarType)
 
     def change(self, matrix, bonds, constants):
-        """Set in a matrix what all springs contribute. Not collective; it is to be assembled."""
+        """Set in a matrix what all springs contribute; it is to be assembled."""
         matrix.setValuesCSR(*self.csr(constants))
 
     def readings(self, sites):
@@ -263,8 +244,8 @@ class NetworkLayout(Layout):
 def partition(network, parts):
     """Return which rank has each unknown: those of a ball together, neighbours mostly, as many.
 
-    The same on every rank. By bisection along the longest extent of the positions,
-    without positions along the order of reverse Cuthill and McKee.
+    By bisection along the longest extent of the positions; without positions along the order of
+    reverse Cuthill and McKee. The same on every rank.
     """
     balls = len(network.free)
     if network.position is not None:

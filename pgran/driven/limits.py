@@ -5,16 +5,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Norms from which bounds follow.
+    """Norms from which bounds of a response follow, in the medium's own unit.
 
-    Attributes
-    ----------
-    stability : float
-        |S(i omega) x|_2 >= omega stability |x|_2: beta lambda_min(C).
-    stiffness, damping, mass : float
-        No less than the norms of |K|, |C| and |M|, entries taken by magnitude, all damping in C.
-    drive, drive_damping : float
-        |f(s)|_2 is at most drive + |s| drive_damping.
+    |S(i omega) x|_2 >= omega stability |x|_2, with stability = beta lambda_min(C). The norms of
+    |K|, |C| and |M|, entries taken by magnitude, all damping in C, are no more than `stiffness`,
+    `damping` and `mass`; |f(s)|_2 is at most drive + |s| drive_damping.
     """
 
     stability: float

@@ -22,16 +22,7 @@ PETSC_WORK, QUICK_ORDERING = 2500, (5e9, 2)
 
 
 class System(Owner):
-    """One right-hand side of S, which is not its own, with its solution and true residual.
-
-    Attributes
-    ----------
-    rhs, solution, residual : petsc4py.PETSc.Vec
-    norm : float
-        Of the residual.
-    last, before_last : petsc4py.PETSc.Vec
-        The solutions of the two s before this one.
-    """
+    """One right-hand side of S, with its solution, true residual, and the two solutions before."""
 
     owns = ("solution", "residual", "last", "before_last")
 
@@ -75,12 +66,10 @@ class System(Owner):
 
 
 class Krylov(Owner):
-    """The KSP of S; destroy with `destroy`. Collective.
+    """The KSP of S. Collective.
 
-    Attributes
-    ----------
-    iterations, reason : int
-        Since the last `begin`; PETSc's reason of the last solve since then, 0 if there was none.
+    Since the last `begin` it has taken so many `iterations`; `reason` is PETSc's of the last solve
+    since then, 0 if there was none.
     """
 
     owns = ("ksp",)
@@ -144,7 +133,7 @@ def is_factored():
 
 
 def factor_package(lattice, ranks):
-    """Return what factors the matrix of a lattice that so many ranks share."""
+    """Return what factors the matrix of a medium that so many ranks share."""
     if ranks > 1:
         return "mumps"
     if lattice.irregular:
@@ -155,17 +144,9 @@ def factor_package(lattice, ranks):
 
 
 def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
-    """Return a KSP on an LDL^T factorization by default, then as its options say.
+    """Return a KSP on an LDL^T factorization by default, then as the options of a prefix say.
 
-    Collective. The caller destroys it.
-
-    Parameters
-    ----------
-    operators : pgran.driven.operators.Operators
-    matrix : petsc4py.PETSc.Mat
-        S, or another one of its pattern.
-    prefix, kind : str
-        Of the options; the type of KSP by default.
+    Collective. `matrix` is S, or another one of its pattern. The caller destroys the KSP.
     """
     ksp = PETSc.KSP().create(operators.comm)
     ksp.setOptionsPrefix(prefix)
@@ -193,12 +174,6 @@ def set_up(ksp, matrix, comm):
     """Set up a KSP's preconditioner for the values of a matrix; return whether that worked.
 
     Collective. A KSP that failed is of no more use: PETSc keeps some failures for all later values.
-
-    Parameters
-    ----------
-    ksp : petsc4py.PETSc.KSP
-    matrix : petsc4py.PETSc.Mat
-    comm : mpi4py.MPI.Comm
     """
     ksp.setOperators(matrix)  # without it a KSP overlooks new values
     ksp.setUp()

@@ -20,16 +20,9 @@ SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 
 
 class Operators(Owner):
-    """A driven lattice or network as distributed matrices; destroy with `destroy` or `with`.
+    """A driven lattice or network, the same on all ranks that share it, as distributed matrices.
 
-    Collective.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
-        The same on every rank.
-    comm : mpi4py.MPI.Comm
-        The ranks that share it.
+    Collective; destroy with `destroy` or `with`.
 
     Attributes
     ----------
@@ -99,12 +92,7 @@ class Operators(Owner):
     def combine(self, s):
         """Set S(s) = K + s beta C + s^2 M and the drive f(s) (paper: ampeq, s = i omega).
 
-        Collective.
-
-        Raises
-        ------
-        ValueError
-            If the real part of s is negative: no error is bounded there.
+        Collective. Raises ValueError if the real part of s is negative: no error is bounded there.
         """
         s = complex(s)
         if not s.real >= 0:
@@ -145,10 +133,7 @@ class Operators(Owner):
             columns[rows, mine] = entries
 
     def set_stiffness(self, constants):
-        """Replace all bond constants, in K and in the drive; S waits for `combine`.
-
-        Collective; `constants` has the shape (bonds,).
-        """
+        """Replace all bond constants in K and in the drive; S waits for `combine`. Collective."""
         self.constants, self.softest = constants, None
         self.forget("sizes")
         self.K.setValuesCSR(*self.layout.csr(constants))
@@ -158,8 +143,8 @@ class Operators(Owner):
     def change_bonds(self, bonds, constants):
         """Set some bond constants anew, in K and in the drive; S waits for `combine`.
 
-        Collective; `constants` are those of all bonds after the change. What K was before leaves no
-        rounding behind: the rows of all balls at these bonds are summed up anew.
+        Collective; `constants` are those of all bonds after the change. K's rows are summed up
+        anew.
         """
         self.constants, self.softest = constants, None
         self.forget("sizes")

@@ -35,8 +35,8 @@ def unwrap(displacement):
 def fit_line(x, y):
     """Return slope and intercept of the straight line through some points; y may hold NaN.
 
-    NaN where less than three points are known, or where these are too close
-    together, by 1e-10, to tell a slope from rounding.
+    NaN where less than three points are known, or where these are too close together, by 1e-10, to
+    tell a slope from rounding.
     """
     known = np.isfinite(y)
     x, y = x[known], y[known]
@@ -49,18 +49,7 @@ def fit_line(x, y):
 
 @dataclass(frozen=True)
 class PhaseLine:
-    """The straight line through a phase, or why there is none.
-
-    Attributes
-    ----------
-    slope, slope_error : float
-        Of the phase over x, with its standard error; NaN without a line.
-    intercept : float
-    low, high : float
-        The first and the last x that the line was fitted to.
-    why_not : str
-        Empty if there is a line.
-    """
+    """The straight line through a phase between two x, or why there is none; NaN without a line."""
 
     slope: float = np.nan
     slope_error: float = np.nan
@@ -73,9 +62,9 @@ class PhaseLine:
 def fit_phase(x, phase, line_error, low, high):
     """Fit the straight line to a phase, if it is one, its turns certain over the whole window.
 
-    The line is that of least squares along the curve, whose points may lie closer
-    here than there. What it misses is correlated over the width of a resonance; so the standard
-    error is that of `BLOCKS` parts of the window taken as independent.
+    The line is that of least squares along the curve, whose points may lie closer here than there.
+    What it misses is correlated over the width of a resonance; so the standard error is that of
+    `BLOCKS` parts of the window taken as independent.
 
     Parameters
     ----------
@@ -84,10 +73,6 @@ def fit_phase(x, phase, line_error, low, high):
         leaves the straight line from the point before.
     low, high : float
         The window.
-
-    Returns
-    -------
-    PhaseLine
     """
     if not len(x) or x[0] > low * (1 + 1e-9) or x[-1] < high * (1 - 1e-9):
         why = f"the sweep does not cover the window of the fit, {low:g} to {high:g} omega_mx"
@@ -139,17 +124,9 @@ def and_more(count):
 
 
 def group_delay(amplitude, derivative, error_bound, derivative_bound):
-    """Return -d arg A / d omega, and a bound of its error.
+    """Return -d arg A / d omega, and a bound of its error, from A, A' and bounds a, b of theirs.
 
-    With A and its derivative A' wrong by at most a and b, A'/A is wrong by at most
-    (b + |A'/A| a) / (|A| - a); NaN and infinite where A may vanish.
-
-    Parameters
-    ----------
-    amplitude, derivative : numpy.ndarray of complex
-        A, A'.
-    error_bound, derivative_bound : numpy.ndarray of float, of the same shape
-        a, b.
+    A'/A is wrong by at most (b + |A'/A| a) / (|A| - a); NaN and infinite where A may vanish.
     """
     with np.errstate(all="ignore"):
         ratio = derivative / amplitude

@@ -49,7 +49,7 @@ class ReusePolicy:
         return None if self.limit or not self.price else max(4, math.ceil(2 * self.price))
 
     def count(self, fresh, iterations):
-        """Note what a frequency took."""
+        """Note how many iterations a frequency took."""
         if fresh:
             self._served = self._spent = 0
         self._served += 1
@@ -65,20 +65,11 @@ class ReusePolicy:
 
 
 def expected_iterations(before, s, axes, mass, damping):
-    """Return the iterations that a solve takes with the factorization of another s.
+    """Return the iterations that a solve at s takes with the factorization made at `before`.
 
     A resonance of the lattice is about |s| (2 d beta + sigma m) wide in m s^2, 2 d the mean
     eigenvalue of C. Each application of the old factorization reduces the residual by the part of
     that width which m s^2 has moved.
-
-    Parameters
-    ----------
-    before, s : complex
-        Where the factorization was made, and where it is used.
-    axes : int
-        d.
-    mass, damping : float
-        m and beta.
     """
     width = 2 * axes * abs(s) * damping + abs(s) * s.real * mass
     moved = mass * abs(s * s - before * before)

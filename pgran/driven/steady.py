@@ -27,9 +27,7 @@ SAFETY = 0.3  # aim at this part of what the tolerance allows
 
 
 class SteadySolver(Owner):
-    """Solves for one s after the other; destroy with `destroy` or `with`.
-
-    Collective.
+    """Solves for one s after the other; destroy with `destroy` or `with`. Collective.
 
     Parameters
     ----------
@@ -40,14 +38,12 @@ class SteadySolver(Owner):
         Relative accuracy asked of each amplitude.
     refresh_iterations : int
         Refresh the factorization after an s that took more iterations; 0 decides by price.
-    whole_field : bool
-        Ask the same accuracy of the field, in the 2-norm.
+    whole_field, whole_adjoints : bool
+        Ask the same accuracy of the field, in the 2-norm; reduce the adjoints' residuals as far.
     error_floor : float
         An amplitude whose bound is below this part of the wall's is good without it.
     derivatives : bool
         Derivatives along omega are wanted as well.
-    whole_adjoints : bool
-        Reduce the adjoints' residuals as far as such a field's.
 
     Attributes
     ----------
@@ -153,19 +149,10 @@ class SteadySolver(Owner):
         self._earlier, self._size = [], None
 
     def solve(self, s):
-        """Return the steady state at one s.
+        """Return the `SteadyState` at s = sigma + i omega, sigma >= 0: i omega for a steady drive.
 
         Collective. A point that misses its accuracy with a reused factorization is solved again
         with a fresh one, and marked if it still does.
-
-        Parameters
-        ----------
-        s : complex
-            sigma + i omega, sigma >= 0: i omega for a steady drive.
-
-        Returns
-        -------
-        pgran.driven.judge.SteadyState
         """
         state, s = None, complex(s)
         try:

@@ -16,7 +16,7 @@ SIGNS = np.array([-1.0, 1.0])  # in a row of B, of the ball below a bond and of 
 
 
 def bond_shape(shape, axis):
-    """Return the shape of the array of bonds along `axis`."""
+    """Return the shape of the array of bonds along an axis."""
     return tuple(n + (a == axis) for a, n in enumerate(shape))
 
 
@@ -37,19 +37,10 @@ def bond_arrays(shape, bonds):
 
 
 def bond_sides(values, axis, wall):
-    """Return what the balls below and above each bond along an axis hold, walls included.
+    """Return what the balls below and above each bond along an axis hold; walls hold `wall`.
 
-    This is the topology of the lattice: all else follows from it. Both arrays are
-    one longer than `values` along the axis.
-
-    Parameters
-    ----------
-    values : numpy.ndarray
-        Numbers of the balls.
-    axis : int
-        Of the array.
-    wall : number
-        What both walls hold.
+    `values`, an array over the balls, gives two arrays that are one longer along the axis. This is
+    the topology of the lattice: all else follows from it.
     """
     axis %= values.ndim
     before = (slice(None),) * axis
@@ -60,10 +51,10 @@ def bond_sides(values, axis, wall):
 
 
 def bond_ends(numbers):
-    """Return the numbers of the balls that each bond joins, -1 for a wall, shape (bonds, 2).
+    """Return the balls that each bond joins, -1 for a wall, shape (bonds, 2).
 
-    These are the columns of B in each of its rows; its entries there are `SIGNS`.
-    The balls have the given numbers, an array over the lattice.
+    `numbers` are those of the balls, an array over the lattice. The result holds the columns of B
+    in each of its rows; B's entries there are `SIGNS`.
     """
     sides = [bond_sides(numbers, axis, -1) for axis in range(numbers.ndim)]
     return np.concatenate([np.stack([end.ravel() for end in pair], axis=1) for pair in sides])
@@ -92,10 +83,7 @@ def bond_places(shape, bonds):
 
 
 def stretch(fields, axes):
-    """Yield B x for the bonds along each axis: how far displacements lengthen them, walls at rest.
-
-    The lattice has so many axes, the last ones of `fields`.
-    """
+    """Yield B x for the bonds along each axis, the last ones of `fields`, walls at rest."""
     for axis in range(-axes, 0):
         below, above = bond_sides(fields, axis, 0.0)
         yield above - below
@@ -113,10 +101,7 @@ def spread(tensions):
 
 
 class ElasticBonds:
-    """What follows from the bonds of a lattice; a part of `lattice.Lattice`.
-
-    Of a network `springs.Elastic` says the same.
-    """
+    """The bonds of a lattice as springs; `springs.Elastic` answers the same for a network."""
 
     def stretched(self, fields, wall):
         """Yield how far fields (n, *shape) lengthen bonds, (n, bonds), constants, parts of beta.

@@ -13,18 +13,9 @@ from pgran.store.seal import check_seal, has_seal
 
 
 def read_bonds(path):
-    """Return the bond constants in a file, which make a lattice, and what sets their unit.
+    """Return the bond constants in a file, which make a lattice, and its kmax or None.
 
-    Returns
-    -------
-    stiffness : tuple of numpy.ndarray
-    kmax : float or None
-        As `read_stiffness` returns them.
-
-    Raises
-    ------
-    FileError
-        If the file is no good, or no lattice has such bonds.
+    Raises FileError if the file is no good, or no lattice has such bonds.
     """
     stiffness, kmax = read_stiffness(path)
     try:
@@ -51,22 +42,12 @@ def bonds(file):
 
 
 def read_stiffness(path):
-    """Return the bond constants in `/lattice/stiffness_x` and so on.
+    """Return the arrays `/lattice/stiffness_x` and so on, and the kmax of the file's omega_mx.
 
-    A result that is as it was written is read directly; any other HDF5 file is tried first by a
-    process of its own.
-
-    Returns
-    -------
-    stiffness : tuple of numpy.ndarray
-        An array for each axis; whether they make a lattice is for `Lattice` to say.
-    kmax : float or None
-        The bond constant that the file's unit of frequency belongs to, if it says.
-
-    Raises
-    ------
-    FileError
-        If they are missing, of another type or elsewhere, or the file is damaged.
+    kmax is None where the file does not say. Whether the arrays make a lattice is for `Lattice` to
+    say. A result that is as it was written is read directly; any other HDF5 file is tried first by
+    a process of its own. Raises FileError if arrays are missing, of another type or elsewhere, or
+    the file is damaged.
     """
     if has_seal(path):
         check_seal(path)

@@ -12,24 +12,10 @@ from pgran.run.numbers import numbers
 
 
 def checked_array(name, value, dtype, rest, count=None):
-    """Return an array of finite numbers as a copy that nobody can change.
+    """Return an array of finite numbers as a copy that nobody can change, or raise InputError.
 
-    Parameters
-    ----------
-    name : str
-        What messages call it.
-    value : array_like
-    dtype : type
-        `int` or `float`; whole numbers are not rounded ones.
-    rest : tuple of int
-        Its shape along all axes but the first; None is any length.
-    count : int, optional
-        Its length along the first axis; any unless given.
-
-    Raises
-    ------
-    InputError
-        If it is no such array.
+    Its type is `int`, which rounds nothing, or `float`; its shape is (count, *rest), any count
+    unless given, where a length of None is any. Messages call it by its `name`.
     """
     array = np.array(numbers(f"network: {name}", value, whole=dtype is int))
     wanted = (count if count is not None else len(array) if array.ndim else 0, *rest)

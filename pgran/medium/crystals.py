@@ -53,11 +53,6 @@ def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993,
         What is drawn is a pure function of it.
     **others
         Of `Network`. Vectors are the default, and with rotations balls that touch.
-
-    Raises
-    ------
-    InputError
-        If values are impossible, or a ball would touch itself.
     """
     edges, basis = (np.array(values) for values in CELLS[name])
     axes = len(edges)
@@ -122,26 +117,19 @@ def random_geometric(
 ):  # fmt: skip
     """Return a random geometric graph: random points in a box, in contact with all that are near.
 
-    One point to each unit of volume of the box. What floats is left out. Held at
-    the first axis' ends is what lies within the radius of them.
+    Each unit of volume of the box has one point. What floats is left out. Held at the first axis'
+    ends are the balls within the radius of them.
 
     Parameters
     ----------
-    count : int
-        Points.
-    dimension : int
-        Of space.
+    count, dimension : int
+        How many points, of how many coordinates.
     contacts : float
         Their mean number at a ball far from the walls, unless the radius is given.
     radius : float, optional
         In contact are balls at a smaller distance.
     stiffness, periodic, held, seed, **others
         As those of `crystal`; of each contact in the order of the balls' numbers.
-
-    Raises
-    ------
-    InputError
-        If values are impossible, or nothing free is left.
     """
     from scipy.spatial import cKDTree
 
@@ -170,19 +158,9 @@ def random_geometric(
 
 
 def in_box(position, bond, stiffness, held, box, **others):
-    """Return a network in a periodic box: normals and distances are those of nearest images.
+    """Return a network whose normals and distances are those of nearest images in a periodic box.
 
-    Parameters
-    ----------
-    position, bond, stiffness, held, **others
-        Of `Network`.
-    box : array_like of float, shape (d,)
-        Its edges; 0 along axes that are not periodic.
-
-    Raises
-    ------
-    InputError
-        If values are impossible.
+    `box` holds its edges, 0 along axes that are not periodic.
     """
     position, bond = np.asarray(position, dtype=float), np.asarray(bond, dtype=int)
     periods = np.where(np.asarray(box) > 0, box, np.inf)
@@ -195,22 +173,9 @@ def in_box(position, bond, stiffness, held, box, **others):
 
 
 def diluted(network, missing, seed=1993):
-    """Return a network without a part of its contacts, and without what floats afterwards.
+    """Return a network without a part of its contacts, 0 to 1, and without what floats afterwards.
 
-    With the same seed more contacts are missing if the part is larger, and none
-    come back.
-
-    Parameters
-    ----------
-    network : Network
-    missing : float
-        Which part of all contacts is removed, 0 to 1.
-    seed : int
-
-    Raises
-    ------
-    InputError
-        If nothing free is left.
+    With the same seed more contacts are missing if the part is larger, and none come back.
     """
     if not 0 <= missing <= 1:
         raise InputError(f"diluted: a part lies between 0 and 1, not at {missing}")

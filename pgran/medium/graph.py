@@ -1,8 +1,8 @@
-"""The graph of a network's contacts: in which order to eliminate its balls, and how it is damped.
+"""The graph of a network's contacts: what hangs together, the order of elimination, the damping.
 
-All follows from one sparse factorization of its Laplacian L, which has a row for each free ball;
-held balls are walls. Where damping is beta on the whole relative velocity of a contact and balls do
-not turn, C is L for each component of the displacements.
+Its Laplacian L has a row for each free ball; held balls are walls. Where damping is beta on the
+whole relative velocity of a contact and balls do not turn, C is L for each component of the
+displacements. One sparse factorization of L tells the order of elimination and bounds L from below.
 """
 
 import numpy as np
@@ -16,10 +16,6 @@ SYMMETRIC = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
 class Graph:
     """The graph of a network's free balls.
-
-    Parameters
-    ----------
-    network : pgran.medium.network.Network
 
     Attributes
     ----------
@@ -35,7 +31,7 @@ class Graph:
     """
 
     def __init__(self, network):
-        """Sum up the contacts; factor L, keeping no more of the factors than what they say."""
+        """Sum L up and factor it; the factors are not kept."""
         from scipy.sparse import csr_matrix
 
         number = np.full(len(network.held), -1)

@@ -42,7 +42,6 @@ class Lattice(ElasticBonds, Medium):
     """Balls of one mass, springs of individual stiffness, one damping constant.
 
     Lattices are equal if bonds, mass, damping and kmax are.
-    Solvers and scenes ask the same of it as of a `network.Network`.
 
     Parameters
     ----------
@@ -68,7 +67,7 @@ class Lattice(ElasticBonds, Medium):
     kmax: float | None = None
 
     def __post_init__(self):
-        """Check shapes and values; keep copies that nobody can change."""
+        """Check shapes and values; copy arrays, so that nobody can change them."""
         given = self.stiffness if isinstance(self.stiffness, (list, tuple)) else ()
         arrays = tuple(np.array(numbers("stiffness", k), order="C") for k in given)
         if not 1 <= len(arrays) <= 3 or any(k.ndim != len(arrays) for k in arrays):
@@ -193,8 +192,8 @@ class Lattice(ElasticBonds, Medium):
     def sites(self, detectors, name="detectors"):
         """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
 
-        Raises InputError, which calls them by their `name`, if an index is missing
-        or a ball lies outside the lattice.
+        Raises InputError, which calls them by their `name`, if an index is missing or a ball lies
+        outside.
         """
         shape, axes = self.shape, self.axes
         given = numbers(name, detectors, whole=True)

@@ -18,16 +18,9 @@ from pgran.run.options import REAL, Option
 
 
 def unit_numbers(seed, first, count, generation=0):
-    """Return numbers uniform on [0, 1), multiples of 2**-53, those of the bonds from `first` on.
+    """Return numbers uniform on [0, 1), multiples of 2**-53: `count` of a stream, from `first` on.
 
-    Parameters
-    ----------
-    seed : int
-        0 <= seed < 2**64.
-    first, count : int
-        Which part of the stream.
-    generation : int
-        Independent streams of the same seed.
+    The seed lies in [0, 2**64); its generations are independent streams.
     """
     block, skip = divmod(first, 4)  # Philox makes four numbers for each value of its counter
     stream = np.random.Philox(key=seed, counter=[block, 0, generation, 0])
@@ -60,8 +53,8 @@ def _bimodal(u, kmin, kmax, fraction):
 def _hertz(u, force, contact):
     """Springs of Hertzian contacts under random forces (paper: hertz, basespr).
 
-    F = c h^(3/2) linearised at the force F gives k = 3/2 c h^(1/2) = 3/2 c^(2/3) F^(1/3); F is
-    exponentially distributed with mean `force`, c is `contact`.
+    F = c h^(3/2) linearised at F gives k = dF/dh = 3/2 c^(2/3) F^(1/3); F is exponentially
+    distributed with mean `force`, c is `contact`.
     """
     forces = -np.longdouble(force) * np.log1p(-u.astype(np.longdouble))
     return (1.5 * np.cbrt(np.longdouble(contact) ** 2 * forces)).astype(float)
@@ -139,10 +132,7 @@ class BondLaw:
 def drawn(law, u):
     """Return the constants that a law of the user's makes of numbers uniform on [0, 1).
 
-    Raises
-    ------
-    InputError
-        Unless there is one for each number, finite and not negative.
+    Raises InputError unless there is one for each number, finite and not negative.
     """
     try:
         found = law(u.copy())
@@ -165,14 +155,10 @@ def drawn(law, u):
 
 
 def check_law(law):
-    """Return a law of the user's, or None for none, once it has been tried.
+    """Return a law of the user's, or None for none, once it has been tried; raise InputError.
 
-    Each constant must depend on its own number alone: else results would depend on
-    how many are drawn at a time.
-
-    Raises
-    ------
-    InputError
+    Each constant must depend on its own number alone: else results would depend on how many are
+    drawn at a time.
     """
     if law is None:
         return None

@@ -93,7 +93,7 @@ class Network(Elastic, Medium):
     median_mass: float | None = None
 
     def __post_init__(self):
-        """Check shapes and values; keep copies that nobody can change."""
+        """Check shapes and values; copy arrays, so that nobody can change them."""
         self._keep("held", int, ())
         self._keep("bond", int, (2,))
         contacts, balls = len(self.bond), len(self.held)
@@ -132,7 +132,7 @@ class Network(Elastic, Medium):
         )
 
     def _keep(self, name, dtype, rest, count=None):
-        """Keep an array, one that may be missing if there is one, as a copy nobody can change."""
+        """Check and copy an array, unless it is an optional one that is missing."""
         value, required = getattr(self, name), ("bond", "stiffness", "held")
         if value is not None or name in required:
             object.__setattr__(self, name, checked_array(name, value, dtype, rest, count))
@@ -265,8 +265,7 @@ class Network(Elastic, Medium):
     def sites(self, detectors, name="detectors"):
         """Return ball numbers as an array (nd, 1).
 
-        Raises InputError, which calls them by their `name`, unless these balls are
-        free.
+        Raises InputError, which calls them by their `name`, unless these balls are free.
         """
         given = numbers(name, detectors, whole=True)
         if given.ndim > 1 and given.shape[1:] != (1,):
@@ -325,10 +324,7 @@ class Network(Elastic, Medium):
         return squares.reshape(len(squares), -1, self.components).sum(axis=2)
 
     def in_own_unit(self):
-        """Return the same network with its largest constant between 1 and 2, and the unit.
-
-        As `lattice.Lattice.in_own_unit`.
-        """
+        """Return the same network in its own unit, and that: see `Lattice.in_own_unit`."""
         unit = own_unit(self.stiffest, self.mass, self.damping)
         names = "stiffness", "masses", "damping", "force", "tangential", "kmax", "median_mass"
         scaled = {

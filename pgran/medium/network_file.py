@@ -52,23 +52,11 @@ CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with
 
 
 def write_network(path, members, attributes, overwrite=False):
-    """Write a network whole, or leave what was there as it was.
+    """Write a network whole, or leave what was there as it was; raise FileError. For rank 0.
 
-    Rank 0.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-    members : dict of str: array_like
-        Keys of `DATASETS`; what is None is left out.
-    attributes : dict
-        Of `/network`: `displacement`, `direction` and so on.
-    overwrite : bool
-        Whether a network that is there may be replaced; nothing else ever may.
-
-    Raises
-    ------
-    FileError
+    `members` are named by `DATASETS`, what is None is left out; `attributes` are those of
+    `/network`. `overwrite` says that a network that is there may be replaced; nothing else ever
+    may.
     """
     path = Path(path)
     check_output(path, overwrite)
@@ -106,10 +94,7 @@ def check_output(path, overwrite):
 
 
 def members_of(file):
-    """Return what `/network` of a `pgran.store.careful.CarefulFile` holds, as `Network` takes it.
-
-    Not collective.
-    """
+    """Return what `/network` of a `CarefulFile` holds, as `Network` takes it."""
     known = [*DATASETS, *ATTRIBUTES]
     there = file.members("network", known)
     said = file.attributes("network")
@@ -161,25 +146,9 @@ def _plain(file, name, value, kind):
 def read_network(path, **overrides):
     """Return the network in an HDF5 file: `read_network("packing.h5", damping=0.01)`.
 
-    The file is tried first by a process of its own, because HDF5 can crash on
-    damage.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-    **overrides
-        What `pgran.Network` takes, instead of what the file says.
-
-    Returns
-    -------
-    pgran.medium.network.Network
-
-    Raises
-    ------
-    FileError
-        If the file is damaged, lacks something or makes no network.
-    InputError
-        If the overrides make none.
+    The file is tried first by a process of its own, because HDF5 can crash on damage. Overrides are
+    what `pgran.Network` takes, instead of what the file says. Raises FileError if the file is
+    damaged, lacks something or makes no network, InputError if the overrides make none.
     """
     hdf5.try_apart(path, "pgran.medium.network_file")
     with hdf5.opened(path) as file:
@@ -217,7 +186,7 @@ def load(path):
 
     Returns
     -------
-    pgran.store.record.Result or pgran.medium.network.Network
+    pgran.store.record.Result or pgran.Network
         Each group as the record that declares it, and the attributes of the file. A network of
         `pgran import`, or one that other programs wrote, is read by `read_network`.
 

@@ -24,19 +24,10 @@ def harmonic(force, overlap):
 
 
 def nearest_images(away, periods):
-    """Return vectors between the nearest images, and through which ends they lead.
+    """Return vectors (n, d) between the nearest images, and through which ends they lead.
 
-    Parameters
-    ----------
-    away : numpy.ndarray, shape (n, d)
-        Vectors between balls in the box.
-    periods : numpy.ndarray, shape (d,)
-        Infinite along an axis without period.
-
-    Returns
-    -------
-    numpy.ndarray, shape (n, d)
-    numpy.ndarray of bool, shape (n, d)
+    `away` are the vectors between balls in the box, `periods` (d,) are infinite where there is
+    none.
     """
     finite = np.isfinite(periods)
     turns = np.rint(away / periods)  # 0 where the period is infinite
@@ -68,20 +59,9 @@ class Kept:
 
 
 def keep(bond, held, cut):
-    """Return which balls and contacts of a packing are kept.
+    """Return which balls and contacts of a packing are kept, where some contacts are `cut`.
 
-    Parameters
-    ----------
-    bond : numpy.ndarray of int, shape (nb, 2)
-        The balls of each contact.
-    held : numpy.ndarray of int, shape (N,)
-        0: free. If none is held, parts may float.
-    cut : numpy.ndarray of bool, shape (nb,)
-        Contacts that are cut.
-
-    Returns
-    -------
-    Kept
+    Contacts join the balls `bond` (nb, 2); where no ball is held, parts may float.
     """
     free, count = held == FREE, len(held)
     whole = bond[~cut]
@@ -105,14 +85,7 @@ def keep(bond, held, cut):
 def unbalanced(bond, normal, force, free):
     """Return the largest total force on a free ball, in units of the mean contact force.
 
-    Parameters
-    ----------
-    bond : numpy.ndarray of int, shape (nb, 2)
-    normal : numpy.ndarray, shape (nb, d)
-        From the first ball of a contact to the second.
-    force : numpy.ndarray, shape (nb,)
-        Repulsive along the normal.
-    free : numpy.ndarray of bool, shape (N,)
+    Forces (nb,) repel along the normals (nb, d), from the first ball of a contact to the second.
     """
     total = np.zeros((len(free), normal.shape[1]))
     np.add.at(total, bond[:, 0], -force[:, None] * normal)

@@ -8,35 +8,18 @@ from pgran.medium.springs import FREE
 
 
 def without_floating(network):
-    """Return a network without what floats, and the numbers of the balls that are kept.
+    """Return a network without what floats, and the numbers of the balls that are kept, ascending.
 
     A free ball floats if no path of contacts leads from it to a held ball: its motion is no answer
     to the drive, and K and C are singular. Where no ball is held, all parts but the largest float.
-
-    Returns
-    -------
-    network : Network
-        Its unit of frequency, `kmax`, is the same as before.
-    kept : numpy.ndarray of int, shape (balls kept,)
-        Ascending.
-
-    Raises
-    ------
-    InputError
-        If nothing free is left.
+    The unit of frequency, `kmax`, stays. Raises InputError if nothing free is left.
     """
     kept = np.flatnonzero(anchored(network.bond, network.held))
     return part(network, kept), kept
 
 
 def anchored(bond, held):
-    """Return which balls do not float, shape (balls,).
-
-    Parameters
-    ----------
-    bond, held : numpy.ndarray
-        As in `network.Network`.
-    """
+    """Return which balls do not float, shape (balls,)."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -53,16 +36,8 @@ def anchored(bond, held):
 def part(network, balls=None, contacts=None):
     """Return the network of some balls, and of those contacts that join two of them.
 
-    Parameters
-    ----------
-    network : Network
-    balls, contacts : array_like of int, optional
-        Numbers of those that are kept, ascending; all unless given.
-
-    Raises
-    ------
-    InputError
-        If nothing free is left.
+    `balls` and `contacts` are the numbers of those that are kept, ascending, or None for all.
+    Raises InputError if nothing free is left.
     """
     balls = np.arange(len(network.held)) if balls is None else np.asarray(balls)
     contacts = np.arange(len(network.bond)) if contacts is None else np.asarray(contacts)

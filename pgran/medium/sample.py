@@ -79,14 +79,8 @@ def check_lattice(values, given, draws=False):
 def make_lattice(options, world):
     """Return the lattice or the network that the options describe, the same on every rank.
 
-    Collective.
-
-    Raises
-    ------
-    InputError, FileError
-        If the options or the bonds file are impossible.
-    PgranError
-        If the ranks disagree on the bonds.
+    Collective. Raises InputError or FileError if the options or the bonds file are impossible,
+    PgranError if the ranks disagree on the bonds.
     """
     if options.network_file is not None:
         from pgran.medium.network_file import read_network
@@ -127,16 +121,7 @@ def ranks_per_lattice(scene, options, medium, world):
 def run_scene(scene, options, world, crew):
     """Carry an experiment out, and return its records on rank 0, None on the others.
 
-    Collective.
-
-    Parameters
-    ----------
-    scene : pgran.run.experiment.Scene
-    options : Options
-        Of the run.
-    world : mpi4py.MPI.Comm
-    crew : callable
-        Makes a crew of all ranks: `crew(ranks, medium)` takes how many share the medium, and it.
+    Collective. `crew(ranks, medium)` makes a crew of all ranks, of which so many share the medium.
     """
     if not scene.on_medium:
         with crew(1, None) as workers:

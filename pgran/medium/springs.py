@@ -37,14 +37,12 @@ class Springs:
         Unknowns, those of the contact's first ball in the first half; -1 where there is none.
     values : numpy.ndarray, shape (springs, w) or (1, w)
         Entries of B.
-    drive : numpy.ndarray, shape (springs,)
-        How far the driven balls' motion, of size 1, stretches each.
-    drive_apart : numpy.ndarray, shape (springs,)
-        The same with the part of each contact's first ball turned around, as in `D`.
-    constants, damped : numpy.ndarray, shape (springs,)
-        Of each its constant, and the part of beta that it has.
-    elastic : numpy.ndarray, shape (springs,)
-        The constants without pre-stress: what grows with a contact's stiffness.
+    drive, drive_apart : numpy.ndarray, shape (springs,)
+        How far the driven balls' motion, of size 1, stretches each; the same with the part of each
+        contact's first ball turned around, as in `D`.
+    constants, damped, elastic : numpy.ndarray, shape (springs,)
+        Its constant, the part of beta that it has, and its constant without pre-stress: what grows
+        with a contact's stiffness.
     """
 
     unknowns: int
@@ -85,7 +83,7 @@ class Springs:
 
 
 class Elastic:
-    """What follows from the `springs` of a network; a part of `network.Network`."""
+    """The springs of a network; `bonds.ElasticBonds` answers the same for a lattice."""
 
     @property
     def B(self):  # noqa: N802
@@ -185,10 +183,10 @@ class Elastic:
 
     @cached_property
     def rounding(self):
-        """How much rounding moves a residual, in units of what it is summed from.
+        """How much rounding moves a residual, in units of the magnitudes that it is summed from.
 
-        As `rounding.residual_rounding`: sums over the springs at an unknown, and over
-        the unknowns that these couple it to.
+        As `residual_rounding`: sums over the springs at an unknown, and over the unknowns that
+        these couple it to.
         """
         met = int(np.bincount(self.B.indices).max())
         return (met * (1 + self.springs.columns.shape[1]) + 12) * EPSILON
@@ -226,10 +224,7 @@ def springs_of(network):
 
 
 def _rows(network, i, j):
-    """Return blocks: what each is, rows over both balls' components, constants, beta's part.
-
-    Beside the constants stands what they are without pre-stress.
-    """
+    """Return blocks: name, rows of B, constants, those without pre-stress, the part of beta."""
     still = np.zeros((len(i), network.turns))
 
     def row(t, first=still, second=still):
