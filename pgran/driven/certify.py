@@ -7,7 +7,6 @@ from mpi4py import MPI
 
 from pgran.driven.counting import ModeCounter
 from pgran.driven.layout import NetworkLayout
-from pgran.medium.lattice import Lattice, smallest_damping_eigenvalue
 from pgran.run.petsc import PETSc
 
 PARTS = (0.9, 0.5, 0.1, 0.01)  # of the estimate that are tried
@@ -23,10 +22,8 @@ def smallest_damping(lattice):
     Sylvester's law, as a factorization of C less a little more than that number has no negative
     pivot.
     """
-    if isinstance(lattice, Lattice):
-        return smallest_damping_eigenvalue(lattice.shape)
     if lattice.isotropic:
-        return 0.999 * lattice.graph.smallest  # normals have the length 1 but for 1e-6
+        return lattice.least_damping
     known = vars(lattice)
     if "smallest_damping" not in known:
         with NetworkLayout(lattice, MPI.COMM_SELF) as layout:

@@ -6,7 +6,6 @@ import math
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.medium.lattice import Lattice
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Caution
 from pgran.run.options import INTEGER, INTEGERS, REAL, TEXT, Option
@@ -84,7 +83,7 @@ def warn_above_modes(lattice, world, lowest):
 
 def _say_unprovable(lattice, world):
     """Warn where dashpots leave motions undamped: no bound can then be proven. Collective."""
-    if isinstance(lattice, Lattice) or lattice.isotropic or not lattice.damping:
+    if lattice.isotropic or not lattice.damping:
         return
     from pgran.driven.certify import smallest_damping
 

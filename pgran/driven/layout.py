@@ -241,6 +241,11 @@ class NetworkLayout(Layout):
         return rows[:, self._number[:-1]]
 
 
+def layout_of(medium, comm):
+    """Return the layout of a medium on the ranks that share it. Collective."""
+    return (LatticeLayout if medium.is_grid else NetworkLayout)(medium, comm)
+
+
 def partition(network, parts):
     """Return which rank has each unknown: those of a ball together, neighbours mostly, as many.
 

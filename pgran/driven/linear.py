@@ -11,14 +11,7 @@ from pgran.run.petsc import PETSc
 LEAST_NORM = 1e-300  # a residual of which is none
 NO_NUMBER = int(PETSc.KSP.ConvergedReason.DIVERGED_NANORINF)
 NO_PRECONDITIONER = int(PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
-# Larger lattices go to MUMPS: it factors faster, but each of its solves is dearer.
-PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
-# Up to so many balls the ordering by minimum degree leaves less work than nested dissection.
-MINIMUM_DEGREE = {1: 10**7, 2: 2500, 3: 0}
-# The same of networks, by what the factorization in the order of their unknowns costs: PETSc up to
-# so many multiplications for each unknown; MUMPS in the ordering that it finds quickest up to so
-# many in all.
-PETSC_WORK, QUICK_ORDERING = 2500, (5e9, 2)
+ANALYSIS_BY_VALUES, ORDERING, AMF = 6, 7, 2  # MUMPS: two of its ICNTL, the quickest ordering
 
 
 class System(Owner):
@@ -134,13 +127,7 @@ def is_factored():
 
 def factor_package(lattice, ranks):
     """Return what factors the matrix of a medium that so many ranks share."""
-    if ranks > 1:
-        return "mumps"
-    if lattice.irregular:
-        small = lattice.graph.work <= PETSC_WORK * max(lattice.balls, 200)
-    else:
-        small = lattice.balls <= PETSC_FACTORS[lattice.axes]
-    return "petsc" if small else "mumps"
+    return "petsc" if ranks == 1 and lattice.elimination.small else "mumps"
 
 
 def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
@@ -157,10 +144,8 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
     pc.setType("cholesky")
     if factor_package(operators.lattice, operators.comm.size) != "petsc":
         pc.setFactorSolverType("mumps")
-    elif operators.lattice.irregular:
-        pc.setFactorOrdering("natural")
-    elif operators.balls <= MINIMUM_DEGREE[operators.axes]:
-        pc.setFactorOrdering("qmd")
+    elif operators.lattice.elimination.ordering:
+        pc.setFactorOrdering(operators.lattice.elimination.ordering)
     ksp.setFromOptions()
     accept_small_pivots(pc)
     analyse_by_pattern(pc, operators.lattice)
@@ -189,10 +174,9 @@ def analyse_by_pattern(pc, lattice):
     """
     if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
         pc.setFactorSetUpSolverType()
-        pc.getFactorMatrix().setMumpsIcntl(6, 0)
-        work, ordering = QUICK_ORDERING
-        if lattice.irregular and lattice.graph.work <= work:
-            pc.getFactorMatrix().setMumpsIcntl(7, ordering)
+        pc.getFactorMatrix().setMumpsIcntl(ANALYSIS_BY_VALUES, 0)
+        if lattice.elimination.quick:
+            pc.getFactorMatrix().setMumpsIcntl(ORDERING, AMF)
 
 
 def accept_small_pivots(pc):

@@ -11,9 +11,8 @@ from functools import cached_property
 import numpy as np
 from mpi4py import MPI
 
-from pgran.driven.layout import LatticeLayout, NetworkLayout
+from pgran.driven.layout import layout_of
 from pgran.driven.owner import Owner
-from pgran.medium.lattice import Lattice
 from pgran.run.petsc import PETSc
 
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
@@ -43,16 +42,11 @@ class Operators(Owner):
 
     def __init__(self, lattice, comm):
         """Assemble K, and C where there is damping."""
-        self.lattice, self.shape, self.balls, self.comm = (
-            lattice,
-            lattice.shape,
-            lattice.balls,
-            comm,
-        )
+        self.lattice, self.comm = lattice, comm
+        self.shape, self.balls = lattice.shape, lattice.balls
         self.mass, self.damping, self.axes = lattice.mass, lattice.damping, lattice.axes
         self.rounding = lattice.rounding
-        kind = LatticeLayout if isinstance(lattice, Lattice) else NetworkLayout
-        self.layout = kind(lattice, comm)
+        self.layout = layout_of(lattice, comm)
         self.first, self.last = self.layout.first, self.layout.last
         self.f_stiffness, self.M, self._inertia = (self.layout.like.duplicate() for _ in range(3))
         self.M.set(self.mass)

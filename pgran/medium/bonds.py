@@ -114,15 +114,7 @@ class ElasticBonds:
             k = self.stiffness[axis].ravel()
             yield longer.reshape(len(fields), -1), k, np.ones(len(k))
 
-    @property
-    def irregular(self):
-        """Whether a graph of its own knows in which order to eliminate the balls."""
-        return False
-
-    @property
-    def semidefinite(self):
-        """Whether K has no negative eigenvalues."""
-        return True
+    semidefinite = True  # K has no negative eigenvalues
 
     def restoring_forces(self, fields):
         """Return K f = B^T diag(k) B f for fields of shape (count, *shape)."""
@@ -145,11 +137,6 @@ class ElasticBonds:
         """What `pull` is at s = 0, and by how much it grows with s: sum k and sum beta."""
         driven = self.stiffness[0][-1]
         return driven.sum(), self.damping * driven.size
-
-    def pull(self, s):
-        """Return the force that moves the driven wall by 1 while all balls stay, sum k + s beta."""
-        stiffness, damping = self.pulls
-        return stiffness + s * damping
 
     def pull_rounding(self, size):
         """Return how much rounding changes `pull(s)`, at most, for an |s|."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from pgran.arguments import called_right, shown, whole_number
 from pgran.errors import InputError
-from pgran.medium.base import Medium
+from pgran.medium.base import Elimination, Medium
 from pgran.medium.bonds import (
     AXES,
     SIGNS,
@@ -29,11 +29,17 @@ from pgran.medium.bonds import (
 )
 from pgran.medium.law import BondLaw, unit_numbers
 from pgran.medium.springs import Springs
-from pgran.medium.units import check_magnitudes, einstein_frequency, own_unit
+from pgran.medium.units import check_magnitudes, own_unit
 from pgran.run.machine import check_memory
 from pgran.run.numbers import number, numbers
 
-LARGE = {1: 10**7, 2: 100_000, 3: 20_000}  # balls, by axes: beyond these all ranks share it
+# By axes, up to how many balls: one rank has the lattice; PETSc factors it faster than MUMPS; the
+# ordering by minimum degree leaves less work than nested dissection.
+LARGE = {1: 10**7, 2: 100_000, 3: 20_000}
+PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
+MINIMUM_DEGREE = {1: 10**7, 2: 2500, 3: 0}
+# Seconds of a factorization: the first times a power of the balls, that of nested dissection.
+SECONDS = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}
 
 
 @called_right
@@ -147,10 +153,37 @@ class Lattice(ElasticBonds, Medium):
         """How many balls there are."""
         return math.prod(self.shape)
 
+    is_grid = True  # of nearest neighbours, which can be cut into boxes
+    isotropic = True  # C is the graph's Laplacian
+
     @property
     def is_large(self):
         """Whether all ranks should share it."""
         return self.balls > LARGE[self.axes]
+
+    @property
+    def elimination(self):
+        """See `Elimination`."""
+        ordering = "qmd" if self.balls <= MINIMUM_DEGREE[self.axes] else None
+        constant, power = SECONDS[self.axes]
+        seconds = 3e-4 + constant * self.balls**power
+        small = self.balls <= PETSC_FACTORS[self.axes]
+        return Elimination(False, ordering, small, False, False, seconds)
+
+    @property
+    def nonzeros(self):
+        """How many nonzeros a row for each ball has in all, walls counted."""
+        return (2 * self.axes + 1) * self.balls
+
+    @property
+    def least_damping(self):
+        """The smallest eigenvalue of C, the Laplacian of the uniform lattice with walls."""
+        return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in self.shape)
+
+    @property
+    def free_balls(self):
+        """How many balls are free: all."""
+        return self.balls
 
     @property
     def constants(self):
@@ -171,11 +204,6 @@ class Lattice(ElasticBonds, Medium):
     def stiffest(self):
         """The largest bond constant."""
         return max(float(k.max()) for k in self.stiffness)
-
-    @property
-    def omega_mx(self):
-        """The unit of frequency, angular: see `einstein_frequency`."""
-        return einstein_frequency(self.axes, self.kmax, self.mass)
 
     @property
     def bonds(self):
@@ -261,8 +289,3 @@ class Lattice(ElasticBonds, Medium):
     def bonds_sha256(self):
         """Checksum of all bond constants, as little-endian doubles, axis after axis."""
         return hashlib.sha256(self.constants.astype("<f8", copy=False)).hexdigest()
-
-
-def smallest_damping_eigenvalue(shape):
-    """Return lambda_min(C), C the Laplacian of the uniform lattice with walls."""
-    return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in shape)

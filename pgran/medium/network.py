@@ -15,16 +15,18 @@ import numpy as np
 
 from pgran.arguments import called_right, choice
 from pgran.errors import InputError
-from pgran.medium.base import Medium
+from pgran.medium.base import Elimination, Medium
 from pgran.medium.bonds import AXES
 from pgran.medium.checks import check_network, checked_array, unit_direction
 from pgran.medium.graph import Graph
 from pgran.medium.parts import anchored
 from pgran.medium.springs import DRIVEN, FREE, Elastic, springs_of
-from pgran.medium.units import check_magnitudes, einstein_frequency, own_unit
+from pgran.medium.units import check_magnitudes, own_unit
 from pgran.run.numbers import number, numbers
 
-LARGE_WORK = 3e9  # of a factorization: beyond it all ranks share the network
+# Multiplications of a factorization: beyond these all ranks share the network; up to so many for
+# each unknown PETSc is faster than MUMPS; up to so many in all MUMPS need not look for an order.
+LARGE_WORK, PETSC_WORK, QUICK_WORK = 3e9, 2500, 5e9
 KINDS = ("scalar", "vector", "rotations")
 
 
@@ -188,10 +190,35 @@ class Network(Elastic, Medium):
         """The mass of the mass-weighted unknowns."""
         return self.median_mass
 
+    is_grid = False
+
     @property
     def is_large(self):
         """Whether all ranks should share it."""
         return self.graph.work > LARGE_WORK
+
+    @property
+    def elimination(self):
+        """See `Elimination`."""
+        work = self.graph.work
+        small, quick = work <= PETSC_WORK * max(self.balls, 200), work <= QUICK_WORK
+        seconds = 1e-3 + 3.3e-7 * self.nonzeros + 1.3e-9 * work
+        return Elimination(True, "natural", small, quick, not small, seconds)
+
+    @property
+    def nonzeros(self):
+        """How many nonzeros K has."""
+        return self.graph.nonzeros
+
+    @property
+    def least_damping(self):
+        """A number that no eigenvalue of C is below where damping is isotropic."""
+        return 0.999 * self.graph.smallest  # normals have the length 1 but for 1e-6
+
+    @property
+    def free_balls(self):
+        """How many balls are free."""
+        return len(self.free)
 
     @property
     def constants(self):
@@ -202,11 +229,6 @@ class Network(Elastic, Medium):
     def stiffest(self):
         """The largest magnitude of a spring's constant."""
         return float(np.abs(self.springs.constants).max())
-
-    @property
-    def omega_mx(self):
-        """The unit of frequency, angular, as on the square lattice: see `einstein_frequency`."""
-        return einstein_frequency(self.axes, abs(self.kmax), self.mass)
 
     @cached_property
     def bonds_sha256(self):
@@ -302,7 +324,7 @@ class Network(Elastic, Medium):
         return np.sqrt(np.sum(away**2, axis=2)).min(axis=1)
 
     def displacements(self, field):
-        """Return mass-weighted unknowns as displacements, shape (..., unknowns)."""
+        """Return mass-weighted unknowns (..., unknowns) as displacements."""
         return self.weights * field
 
     @property

@@ -102,11 +102,6 @@ class Elastic:
             springs.damped,
         )
 
-    @property
-    def irregular(self):
-        """Whether its `graph` knows in which order to eliminate the balls, and what that costs."""
-        return True
-
     @cached_property
     def semidefinite(self):
         """Whether K has no negative eigenvalues for certain, as all constants are positive."""
@@ -145,14 +140,6 @@ class Elastic:
         """What `pull` is at s = 0, and by how much it grows with s."""
         stiffness, damped, _ = self._pulls
         return stiffness, self.damping * damped
-
-    def pull(self, s):
-        """Return the force that moves what is driven by 1 while all balls stay.
-
-        It is the sum of (k + s beta d) w^2 over the springs, stretched by w.
-        """
-        stiffness, damping = self.pulls
-        return stiffness + s * damping
 
     def pull_rounding(self, size):
         """Return how much rounding changes `pull(s)`, at most, for an |s|."""

@@ -92,7 +92,7 @@ def count_modes(lattice, omegas, crew=None, *, progress=PROGRESS):
     found = found[-len(omegas) :]
     known, count = found["certified"], _certain(found)
     widths = np.diff(omegas) / lattice.omega_mx if lattice.omega_mx > 0 else math.nan
-    balls = len(lattice.free) if lattice.irregular else lattice.balls
+    balls = lattice.free_balls
     density = np.where(known[1:] & known[:-1], np.diff(count) / (balls * widths), math.nan)
     return Density(
         balls=balls,

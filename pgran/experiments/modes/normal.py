@@ -173,7 +173,7 @@ class ModeSolver(Owner):
             ksp = eps.getST().getKSP()
             ksp.setType("preonly")
             ksp.getPC().setType("cholesky")
-            if self.lattice.irregular:
+            if self.lattice.elimination.numbered:
                 ksp.getPC().setFactorOrdering("natural")
                 own_slices = PETSc.Options("normal_").getBool("eps_all", False)
                 if self.lattice.graph.work > PETSC_SOLVES * self.lattice.balls and not own_slices:

@@ -22,7 +22,7 @@ def counter_of(lattice):
     lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
         In its own unit.
     """
-    if not lattice.irregular:
+    if lattice.is_grid:
         yield Condensation(lattice)
         return
     with hermitian_operators(lattice) as operators, ModeCounter(operators.K, lattice) as counter:
