@@ -1,6 +1,25 @@
-"""What is accurate enough. NumPy only."""
+"""What bounds a response, and what is accurate enough. NumPy only."""
+
+from dataclasses import dataclass
 
 import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Norms from which bounds of a response follow, in the medium's own unit.
+
+    |S(i omega) x|_2 >= omega stability |x|_2, with stability = beta lambda_min(C). The norms of
+    |K|, |C| and |M|, entries taken by magnitude, all damping in C, are no more than `stiffness`,
+    `damping` and `mass`; |f(s)|_2 is at most drive + |s| drive_damping.
+    """
+
+    stability: float
+    stiffness: float
+    damping: float
+    mass: float
+    drive: float
+    drive_damping: float
 
 
 def is_accurate(bound, amplitude, tolerance):

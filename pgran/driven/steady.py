@@ -13,9 +13,17 @@ from functools import cached_property
 import numpy as np
 
 from pgran.driven.judge import Judge, SteadyState
-from pgran.driven.linear import LEAST_NORM, NO_PRECONDITIONER, Krylov, System
+from pgran.driven.linear import (
+    FACTORIZATIONS,
+    LEAST_NORM,
+    NO_PRECONDITIONER,
+    Krylov,
+    ReusePolicy,
+    System,
+    expected_iterations,
+    factor_price,
+)
 from pgran.driven.owner import Owner
-from pgran.driven.reuse import FACTORIZATIONS, ReusePolicy, expected_iterations, factor_price
 from pgran.errors import is_bad_input, petsc_message
 from pgran.run.agreement import met_by_all
 from pgran.run.petsc import PETSc

@@ -8,7 +8,57 @@ from pgran.arguments import choice
 from pgran.errors import InputError
 from pgran.medium.bonds import AXES
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
-from pgran.run.numbers import numbers
+from pgran.run.numbers import number, numbers
+
+KINDS = ("scalar", "vector", "rotations")
+REQUIRED = ("held", "bond", "stiffness")
+
+
+def checked_values(network):
+    """Return the arrays and the damping of a network, by name, as copies that nobody can change.
+
+    Normals and distances that are needed and not given follow from positions. Raises InputError if
+    an array does not fit the others.
+    """
+    values = {}
+
+    def check(dtype, rest, count, *names):
+        for name in names:
+            value = values.get(name, getattr(network, name))
+            if value is not None or name in REQUIRED:
+                values[name] = checked_array(name, value, dtype, rest, count)
+
+    check(int, (), None, "held")
+    check(int, (2,), None, "bond")
+    contacts, balls = len(values["bond"]), len(values["held"])
+    masses = numbers("network: masses", network.masses)
+    if masses.ndim == 0:
+        values["masses"] = np.full(balls, masses)
+    values["damping"] = number("network: damping", network.damping)
+    choice("network: displacement", network.displacement, KINDS)
+    check(float, (None,), balls, "position")
+    if network.displacement != "scalar" and network.normal is None:
+        normal, distance = _normals(values.get("position"), values["bond"], balls)
+        values["normal"] = normal
+        if network.distance is None:
+            values["distance"] = distance
+    check(float, (None,), contacts, "normal")
+    check(float, (), contacts, "stiffness", "distance", "force", "tangential")
+    check(float, (), balls, "masses", "radius")
+    return values
+
+
+def _normals(position, bond, balls):
+    """Return the normals of contacts and the distances of their balls by the positions."""
+    if position is None:
+        raise InputError("network: vectors need normals, or positions to find them by")
+    bond = np.clip(bond, 0, balls - 1)  # balls that are not there are refused later
+    away = position[bond[:, 1]] - position[bond[:, 0]]
+    distance = np.linalg.norm(away, axis=1)
+    if not np.all(distance > 0):
+        at = np.argmin(distance)
+        raise InputError(f"network: the balls of contact {at} are at the same place")
+    return away / distance[:, None], distance
 
 
 def checked_array(name, value, dtype, rest, count=None):

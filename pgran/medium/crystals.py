@@ -11,10 +11,10 @@ import math
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.medium.graph import part, without_floating
 from pgran.medium.law import BondLaw, unit_numbers
 from pgran.medium.network import Network
 from pgran.medium.packing import nearest_images
-from pgran.medium.parts import part, without_floating
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
 
 HALF, ROOT3 = 0.5, math.sqrt(3)

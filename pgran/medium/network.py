@@ -13,26 +13,20 @@ from functools import cached_property
 
 import numpy as np
 
-from pgran.arguments import called_right, choice
+from pgran.arguments import called_right
 from pgran.errors import InputError
-from pgran.medium.base import Elimination, Medium
+from pgran.medium.base import Medium
 from pgran.medium.bonds import AXES
-from pgran.medium.checks import check_network, checked_array, unit_direction
-from pgran.medium.graph import Graph
-from pgran.medium.parts import anchored
+from pgran.medium.checks import check_network, checked_values, unit_direction
+from pgran.medium.graph import Connected
 from pgran.medium.springs import DRIVEN, FREE, Elastic, springs_of
 from pgran.medium.units import check_magnitudes, own_unit
 from pgran.run.numbers import number, numbers
 
-# Multiplications of a factorization: beyond these all ranks share the network; up to so many for
-# each unknown PETSc is faster than MUMPS; up to so many in all MUMPS need not look for an order.
-LARGE_WORK, PETSC_WORK, QUICK_WORK = 3e9, 2500, 5e9
-KINDS = ("scalar", "vector", "rotations")
-
 
 @called_right
 @dataclass(frozen=True, eq=False)
-class Network(Elastic, Medium):
+class Network(Elastic, Connected, Medium):
     """Balls, the contacts between them, and which of them are held.
 
     Networks are equal if all that they are made of is.
@@ -96,30 +90,15 @@ class Network(Elastic, Medium):
 
     def __post_init__(self):
         """Check shapes and values; copy arrays, so that nobody can change them."""
-        self._keep("held", int, ())
-        self._keep("bond", int, (2,))
-        contacts, balls = len(self.bond), len(self.held)
-        masses = numbers("network: masses", self.masses)
-        if masses.ndim == 0:
-            object.__setattr__(self, "masses", np.full(balls, masses))
-        object.__setattr__(self, "damping", number("network: damping", self.damping))
-        choice("network: displacement", self.displacement, KINDS)
-        self._keep("position", float, (None,), balls)
-        if self.displacement != "scalar" and self.normal is None:
-            self._find_normals()
-        self._keep("normal", float, (None,), contacts)
-        for name in ("stiffness", "distance", "force", "tangential"):
-            self._keep(name, float, (), contacts)
-        for name in ("masses", "radius"):
-            self._keep(name, float, (), balls)
+        for name, value in checked_values(self).items():
+            object.__setattr__(self, name, value)
         check_network(self)
         object.__setattr__(self, "direction", unit_direction(self.direction, self.axes))
         if self.median_mass is None:
-            heavy = self.masses[self.masses > 0]  # walls may be given none
-            object.__setattr__(self, "median_mass", float(np.median(heavy)))
+            median = float(np.median(self.masses[self.masses > 0]))  # walls may be given none
         else:
             median = number("network: median_mass", self.median_mass)
-            object.__setattr__(self, "median_mass", median)
+        object.__setattr__(self, "median_mass", median)
         kmax = self.stiffest if self.kmax is None else number("network: kmax", self.kmax)
         object.__setattr__(self, "kmax", kmax)
         check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, abs(kmax))
@@ -132,26 +111,6 @@ class Network(Elastic, Medium):
             f"contacts, {self.displacement}{plane}, damping={self.damping:g}, "
             f"omega_mx={self.omega_mx:.6g})"
         )
-
-    def _keep(self, name, dtype, rest, count=None):
-        """Check and copy an array, unless it is an optional one that is missing."""
-        value, required = getattr(self, name), ("bond", "stiffness", "held")
-        if value is not None or name in required:
-            object.__setattr__(self, name, checked_array(name, value, dtype, rest, count))
-
-    def _find_normals(self):
-        """Find normals and distances by the positions."""
-        if self.position is None:
-            raise InputError("network: vectors need normals, or positions to find them by")
-        bond = np.clip(self.bond, 0, len(self.held) - 1)
-        away = self.position[bond[:, 1]] - self.position[bond[:, 0]]
-        distance = np.linalg.norm(away, axis=1)
-        if not np.all(distance > 0):
-            at = np.argmin(distance)
-            raise InputError(f"network: the balls of contact {at} are at the same place")
-        object.__setattr__(self, "normal", away / distance[:, None])
-        if self.distance is None:
-            object.__setattr__(self, "distance", distance)
 
     @property
     def axes(self):
@@ -191,29 +150,6 @@ class Network(Elastic, Medium):
         return self.median_mass
 
     is_grid = False
-
-    @property
-    def is_large(self):
-        """Whether all ranks should share it."""
-        return self.graph.work > LARGE_WORK
-
-    @property
-    def elimination(self):
-        """See `Elimination`."""
-        work = self.graph.work
-        small, quick = work <= PETSC_WORK * max(self.balls, 200), work <= QUICK_WORK
-        seconds = 1e-3 + 3.3e-7 * self.nonzeros + 1.3e-9 * work
-        return Elimination(True, "natural", small, quick, not small, seconds)
-
-    @property
-    def nonzeros(self):
-        """How many nonzeros K has."""
-        return self.graph.nonzeros
-
-    @property
-    def least_damping(self):
-        """A number that no eigenvalue of C is below where damping is isotropic."""
-        return 0.999 * self.graph.smallest  # normals have the length 1 but for 1e-6
 
     @property
     def free_balls(self):
@@ -262,27 +198,10 @@ class Network(Elastic, Medium):
         """See `springs.Springs`."""
         return springs_of(self)
 
-    @cached_property
-    def graph(self):
-        """See `graph.Graph`."""
-        return Graph(self)
-
     @property
     def isotropic(self):
         """Whether damping acts on each component alike: C is the graph's Laplacian for each."""
         return self.displacement == "scalar" or (self.damped == "all" and not self.turns)
-
-    def check_driven(self):
-        """Raise InputError if nothing is driven, or if balls float."""
-        if not np.any(self.held == DRIVEN):
-            raise InputError("network: no ball is driven; /network/held has 2 for those that are")
-        floating = np.flatnonzero(~anchored(self.bond, self.held))
-        if len(floating):
-            raise InputError(
-                f"network: {len(floating)} balls float, ball {floating[0]} first: no path of "
-                "contacts leads to a held one; pgran import leaves them out, and "
-                "pgran.medium.parts.without_floating"
-            )
 
     def sites(self, detectors, name="detectors"):
         """Return ball numbers as an array (nd, 1).

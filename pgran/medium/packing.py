@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.medium.parts import anchored
+from pgran.medium.graph import anchored
 from pgran.medium.springs import FREE
 
 

@@ -9,7 +9,7 @@ from pgran.medium.record import record_of
 from pgran.run.agreement import on_root
 from pgran.run.options import FILE, INTEGER, INTEGERS, REAL, TEXT, Option, alternatives
 
-LATTICE = (
+OF_LATTICE = (
     Option("lattice_shape", INTEGERS, (20, 20), "balls along each axis, 1 to 3 numbers", low=1),
     Option("lattice_mass", REAL, 1.0, "mass m of a ball", above=0),
     Option("lattice_damping", REAL, 0.003, "damping beta of every bond", "mass x frequency", low=0),
@@ -31,7 +31,7 @@ LATTICE = (
     Option("bonds_seed", INTEGER, 1993, "which sample", low=0, high=2**63 - 1),
     Option("bonds_file", FILE, None, "law file: HDF5 file with /lattice/stiffness_x ..."),
 )  # fmt: skip
-NETWORK = (
+OF_NETWORK = (
     Option(
         "network_file", FILE, None,
         "HDF5 file with /network/bond, stiffness ..., instead of a lattice and its bonds"
@@ -42,7 +42,7 @@ NETWORK = (
     ),
 )  # fmt: skip
 LAW = ("bonds_law", "bonds_kmin", "bonds_kmax", "bonds_fraction", "bonds_force", "bonds_hertz")
-LATTICE = (*LATTICE, *NETWORK)
+LATTICE = (*OF_LATTICE, *OF_NETWORK)
 OWN_KMAX = ("hertz", "file")  # laws of bonds whose largest constant is not known beforehand
 
 
@@ -52,7 +52,7 @@ def check_lattice(values, given, draws=False):
     `draws` says that the experiment draws constants itself, of networks by the law, too.
     """
     law = LAW if draws else ()
-    named = [o.name for o in LATTICE if o not in NETWORK and o.name not in law]
+    named = [option.name for option in OF_LATTICE if option.name not in law]
     alternatives(("network_file", "network_damping"), named, values, given)
     if values["network_file"] is not None:
         return
@@ -82,32 +82,38 @@ def make_lattice(options, world):
     Collective. Raises InputError or FileError if the options or the bonds file are impossible,
     PgranError if the ranks disagree on the bonds.
     """
-    if options.network_file is not None:
-        from pgran.medium.network_file import read_network
+    medium = (_lattice if options.network_file is None else _network)(options, world)
+    if len(set(world.allgather(medium.bonds_sha256))) > 1:
+        raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
+    return medium
 
-        component = getattr(options, "detectors_component", "drive")
-        lattice = on_root(world, lambda: read_network(options.network_file))
-        changes = {"component": component if lattice.displacement != "scalar" else "drive"}
-        if options.network_damping is not None:
-            changes["damping"] = options.network_damping
-        lattice = dataclasses.replace(lattice, **changes)
-    elif options.bonds_law == "file":
+
+def _network(options, world):
+    """Return the network of a file, changed as the options ask. Collective."""
+    from pgran.medium.network_file import read_network
+
+    network = on_root(world, lambda: read_network(options.network_file))
+    changes = {"component": getattr(options, "detectors_component", "drive")}
+    if network.displacement == "scalar":
+        changes["component"] = "drive"
+    if options.network_damping is not None:
+        changes["damping"] = options.network_damping
+    return dataclasses.replace(network, **changes)
+
+
+def _lattice(options, world):
+    """Return the lattice of a bonds file or of a law. Collective."""
+    mass, damping = options.lattice_mass, options.lattice_damping
+    if options.bonds_law == "file":
         from pgran.medium.bonds_file import read_bonds
 
         stiffness, kmax = on_root(world, lambda: read_bonds(options.bonds_file))
-        lattice = Lattice(stiffness, options.lattice_mass, options.lattice_damping, kmax)
+        lattice = Lattice(stiffness, mass, damping, kmax)
     else:
-        lattice = Lattice.random(
-            options.lattice_shape,
-            options.bonds_seed,
-            make_law(options),
-            mass=options.lattice_mass,
-            damping=options.lattice_damping,
-        )
-    if options.network_file is None and options.bonds_law in OWN_KMAX and options.bonds_kmax:
+        law, shape, seed = make_law(options), options.lattice_shape, options.bonds_seed
+        lattice = Lattice.random(shape, seed, law, mass=mass, damping=damping)
+    if options.bonds_law in OWN_KMAX and options.bonds_kmax:
         lattice = dataclasses.replace(lattice, kmax=options.bonds_kmax)
-    if len(set(world.allgather(lattice.bonds_sha256))) > 1:
-        raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
     return lattice
 
 

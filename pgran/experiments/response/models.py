@@ -34,7 +34,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgran.driven.limits import Limits
+from pgran.driven.accurate import Limits
 from pgran.medium.rounding import SMALLEST_NORMAL
 
 MOMENTS = 8  # of each right-hand side at each end
