@@ -82,10 +82,10 @@ class ErrorBounds(Owner):
         damping = self.operators.damping and self.operators.damping * (
             abs(s) * smallest_damping(self.operators.lattice)
         )
-        found = damping + abs(s) * s.real * self.operators.mass
+        least = damping + abs(s) * s.real * self.operators.mass
         if s.real > 0:
-            found += s.real / abs(s) * smallest_stiffness(self.operators)
-        return max(found, 0.0)
+            least += s.real / abs(s) * smallest_stiffness(self.operators)
+        return max(least, 0.0)
 
     def prepare(self, s, tolerance):
         """Bound the norms of S(s), which must be combined, and of its inverse.
@@ -195,11 +195,11 @@ class ErrorBounds(Owner):
         `adjoint` is the system of z~.
         """
         z = np.abs(adjoint.solution.getArray(readonly=True))
-        known = self.unit * self._total(z @ terms)
+        sums = self.unit * self._total(z @ terms)
         product = (self.operators.balls + 2) * EPSILON * residual * adjoint.solution.norm()
         # What a product loses; what residuals lose, times z, `product` holds by their own `lost`.
         lost = 16 * self.operators.balls * SMALLEST_NORMAL
-        return 1.01 * (known + product) + 4 * EPSILON * abs(value) + lost
+        return 1.01 * (sums + product) + 4 * EPSILON * abs(value) + lost
 
     def amplitude(self, residual, terms, adjoint, value):
         """Return the bound of a corrected amplitude, from what `evaluation` takes. Collective."""

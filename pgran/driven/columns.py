@@ -41,20 +41,20 @@ class Columns(Owner):
         """
         S, factor, bounds = self.operators.S, self.solver.factor, self.solver.bounds
         for start in range(0, len(items), COLUMNS):
-            part = items[start : start + COLUMNS]
-            fill(part, self._rhs.getDenseArray())
+            some = items[start : start + COLUMNS]  # the last block may be narrower
+            fill(some, self._rhs.getDenseArray())
             self._rhs.assemble()
             factor.matSolve(self._rhs, self._found)
             S.matMult(self._found, self._residual)
             self._residual.axpy(-1.0, self._rhs, structure=SAME)
-            found, missed = (
-                block.getDenseArray(readonly=True)[:, : len(part)]
+            solutions, missed = (
+                block.getDenseArray(readonly=True)[:, : len(some)]
                 for block in (self._found, self._residual)
             )
-            total = np.stack([squares(found), squares(missed)])
+            total = np.stack([squares(solutions), squares(missed)])
             if self.comm.size > 1:
                 self.comm.Allreduce(MPI.IN_PLACE, total)
             norms, residuals = 1.01 * np.sqrt(total)
             norms += bounds.lost
             residuals += bounds.unit * (size + bounds.scale * norms) + bounds.lost
-            yield part, found, norms, residuals
+            yield some, solutions, norms, residuals

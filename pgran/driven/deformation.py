@@ -30,7 +30,7 @@ def march(G, delta):
     steps = len(delta)
     T, (c, row) = np.eye(steps, dtype=complex), np.zeros((2, steps), dtype=complex)
     with np.errstate(all="ignore"):  # what is not finite has no bound
-        for t in range(steps):
+        for t in range(steps):  # b_t^T S_t^-1 b_t follows from the changes before t
             before = T[:t, :t]
             row[:t] = G[t, :t] @ before
             along = -c * row
@@ -87,8 +87,8 @@ class Deformation:
 
     def stretch_rounding(self, weights):
         """Bound, step by step, the rounding of a sum of weights times stretches."""
-        found = (self._rounding @ weights) * self._norm + self._rounding_of_start @ weights
-        return found + self._loose * weights.sum(axis=0)
+        rounding = (self._rounding @ weights) * self._norm + self._rounding_of_start @ weights
+        return rounding + self._loose * weights.sum(axis=0)
 
     def missed_rounding(self, weights):
         """Bound the same for weights times `missed`."""

@@ -105,7 +105,7 @@ class Detectors(Owner):
         first, last = self._like.getOwnershipRange()
         for vector, numbers, weights in zip(vectors, self._numbers, self._weights, strict=True):
             mine = (numbers >= first) & (numbers < last)
-            vector.getArray()[numbers[mine] - first] = weights[mine]
+            vector.getArray()[numbers[mine] - first] = weights[mine]  # S^T = S: e_d is a source
         return vectors
 
 
@@ -231,8 +231,8 @@ class Judge(Owner):
         """Return f^T A = A~^T (f + r) + r^T S^-1 r and its bound, by name: A is its own adjoint."""
         value, bound, bounds = math.nan, math.nan, self.bounds
         if math.isfinite(state.backward_error):
-            found = primal.solution
-            value = found.tDot(primal.rhs) + found.tDot(primal.residual)
+            A = primal.solution
+            value = A.tDot(primal.rhs) + A.tDot(primal.residual)
             if bounds.proven:
                 bound = bounds.reaction(self._residual, primal, value)
         return {"reaction": value, "reaction_bound": bound}

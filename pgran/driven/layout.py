@@ -37,8 +37,8 @@ class Layout(Owner):
         """Return vectors as arrays, one after the other, on rank 0, None on others. Collective."""
         if self.comm.size == 1:
             return self.fields(np.stack([x.getArray(readonly=True) for x in vectors]))
-        found = [self.field(x) for x in vectors]
-        return None if found[0] is None else np.stack(found)
+        fields = [self.field(x) for x in vectors]
+        return None if fields[0] is None else np.stack(fields)
 
     def own_entries(self, springs):
         """Yield, side by side, B's entries, this rank's rows that they are in, of which springs."""
@@ -122,6 +122,7 @@ class LatticeLayout(Layout):
 
         Shapes (own, 2 d) and (own, 2 d + 1). The column of a wall is -1, which PETSc ignores.
         """
+        # The place 2 b + side in `ends` is that of an end of bond b; its other end is at place ^ 1.
         ends = self.ends.ravel()
         order = np.argsort(ends, kind="stable")  # much quicker than the default
         order = order[np.count_nonzero(ends < self.first) : np.count_nonzero(ends < self.last)]
@@ -183,6 +184,9 @@ class NetworkLayout(Layout):
         """Find the nonzeros of this rank's rows, and what each spring contributes to them."""
         from scipy.sparse import csr_matrix
 
+        # The nonzero (p, q) is the sum of B[s, p] B[s, q] k[s] over the springs s: a matrix, of a
+        # row for each nonzero and these products at the columns s, times the constants. Zeros
+        # keep the diagonal in the pattern.
         width, count = self.ends.shape[1], self.network.balls
         own = np.arange(self.first, self.last)
         keys, products, springs = [own * count + own], [np.zeros(len(own))], [0 * own]
@@ -265,15 +269,15 @@ def partition(network, parts):
         rank = np.empty(total)
         rank[order] = np.arange(total)
         where = rank[network.free][:, None]
-    part, left = np.zeros(balls, dtype=int), [(np.arange(balls), 0, parts)]
-    while left:
+    rank_of, left = np.zeros(balls, dtype=int), [(np.arange(balls), 0, parts)]
+    while left:  # cut the balls `here`, which are for `count` ranks from `first` on
         here, first, count = left.pop()
         if count == 1:
-            part[here] = first
+            rank_of[here] = first
             continue
         axis = np.argmax(np.ptp(where[here], axis=0)) if len(here) else 0
         order = here[np.argsort(where[here, axis], kind="stable")]
         half = count // 2
         split = len(here) * half // count
         left += [(order[:split], first, half), (order[split:], first + half, count - half)]
-    return np.repeat(part, network.components)
+    return np.repeat(rank_of, network.components)

@@ -76,12 +76,12 @@ class Operators(Owner):
 
         Collective when first asked for; they say what rounding does to what is no Laplacian.
         """
-        found = []
+        matrices = []
         for constants in (self.constants, self.layout.damped)[: 1 + (self.C is not None)]:
             drive = self.f_stiffness.duplicate()
             drive.setArray(self.layout.driving(constants, np.abs))
-            found += [self._assemble(constants, self.layout.sizes), drive]
-        return found
+            matrices += [self._assemble(constants, self.layout.sizes), drive]
+        return matrices
 
     def combine(self, s):
         """Set S(s) = K + s beta C + s^2 M and the drive f(s) (paper: ampeq, s = i omega).
@@ -110,12 +110,12 @@ class Operators(Owner):
 
         Collective; `columns` holds this rank's rows, the result is the same on every rank.
         """
-        found = np.zeros((len(bonds), columns.shape[1]), dtype=complex)
+        stretches = np.zeros((len(bonds), columns.shape[1]), dtype=complex)
         for entries, rows, mine in self.layout.own_entries(bonds):
-            found[mine] += entries[:, None] * columns[rows]
+            stretches[mine] += entries[:, None] * columns[rows]
         if self.comm.size > 1:
-            self.comm.Allreduce(MPI.IN_PLACE, found)
-        return found
+            self.comm.Allreduce(MPI.IN_PLACE, stretches)
+        return stretches
 
     def spread(self, bonds, columns):
         """Set columns to b = B^T e of some bonds, as far as it lies in this rank's rows.

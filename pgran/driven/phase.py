@@ -27,8 +27,8 @@ def unwrap(displacement):
     """
     phase = np.angle(displacement)
     for column in phase.T:
-        known = np.isfinite(column)
-        column[known] = np.unwrap(column[known])
+        finite = np.isfinite(column)
+        column[finite] = np.unwrap(column[finite])
     return phase
 
 
@@ -38,8 +38,8 @@ def fit_line(x, y):
     NaN where less than three points are known, or where these are too close together, by 1e-10, to
     tell a slope from rounding.
     """
-    known = np.isfinite(y)
-    x, y = x[known], y[known]
+    finite = np.isfinite(y)
+    x, y = x[finite], y[finite]
     if len(x) < 3 or np.ptp(x) < 1e-10 * np.abs(x).max():
         return np.nan, np.nan
     middle = x.mean()
@@ -132,8 +132,8 @@ def group_delay(amplitude, derivative, error_bound, derivative_bound):
         ratio = derivative / amplitude
         room = np.abs(amplitude) - error_bound
         bound = 1.01 * (derivative_bound + np.abs(ratio) * error_bound) / room
-    known = (room > 0) & np.isfinite(bound)
-    return np.where(known, -ratio.imag, np.nan), np.where(known, bound, np.inf)
+    bounded = (room > 0) & np.isfinite(bound)
+    return np.where(bounded, -ratio.imag, np.nan), np.where(bounded, bound, np.inf)
 
 
 def phase_velocity(slope, distance):

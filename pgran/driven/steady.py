@@ -64,23 +64,17 @@ class SteadySolver(Owner):
     owns = ("_krylov", "_judge", "_correction", "primal", "_units", "adjoints")
 
     def __init__(
-        self,
-        operators,
-        sites,
-        error_tolerance=1e-4,
-        refresh_iterations=0,
-        whole_field=False,
-        error_floor=0.0,
-        derivatives=False,
-        whole_adjoints=False,
-    ):
+        self, operators, sites, error_tolerance=1e-4, refresh_iterations=0, whole_field=False,
+        error_floor=0.0, derivatives=False, whole_adjoints=False
+    ):  # fmt: skip
         """Make the systems and their bounds."""
         self.operators, self.comm = operators, operators.comm
         self.tolerance, self.floor = error_tolerance, error_floor
-        self.whole_field, self.derivatives = whole_field, derivatives
-        self.whole_adjoints = whole_adjoints
-        self.factorizations = 0
-        self._sites, self._spoilt, self._works, self._said = sites, False, False, set()
+        self.whole_field, self.whole_adjoints = whole_field, whole_adjoints
+        self.derivatives, self.factorizations, self._sites = derivatives, 0, sites
+        self._spoilt = False  # the last s has failed: factors may be at fault
+        self._works = False  # a factorization has worked once: options are right
+        self._told = set()  # messages of PETSc that were told
         self._make_systems()
         self._policy = ReusePolicy(refresh_iterations)
         self.restart()
@@ -206,12 +200,12 @@ class SteadySolver(Owner):
 
         That is the fault of an option or a callback, or not met by all ranks of the lattice.
         """
-        wrong = is_bad_input(error) and not self._works
-        if error.__cause__ or wrong or not met_by_all(self.comm):
+        of_option = is_bad_input(error) and not self._works
+        if error.__cause__ or of_option or not met_by_all(self.comm):
             raise error
         message = petsc_message(error)
-        if message not in self._said:
-            self._said.add(message)
+        if message not in self._told:
+            self._told.add(message)
             point = f"s = {s:g}" if s.real else f"omega = {s.imag:g}"
             log.warning("%s is marked: %s", point, message)
 
@@ -221,8 +215,12 @@ class SteadySolver(Owner):
         missing = np.full(len(self._judge.detectors), math.nan)
         unknown = math.inf if self.bounds.proven else math.nan
         bound = np.full(missing.shape, unknown)
-        said = s, missing + 0j, bound, math.nan, 0, NO_PRECONDITIONER, unknown
-        return SteadyState(*said, missing + 0j, bound, math.nan, unknown)
+        return SteadyState(
+            s=s, displacement=missing + 0j, error_bound=bound, field_bound=unknown,
+            derivative=missing + 0j, derivative_bound=bound,
+            reaction=math.nan, reaction_bound=unknown,
+            backward_error=math.nan, iterations=0, converged_reason=NO_PRECONDITIONER,
+        )  # fmt: skip
 
     def _attempt(self, s, fresh):
         """Solve with a fresh or the present factorization."""
@@ -242,7 +240,7 @@ class SteadySolver(Owner):
                 break
             if krylov.reason < 0 and not fresh:
                 break
-            if previous and not (
+            if previous and not (  # refinement has stalled
                 np.any(state.error_bound < 0.5 * previous.error_bound)
                 or state.field_bound < 0.5 * previous.field_bound
             ):
@@ -253,9 +251,9 @@ class SteadySolver(Owner):
         """Return how many iterations all systems are expected to take if nothing is factored."""
         if not self._earlier:
             return math.inf
-        lattice = self.operators
+        medium = self.operators.lattice
         return len(self._systems) * expected_iterations(
-            self._earlier[-1], s, lattice.axes, lattice.mass, lattice.damping
+            self._earlier[-1], s, medium.axes, medium.mass, medium.damping
         )
 
     def _factor(self):
@@ -286,6 +284,8 @@ class SteadySolver(Owner):
         contributes half, relative to its right-hand side.
         """
         krylov, primal, adjoints = self._krylov, self.primal, self._systems[1:]
+        # An amplitude is proven where |r|_2 |q|_2 <= goal. With |r| / |f| = |q| / |e_d| and |e_d|
+        # about 1 that takes |r| <= sqrt(goal |f|), |q| <= sqrt(goal / |f|).
         goal, field = np.zeros(len(adjoints)), 0.0
         if self.bounds.proven:
             share = SAFETY * self.tolerance / self.bounds.inverse_norm

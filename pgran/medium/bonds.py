@@ -42,6 +42,10 @@ def bond_sides(values, axis, wall):
     `values`, an array over the balls, gives two arrays that are one longer along the axis. This is
     the topology of the lattice: all else follows from it.
     """
+    # values         0 1 2
+    # padded    wall 0 1 2 wall
+    # below     wall 0 1 2
+    # above          0 1 2 wall
     axis %= values.ndim
     before = (slice(None),) * axis
     padded = np.empty([n + 2 * (a == axis) for a, n in enumerate(values.shape)], values.dtype)

@@ -84,10 +84,10 @@ def check_network(network):
     held, balls = network.held, len(network.held)
     if len(network.bond) == 0 or balls == 0:
         raise InputError("network: it has no contacts")
-    wrong = np.flatnonzero(np.any((network.bond < 0) | (network.bond >= balls), axis=1))
-    if wrong.size:
-        pair = tuple(network.bond[wrong[0]].tolist())
-        raise InputError(f"network: contact {wrong[0]}: no balls {pair} among {balls}")
+    outside = np.flatnonzero(np.any((network.bond < 0) | (network.bond >= balls), axis=1))
+    if outside.size:
+        pair = tuple(network.bond[outside[0]].tolist())
+        raise InputError(f"network: contact {outside[0]}: no balls {pair} among {balls}")
     if np.any(network.bond[:, 0] == network.bond[:, 1]):
         raise InputError("network: a ball touches itself")
     if not np.all(np.isin(held, (FREE, AT_REST, DRIVEN))):

@@ -66,10 +66,11 @@ def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993,
     for (a, start), (b, end) in itertools.product(enumerate(basis), repeat=2):
         for step in itertools.product((1, 0, -1), repeat=axes):
             away = (end + step - start) * edges
+            # of the contacts that each ball has, those that lead ahead
             ahead = away[np.argmax(np.abs(away) > 1e-9)] > 0
             if not ahead or abs(away @ away - 1) > 1e-9:
                 continue
-            other = cells + step
+            other = cells + step  # the cells that hold the second balls
             here = np.all(periodic | ((other >= 0) & (other < shape)), axis=1)
             other = tuple((other[here] % shape).T)
             bond.append(np.stack([balls[..., a].ravel()[here], balls[(*other, b)]], axis=1))
@@ -138,6 +139,7 @@ def random_geometric(
     box = np.where(np.broadcast_to(periodic, (dimension,)), count ** (1 / dimension), 0.0)
     edge = count ** (1 / dimension)
     if radius is None:
+        # a ball of this radius in d dimensions holds so many of one point a unit volume
         ball = math.pi ** (dimension / 2) / math.gamma(dimension / 2 + 1)
         radius = (contacts / ball) ** (1 / dimension)
     if np.any(box) and not 2 * radius < edge:
@@ -168,8 +170,8 @@ def in_box(position, bond, stiffness, held, box, **others):
     distance = np.linalg.norm(away, axis=1)
     if not np.all(distance > 0):
         raise InputError(f"network: the balls {bond[np.argmin(distance)]} are at the same place")
-    found = {"position": position, "normal": away / distance[:, None], "distance": distance}
-    return Network(bond, stiffness, held, **(found | others))
+    geometry = {"position": position, "normal": away / distance[:, None], "distance": distance}
+    return Network(bond, stiffness, held, **(geometry | others))
 
 
 def diluted(network, missing, seed=1993):
@@ -181,8 +183,8 @@ def diluted(network, missing, seed=1993):
         raise InputError(f"diluted: a part lies between 0 and 1, not at {missing}")
     count = len(network.bond)
     order = np.argsort(unit_numbers(seed, 0, count, generation=2), kind="stable")
-    kept = np.sort(order[round(missing * count) :])
-    return without_floating(part(network, contacts=kept))[0]
+    left = np.sort(order[round(missing * count) :])
+    return without_floating(part(network, contacts=left))[0]
 
 
 def _drawn(stiffness, count, seed):

@@ -56,6 +56,7 @@ class Graph:
         factors = self._factored()
         self.order = np.argsort(factors.perm_c)
         lengths = np.diff(factors.L.indptr).astype(float)
+        # A column of L's factor with n entries: n^2 multiplications, blocks of c x c in the matrix.
         each = network.components
         self.work, self.entries = float(lengths @ lengths) * each**3, lengths.sum() * each**2
         self.nonzeros = float(self.laplacian.nnz) * each**2
@@ -178,11 +179,11 @@ def part(network, balls=None, contacts=None):
     number[balls] = np.arange(len(balls))
     bond = number[network.bond[contacts]]
     whole = np.all(bond >= 0, axis=1)
-    kept = {"bond": bond[whole]}
+    values_left = {"bond": bond[whole]}
     for names, which in (
         (("held", "masses", "position", "radius"), balls),
         (("stiffness", "normal", "distance", "force", "tangential"), contacts[whole]),
     ):
         values = {name: getattr(network, name) for name in names}
-        kept |= {name: value[which] for name, value in values.items() if value is not None}
-    return dataclasses.replace(network, **kept)
+        values_left |= {name: value[which] for name, value in values.items() if value is not None}
+    return dataclasses.replace(network, **values_left)

@@ -129,8 +129,8 @@ class Scale:
     def __post_init__(self):
         """Raise InputError if numbers do not fit into doubles."""
         try:
-            found = [self.mass, self.overlap, self.stiffness, self.omega_mx, self.velocity]
-            fits = all(0 < value < math.inf for value in found)
+            numbers = [self.mass, self.overlap, self.stiffness, self.omega_mx, self.velocity]
+            fits = all(0 < value < math.inf for value in numbers)
         except (OverflowError, ZeroDivisionError):
             fits = False
         if not fits:

@@ -74,8 +74,8 @@ class Lattice(ElasticBonds, Medium):
 
     def __post_init__(self):
         """Check shapes and values; copy arrays, so that nobody can change them."""
-        given = self.stiffness if isinstance(self.stiffness, (list, tuple)) else ()
-        arrays = tuple(np.array(numbers("stiffness", k), order="C") for k in given)
+        stiffness = self.stiffness if isinstance(self.stiffness, (list, tuple)) else ()
+        arrays = tuple(np.array(numbers("stiffness", k), order="C") for k in stiffness)
         if not 1 <= len(arrays) <= 3 or any(k.ndim != len(arrays) for k in arrays):
             raise InputError("stiffness: one array for each of 1 to 3 axes is needed")
         for name in ("mass", "damping"):
@@ -224,14 +224,15 @@ class Lattice(ElasticBonds, Medium):
         outside.
         """
         shape, axes = self.shape, self.axes
-        given = numbers(name, detectors, whole=True)
-        if given.size == 0 or given.size % axes or (given.ndim > 1 and given.shape[1:] != (axes,)):
-            size = " x ".join(map(str, given.shape)) or "1"
+        indices = numbers(name, detectors, whole=True)
+        misshapen = indices.ndim > 1 and indices.shape[1:] != (axes,)
+        if indices.size == 0 or indices.size % axes or misshapen:
+            size = " x ".join(map(str, indices.shape)) or "1"
             raise InputError(
                 f"{name}: a ball of this lattice has {axes} "
                 f"{'index' if axes == 1 else 'indices'}, so {size} numbers name no balls"
             )
-        sites = given.reshape(-1, axes)
+        sites = indices.reshape(-1, axes)
         for site in sites:
             if np.any(site < 0) or np.any(site >= shape):
                 raise InputError(

@@ -25,7 +25,7 @@ def unit_numbers(seed, first, count, generation=0):
     block, skip = divmod(first, 4)  # Philox makes four numbers for each value of its counter
     stream = np.random.Philox(key=seed, counter=[block, 0, generation, 0])
     raw = stream.random_raw(skip + count)[skip:]
-    return (raw >> np.uint64(11)) * 2.0**-53
+    return (raw >> np.uint64(11)) * 2.0**-53  # the upper 53 of 64 bits, which doubles hold
 
 
 def _uniform(u, kmin, kmax):
@@ -96,14 +96,14 @@ class BondLaw:
     def __init__(self, name, *, kmin=None, kmax=None, fraction=None, force=None, hertz=None):
         """Check and keep the parameters."""
         self.function, names = LAWS[choice("bonds_law", name, LAWS)]
-        given = {"kmin": kmin, "kmax": kmax, "fraction": fraction, "force": force, "hertz": hertz}
-        for key, value in given.items():
-            if value is not None and key not in names:
+        own = {"kmin": kmin, "kmax": kmax, "fraction": fraction, "force": force, "hertz": hertz}
+        own = {key: value for key, value in own.items() if value is not None}
+        for key in own:
+            if key not in names:
                 raise InputError(
                     f"bonds_{key}: no parameter of the law {name}; it has {' and '.join(names)}"
                 )
-        given = DEFAULTS | {key: value for key, value in given.items() if value is not None}
-        values = {key: number(f"bonds_{key}", given[key]) for key in names}
+        values = {key: number(f"bonds_{key}", own.get(key, DEFAULTS[key])) for key in names}
         for key, value in values.items():
             positive = key not in ("kmin", "fraction")
             if not math.isfinite(value) or value < 0 or (positive and value == 0):
@@ -135,21 +135,21 @@ def drawn(law, u):
     Raises InputError unless there is one for each number, finite and not negative.
     """
     try:
-        found = law(u.copy())
+        returned = law(u.copy())
     except PgranError:
         raise
     except Exception as error:
         raise InputError(f"law: fails: {type(error).__name__}: {error}") from error
-    constants = numbers("law: what it returns", found)
+    constants = numbers("law: what it returns", returned)
     if constants.shape != u.shape:
         raise InputError(
             f"law: returns numbers of the shape {constants.shape} for {u.shape}; it must turn each "
             "number between 0 and 1 into a bond constant"
         )
-    wrong = constants[~(np.isfinite(constants) & (constants >= 0))]
-    if wrong.size:
+    impossible = constants[~(np.isfinite(constants) & (constants >= 0))]
+    if impossible.size:
         raise InputError(
-            f"law: bond constants must be finite and not negative, and it returns {wrong[0]:g}"
+            f"law: bond constants must be finite and not negative, and it returns {impossible[0]:g}"
         )
     return constants
 

@@ -170,8 +170,8 @@ class Network(Elastic, Connected, Medium):
     def bonds_sha256(self):
         """Checksum of all that the springs follow from."""
         digest = hashlib.sha256()
-        for part in (self.springs.columns.astype("<i8"), self.springs.values.astype("<f8")):
-            digest.update(part.tobytes())
+        for array in (self.springs.columns.astype("<i8"), self.springs.values.astype("<f8")):
+            digest.update(array.tobytes())
         digest.update(self.springs.constants.astype("<f8").tobytes())
         return digest.hexdigest()
 
@@ -180,8 +180,8 @@ class Network(Elastic, Connected, Medium):
         """Displacement per mass-weighted unknown, shape (unknowns,)."""
         inertia = np.repeat(self.masses[self.free][:, None], self.components, axis=1)
         if self.turns:
-            part = {2: 0.5, 3: 0.4}[self.axes]  # of m R^2, of a disc and a sphere
-            inertia[:, self.axes :] *= part * self.radius[self.free][:, None] ** 2
+            factor = {2: 0.5, 3: 0.4}[self.axes]  # of m R^2, of a disc and a sphere
+            inertia[:, self.axes :] *= factor * self.radius[self.free][:, None] ** 2
         return np.sqrt(self.mass / inertia.ravel())
 
     @property
@@ -208,10 +208,10 @@ class Network(Elastic, Connected, Medium):
 
         Raises InputError, which calls them by their `name`, unless these balls are free.
         """
-        given = numbers(name, detectors, whole=True)
-        if given.ndim > 1 and given.shape[1:] != (1,):
+        balls = numbers(name, detectors, whole=True)
+        if balls.ndim > 1 and balls.shape[1:] != (1,):
             raise InputError(f"{name}: balls of a network have one number each, from 0")
-        sites = given.reshape(-1, 1)
+        sites = balls.reshape(-1, 1)
         for ball in sites[:, 0]:
             if not 0 <= ball < len(self.held):
                 raise InputError(f"{name}: no ball {ball} among {len(self.held)}, from 0")

@@ -95,27 +95,27 @@ def check_output(path, overwrite):
 
 def members_of(file):
     """Return what `/network` of a `CarefulFile` holds, as `Network` takes it."""
-    known = [*DATASETS, *ATTRIBUTES]
-    there = file.members("network", known)
-    said = file.attributes("network")
-    for name in [*file.file["network"], *said]:
-        if name not in known:  # others' data may stay, if no word is misspelt
-            meant = difflib.get_close_matches(name, known, 1, 0.8)
-            if meant:
-                file.refuse(f"network/{name}", f"is not known; is {meant[0]} meant?")
+    names = [*DATASETS, *ATTRIBUTES]
+    datasets = file.members("network", names)
+    attributes = file.attributes("network")
+    for name in [*file.file["network"], *attributes]:
+        if name not in names:  # others' data may stay, if no word is misspelt
+            similar = difflib.get_close_matches(name, names, 1, 0.8)
+            if similar:
+                file.refuse(f"network/{name}", f"is not known; is {similar[0]} meant?")
     for name in ("bond", "stiffness"):
-        if name not in there:
+        if name not in datasets:
             file.refuse(f"network/{name}", "is missing")
     values = {
         name: file.array(f"network/{name}", DATASETS[name][0])
-        for name in there
+        for name in datasets
         if name not in (*NOT_READ, *ATTRIBUTES)
     }
     for name, kind in ATTRIBUTES.items():
-        if name in there:
+        if name in datasets:
             file.refuse(f"network/{name}", "is an attribute, not a dataset")
-        if name in said:
-            values[name] = _plain(file, name, said[name], kind)
+        if name in attributes:
+            values[name] = _plain(file, name, attributes[name], kind)
     balls = next((len(values[name]) for name in ("held", "mass", "position") if name in values
                   and values[name].ndim), None)  # fmt: skip
     if balls is None:

@@ -104,13 +104,13 @@ def _with_walls(lattice):
 
 def _of_bonds(result):
     """Yield what a signal depends on and the power, by name, at the frequencies that succeeded."""
-    found = getattr(result, "sensitivity", None)
-    for n in [] if found is None else np.flatnonzero(found.converged_reason > 0):
-        yield f"flux_{n + 1:04}", found.flux[n]
-        yield f"loss_{n + 1:04}", found.loss[n]
-        for d, site in enumerate(found.detector.tolist()):
+    record = getattr(result, "sensitivity", None)
+    for n in [] if record is None else np.flatnonzero(record.converged_reason > 0):
+        yield f"flux_{n + 1:04}", record.flux[n]
+        yield f"loss_{n + 1:04}", record.loss[n]
+        for d, site in enumerate(record.detector.tolist()):
             name = "_".join(map(str, ["log_amplitude", f"{n + 1:04}", *site]))
-            yield name, found.on_bonds(n, d)
+            yield name, record.on_bonds(n, d)
 
 
 def _motions(result):

@@ -212,6 +212,7 @@ def springs_of(network):
 
 def _rows(network, i, j):
     """Return blocks: name, rows of B, constants, those without pre-stress, the part of beta."""
+    # A row of a contact: -t (of u_i), the first ball's rotation, t (of u_j), the second's.
     still = np.zeros((len(i), network.turns))
 
     def row(t, first=still, second=still):
@@ -223,18 +224,19 @@ def _rows(network, i, j):
     nothing = np.zeros(len(i))
     pre_stress = nothing if network.force is None else -network.force / network.distance
     shear = nothing if network.tangential is None else network.tangential
-    part = float(network.damped == "all")
+    damped = float(network.damped == "all")
     # constants that are given, zeros too: amplitudes have derivatives by them
-    bent, sheared = network.force is not None, network.tangential is not None or part
+    bent, sheared = network.force is not None, network.tangential is not None or damped
     for t in tangents(network.normal):
         if not network.turns:
-            kinds = [("transverse", row(t), shear + pre_stress, shear, part)]
+            kinds = [("transverse", row(t), shear + pre_stress, shear, damped)]
             wanted = [bent or sheared]
         else:
+            # (R theta) . (n x t): what a ball's rotation adds to the slip along t
             lever = _cross(network.normal, t)
             turned = [-network.radius[end][:, None] * lever for end in (i, j)]
             kinds = [
-                ("tangential", row(t, *turned), shear, shear, part),
+                ("tangential", row(t, *turned), shear, shear, damped),
                 ("pre_stress", row(t), pre_stress, nothing, 0.0),
             ]
             wanted = [sheared, bent]
