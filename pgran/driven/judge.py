@@ -22,42 +22,22 @@ GOOD = int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL)  # where no KSP had to iter
 
 @dataclass(frozen=True)
 class SteadyState:
-    """The lattice driven at one s.
-
-    Attributes
-    ----------
-    s : complex
-        sigma + i omega, omega the angular driving frequency.
-    displacement : numpy.ndarray, shape (nd,)
-        Complex amplitudes at the detectors, relative to the driven wall's; NaN where PETSc fails.
-    error_bound : numpy.ndarray, shape (nd,)
-        The error of each is at most this; NaN where no bound is known (an undamped lattice that
-        ranks share, at sigma = 0, where rounding is tried instead).
-    backward_error : float
-        |f - S A| / (|S| |A| + |f|).
-    iterations : int
-        Krylov iterations, those of the adjoints included.
-    converged_reason : int
-        Positive if every amplitude is as accurate as asked, or is below the floor with its bound;
-        else 0 or PETSc's negative KSP reason.
-    field_bound : float
-        The error of the whole field, in the 2-norm, is at most this; NaN where no bound is known,
-        or none was asked for.
-    derivative, derivative_bound : numpy.ndarray, shape (nd,), or None
-        d displacement / d omega and a bound of its error, if asked for; NaN where no bound is
-        known.
-    reaction, reaction_bound : complex, float, or None
-        f^T A, the force that balls take off what moves the wall by 1, and a bound of its error, if
-        derivatives are asked for; NaN where there is no solution, the bound where none is known.
-    """
+    """The lattice driven at one s = sigma + i omega; NaN is unknown, or was not asked for."""
 
     s: complex
+    # Of each detector, shape (nd,), the complex amplitude relative to the driven wall's, NaN where
+    # PETSc fails, and a bound of its error: unknown for an undamped lattice that ranks share at
+    # sigma = 0, where rounding is tried instead.
     displacement: np.ndarray
     error_bound: np.ndarray
-    backward_error: float
-    iterations: int
+    backward_error: float  # |f - S A| / (|S| |A| + |f|)
+    iterations: int  # of Krylov's method, those of the adjoints included
+    # Positive if every amplitude is as accurate as asked, or is below the floor with its bound;
+    # else 0 or PETSc's negative KSP reason.
     converged_reason: int
-    field_bound: float
+    field_bound: float  # of the error of the whole field, in the 2-norm
+    # If derivatives are asked for: d displacement / d omega, shape (nd,), and f^T A, the force that
+    # balls take off what moves the wall by 1; each with a bound of its error.
     derivative: np.ndarray | None = None
     derivative_bound: np.ndarray | None = None
     reaction: complex | None = None
@@ -112,7 +92,7 @@ class Detectors(Owner):
 class Judge(Owner):
     """Bounds the errors of solutions and judges them, for a `steady.SteadySolver`. Collective."""
 
-    owns = ("bounds", "detectors", "_comparison", "_bent", "_inertia")
+    owns = ("bounds", "detectors", "_comparison", "_work")
 
     def __init__(self, operators, sites, tolerance, floor, whole_field):
         """Make what reads and what bounds by norms."""
@@ -121,14 +101,9 @@ class Judge(Owner):
         self.bounds = ErrorBounds(operators)
 
     @cached_property
-    def _bent(self):
-        """g of `with_derivatives`. Collective when first asked for."""
-        return self.operators.f.duplicate()
-
-    @cached_property
-    def _inertia(self):
-        """M A of `with_derivatives`. Collective when first asked for."""
-        return self.operators.f.duplicate()
+    def _work(self):
+        """Two vectors for `with_derivatives`. Collective when first asked for."""
+        return [self.operators.f.duplicate() for _ in range(2)]
 
     @cached_property
     def _comparison(self):
@@ -203,7 +178,7 @@ class Judge(Owner):
             unknown = np.full(state.displacement.shape, math.nan)
             return replace(state, derivative=unknown + 0j, derivative_bound=unknown, **reaction)
         bounds, operators, (primal, *adjoints) = self.bounds, self.operators, systems
-        s, bent, inertia = state.s, self._bent, self._inertia
+        s, (bent, inertia) = state.s, self._work
         inertia.pointwiseMult(operators.M, primal.solution)
         bent.set(0.0)
         force = 0.0

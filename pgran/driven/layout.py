@@ -105,11 +105,8 @@ class LatticeLayout(Layout):
         """Return a vector as an array over the lattice on rank 0, else None. Collective."""
         natural = self.da.createNaturalVec()
         self.da.globalToNatural(x, natural)
-        scatter, gathered = PETSc.Scatter.toZero(natural)
-        scatter.scatter(natural, gathered)
-        values = gathered.getArray().copy()
-        for held in (scatter, gathered, natural):
-            held.destroy()
+        values = on_rank_0(natural)
+        natural.destroy()
         return values.reshape(self.shape, order="F") if self.comm.rank == 0 else None
 
     def fields(self, rows):
@@ -233,11 +230,7 @@ class NetworkLayout(Layout):
 
     def field(self, x):
         """Return a vector as an array over all unknowns on rank 0, else None. Collective."""
-        scatter, gathered = PETSc.Scatter.toZero(x)
-        scatter.scatter(x, gathered)
-        values = gathered.getArray().copy()
-        for held in (scatter, gathered):
-            held.destroy()
+        values = on_rank_0(x)
         return values[self._number[:-1]] if self.comm.rank == 0 else None
 
     def fields(self, rows):
@@ -248,6 +241,16 @@ class NetworkLayout(Layout):
 def layout_of(medium, comm):
     """Return the layout of a medium on the ranks that share it. Collective."""
     return (LatticeLayout if medium.is_grid else NetworkLayout)(medium, comm)
+
+
+def on_rank_0(x):
+    """Return the entries of a vector on rank 0, none on others. Collective."""
+    scatter, gathered = PETSc.Scatter.toZero(x)
+    scatter.scatter(x, gathered)
+    values = gathered.getArray().copy()
+    scatter.destroy()
+    gathered.destroy()
+    return values
 
 
 def partition(network, parts):

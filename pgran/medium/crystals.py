@@ -5,6 +5,7 @@ or `held` is given, the balls at that axis' lower end are at rest, and those at 
 driven; the sides that are not periodic are free. Contacts of two held balls are left out.
 """
 
+import functools
 import itertools
 import math
 
@@ -87,29 +88,8 @@ def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993,
     return _moving(Network(bond, stiffness, np.ravel(held), **others))
 
 
-def square(shape, stiffness=1.0, **others):
-    """Return a square lattice: see `crystal`."""
-    return crystal("square", shape, stiffness, **others)
-
-
-def triangular(shape, stiffness=1.0, **others):
-    """Return a triangular lattice, close-packed along x: see `crystal`."""
-    return crystal("triangular", shape, stiffness, **others)
-
-
-def honeycomb(shape, stiffness=1.0, **others):
-    """Return a honeycomb lattice: see `crystal`."""
-    return crystal("honeycomb", shape, stiffness, **others)
-
-
-def cubic(shape, stiffness=1.0, **others):
-    """Return a simple cubic lattice: see `crystal`."""
-    return crystal("cubic", shape, stiffness, **others)
-
-
-def fcc(shape, stiffness=1.0, **others):
-    """Return a face-centred cubic lattice: see `crystal`."""
-    return crystal("fcc", shape, stiffness, **others)
+# makers of each kind, of the parameters of `crystal` after the name
+square, triangular, honeycomb, cubic, fcc = (functools.partial(crystal, name) for name in CELLS)
 
 
 def random_geometric(

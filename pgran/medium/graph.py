@@ -24,19 +24,12 @@ SYMMETRIC = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
 
 class Graph:
-    """The graph of a network's free balls.
+    """The graph of a network's free balls, and what one factorization of its Laplacian L tells.
 
-    Attributes
-    ----------
-    laplacian : scipy.sparse.csc_matrix, shape (free, free)
-        Of constants 1, in mass-weighted unknowns.
-    order : numpy.ndarray of int, shape (free,)
-        The free balls in the order of minimum degree, which fills factors little.
-    work, entries, nonzeros : float
-        How many multiplications the factorization of a matrix over all unknowns takes, how many
-        entries its factor has, and the matrix.
-    smallest : float
-        A number that no eigenvalue of L is below, 0 if none is certain; mostly close to it.
+    The sparse `laplacian` (free, free) is that of constants 1 in mass-weighted unknowns. `order` is
+    that of minimum degree, which fills factors little. The factorization of a matrix over all
+    unknowns takes `work` multiplications; its factor has so many `entries`, the matrix so many
+    `nonzeros`. No eigenvalue of L is below `smallest`, which is mostly close, 0 if none is certain.
     """
 
     def __init__(self, network):

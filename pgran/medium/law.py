@@ -61,9 +61,6 @@ def _hertz(u, force, contact):
 
 
 # Of each law its function, and which parameters it has.
-HERTZ = Option(
-    "bonds_hertz", REAL, 1.0, "hertz: c in F = c h^(3/2)", "force / length^(3/2)", above=0
-)
 LAWS = {
     "uniform": (_uniform, ("kmin", "kmax")),
     "constant": (_constant, ("kmax",)),
@@ -71,9 +68,11 @@ LAWS = {
     "bimodal": (_bimodal, ("kmin", "kmax", "fraction")),
     "hertz": (_hertz, ("force", "hertz")),
 }
-
-
 DEFAULTS = {"kmin": 0.0, "kmax": 0.25, "fraction": 0.5, "force": 1.0, "hertz": 1.0}
+HERTZ = Option(
+    "bonds_hertz", REAL, DEFAULTS["hertz"], "hertz: c in F = c h^(3/2)",
+    "force / length^(3/2)", above=0
+)  # fmt: skip
 
 
 @called_right

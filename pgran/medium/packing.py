@@ -36,26 +36,15 @@ def nearest_images(away, periods):
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What of a packing can vibrate, and why the rest cannot.
+    """What of a packing can vibrate, and how many balls and contacts cannot, and why."""
 
-    Attributes
-    ----------
-    balls, contacts : numpy.ndarray of bool
-        Which are kept.
-    rattlers, torn_off, floating, idle : int
-        Balls left out: free and without contacts; free and without contacts since some were cut;
-        free and without a path to a held ball; held, and touching no free ball that is kept.
-    inert : int
-        Contacts left out because both balls are held.
-    """
-
-    balls: np.ndarray
+    balls: np.ndarray  # which are kept
     contacts: np.ndarray
-    rattlers: int
-    torn_off: int
-    floating: int
-    idle: int
-    inert: int
+    rattlers: int  # free balls without contacts
+    torn_off: int  # free balls without contacts since some were cut
+    floating: int  # free balls without a path to a held one
+    idle: int  # held balls that touch no free ball that is kept
+    inert: int  # contacts of two held balls
 
 
 def keep(bond, held, cut):

@@ -4,7 +4,7 @@ import dataclasses
 
 from pgran.errors import InputError, PgranError
 from pgran.medium.lattice import Lattice
-from pgran.medium.law import HERTZ, LAWS, make_law
+from pgran.medium.law import DEFAULTS, HERTZ, LAWS, make_law
 from pgran.medium.record import record_of
 from pgran.run.agreement import on_root
 from pgran.run.options import FILE, INTEGER, INTEGERS, REAL, TEXT, Option, alternatives
@@ -19,14 +19,17 @@ OF_LATTICE = (
         "kmax; hertz, 3/2 c^(2/3) F^(1/3) with exponential forces F; file",
         choices=(*LAWS, "file"),
     ),
-    Option("bonds_kmin", REAL, 0.0, "smallest bond constant", "mass x frequency^2", low=0),
+    Option("bonds_kmin", REAL, DEFAULTS["kmin"], "smallest bond constant", "mass x frequency^2", low=0),
     Option(
-        "bonds_kmax", REAL, 0.25,
+        "bonds_kmax", REAL, DEFAULTS["kmax"],
         "largest bond constant; of hertz and file what omega_mx belongs to, where given",
         "mass x frequency^2", above=0
     ),
-    Option("bonds_fraction", REAL, 0.5, "bimodal: part of the bonds that is kmax", low=0, high=1),
-    Option("bonds_force", REAL, 1.0, "hertz: mean contact force", "force", above=0),
+    Option(
+        "bonds_fraction", REAL, DEFAULTS["fraction"], "bimodal: part of the bonds that is kmax",
+        low=0, high=1
+    ),
+    Option("bonds_force", REAL, DEFAULTS["force"], "hertz: mean contact force", "force", above=0),
     HERTZ,
     Option("bonds_seed", INTEGER, 1993, "which sample", low=0, high=2**63 - 1),
     Option("bonds_file", FILE, None, "law file: HDF5 file with /lattice/stiffness_x ..."),

@@ -24,31 +24,19 @@ FREE, AT_REST, DRIVEN = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """The rows of B in mass-weighted unknowns: blocks of a spring for each contact.
+    """The rows of B in mass-weighted unknowns: blocks of a spring for each contact."""
 
-    Attributes
-    ----------
-    unknowns : int
-        How many there are.
-    blocks : tuple of str
-        What each block is, the first one `normal`: `tangential`, of the tangential stiffness,
-        `pre_stress`, or `transverse`, both in one where balls do not turn.
-    columns : numpy.ndarray of int, shape (springs, w)
-        Unknowns, those of the contact's first ball in the first half; -1 where there is none.
-    values : numpy.ndarray, shape (springs, w) or (1, w)
-        Entries of B.
-    drive, drive_apart : numpy.ndarray, shape (springs,)
-        How far the driven balls' motion, of size 1, stretches each; the same with the part of each
-        contact's first ball turned around, as in `D`.
-    constants, damped, elastic : numpy.ndarray, shape (springs,)
-        Its constant, the part of beta that it has, and its constant without pre-stress: what grows
-        with a contact's stiffness.
-    """
-
-    unknowns: int
+    unknowns: int  # how many there are
+    # What each block is, the first one `normal`: `tangential`, of the tangential stiffness,
+    # `pre_stress`, or `transverse`, both in one where balls do not turn.
     blocks: tuple
+    # Shapes (springs, w): unknowns, -1 where there is none, and the entries of B, which may be one
+    # row for all. Those of a contact's first ball are in the first half.
     columns: np.ndarray
     values: np.ndarray
+    # Shapes (springs,): how far the driven balls' motion, of size 1, stretches each; the same with
+    # the first ball's part turned around, as in `D`; constants; parts of beta; constants without
+    # pre-stress, which grow with a contact's stiffness.
     drive: np.ndarray
     drive_apart: np.ndarray
     constants: np.ndarray
