@@ -212,7 +212,6 @@ def test_the_frequencies_that_the_paper_estimates(capsys):
         ("--diameter 1e-3 --material glass", "--load --pressure --omega_mx is required"),
         (f"{GIVEN} --pressure 3", "--pressure: not allowed with argument --load"),
         ("--diameter 0 --material glass --load 1", "--diameter: 0 is no positive number"),
-        ("--diameter x --material glass --load 1", "--diameter: x is no positive number"),
         ("--diameter 1 --material glass --load inf", "--load: inf is no positive number"),
         ("--diameter 1 --material cheese --load 1", "--material: invalid choice: 'cheese'"),
         (
@@ -224,13 +223,11 @@ def test_the_frequencies_that_the_paper_estimates(capsys):
         (f"{GIVEN} --dimensions 4", "--dimensions: invalid choice: 4"),
         (f"{GIVEN} --fraction 1.1", "--fraction 1.1: is a part of the volume"),
         (f"{GIVEN} --quality 3", "--quality and --frequency go together"),
-        (f"{GIVEN} --frequency 3", "--quality and --frequency go together"),
         (f"{GIVEN} --restitution 1.5", "--restitution 1.5: two balls part at most as fast"),
         (f"{GIVEN} --restitution .5 --quality 3", "not allowed with"),
         ("--diameter 1e-200 --material glass --load 1", "too far apart to compute with"),
         ("--diameter 1e200 --material glass --load 1", "too far apart to compute with"),
         (f"{GIVEN} --quality 1e-300 --frequency 1e-300", "too far apart to compute with"),
-        (f"{GIVEN} --quality 1e-300 --frequency 1e-10", "too far apart to compute with"),
         (f"{GIVEN} rest", "unrecognized arguments: rest"),
     ],
 )

@@ -19,7 +19,9 @@ OF_LATTICE = (
         "kmax; hertz, 3/2 c^(2/3) F^(1/3) with exponential forces F; file",
         choices=(*LAWS, "file"),
     ),
-    Option("bonds_kmin", REAL, DEFAULTS["kmin"], "smallest bond constant", "mass x frequency^2", low=0),
+    Option(
+        "bonds_kmin", REAL, DEFAULTS["kmin"], "smallest bond constant", "mass x frequency^2", low=0
+    ),
     Option(
         "bonds_kmax", REAL, DEFAULTS["kmax"],
         "largest bond constant; of hertz and file what omega_mx belongs to, where given",
