@@ -175,8 +175,8 @@ def set_up(ksp, matrix, comm):
 def analyse_by_pattern(pc, lattice):
     """Let MUMPS analyse the pattern alone, and not for longer than that saves; options win.
 
-    Else MUMPS permutes by the values of the first matrix, and the last digits of
-    all later solutions depend on which frequency a rank happened to factor first.
+    Else MUMPS permutes by the values of the first matrix, and the last digits of all later
+    solutions depend on which frequency a rank happened to factor first.
     """
     if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
         pc.setFactorSetUpSolverType()

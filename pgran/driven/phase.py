@@ -139,9 +139,9 @@ def group_delay(amplitude, derivative, error_bound, derivative_bound):
 def phase_velocity(slope, distance):
     """Return the velocity in spacings times omega_mx (paper: phsvel).
 
-    The slope of the phase is in rad per omega_mx, the distance from the driven wall
-    in spacings. It is no speed of sound: absorbing diffusion makes the slope fall like
-    1 / sqrt(beta), seen from .003 to .03, and a pulse arrives far earlier.
+    The slope of the phase is in rad per omega_mx, the distance from the driven wall in spacings. It
+    is no speed of sound: absorbing diffusion makes the slope fall like 1 / sqrt(beta), seen from
+    .003 to .03, and a pulse arrives far earlier.
     """
     with np.errstate(divide="ignore"):
         return distance / np.abs(slope)
