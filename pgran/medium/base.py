@@ -11,6 +11,13 @@ from pgran.run.fingerprints import Distinct
 class Medium(Distinct):
     """What vibrates: a `pgran.Lattice` or a `pgran.Network`, which answer the same questions."""
 
+    is_grid = False  # of nearest neighbours, which can be cut into boxes
+
+    @property
+    def free_balls(self):
+        """How many balls are free."""
+        return self.balls // self.components  # `balls` are unknowns
+
     @property
     def omega_mx(self):
         """The unit of frequency, angular: see `einstein_frequency`."""

@@ -13,7 +13,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.medium.base import Elimination
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
-from pgran.medium.springs import DRIVEN, FREE
+from pgran.medium.springs import DRIVEN, FREE, sparse_rows
 
 # Multiplications of a factorization: beyond these all ranks share the network; up to so many for
 # each unknown PETSc is faster than MUMPS; up to so many in all MUMPS need not look for an order.
@@ -34,17 +34,11 @@ class Graph:
 
     def __init__(self, network):
         """Sum L up and factor it; the factors are not kept."""
-        from scipy.sparse import csr_matrix
-
         number = np.full(len(network.held), -1)
         number[network.free] = np.arange(len(network.free))
         ends = number[network.bond]
-        there = ends >= 0
         weights = network.weights[:: network.components]
-        entries = np.array([-1.0, 1.0]) * weights[ends]
-        rows = np.repeat(np.arange(len(ends)), np.count_nonzero(there, axis=1))
-        shape = len(ends), len(network.free)
-        b = csr_matrix((entries[there], (rows, ends[there])), shape)
+        b = sparse_rows(ends, np.array([-1.0, 1.0]) * weights[ends], len(network.free))
         self.laplacian = (b.T @ b).tocsc()
         factors = self._factored()
         self.order = np.argsort(factors.perm_c)
@@ -53,7 +47,7 @@ class Graph:
         each = network.components
         self.work, self.entries = float(lengths @ lengths) * each**3, lengths.sum() * each**2
         self.nonzeros = float(self.laplacian.nnz) * each**2
-        met = int(np.bincount(ends[there]).max())  # contacts of a ball: terms of its diagonal
+        met = int(np.bincount(ends[ends >= 0]).max())  # contacts of a ball: terms of its diagonal
         self.smallest = self._bound(factors, (met + 8) * EPSILON)
 
     def _factored(self):

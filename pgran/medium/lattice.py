@@ -153,8 +153,10 @@ class Lattice(ElasticBonds, Medium):
         """How many balls there are."""
         return math.prod(self.shape)
 
-    is_grid = True  # of nearest neighbours, which can be cut into boxes
+    is_grid = True
     isotropic = True  # C is the graph's Laplacian
+    components = 1  # unknowns of a ball
+    inertia_ratio = 1.0  # the unit of mass over that of each ball
 
     @property
     def is_large(self):
@@ -179,11 +181,6 @@ class Lattice(ElasticBonds, Medium):
     def least_damping(self):
         """The smallest eigenvalue of C, the Laplacian of the uniform lattice with walls."""
         return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in self.shape)
-
-    @property
-    def free_balls(self):
-        """How many balls are free: all."""
-        return self.balls
 
     @property
     def constants(self):
@@ -253,8 +250,6 @@ class Lattice(ElasticBonds, Medium):
         """Return an array of unknowns as displacements, which they are here."""
         return field
 
-    components = 1  # how many unknowns a ball has
-
     @property
     def ball_numbers(self):
         """The numbers of all balls, in C order."""
@@ -263,11 +258,6 @@ class Lattice(ElasticBonds, Medium):
     def numbers_of(self, sites):
         """Return the numbers of balls given by their indices, (count, dim)."""
         return np.ravel_multi_index(sites.T, self.shape)
-
-    @property
-    def inertia_ratio(self):
-        """The unit of mass over each ball's mass, all of which are equal."""
-        return 1.0
 
     def per_ball(self, squares):
         """Return squares by ball, which has one unknown, shape (n, balls)."""

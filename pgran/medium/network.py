@@ -120,9 +120,7 @@ class Network(Elastic, Connected, Medium):
     @property
     def turns(self):
         """How many components a rotation has."""
-        if self.displacement != "rotations":
-            return 0
-        return {2: 1, 3: 3}[self.axes]
+        return {2: 1, 3: 3}[self.axes] if self.displacement == "rotations" else 0
 
     @property
     def components(self):
@@ -148,13 +146,6 @@ class Network(Elastic, Connected, Medium):
     def mass(self):
         """The mass of the mass-weighted unknowns."""
         return self.median_mass
-
-    is_grid = False
-
-    @property
-    def free_balls(self):
-        """How many balls are free."""
-        return len(self.free)
 
     @property
     def constants(self):

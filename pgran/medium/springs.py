@@ -55,19 +55,23 @@ class Springs:
         return self._sparse(self.values * np.repeat([-1.0, 1.0], half))
 
     def _sparse(self, values):
-        """Return entries at the columns as a sparse matrix."""
-        from scipy.sparse import csr_matrix  # here: SciPy takes its time
-
-        there = self.columns >= 0
-        rows = np.repeat(np.arange(len(there)), np.count_nonzero(there, axis=1))
-        entries = np.broadcast_to(values, there.shape)[there]
-        return csr_matrix((entries, (rows, self.columns[there])), (len(there), self.unknowns))
+        return sparse_rows(self.columns, values, self.unknowns)
 
     @cached_property
     def lengths(self):
         """|b|_2 of each spring, shape (springs,)."""
         there = self.columns >= 0
         return np.sqrt(np.sum(there * self.values**2, axis=1))
+
+
+def sparse_rows(columns, values, size):
+    """Return rows of B as a sparse matrix; columns, of so many unknowns, are -1 for none."""
+    from scipy.sparse import csr_matrix  # here: SciPy takes its time
+
+    there = columns >= 0
+    rows = np.repeat(np.arange(len(there)), np.count_nonzero(there, axis=1))
+    entries = np.broadcast_to(values, there.shape)[there]
+    return csr_matrix((entries, (rows, columns[there])), (len(there), size))
 
 
 class Elastic:
