@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from pgran.arguments import shown
 from pgran.errors import InputError
 from pgran.medium.units import einstein_frequency
@@ -22,6 +24,10 @@ class Medium(Distinct):
     def omega_mx(self):
         """The unit of frequency, angular: see `einstein_frequency`."""
         return einstein_frequency(self.axes, abs(self.kmax), self.mass)
+
+    def reading_norms(self, sites):
+        """Return |e_d| of each detector, shape (nd,)."""
+        return np.linalg.norm(self.readings(sites)[1], axis=1)
 
     def pull(self, s):
         """Return the force that moves what is driven by 1 while all balls stay.

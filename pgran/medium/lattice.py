@@ -238,9 +238,9 @@ class Lattice(ElasticBonds, Medium):
                 )
         return sites
 
-    def reading_norms(self, sites):
-        """Return |e_d| of each detector, shape (nd,), which reads one unknown."""
-        return np.ones(len(sites))
+    def readings(self, sites):
+        """Return unknowns that detectors read and their weights, (nd, 1)."""
+        return self.numbers_of(np.asarray(sites))[:, None], np.ones((len(sites), 1))
 
     def depths(self, sites):
         """Return distances of balls from the driven wall, in spacings, (nd,)."""

@@ -221,10 +221,6 @@ class Network(Elastic, Connected, Medium):
             along = np.eye(self.axes)[AXES.index(self.component)]
         return unknowns, along * self.weights[unknowns]
 
-    def reading_norms(self, sites):
-        """Return |e_d| of each detector, shape (nd,)."""
-        return np.linalg.norm(self.readings(sites)[1], axis=1)
-
     def depths(self, sites):
         """Return distances from the nearest driven ball, NaN if unknown."""
         driven = np.flatnonzero(self.held == DRIVEN)
