@@ -41,17 +41,11 @@ from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 class ErrorBounds(Owner):
     """Bounds for the steady states of one lattice; destroy with `destroy`. Collective.
 
-    Attributes
-    ----------
-    proven : bool
-        Whether there is a bound at the s of the last `prepare`, at first for s = i omega: proven by
-        damping or sigma, or certified by counts. Without damping there is none at s = i omega where
-        ranks share the lattice, because eigenvalues are counted serially; but what rounding does to
-        the amplitudes can be tried (`random_rounding`).
-    inverse_norm : float
-        No less than |S^-1|_2 there; NaN where unknown.
-    scale : float
-        No less than |S|_inf there.
+    At the s of the last `prepare`, at first for s = i omega, |S^-1|_2 is at most `inverse_norm`,
+    NaN where unknown, and |S|_inf at most `scale`. `proven` says that there is a bound: proven by
+    damping or sigma, or certified by counts. Without damping there is none at s = i omega where
+    ranks share the lattice, because eigenvalues are counted serially; but what rounding does to the
+    amplitudes can be tried (`random_rounding`).
     """
 
     owns = ("_product", "_work", "_counter", "_signs", "_sizes")

@@ -42,18 +42,10 @@ def march(G, delta):
 class Deformation:
     """How a field x, of amplitudes or an adjoint, follows the changes: x = x0 + Y a.
 
-    Parameters
-    ----------
-    T, c, G, delta : numpy.ndarray
-        Of `march`.
-    start : numpy.ndarray, shape (s,)
-        b^T x0 with all walls at rest.
-    rows : tuple of float
-        The largest |b|_2 of a bond, and what rounding adds to b^T x in units of |x|_2.
-    sizes : tuple
-        No less than |x0|_2, and than the norms of Y's columns, shape (s,).
-    wall : numpy.ndarray or float, optional
-        How far what is driven lengthens each bond.
+    T, c, G and delta are those of `march`. `start` (s,) is b^T x0 with all walls at rest, and
+    `wall` is how far what is driven lengthens each bond. `rows` are the largest |b|_2 of a bond,
+    and what rounding adds to b^T x in units of |x|_2; `sizes` are no less than |x0|_2, and than the
+    norms of Y's columns.
 
     Attributes
     ----------

@@ -16,19 +16,11 @@ from pgran.run.petsc import PETSc
 class Layout(Owner):
     """What the layouts of lattices and of other networks have in common.
 
-    Attributes
-    ----------
-    like : petsc4py.PETSc.Vec
-        A vector of unknowns, to duplicate.
-    first, last : int
-        The range of this rank's unknowns.
-    ends, entries : numpy.ndarray, shape (springs, w)
-        The unknowns in each row of B, PETSc's numbers, -1 for none; B's entries there, which may be
-        one row for all.
-    drive, damped : numpy.ndarray, shape (springs,)
-        How far each spring is stretched when what is driven moves by 1; which part of beta it has.
-    laplacian : bool
-        Whether K and C have no positive entries beside their diagonals.
+    This rank has the unknowns from `first` to `last`; `like` is a vector of them, to duplicate. Of
+    each spring `ends` (springs, w) are the unknowns in its row of B, PETSc's numbers, -1 for none,
+    and `entries`, which may be one row for all, B's entries there; `drive` is how far it is
+    stretched when what is driven moves by 1, `damped` which part of beta it has. `laplacian` says
+    that K and C have no positive entries beside their diagonals.
     """
 
     owns = ("like",)

@@ -19,23 +19,12 @@ SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 
 
 class Operators(Owner):
-    """A driven lattice or network, the same on all ranks that share it, as distributed matrices.
+    """A driven medium, the same on all ranks that share it, as distributed matrices. Collective.
 
-    Collective; destroy with `destroy` or `with`.
-
-    Attributes
-    ----------
-    layout : pgran.driven.layout.Layout
-    K : petsc4py.PETSc.Mat
-        Stiffness: the graph Laplacian weighted by the bond constants.
-    C : petsc4py.PETSc.Mat or None
-        The same with every constant 1; damping is beta C. None without damping.
-    M : petsc4py.PETSc.Vec
-        The masses, a diagonal.
-    S, f : petsc4py.PETSc.Mat, petsc4py.PETSc.Vec
-        The driven system at the s of the last `combine`.
-    softest : float or None
-        No eigenvalue of K is below it; None where that is still to be found out.
+    K is the graph Laplacian weighted by the constants, C that of the parts of beta, None without
+    damping; the vector M holds the masses. S and f are the driven system at the s of the last
+    `combine`. No eigenvalue of K is below `softest`, which is None while that is unknown. `layout`
+    numbers the unknowns. Destroy with `destroy` or `with`.
     """
 
     owns = ("K", "C", "M", "_inertia", "S", "f", "f_stiffness", "f_damping", "sizes", "layout")

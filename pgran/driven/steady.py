@@ -42,23 +42,14 @@ class SteadySolver(Owner):
     operators : pgran.driven.operators.Operators
     sites : array_like of int, shape (nd, dim)
         The detectors; none where only the whole field is wanted.
-    error_tolerance : float
-        Relative accuracy asked of each amplitude.
+    error_tolerance, error_floor : float
+        Relative accuracy asked of each amplitude; a bound below this part of the wall's is enough.
     refresh_iterations : int
-        Refresh the factorization after an s that took more iterations; 0 decides by price.
+        Factor anew after an s that took more iterations; 0 decides by price.
     whole_field, whole_adjoints : bool
         Ask the same accuracy of the field, in the 2-norm; reduce the adjoints' residuals as far.
-    error_floor : float
-        An amplitude whose bound is below this part of the wall's is good without it.
     derivatives : bool
         Derivatives along omega are wanted as well.
-
-    Attributes
-    ----------
-    factorizations : int
-        How many there were so far.
-    primal : pgran.driven.linear.System
-        The amplitudes of all balls at the last s.
     """
 
     owns = ("_krylov", "_judge", "_correction", "primal", "_units", "adjoints")

@@ -98,19 +98,11 @@ def random_geometric(
 ):  # fmt: skip
     """Return a random geometric graph: random points in a box, in contact with all that are near.
 
-    Each unit of volume of the box has one point. What floats is left out. Held at the first axis'
-    ends are the balls within the radius of them.
-
-    Parameters
-    ----------
-    count, dimension : int
-        How many points, of how many coordinates.
-    contacts : float
-        Their mean number at a ball far from the walls, unless the radius is given.
-    radius : float, optional
-        In contact are balls at a smaller distance.
-    stiffness, periodic, held, seed, **others
-        As those of `crystal`; of each contact in the order of the balls' numbers.
+    Each unit of volume of the box has one of the `count` points. Balls are in contact at distances
+    below `radius`, or have so many `contacts` on the mean far from the walls. What floats is left
+    out. Held at the first axis' ends are the balls within the radius of them. `stiffness`,
+    `periodic`, `held`, `seed` and others are as those of `crystal`, of each contact in the order of
+    the balls' numbers.
     """
     from scipy.spatial import cKDTree
 
