@@ -1,11 +1,11 @@
 """What scenes of driven steady states share: their options, and what they say of a drive."""
 
 import logging
-import math
 
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.medium.units import warn_above_modes
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Caution
 from pgran.run.options import INTEGER, INTEGERS, REAL, TEXT, Option
@@ -69,15 +69,6 @@ def check_driven(lattice, world, lowest, in_time=False):
         log.warning(
             "%s: its steady states are computed as if it stayed where it is; scene modes says how "
             "unstable", unstable,
-        )  # fmt: skip
-
-
-def warn_above_modes(lattice, world, lowest):
-    """Warn on rank 0 where no mode is above the lowest frequency, which is then often in Hz."""
-    if world.rank == 0 and lowest > math.sqrt(lattice.stiffness_norm / lattice.mass):
-        log.warning(
-            "omega = %.6g, the lowest asked for, is above all modes (omega_mx is %.6g); if it is "
-            "in Hz: frequencies are angular, omega = 2 pi f", lowest, lattice.omega_mx,
         )  # fmt: skip
 
 

@@ -1,8 +1,11 @@
 """Units in which the numbers of a lattice or a network fit into doubles."""
 
+import logging
 import math
 
 from pgran.errors import InputError
+
+log = logging.getLogger("pgran")
 
 
 def check_magnitudes(axes, mass, damping, stiffest, kmax):
@@ -59,3 +62,12 @@ def check_frequency(lattice, omega):
             f"lattice_mass, lattice_damping, bonds: at the frequency {omega:g} the equations hold "
             "numbers too large to compute with; choose other units"
         )
+
+
+def warn_above_modes(lattice, world, lowest):
+    """Warn on rank 0 where no mode is above the lowest frequency, which is then often in Hz."""
+    if world.rank == 0 and lowest > math.sqrt(lattice.stiffness_norm / lattice.mass):
+        log.warning(
+            "omega = %.6g, the lowest asked for, is above all modes (omega_mx is %.6g); if it is "
+            "in Hz: frequencies are angular, omega = 2 pi f", lowest, lattice.omega_mx,
+        )  # fmt: skip

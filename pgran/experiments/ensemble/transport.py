@@ -5,7 +5,7 @@ import numpy as np
 from pgran.arguments import called_right
 from pgran.errors import InputError
 from pgran.experiments.ensemble.record import Ensemble, Transport
-from pgran.experiments.modes.scene import REGIMES
+from pgran.experiments.modes.levels import REGIMES
 from pgran.medium.base import medium as medium_of
 from pgran.run.streams import saying_once
 from pgran.store.estimate import two_digits
