@@ -18,7 +18,7 @@ from sensitivity_samples import (
 from pgran.command.resolve import resolve
 from pgran.driven import steady
 from pgran.driven import sweep as sweeping
-from pgran.driven.reuse import ReusePolicy
+from pgran.driven.linear import ReusePolicy
 from pgran.driven.steady import SteadySolver
 from pgran.errors import InputError
 from pgran.experiments.sensitivity.finite import changed_amplitudes

@@ -223,6 +223,7 @@ def test_the_frequencies_that_the_paper_estimates(capsys):
         (f"{GIVEN} --restitution .5 --quality 3", "not allowed with"),
         ("--diameter 1e-200 --material glass --load 1", "too far apart to compute with"),
         (f"{GIVEN} --quality 1e-300 --frequency 1e-300", "too far apart to compute with"),
+        (f"{GIVEN} rest", "unrecognized arguments: rest"),
     ],
 )
 def test_words_that_are_refused(words, said):

@@ -113,9 +113,7 @@ def forecast(scene, options, world, started):
     lattice = make_lattice(options, world) if scene.on_medium else None
     lines = [f"run       {opening(options, world.size, lattice)}"]
     if lattice is not None:
-        balls = " x ".join(map(str, lattice.shape))
-        if lattice.irregular:
-            balls = len(lattice.free)
+        balls = " x ".join(map(str, lattice.shape)) if lattice.is_grid else lattice.free_balls
         lines.append(f"unknowns  {lattice.balls} ({balls} balls, {lattice.bonds} bonds)")
         factored = options.solver.get("steady_pc_type", "lu") in ("lu", "cholesky")
         ranks = ranks_per_lattice(scene, options, lattice, world)
@@ -196,11 +194,11 @@ def dissection(shape):
 
 def lattice_memory(lattice, ranks, factored=True):
     """Return the bytes that each of `ranks` needs for bonds, matrices, vectors and the factor."""
-    if lattice.irregular:
-        entries, matrix = lattice.graph.entries, NETWORK_BYTES * lattice.graph.nonzeros
+    if lattice.is_grid:
+        entries, each = dissection(lattice.shape), NONZERO_BYTES
     else:
-        entries = dissection(lattice.shape)
-        matrix = NONZERO_BYTES * (2 * lattice.axes + 1) * lattice.balls
+        entries, each = lattice.graph.entries, NETWORK_BYTES
+    matrix = each * lattice.nonzeros
     shared = matrix + VECTOR_BYTES * lattice.balls + ENTRY_BYTES * entries * factored
     return 3 * 8 * lattice.bonds + shared * (1 if ranks == 1 else UNEVEN / ranks)
 

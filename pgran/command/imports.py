@@ -15,7 +15,7 @@ from pgran.foreign.assemble import assemble
 from pgran.foreign.contacts import AXES, read_balls
 from pgran.foreign.recognise import read_contacts
 from pgran.foreign.tables import read_table
-from pgran.medium.network import KINDS
+from pgran.medium.checks import KINDS
 from pgran.medium.network_file import check_output, write_network
 from pgran.medium.springs import FREE
 from pgran.run import launch

@@ -7,7 +7,6 @@ from mpi4py import MPI
 
 from pgran.driven.counting import ModeCounter
 from pgran.driven.layout import NetworkLayout
-from pgran.medium.lattice import Lattice, smallest_damping_eigenvalue
 from pgran.run.petsc import PETSc
 
 PARTS = (0.9, 0.5, 0.1, 0.01)  # of an estimate of the smallest eigenvalue that are tried
@@ -20,10 +19,8 @@ def smallest_damping(lattice):
 
     The same on every rank. Of a network it is computed once, on a copy of this rank's own.
     """
-    if isinstance(lattice, Lattice):
-        return smallest_damping_eigenvalue(lattice.shape)
     if lattice.isotropic:
-        return 0.999 * lattice.graph.smallest  # normals have the length 1 but for 1e-6
+        return lattice.least_damping
     cache = vars(lattice)
     if "smallest_damping" not in cache:
         with NetworkLayout(lattice, MPI.COMM_SELF) as layout:

@@ -9,7 +9,7 @@ import contextlib
 import numpy as np
 from mpi4py import MPI
 
-from pgran.driven.linear import accept_small_pivots, factor_package
+from pgran.driven.linear import accept_small_pivots
 from pgran.driven.operators import SAME
 from pgran.driven.owner import Owner
 from pgran.medium.graph import SYMMETRIC
@@ -51,13 +51,13 @@ class ModeCounter(Owner):
         self._x, self._rhs = K.createVecs()
         self._residual = self._rhs.duplicate()
         self._rhs.setArray(np.random.Generator(np.random.Philox(1)).standard_normal(self.order))
-        self.costly = lattice.irregular and factor_package(lattice, ranks=1) != "petsc"
+        self.costly = lattice.elimination.costly
         chosen = PETSc.Options("normal_count_").hasName("pc_type")
         self._factor = self._by_superlu if self.costly and not chosen else self._by_petsc
         self._pc = PETSc.PC().create(K.getComm())
         self._pc.setOptionsPrefix("normal_count_")
         self._pc.setType("cholesky")
-        if lattice.irregular:  # its unknowns are numbered in the order of elimination
+        if lattice.elimination.numbered:  # its unknowns are numbered in that order
             self._pc.setFactorOrdering("natural")
         self._pc.setOperators(self._shifted)
         self._pc.setFromOptions()

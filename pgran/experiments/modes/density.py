@@ -130,7 +130,7 @@ class Counts(Task):
         unstable = 0 if self.lattice.semidefinite else rows["count"][0]
         columns = columns_of(Density, rows[1:] if self.at_zero else rows)
         certified, omega, unit = columns["certified"], self.omegas, self.lattice.omega_mx
-        balls = len(self.lattice.free) if self.lattice.irregular else self.lattice.balls
+        balls = self.lattice.free_balls
         widths = np.diff(omega) / unit if unit > 0 else math.nan
         density = np.diff(columns["count"]) / (balls * widths)
         return Density(
@@ -152,7 +152,7 @@ def counter_of(lattice):
     Boxes of a lattice are condensed; networks, which have no boxes, are factored. The lattice is in
     its own unit.
     """
-    if not lattice.irregular:
+    if lattice.is_grid:
         from pgran.experiments.modes.condensation import Condensation
 
         yield Condensation(lattice)

@@ -163,7 +163,9 @@ class ModeSolver(Owner):
         st.getKSP().setType("preonly")
         pc = st.getKSP().getPC()
         pc.setType("cholesky")
-        if self.lattice.irregular:  # its unknowns are numbered in the order of elimination
+        if (
+            self.lattice.elimination.numbered
+        ):  # its unknowns are numbered in the order of elimination
             pc.setFactorOrdering("natural")
             own_slices = PETSc.Options("normal_").getBool("eps_all", False)
             if self.lattice.graph.work > PETSC_SOLVES * self.lattice.balls and not own_slices:

@@ -44,7 +44,7 @@ def largest_speed(limits, pulse, t):
 
     Parameters
     ----------
-    limits : pgran.driven.limits.Limits
+    limits : pgran.driven.accurate.Limits
     pulse : pgran.experiments.pulse.wall.Pulse or pgran.experiments.pulse.wall.Samples
     t : float or numpy.ndarray
     """
@@ -62,7 +62,7 @@ class Line:
         How long the signals are wanted.
     points : int
         At so many equal times, 0 and the last included.
-    limits : pgran.driven.limits.Limits
+    limits : pgran.driven.accurate.Limits
     tolerance : float
         Of displacements, in units of the wall's.
     readings : array_like of float, optional

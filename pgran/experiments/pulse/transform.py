@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from pgran.driven.limits import Limits
+from pgran.driven.accurate import Limits
 from pgran.driven.sweep import FrequencySweep
 from pgran.experiments.pulse import signal
 from pgran.experiments.pulse.laplace import Line

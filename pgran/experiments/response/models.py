@@ -33,7 +33,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgran.driven.limits import Limits
+from pgran.driven.accurate import Limits
 from pgran.experiments.response.tall import squares
 from pgran.medium.rounding import SMALLEST_NORMAL
 
