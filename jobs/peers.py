@@ -25,11 +25,8 @@ class Peer:
         self.K, self.C = (self._laplacian(k) for k in (medium.constants, self.springs.damped))
         self.identity = sp.identity(self.B.shape[1], format="csc")
         self.read = np.zeros(self.B.shape[1])
-        if medium.irregular:
-            unknowns, weights = medium.readings([site])
-            self.read[unknowns] = weights
-        else:
-            self.read[np.ravel_multi_index(site, medium.shape)] = 1.0
+        unknowns, weights = medium.readings([site])
+        self.read[unknowns] = weights
 
     def _laplacian(self, constants):
         return (self.B.T @ sp.diags(constants) @ self.B).tocsc()

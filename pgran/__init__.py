@@ -29,7 +29,7 @@ _HOMES = {
     "count_modes": "pgran.experiments.modes.density",
     "ensemble": "pgran.experiments.ensemble.scene",
     "export": "pgran.command.export",
-    "find_modes": "pgran.experiments.modes.scene",
+    "find_modes": "pgran.experiments.modes.find",
     "heat": "pgran.experiments.sensitivity.heat",
     "load": "pgran.medium.network_file",
     "plot": "pgran.command.plot",

@@ -15,10 +15,13 @@ from pgran import errors
 from pgran.command import meant
 from pgran.command.run import name_rank
 from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
-from pgran.run import agreement, launch, streams
+from pgran.run import launch, streams
+from pgran.run.agreement import met_by_all
 
 log = logging.getLogger("pgran")
 
+SECONDS_FOR_MPIRUN = 0.1  # to hand on a message: MPICH's loses some that an abort follows at once
+SECONDS_TO_BE_ENDED = 5.0  # that a rank waits for another one's abort
 USAGE = """\
 pgran: sound in a granular material, a lattice of balls and random springs
 
@@ -76,13 +79,7 @@ def main(words):
 
 
 def console(command=None):
-    """Run the command line; whatever goes wrong on one rank ends all of them at once.
-
-    Parameters
-    ----------
-    command : callable, optional
-        Takes the words of the command line, and returns an exit code; `main` unless given.
-    """
+    """Carry out a command; `main` unless another function from words to an exit code is given."""
     streams.guard()
     log.propagate = False
     handler = logging.StreamHandler()
@@ -97,19 +94,9 @@ def console(command=None):
             sys.stdout.flush()
             raise
         sys.stdout.flush()
-        if code in (errors.INACCURATE, errors.STOPPED):  # of a run, on all ranks
-            leave_in_order(code)
     except BaseException as error:
         end_all_ranks(error)
     sys.exit(code)
-
-
-def leave_in_order(code):
-    """End all ranks with the exit code of a run that has come to its end. Collective."""
-    if "petsc4py.PETSc" in sys.modules:
-        sys.modules["petsc4py.PETSc"]._finalize()  # which writes what -log_view asks for
-    sys.stderr.flush()
-    launch.leave(sys.modules["mpi4py.MPI"].COMM_WORLD, code)
 
 
 def tell_warning(message, category, *where):
@@ -118,21 +105,22 @@ def tell_warning(message, category, *where):
 
 
 def end_all_ranks(error):
-    """Report an error once, and end this process, or the whole job where there are other ranks."""
+    """Report an error, and end this process, or the whole job where there are other ranks.
+
+    What all ranks meet the first one reports, anything else whoever has met it.
+    """
     code, text = explain(error)
     mpi = sys.modules.get("mpi4py.MPI")
     running = mpi and mpi.Is_initialized() and not mpi.Is_finalized()
-    world = mpi.COMM_WORLD if running else None
-    others = running and world.size > 1
+    world = mpi.COMM_WORLD if running and mpi.COMM_WORLD.size > 1 else None
     try:
-        if others:
-            kind = (type(error).__name__, str(error).partition("\n")[0])
-            first, alike = agreement.who_reports(world, kind)
-            if world.rank != first:  # that one ends all
-                signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
-                time.sleep(launch.SECONDS_TO_BE_ENDED)
-            if not alike:
+        if world is not None:
+            if not met_by_all(world):
                 name_rank(world)
+            elif world.rank > 0:  # the first one ends all
+                text = None
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+                time.sleep(SECONDS_TO_BE_ENDED)
         elif isinstance(error, InputError) and launch.rank() > 0:
             text = None  # before MPI joined them all copies met it alike; the first one says it
         elif isinstance(error, SystemExit) and isinstance(error.code, int):
@@ -143,10 +131,9 @@ def end_all_ranks(error):
         with contextlib.suppress(PgranError):  # of a full device: the error is told
             sys.stdout.flush()
     finally:  # whatever else goes wrong: no rank must be left waiting
-        if others:
-            launch.abort(world, code)
-    if running:  # of one rank
-        launch.leave(world, code)
+        if world is not None:
+            time.sleep(SECONDS_FOR_MPIRUN)
+            world.Abort(code)
     if is_petsc(error):
         os._exit(code)  # after an error of its own PETSc can crash while it is shut down
     sys.exit(code)

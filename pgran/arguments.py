@@ -9,7 +9,7 @@ from pgran.errors import InputError
 
 
 def shown(value):
-    """Return a value in words, short, whatever it is. Not collective."""
+    """Return a value in words, short, whatever it is."""
     try:
         return reprlib.repr(value)
     except Exception:  # whole numbers of thousands of digits, or whatever an object's own raises
@@ -17,10 +17,7 @@ def shown(value):
 
 
 def whole_number(name, value):
-    """Return a whole number of any size as an int; raise an InputError if it is anything else.
-
-    Not collective.
-    """
+    """Return a whole number of any size as an int; raise an InputError if it is anything else."""
     try:
         if type(value).__name__ not in ("bool", "bool_"):  # or NumPy's
             return operator.index(value)
@@ -30,20 +27,14 @@ def whole_number(name, value):
 
 
 def choice(name, value, choices):
-    """Return a text that is one of the choices; raise an InputError if it is none.
-
-    Not collective.
-    """
+    """Return a text that is one of the choices; raise an InputError if it is none."""
     if not isinstance(value, str) or value not in choices:
         raise InputError(f"{name}: {shown(value)} is none of {', '.join(choices)}")
     return value
 
 
 def bound(function, arguments, choices):
-    """Return the arguments of a call, bound; raise an InputError if it does not fit.
-
-    Not collective.
-    """
+    """Return the arguments of a call, bound; raise an InputError if it does not fit."""
     signature = inspect.signature(function)
     try:
         return signature.bind(*arguments, **choices)
@@ -54,10 +45,7 @@ def bound(function, arguments, choices):
 
 
 def called_right(function):
-    """Let a function, or the making of a class's objects, raise InputError for calls that misfit.
-
-    Not collective.
-    """
+    """Let calls of a function, or of a class, that do not fit raise an InputError."""
     if isinstance(function, type):
         function.__init__ = called_right(function.__init__)
         return function

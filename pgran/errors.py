@@ -27,28 +27,30 @@ class InputError(PgranError):
 
 
 def is_petsc(error):
-    """Return whether PETSc or SLEPc raised an error. Not collective."""
+    """Return whether PETSc or SLEPc raised an error."""
     return type(error).__module__.startswith("petsc4py")
 
 
 def is_foreseen(error):
-    """Return whether pgran or PETSc raised an error, on purpose. Not collective."""
+    """Return whether pgran or PETSc raised an error, on purpose."""
     return isinstance(error, PgranError) or is_petsc(error)
 
 
 def is_bad_input(error):
-    """Return whether an error is to blame on the user's options. Not collective."""
+    """Return whether an error is to blame on the user's options."""
     blamed = is_petsc(error) and any(sign in str(error) for sign in WRONG_OPTION)
     return blamed or isinstance(error, InputError)
 
 
 def petsc_message(error):
-    """Return in one line what went wrong in PETSc, and in which call. Not collective."""
+    """Return in one line what went wrong in PETSc, and in which call."""
     # Its text: a number, the calls, a kind of error, and what it was in particular.
     lines = [line.split("] ", 1)[-1] for line in str(error).splitlines()]
     calls = [line.split(" at ")[0] for line in lines if "() at " in line]
-    said = [line for line in lines[1:] if "() at " not in line]
-    return str(PgranError(f"PETSc: {(said[1:] or said or lines)[0]} ({', '.join(calls[:1])})"))
+    details = [line for line in lines[1:] if "() at " not in line]
+    return str(
+        PgranError(f"PETSc: {(details[1:] or details or lines)[0]} ({', '.join(calls[:1])})")
+    )
 
 
 class FileError(PgranError):
@@ -64,6 +66,6 @@ class StoppedError(PgranError):
 
 
 def reason_of(error):
-    """Return an OSError as `path: reason`. Not collective."""
+    """Return an OSError as `path: reason`."""
     reason = error.strerror or str(error)
     return f"{error.filename}: {reason}" if error.filename else reason

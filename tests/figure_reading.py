@@ -7,6 +7,8 @@ pytest.importorskip("matplotlib")
 
 from matplotlib.figure import Figure
 
+from pgran.draw import pages
+
 
 def draw(panel, *shown, **wanted):
     """One panel in axes of their own."""
@@ -44,3 +46,21 @@ def labels(ax):
 
 def note(figure):
     return figure._suptitle.get_text() if figure._suptitle else ""
+
+
+def legend(figure):
+    """What the legend of a page lists, which lies above its panels, whole and within the page."""
+    figure.draw_without_rendering()
+    (shown,) = (ax.get_legend() for ax in figure.axes if ax.get_legend())
+    box = shown.get_window_extent()
+    assert all(ax.bbox.y1 <= box.y0 for ax in figure.panels if ax.get_legend())
+    assert figure.bbox.padded(1).contains(*box.min)
+    assert figure.bbox.padded(1).contains(*box.max)
+    return [text.get_text() for text in shown.get_texts()]
+
+
+def saving(monkeypatch):
+    """Return where figures go that are saved from now on."""
+    saved = []
+    monkeypatch.setattr(pages, "save", lambda made, path: saved.append(made) or [path])
+    return saved

@@ -5,6 +5,8 @@ import itertools
 import h5py
 import numpy as np
 
+from pgran.medium.network_file import read_network
+
 LENGTH, HERTZ = 5.0, 2.5
 
 
@@ -100,8 +102,9 @@ def bring(call, *words):
     return done.stdout
 
 
-def assert_same(network, ids, sample, stress=True):
-    """K of a network is that of the sample, in its mass-weighted unknowns."""
+def assert_same(sample, stress=True):
+    """K of the network in n.h5 is that of the sample, in its mass-weighted unknowns; return it."""
+    network, ids = read_network("n.h5"), ids_of("n.h5")
     K = (network.B.T.multiply(network.springs.constants) @ network.B).toarray()
     rows = {name: row for row, name in enumerate(sample.id)}
     at = [rows[name] for name in ids[network.held == 0]]
@@ -110,6 +113,7 @@ def assert_same(network, ids, sample, stress=True):
     weight = np.repeat(np.sqrt(network.mass / sample.mass[at]), sample.axes)
     wanted = weight[:, None] * wanted.reshape(K.shape) * weight
     np.testing.assert_allclose(K, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
+    return network, ids
 
 
 def ids_of(path):

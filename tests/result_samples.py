@@ -1,15 +1,19 @@
 """Results to store and to damage: a record of every kind, as it is declared."""
 
+import contextlib
 import dataclasses
 import functools
+import resource
 import tempfile
 from pathlib import Path
 
 import h5py
 import numpy as np
+import pytest
 from samples import random_lattice
 
 from pgran.catalogue import RECORDS, record_kind
+from pgran.errors import FileError
 from pgran.store import file as store
 
 ATTRIBUTES = {"scene": "modes", "status": "complete", "options": "# é\n", "slepc_version": "",
@@ -17,6 +21,18 @@ ATTRIBUTES = {"scene": "modes", "status": "complete", "options": "# é\n", "slep
 PLAIN = {int: 7, float: 0.3, bool: True, str: "é", tuple[float, ...]: (0.5, 1.0)}
 # a result belongs to a lattice or to another network
 KINDS = [record_kind(group) for group in RECORDS if group != "network"]
+
+
+@contextlib.contextmanager
+def no_room_beyond(size, named):
+    """Let no file grow beyond some bytes, and expect the error, which names the file."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        with pytest.raises(FileError, match=f"{named}: cannot be written"):
+            yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 def fill(size, dtype):

@@ -1,11 +1,16 @@
 """What a signal depends on: small media, pgran's answers for them, and those to all digits."""
 
+import functools
+
 import mpmath
 import numpy as np
+import pytest
 from mpi4py import MPI
 from mpmath import mp, mpf
 from network_samples import NetworkReference, as_network, exactly
+from samples import assert_same
 
+from pgran.errors import InputError
 from pgran.experiments.sensitivity.heat import heat
 from pgran.experiments.sensitivity.scene import sensitivity
 from pgran.medium.lattice import Lattice
@@ -17,16 +22,30 @@ STALE = "-steady_ksp_type bcgs -steady_pc_type cholesky"
 TOUCH = [[0, 1], [1, 2], [2, 3], [3, 1], [4, 2], [3, 4], [1, 3], [2, 1], [0, 4], [2, 0], [0, 3]]
 
 
-def derived(medium, omegas, sites, comm=MPI.COMM_SELF, ranks=1, **choices):
-    """The derivatives, on every rank of `comm`; so many of them share a lattice."""
+def on_ranks(function, medium, omegas, sites, comm=MPI.COMM_SELF, ranks=1, **choices):
+    """What a function returns, on every rank of `comm`; so many of them share a lattice."""
     with Crew(comm, ranks) as crew:
-        return comm.bcast(sensitivity(medium, omegas, sites, crew, **choices))
+        return comm.bcast(function(medium, omegas, sites, crew, **choices))
 
 
-def heated(medium, omegas, sites, comm=MPI.COMM_SELF, ranks=1, **choices):
-    """The amplitudes after each change, on every rank; so many of them share a lattice."""
-    with Crew(comm, ranks) as crew:
-        return comm.bcast(heat(medium, omegas, sites, crew, **choices))
+derived = functools.partial(on_ranks, sensitivity)
+heated = functools.partial(on_ranks, heat)
+
+
+def assert_same_on_ranks(world, solve, medium, omegas, sites, names, **choices):
+    """Bit for bit on any number of ranks, or to rounding where these share a lattice."""
+    alone = solve(medium, omegas, sites, **choices)
+    assert_same(solve(medium, omegas, sites, world, **choices), alone)
+    if world.size > 1 and not medium.damping and solve is heated:
+        with pytest.raises(InputError, match="that ranks share"):
+            solve(medium, omegas, sites, world, world.size, **choices)
+        return
+    shared = solve(medium, omegas, sites, world, world.size, **choices)
+    assert np.all(shared.converged_reason > 0)
+    for name in names:
+        if (one := getattr(alone, name)) is not None:
+            difference = np.abs(one - getattr(shared, name)).max()
+            assert difference <= 1e-10 * np.abs(one).max(), name
 
 
 def packing(displacement, d=2, unit=1.0, damping=0.02, seed=7, **others):
@@ -127,14 +146,14 @@ class Exact(NetworkReference):
         """The amplitudes with a ball warm; None if S is singular."""
         warm = np.flatnonzero(np.any(self.ends == ball, axis=1))
         found = self.states(s, sites, [self.grown(contact, **by) for contact in warm])
-        return None if found is None else found[2]
+        return found and found[2]
 
     def cut(self, s, sites, contact):
         """The amplitudes without a contact; None if S is singular."""
         here, elastic, lossy = self.contact(contact)
         added = -elastic - mpmath.mpmathify(complex(s)) * self.beta * lossy
         found = self.states(s, sites, [(here, added)])
-        return None if found is None else found[2]
+        return found and found[2]
 
 
 def solved(S, f):
@@ -149,6 +168,24 @@ def solved(S, f):
         rows = [p for p in range(order) if p != n and A[p, n]]
         A[rows, n:] -= np.multiply.outer(A[rows, n], A[n, n:])
     return A[:, order:]
+
+
+def assert_exact(found, medium, sites, **by):
+    """Amplitudes after each change are those of elimination with 40 digits; return the errors."""
+    if isinstance(medium, Lattice):
+        sites = np.ravel_multi_index(np.transpose(sites), medium.shape)
+    with mp.workdps(40):
+        exact, kinds, errors = Exact(medium), {}, {}
+        if found.warmed is not None:
+            kinds["warmed"] = found.ball, lambda s, ball: exact.warmed(s, sites, ball, **by)
+        if found.cut is not None:
+            kinds["cut"] = range(medium.bonds), lambda s, contact: exact.cut(s, sites, contact)
+        for name, (changes, solve) in kinds.items():
+            right = [np.array([solve(1j * w, change) for change in changes]).T for w in found.omega]
+            after, bound = getattr(found, name), getattr(found, f"{name}_bound")
+            broken, errors[name] = missed(after, np.array(right), bound)
+            assert not broken.any(), name
+    return errors
 
 
 def missed(found, exact, bound):

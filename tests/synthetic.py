@@ -41,6 +41,16 @@ def gaussian_fields(rng, samples, points, gamma, step):
     return 0.5 + omega, *fields
 
 
+def lorentzian(shift, gamma):
+    """The correlation of the intensity where many modes of one width overlap."""
+    return 1 / (1 + (np.asarray(shift) / gamma) ** 2)
+
+
+def mean_intensity(curves):
+    """<I> over samples and window: the simplest estimate of `noise.NoisyCurves`."""
+    return curves.estimate(lambda x, w: np.average(x.mean(axis=0), weights=w))
+
+
 def lorentzians(rng, samples, omega, gamma, overlap):
     """Return sums of modes of one width at random frequencies, strengths complex Gaussian.
 

@@ -22,7 +22,7 @@ from mpi4py import MPI
 
 import pgran
 from pgran.command.resolve import SCENES
-from pgran.experiments.modes import staircase
+from pgran.experiments.modes import density
 from pgran.run.journal import Journal
 from pgran.store.estimate import Estimate
 
@@ -131,8 +131,8 @@ def test_counts_of_unstable_networks(monkeypatch, capsys):
     found = re.findall(r"(\d+) counts, (\d+) certified", said := capsys.readouterr().out)
     assert said.count("\n") == 1, said
     assert 20 < int(found[0][0]) == int(found[0][1])
-    sure = staircase.count_below
-    monkeypatch.setattr(staircase, "count_below", lambda *given: (sure(*given)[0] + 1, 0.0))
+    sure = density.count_below
+    monkeypatch.setattr(density, "count_below", lambda *given: (sure(*given)[0] + 1, 0.0))
     networks.carry_out(*campaign, 3, 12)
     assert {"WRONG", "UNSTABLE"} <= set(capsys.readouterr().out.split())
 

@@ -9,6 +9,7 @@ from reference import continuum_amplitude, uniform_field
 from scipy.optimize import brentq
 
 from pgran.errors import InputError
+from pgran.experiments.continuum.scene import continuum
 from pgran.experiments.continuum.series import HALF_WAVES, PI, Continuum
 
 POINT = (0.47, 0.52)
@@ -108,10 +109,9 @@ def test_the_uniform_lattice_converges_at_second_order(damping, omega):
     assert orders == pytest.approx([2, 2], abs=0.1)
 
 
-@pytest.mark.parametrize(("method", "stride"), [("resonances", 2), ("eigenvalues", 1)])
-def test_mode_frequencies(method, stride):
-    find = getattr(Continuum(size=(1.5, 0.7), mass=2.0, stiffness=0.3), method)
-    pairs = itertools.product(range(1, 60), range(1, 60, stride))
+def test_frequencies_of_the_driven_modes():
+    find = Continuum(size=(1.5, 0.7), mass=2.0, stiffness=0.3).resonances
+    pairs = itertools.product(range(1, 60), range(1, 60, 2))
     expected = sorted(np.pi * np.sqrt(0.15 * ((i / 1.5) ** 2 + (j / 0.7) ** 2)) for i, j in pairs)
     np.testing.assert_allclose(find(20.0), [w for w in expected if w <= 20], rtol=1e-14)
     assert find(0.0).size == 0
@@ -126,13 +126,13 @@ def test_mode_frequencies(method, stride):
     ],
 )  # fmt: skip
 def test_impossible_boxes_and_points_are_refused(name, value):
-    with pytest.raises(InputError, match=rf"^continuum_{name}: "):
-        Continuum(**{name: value} if name != "point" else {}).response(1.0, value)
+    with pytest.raises(InputError, match=rf"continuum_{name}"):
+        continuum([1.0], **{"point": POINT} | {name: value})
 
 
 @pytest.mark.parametrize("omega", [-1.0, np.nan, np.inf, 1.01 * np.pi * HALF_WAVES, 1e300])
 def test_impossible_frequencies_are_refused(omega):
     box = Continuum(damping=0.0)
-    for function in (lambda w: box.response([1.0, w], POINT), box.resonances, box.eigenvalues):
+    for function in (lambda w: box.response([1.0, w], POINT), box.resonances):
         with pytest.raises(InputError, match=r"^omega: "):
             function(omega)

@@ -10,13 +10,13 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 from reference import exact_amplitudes, uniform_amplitude
-from samples import bond_arrays, random_lattice, reference_of, swept, uniform_lattice
+from samples import assert_same, bond_arrays, random_lattice, reference_of, swept, uniform_lattice
 
 from pgran.driven.accurate import is_accurate
 from pgran.driven.operators import Operators
 from pgran.errors import InputError, PgranError
 from pgran.experiments.response import intervals
-from pgran.experiments.response.models import ARRAYS, POINT, evaluate
+from pgran.experiments.response.models import evaluate
 from pgran.experiments.response.resolution import deviation, hidden_part, normal_frequencies
 from pgran.experiments.response.scene import summary
 from pgran.medium.lattice import Lattice
@@ -95,8 +95,7 @@ def test_ranks_agree(world, few):
     """On every bit if each has its lattice, within bounds if they share it, a ball a rank too."""
     lattice, sites = (random_lattice((world.size,), 5), [[0]]) if few else (LATTICE, SITES)
     alone, together = (curve(lattice, OMEGAS, sites, comm) for comm in (MPI.COMM_SELF, world))
-    for one, other, names in (alone, together, POINT), (alone.models, together.models, ARRAYS):
-        assert all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
+    assert_same(together, alone)
     shared = curve(lattice, OMEGAS, sites, world, ranks=world.size)
     one, other = (response.at(np.linspace(0.06, 1.3, 99)) for response in (alone, shared))
     for value in (1, 3):

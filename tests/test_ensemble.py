@@ -1,4 +1,4 @@
-"""Many samples: each as it comes out alone, what they have in common, and what is left out."""
+"""Many samples: each as it comes out alone, what they have in common, and what is refused."""
 
 import dataclasses
 import time
@@ -14,40 +14,79 @@ from pgran.command.forecast import forecast
 from pgran.command.resolve import SCENES, resolve
 from pgran.errors import InputError, PgranError, StoppedError
 from pgran.experiments.ensemble import scene
-from pgran.experiments.ensemble.bands import over_samples
+from pgran.experiments.ensemble.sampling import over_samples
 from pgran.experiments.ensemble.scene import KEPT
 from pgran.experiments.relaxation.memory import Series, mean_order
 from pgran.experiments.relaxation.spectrum import power_spectrum
 from pgran.medium.crystals import triangular
 from pgran.medium.network_file import write_network
 from pgran.medium.record import record_of
+from pgran.medium.sample import make_lattice
 from pgran.run.journal import Journal
 from pgran.run.reading import read_words
 from pgran.store import file as store
+from pgran.store.record import Result
 
 SEEDS = range(1993, 1998)
-SUM = {"bonds_sha256": ""}
 LATTICE = {"shape": (5, 4)}
 OMEGAS = np.linspace(0.3, 0.9, 25)
 RELAXATION = {"omega": 0.5, "detectors": (2, 2), "steps": 2100, "law": pgran.BondLaw("uniform")}
-# Of each kind: its options, the keywords in Python, and what it is alone.
+
+
+def read_off(record, **names):
+    """Numbers of a record by their names in an ensemble."""
+    return {name: getattr(record, own) for name, own in names.items()}
+
+
+def swept(lattice, _, **given):
+    found = pgran.sweep(lattice, **given, resolve=0)
+    names = {"sample_delay": "delay", "slope": "phase_slope", "velocity": "phase_velocity"}
+    return read_off(found, displacement="displacement", **names)
+
+
+def moved(lattice, _):
+    found = pgran.find_modes(lattice)
+    counts = {"modes": len(found.omega), "above": np.count_nonzero(found.omega > lattice.omega_mx)}
+    return counts | read_off(found, mode_omega="omega", participation="participation")
+
+
+def relaxed(lattice, number, **given):
+    """With changes of its own: in the end the bonds are what these have made them."""
+    walk = pgran.relax(lattice, **given, seed=1 + number)
+    spectrum = power_spectrum(walk.amplitude[:, :, 0], memory=lattice.bonds)
+    kbar = mean_order(Series(np.abs(walk.displacement[:, :, 0]), lattice.bonds))
+    exponent = read_off(spectrum, exponent="exponent", exponent_error="exponent_error")
+    return exponent | {"order": kbar.value}
+
+
+def pulsed(lattice, _, **given):
+    found = pgran.pulse(lattice, **given)
+    return read_off(found, arrival="arrival", centre="centre", decay="decay")
+
+
+def sensed(lattice, _, **given):
+    weights = pgran.sensitivity(lattice, **given).log_amplitude[:, 0] ** 2
+    return {"effective_bonds": [np.mean([w.sum() ** 2 / (w**2).sum() for w in weights])]}
+
+
+# Of each kind: its options, the keywords in Python, and the numbers of one sample by its function.
 KINDS = {
     "response": (
         "-detectors 2,2,4,0 -sweep_min .3 -sweep_max .9 -sweep_points 25",
         {"omegas": OMEGAS, "detectors": (2, 2, 4, 0)},
+        swept,
     ),
-    "modes": ("", {}),
-    "relaxation": (
-        "-detectors 2,2 -relax_steps 2100 -relax_omega .5",
-        RELAXATION,
-    ),
+    "modes": ("", {}, moved),
+    "relaxation": ("-detectors 2,2 -relax_steps 2100 -relax_omega .5", RELAXATION, relaxed),
     "pulse": (
         "-detectors 2,2 -pulse_width 5 -pulse_time 150 -pulse_points 200",
         {"detectors": (2, 2), "width": 5.0, "time": 150.0, "points": 200},
+        pulsed,
     ),
     "sensitivity": (
         "-detectors 2,2 -sweep_omega .4,.5",
         {"omegas": [0.4, 0.5], "detectors": (2, 2)},
+        sensed,
     ),
 }
 
@@ -72,83 +111,42 @@ def lattice_of(seed):
     return pgran.Lattice.random(seed=seed, **LATTICE)
 
 
-def alone(of, seed):
-    """The numbers of one sample by the function of its experiment."""
-    lattice, given = lattice_of(seed), KINDS[of][1]
-    if of == "response":
-        found = pgran.sweep(lattice, **given, resolve=0)
-        return {
-            "displacement": found.displacement,
-            "slope": found.phase_slope,
-            "velocity": found.phase_velocity,
-        }
-    if of == "modes":
-        found = pgran.find_modes(lattice)
-        above = np.count_nonzero(found.omega > lattice.omega_mx)
-        return {
-            "modes": len(found.omega),
-            "above": above,
-            "mode_omega": found.omega,
-            "participation": found.participation,
-        }
-    if of == "relaxation":
-        # with changes of its own: in the end the bonds are what these have made them
-        walk = pgran.relax(lattice, **given, seed=1 + seed - SEEDS[0])
-        found = power_spectrum(walk.amplitude[:, :, 0], memory=lattice.bonds)
-        kbar = mean_order(Series(np.abs(walk.displacement[:, :, 0]), lattice.bonds))
-        exponent = {"exponent": found.exponent, "exponent_error": found.exponent_error}
-        return exponent | {"order": kbar.value}
-    if of == "pulse":
-        found = pgran.pulse(lattice, **given)
-        return {name: getattr(found, name) for name in ("arrival", "centre", "decay")}
-    found = pgran.sensitivity(lattice, **given)
-    weights = found.log_amplitude**2
-    effective = [
-        np.mean([w[d].sum() ** 2 / (w[d] ** 2).sum() for w in weights])
-        for d in range(weights.shape[1])
-    ]
-    return {"effective_bonds": np.array(effective)}
+def told(*records):
+    """The summary of a run, line by line."""
+    return list(SCENES["ensemble"].summary(Result(records)))
 
 
 @pytest.mark.parametrize("of", KINDS)
 def test_each_sample_is_what_it_is_alone(world, of):
     """Exactly; and by the command as in Python, on any number of ranks."""
     lattice, found = ran(of, "", world)
+    _, given, alone = KINDS[of]
     assert (found.of, found.left_out, found.failures) == (of, 0, 0)
     assert np.array_equal(found.seed, SEEDS)
     assert np.array_equal(lattice.stiffness[0], lattice_of(SEEDS[0]).stiffness[0])
     for n, seed in enumerate(SEEDS):
-        for name, value in alone(of, seed).items():
-            kept = getattr(found, name)[n]
-            if name == "effective_bonds":
-                np.testing.assert_allclose(kept, value, rtol=1e-13)
-            else:
-                assert np.array_equal(kept, value, equal_nan=True), (name, seed)
+        for name, value in alone(lattice_of(seed), n, **given).items():
+            rounding = 1e-13 if name == "effective_bonds" else 0
+            np.testing.assert_allclose(getattr(found, name)[n], value, rounding, err_msg=name)
     if world.size > 1:
         assert_same(found, ran(of, "", MPI.COMM_SELF)[1])
-    python = pgran.ensemble(of, 5, lattice=LATTICE, keep=keep_of(of), **KINDS[of][1])
-    assert_same(python, found)
-    assert_same(pgran.ensemble(of, 5, lattice=lattice_of, keep=keep_of(of), **KINDS[of][1]), found)
+    for lattice in (LATTICE, lattice_of):
+        python = pgran.ensemble(of, 5, lattice=lattice, keep=keep_of(of), **given)
+        assert_same(python, found)
 
 
 def test_bands_and_means_are_those_of_the_curves(world):
     _, found = ran("response", "", world)
-    single = [pgran.sweep(lattice_of(seed), OMEGAS, (2, 2, 4, 0), resolve=0) for seed in SEEDS]
-    logs = np.log([one.amplitude for one in single])
-    expected = [
-        logs.mean(axis=0),
-        logs.std(axis=0, ddof=1) / np.sqrt(5),
-        *np.percentile(logs, [50, 10, 90], axis=0),
-    ]
-    np.testing.assert_allclose(found.ln_amplitude, expected, rtol=1e-12)
+    A = found.displacement
+    np.testing.assert_allclose(found.ln_amplitude, over_samples(np.log(np.abs(A))), rtol=1e-12)
+    assert np.array_equal(found.delay, over_samples(found.sample_delay), equal_nan=True)
+    assert np.array_equal(found.delay_samples, np.isfinite(found.sample_delay).sum(axis=0))
     assert found.statistic.tolist() == ["mean", "error", "median", "low", "high"]
-    amplitudes = np.array([one.displacement for one in single])
-    np.testing.assert_allclose(found.coherent, amplitudes.mean(axis=0), rtol=1e-12)
-    np.testing.assert_allclose(found.intensity, np.mean(abs(amplitudes) ** 2, axis=0), rtol=1e-12)
+    np.testing.assert_allclose(found.coherent, A.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(found.intensity, np.mean(abs(A) ** 2, axis=0), rtol=1e-12)
     assert np.array_equal(found.omega, OMEGAS)
     measures = ran("response", "-ensemble_keep measures", world)[1]
-    assert measures.displacement is None
-    assert np.array_equal(measures.ln_amplitude, found.ln_amplitude)
+    assert_same(measures, dataclasses.replace(found, displacement=None, sample_delay=None))
 
 
 def test_what_is_not_known_of_a_sample_is_left_out_at_that_place():
@@ -171,36 +169,31 @@ def test_what_is_not_known_of_a_sample_is_left_out_at_that_place():
     assert over_samples(curves[:0]).shape == (5, 40)
 
 
-def test_delays_and_velocities_that_are_not_certain_are_counted(world):
-    """Those of a phase fit through 25 points are not, nor is a delay without its bound."""
-    records = ran("response", "", world)
-    found = records[1]
-    delays = np.array(
-        [pgran.sweep(lattice_of(s), OMEGAS, (2, 2, 4, 0), resolve=0).delay for s in SEEDS]
-    )
-    assert np.array_equal(found.delay_samples, np.isfinite(delays).sum(axis=0))
+def test_measures_in_words(world):
+    """How many are not certain, as none is through 25 points; at several balls in one line."""
+    medium, found = ran("response", "", world)
     unknown = np.isnan(found.velocity).sum(axis=0)
     assert unknown.any()
-    said = "\n".join(SCENES["ensemble"].summary(pgran.store.record.Result(records)))
+    said = "\n".join(told(medium, found))
     for count in unknown[unknown > 0]:
         assert f"{count} samples have none that is certain" in said
-
-
-def test_what_is_unknown_at_several_balls_is_said_in_one_line(world):
-    records = ran("response", "", world)
-    good = np.flatnonzero(records[1].good)
+    good = np.flatnonzero(found.good)
     velocity = np.full((len(SEEDS), 3), np.nan)
     velocity[good, 1] = 1 + np.arange(len(good))
     velocity[good[0], 2] = 1.0
     changed = {"velocity": velocity, "detector": np.array([[2, 2], [4, 0], [1, 1]])}
-    found = dataclasses.replace(records[1], **changed)
-    lines = SCENES["ensemble"].summary(pgran.store.record.Result([records[0], found]))
+    lines = told(medium, dataclasses.replace(found, **changed))
     one, several = (line for line in lines if "phase velocity" in line)
     assert one.startswith("ball (4, 0): phase velocity ")
     assert "unknown" not in one
     assert several == (
         f"phase velocity unknown at 2 balls; up to {len(good)} samples have none that is certain"
     )
+    # of networks a ball has one number, and distances are in the unit of the positions
+    changed = {"velocity": np.ones((len(SEEDS), 1)), "detector": np.array([[11]])}
+    changed["good"] = np.ones(len(SEEDS), np.int8)
+    lines = told(record_of(triangular((3, 3))), dataclasses.replace(found, **changed))
+    assert "ball 11: phase velocity 1 +- 0 lengths x omega_mx, spread 0" in lines
 
 
 def test_a_sample_that_misses_its_accuracy_is_left_out(world):
@@ -218,22 +211,18 @@ def test_a_sample_that_misses_its_accuracy_is_left_out(world):
 
 @pytest.mark.parametrize("failing", [{1994}, set(SEEDS)])
 def test_a_sample_that_cannot_be_computed_is_left_out_aloud(world, monkeypatch, caplog, failing):
-    run_one = scene.run_scene
-
-    def broken(facts, options, group, crew):
+    def broken(options, group):
         if options.bonds_seed in failing:
             raise PgranError("it is broken")
-        return run_one(facts, options, group, crew)
+        return make_lattice(options, group)
 
-    monkeypatch.setattr(scene, "run_scene", broken)
-    records = ran("response", "", world)
-    found = records[1]
+    monkeypatch.setattr(scene, "make_lattice", broken)
+    medium, found = ran("response", "", world)
     assert set(found.seed[found.good == 0]) == failing
     assert np.isnan(found.displacement[found.good == 0]).all()
     assert np.isnan(found.coherent).all() == (failing == set(SEEDS))
-    said = sum(world.allgather(caplog.text.count("it is broken")))
-    assert said == len(failing)
-    lines = list(SCENES["ensemble"].summary(pgran.store.record.Result(records)))
+    assert sum(world.allgather(caplog.text.count("it is broken"))) == len(failing)
+    lines = told(medium, found)
     assert lines[1].startswith(f"{len(failing)} of {len(found.seed)} samples are left out")
 
 
@@ -241,7 +230,7 @@ def test_wrong_input_is_the_runs_and_not_a_samples(world, monkeypatch):
     def broken(*given):
         raise InputError("wrong")
 
-    monkeypatch.setattr(scene, "run_scene", broken)
+    monkeypatch.setattr(scene, "make_lattice", broken)
     if world.size == 1:
         with pytest.raises(InputError, match="wrong"):
             ran("response", "", world)
@@ -262,24 +251,6 @@ def test_a_run_that_went_on_equals_one_never_stopped(world, shared_path):
     assert stopped > 0
     if world.rank == 0:
         assert_same(found[1], ran(of, more, MPI.COMM_SELF)[1])
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (f"-bonds_seed {2**63 - 3}", "no seeds are left"),
-        ("-statistics_windows .4,2 -ensemble_keep curves", "0.4 to 2 is not within the sweep"),
-        ("-detectors 5,0", "detectors"),
-    ],
-)
-def test_what_only_the_run_can_see(world, text, said):
-    with pytest.raises(InputError, match=said):
-        ran("response", text, world)
-
-
-def test_relaxations_need_seeds_of_changes_too(world):
-    with pytest.raises(InputError, match="no seeds are left"):
-        ran("relaxation", f"-relax_seed {2**63 - 3}", world)
 
 
 def test_modes_of_an_interval_are_counted(world):
@@ -312,7 +283,8 @@ def test_samples_of_a_list(world, shared_path):
     asked = {"omegas": OMEGAS, "detectors": (2, 2), "keep": "curves"}
     expected = pgran.ensemble("response", 3, lattice=LATTICE, seed=7, **asked)
     if world.rank == 0:
-        store.write(shared_path / "a.h5", {"scene": "modes"} | SUM, [record_of(lattices[2])])
+        run = {"scene": "modes", "bonds_sha256": ""}
+        store.write(shared_path / "a.h5", run, [record_of(lattices[2])])
         balls = {"held": [2, 0, 0], "bond": [[0, 1], [1, 2]], "stiffness": [1.0, 0.5]}
         write_network(shared_path / "n.h5", balls, {})
     world.Barrier()
@@ -324,18 +296,6 @@ def test_samples_of_a_list(world, shared_path):
     network = pgran.load(shared_path / "n.h5")
     found = pgran.ensemble("modes", 2, lattice=[network, str(shared_path / "n.h5")], keep="curves")
     assert np.array_equal(found.mode_omega, [pgran.find_modes(network).omega] * 2)
-    with pytest.raises(InputError, match="3 samples are asked for, 2 given"):
-        pgran.ensemble("modes", 3, lattice=lattices[:2])
-
-
-def test_words_of_networks_have_no_spacings(world):
-    """A ball has one number, and distances are in the unit of the positions."""
-    network = triangular((3, 3))
-    records = ran("response", "", world)
-    numbers = {"velocity": np.ones((len(SEEDS), 1)), "detector": np.array([[11]])}
-    found = dataclasses.replace(records[1], good=np.ones(len(SEEDS), np.int8), **numbers)
-    lines = list(SCENES["ensemble"].summary(pgran.store.record.Result([record_of(network), found])))
-    assert "ball 11: phase velocity 1 +- 0 lengths x omega_mx, spread 0" in lines
 
 
 @pytest.mark.parametrize("of", KINDS)
@@ -346,3 +306,74 @@ def test_a_dry_run_foresees_it(world, of):
     said = dict(line.split(maxsplit=1) for line in lines)
     assert said["work"].startswith("5 samples")
     assert set(said) >= {"unknowns", "work", "memory", "time", "disk"}
+
+
+@pytest.mark.parametrize(
+    ("of", "text", "said"),
+    [
+        ("response", f"-bonds_seed {2**63 - 3}", "no seeds are left"),
+        ("relaxation", f"-relax_seed {2**63 - 3}", "no seeds are left"),
+        ("response", "-statistics_windows .4,2", "0.4 to 2 is not within the sweep"),
+        ("response", "-detectors 5,0", "detectors"),
+    ],
+)
+def test_what_only_the_run_can_see(world, of, text, said):
+    with pytest.raises(InputError, match=said):
+        ran(of, text, world)
+
+
+WRONG = {
+    "-ensemble_of modes -detectors 2,2": "-detectors: -ensemble_of modes does not use it",
+    "-ensemble_of pulse -sweep_points 9": "-sweep_points: -ensemble_of pulse does not use it",
+    "-bonds_law hertz -sweep_unit omega_mx": "differs between samples of hertz",
+    "-network_file a.h5": "a file holds one only",
+    "-bonds_law file -bonds_file a.h5": "a file holds one only",
+    "-output_fields": "-output_fields: scene ensemble does not use it",
+    "-sweep_resolve .1": "-sweep_resolve: scene ensemble does not use it",
+    "-output_models": "-output_models: scene ensemble does not use it",
+    "-ensemble_samples 1": "1 is not >= 2",
+    "-ensemble_of heat": "choose response, modes",
+    "-ensemble_of modes -ranks_per_lattice 2": "each lattice has one rank only",
+    "-ensemble_of pulse -ensemble_keep curves": "of response and modes only, not of pulse",
+    "-ensemble_of modes -modes_target .5 -modes_count 3": "-modes_target: scene ensemble does not",
+    "-ensemble_of modes -modes_density 9": "-modes_density: scene ensemble does not",
+    "-statistics_windows .4,.5": "needs -ensemble_of response and -ensemble_keep curves",
+    "-ensemble_keep curves -statistics_windows .4,.5,.6": "so 3 numbers make none",
+}
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_options_that_an_ensemble_cannot_have(text):
+    with pytest.raises(InputError) as caught:
+        resolve(read_words(f"-scene ensemble {text}".split()))
+    assert WRONG[text] in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("of", "given", "said"),
+    [
+        ("heat", {}, "choose response"),
+        ("response", {"keep": "all"}, "choose measures"),
+        ("response", {"samples": 1}, "1 is not >= 2"),
+        ("response", {"seed": -1}, "bonds_seed"),
+        ("pulse", {"keep": "curves"}, "not of pulse"),
+        ("modes", {"targets": [0.5], "count": 2}, "have no count"),
+        ("response", {"fields": True}, "many samples have no fields"),
+        ("response", {"lattice": LATTICE | {"seed": 3}}, "seed says which"),
+        ("response", {"steps": 3}, "omegas"),
+        ("modes", {"omegas": OMEGAS}, "omegas"),
+        ("modes", {"lattice": 3}, "as a dict, a function of the seed, or a list .* not 3"),
+        ("modes", {"lattice": lambda seed: seed / 0}, r"lattice\(1993\) fails: ZeroDivisionError"),
+        ("modes", {"lattice": [lattice_of(1)] * 2}, "5 samples are asked for, 2 given"),
+        (
+            "modes",
+            {"lattice": lambda seed: pgran.Lattice.random((3, 3 + (seed == 1995)))},
+            "the sample of seed 1995 is of another size",
+        ),
+    ],
+)
+def test_wrong_values_in_python(of, given, said):
+    given = {"samples": 5, "lattice": LATTICE} | given
+    with pytest.raises(InputError, match=said):
+        pgran.ensemble(of, **given)

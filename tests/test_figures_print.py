@@ -222,29 +222,32 @@ def test_equally_accurate_configurations_are_bars_of_their_run_times():
 def test_transport_is_points_with_their_errors():
     result = ensemble()
     found, unit = result.transport, result.medium.omega_mx
-    drawn = transport.profile(draw(lambda ax: None), found, unit)
-    assert len(drawn) == transport.SHOWN
-    for points in drawn:
-        at = np.abs(found.omega / unit - float(points.get_label().split()[0])).argmin()
-        assert points.lines[0].get_linestyle() == "None"
-        assert np.array_equal(points.lines[0].get_ydata(), found.ln_amplitude[at])
-        low, high = np.transpose([path.vertices[:, 1] for path in points.lines[2][0].get_paths()])
-        assert high - low == pytest.approx(2 * found.ln_amplitude_error[at])
-    assert len({points.lines[0].get_marker() for points in drawn}) == transport.SHOWN
-    ax = draw(transport.length, found, unit)
-    known = np.isfinite(found.length)
-    points = ax.containers[0].lines[0]
-    assert points.get_xdata() == pytest.approx(found.omega[known] / unit)
-    assert np.array_equal(points.get_ydata(), found.length[known])
-    assert ax.get_xlim() == pytest.approx(found.omega[[0, -1]] / unit)
-    assert [found.first_mode / unit] * 2 in [list(line.get_xdata()) for line in ax.get_lines()]
-    bands = draw(transport.band_delay, found, unit).containers
-    assert len(bands) == len(found.band_delay) == 3
-    for points, late in zip(bands, found.band_delay, strict=True):
-        assert points.lines[0].get_ydata() == pytest.approx(late * unit)
-    ends = draw(transport.delay, found, unit).containers
-    for points, place in zip(ends, (0, -1), strict=True):
-        assert points.lines[0].get_ydata() == pytest.approx(found.group_delay[:, place] * unit)
+    ax = draw(transport.profile, found, unit)
+    omegas = [float(name.split()[0]) for name in labels(ax)]
+    at = [np.abs(found.omega / unit - omega).argmin() for omega in omegas]
+    known, ends, x = np.isfinite(found.length), [0, -1], found.omega / unit
+    late, error = found.group_delay * unit, found.group_delay_error * unit
+    expected = {
+        "profile": (found.depth, found.ln_amplitude[at], found.ln_amplitude_error[at]),
+        "length": (x[known], found.length[None, known], found.length_error[None, known]),
+        "band_delay": (found.depth, found.band_delay * unit, found.band_delay_error * unit),
+        "delay": (x, late.T[ends], error.T[ends]),
+    }
+    assert len(at) == transport.SHOWN
+    for name, (x, values, errors) in expected.items():
+        ax = draw(getattr(transport, name), found, unit)
+        for points, value, error in zip(ax.containers, values, errors, strict=True):
+            line, _, (bars,) = points.lines
+            assert line.get_linestyle() == "None"
+            assert line.get_xdata() == pytest.approx(x)
+            assert line.get_ydata() == pytest.approx(value)
+            low, high = np.transpose([path.vertices[:, 1] for path in bars.get_paths()])
+            assert high - low == pytest.approx(2 * error)
+        assert len({points.lines[0].get_marker() for points in ax.containers}) == len(values)
+        if name == "length":
+            assert ax.get_xlim() == pytest.approx((found.omega / unit)[ends])
+            verticals = [list(line.get_xdata()) for line in ax.get_lines()]
+            assert [found.first_mode / unit] * 2 in verticals
 
 
 def test_transport_of_older_files_has_no_delays():

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from figure_reading import curves, draw, gaps, labels, lines
+from figure_reading import curves, draw, gaps, labels, legend, lines
 from figure_results import UNIT, listen, respond
 from samples import random_lattice
 
@@ -53,7 +53,7 @@ def test_the_field_at_four_times(shape, sites):
     lattice = random_lattice(shape, seed=5, mass=0.25)
     result = listen(sites, lattice, method="laplace", shape="step" if len(shape) == 1 else "burst")
     shown = result.pulse
-    panels = [ax for ax in figures.make(result)["field"].axes if ax.get_title(loc="left")]
+    panels = figures.make(result)["field"].panels
     for number, ax in enumerate(panels):
         values = shown.field[(number, ..., *sites[0][2:])]
         wall = np.interp(shown.field_time[number], shown.time, shown.wall)
@@ -167,7 +167,6 @@ def test_a_steady_response_is_laid_over_the_detectors_that_it_shares():
     low, high = lower.get_xlim()
     outside = np.flatnonzero((steady.get_xdata() < low) | (steady.get_xdata() > high))
     assert set(gaps(steady)) == {120, 130, *outside}
-    named = [text.get_text() for text in upper.get_legend().get_texts()]
-    assert sorted(named) == ["signal / drive", "steady response"]
+    assert sorted(legend(made["spectrum"])) == ["signal / drive", "steady response"]
     with pytest.raises(FileError, match="no detector in common"):
         figures.make(result, response=respond(detectors=[(2, 2)]).response)

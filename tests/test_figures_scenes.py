@@ -1,4 +1,4 @@
-"""Figures of the box, modes, projections, relaxations and accuracy, read off the axes."""
+"""Panels of the box, responses, modes, projections, relaxations and accuracy, read off the axes."""
 
 from dataclasses import replace
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from figure_reading import curves, draw, gaps, labels, lines, marks, note
 from figure_results import (
+    SWEEP,
     UNIT,
     compare,
     count_modes,
@@ -13,6 +14,7 @@ from figure_results import (
     listen,
     project,
     relax,
+    respond,
     respond_box,
     result_of,
 )
@@ -28,6 +30,7 @@ from pgran.experiments.modes import figures_density as density
 from pgran.experiments.modes import figures_projection as projection
 from pgran.experiments.relaxation import figures as relaxation
 from pgran.experiments.relaxation.spectrum import power_spectrum
+from pgran.experiments.response import figures as response
 
 FINE = np.linspace(0.1, 1.1, 401)
 
@@ -69,17 +72,85 @@ def test_results_with_nothing_to_draw():
             figures.make(result)
 
 
-def test_the_box_has_amplitude_above_phase_and_its_resonances():
+# What each panel draws: a function of the record, x and y. Frequencies are in units of omega_mx,
+# those of the box in units of sqrt(K0/m) / Lx.
+PANELS = [
+    (respond, response.amplitude, lambda r: (SWEEP, r.amplitude[:, 0])),
+    (respond, response.phase, lambda r: (SWEEP, r.phase[:, 0])),
+    (respond, response.delay, lambda r: (SWEEP, UNIT * r.delay[:, 0])),
+    (respond, response.force, lambda r: (SWEEP, np.abs(r.force))),
+    (respond, response.force_phase, lambda r: (SWEEP, np.angle(r.force))),
+    (respond, response.power, lambda r: (SWEEP, r.power)),
+    (respond_box, continuum.amplitude, lambda r: (r.omega / 3, r.amplitude)),
+    (respond_box, continuum.phase, lambda r: (r.omega / 3, r.phase)),
+    (find_modes, modes.participation, lambda r: (r.omega / UNIT, r.participation)),
+    (count_modes, density.staircase, lambda r: (r.omega / UNIT, r.count)),
+    (lambda: project(FINE), projection.coefficients,
+     lambda r: (r.mode_omega / UNIT, np.abs(r.coefficient[200]))),
+    (lambda: project(FINE), projection.dominant,
+     lambda r: (FINE, r.mode_omega[r.dominant] / UNIT)),
+    (relax, relaxation.series, lambda r: (np.arange(301), r.amplitude[0, :, 0])),
+]  # fmt: skip
+
+
+def drawn(panel, result):
+    """One panel of a result in axes of its own, and the record that it shows."""
+    record = getattr(result, result.scene)
+    alone = panel.__module__.split(".")[2] in ("continuum", "relaxation")
+    return draw(panel, record, *[] if alone else [result.medium]), record
+
+
+@pytest.mark.parametrize(("make", "panel", "expected"), PANELS)
+def test_curves_are_the_numbers_of_the_record(make, panel, expected):
+    ax, record = drawn(panel, make())
+    (line, *_) = curves(ax) or lines(ax, color="black")
+    x, y = expected(record)
+    assert line.get_xdata() == pytest.approx(x, rel=1e-12)
+    shown = np.ma.getdata(line.get_ydata(orig=True))
+    np.testing.assert_allclose(shown, y, rtol=1e-12, atol=0)
+    assert not gaps(line) or panel in (response.force, response.force_phase, response.power)
+
+
+FAILED = [80, 81, 83, 250]
+
+
+@pytest.mark.parametrize(
+    ("make", "panel"),
+    [(respond, getattr(response, name)) for name in ("amplitude", "phase", "delay", "force")]
+    + [(lambda: project(FINE), projection.dominant), (relax, relaxation.series)],
+)
+def test_failed_points_are_crosses_and_gaps(make, panel):
+    result = make()
+    record = getattr(result, result.scene)
+    if panel is relaxation.series:
+        record.displacement[0, FAILED] = np.nan
+    else:
+        record.converged_reason[FAILED] = [-3, 0, -1, -9]
+    ax, _ = drawn(panel, result)
+    (line,) = curves(ax)
+    x = line.get_xdata()[FAILED]
+    assert marks(ax, "x") == pytest.approx(x)
+    assert set(FAILED) <= set(gaps(line))
+    assert 82 in line.get_markevery()  # has no good neighbour to be joined with: a dot
+    assert "missed the accuracy asked for" in labels(ax)
+    if panel in (response.amplitude, response.phase):
+        record.converged_reason[:] = -3
+    elif panel is relaxation.series:
+        assert note(figures.make(result)["timeres"]).startswith("4 of 301 amplitudes missed")
+        record.displacement[:] = np.nan
+    else:
+        return
+    assert not drawn(panel, result)[0].yaxis.get_visible()
+
+
+def test_the_box_on_a_wall_at_rest_and_its_resonances():
     result = respond_box()
     box = result.continuum
-    box.amplitude[7] = 0.0  # on a wall at rest
+    box.amplitude[7] = 0.0
     upper, lower = figures.make(result)["exactpl"].axes
     assert (upper.get_yscale(), lower.get_yscale()) == ("log", "linear")
-    for ax, values in ((upper, box.amplitude), (lower, box.phase)):
-        (curve,) = curves(ax)
-        assert curve.get_xdata() == pytest.approx(box.omega / 3)  # units of sqrt(K0/m) / Lx
-        assert np.array_equal(curve.get_ydata(orig=True).data, values)
-        assert gaps(curve) == [7]
+    for ax in (upper, lower):
+        assert gaps(curves(ax)[0]) == [7]
         assert marks(ax, TICKUP) == pytest.approx(box.resonance / 3)
     assert labels(upper) == ["driven resonances"]
 
@@ -107,7 +178,7 @@ def test_the_modes_chosen():
 def test_a_mode_is_an_image_symmetric_about_0_or_a_line_from_wall_to_wall(shape):
     result = find_modes(shape)
     shown, x = result.modes, result.modes.omega / result.lattice.omega_mx
-    panels = [ax for ax in figures.make(result)["shapes"].axes if ax.get_title(loc="left")]
+    panels = figures.make(result)["shapes"].panels
     for mode, ax in zip(modes.pick(x, shown.participation), panels, strict=True):
         vector, title = shown.vector[mode], ax.get_title(loc="left")
         largest = np.unravel_index(np.abs(vector).argmax(), shape)
@@ -125,72 +196,47 @@ def test_a_mode_is_an_image_symmetric_about_0_or_a_line_from_wall_to_wall(shape)
         assert (f"plane $z$ = {largest[-1]}" in title) == (len(shape) == 3)
 
 
-def test_participation_and_density_against_frequency():
-    result = find_modes((6, 5))
-    ax = draw(modes.participation, result.modes, result.lattice)
-    (points,) = lines(ax, marker=".")
-    assert np.array_equal(points.get_xdata(), result.modes.omega / UNIT)
-    assert np.array_equal(points.get_ydata(), result.modes.participation)
+def test_densities_of_modes_are_per_ball_and_participation_ends_at_all_balls():
+    result, counted = find_modes((6, 5)), count_modes()
+    for panel, of in ((modes.density, result), (density.density, counted)):
+        ax, _ = drawn(panel, of)
+        values, edges, _ = ax.patches[0].get_data()
+        assert np.sum(values * np.diff(edges)) == pytest.approx(1)
+    assert np.array_equal(edges, counted.density.omega / UNIT)
+    ax, _ = drawn(modes.participation, result)
     assert (ax.get_yscale(), ax.get_ylim()) == ("log", (1, 30))
-    ax = draw(modes.density, result.modes, result.lattice)
-    density, edges, _ = ax.patches[0].get_data()
-    assert np.sum(density * np.diff(edges)) == pytest.approx(1)  # per ball
 
 
-def test_counts_of_modes_and_weyls_law():
-    """Densities are per ball and omega_mx; the law is drawn where bonds are equal."""
-    result = count_modes()
-    shown, x = result.density, result.density.omega / UNIT
-    ax = draw(density.staircase, shown, result.lattice)
-    (curve,) = lines(ax, marker=".")
-    assert np.array_equal(curve.get_xdata(), x)
-    assert np.array_equal(curve.get_ydata(), shown.count)
-    ax = draw(density.density, shown, result.lattice)
-    values, edges, _ = ax.patches[0].get_data()
-    assert np.array_equal(edges, x)
-    assert np.sum(values * np.diff(edges)) == pytest.approx(1)
-    assert not labels(ax)
-    result = count_modes(uniform_lattice((9, 8), mass=0.25))
+def test_weyls_law_is_drawn_where_bonds_are_equal():
+    random, equal = count_modes(), count_modes(uniform_lattice((9, 8), mass=0.25))
     for panel in (density.staircase, density.density):
-        ax = draw(panel, result.density, result.lattice)
-        assert labels(ax) == ["long waves (Weyl)"]
-    shown = replace(result.density, certified=np.arange(30) != 4)
-    for figure in figures.make(result_of(shown)).values():
+        assert not labels(drawn(panel, random)[0])
+        assert labels(drawn(panel, equal)[0]) == ["long waves (Weyl)"]
+
+
+def test_what_is_missing_is_said_in_every_figure():
+    for result in (find_modes(), project(FINE)):
+        group = result.scene
+        setattr(result, group, replace(getattr(result, group), count_expected=13))
+        for figure in figures.make(result).values():
+            assert note(figure).endswith("NOT ALL MODES: 12 of 13 found")
+    bare = result_of(replace(find_modes().modes, vector=None, count_certified=False))
+    assert "NOT CERTIFIED" in note(figures.make(bare)["participation"])
+    uncertain = replace(count_modes().density, certified=np.arange(30) != 4)
+    for figure in figures.make(result_of(uncertain)).values():
         assert "NOT CERTIFIED: 1 counts" in note(figure)
 
 
-def test_missing_modes_are_said_in_every_figure():
-    for result in (find_modes(), project(FINE)):
-        group = result.scene
-        found = getattr(result, group)
-        setattr(result, group, replace(found, count_expected=13))
-        for figure in figures.make(result).values():
-            assert note(figure) == "NOT ALL MODES: 12 of 13 found"
-    bare = result_of(replace(find_modes().modes, vector=None, count_certified=False))
-    assert "NOT CERTIFIED" in note(figures.make(bare)["participation"])
-
-
-def test_coefficients_at_one_frequency():
+def test_coefficients_at_the_nearest_frequency_that_is_accurate():
     result = project(FINE)
     shown = result.projection
     shown.converged_reason[[199, 200]] = 0  # .6 itself and the one below
     ax = draw(projection.coefficients, shown, result.lattice)
     (curve,), (drive,) = curves(ax), lines(ax, linestyle="-", color="#0072B2")
-    assert np.array_equal(curve.get_xdata(), shown.mode_omega / UNIT)
     assert np.array_equal(curve.get_ydata(), np.abs(shown.coefficient[201]))
     assert list(drive.get_xdata()) == [shown.omega[201] / UNIT] * 2
-
-
-def test_the_dominant_mode_and_a_line_of_slope_1():
-    result = project(FINE)
-    shown = result.projection
-    shown.converged_reason[50] = -1
-    ax = draw(projection.dominant, shown, result.lattice)
-    (curve,), (line,) = curves(ax), lines(ax, linewidth=2.5)
-    assert np.array_equal(curve.get_ydata(orig=True).data, shown.mode_omega[shown.dominant] / UNIT)
-    assert gaps(curve) == [50]
-    assert np.array_equal(line.get_xdata(), line.get_ydata())
-    assert marks(ax, "x") == pytest.approx(FINE[[50]])
+    (slope,) = lines(draw(projection.dominant, shown, result.lattice), linewidth=2.5)
+    assert np.array_equal(slope.get_xdata(), slope.get_ydata())
 
 
 @pytest.mark.parametrize(("x", "centre"), [(FINE, 0.6), (np.linspace(0.2, 0.4, 81), 0.3)])
@@ -208,22 +254,14 @@ def test_coefficients_of_three_modes(x, centre):
         assert list(x[near][gaps(curve)]) == list(x[failed])
 
 
-def test_the_series_with_failed_steps_and_amplitudes_at_the_floor():
-    result = relax()
-    shown = result.relaxation
-    shown.displacement[0, [6, 9]] = np.nan
+def test_amplitudes_at_the_floor_are_upper_limits():
+    shown = relax().relaxation
     shown.at_floor[0, [5, 200], 0] = 1
     shown.error_bound[:] = 0.5
-    figure = figures.make(result)["timeres"]
-    (ax,) = figure.axes
+    ax = draw(relaxation.series, shown)
     (curve,), (limits,) = curves(ax), lines(ax, marker="v")
-    assert np.array_equal(curve.get_ydata(orig=True).data, shown.amplitude[0, :, 0], equal_nan=True)
-    assert gaps(curve) == [5, 6, 9, 200]
-    assert marks(ax, "x") == [6, 9]
-    assert note(figure) == "2 of 301 amplitudes missed the accuracy asked for"
+    assert gaps(curve) == [5, 200]
     assert np.array_equal(limits.get_ydata()[[5, 200]], shown.amplitude[0, [5, 200], 0] + 0.5)
-    shown.displacement[:] = np.nan
-    assert not draw(relaxation.series, shown).yaxis.get_visible()
 
 
 def test_the_spectrum_its_fit_and_slope_2():
@@ -247,8 +285,8 @@ def test_errors_against_run_time_and_the_front():
     ax = draw(accuracy.front, result.accuracy)
     names = [f"solver{n}" for n in range(11)]
     assert labels(ax)[:11] == names
-    drawn = [line for line in ax.get_lines() if line.get_label() in names]
-    assert len({(line.get_color(), line.get_marker()) for line in drawn}) == 11
+    shown = [line for line in ax.get_lines() if line.get_label() in names]
+    assert len({(line.get_color(), line.get_marker()) for line in shown}) == 11
     (hollow,) = (x for x in lines(ax, markerfacecolor="white") if x.get_xdata().any())
     assert list(hollow.get_xdata()) == [4]
     (steps,) = lines(ax, drawstyle="steps-post")

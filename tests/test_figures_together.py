@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from figure_reading import curves, labels, lines, note
+from figure_reading import curves, labels, legend, lines, note, saving
 from figure_results import UNIT, find_modes, listen, relax, respond, respond_box, result_of
 from samples import random_lattice
 
@@ -16,7 +16,7 @@ from pgran.command.plot import labels_of
 from pgran.command.plot import run as plot
 from pgran.command.resolve import resolve
 from pgran.draw import pages as figures
-from pgran.draw import together
+from pgran.draw import style, together
 from pgran.errors import FileError, InputError
 from pgran.experiments.relaxation.spectrum import power_spectrum
 from pgran.run.options import options_in
@@ -89,15 +89,9 @@ def test_long_labels_are_wrapped_between_options():
     words = " ".join(f"-bonds_seed_number_{n} {n}" for n in range(5))
     made = figures.compare([result, result], [words, f"{words}0"])
     for figure in made.values():
-        figure.draw_without_rendering()
-        ax = figure.axes[0]
-        box = ax.get_legend().get_window_extent()
-        for line in ax.get_legend().get_texts()[0].get_text().split("\n"):
+        for line in legend(figure)[0].split("\n"):
             assert not re.search(r"-\w+$", line)
-        assert box.x0 >= 0
-        assert ax.bbox.y1 <= box.y0
-        assert box.y1 <= figure.bbox.y1
-        assert ax.bbox.height > 0.9 * figure.dpi  # room for the curves is left
+        assert figure.axes[0].bbox.height > 0.9 * figure.dpi  # room for the curves is left
 
 
 def test_what_a_result_says_of_its_options_is_read_back():
@@ -112,8 +106,7 @@ def test_results_of_other_units_say_so(damped):
     lattice = random_lattice((4, 3), seed=5, mass=0.25)
     other = with_options(respond(X, lattice=replace(lattice, kmax=0.49)), "-bonds_seed 7")
     made = pgran.plot([damped[0], other])
-    said = [label.get_text() for label in made["phase"].axes[0].get_legend().get_texts()]
-    for result, label in zip((damped[0], other), said, strict=True):
+    for result, label in zip((damped[0], other), legend(made["phase"]), strict=True):
         assert label.endswith(rf", $\omega_{{mx}}$ = {result.medium.omega_mx:.6g}")
     for figure in made.values():
         assert "units of its own" in figure.caption
@@ -138,12 +131,7 @@ def test_responses_over_each_other(damped):
         assert line.get_label().partition(":")[0] == label
     assert len({line.get_color() for line in drawn}) == 3
     assert len({str(line._unscaled_dash_pattern) for line in drawn}) == 3
-    for figure in made.values():
-        figure.draw_without_rendering()
-        box = figure.axes[0].get_legend().get_window_extent()
-        assert figure.axes[0].bbox.y1 <= box.y0
-        assert box.x0 >= 0
-        assert box.y1 <= figure.bbox.y1
+    assert [legend(figure) for figure in made.values()] == [expected] * 2
     above = made["amplitude"].axes[0]
     assert above._left_title.get_window_extent().x1 < above.get_legend().get_window_extent().x0
 
@@ -174,11 +162,11 @@ def test_sweeps_of_different_ranges():
 def test_modes_over_each_other():
     shown = [find_modes((6, 5)), find_modes((7, 6))]
     made = figures.compare(shown, ["small", "large"])
-    for line, result in zip(made["participation"].axes[0].get_lines(), shown, strict=False):
+    drawn = lines(made["participation"].axes[0], linestyle="None")
+    for line, result in zip(drawn, shown, strict=True):
         assert np.array_equal(line.get_xdata(), result.modes.omega / result.medium.omega_mx)
         assert np.array_equal(line.get_ydata(), result.modes.participation)
-    markers = {line.get_marker() for line in made["participation"].axes[0].get_lines()}
-    assert len(markers - {"None"}) == 2
+    assert len({line.get_marker() for line in drawn}) == 2
     steps = [patch.get_data() for patch in made["density"].axes[0].patches]
     assert np.array_equal(steps[0].edges, steps[1].edges)
     for step in steps:
@@ -258,8 +246,7 @@ def test_what_was_measured_lies_over_a_response(written, damped, text, caplog):
             dots = [line for ax in made[name].axes for line in lines(ax, marker="o")]
             assert np.concatenate([d.get_xdata() for d in dots]) == pytest.approx([0.2, 0.4])
             assert np.concatenate([d.get_ydata() for d in dots]).tolist() == values
-            legend = made[name].axes[0].get_legend()
-            assert [t.get_text() for t in legend.get_texts()].count(r"measured\$.csv") == 1
+            assert legend(made[name]).count(r"measured\$.csv") == 1
 
 
 def test_without_phases_the_phase_is_left_alone(written, damped):
@@ -279,8 +266,7 @@ def test_measurements_that_fit_no_figure(written, damped):
 
 
 def test_the_command(written, damped, monkeypatch, capsys):
-    saved, path = [], written("0.4 2\n", "a.csv")
-    monkeypatch.setattr(figures, "save", lambda made, path: saved.append(made) or [path])
+    saved, path = saving(monkeypatch), written("0.4 2\n", "a.csv")
     monkeypatch.setattr(pgran, "load", dict(zip(["a.h5", "b.h5"], damped, strict=False)).get)
     assert plot(["a.h5", "b.h5", "-plot_with", str(path)]) == errors.DONE
     assert capsys.readouterr().out == "a-compared.png\n"
@@ -293,4 +279,4 @@ def test_the_command(written, damped, monkeypatch, capsys):
 
 
 def test_there_are_as_many_looks_as_results():
-    assert len(together.LINES) == len(together.COLOURS) == len(together.MARKS) == together.MOST
+    assert len(together.LINES) == len(style.COLOURS) == len(together.MARKS) == together.MOST

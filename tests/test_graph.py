@@ -5,13 +5,14 @@ import pickle
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from samples import steady
 
 from pgran.driven.certify import smallest_damping
 from pgran.driven.counting import ModeCounter
 from pgran.driven.linear import factor_package
+from pgran.driven.operators import Operators
 from pgran.experiments.modes.scene import find_modes
-from pgran.experiments.modes.slicing import hermitian_operators
 from pgran.medium import crystals as makers
 from pgran.medium.network import Network
 
@@ -138,7 +139,10 @@ def test_counts_are_right_or_none(name, options, solver_options):
     solver_options(options)
     network, sure = costly()[name], 0
     values, rng = eigenvalues(network), np.random.default_rng(2)
-    with hermitian_operators(network) as operators, ModeCounter(operators.K, network) as counter:
+    with (
+        Operators(network, MPI.COMM_SELF) as operators,
+        ModeCounter(operators.K, network) as counter,
+    ):
         assert counter.costly
         assert (counter._factor == counter._by_petsc) == bool(options)
         pivots = operators.K.getDiagonal().getArray().real[:3]  # the first of them is zero there

@@ -1,57 +1,34 @@
-"""Warm balls and cut bonds: as if all were solved anew; and what is refused."""
+"""Warm balls and cut bonds: as if all were solved anew, bounds that hold, and what is refused."""
 
 import dataclasses
 
 import numpy as np
 import pytest
-from mpmath import mp
-from samples import assert_same, random_lattice, swept
-from sensitivity_samples import TOUCH, Exact, derived, heated, missed, packing
+from samples import option_values, random_lattice
+from sensitivity_samples import (
+    STALE,
+    TOUCH,
+    assert_exact,
+    assert_same_on_ranks,
+    derived,
+    heated,
+    packing,
+)
 
 from pgran.command.resolve import resolve
+from pgran.driven import steady
+from pgran.driven import sweep as sweeping
+from pgran.driven.linear import ReusePolicy
+from pgran.driven.steady import SteadySolver
 from pgran.errors import InputError
+from pgran.experiments.sensitivity.finite import changed_amplitudes
 from pgran.medium.bonds import bond_ends
 from pgran.medium.lattice import Lattice
+from pgran.medium.network import Network
+from pgran.run.petsc import holding
 from pgran.run.reading import read_words
 
 OMEGAS = np.array([0.15, 0.6, 1.0])
-
-
-def with_constants(lattice, constants):
-    """A lattice with other constants."""
-    stops = np.cumsum([k.size for k in lattice.stiffness])[:-1]
-    arrays = (
-        part.reshape(k.shape)
-        for part, k in zip(np.split(constants, stops), lattice.stiffness, strict=True)
-    )
-    return Lattice(tuple(arrays), lattice.mass, lattice.damping, lattice.kmax)
-
-
-def warm(medium, ball, stiffer):
-    """A medium whose contacts with a ball have constants `stiffer(k, F)`, tangential ones alike."""
-    if isinstance(medium, Lattice):
-        ends = bond_ends(np.arange(medium.balls).reshape(medium.shape))
-        k = medium.constants
-        return with_constants(medium, np.where(np.any(ends == ball, axis=1), stiffer(k, None), k))
-    touched, k = np.any(medium.bond == ball, axis=1), medium.stiffness
-    given = {"stiffness": np.where(touched, stiffer(k, medium.force), k)}
-    if medium.tangential is not None:
-        given["tangential"] = medium.tangential * given["stiffness"] / k
-    return dataclasses.replace(medium, **given)
-
-
-def by_hertz(overlap, c):
-    """The law F = c h^(3/2), c known or from the force."""
-
-    def stiffer(k, force):
-        if force is None:
-            return np.sqrt(k**2 + 9 / 4 * c**2 * overlap)
-        h = 3 * force / (2 * k)
-        return 3 / 2 * force / h**1.5 * np.sqrt(h + overlap)
-
-    return stiffer
-
-
 MEDIA = {
     "1d": (random_lattice((6,), 1, 0.02), [[2], [5]]),
     "2d": (random_lattice((4, 3), 2, 0.0), [[0, 1], [3, 2]]),
@@ -62,86 +39,46 @@ MEDIA = {
 }
 
 
+def touching(medium, ball):
+    """Which contacts of a medium touch a ball."""
+    ends = getattr(medium, "bond", None)
+    if ends is None:
+        ends = bond_ends(np.arange(medium.balls).reshape(medium.shape))
+    return np.any(ends == ball, axis=1)
+
+
 @pytest.mark.parametrize("name", MEDIA)
 @pytest.mark.parametrize(
-    ("by", "stiffer"),
+    "by",
     [
-        ({"factor": 1.7}, lambda k, force: 1.7 * k),
-        ({"factor": 0.0}, lambda k, force: 0.0 * k),
-        ({"overlap": 0.03, "hertz": 0.4}, by_hertz(0.03, 0.4)),
-        ({"overlap": -1e-3, "hertz": 1e-3}, by_hertz(-1e-3, 1e-3)),
+        {"factor": 1.7}, {"factor": 0.0}, {"overlap": 0.03, "hertz": 0.4},
+        {"overlap": -1e-3, "hertz": 1e-3}, {},
     ],
-)
-def test_a_warm_ball_is_a_new_lattice(name, by, stiffer):
+)  # fmt: skip
+def test_changes_are_as_if_all_were_solved_anew(name, by):
+    """Each ball warm, by Hertz's law or a factor, and each bond cut, its dashpot, too."""
     medium, sites = MEDIA[name]
-    found = heated(medium, OMEGAS, sites, **by)
+    found = heated(medium, [0.6], sites, cut=not by, **by)
     assert np.all(found.converged_reason > 0)
-    for place, ball in enumerate(found.ball):
-        other = swept(warm(medium, ball, stiffer), OMEGAS, sites, error_tolerance=1e-9)
-        close(found.warmed[..., place], found.warmed_bound[..., place], other)
-    assert len(found.ball) == len(medium.ball_numbers)
-
-
-def close(after, bound, other):
-    """Amplitudes are those of another sweep, to 1e-10 unless they are marked there."""
-    differences = np.abs(after - other.displacement)
-    assert np.all(differences <= bound + other.error_bound)
-    good = other.converged_reason > 0
-    assert np.mean(good) > 0.5
-    assert np.all(differences[good] <= 1e-10 * np.abs(after[good]).max())
-
-
-@pytest.mark.parametrize("name", ["scalar", "vector", "rotations"])
-def test_a_cut_contact_is_gone(name):
-    medium, sites = MEDIA[name]
-    found = heated(medium, OMEGAS, sites, cut=True)
-    assert found.warmed is found.heard is None
-    assert found.cut.shape == (len(OMEGAS), len(sites), len(TOUCH))
-    for contact in range(len(TOUCH)):
-        kept = {
-            key: np.delete(getattr(medium, key), contact, axis=0)
-            for key in ("bond", "stiffness", "normal", "distance", "force", "tangential")
-            if getattr(medium, key) is not None
-        }
-        other = swept(dataclasses.replace(medium, **kept), OMEGAS, sites, error_tolerance=1e-9)
-        close(found.cut[..., contact], found.cut_bound[..., contact], other)
-
-
-def test_a_cut_bond_of_a_lattice_has_no_dashpot():
-    """Against elimination; at beta = 0 the same as one whose constant vanishes."""
-    lattice, sites = random_lattice((3, 2), 4, 0.1), [[1, 1]]
-    found = heated(lattice, OMEGAS, sites, cut=True)
-    with mp.workdps(40):
-        exact = Exact(lattice)
-        for n, omega in enumerate(OMEGAS):
-            right = np.array([exact.cut(1j * omega, [3], bond) for bond in range(lattice.bonds)]).T
-            assert not missed(found.cut[n], right, found.cut_bound[n])[0].any()
-            assert np.all(found.cut_bound[n] <= 1e-10 * np.abs(found.cut[n]))
-    still = Lattice(lattice.stiffness, lattice.mass, 0.0)
-    found = heated(still, OMEGAS, sites, cut=True)
-    for bond in range(still.bonds):
-        constants = still.constants
-        constants[bond] = 0.0
-        other = swept(with_constants(still, constants), OMEGAS, sites, error_tolerance=1e-9)
-        close(found.cut[..., bond], found.cut_bound[..., bond], other)
+    kind = "warmed" if by else "cut"
+    assert len(found.ball) == (len(medium.ball_numbers) if by else 0)
+    errors = assert_exact(found, medium, sites, **by)[kind]
+    after, bound = getattr(found, kind), getattr(found, f"{kind}_bound")
+    assert np.mean(np.isfinite(bound)) > 0.5
+    assert np.all(errors <= 1e-10 * np.abs(after).max())
 
 
 @pytest.mark.parametrize("name", ["2d", "rotations"])
 def test_a_little_heat_is_the_derivative(name):
     """To second order: what is left falls with the square of the factor less 1."""
     medium, sites = MEDIA[name]
-    slopes = derived(medium, OMEGAS, sites, error_tolerance=1e-9)
-    springs, left = medium.springs, []
-    if isinstance(medium, Lattice):
-        ends, total = bond_ends(np.arange(medium.balls).reshape(medium.shape)), medium.constants
-        total = total * slopes.by_stiffness
-    else:
-        ends, total = medium.bond, medium.stiffness * slopes.by_stiffness
+    slopes, left = derived(medium, OMEGAS, sites, error_tolerance=1e-9), []
+    total = medium.springs.constants[: medium.bonds] * slopes.by_stiffness
+    if slopes.by_tangential is not None:
         total = total + medium.tangential * slopes.by_tangential
-    assert springs.blocks[0] == "normal"
     for small in (1e-4, 1e-6):
         found = heated(medium, OMEGAS, sites, factor=1 + small)
-        touched = np.any(ends[:, :, None] == found.ball, axis=1)
+        touched = np.array([touching(medium, ball) for ball in found.ball]).T
         linear = found.displacement[..., None] + (found.factor - 1) * total @ touched
         left.append(np.abs(found.warmed - linear))
     size = np.abs(total).max()
@@ -152,10 +89,9 @@ def test_a_little_heat_is_the_derivative(name):
 def test_some_balls_are_those_of_all():
     for medium, sites in (MEDIA["2d"], MEDIA["rotations"]):
         every = heated(medium, OMEGAS, sites, factor=2)
-        chosen = every.ball[[2, 0, 2]]
-        balls = chosen
+        balls = every.ball[[2, 0, 2]]
         if isinstance(medium, Lattice):
-            balls = np.stack(np.unravel_index(chosen, medium.shape), axis=1)
+            balls = np.stack(np.unravel_index(balls, medium.shape), axis=1)
         some = heated(medium, OMEGAS, sites, factor=2, balls=balls)
         assert some.ball.tolist() == every.ball[[0, 2]].tolist()
         difference = np.abs(some.warmed - every.warmed[..., [0, 2]])
@@ -168,31 +104,129 @@ def test_some_balls_are_those_of_all():
 
 @pytest.mark.parametrize("name", ["2d", "1d", "rotations"])
 def test_any_number_of_ranks(world, name):
-    """Bit for bit, or to rounding where ranks share a lattice; without damping they refuse."""
+    """Without damping, ranks that share a lattice refuse."""
     medium, sites = MEDIA[name]
-    choices = {"factor": 1.3, "cut": True}
-    alone = heated(medium, OMEGAS, sites, **choices)
-    assert_same(heated(medium, OMEGAS, sites, world, **choices), alone)
-    if world.size > 1 and not medium.damping:
-        with pytest.raises(InputError, match="that ranks share"):
-            heated(medium, OMEGAS, sites, world, world.size, **choices)
-        return
-    shared = heated(medium, OMEGAS, sites, world, world.size, **choices)
-    for kind in ("warmed", "cut", "displacement"):
-        difference = np.abs(getattr(alone, kind) - getattr(shared, kind))
-        assert difference.max() <= 1e-10 * np.abs(getattr(alone, kind)).max()
+    names = "warmed", "cut", "displacement"
+    assert_same_on_ranks(world, heated, medium, OMEGAS, sites, names, factor=1.3, cut=True)
+
+
+def test_contacts_of_no_normal_stiffness_are_warmed():
+    """Their tangential springs, by the factor."""
+    network = packing("vector")
+    stiffness = network.stiffness.copy()
+    stiffness[1] = 0.0
+    network = dataclasses.replace(network, stiffness=stiffness)
+    assert_exact(heated(network, [0.6], [1], factor=3), network, [1], factor=3)
+
+
+# Bounds
+
+
+@pytest.mark.parametrize("solver", [STALE, ""])
+def test_inexact_factors(monkeypatch, solver_options, solver):
+    """A factorization of another frequency would leave warm balls unknown: none is used."""
+    solver_options(solver)
+    monkeypatch.setattr(sweeping, "ranges", lambda count: [range(count)])
+    lattice, omegas = random_lattice((4, 3), 3), np.linspace(0.4, 0.41, 3)
+    found = heated(lattice, omegas, [[1, 1]], factor=2)
+    assert_exact(found, lattice, [[1, 1]], factor=2)
+    assert np.all(found.warmed_bound <= 1e-8 * np.abs(found.warmed))
+
+
+def test_bounds_know_what_a_factorization_of_another_frequency_is_worth(monkeypatch):
+    """Were one used, they would hold all the same."""
+    restart = SteadySolver.restart
+
+    def once(self):
+        if not hasattr(self, "_earlier"):
+            restart(self)
+
+    monkeypatch.setattr(SteadySolver, "restart", once)
+    monkeypatch.setattr(steady, "ReusePolicy", lambda _: ReusePolicy(50))
+    monkeypatch.setattr(sweeping, "ranges", lambda count: [range(count)])
+    lattice, omegas = random_lattice((4, 3), 3, 0.05), np.linspace(0.4, 0.404, 3)
+    with holding(option_values(STALE)):
+        found = heated(lattice, omegas, [[1, 1]], factor=1.2)
+    assert found.factorizations == 1
+    assert_exact(found, lattice, [[1, 1]], factor=1.2)
+    parts = found.warmed_bound / np.abs(found.warmed)
+    assert 100 * parts[0].max() < parts[2].min() < 1
+
+
+@pytest.mark.parametrize("wrong", [(1e-4, 0, 0), (0, 1e-4, 0), (0, 0, 1e-4), (1e-4, 1e-4, 1e-4)])
+def test_bounds_of_finite_changes_hold(wrong):
+    """Where stretches by the amplitudes, by the adjoint, or flexibilities are off, at random."""
+    rng, (count, r) = np.random.default_rng(2), (200, 4)
+
+    def draw(*shape):
+        return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+    def off(values, size, axes):
+        noise = draw(*values.shape)
+        return values + size * noise / np.linalg.norm(noise, axis=axes, keepdims=True)
+
+    G, t, y, A = draw(count, r, r), draw(count, r), draw(1, count, r), draw(1)
+    delta = draw(count, r) * rng.choice([0, 0.1, 1, 10], (count, r))
+    P = np.eye(r) + G * delta[:, None, :]
+    right = A - np.einsum("dnr,nr->dn", y * delta, np.linalg.solve(P, t[..., None])[..., 0])
+    known = np.tile(np.array(wrong)[:, None], count)
+    stretched = off(t, wrong[0], 1), known[0], off(y, wrong[1], 2), known[1:2]
+    flexibility = off(G, wrong[2], (1, 2)), known[2]
+    after, bound = changed_amplitudes((A, np.zeros(1)), stretched, flexibility, delta)
+    error = np.abs(after - right)
+    assert np.all(error <= bound)
+    assert np.mean(np.isfinite(bound)) > 0.9
+    changed = np.any(delta, axis=1)
+    assert np.median(bound[:, changed] / error[:, changed]) < 100
+
+
+def test_what_fails_is_marked(solver_options):
+    """Resonance of the whole, of what is left after a cut, and a solver that does not converge."""
+    one = Lattice((np.ones(2),), 2.0, 0.0)
+    found = heated(one, [0.5, 1.0], [0], factor=2, cut=True)
+    assert found.converged_reason[0] > 0 >= found.converged_reason[1]
+    assert np.all(np.isnan(found.warmed[1]) & np.isinf(found.warmed_bound[1]))
+    assert np.isnan(found.heard[1, 0])
+    assert found.heard[0, 0] >= 0
+    light = Lattice((np.ones(2),), 1.0, 0.0)  # S = 2 - 1, and 1 - 1 with a bond cut
+    found = heated(light, [1.0], [0], factor=0.5, cut=True)
+    assert found.converged_reason[0] > 0
+    assert np.all(np.isinf(found.cut_bound))
+    assert np.all(np.isinf(found.warmed_bound))
+    assert not np.any(found.heard)
+    solver_options("-steady_pc_type ilu")
+    with pytest.raises(InputError, match="needs a factorization"):
+        heated(random_lattice((6, 5), 1), [0.3], [[1, 2]], factor=2)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.1])
+def test_a_ball_without_its_only_contact_rests(damping):
+    network = Network([[0, 1], [1, 2], [2, 3]], [1.0, 2, 3], [2, 0, 0, 0], 1.0, damping)
+    found = heated(network, [0.3, 0.7], [1, 3], cut=True)
+    cut, bound = found.cut[:, 1, 2], found.cut_bound[:, 1, 2]
+    assert np.all(np.isinf(bound) | (np.abs(cut) <= bound))
+    assert np.all(found.cut_bound[:, 0] < 1e-6)
 
 
 # What is refused
+
+NETWORK = packing("vector")
+NEGATIVE = NETWORK.stiffness * np.where(np.arange(len(TOUCH)) == 3, -0.01, 1)
+REFUSING = {
+    "lattice": MEDIA["2d"][0],
+    "network": NETWORK,
+    "no force": dataclasses.replace(NETWORK, force=0 * NETWORK.force),
+    "negative": dataclasses.replace(NETWORK, stiffness=NEGATIVE),
+}
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         ("-heat_factor 2 -heat_overlap .1", "-heat_factor, -heat_overlap: .* one of these ways"),
-        ("-heat_balls 1,1", "-heat_balls: by how much"),
         ("-heat_balls 1,1 -heat_cut", "-heat_balls: by how much"),
         ("-heat_factor -1", "-heat_factor -1"),
+        ("-sensitivity_most -1", "-sensitivity_most -1"),
     ],
 )
 def test_options_that_contradict_each_other(words, said):
@@ -202,45 +236,22 @@ def test_options_that_contradict_each_other(words, said):
 
 
 @pytest.mark.parametrize(
-    ("choices", "said"),
+    ("name", "choices", "said"),
     [
-        ({}, "give a factor or an overlap, or cut=True"),
-        ({"factor": -1}, "-heat_factor -1"),
-        ({"factor": 2, "overlap": 1}, "one of these ways"),
-        ({"cut": True, "balls": [[0, 0]]}, "-heat_balls: by how much"),
-        ({"factor": 2, "balls": [[4, 0]]}, r"-heat_balls: ball \(4, 0\) is outside"),
-        ({"factor": 2, "balls": [1, 1, 1]}, "-heat_balls: a ball .* has 2 indices"),
-        ({"overlap": 1, "hertz": -1.0}, "-bonds_hertz -1"),
+        ("lattice", {}, "give a factor or an overlap, or cut=True"),
+        ("lattice", {"factor": -1}, "-heat_factor -1"),
+        ("lattice", {"factor": 2, "overlap": 1}, "one of these ways"),
+        ("lattice", {"cut": True, "balls": [[0, 0]]}, "-heat_balls: by how much"),
+        ("lattice", {"factor": 2, "balls": [[4, 0]]}, r"-heat_balls: ball \(4, 0\) is outside"),
+        ("lattice", {"factor": 2, "balls": [1, 1, 1]}, "-heat_balls: a ball .* has 2 indices"),
+        ("lattice", {"overlap": 1, "hertz": -1.0}, "-bonds_hertz -1"),
+        ("no force", {"overlap": 0.1}, "-heat_overlap: contact 0 .* not Hertz's law"),
+        ("negative", {"overlap": 0.1}, "-heat_overlap: contact 3 .* not Hertz's law"),
+        ("network", {"factor": 2, "balls": [4]}, "-heat_balls: ball 4 is held"),
+        ("network", {"factor": 2, "balls": [5]}, "-heat_balls: no ball 5 among 5"),
     ],
 )
-def test_impossible_values(choices, said):
+def test_impossible_values(name, choices, said):
     with pytest.raises(InputError, match=said) as caught:
-        heated(MEDIA["2d"][0], OMEGAS, [[0, 0]], **choices)
+        heated(REFUSING[name], OMEGAS, [[0, 0]] if name == "lattice" else [1], **choices)
     assert "\n" not in str(caught.value)
-
-
-def test_what_hertz_does_not_know():
-    """Negative constants, contacts without a force, and balls of a network that are held."""
-    network, stiffness = packing("vector"), packing("vector").stiffness.copy()
-    with pytest.raises(InputError, match=r"-heat_overlap: contact 0 .* not Hertz's law"):
-        heated(dataclasses.replace(network, force=0 * stiffness), OMEGAS, [1], overlap=0.1)
-    stiffness[3] *= -0.01
-    with pytest.raises(InputError, match=r"-heat_overlap: contact 3 .* not Hertz's law"):
-        heated(dataclasses.replace(network, stiffness=stiffness), OMEGAS, [1], overlap=0.1)
-    with pytest.raises(InputError, match="-heat_balls: ball 4 is held"):
-        heated(network, OMEGAS, [1], factor=2, balls=[4])
-    with pytest.raises(InputError, match="-heat_balls: no ball 5 among 5"):
-        heated(network, OMEGAS, [1], factor=2, balls=[5])
-
-
-def test_contacts_of_no_normal_stiffness_are_warmed():
-    """Their tangential springs, by the factor."""
-    network = packing("vector")
-    stiffness = network.stiffness.copy()
-    stiffness[1] = 0.0
-    network = dataclasses.replace(network, stiffness=stiffness)
-    found = heated(network, [0.6], [1], factor=3)
-    with mp.workdps(40):
-        exact = Exact(network)
-        right = np.array([exact.warmed(0.6j, [1], ball, factor=3) for ball in found.ball]).T
-    assert not missed(found.warmed[0], right, found.warmed_bound[0])[0].any()

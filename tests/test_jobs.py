@@ -63,7 +63,9 @@ def project(clean_environment, tmp_path):
     (tmp_path / "jobs" / "setup.sh").write_text(INSTALLED)
     copy_options(tmp_path)
     (tmp_path / "tests").symlink_to(ROOT / "tests")
-    (tmp_path / "pgran" / "manual").mkdir(parents=True)
+    page = tmp_path / "pgran" / "manual" / "options.md"
+    page.parent.mkdir(parents=True)
+    shutil.copy(ROOT / "pgran" / "manual" / "options.md", page)
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin" / "python3").write_text(VENV)
     (tmp_path / "bin" / "python3").chmod(0o755)

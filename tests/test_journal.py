@@ -3,13 +3,13 @@
 import contextlib
 import fcntl
 import os
-import resource
 import signal
 import threading
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from result_samples import no_room_beyond
 from samples import assert_same, random_lattice
 
 from pgran.errors import FileError, InputError, StoppedError
@@ -27,6 +27,7 @@ from pgran.run.launch import SIGNALS
 ROW = np.dtype([("unit", np.int64), ("value", float, (3,))])
 UNITS = list(range(11))
 RUN = {"-scene": "response", "-bonds_seed": "7"}
+JOURNAL = r"a\.h5\.unfinished"
 OTHER = RUN | {"-bonds_seed": "8"}
 
 
@@ -206,30 +207,18 @@ def test_bad_input_that_turns_up_late(world, result, unfinished):
         left_by(world, result, [1])
 
 
-@contextlib.contextmanager
-def no_room_beyond(size):
-    """Let no file grow beyond some bytes, and expect the error."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
-    try:
-        with pytest.raises(FileError, match=r"a\.h5\.unfinished: cannot be written"):
-            yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-
 def test_no_room(world, result, monkeypatch):
     """What was kept before stays, and the error says which file; so it does of a failing disk."""
 
     def fail(number):
         raise OSError(5, "Input/output error")
 
-    with no_room_beyond(0):
+    with no_room_beyond(0, JOURNAL):
         Journal(world, result, RUN)
     with Journal(world, result, RUN) as journal:
         stage = fill(journal, [0, 1])
         if world.rank == 0:
-            with no_room_beyond(os.stat(journal.path).st_size + 40):
+            with no_room_beyond(os.stat(journal.path).st_size + 40, JOURNAL):
                 journal.write(stage, 2, rows_of(2))
             assert list(journal.kept(stage, ROW)) == [0, 1]
             journal.write(stage, 2, rows_of(2))

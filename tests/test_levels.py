@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from samples import random_lattice, uniform_lattice
+from network_samples import NetworkReference, random_network
+from samples import random_lattice, reference_of
 from synthetic import fair
 
 import pgran
 from pgran.errors import InputError
 from pgran.experiments.modes import levels
 from pgran.experiments.modes import scene as modes
-from pgran.medium.network import Network
 
 
 def goe(rng, size):
@@ -74,81 +74,66 @@ def test_spacing_ratio_is_that_of_any_smooth_scale():
     assert ratio.value == pytest.approx(np.mean(naive), rel=1e-12)
 
 
+LEVELS, MODES = np.arange(99.0), np.arange(0.005, 1.0, 0.01)
+
+
 @pytest.mark.parametrize(
-    ("values", "window", "message"),
+    ("statistic", "arguments", "message"),
     [
-        (np.arange(51.0), None, "^values: 49 ratios .* 50 are needed"),
-        (np.arange(99.0), (10.0, 40.0), "^values: 29 ratios"),
-        (np.arange(99.0)[::-1], None, "^values: .* ascend"),
-        (np.append(np.arange(99.0), [98.0, 98.0]), None, "^values: three modes coincide at 98"),
-        (np.append(np.arange(99.0), np.nan), None, "^values: .* finite"),
-        (np.arange(99.0), (1.0, 1.0), "^window: 1 to 1"),
-        ([], None, "^values: 0 ratios"),
+        (levels.spacing_ratio, [LEVELS[:51]], "^values: 49 ratios .* 50 are needed"),
+        (levels.spacing_ratio, [LEVELS, (10.0, 40.0)], "^values: 29 ratios"),
+        (levels.spacing_ratio, [LEVELS[::-1]], "^values: .* ascend"),
+        (levels.spacing_ratio, [[*LEVELS, 98, 98]], "^values: three modes coincide at 98"),
+        (levels.spacing_ratio, [[*LEVELS, np.nan]], "^values: .* finite"),
+        (levels.spacing_ratio, [LEVELS, (1.0, 1.0)], "^window: 1 to 1"),
+        (levels.spacing_ratio, [[]], "^values: 0 ratios"),
+        (levels.modal_overlap, [MODES, MODES, (0.0, 0.09)], "^window: 9 modes of 1 .* 10 of each"),
+        (levels.modal_overlap, [MODES, MODES, (1.0, 1.0)], "^window: 1 to 1"),
     ],
 )
-def test_spectra_without_ratios(values, window, message):
+def test_levels_that_are_too_few_or_no_spectrum(statistic, arguments, message):
     with pytest.raises(InputError, match=message):
-        levels.spacing_ratio(values, window)
+        statistic(*arguments)
 
 
-def network(kind, damping):
-    """Eight balls of unequal masses on a ring and its diagonals, two of them held."""
-    rng, balls = np.random.default_rng(6), 8
-    bond = [(i, (i + step) % balls) for step in (1, 3) for i in range(balls)]
-    angle = 2 * np.pi * np.arange(balls) / balls
-    return Network(
-        bond,
-        rng.uniform(0.1, 0.3, len(bond)),
-        np.where(np.arange(balls) < 2, [1, 2, *[0] * 6], 0),
-        rng.uniform(0.5, 2.0, balls),
-        damping,
-        kind,
-        position=np.stack([np.cos(angle), np.sin(angle)], axis=1) * rng.uniform(1, 1.3, (8, 1)),
-        tangential=None if kind == "scalar" else rng.uniform(0.05, 0.1, len(bond)),
-        radius=rng.uniform(0.3, 0.5, balls),
-    )
-
-
-def dense(lattice):
-    """K and beta B^T B, column by column, of a lattice or a network."""
-    one = np.eye(lattice.balls).reshape(-1, *lattice.shape)
-    K = lattice.restoring_forces(one).reshape(lattice.balls, -1)
-    rows = [(t, c) for t, _, c in lattice.stretched(one, np.zeros(lattice.balls))]
-    return K, lattice.damping * sum((t * c) @ t.T for t, c in rows)
-
-
-@pytest.mark.parametrize("kind", ["1D", "2D", "3D", "scalar", "vector", "rotations"])
-def test_modal_widths_are_those_of_damped_modes(kind):
-    """To first order in beta: Gamma is twice the decay rate of the damped mode, -2 Re s."""
-    shapes = {"1D": (30,), "2D": (6, 7), "3D": (3, 4, 3)}
-    beta = 1e-5
-    if kind in shapes:
-        lattice = random_lattice(shapes[kind], 4, damping=beta, mass=1.7)
-    else:
-        lattice = network(kind, damping=beta)
-    K, C = dense(lattice)
+def widths_by(K, C, lattice):
+    """Modes of a dense K, a row each, and beta f^T C f / m of each."""
     values, vectors = np.linalg.eigh(K)
-    modes = 3.0 * vectors.T.reshape(-1, *lattice.shape)  # of any length
+    widths = lattice.damping * np.einsum("pi,pq,qi->i", vectors, C, vectors) / lattice.mass
+    return values, vectors.T, widths
+
+
+@pytest.mark.parametrize("shape", [(30,), (6, 7), (3, 4, 3)])
+def test_modal_widths_are_those_of_damped_modes(shape, monkeypatch):
+    """To first order in beta, twice the decay rate of the damped mode, -2 Re s."""
+    lattice = random_lattice(shape, 4, damping=1e-5, mass=1.7)
+    K, C = (X.astype(float) for X in (reference_of(lattice).K, reference_of(lattice).C))
+    _, modes, expected = widths_by(K, C, lattice)
+    modes = 3.0 * modes.reshape(-1, *shape)  # of any length
     widths = levels.modal_widths(lattice, modes)
-    np.testing.assert_allclose(
-        widths, np.einsum("pi,pq,qi->i", vectors, C, vectors) / lattice.mass, rtol=1e-9
-    )
-    n, m = lattice.balls, lattice.mass
-    companion = np.block([[np.zeros((n, n)), np.eye(n)], [-K / m, -C / m]])
-    s = np.linalg.eigvals(companion)
-    s = s[s.imag > 0]
-    s = s[np.argsort(s.imag)]
-    moving = values > 1e-6
-    np.testing.assert_allclose(-2 * s.real[-moving.sum() :], widths[moving], rtol=1e-3)
+    np.testing.assert_allclose(widths, expected, rtol=1e-9)
+    rates = np.block([[0 * K, np.eye(len(K))], [-K / 1.7, -1e-5 * C / 1.7]])
+    s = np.linalg.eigvals(rates)
+    s = sorted(s[s.imag > 0], key=lambda s: s.imag)
+    np.testing.assert_allclose(-2 * np.real(s), widths, rtol=1e-3)
+    monkeypatch.setattr(levels, "NUMBERS_AT_ONCE", 3 * lattice.bonds)  # three modes at a time
+    np.testing.assert_allclose(levels.modal_widths(lattice, modes), widths, rtol=1e-12)
 
 
-def test_widths_of_many_modes_are_found_part_by_part(monkeypatch):
-    lattice = uniform_lattice((5, 4), stiffness=0.2, damping=0.01)
-    K, _ = dense(lattice)
-    values, vectors = np.linalg.eigh(K)
-    monkeypatch.setattr(levels, "NUMBERS_AT_ONCE", 3 * lattice.bonds)
-    widths = levels.modal_widths(lattice, vectors.T.reshape(-1, 5, 4))
-    np.testing.assert_allclose(widths, 0.01 * values / 0.2, rtol=1e-9)  # C = K / K0
+@pytest.mark.parametrize("seed", range(12))
+def test_modal_widths_of_networks(seed):
+    """Where modes stand alone: equal ones may be mixed. Their sum is beta tr C / m, however."""
+    network = random_network(seed).network
+    reference = NetworkReference(network)
+    K, C = (reference.weighted(X).astype(float) for X in (reference.K, reference.C))
+    values, _, expected = widths_by(K, C, network)
+    modes = np.linalg.eigh(network.restoring_forces(np.eye(network.balls)))[1].T
+    widths = levels.modal_widths(network, modes)
+    size = network.damping * np.abs(C).sum(axis=1).max() / network.mass
+    assert abs(widths.sum() - expected.sum()) <= 1e-9 * size
+    apart = np.diff(values, prepend=-np.inf, append=np.inf) > 1e-5 * np.abs(values).max()
+    alone = apart[1:] & apart[:-1]
+    np.testing.assert_allclose(widths[alone], expected[alone], rtol=0, atol=1e-8 * size)
 
 
 def test_modal_overlap():
@@ -162,13 +147,3 @@ def test_modal_overlap():
             some = (omega, width) if samples > 1 else (omega[0], width[0])
             found.append(levels.modal_overlap(*some, window))
         fair(found, 0.01 * 0.5 * 400)
-
-
-@pytest.mark.parametrize(
-    ("window", "message"),
-    [((0.0, 0.09), "^window: 9 modes of 1 samples .* 10 of each"), ((1.0, 1.0), "^window: 1 to 1")],
-)
-def test_windows_without_overlap(window, message):
-    omega = np.arange(0.005, 1.0, 0.01)
-    with pytest.raises(InputError, match=message):
-        levels.modal_overlap(omega, omega, window)

@@ -16,8 +16,7 @@ from samples import listened, swept
 from scipy.integrate import solve_ivp
 
 import pgran
-from pgran.experiments.response import models as interval
-from pgran.experiments.response.models import ARRAYS, evaluate
+from pgran.experiments.response.models import SmallSystems, evaluate
 
 HEAVY = 7  # balls of mass 1 beside the light ones, each held by the wall: they set the unit
 LIGHT = [1e-4, 1e-8]
@@ -76,23 +75,23 @@ def test_bounds_of_a_model_are_in_units_of_what_a_detector_reads(comm, factor):
     """As many times as large as that: e_d stands in a reading and in the first column of W."""
     kept = {"method": "curve", "keep_models": True}
     models = swept(light_chain(1e-4, 4, 2e-6), [5.0, 6.0], [[2]], comm, **kept).models
-    model = {name: getattr(models, name)[0].copy() for name in ARRAYS}
+    model = {name: a[0].copy() for name, a in vars(models).items() if np.ndim(a)}
     omegas = np.linspace(model["low"], model["high"], 50)
-    before, known = evaluate(model, omegas, models), interval._Solved(model, models, omegas).known
+    before, rounding = evaluate(model, omegas, models), SmallSystems(model, models, omegas).rounding
     model["reading"] *= factor
     model["own"][1:, :, 0] *= factor
     model["triangle"][1:, :, 0] *= factor
     larger = dataclasses.replace(models, receiver=factor * models.receiver)
-    after, scaled = evaluate(model, omegas, larger), interval._Solved(model, larger, omegas).known
+    after, scaled = evaluate(model, omegas, larger), SmallSystems(model, larger, omegas).rounding
     for name in ("displacement", "error_bound", "derivative", "derivative_bound"):
         assert after[name] == pytest.approx(factor * before[name], rel=1e-2), name
     assert np.array_equal(after["reaction_bound"], before["reaction_bound"])
     # what rounding leaves of the residual of z, of whose parts e_d is one, no less than S z
     assert models.receiver == pytest.approx(100, rel=1e-12)
-    assert scaled == pytest.approx(known * [[1], [factor]], rel=1e-2)
+    assert scaled == pytest.approx(rounding * [[1], [factor]], rel=1e-2)
     assert np.all(scaled[1] >= models.rounding * 200 * factor)
-    older = interval._Solved(model, dataclasses.replace(models, receiver=None), omegas)
-    assert np.all(older.known[1] >= scaled[1])  # of files that do not say
+    older = SmallSystems(model, dataclasses.replace(models, receiver=None), omegas)
+    assert np.all(older.rounding[1] >= scaled[1])  # of files that do not say
 
 
 @pytest.mark.parametrize("mass", LIGHT)

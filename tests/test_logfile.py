@@ -65,7 +65,7 @@ def test_a_log_is_refused_before_any_work(call, place, shared_path, monkeypatch)
 
 
 def test_ranks_append_whole_messages(shared_path, world, capsys):
-    """Many messages of several lines from all ranks at once never mix; a lost disk ends no run."""
+    """Many messages of several lines from all ranks at once do not mix; a full disk ends no run."""
     handler = logfile.LogFile(shared_path / "a.log", world.rank)
     for number in range(200):
         text = "\n".join(f"{world.rank} {number} {'x' * 100}" for _ in range(5))
@@ -74,6 +74,8 @@ def test_ranks_append_whole_messages(shared_path, world, capsys):
     lines = lines_of(shared_path / "a.log")
     assert lines[::5] == lines[4::5]
     assert len(lines) == 5 * len(set(lines)) == 1000 * world.size
-    handler.path, handler._file = shared_path / "missing" / "a.log", None
+    handler.setStream(open("/dev/full", "w")).close()  # noqa: SIM115
     handler.emit(logging.makeLogRecord({"levelno": logging.INFO}))
-    assert "a.log: cannot be written: No such file" in capsys.readouterr().err
+    assert "a.log: cannot be written: [Errno 28] No space" in capsys.readouterr().err
+    with pytest.raises(FileError, match=r"b\.log: cannot be written: No such file"):
+        logfile.LogFile(shared_path / "missing" / "b.log", 0)

@@ -12,7 +12,7 @@ from pgran.driven.operators import Operators
 from pgran.errors import InputError
 from pgran.experiments.modes.scene import find_modes
 from pgran.medium import crystals as makers
-from pgran.medium.parts import without_floating
+from pgran.medium.graph import without_floating
 
 ROOT3 = math.sqrt(3)
 

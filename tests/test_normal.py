@@ -1,6 +1,5 @@
 """Normal modes against dense linear algebra, closed forms and identities."""
 
-import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +9,16 @@ from petsc4py import PETSc
 from reference import Reference, uniform_frequencies
 from samples import islands, random_lattice, uniform_lattice
 
-from pgran.driven import counting
+from pgran.driven.counting import ModeCounter
 from pgran.driven.operators import Operators
 from pgran.errors import InputError
-from pgran.experiments.modes import normal
+from pgran.experiments.modes import normal, slices
 from pgran.experiments.modes.scene import certificate, find_modes
 from pgran.medium.lattice import Lattice
 from pgran.run.crew import Crew
 
 SOLVERS = Path(__file__).parents[1] / "options" / "solvers"
+EQUAL, LOOSE = uniform_lattice((5, 5, 5), mass=0.8), islands((9, 8), 5)
 
 
 @pytest.fixture
@@ -30,21 +30,12 @@ def crew(world):
 @pytest.fixture
 def narrow(monkeypatch):
     """Make small lattices go through many slices."""
-    monkeypatch.setattr(counting, "SLICE", 6)
+    monkeypatch.setattr(slices, "SLICE", 6)
 
 
 def modes_of(lattice, crew, **which):
-    """The modes, on every rank."""
-    return crew.world.bcast(find_modes(lattice, crew, **which))
-
-
-def make(kind, shape, seed=5):
-    """A lattice of random bonds, of equal ones, or of many missing ones and two loose balls."""
-    if kind == "equal":
-        return uniform_lattice(shape, mass=0.8)
-    if kind == "islands":
-        return islands(shape, seed)
-    return random_lattice(shape, seed, mass=1.7, law=kind)
+    """The modes and their shapes, on every rank."""
+    return crew.world.bcast(find_modes(lattice, crew, **{"shapes": True} | which))
 
 
 def check(lattice, modes, interval=(0.0, np.inf)):
@@ -69,38 +60,39 @@ def check(lattice, modes, interval=(0.0, np.inf)):
 
 
 @pytest.mark.parametrize(
-    ("kind", "shape"),
+    "lattice",
     [
-        ("uniform", (30,)), ("uniform", (1, 1)), ("bimodal", (6, 7)), ("wide", (13, 9)),
-        ("equal", (5, 5, 5)), ("islands", (9, 8)),
+        random_lattice((30,), 5, mass=1.7), random_lattice((1, 1), 5, mass=1.7),
+        random_lattice((6, 7), 5, law="bimodal"), random_lattice((13, 9), 5, law="wide"),
+        EQUAL, LOOSE,
     ],
+    ids=lambda lattice: "x".join(map(str, lattice.shape)),
 )  # fmt: skip
-def test_all_modes(kind, shape, crew, narrow):
+def test_all_modes(lattice, crew, narrow):
     """On any ranks; the closed form for equal bonds, zero modes of loose balls."""
-    lattice = make(kind, shape)
-    modes = modes_of(lattice, crew, shapes=True)
+    modes = modes_of(lattice, crew)
     check(lattice, modes)
     with Crew(MPI.COMM_SELF, 1) as single:
         alone = find_modes(lattice, single, shapes=True)
     np.testing.assert_array_equal(modes.omega, alone.omega)
     np.testing.assert_array_equal(modes.vector, alone.vector)
-    if kind == "equal":
-        np.testing.assert_allclose(modes.omega, uniform_frequencies(shape, 0.25, 0.8), rtol=1e-12)
-    if kind == "islands":
+    if lattice is EQUAL:
+        exact = uniform_frequencies(lattice.shape, 0.25, lattice.mass)
+        np.testing.assert_allclose(modes.omega, exact, rtol=1e-12)
+    if lattice is LOOSE:
         assert np.count_nonzero(modes.omega < 1e-6) >= 2
-        check(lattice, modes_of(lattice, crew, interval=(0, 1e-4), shapes=True), (0, 1e-4))
+        check(lattice, modes_of(lattice, crew, interval=(0, 1e-4)), (0, 1e-4))
 
 
-@pytest.mark.parametrize(("kind", "shape"), [("equal", (9, 9)), ("islands", (5, 4, 4))])
-def test_random_intervals_miss_no_mode(kind, shape, crew, narrow):
+@pytest.mark.parametrize("lattice", [uniform_lattice((9, 9), mass=0.8), islands((5, 4, 4), 1)])
+def test_random_intervals_miss_no_mode(lattice, crew, narrow):
     """Some intervals are empty, some begin and end on a mode."""
-    lattice = make(kind, shape, 1)
     omegas = np.sqrt(np.maximum(Reference(lattice.stiffness).eigenvalues(), 0) / lattice.mass)
-    rng = np.random.default_rng([1, *shape])
+    rng = np.random.default_rng([1, *lattice.shape])
     ends = rng.uniform(0, 1.05 * omegas[-1], (9, 2))
     ends[::4] = rng.choice(omegas, (3, 2))
     for interval in [*np.sort(ends).tolist(), (0.0, 1e-3), (5.0, 6.0)]:
-        check(lattice, modes_of(lattice, crew, interval=interval, shapes=True), interval)
+        check(lattice, modes_of(lattice, crew, interval=interval), interval)
 
 
 @pytest.mark.parametrize(
@@ -109,7 +101,7 @@ def test_random_intervals_miss_no_mode(kind, shape, crew, narrow):
 )
 def test_modes_nearest_to_targets(targets, count, crew):
     lattice = random_lattice((10, 13), seed=4)  # of more modes than a slice has
-    modes = modes_of(lattice, crew, targets=targets, count=count)
+    modes = modes_of(lattice, crew, targets=targets, count=count, shapes=False)
     omegas = np.sqrt(Reference(lattice.stiffness).eigenvalues())
     nearest = {i for t in targets for i in np.argsort(np.abs(omegas - t))[:count]}
     assert modes.count_expected == len(nearest)
@@ -124,8 +116,8 @@ def test_solver_files(name, crew, solver_options):
     lines = (SOLVERS / f"modes_{name}.opts").read_text().splitlines()
     solver_options(" ".join(line for line in lines if not line.startswith("#")))
     lattice = random_lattice((6, 5), seed=8)
-    check(lattice, modes_of(lattice, crew, shapes=True))
-    part = modes_of(lattice, crew, interval=(0.3, 0.6), shapes=True)
+    check(lattice, modes_of(lattice, crew))
+    part = modes_of(lattice, crew, interval=(0.3, 0.6))
     check(lattice, part, (0.3, 0.6))
     for unit in (2.0**33, 2.0**-33):
         scaled = Lattice(tuple(unit**2 * k for k in lattice.stiffness), 1.0)
@@ -160,7 +152,7 @@ def test_a_search_that_failed_is_repeated_elsewhere(crew, monkeypatch, narrow):
 
     monkeypatch.setattr(normal.ModeSolver, "_search", spoilt)
     lattice = uniform_lattice((8, 8))
-    check(lattice, modes_of(lattice, crew, shapes=True))
+    check(lattice, modes_of(lattice, crew))
 
 
 @pytest.mark.parametrize("fault", ["missing", "twice", "inaccurate"])
@@ -192,27 +184,20 @@ def test_wrong_modes_are_never_certified(fault, crew, monkeypatch, caplog, narro
     assert warned or fault != "missing"
 
 
-@contextlib.contextmanager
-def counting_modes(lattice):
-    """A counter for a lattice, with its eigenvalues."""
-    with Operators(lattice, MPI.COMM_SELF) as operators:
-        for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
-            operators.K.setOption(flag, True)
-        with counting.ModeCounter(operators.K, operators.lattice) as counter:
-            yield counter, Reference(lattice.stiffness).eigenvalues()
-
-
 def test_counts_equal_dense_ones_but_next_to_a_mode():
-    with counting_modes(random_lattice((8, 9), seed=3)) as (counter, values):
+    """With spoilt factors, too: at 2, between 1 and 3, the first pivot of two balls is tiny."""
+    lattice = random_lattice((8, 9), seed=3)
+    values = Reference(lattice.stiffness).eigenvalues()
+    with (
+        Operators(lattice, MPI.COMM_SELF) as operators,
+        ModeCounter(operators.K, lattice) as counter,
+    ):
         for shift in np.random.default_rng(0).uniform(-0.1, 1.5, 100):
             assert counter.below(shift, 1e-9) == np.count_nonzero(values < shift)
         for value in values:
             for off in (0.0, 0.4e-6, -0.9e-6):
                 assert counter.below(value + off, 1e-6) is None
-
-
-def test_spoilt_factors_are_refused():
-    """The eigenvalues are 1 and 3; at 2 the first pivot is tiny, though no eigenvalue is near."""
-    with counting_modes(uniform_lattice((2,), 1.0)) as (counter, _):
+    pair = uniform_lattice((2,), 1.0)
+    with Operators(pair, MPI.COMM_SELF) as operators, ModeCounter(operators.K, pair) as counter:
         assert counter.below(1.8, 1e-11) == 1
         assert counter.below(2.0, 1e-11) is None

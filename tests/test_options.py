@@ -34,7 +34,7 @@ def refusal(text, key):
 @each_option
 def test_range(option):
     """The bounds belong to it or not, as declared; what is refused is told the range."""
-    step = 1 if option.kind in (INTEGER, INTEGERS) else 1e-6
+    step = 1 if option.kind in (INTEGER, INTEGERS) else 1e-6 * max(1, option.high or 1)
     for bound in (option.low, option.high):
         assert bound is None or option.read(text_of(bound)) in (bound, (bound,))
     for bound, beyond in ((option.above, 0), (option.low, -step), (option.high, step)):

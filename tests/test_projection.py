@@ -93,7 +93,8 @@ def test_which_modes_are_projected_on():
         (3600, "", {}),
         (3601, "", {"targets": OMEGAS, "count": 60}),
         (3600, "-modes_count 7", {"targets": OMEGAS, "count": 7}),
-        (3601, "-modes_count 7 -modes_target .5", {"targets": [0.5], "count": 7}),
+        (3601, "-modes_count 7 -modes_target .5", {"targets": (0.5,), "count": 7}),
+        (9, "-modes_count 7 -modes_target .5,.9", {"targets": (0.5, 0.9), "count": 7}),
         (3601, "-modes_omega_min .1 -modes_omega_max .2", {"interval": (0.1, 0.2)}),
     ):
         options = resolve(read_words(["-scene", "projection", *words.split()]))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from samples import random_lattice, reference_of, steady
 
-from pgran.driven.linear import factor_package
-from pgran.driven.reuse import ReusePolicy, expected_iterations
+from pgran.driven.linear import ReusePolicy, expected_iterations, factor_package
 
 
 def serve(price, points, iterations, limit=0):

@@ -10,7 +10,7 @@ from samples import assert_same, random_lattice, swept
 
 from pgran.command.resolve import SCENES, resolve
 from pgran.errors import InputError
-from pgran.medium import lattice, network
+from pgran.medium import graph, lattice
 from pgran.medium.sample import ranks_per_lattice
 from pgran.run.crew import Crew
 from pgran.run.reading import read_words
@@ -40,7 +40,7 @@ def test_what_is_large(monkeypatch):
     assert LATTICE.is_large
     chain = as_network(LATTICE)
     assert not chain.is_large
-    monkeypatch.setattr(network, "LARGE_WORK", 0.99 * chain.graph.work)
+    monkeypatch.setattr(graph, "LARGE_WORK", 0.99 * chain.graph.work)
     assert chain.is_large
 
 

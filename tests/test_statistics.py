@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 from scipy.stats import norm
-from synthetic import fair, gaussian_fields, lorentzians
+from synthetic import fair, gaussian_fields, lorentzian, lorentzians, mean_intensity
 
 from pgran.errors import InputError
-from pgran.experiments.ensemble import intensity as statistics
-from pgran.experiments.ensemble.intensity import NoisyCurves
+from pgran.experiments.ensemble import intensity
+from pgran.experiments.ensemble.noise import MAXIMA_SPACING, NoisyCurves
 
 REPEATS, SAMPLES, POINTS = 120, 80, 3000
 FEWER = {"correlation": 60, "half_width": 60}  # which take longest; campaigns/estimates.py
@@ -17,14 +17,14 @@ GAMMA = 0.02
 SHIFTS = np.array([0.5, 2.0]) * GAMMA
 EDGES = np.array([0.0, 0.3, 1.0, 2.0, 4.0])
 MEASURES = {
-    "mean_intensity": (statistics.mean_intensity, 1.0),
-    "contrast": (statistics.contrast, statistics.GAUSSIAN_CONTRAST),
-    "spread": (statistics.spread, statistics.GAUSSIAN_SPREAD),
-    "half_width": (statistics.half_width, GAMMA),
-    "maxima_spacing": (statistics.maxima_spacing, statistics.MAXIMA_SPACING * GAMMA),
+    "mean_intensity": (mean_intensity, 1.0),
+    "contrast": (intensity.contrast, intensity.GAUSSIAN_CONTRAST),
+    "spread": (intensity.spread, intensity.GAUSSIAN_SPREAD),
+    "half_width": (intensity.half_width, GAMMA),
+    "maxima_spacing": (intensity.maxima_spacing, MAXIMA_SPACING * GAMMA),
     "correlation": (
-        lambda curves: statistics.correlation(curves, SHIFTS),
-        statistics.lorentzian(SHIFTS, GAMMA),
+        lambda curves: intensity.correlation(curves, SHIFTS),
+        lorentzian(SHIFTS, GAMMA),
     ),
 }
 
@@ -32,6 +32,19 @@ MEASURES = {
 def beta_law(points):
     """Densities of I/<I> in EDGES, where <I> is the mean of so many independent points."""
     return np.diff(1 - (1 - EDGES / points) ** (points - 1)) / np.diff(EDGES)
+
+
+def fields(seed, samples, points, step=GAMMA / 5):
+    """Frequencies and Gaussian fields of some samples."""
+    return gaussian_fields(np.random.default_rng(seed), samples, points, GAMMA, step)[:2]
+
+
+def repeated(seed, repeats, points):
+    """Frequencies and single fields, again and again."""
+    rng = np.random.default_rng(seed)
+    for _ in range(repeats):
+        omega, A, _ = gaussian_fields(rng, 1, points, GAMMA, GAMMA / 5)
+        yield NoisyCurves(omega, A[0])
 
 
 @pytest.fixture(scope="module")
@@ -48,40 +61,24 @@ def ensembles():
 @pytest.fixture(scope="module")
 def single():
     """One sample in a wide window."""
-    rng = np.random.default_rng(2)
-    return [
-        NoisyCurves(omega, A[0])
-        for omega, A, _ in (
-            gaussian_fields(rng, 1, POINTS, GAMMA, GAMMA / 5) for _ in range(REPEATS)
-        )
-    ]
-
-
-@pytest.mark.parametrize("name", MEASURES)
-def test_measures_of_many_gaussian_fields(ensembles, name):
-    measure, truth = MEASURES[name]
-    fair([measure(curves) for curves in ensembles[: FEWER.get(name)]], truth)
+    return list(repeated(2, REPEATS, POINTS))
 
 
 def test_histograms(ensembles, single):
     """Without the coherent part n fields are n - 1 independent ones."""
-    many = [statistics.histogram(curves, EDGES) for curves in ensembles[:60]]
+    many = [intensity.histogram(curves, EDGES) for curves in ensembles[:60]]
     fair(many, beta_law(SAMPLES - 1))
     points = (POINTS - 1) / 5 / math.pi  # the integral of the correlation is pi Gamma
-    fair([statistics.histogram(curves, EDGES) for curves in single[:80]], beta_law(points))
-    np.testing.assert_allclose(
-        beta_law(1e9), -np.diff(statistics.gaussian_distribution(EDGES)) / np.diff(EDGES), 1e-6
-    )
+    fair([intensity.histogram(curves, EDGES) for curves in single[:80]], beta_law(points))
 
 
 @pytest.mark.parametrize("name", MEASURES)
-def test_measures_of_one_gaussian_field(single, name):
-    measure, truth = MEASURES[name]
-    if name == "half_width":  # which takes longer ones
-        rng = np.random.default_rng(12)
-        made = (gaussian_fields(rng, 1, 5000, GAMMA, GAMMA / 5) for _ in range(60))
-        single = [NoisyCurves(omega, A[0]) for omega, A, _ in made]
-    fair([measure(curves) for curves in single[: FEWER.get(name)]], truth)
+def test_measures_of_gaussian_fields(ensembles, single, name):
+    """Of many samples and of one, whose half width takes longer curves."""
+    (measure, truth), count = MEASURES[name], FEWER.get(name)
+    fair([measure(curves) for curves in ensembles[:count]], truth)
+    long = repeated(12, count, 5000) if name == "half_width" else single[:count]
+    fair([measure(curves) for curves in long], truth)
 
 
 def test_sparse_modes_are_no_gaussian_field():
@@ -91,7 +88,7 @@ def test_sparse_modes_are_no_gaussian_field():
         NoisyCurves(omega, lorentzians(rng, 100, omega, GAMMA, overlap), incoherent=True)
         for _ in range(100)
     ]
-    fair([statistics.contrast(c) for c in made], 2 + 2 / (np.pi * overlap))
+    fair([intensity.contrast(c) for c in made], 2 + 2 / (np.pi * overlap))
 
 
 def test_overlapping_modes_have_the_correlation_of_a_gaussian_field():
@@ -114,14 +111,13 @@ def test_spacing_of_maxima_by_kac_and_rice():
     mean, sigma = 2 * r[:, None] ** 2 - (y + r[:, None]) ** 2, np.sqrt(2) * r[:, None] + 1e-9
     positive = mean * norm.cdf(mean / sigma) + sigma * norm.pdf(mean / sigma)
     rate = 2 / np.pi * np.sum(np.exp(-(r**2)) * (positive @ weight)) * width
-    assert 1 / rate == pytest.approx(statistics.MAXIMA_SPACING, rel=1e-6)
+    assert 1 / rate == pytest.approx(MAXIMA_SPACING, rel=1e-6)
     assert np.pi / np.sqrt(3) == pytest.approx(1 / rate, rel=0.02)  # Schroeder's shorter formula
 
 
 def test_unequal_distances_change_no_measure():
     """Averages are integrals along omega, correlations resampled: not by number of points."""
-    rng = np.random.default_rng(5)
-    omega, A, _ = gaussian_fields(rng, 1, 20400, GAMMA, GAMMA / 22)
+    omega, A = fields(5, 1, 20400, GAMMA / 22)
     kept = np.cumsum(np.tile([1, 1, 2, 3, 3, 2], 1700)) - 1  # steps along omega, 0 to 20399
     for measure, _ in MEASURES.values():
         even = measure(NoisyCurves(omega, A))
@@ -131,16 +127,14 @@ def test_unequal_distances_change_no_measure():
 
 def test_windows_and_weak_frequencies():
     """<I> may fall along omega, for many samples; a window keeps what lies in it."""
-    rng = np.random.default_rng(6)
-    omega, A, _ = gaussian_fields(rng, 100, 60, GAMMA, GAMMA / 5)
+    omega, A = fields(6, 100, 60)
     steep = NoisyCurves(omega, A * np.exp(-40 * omega))
-    for name in set(MEASURES) - {"mean_intensity"}:
+    for name in set(MEASURES) - {"mean_intensity", "maxima_spacing"}:
         measure = MEASURES[name][0]
-        if name != "maxima_spacing":
-            np.testing.assert_allclose(measure(steep).value, measure(NoisyCurves(omega, A)).value)
+        np.testing.assert_allclose(measure(steep).value, measure(NoisyCurves(omega, A)).value)
     half = NoisyCurves(omega, A, (omega[10], omega[40]))
     cut = NoisyCurves(omega[10:41], A[:, 10:41])
-    assert statistics.contrast(half).value == statistics.contrast(cut).value
+    assert intensity.contrast(half).value == intensity.contrast(cut).value
     assert half.window == (omega[10], omega[40])
 
 
@@ -155,7 +149,7 @@ FEWEST = {
 def test_measures_are_withheld_below_the_samples_that_make_their_errors_right(name):
     """From there on they miss the truth by their errors: no bias, and no surprises."""
     rng, (measure, truth), (said, bias) = np.random.default_rng(10), MEASURES[name], FEWEST[name]
-    needed, misses = statistics.SAMPLES_FOR[said], []
+    needed, misses = intensity.SAMPLES_FOR[said], []
     for _ in range(60):
         omega, A, _ = gaussian_fields(rng, needed, 51, GAMMA, GAMMA / 5)
         found = measure(NoisyCurves(omega, A))
@@ -167,15 +161,15 @@ def test_measures_are_withheld_below_the_samples_that_make_their_errors_right(na
 
 
 def test_a_bin_that_few_samples_reach_has_no_error():
-    omega, A, _ = gaussian_fields(np.random.default_rng(7), 20, 30, GAMMA, GAMMA / 4)
-    found = statistics.histogram(NoisyCurves(omega, A), [0, 1, 50, 60])
+    omega, A = fields(7, 20, 30)
+    found = intensity.histogram(NoisyCurves(omega, A), [0, 1, 50, 60])
     assert np.all(found.error[:2] > 0)
     assert np.isnan(found.error[2])
     assert found.value[2] == 0
 
 
 def test_what_is_not_finite_is_left_out_aloud(caplog):
-    omega, A, _ = gaussian_fields(np.random.default_rng(8), 12, 600, GAMMA, GAMMA / 4)
+    omega, A = fields(8, 12, 600)
     A[3, 7] = np.nan
     assert NoisyCurves(omega, A).samples == 11
     assert "1 of 12 samples are left out" in caplog.text
@@ -188,9 +182,9 @@ def test_what_is_not_finite_is_left_out_aloud(caplog):
     assert not caplog.text
 
 
-OMEGA, FIELDS, _ = gaussian_fields(np.random.default_rng(9), 10, 600, GAMMA, GAMMA / 4)
+OMEGA, FIELDS = fields(9, 10, 600, GAMMA / 4)
 SMOOTH = np.exp((2j - 1) * OMEGA)  # without maxima
-MANY = gaussian_fields(np.random.default_rng(9), 80, 600, GAMMA, GAMMA / 4)[1]
+MANY = fields(9, 80, 600, GAMMA / 4)[1]
 
 
 @pytest.mark.parametrize(
@@ -220,25 +214,25 @@ def test_curves_that_cannot_be_measured(arguments, message):
 @pytest.mark.parametrize(
     ("measure", "arguments", "message"),
     [
-        (statistics.mean_intensity, (OMEGA, FIELDS[0], (0.5, 0.9)), "half widths .* 40 are needed"),
-        (statistics.mean_intensity, (OMEGA, SMOOTH), "^window: .* maxima of .* 10 are needed"),
-        (statistics.maxima_spacing, (OMEGA[:5], FIELDS[:, :5]), "^window: .* maxima"),
-        (statistics.maxima_spacing, (OMEGA[::5], FIELDS[:, ::5]), "^omega: .* points to a maximum"),
-        (statistics.half_width, (OMEGA, FIELDS[0]), "^window: .* half widths .* 800 are needed"),
-        (statistics.half_width, (OMEGA[::5], MANY[:, ::5]), "^omega: .* not resolved"),
-        (statistics.half_width, (OMEGA[:6], MANY[:, :6]), "^window: .* does not fall"),
-        (statistics.half_width, (OMEGA, np.tile(SMOOTH, (80, 1))), "^amplitude: .* the same"),
+        (mean_intensity, (OMEGA, FIELDS[0], (0.5, 0.9)), "half widths .* 40 are needed"),
+        (mean_intensity, (OMEGA, SMOOTH), "^window: .* maxima of .* 10 are needed"),
+        (intensity.maxima_spacing, (OMEGA[:5], FIELDS[:, :5]), "^window: .* maxima"),
+        (intensity.maxima_spacing, (OMEGA[::5], FIELDS[:, ::5]), "^omega: .* points to a maximum"),
+        (intensity.half_width, (OMEGA, FIELDS[0]), "^window: .* half widths .* 800 are needed"),
+        (intensity.half_width, (OMEGA[::5], MANY[:, ::5]), "^omega: .* not resolved"),
+        (intensity.half_width, (OMEGA[:6], MANY[:, :6]), "^window: .* does not fall"),
+        (intensity.half_width, (OMEGA, np.tile(SMOOTH, (80, 1))), "^amplitude: .* the same"),
         (
-            statistics.spread,
+            intensity.spread,
             (OMEGA, MANY * (np.arange(600) > 0) ** np.eye(80)[0][:, None]),
             "^amplitude: one vanishes",
         ),
         (
-            lambda curves: statistics.correlation(curves, [2.0]),
+            lambda curves: intensity.correlation(curves, [2.0]),
             (OMEGA, FIELDS),
             "^shifts: .* half of the window",
         ),
-        (lambda curves: statistics.histogram(curves, [1, 1]), (OMEGA, FIELDS), "^edges: "),
+        (lambda curves: intensity.histogram(curves, [1, 1]), (OMEGA, FIELDS), "^edges: "),
     ],
 )
 def test_measures_that_there_are_not(measure, arguments, message):

@@ -155,22 +155,6 @@ def test_a_point_passes_only_if_every_detector_does(comm):
     assert state.converged_reason <= 0
 
 
-def test_undamped_lattice(comm):
-    """Right to rounding away from resonances, and proven unless ranks share the lattice.
-
-    Below the lowest and above the highest mode S is definite: well conditioned.
-    """
-    lattice = random_lattice((8, 9), 3, damping=0.0)
-    lowest = math.sqrt(reference_of(lattice).eigenvalues()[0])
-    states, _ = solve(lattice, [lowest / 3, lowest / 2, 1.3, 1.6], [6, 4], comm)
-    for state in states:
-        assert state.converged_reason > 0
-        (exact,) = reference_of(lattice).amplitudes(state.s.imag, [6, 4])
-        error = abs(state.displacement[0] - exact)
-        assert error <= state.error_bound[0] if comm.size == 1 else np.isnan(state.error_bound[0])
-        assert error <= 1e-10 * abs(exact)
-
-
 @pytest.mark.parametrize("options", ["", "-steady_ksp_type preonly", LU, f"{LU} {MUMPS}"])
 def test_nothing_passes_on_an_undamped_resonance(comm, options, solver_options):
     """At the double next to an eigenfrequency no digit of the amplitude can be known.

@@ -18,7 +18,7 @@ from samples import assert_same, random_lattice
 from pgran import __main__ as command_line
 from pgran import load, results
 from pgran.errors import DONE, FileError, PgranError
-from pgran.medium.bonds_file import read_stiffness
+from pgran.medium.bonds_file import read_bonds
 from pgran.store import file as store
 from pgran.store.file import FORMAT_VERSION
 from pgran.store.record import Result
@@ -45,7 +45,7 @@ def test_everything_comes_back(tmp_path, shape, without):
         assert_same(getattr(result, record.group), record, but=())
     for name, value in (ATTRIBUTES | {"format": "pgran", "format_version": FORMAT_VERSION}).items():
         assert (getattr(result, name), type(getattr(result, name))) == (value, type(value))
-    stiffness, kmax = read_stiffness(path)
+    stiffness, kmax = read_bonds(path)
     assert kmax == pytest.approx(0.25)
     for arrays in (stiffness, result.lattice.stiffness):
         assert len(arrays) == len(shape)
@@ -155,7 +155,7 @@ def test_files_of_version_1_are_read():
     assert (result.format_version, result.pgran_version) == (1, "0.1.0")
     assert result.response.at_floor is None
     assert result.lattice.shape == (3, 2)
-    stiffness, kmax = read_stiffness(VERSION_1)
+    stiffness, kmax = read_bonds(VERSION_1)
     assert np.array_equal(stiffness[0], result.lattice.stiffness_x)
     assert kmax == pytest.approx(0.25)
     check_seal(VERSION_1)
@@ -196,7 +196,7 @@ def test_verify(path, capsys, monkeypatch):
     assert seal.rstrip(b"\0") == f"pgran result 2\nsha256 {digest}\n".encode()
     with monkeypatch.context() as patch:
         patch.setattr(subprocess, "run", None)
-        read_stiffness(path)
+        read_bonds(path)
     refused(change(path), "changed since .no seal.", lambda path: command_line.main(words))
 
 

@@ -1,4 +1,4 @@
-"""Amplitudes against depth, on waves whose attenuation and delay are known."""
+"""Amplitudes against depth: of waves whose attenuation and delay are known, and of ensembles."""
 
 import itertools
 import math
@@ -10,8 +10,8 @@ from synthetic import complex_normal, fair, gaussian_fields
 
 import pgran
 from pgran.errors import InputError
-from pgran.experiments.ensemble import localization as transport
-from pgran.experiments.ensemble import transport as scene
+from pgran.experiments.ensemble import transport
+from pgran.experiments.ensemble.transport import Profiles
 from pgran.experiments.modes import levels
 from pgran.store.estimate import Estimate
 
@@ -19,11 +19,16 @@ DEPTH = np.array([2.0, 4.0, 4.0, 6.0, 9.0, 12.0])
 LENGTH = 5.0
 
 
-def waves(rng, samples, frequencies):
+def waves(seed, samples, frequencies):
     """Fields exp(-x/LENGTH) times noise that neighbouring depths share, complex Gaussian."""
-    noise = complex_normal(rng, samples, frequencies, len(DEPTH) + 2)
+    noise = complex_normal(np.random.default_rng(seed), samples, frequencies, len(DEPTH) + 2)
     field = (noise[..., :-2] + noise[..., 1:-1] + noise[..., 2:]) / math.sqrt(3)
     return field * np.exp(-DEPTH / LENGTH)
+
+
+def profiles_of(amplitude, depth=DEPTH):
+    """Profiles of amplitudes whose derivatives do not matter."""
+    return Profiles(depth, amplitude, amplitude)
 
 
 def each(estimate):
@@ -32,45 +37,43 @@ def each(estimate):
 
 
 def test_profiles_against_depth():
-    amplitude = waves(np.random.default_rng(1), 60, 400)
-    found = transport.log_amplitude_profile(DEPTH, amplitude)
-    np.testing.assert_array_equal(found.depth, [2, 4, 6, 9, 12])
+    found = profiles_of(waves(1, 60, 400))
+    np.testing.assert_array_equal(found.depths, [2, 4, 6, 9, 12])
     # <ln I> of a complex Gaussian field is ln <I> less Euler's constant.
-    fair(each(found.mean), -found.depth / LENGTH - np.euler_gamma / 2)
-    found = transport.intensity_profile(DEPTH, amplitude)
-    fair(each(found.mean), np.exp(-2 * found.depth / LENGTH))
+    fair(each(found.log_amplitude()), -found.depths / LENGTH - np.euler_gamma / 2)
+    fair(each(found.intensity()), np.exp(-2 * found.depths / LENGTH))
 
 
 def test_attenuation_length():
-    found = transport.attenuation(DEPTH, waves(np.random.default_rng(2), 100, 400))
-    fair(each(found.rate), 1 / LENGTH)
-    assert found.length.value == pytest.approx(1 / found.rate.value)
-    fair(each(found.length), LENGTH + LENGTH**3 * np.mean(found.rate.error**2))
+    rate, length = profiles_of(waves(2, 100, 400)).attenuation()
+    fair(each(rate), 1 / LENGTH)
+    assert length.value == pytest.approx(1 / rate.value)
+    fair(each(length), LENGTH + LENGTH**3 * np.mean(rate.error**2))
 
 
 def test_weights_favour_depths_that_are_certain():
     """The deepest detector, far below noise, hardly changes the line."""
-    rng = np.random.default_rng(3)
-    amplitude = waves(rng, 100, 200)
+    amplitude = waves(3, 100, 200)
     wild = amplitude.copy()
-    wild[..., -1] *= np.exp(10 * rng.standard_normal((100, 200)))
-    error = np.mean(transport.attenuation(DEPTH[:-1], amplitude[..., :-1]).rate.error)
-    assert np.mean(transport.attenuation(DEPTH, wild).rate.error) < 1.02 * error
+    wild[..., -1] *= np.exp(10 * np.random.default_rng(33).standard_normal((100, 200)))
+    without = profiles_of(amplitude[..., :-1], DEPTH[:-1]).attenuation()[0]
+    assert np.mean(profiles_of(wild).attenuation()[0].error) < 1.02 * np.mean(without.error)
 
 
 def test_no_length_where_nothing_falls():
-    flat = transport.attenuation(DEPTH, complex_normal(np.random.default_rng(4), 50, 20, 6))
-    withheld = np.isnan(flat.length.value)
+    flat = profiles_of(complex_normal(np.random.default_rng(4), 50, 20, 6))
+    rate, length = flat.attenuation()
+    withheld = np.isnan(length.value)
     assert np.count_nonzero(withheld) >= 18
-    assert np.all(np.isfinite(flat.rate.value))
-    np.testing.assert_array_equal(withheld, np.isnan(flat.length.error))
-    np.testing.assert_array_equal(withheld, flat.rate.value <= 2 * flat.rate.error)
+    assert np.all(np.isfinite(rate.value))
+    np.testing.assert_array_equal(withheld, np.isnan(length.error))
+    np.testing.assert_array_equal(withheld, rate.value <= 2 * rate.error)
 
 
 def test_delay_against_depth():
     """1/Gamma of overlapping modes, and the delay of a front, X/c, that grows with depth alone."""
     rng, gamma, speed = np.random.default_rng(5), 0.02, np.array([0.1, 0.2])
-    depth, found, growth, each_frequency = np.array([1.0, 3.0, 4.0]), [], [], []
+    depth, banded, growth, single = np.array([1.0, 3.0, 4.0]), [], [], []
     bands = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1 / 3, 1 / 3, 1 / 3]])
     slow = speed[[0, 1, 1, 1]]
     for _ in range(200):
@@ -78,23 +81,86 @@ def test_delay_against_depth():
         A, dA = (x.reshape(40, 3, 4).swapaxes(1, 2) for x in (A, dA))
         late = depth / slow[:, None]
         front = np.exp(-1j * omega[:, None] * late)
-        dA = (dA - 1j * late * A) * front
-        arguments = depth, A * front, dA
-        found.append(transport.delay_profile(*arguments, bands).mean)
-        growth.append(transport.delay_per_depth(*arguments, bands))
-        each_frequency.append(transport.delay_profile(*arguments).mean)
+        profiles = Profiles(depth, A * front, (dA - 1j * late * A) * front)
+        banded.append(profiles.delay(bands))
+        growth.append(profiles.delay_growth(bands))
+        single.append(profiles.delay())
     t = (np.arange(8) + 0.5) * 2 * np.pi / (8 * gamma / 40)  # those that the fields are made of
     rings = np.average(t, weights=np.exp(-gamma * t))
-    fair(found, rings + depth / speed[:, None])
+    fair(banded, rings + depth / speed[:, None])
     fair(growth, 1 / speed)
-    fair(each_frequency, rings + depth / slow[:, None])
+    fair(single, rings + depth / slow[:, None])
 
 
-def shaken(lattice, omegas, samples):
-    """Responses of samples at all depths."""
-    line = [(i, 4) for i in range(2, 10)]
-    given = {"lattice": lattice, "omegas": omegas, "detectors": line, "keep": "curves"}
-    return pgran.Lattice.random(**lattice), pgran.ensemble("response", samples, **given)
+GOOD = waves(6, 10, 3)
+ONE = np.zeros(GOOD.shape, dtype=bool)
+ONE[4, 1, 2] = True
+NAN = np.where(ONE, np.nan, GOOD)
+
+
+@pytest.mark.parametrize(("amplitude", "derivative"), [(NAN, GOOD), (GOOD, NAN)])
+def test_samples_that_are_not_finite_are_left_out_aloud(caplog, amplitude, derivative):
+    found = Profiles(DEPTH, amplitude, derivative)
+    assert "1 of 10 samples are left out" in caplog.text
+    assert "sample 4 is the first" in caplog.text
+    others = profiles_of(np.delete(GOOD, 4, axis=0))
+    for name in ("log_amplitude", "intensity", "delay"):
+        one, other = (getattr(profiles, name)() for profiles in (found, others))
+        np.testing.assert_array_equal(one.value, other.value)
+
+
+@pytest.mark.parametrize(
+    ("measure", "arguments", "message"),
+    [
+        ("intensity", (DEPTH[1:], GOOD, GOOD), "^amplitude: shape"),
+        ("intensity", (DEPTH, GOOD[0], GOOD[0]), "^amplitude: shape"),
+        ("intensity", (DEPTH, GOOD[:7], GOOD[:7]), "^amplitude: 7 samples .* 8 are needed"),
+        ("intensity", (DEPTH * np.nan, GOOD, GOOD), "^depth: .* finite"),
+        ("intensity", (DEPTH, GOOD, GOOD[1:]), "^derivative: shape"),
+        ("intensity", (DEPTH, 0 * GOOD, GOOD), "^amplitude: it vanishes"),
+        (
+            "log_amplitude",
+            (DEPTH, np.where(ONE, 0, GOOD), GOOD),
+            "^amplitude: that of sample 4, frequency 1, detector 2 vanishes",
+        ),
+        ("attenuation", (DEPTH[1:4], *[GOOD[..., 1:4]] * 2), "^depth: 2 depths"),
+        ("delay_growth", (DEPTH[1:4], *[GOOD[..., 1:4]] * 2), "^depth: 2 depths"),
+    ],
+)
+def test_what_has_no_profile(measure, arguments, message):
+    with pytest.raises(InputError, match=message):
+        getattr(Profiles(*arguments), measure)()
+
+
+LINE = [(i, 4) for i in range(2, 10)]
+
+
+def shaken(lattice, omegas, samples=8, line=LINE, keep="curves"):
+    """The first lattice, and responses of samples along a line."""
+    choices = {"omegas": omegas, "detectors": line, "keep": keep}
+    ensemble = pgran.ensemble("response", samples, lattice=lattice, **choices)
+    return pgran.Lattice.random(**lattice), ensemble
+
+
+def test_profiles_are_means_over_the_samples():
+    omegas, line = np.linspace(0.3, 1.6, 14), [(4, 1), (3, 1), (2, 1), (0, 1)]
+    lattice, ensemble = shaken({"shape": (6, 3), "damping": 0.1}, omegas, 10, line)
+    found = pgran.transport(lattice, ensemble)
+    assert found.depth.tolist() == [2, 3, 4, 6]
+    size = np.abs(ensemble.displacement)
+    assert found.ln_amplitude == pytest.approx(np.log(size).mean(axis=0))
+    error = np.log(size).std(axis=0, ddof=1) / np.sqrt(10)
+    assert found.ln_amplitude_error == pytest.approx(error)
+    assert found.intensity == pytest.approx(np.mean(size**2, axis=0))
+
+
+def test_above_all_modes_amplitudes_fall_as_bonds_say():
+    """Far above them a ball moves as k / (m omega^2) of the one before it."""
+    omegas, chain = [40.0, 50.0], {"shape": (8, 1), "damping": 0.0, "law": "constant"}
+    line = pgran.transport(*shaken(chain, omegas, 8, [(6, 0), (5, 0), (4, 0)]))
+    # of equal samples the line has no error; the balls' own springs correct m omega^2
+    exact = [np.log((w * w - 4 * 0.25) / 0.25) for w in omegas]
+    assert line.rate == pytest.approx(exact, rel=1e-3)
 
 
 def test_lengths_are_withheld_below_the_first_mode():
@@ -102,7 +168,7 @@ def test_lengths_are_withheld_below_the_first_mode():
     omegas = np.linspace(0.01, 1.0, 100)
     for damping in (1e-6, 3e-3):
         lattice = {"shape": (12, 9), "damping": damping, "law": "uniform", "kmin": 0.2}
-        first, responses = shaken(lattice, omegas, 8)
+        first, responses = shaken(lattice, omegas)
         found, lowest = pgran.transport(first, responses), pgran.find_modes(first).omega[0]
         assert found.first_mode == pytest.approx(lowest, rel=1e-9)
         below = omegas < lowest
@@ -111,9 +177,8 @@ def test_lengths_are_withheld_below_the_first_mode():
         assert np.isnan(found.length[below]).all()
         assert np.isnan(found.length_error[below]).all()
         assert np.isfinite(found.length[~below]).any()
-    first, responses = shaken(lattice, omegas[:5], 8)
     with pytest.raises(InputError, match=r"all frequencies lie below the first mode, at 0\.1"):
-        pgran.transport(first, responses)
+        pgran.transport(*shaken(lattice, omegas[:5]))
 
 
 @pytest.mark.parametrize(
@@ -125,7 +190,7 @@ def test_lengths_are_withheld_below_the_first_mode():
     ],
 )
 def test_delays_are_told_by_frequency_and_in_bands(omegas, ends):
-    first, responses = shaken({"shape": (12, 9)}, omegas, 8)
+    first, responses = shaken({"shape": (12, 9)}, omegas)
     found = pgran.transport(first, responses)
     ends = [found.first_mode if end == "first" else end for end in ends]
     assert found.edge == pytest.approx(ends)
@@ -137,62 +202,23 @@ def test_delays_are_told_by_frequency_and_in_bands(omegas, ends):
         assert found.band_delay[band] == pytest.approx(mean, rel=1e-9)
         slope = np.polyfit(found.depth, mean, 1)[0]
         assert found.delay_growth[band] == pytest.approx(slope, rel=1e-6, abs=1e-6)
-    result = SimpleNamespace(transport=found, medium=first)
-    lines = list(scene.summary(result))
+    lines = list(transport.summary(SimpleNamespace(transport=found, medium=first)))
     assert len(lines) == len(ends)
     assert "the group delay grows by" in lines[-1]
 
 
+def test_where_there_is_no_transport():
+    lattice, bare = shaken({"shape": (12, 9)}, [0.5], keep="measures")
+    assert transport.is_line(lattice, lattice.sites(LINE[:3]))
+    assert not transport.is_line(lattice, lattice.sites(LINE[:2]))
+    with pytest.raises(InputError, match="no curves"):
+        pgran.transport(lattice, bare)
+    with pytest.raises(InputError, match="3 samples are too few"):
+        pgran.transport(*shaken({"shape": (12, 9)}, [0.5], 3))
+
+
 def test_the_lowest_mode_of_what_may_be_loose():
-    assert levels.first_mode(pgran.Lattice.random((1, 2))) == pytest.approx(
-        pgran.find_modes(pgran.Lattice.random((1, 2))).omega[0]
-    )
+    pair = pgran.Lattice.random((1, 2))
+    assert levels.first_mode(pair) == pytest.approx(pgran.find_modes(pair).omega[0])
     loose = pgran.Network([[0, 1], [2, 3], [3, 4], [4, 2]], [1.0] * 4, [0, 1, 0, 0, 0])
     assert levels.first_mode(loose) == 0
-
-
-GOOD = waves(np.random.default_rng(6), 10, 3)
-ONE = np.zeros(GOOD.shape, dtype=bool)
-ONE[4, 1, 2] = True
-
-
-def test_samples_that_are_not_finite_are_left_out_aloud(caplog):
-    bad = np.where(ONE, np.nan, GOOD)
-    others = np.delete(GOOD, 4, axis=0)
-    for measure in (transport.log_amplitude_profile, transport.intensity_profile):
-        caplog.clear()
-        np.testing.assert_array_equal(
-            measure(DEPTH, bad).mean.value, measure(DEPTH, others).mean.value
-        )
-        assert "1 of 10 samples are left out" in caplog.text
-        assert "sample 4 is the first" in caplog.text
-    caplog.clear()
-    found = transport.delay_profile(DEPTH, GOOD, bad)
-    assert "1 of 10 samples are left out" in caplog.text
-    np.testing.assert_array_equal(
-        found.mean.value, transport.delay_profile(DEPTH, others, others).mean.value
-    )
-
-
-@pytest.mark.parametrize(
-    ("measure", "arguments", "message"),
-    [
-        (transport.log_amplitude_profile, (DEPTH[1:], GOOD), "^amplitude: shape"),
-        (transport.intensity_profile, (DEPTH, GOOD[0]), "^amplitude: shape"),
-        (transport.intensity_profile, (DEPTH, GOOD[:7]), "^amplitude: 7 samples .* 8 are needed"),
-        (transport.intensity_profile, (DEPTH * np.nan, GOOD), "^depth: .* finite"),
-        (
-            transport.log_amplitude_profile,
-            (DEPTH, np.where(ONE, 0, GOOD)),
-            "^amplitude: that of sample 4, frequency 1, detector 2 vanishes",
-        ),
-        (transport.attenuation, (DEPTH[1:4], GOOD[..., 1:4]), "^depth: 2 depths"),
-        (transport.delay_per_depth, (DEPTH[1:4], GOOD[..., 1:4], GOOD[..., 1:4]), "2 depths"),
-        (transport.delay_profile, (DEPTH, GOOD, GOOD[1:]), "^derivative: shape"),
-        (transport.delay_profile, (DEPTH, 0 * GOOD, GOOD), "^amplitude: it vanishes"),
-        (transport.delay_profile, (DEPTH, GOOD[0], GOOD[0]), "^amplitude: shape"),
-    ],
-)
-def test_what_has_no_profile(measure, arguments, message):
-    with pytest.raises(InputError, match=message):
-        measure(*arguments)

@@ -11,7 +11,7 @@ from mpmath import mp, mpf
 from network_samples import NetworkReference, eliminated, random_network
 from petsc4py import PETSc
 from reference import DRIVEN, bonds, refined_field
-from samples import bond_arrays, random_lattice, steady, swept, uniform_lattice
+from samples import assert_same, bond_arrays, random_lattice, steady, swept, uniform_lattice
 
 from pgran.driven.judge import Judge
 from pgran.medium import crystals as makers
@@ -19,7 +19,7 @@ from pgran.medium.lattice import Lattice
 from pgran.medium.network import Network
 
 DIGITS = 60
-KINDS = [((30,), 0.02), ((9,), 1.0), ((5, 6), 3e-4), ((1, 4), 0.1), ((3, 4, 3), 0.03)]
+LATTICES = [((30,), 0.02), ((9,), 1.0), ((5, 6), 3e-4), ((1, 4), 0.1), ((3, 4, 3), 0.03)]
 
 
 def exact(number):
@@ -76,32 +76,41 @@ def power_in_dashpots(medium, response):
     return 0.5 * medium.damping * response.omega**2 * rates
 
 
+def force_errors(medium, response):
+    """Yield the error of each force, its bound, and the magnitude of the exact force."""
+    with mp.workdps(DIGITS):
+        columns = response.omega, response.force, response.force_bound
+        for omega, force, bound in zip(*columns, strict=True):
+            if isinstance(medium, Network):
+                right = exact_network_force(medium, 1j * omega)
+            else:
+                right = exact_force(medium, omega)
+            yield abs(exact(force) - right), bound, abs(right)
+
+
+def sample_of(kind, damping, **others):
+    """A medium and one of its balls."""
+    if kind == "lattice":
+        return random_lattice((6, 5), 4, damping), (2, 3)
+    network = crystal(kind, damping=damping, **others)
+    return network, network.free[2]
+
+
 @pytest.mark.parametrize("method", ["points", "curve"])
-@pytest.mark.parametrize(("shape", "damping"), KINDS)
-def test_forces_of_lattices(world, method, shape, damping):
-    """Within their bounds, which are small against the force."""
-    lattice, omegas = random_lattice(shape, 3, damping), np.array([0.02, 0.3, 0.31, 0.7, 1.25])
+@pytest.mark.parametrize("kind", [*LATTICES, "scalar", "vector", "rotations"])
+def test_forces_are_within_their_bounds(world, method, kind):
+    """Which are small against the force."""
+    if kind in LATTICES:
+        (shape, damping), site = kind, np.subtract(kind[0], 1)
+        medium = random_lattice(shape, 3, damping)
+    else:
+        medium, site = sample_of(kind, 0.05)
+    omegas = np.array([0.02, 0.3, 0.31, 0.7, 1.25])
     resolve = 0 if method == "curve" else None
-    site = np.subtract(shape, 1)
-    response = swept(lattice, omegas, site, world, method=method, resolve=resolve)
+    response = swept(medium, omegas, site, world, method=method, resolve=resolve)
     assert np.array_equal(response.omega, omegas)
-    with mp.workdps(DIGITS):
-        for omega, force, bound in zip(omegas, response.force, response.force_bound, strict=True):
-            right = exact_force(lattice, omega)
-            assert abs(exact(force) - right) <= bound <= 1e-4 * abs(right)
-
-
-@pytest.mark.parametrize("method", ["points", "curve"])
-@pytest.mark.parametrize("displacement", ["scalar", "vector", "rotations"])
-def test_forces_of_networks(world, method, displacement):
-    network = crystal(displacement, damping=0.05)
-    omegas = np.array([0.03, 0.2, 0.5, 1.0, 2.0])
-    resolve = 0 if method == "curve" else None
-    response = swept(network, omegas, network.free[3], world, method=method, resolve=resolve)
-    with mp.workdps(DIGITS):
-        for omega, force, bound in zip(omegas, response.force, response.force_bound, strict=True):
-            right = exact_network_force(network, 1j * omega)
-            assert abs(exact(force) - right) <= bound <= 1e-4 * abs(right)
+    for error, bound, size in force_errors(medium, response):
+        assert error <= bound <= 1e-4 * size
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -151,21 +160,14 @@ def test_forces_without_damping(comm, seed):
     assert not response.force.imag.any()
     assert not response.power.any()
     assert np.all(np.isnan(response.force_bound)) == (comm.size > 1)
-    with mp.workdps(DIGITS):
-        for omega, force, bound in zip(omegas, response.force, response.force_bound, strict=True):
-            right = exact_force(lattice, omega)
-            allowed = 1e-8 * abs(right) if comm.size > 1 else bound
-            assert abs(exact(force) - right) <= allowed
+    for error, bound, size in force_errors(lattice, response):
+        assert error <= (1e-8 * size if comm.size > 1 else bound)
 
 
 @pytest.mark.parametrize("medium", ["lattice", "scalar", "vector", "rotations"])
 def test_power_is_what_dashpots_dissipate(world, medium):
     """At omega Im F / 2, spring by spring."""
-    if medium == "lattice":
-        sample, site = random_lattice((6, 5), 4, 0.02), (2, 3)
-    else:
-        sample = crystal(medium, damping=0.1, damped="normal" if medium == "vector" else "all")
-        site = sample.free[2]
+    sample, site = sample_of(medium, 0.1, damped="normal" if medium == "vector" else "all")
     omegas = np.linspace(0.2, 1.3, 12)
     response = swept(
         sample, omegas, site, world, fields=True, error_tolerance=1e-12, error_floor=1e-15
@@ -176,66 +178,58 @@ def test_power_is_what_dashpots_dissipate(world, medium):
     assert np.allclose(response.dynamic_mass * omegas**2, -response.force, rtol=1e-15, atol=0)
 
 
-def test_the_static_force_is_the_stiffness(world):
-    """Of a chain that of springs in series; of chains side by side, not joined, their sum."""
+def test_limits_of_the_force(world):
+    """Static, that of springs; of a stiff body its inertia; above all modes that of driven bonds.
+
+    Springs are in series in a chain, and add up in chains side by side that are not joined.
+    """
     k = np.random.default_rng(2).uniform(0.1, 1.0, (13, 3))
-    series = 1 / np.sum(1 / k, axis=0)
+    series, unjoined = 1 / np.sum(1 / k, axis=0), np.zeros((12, 4))
     (force,) = swept(Lattice((k[:, 0],), 1.0, 0.01), [1e-6], [5], world).force
     assert force.real == pytest.approx(series[0], rel=1e-9)
-    (force,) = swept(Lattice((k, np.zeros((12, 4))), 1.0, 0.01), [1e-6], (5, 1), world).force
+    (force,) = swept(Lattice((k, unjoined), 1.0, 0.01), [1e-6], (5, 1), world).force
     assert force.real == pytest.approx(series.sum(), rel=1e-9)
 
+    # balls that only the driven wall holds follow it
+    stiff = bond_arrays((4, 3), lambda size: np.full(size, 1.0))
+    stiff[0][0] = 0.0
+    stiff[1][:, [0, -1]] = 0.0
+    body = swept(Lattice(stiff, 1.7, 0.0), np.array([1e-4, 1e-3]), (1, 1), world)
+    assert np.allclose(body.dynamic_mass, 12 * 1.7, rtol=1e-4, atol=0)
 
-def test_the_force_on_a_stiff_body_is_its_inertia(world):
-    """Balls that only the driven wall holds follow it, if slowly: their masses are its own."""
-    bonds_of = bond_arrays((4, 3), lambda size: np.full(size, 1.0))
-    bonds_of[0][0] = 0.0
-    bonds_of[1][:, [0, -1]] = 0.0
-    lattice, omegas = Lattice(bonds_of, 1.7, 0.0), np.array([1e-4, 1e-3])
-    response = swept(lattice, omegas, (1, 1), world)
-    assert np.allclose(response.dynamic_mass, 12 * 1.7, rtol=1e-4, atol=0)
-
-
-def test_high_above_all_modes_only_the_driven_bonds_act(world):
-    """Balls stay where they are: F = sum (k + i omega beta), but for the part 1 / omega^2."""
-    lattice = uniform_lattice((4, 5), 0.25, 1e-4)
-    (force,) = swept(lattice, [1e3], (3, 2), world).force
+    # balls stay where they are: F = sum (k + i omega beta), but for the part 1 / omega^2
+    (force,) = swept(uniform_lattice((4, 5), 0.25, 1e-4), [1e3], (3, 2), world).force
     assert force == pytest.approx(5 * (0.25 + 0.1j), rel=1e-5)
+
+    loose = [k.copy() for k in uniform_lattice((3, 2)).stiffness]
+    loose[0][-1] = 0.0  # the driven wall stretches nothing
+    assert swept(Lattice(tuple(loose), 1.0, 0.0), [0.3], (1, 1), world).force.tolist() == [0]
 
 
 @pytest.mark.parametrize("medium", ["lattice", "vector"])
 @pytest.mark.parametrize("damping", [0.0, 0.02])
 def test_the_number_of_ranks_does_not_matter(world, medium, damping):
-    sample = random_lattice((7, 5), 4, damping) if medium == "lattice" else crystal(medium)
-    site = (2, 3) if medium == "lattice" else sample.free[2]
-    sample, omegas = dataclasses.replace(sample, damping=damping), np.linspace(0.1, 1.2, 9)
-    alone, shared = (
-        swept(sample, omegas, site, comm, ranks=comm.size, error_tolerance=1e-10)
-        for comm in (MPI.COMM_SELF, world)
+    (sample, site), omegas = sample_of(medium, damping), np.linspace(0.1, 1.2, 9)
+    alone, each, shared = (
+        swept(sample, omegas, site, comm, ranks=ranks, error_tolerance=1e-10)
+        for comm, ranks in ((MPI.COMM_SELF, 1), (world, 1), (world, world.size))
     )
+    assert_same(each, alone)
     assert np.allclose(shared.force, alone.force, rtol=1e-9, atol=0)
-    assert damping == 0 or np.all(
-        np.abs(shared.force - alone.force) <= shared.force_bound + alone.force_bound
-    )
-    each = swept(sample, omegas, site, world, error_tolerance=1e-10)
-    assert np.array_equal(each.force, alone.force)
-    assert np.array_equal(each.force_bound, alone.force_bound)
+    bound = shared.force_bound + alone.force_bound
+    assert damping == 0 or np.all(np.abs(shared.force - alone.force) <= bound)
 
 
 @pytest.mark.parametrize("medium", ["lattice", "rotations"])
 @pytest.mark.parametrize("method", ["points", "curve"])
 def test_another_unit(world, medium, method):
     """Springs, dashpots and masses a million times as large take a force as much larger."""
-    scale = 1e6
+    (one, site), scale = sample_of(medium, 0.05), 1e6
     if medium == "lattice":
-        one, site = random_lattice((5, 4), 2, 0.01), (2, 2)
-        other = Lattice(tuple(scale * k for k in one.stiffness), scale, scale * 0.01)
+        other = Lattice(tuple(scale * k for k in one.stiffness), scale, scale * 0.05)
     else:
-        one = crystal(medium, damping=0.05)
-        names = ("stiffness", "tangential", "force", "masses", "damping", "kmax")
-        names += ("median_mass",)
-        larger = {name: scale * getattr(one, name) for name in names}
-        other, site = dataclasses.replace(one, **larger), one.free[2]
+        names = ("stiffness", "tangential", "force", "masses", "damping", "kmax", "median_mass")
+        other = dataclasses.replace(one, **{name: scale * getattr(one, name) for name in names})
     resolve, omegas = 0 if method == "curve" else None, np.linspace(0.1, 1.0, 6)
     found = [swept(x, omegas, site, world, method=method, resolve=resolve) for x in (one, other)]
     assert found[1].force_bound == pytest.approx(scale * found[0].force_bound, rel=0.5)
@@ -251,25 +245,16 @@ def test_a_failed_frequency_is_marked(world, monkeypatch):
     lattice, omegas, bad = random_lattice((5, 4), 2), np.linspace(0.2, 1.1, 7), 0.5
     right, assess = swept(lattice, omegas, (2, 2), world), Judge.assess
 
-    def failing(self, s, systems, krylov):
+    def failing(self, s, *others):
         if abs(s.imag - bad) < 1e-9:
             raise PETSc.Error(76)  # an error in an outside package
-        return assess(self, s, systems, krylov)
+        return assess(self, s, *others)
 
     monkeypatch.setattr(Judge, "assess", failing)
-    found = swept(lattice, omegas, (2, 2), world)
-    failed = found.converged_reason <= 0
-    assert np.flatnonzero(failed).tolist() == [2]
-    for values in (found.force, found.power, found.dynamic_mass):
+    response = swept(lattice, omegas, (2, 2), world)
+    failed = np.arange(7) == 2
+    assert np.array_equal(response.converged_reason <= 0, failed)
+    for values in (response.force, response.power, response.dynamic_mass):
         assert np.array_equal(np.isnan(values), failed)
-    assert not np.any(np.isfinite(found.force_bound[failed]))
-    good = np.isfinite(found.force)
-    assert np.array_equal(found.force[good], right.force[good])
-
-
-def test_a_drive_that_stretches_nothing_takes_no_force(world):
-    """Bonds of constant 0 at the driven wall, no damping."""
-    stiffness = [k.copy() for k in uniform_lattice((3, 2)).stiffness]
-    stiffness[0][-1] = 0.0
-    response = swept(Lattice(tuple(stiffness), 1.0, 0.0), [0.3], (1, 1), world)
-    assert response.force.tolist() == [0]
+    assert not np.isfinite(response.force_bound[2])
+    assert np.array_equal(response.force[~failed], right.force[~failed])

@@ -18,8 +18,6 @@ from pgran.run import blas, launch
 INSTALL = "bash jobs/setup.sh makes .venv, and .venv/bin/pgran has all it needs"
 OLDEST_PYTHON, OLDEST_NUMPY = (3, 11), (1, 24)
 NEEDED, EXTRAS = ("numpy", "scipy", "h5py"), ("matplotlib", "tqdm")
-# The libraries of which a program must hold one only.
-SINGLE = {"MPI": r"lib(?:mpi|mpich|mpi_cray\w*|mpi_abi)\.so", "PETSc": r"libpetsc\w*\.so"}
 
 
 def examine(words=()):
@@ -29,41 +27,36 @@ def examine(words=()):
     """
     does = "Say what is installed, what is wrong with it, and how to mend that."
     Parser("doctor", does, "pgran doctor", "mpirun -n 2 pgran doctor").parse_args(words)
-    found = [finding for check in CHECKS for finding in guarded(check)]
+    findings = [finding for check in CHECKS for finding in guarded(check)]
     MPI = sys.modules.get("mpi4py.MPI")
-    for rank, theirs in enumerate(MPI.COMM_WORLD.allgather(found) if MPI else ()):
-        wrong = [finding for finding in theirs if finding[0] is False and finding not in found]
-        found += [(False, f"on rank {rank}: {text}", cure) for _, text, cure in wrong]
+    for rank, theirs in enumerate(MPI.COMM_WORLD.allgather(findings) if MPI else ()):
+        for good, text, cure in theirs:
+            if good is False and (good, text, cure) not in findings:
+                findings.append((good, f"on rank {rank}: {text}", cure))
     if launch.rank() == 0:
-        for good, text, cure in found:
+        for good, text, cure in findings:
             print(f"{'ok   ' if good else 'WRONG' if good is False else 'note '} {text}")
             if not good:
                 print(f"      -> {cure}")
-    return int(any(good is False for good, _, _ in found))
+    return int(any(good is False for good, _, _ in findings))
 
 
 def guarded(check):
-    """Return the findings of a check; a module it lacks, or another error, is one of them."""
-    found, name = [], check.__name__
+    """Yield the findings of a check; a module it lacks, or another error, is one of them."""
+    name = check.__name__
     try:
-        found.extend(check())
+        yield from check()
     except ImportError as error:
-        found.append(missing(name + "4py", error))
+        yield missing(name + "4py", error)
     except Exception as error:
-        text = f"looking for {name} failed: {type(error).__name__}: {error}"
-        found.append((False, text, INSTALL))
-    return found
+        yield False, f"looking for {name} failed: {type(error).__name__}: {error}", INSTALL
 
 
 def missing(module, error):
     """Return the finding of a module that is not here, but may be in the .venv of this folder."""
-    folder, cure = Path(__file__).resolve().parents[2] / ".venv" / "bin", INSTALL
-    python = str(folder / "python")
-    if os.path.exists(python) and python != sys.executable:
-        environment = {key: text for key, text in os.environ.items() if key != "PYTHONPATH"}
-        words = [python, "-c", f"import {module}"]
-        if not subprocess.run(words, env=environment, capture_output=True, check=False).returncode:
-            cure = f"this python3 has no {module}, that of .venv has: source {folder}/activate"
+    activate, cure = Path(__file__).resolve().parents[2] / ".venv" / "bin" / "activate", INSTALL
+    if activate.exists() and sys.prefix != str(activate.parents[1]):
+        cure = f"source {activate}: .venv is not active; or {INSTALL}"
     return False, f"{module} cannot be imported: {error}", cure
 
 
@@ -96,9 +89,9 @@ def mpi():
         yield None, "mpirun is not on PATH", "without it pgran runs on one rank only"
         return
     words = [launcher, "--version"]
-    said = subprocess.run(words, capture_output=True, text=True, check=False, timeout=30).stdout
+    version = subprocess.run(words, capture_output=True, text=True, check=False, timeout=30).stdout
     family = next((f for f in ("Open MPI", "MPICH", "Intel") if f in name), name)
-    same = family in said or (family == "MPICH" and "HYDRA" in said.upper())
+    same = family in version or (family == "MPICH" and "HYDRA" in version.upper())
     text = f"{launcher} {'belongs' if same else 'does not belong'} to {family}"
     yield same, text, "it would start single ranks that do not know of each other: " + cure
 
@@ -145,29 +138,17 @@ def packages():
             yield name != "numpy" or number >= OLDEST_NUMPY, f"{name} {version}", cure
 
 
-def libraries():
-    """Find whether all modules that are loaded by now share one MPI, and one PETSc."""
-    cure = "mpi4py, petsc4py, slepc4py and h5py must come from one source, as here: " + INSTALL
-    maps = Path("/proc/self/maps")  # of Linux: what files this process has in memory
-    loaded = maps.read_text() if maps.exists() else ""
-    for name, pattern in SINGLE.items():
-        files = sorted(set(re.findall(rf"(?<= )/\S*/{pattern}\S*", loaded)))
-        if len(files) > 1:
-            text = f"the modules bring {len(files)} different {name} libraries: "
-            yield False, text + ", ".join(files), cure
-
-
 def threads():
     """Find whether the threads of the ranks on this machine are more than the cores they have."""
-    given = {name: os.environ[name] for name in blas.CHOICES if name in os.environ}
+    chosen = {name: os.environ[name] for name in blas.CHOICES if name in os.environ}
     ranks, cores = ranks_and_cores()
-    each = max((int(text) for text in given.values() if text.isdigit()), default=cores)
-    said = ", ".join(f"{name} is {text}" for name, text in given.items())
+    each = max((int(text) for text in chosen.values() if text.isdigit()), default=cores)
+    choices = ", ".join(f"{name} is {text}" for name, text in chosen.items())
     text = f"ranks: {ranks}, threads of each: up to {each}, cores: {cores} "
     cure = "more threads than cores get in each other's way: "
     cure += "start fewer ranks" if each == 1 else "export OMP_NUM_THREADS=1"
-    good = (ranks * each <= cores and "OMP_NUM_THREADS" in given) or None
-    yield good, text + f"({said or 'OMP_NUM_THREADS is not set'})", cure
+    good = (ranks * each <= cores and "OMP_NUM_THREADS" in chosen) or None
+    yield good, text + f"({choices or 'OMP_NUM_THREADS is not set'})", cure
 
 
 def ranks_and_cores():
@@ -183,4 +164,4 @@ def ranks_and_cores():
     return len(everyone), len(set().union(*everyone))
 
 
-CHECKS = (python, mpi, petsc, slepc, packages, libraries, threads)
+CHECKS = (python, mpi, petsc, slepc, packages, threads)

@@ -21,7 +21,7 @@ ENDINGS = (".vtu", ".csv")
 def export(result, output):
     """Write a result for other programs: `export("modes.h5", "modes.vtu")`.
 
-    Not collective. What the file is follows from its ending:
+    What the file is follows from its ending:
 
     - `.vtu`, for ParaView and whatever reads VTK, by meshio: balls as points with `mass`, `radius`,
       `held`; contacts as lines with `stiffness` and so on, `crosses` where one goes across the end
@@ -59,10 +59,10 @@ def export(result, output):
     write = {".vtu": _write_mesh, ".csv": _write_tables}.get(output.suffix.lower())
     if write is None:
         raise FileError(f"{output}: an export's name ends in one of {', '.join(ENDINGS)}")
-    found = as_result(pgran.load(result) if isinstance(result, (str, os.PathLike)) else result)
-    if not hasattr(found, "scene"):
+    loaded = as_result(pgran.load(result) if isinstance(result, (str, os.PathLike)) else result)
+    if not hasattr(loaded, "scene"):
         raise InputError(f"export: a result or its path is needed, not {shown(result)}")
-    return write(found, output)
+    return write(loaded, output)
 
 
 def run(words):
@@ -80,35 +80,36 @@ def run(words):
         help="file to write; NAME.vtu: balls, contacts and displacements, for ParaView and others; "
         "NAME.csv: a row a frequency, time or mode, and what else there is in files beside it",
     )
-    given = parser.parse_intermixed_args(words)
+    options = parser.parse_intermixed_args(words)
     if launch.rank() > 0:
         return DONE
-    for path in export(given.result, given.output):
+    for path in export(options.result, options.output):
         print(path)
     return DONE
 
 
 def _write_tables(result, output):
     """Write the tables of a result, each to a file of its own, and return the paths."""
-    found = tables(result)
-    paths = [output.with_stem("-".join(filter(None, [output.stem, name]))) for name in found]
-    for path, columns in zip(paths, found.values(), strict=True):
+    named = tables(result)
+    paths = [output.with_stem("-".join(filter(None, [output.stem, name]))) for name in named]
+    for path, columns in zip(paths, named.values(), strict=True):
         _write_table(columns, path)
     return paths
 
 
 def _write_table(columns, output):
     """Write a table; its numbers are read back as they are."""
-    parts = {}
+    real = {}
     for name, column in columns.items():
-        both = column.dtype.kind == "c"
-        parts |= {f"{name}_real": column.real, f"{name}_imag": column.imag} if both \
-            else {name: column}  # fmt: skip
+        if column.dtype.kind == "c":
+            real |= {f"{name}_real": column.real, f"{name}_imag": column.imag}
+        else:
+            real[name] = column
     with whole(output) as stream:
         text = io.TextIOWrapper(stream, newline="", encoding="utf-8")
         writer = csv.writer(text)
-        writer.writerow(parts)
-        writer.writerows(zip(*(column.tolist() for column in parts.values()), strict=True))
+        writer.writerow(real)
+        writer.writerows(zip(*(column.tolist() for column in real.values()), strict=True))
         text.detach()  # which leaves the stream open
 
 

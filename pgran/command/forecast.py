@@ -46,13 +46,9 @@ class Trial:
 
 
 class Rehearsal(Crew):
-    """A crew that tries a few units of each task, and delivers zeros for all others.
+    """A crew that tries a few units of each task, its `trials`, and delivers zeros for all others.
 
-    Attributes
-    ----------
-    trials : list of Trial
-    spent : float
-        Seconds that the trials themselves took.
+    `spent` are the seconds that the trials themselves took.
     """
 
     dry = True
@@ -63,10 +59,7 @@ class Rehearsal(Crew):
         self.trials, self.spent = [], 0.0
 
     def share(self, task, work, deliver):
-        """Try some units, from all over the task.
-
-        Collective. Parameters are those of `Crew.share`.
-        """
+        """Try some units, from all over the task; see `Crew.share`. Collective."""
         began = time.perf_counter()
         tried = {} if not task.units else self._try(task, work)
         if self.world.rank == 0:
@@ -107,7 +100,7 @@ class Rehearsal(Crew):
 
 
 def _spread(units):
-    """Return pairs (position, unit), those from all over the task first. Not collective."""
+    """Return pairs (position, unit), those from all over the task first."""
     golden = 0.6180339887498949
     return sorted(enumerate(units), key=lambda pair: pair[0] * golden % 1)
 
@@ -115,27 +108,12 @@ def _spread(units):
 def forecast(scene, options, world, started):
     """Return the lines that say what a run will need, on rank 0; none on the others.
 
-    Collective. Nothing is written.
-
-    Parameters
-    ----------
-    scene : pgran.run.experiment.Scene
-    options : pgran.run.options.Options
-    world : mpi4py.MPI.Comm
-    started : float
-        When the program started, by `time.perf_counter`.
-
-    Raises
-    ------
-    PgranError
-        If the options are impossible, as the run itself would.
+    Collective. Nothing is written. `started` is when the program started, by `time.perf_counter`.
     """
     lattice = make_lattice(options, world) if scene.on_medium else None
     lines = [f"run       {opening(options, world.size, lattice)}"]
     if lattice is not None:
-        balls = " x ".join(map(str, lattice.shape))
-        if lattice.irregular:
-            balls = len(lattice.free)
+        balls = " x ".join(map(str, lattice.shape)) if lattice.is_grid else lattice.free_balls
         lines.append(f"unknowns  {lattice.balls} ({balls} balls, {lattice.bonds} bonds)")
         factored = options.solver.get("steady_pc_type", "lu") in ("lu", "cholesky")
         ranks = ranks_per_lattice(scene, options, lattice, world)
@@ -168,18 +146,10 @@ def forecast(scene, options, world, started):
 
 
 def report(options, memory, together, seconds, disk):
-    """Return memory, time and disk in words, a line each, and warnings. Not collective.
+    """Return memory, time and disk in words, a line each, and warnings.
 
-    Parameters
-    ----------
-    options : pgran.run.options.Options
-    memory : numpy.ndarray, shape (ranks,)
-        Bytes that each rank takes.
-    together : int
-        Bytes that the ranks of this machine take.
-    seconds : float
-    disk : int
-        Bytes of the result.
+    `memory` are the bytes that each rank takes, `together` those of the ranks of this machine,
+    `disk` those of the result.
     """
     ranks, free = len(memory), free_memory()
     words = f"about {in_bytes(memory.max())}" + (" a rank" if ranks > 1 else "")
@@ -202,15 +172,11 @@ def report(options, memory, together, seconds, disk):
 def dissection(shape):
     """Return the entries of the factor L of a lattice by nested dissection.
 
-    Not collective. A box is cut in two across its longest axis by a layer of m balls, which is
-    eliminated after both halves: it then couples to itself and to the b balls of the layers around
-    the box, m (m/2 + b) entries. All boxes of one level are alike, so one box a level is counted.
-    Like n for a chain, n^(4/3) for a cube of n balls; for a square of N x N the leading term is
-    George's (1973), 31/4 N^2 log2 N.
-
-    Parameters
-    ----------
-    shape : sequence of int
+    A box is cut in two across its longest axis by a layer of m balls, which is eliminated after
+    both halves: it then couples to itself and to the b balls of the layers around the box, m (m/2 +
+    b) entries. All boxes of one level are alike, so one box a level is counted. Like n for a chain,
+    n^(4/3) for a cube of n balls; for a square of N x N the leading term is George's (1973),
+    31/4 N^2 log2 N.
     """
     box, cuts, boxes, entries = [float(n) for n in shape], [0.0] * len(shape), 1.0, 0.0
     while True:
@@ -227,29 +193,18 @@ def dissection(shape):
 
 
 def lattice_memory(lattice, ranks, factored=True):
-    """Return the bytes that a rank needs for bonds, matrices, vectors and the factor.
-
-    Not collective.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
-    ranks : int
-        How many share the lattice.
-    factored : bool
-        Whether S is factored.
-    """
-    if lattice.irregular:
-        entries, matrix = lattice.graph.entries, NETWORK_BYTES * lattice.graph.nonzeros
+    """Return the bytes that each of `ranks` needs for bonds, matrices, vectors and the factor."""
+    if lattice.is_grid:
+        entries, each = dissection(lattice.shape), NONZERO_BYTES
     else:
-        entries = dissection(lattice.shape)
-        matrix = NONZERO_BYTES * (2 * lattice.axes + 1) * lattice.balls
+        entries, each = lattice.graph.entries, NETWORK_BYTES
+    matrix = each * lattice.nonzeros
     shared = matrix + VECTOR_BYTES * lattice.balls + ENTRY_BYTES * entries * factored
     return 3 * 8 * lattice.bonds + shared * (1 if ranks == 1 else UNEVEN / ranks)
 
 
 def stored_bytes(records):
-    """Return the size of records in a file. Not collective."""
+    """Return the size of records in a file."""
     values = [getattr(record, f.name) for record in records for f in dataclasses.fields(record)]
     parts = [value for value in values if isinstance(value, Record)]
     size = sum(value.nbytes for value in values if isinstance(value, np.ndarray))
@@ -265,7 +220,7 @@ def _machine_total(world, size):
 
 
 def in_bytes(count):
-    """Return a number of bytes in words, two digits of it. Not collective."""
+    """Return a number of bytes in words, two digits of it."""
     for unit, name in ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
         if count >= unit:
             return f"{float(f'{count / unit:.2g}'):g} {name}"
@@ -273,7 +228,7 @@ def in_bytes(count):
 
 
 def in_time(seconds):
-    """Return a time in words, two digits of it. Not collective."""
+    """Return a time in words, two digits of it."""
     for unit, name in ((86400, "days"), (3600, "h"), (60, "min")):
         if seconds >= 2 * unit:
             return f"{float(f'{seconds / unit:.2g}'):g} {name}"

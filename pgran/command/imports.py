@@ -10,11 +10,12 @@ import numpy as np
 
 from pgran.command.words import Parser, magnitude, positive
 from pgran.errors import DONE, InputError
-from pgran.foreign import graphs, tables
+from pgran.foreign import graphs
 from pgran.foreign.assemble import assemble
 from pgran.foreign.contacts import AXES, read_balls
 from pgran.foreign.recognise import read_contacts
-from pgran.medium.network import KINDS
+from pgran.foreign.tables import read_table
+from pgran.medium.checks import KINDS
 from pgran.medium.network_file import check_output, write_network
 from pgran.medium.springs import FREE
 from pgran.run import launch
@@ -30,27 +31,24 @@ snapshots the last one is taken. A CONDITION compares a coordinate or another co
 
 
 def run(words):
-    """Make a network from files of another program, and say what became of them.
-
-    Not collective: rank 0 does it alone.
-    """
-    given = _parser().parse_intermixed_args(words)
+    """Make a network from files of another program, and say what became of them, on rank 0."""
+    options = _parser().parse_intermixed_args(words)
     if launch.rank() > 0:
         return DONE
-    _check(given)
-    check_output(given.output, given.overwrite)
+    _check(options)
+    check_output(options.output, options.overwrite)
     with np.errstate(all="ignore"):  # of absurd numbers in a file: what comes of them is checked
-        found, names = _read(given)
-        made = assemble(found, given)
-        if names is not None and not np.array_equal(names, found.balls.id.astype(str)):
+        contacts, names = _read(options)
+        made = assemble(contacts, options)
+        if names is not None and not np.array_equal(names, contacts.balls.id.astype(str)):
             made.members["id"] = np.char.encode(names, "utf-8")[made.kept.balls]
-        made.network()
-    write_network(given.output, made.members, made.attributes, given.overwrite)
-    if not made.members["held"].any():
+        network = made.network()
+    write_network(options.output, made.members, made.attributes, options.overwrite)
+    if not network.held.any():
         log.warning(
             "no ball is held: the network floats and cannot be driven; see --rest and --drive"
         )
-    for line in _summary(made, found, given):
+    for line in _summary(network, made, contacts, options):
         print(line)
     return DONE
 
@@ -102,48 +100,48 @@ def _direction(text):
     raise argparse.ArgumentTypeError(f"{text} is neither x, y, z nor 2 or 3 components")
 
 
-def _check(given):
+def _check(options):
     """Refuse words that contradict each other."""
-    if given.hertz is not None and given.law != "hertz":
+    if options.hertz is not None and options.law != "hertz":
         raise InputError("--hertz goes with --law hertz")
-    if given.cut is not None and not re.fullmatch("[xyz]{1,3}", given.cut):
-        raise InputError(f"--cut {given.cut}: must be axes, such as x or xy")
-    if given.displacement == "scalar" and (given.prestress or given.tangential or given.direction):
+    if options.cut is not None and not re.fullmatch("[xyz]{1,3}", options.cut):
+        raise InputError(f"--cut {options.cut}: must be axes, such as x or xy")
+    if options.displacement == "scalar" and (
+        options.prestress or options.tangential or options.direction
+    ):
         raise InputError("--prestress, --tangential and --direction need vector displacements")
-    if graphs.is_graph(given.balls) == (given.contacts is not None):
+    if graphs.is_graph(options.balls) == (options.contacts is not None):
         raise InputError(
             "one GraphML file holds balls and contacts"
-            if given.contacts
+            if options.contacts
             else "CONTACTS is missing: only GraphML holds balls and contacts in one file"
         )
 
 
-def _read(given):
+def _read(options):
     """Return the contacts between the balls in the files, and the names of nodes of a graph."""
-    if given.contacts is None:
-        nodes, edges, names = graphs.read_graph(given.balls)
-        return read_contacts(edges, read_balls(nodes), given.columns), np.array(names)
-    balls = read_balls(tables.read_table(given.balls))
-    return read_contacts(tables.read_table(given.contacts), balls, given.columns), None
+    if options.contacts is None:
+        nodes, edges, names = graphs.read_graph(options.balls)
+        return read_contacts(edges, read_balls(nodes), options.columns), np.array(names)
+    balls = read_balls(read_table(options.balls))
+    return read_contacts(read_table(options.contacts), balls, options.columns), None
 
 
-def _summary(made, found, given):
+def _summary(network, made, contacts, options):
     """Say in a few lines what has been written, what was left out, and what to do next."""
-    kept, members, network = made.kept, made.members, made.network()
-    free, rest, driven = (np.count_nonzero(network.held == kind) for kind in (0, 1, 2))
-    kind = network.displacement
-    plane = f"in {network.axes} dimensions, driven along {_words(network.direction)}"
-    yield f"{given.output}: {counted(free, 'free ball')}, {rest} at rest, {driven} driven; " \
+    kept, members, kind = made.kept, made.members, network.displacement
+    free, rest, driven = np.bincount(network.held, minlength=3)
+    yield f"{options.output}: {counted(free, 'free ball')}, {rest} at rest, {driven} driven; " \
         f"{counted(len(network.bond), 'contact')}"  # fmt: skip
-    rotations = " and rotations" if kind == "rotations" else ""
-    yield "displacements: " + ("scalar" if kind == "scalar" else f"vectors{rotations} {plane}")
-    taken = {table.path: table for table in (found.balls.table, found.table)}
-    for path, table in taken.items():
+    moves = {"vector": "vectors", "rotations": "vectors and rotations"}.get(kind, kind)
+    plane = f" in {network.axes} dimensions, driven along {_words(network.direction)}"
+    yield f"displacements: {moves}{'' if kind == 'scalar' else plane}"
+    for path, table in {t.path: t for t in (contacts.balls.table, contacts.table)}.items():
         if table.snapshots > 1:
             yield f"{path}: the last of {table.snapshots} snapshots, of the time step {table.step}"
-    named = ", ".join(f"{role} = {name}" for role, name in found.roles.items())
-    yield f"columns of contacts: {named}"
-    left = (
+    roles = ", ".join(f"{role} = {name}" for role, name in contacts.roles.items())
+    yield f"columns of contacts: {roles}"
+    left_out = (
         (kept.rattlers, "rattler", "without contacts"),
         (kept.torn_off, "ball", "torn off by the cut"),
         (kept.floating, "ball", "in parts without a path to a held ball"),
@@ -152,14 +150,14 @@ def _summary(made, found, given):
         (made.twice, "contact", "listed a second time"),
         (kept.inert, "contact", "between held balls"),
     )
-    said = [f"{counted(n, what)} {why}" for n, what, why in left if n]
-    yield "left out: " + ("; ".join(said) if said else "nothing")
-    if given.cut:
-        yield f"cut: {counted(made.cut, 'contact')} across {' and '.join(given.cut)}"
-    k, law = members["stiffness"], given.law or found.roles["stiffness"]
+    texts = [f"{counted(count, what)} {why}" for count, what, why in left_out if count]
+    yield f"left out: {'; '.join(texts) or 'nothing'}"
+    if options.cut:
+        yield f"cut: {counted(made.cut, 'contact')} across {' and '.join(options.cut)}"
+    k, law = members["stiffness"], options.law or contacts.roles["stiffness"]
     formula = {"hertz": "hertz, 3/2 F/h", "harmonic": "harmonic, F/h"}.get(law, f"column {law}")
-    if given.hertz is not None:
-        formula = f"hertz, 3/2 c^(2/3) F^(1/3) with c = {given.hertz:g}"
+    if options.hertz is not None:
+        formula = f"hertz, 3/2 c^(2/3) F^(1/3) with c = {options.hertz:g}"
     yield f"stiffness: {formula}; {k.min():.4g} to {k.max():.4g}"
     yield f"omega_mx {network.omega_mx:.4g}, by the stiffest contact, {network.kmax:.4g}, and " \
         f"the median mass, {network.mass:.4g}, of the whole packing, whatever is held"  # fmt: skip
@@ -171,12 +169,12 @@ def _summary(made, found, given):
     ball = _middle(network)
     name = members["id"][ball]
     name = name.decode() if isinstance(name, bytes) else name
-    yield f"next: pgran run FILE -network_file {given.output} -detectors {ball}"
+    yield f"next: pgran run FILE -network_file {options.output} -detectors {ball}"
     yield f"(ball {ball}, of the id {name}, is free and in the middle; /network/id has all ids)"
 
 
 def _words(direction):
-    """Return a direction as the name of an axis, or its components."""
+    """Return a direction as the name of an axis, or as its components."""
     axes = np.flatnonzero(direction)
     if len(axes) == 1 and direction[axes[0]] > 0:
         return AXES[axes[0]]
@@ -185,20 +183,20 @@ def _words(direction):
 
 def _rigidity(network):
     """Say how many contacts a free ball has, and how many an isostatic packing would have."""
-    ends = network.held[network.bond] == FREE
-    met = np.bincount(network.bond[ends], minlength=len(network.held))[network.held == FREE]
-    said = f"contacts per free ball: {met.mean():.4g}"
+    free = network.held == FREE
+    ends = network.bond[free[network.bond]]
+    contacts = np.bincount(ends, minlength=len(free))[free]  # of each free ball
+    text = f"contacts per free ball: {contacts.mean():.4g}"
     if network.displacement == "scalar":
-        return said
-    each = 1 if network.tangential is None else network.axes  # springs of a contact
-    unknowns, springs = network.balls, each * len(network.bond)
-    more = springs - unknowns
-    said += f"; {springs} springs for {unknowns} unknowns, {abs(more)} " \
-        f"{'more' if more >= 0 else 'fewer'} than isostatic"  # fmt: skip
-    loose = np.count_nonzero(met <= network.axes)
-    return said + (
-        f"; {counted(loose, 'ball')} with {network.axes} contacts or fewer" if loose else ""
-    )
+        return text
+    springs = len(network.bond) * (1 if network.tangential is None else network.axes)
+    unknowns = network.balls
+    more = "more" if springs >= unknowns else "fewer"
+    text += f"; {springs} springs for {unknowns} unknowns, {abs(springs - unknowns)} {more} than " \
+        "isostatic"  # fmt: skip
+    loose = np.count_nonzero(contacts <= network.axes)
+    few = f"; {counted(loose, 'ball')} with {network.axes} contacts or fewer"
+    return text + (few if loose else "")
 
 
 def _middle(network):

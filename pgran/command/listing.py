@@ -15,7 +15,7 @@ from pgran.command.words import WIDTH, Parser
 from pgran.errors import DONE, FileError, InputError
 from pgran.run import keys as solver_keys
 from pgran.run import launch
-from pgran.run.options import nearest, text_of
+from pgran.run.options import text_of
 
 FILES = Path(__file__).parents[1] / "options"
 NAMED = re.compile(r"^(#?-\w+ )(options/.*)$", re.MULTILINE)  # values of options that are files
@@ -38,40 +38,26 @@ def list_options(words):
     parser.add_argument(
         "--copy", metavar="DIR", type=Path, help="copy the options files of pgran into a folder"
     )
-    given = parser.parse_args(words)
-    if given.copy is not None:
+    asked = parser.parse_args(words)
+    if asked.copy is not None:
         if launch.rank() == 0:
-            copy_files(given.copy)
-            print(f"to run one of them: pgran run {shlex.quote(str(given.copy / 'response.opts'))}")
+            copy_files(asked.copy)
+            print(f"to run one of them: pgran run {shlex.quote(str(asked.copy / 'response.opts'))}")
         return DONE
-    scene = given.scene
+    scene = asked.scene
     if scene is not None and scene not in SCENES:
-        near = nearest(scene, SCENES)
-        hint = f"did you mean {near}?" if near else f"there are {', '.join(SCENES)}"
-        raise InputError(f"options: there is no scene {scene}; {hint}")
+        raise InputError(f"options: there is no scene {scene}; there are {', '.join(SCENES)}")
     if launch.rank() == 0:
         print(describe_options(scene), end="")
     return DONE
 
 
 def copy_files(folder):
-    """Copy the options files, and what they need, into a folder. Not collective.
+    """Copy the options files, and what they need, into a folder, which is made if it is missing.
 
     Files that name others name those in the folder.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        It is made where it is missing.
-
-    Raises
-    ------
-    FileError
-        If one of them is there already, or cannot be written.
-    InputError
-        If there is a comma in the folder's name, which ends a name in a list.
     """
-    if "," in str(folder):
+    if "," in str(folder):  # which ends a name in a list
         raise InputError(f"--copy {folder}: there is a comma in it")
     sources = [path for path in sorted(FILES.rglob("*")) if path.is_file()]
     targets = [folder / path.relative_to(FILES) for path in sources]
@@ -87,24 +73,24 @@ def copy_files(folder):
         raise FileError(f"{folder}: cannot be written: {error.strerror}") from None
 
 
-def _named_in(folder, found):
+def _named_in(folder, line):
     """Return a line of an options file, a comment or not, with the names of files in a folder."""
-    return found[1] + shlex.quote(found[2].replace("options/", f"{folder}/"))
+    return line[1] + shlex.quote(line[2].replace("options/", f"{folder}/"))
 
 
 def describe_options(scene=None):
-    """Return a table of the options of one scene, or of all. Not collective."""
+    """Return a table of the options of one scene, or of all."""
     names = [scene] if scene else SCENES
     options = dict.fromkeys(option for name in names for option in options_of(name).values())
     lines = [_row("key", "default", "unit", "type and range")]
     lines += describe(SCENE_OPTION)
     for heading in HEADINGS:
-        found = [option for option in options if heading_of(option.name) == heading]
-        users = [users_of(option, scene) for option in found]
+        below = [option for option in options if heading_of(option.name) == heading]
+        users = [users_of(option, scene) for option in below]
         same = users[0] if len(set(users)) == 1 and users[0] else None  # said once
-        if found:
+        if below:
             lines += ["", heading + (f" ({same})" if same else "")]
-        for option, who in zip(found, users, strict=True):
+        for option, who in zip(below, users, strict=True):
             lines += describe(option, "" if same else who)
     lines += ["", "PETSc's and SLEPc's options of these solvers"]
     for prefix, what in solver_keys.SOLVER_PREFIXES.items():
@@ -119,14 +105,7 @@ def describe_options(scene=None):
 
 
 def describe(option, users=""):
-    """Return the lines of an option. Not collective.
-
-    Parameters
-    ----------
-    option : pgran.run.options.Option
-    users : str
-        Which scenes or experiments use it, if not all do.
-    """
+    """Return the lines of an option; `users` says which scenes use it, if not all do."""
     default = "" if option.default is None else text_of(option.default)
     facts = f"{option.kind.name} {option.range().replace(' and ', ', ')}"
     lines = [_row(f"-{option.name}", default, option.unit, facts)]
@@ -139,12 +118,12 @@ def describe(option, users=""):
 
 
 def heading_of(name):
-    """Return the heading that an option stands under. Not collective."""
+    """Return the heading that an option stands under."""
     return next((h for h, begins in HEADINGS.items() if begins and name.startswith(begins)), OWN)
 
 
 def users_of(option, scene=None):
-    """Return in words who uses an option, if not all do. Not collective.
+    """Return in words who uses an option, if not all do.
 
     Of all scenes those that have it; of a scene that repeats an experiment the experiments.
     """
@@ -171,3 +150,30 @@ def _filled(text, indent, later=None):
     return textwrap.wrap(
         text, WIDTH, initial_indent=margin, subsequent_indent=others, break_on_hyphens=False
     )
+
+
+def tables():
+    """Return all options, and the prefixes of solvers, as the manual's page on options has them.
+
+    An option that means something else in another scene has all of its meanings.
+    """
+    same = {}
+    for option in (SCENE_OPTION, *(o for scene in SCENES for o in options_of(scene).values())):
+        same.setdefault(option.name, {})[option] = None
+    names = [name for heading in HEADINGS for name in same if heading_of(name) == heading]
+    yield from ("| key | default | meaning |", "|---|---|---|")
+    for name in names:
+        first, *_ = same[name]
+        default = "" if first.default is None else text_of(first.default)
+        yield f"| `-{name}` | {default} | {'; '.join(map(_meaning, same[name]))} |"
+    yield from ("", "| prefix | PETSc's and SLEPc's options of |", "|---|---|")
+    for prefix, of in solver_keys.SOLVER_PREFIXES.items():
+        yield f"| `-{prefix}*` | {of} |"
+
+
+def _meaning(option):
+    """Return what an option means, its choices unless that names them, and its unit."""
+    meaning = option.meaning
+    if not all(choice in meaning for choice in option.choices):
+        meaning += f": {', '.join(f'`{choice}`' for choice in option.choices)}"
+    return meaning + (f" ({option.unit})" if option.unit else "")

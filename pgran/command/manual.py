@@ -1,6 +1,5 @@
 """`pgran manual` and `pgran cite`: the pages of the manual, and what to cite."""
 
-import difflib
 import pydoc
 import re
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 from pgran.command.words import Parser
 from pgran.errors import DONE, InputError
 from pgran.run import launch
+from pgran.run.options import nearest
 
 PAGES = Path(__file__).parents[1] / "manual"
 LISTED = re.compile(r"- \[(\w+)\]\(\1\.md\): (.+)")
@@ -38,21 +38,15 @@ def cite(words):
 
 
 def topics():
-    """Return what each page is about, by its name, in the order of the manual. Not collective."""
+    """Return what each page is about, by its name, in the order of the manual."""
     return dict(LISTED.findall((PAGES / "README.md").read_text(encoding="utf-8")))
 
 
 def page(topic):
-    """Return a page of the manual, Markdown. Not collective.
-
-    Raises
-    ------
-    InputError
-        If there is no such page.
-    """
+    """Return a page of the manual, Markdown."""
     if topic not in topics():
-        near = difflib.get_close_matches(topic.lower(), topics(), n=3, cutoff=0.5)
-        near = [*near, *(name for name, line in topics().items() if topic.lower() in line.lower())]
-        hint = f"see {', '.join(dict.fromkeys(near))}" if near else "pgran manual lists the topics"
+        about = (name for name, line in topics().items() if topic.lower() in line.lower())
+        near = nearest(topic.lower(), topics()) or next(about, None)
+        hint = f"see {near}" if near else "pgran manual lists the topics"
         raise InputError(f"manual: there is no topic {topic}; {hint}")
     return (PAGES / f"{topic}.md").read_text(encoding="utf-8")

@@ -7,14 +7,7 @@ from pgran.store.si import SI
 def opening(options, ranks, lattice=None):
     """Return in words what a run solves, and on how many ranks.
 
-    Not collective.
-
-    Parameters
-    ----------
-    options : pgran.run.options.Options
-    ranks : int
-    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network, optional
-        Of the run, of an ensemble its first sample; none where the scene has none.
+    The lattice is that of the run, of an ensemble its first sample; None where there is none.
     """
     scene, of, samples = options.scene, None, None
     if scene in ("ensemble", "accuracy"):

@@ -32,8 +32,6 @@ def plot(
 
     A network, or its file, is drawn by itself.
 
-    Not collective.
-
     Parameters
     ----------
     result : pgran.store.record.Result, pgran.Network, str or os.PathLike, or a list of these
@@ -73,58 +71,48 @@ def plot(
     PgranError
         If there is no matplotlib.
     """
-    given = list(result) if isinstance(result, (list, tuple)) else [result]
-    paths = [each if isinstance(each, (str, os.PathLike)) else None for each in given]
-    shown = [pgran.load(path) if path else each for path, each in zip(paths, given, strict=True)]
-    shown = list(map(as_result, shown))
-    names = [Path(path).name if path else str(n) for n, path in enumerate(paths, 1)]
-    for each in shown:
-        check_result(each)
+    results, names = [], []
+    for each in result if isinstance(result, (list, tuple)) else [result]:
+        is_path = isinstance(each, (str, os.PathLike))
+        results.append(as_result(pgran.load(each) if is_path else each))
+        names.append(Path(each).name if is_path else str(len(results)))
+        if not hasattr(results[-1], "scene"):
+            needed = "a result is needed, what pgran.load returns or its path"
+            raise InputError(f"{needed}, not {arguments.shown(results[-1])}")
     modes = None if modes is None else numbers("modes", modes)
     width = None if width is None else number("-width", width)
-    if len(shown) > 1 and not (modes is None and response is None):
+    if len(results) > 1 and not (modes is None and response is None):
         raise InputError("modes and a response are laid over one result only")
-    units = units_of(shown, *units or ())
-    made = _make(shown, names, units, measured, width, modes=modes, response=response)
+    made = _make(results, names, units, measured, width, modes=modes, response=response)
     if output is not None:
         _save(made, output, caption, measured)
     return made
 
 
-def check_result(given):
-    """Raise an InputError unless a result was handed in. Not collective."""
-    if not hasattr(given, "scene"):
-        raise InputError(
-            f"a result is needed, what pgran.load returns or its path, not {arguments.shown(given)}"
-        )
-
-
-def units_of(results, length=None, time=None):
-    """Return the SI units of results, those given here if any; none where results disagree.
-
-    Not collective.
-    """
+def _units_of(results, length=None, time=None):
+    """Return the SI units of results, those given here if any; none where results disagree."""
     if length is not None or time is not None:
-        found = {SI(length, time)}
+        units = {SI(length, time)}
     else:
-        found = {SI.of(result) for result in results}
+        units = {SI.of(result) for result in results}
     scales = {result.medium.omega_mx for result in results if hasattr(result, "medium")}
-    if len(found) > 1 or (found != {SI()} and len(scales) > 1):
+    if len(units) > 1 or (units != {SI()} and len(scales) > 1):
         log.warning("the results have different units: axes are in units of each one's omega_mx")
         return SI()
-    return found.pop()
+    return units.pop()
 
 
-def _make(shown, names, units, measured=None, width=None, **over):
+def _make(results, names, units, measured, width, **over):
     """Return the figures of results whose files have these names. See `plot`."""
     if width is not None and not NARROWEST <= width <= WIDEST:
         raise InputError(f"-width: a figure is {NARROWEST} to {WIDEST} mm wide, not {width:g}")
-    if len(shown) == 1:
-        made = figures.make(shown[0], units, width, **over)
+    units = _units_of(results, *units or ())
+    if len(results) == 1:
+        made = figures.make(results[0], units, width, **over)
     else:
-        made = figures.compare(shown, labels_of(shown, names), units, width)
+        made = figures.compare(results, labels_of(results, names), units, width)
     if measured is not None:
-        missed = figures.add_measured(made, shown, read_measured(measured), Path(measured).name)
+        missed = figures.add_measured(made, results, read_measured(measured), Path(measured).name)
         if missed:
             log.warning("%s: %d frequencies are beyond the sweep: not drawn", measured, missed)
     return made
@@ -163,40 +151,31 @@ def run(words):
         add(f"-units_{name}", type=positive, metavar=unit.upper(), help=words_of)
     add("-width", type=float, metavar="MM", help="of the figures on paper; else 85 or 170")
     add("-caption", action="store_true", help="write a caption beside each figure, FIGURE.txt")
-    given = parser.parse_intermixed_args(words)
-    if files := [each for each in given.result if each.endswith(".opts")]:
-        computes = f"pgran run {files[0]} computes a result, which pgran plot draws"
-        raise InputError(f"plot: {files[0]} is an options file; {computes}")
-    paths, over = [Path(each) for each in given.result], {}
-    if len({os.path.realpath(each) for each in given.result}) < len(given.result):
+    options = parser.parse_intermixed_args(words)
+    paths, over = [Path(each) for each in options.result], {}
+    if len(set(map(os.path.realpath, paths))) < len(paths):
         raise InputError("plot: the same result is given twice")
-    shown = [as_result(pgran.load(each)) for each in given.result]
-    if len(shown) > 1 and len({str(result.scene) for result in shown}) > 1:
-        number, name, record = _pair(*shown)
-        paths, shown = [paths[number]], [shown[number]]
+    results = [as_result(pgran.load(each)) for each in options.result]
+    if len({str(result.scene) for result in results}) > 1:
+        number, name, record = _pair(*results)
+        paths, results = [paths[number]], [results[number]]
         over[name] = record.omega if name == "modes" else record
         if name == "modes" and not record.count_certified:
             log.warning("modes are missing or inaccurate, so not all are marked")
-    units, names = units_of(shown, given.units_length, given.units_time), [p.name for p in paths]
-    made = _make(shown, names, units, given.plot_with, given.width, **over)
-    several = "-compared" if len(shown) > 1 else ""
-    output = given.output or paths[0].with_name(f"{paths[0].stem}{several}.png")
-    for path in _save(made, output, given.caption, given.plot_with):
+    units = options.units_length, options.units_time
+    made = _make(results, [p.name for p in paths], units, options.plot_with, options.width, **over)
+    several = "-compared" if len(results) > 1 else ""
+    output = options.output or paths[0].with_name(f"{paths[0].stem}{several}.png")
+    for path in _save(made, output, options.caption, options.plot_with):
         print(path)
     return DONE
 
 
 def labels_of(results, names):
-    """Return what tells results apart: the options in which they differ, else their names.
+    """Return what tells results apart: the options in which they differ, else their files' names.
 
-    Not collective. How a run was carried out, and what it stored, is no difference. Where options
-    are too many for a legend they are logged.
-
-    Parameters
-    ----------
-    results : sequence of pgran.store.record.Result
-    names : sequence of str
-        Of the files.
+    How a run was carried out, and what it stored, is no difference. Where options are too many for
+    a legend they are logged.
     """
     options = [options_in(str(getattr(result, "options", ""))) for result in results]
     keys = dict.fromkeys(key for each in options for key in each)

@@ -33,27 +33,17 @@ SCENE_OPTION = Option("scene", TEXT, None, "the experiment", choices=tuple(SCENE
 
 
 def options_of(scene):
-    """Return all options of a scene by name, those of every run last. Not collective."""
+    """Return all options of a scene by name, those of every run last."""
     facts = SCENES[scene]
     medium = LATTICE if facts.on_medium else ()
     return {option.name: option for option in (*medium, *facts.options, *RUN)}
 
 
 def resolve(given, output_file=None):
-    """Return the Options that keys mean, later ones winning.
+    """Return the Options that keys mean, a sequence of `Given`, later ones winning.
 
-    Not collective.
-
-    Parameters
-    ----------
-    given : sequence of pgran.run.reading.Given
-    output_file : str, optional
-        Where the result goes unless the options say.
-
-    Raises
-    ------
-    InputError
-        For an unknown key, one that the scene does not use, a wrong type or an impossible value.
+    `output_file` is where the result goes unless the options say. Raises InputError for an unknown
+    key, one that the scene does not use, a wrong type or an impossible value.
     """
     last = {item.key.lower(): item for item in given}
     if "scene" not in last:
@@ -80,6 +70,9 @@ def resolve(given, output_file=None):
 
 def _check_foreign(key, item, scene):
     """Raise unless a key that is no option of the scene belongs to PETSc."""
+    if solver_keys.is_listed(key):  # and no option's name: no other experiment is loaded for it
+        solver_keys.check_in_file(key, item)
+        return
     users = [name for name in SCENES if key in options_of(name)]
     if users:
         raise InputError(
@@ -112,14 +105,7 @@ def _contents(path):
 class Options:
     """The resolved options of a run: `options.lattice_shape` is the value of `-lattice_shape`.
 
-    Parameters
-    ----------
-    scene : str
-    declared : iterable of Option
-    values : dict
-        By the names of the declared options.
-    solver : dict of str
-        The keys that go to PETSc.
+    `values` are those of the declared options by name, `solver` holds the keys that go to PETSc.
     """
 
     def __init__(self, scene, declared, values, solver):
@@ -133,13 +119,13 @@ class Options:
         return self._values[name]
 
     def changed(self, **values):
-        """Return the same options with other values. Not collective."""
+        """Return the same options with other values."""
         return Options(self.scene, self._declared, self._values | values, self.solver)
 
     def text(self):
-        """Return a complete options file that reproduces the run.
+        """Return an options file that reproduces the run.
 
-        Not collective. Without what was meant for this run alone: to replace a result, to be dry.
+        Without what was meant for this run alone: to replace a result, to be dry.
         """
         lines = [f"-scene {self.scene}"]
         for option, value in self._known():
@@ -152,12 +138,7 @@ class Options:
     def identity(self):
         """Return what decides the run's numbers, {option: text}; how it is carried out does not.
 
-        Not collective. The files that it names are read: what they hold counts.
-
-        Raises
-        ------
-        FileError
-            If one cannot be read.
+        The files that it names are read: what they hold counts. Raises FileError if one cannot be.
         """
         found = {option.name: text_of(v) for option, v in self._known() if option not in RUN}
         for option, value in self._known():

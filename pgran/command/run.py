@@ -169,10 +169,7 @@ def _compute(scene, options, words, world, started):
 
 
 def _run_identity(asked):
-    """Return what decides a run's numbers, {name: text}: what is asked, and who computes it.
-
-    Not collective.
-    """
+    """Return what decides a run's numbers, {name: text}: what is asked, and who computes it."""
     versions = {
         "pgran": pgran.__version__,
         "PETSc": _loaded_version("petsc4py.PETSc"),  # of whose release SLEPc is
@@ -183,21 +180,16 @@ def _run_identity(asked):
 
 
 def _check_unchanged(before, now):
-    """Raise a FileError where a file held something else before it was read. Not collective."""
+    """Raise a FileError where a file held something else before it was read."""
     for name, text in now.items():
         if before[name] != text:
             raise FileError(f"-{name} {text}: has changed since the run started; start it again")
 
 
 def start_mpi():
-    """Start MPI and the log, and return all ranks.
+    """Start MPI and the log, and return all ranks; refuse ranks that do not know of each other.
 
     Collective.
-
-    Raises
-    ------
-    InputError
-        If a foreign mpirun started independent copies.
     """
     MPI = launch.start()
     world = MPI.COMM_WORLD
@@ -247,7 +239,7 @@ def start_petsc(options):
 
 
 def _run_attributes(options, words, world, failures, seconds):
-    """Return what a result file says of its run. Not collective."""
+    """Return what a result file says of its run."""
     import numpy
 
     units = {name: getattr(options, name) for name in ("units_length", "units_time")}
@@ -268,7 +260,7 @@ def _run_attributes(options, words, world, failures, seconds):
 
 
 def _installed_version(name):
-    """Return the version of a package, which need not be imported. Not collective."""
+    """Return the version of a package, which need not be imported."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:  # built by hand, without a word of what it is
@@ -276,13 +268,13 @@ def _installed_version(name):
 
 
 def _loaded_version(name):
-    """Return the version of PETSc or SLEPc, if this run has loaded it. Not collective."""
+    """Return the version of PETSc or SLEPc, if this run has loaded it."""
     module = sys.modules.get(name)
     return ".".join(map(str, module.Sys.getVersion())) if module else "not loaded"
 
 
 def _warn_of_unused(options):
-    """Warn of solver keys that no PETSc object asked for. Not collective."""
+    """Warn of solver keys that no PETSc object asked for."""
     from pgran.run.keys import is_solver_key
 
     keys = [key for key in options.solver if is_solver_key(key)]
@@ -293,5 +285,5 @@ def _warn_of_unused(options):
 
 
 def name_rank(world):
-    """Begin all further messages of this process with its rank. Not collective."""
+    """Begin all further messages of this process with its rank."""
     log.handlers[0].setFormatter(streams.Messages(f"pgran (rank {world.rank})"))

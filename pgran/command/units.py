@@ -20,16 +20,18 @@ stiffness is uniform on [0, kmax]."""
 
 def run(words):
     """Print a table of units, and the words of an options file."""
-    given = _parser().parse_args(words)
+    options = _parser().parse_args(words)
     if launch.rank() > 0:
         return DONE
     try:
-        material = _material(given)
-        scale = hertz.Scale(material, given.diameter, _force(given, material), given.dimensions)
-        damping = _damping(given, scale)
+        material = _material(options)
+        scale = hertz.Scale(
+            material, options.diameter, _force(options, material), options.dimensions
+        )
+        damping = _damping(options, scale)
         if damping is not None and not math.isfinite(scale.own_damping(damping)):
             raise OverflowError
-        rows, told = table(scale, damping), option_words(scale, damping)
+        rows, line = table(scale, damping), option_words(scale, damping)
     except (OverflowError, ZeroDivisionError):
         raise InputError("units: these numbers are too far apart to compute with") from None
     if scale.contact_radius > hertz.LARGE:
@@ -39,7 +41,7 @@ def run(words):
         )
     for name, si, own in rows:
         print(f"{name:<37}{si:<22}{own}".rstrip())
-    print(f"\n{told}")
+    print(f"\n{line}")
     return DONE
 
 
@@ -82,11 +84,11 @@ def _parser():
     return parser
 
 
-def _material(given):
+def _material(options):
     """Return the material, the numbers given in place of its own."""
-    base = hertz.MATERIALS.get(given.material)
+    base = hertz.MATERIALS.get(options.material)
     names = ("modulus", "poisson", "density")
-    values = {name: getattr(given, name) for name in names}
+    values = {name: getattr(options, name) for name in names}
     values = {k: getattr(base, k, None) if v is None else v for k, v in values.items()}
     lacks = [f"--{name}" for name, value in values.items() if value is None]
     if lacks:
@@ -94,46 +96,41 @@ def _material(given):
     return hertz.Material(**values)
 
 
-def _force(given, material):
+def _force(options, material):
     """Return the force of the strongest contacts."""
-    if given.fraction > 1:
-        raise InputError(f"--fraction {given.fraction:g}: is a part of the volume, at most 1")
-    if given.load:
-        return given.load
-    if given.pressure:
-        filled = given.fraction, given.contacts
-        return hertz.STRONGEST * hertz.force_of_pressure(given.pressure, given.diameter, *filled)
-    mass = hertz.ball_mass(material, given.diameter)
-    stiffness = mass * given.omega_mx**2 / (2 * given.dimensions)
-    constant = hertz.contact_constant(material, given.diameter)
+    if options.fraction > 1:
+        raise InputError(f"--fraction {options.fraction:g}: is a part of the volume, at most 1")
+    if options.load:
+        return options.load
+    if options.pressure:
+        filled = options.fraction, options.contacts
+        return hertz.STRONGEST * hertz.force_of_pressure(
+            options.pressure, options.diameter, *filled
+        )
+    mass = hertz.ball_mass(material, options.diameter)
+    stiffness = mass * options.omega_mx**2 / (2 * options.dimensions)
+    constant = hertz.contact_constant(material, options.diameter)
     return hertz.force_of_stiffness(constant, stiffness)
 
 
-def _damping(given, scale):
+def _damping(options, scale):
     """Return beta in SI units, or None."""
-    if (given.quality is None) != (given.frequency is None):
+    if (options.quality is None) != (options.frequency is None):
         raise InputError("units: --quality and --frequency go together")
-    if given.quality is not None:
-        omega = 2 * math.pi * given.frequency
-        return hertz.damping_of_quality(scale.stiffness, given.quality, omega)
-    if given.restitution is None:
+    if options.quality is not None:
+        omega = 2 * math.pi * options.frequency
+        return hertz.damping_of_quality(scale.stiffness, options.quality, omega)
+    if options.restitution is None:
         return None
-    if given.restitution > 1:
-        raise InputError(f"--restitution {given.restitution:g}: two balls part at most as fast: 1")
-    return hertz.damping_of_restitution(scale.stiffness, scale.mass, given.restitution)
+    if options.restitution > 1:
+        raise InputError(
+            f"--restitution {options.restitution:g}: two balls part at most as fast: 1"
+        )
+    return hertz.damping_of_restitution(scale.stiffness, scale.mass, options.restitution)
 
 
 def table(scale, damping=None):
-    """Return rows of a quantity, its value in SI units, and that in the program's.
-
-    Not collective.
-
-    Parameters
-    ----------
-    scale : pgran.medium.hertz.Scale
-    damping : float, optional
-        In SI units.
-    """
+    """Return rows of a quantity, its value in SI units, as damping is, and in the program's."""
     material, omega = scale.material, scale.omega_mx
     weights = scale.force / (scale.mass * GRAVITY)
     rows = [
@@ -169,7 +166,7 @@ def table(scale, damping=None):
 
 
 def option_words(scale, damping=None):
-    """Return what an options file needs for a lattice in these units. Not collective."""
+    """Return what an options file needs for a lattice in these units."""
     words = f"-lattice_mass 1 -bonds_kmax {scale.kmax!r}"
     if damping is not None:
         words += f" -lattice_damping {scale.own_damping(damping)!r}"

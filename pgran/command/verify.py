@@ -5,13 +5,13 @@ from pgran.command.words import Parser
 
 
 def verify(words):
-    """Say whether a result is as it was written, by its checksum. Not collective."""
+    """Say whether a result is as it was written, by its checksum."""
     does = "Say whether a result is as it was written, by its checksum (exit code 4 if not)."
     parser = Parser("verify", does, "pgran verify results/response.h5")
     parser.add_argument("result", metavar="RESULT", help="HDF5 file that pgran run has written")
-    given = parser.parse_args(words)
+    options = parser.parse_args(words)
     from pgran.store.seal import check_seal
 
-    check_seal(given.result)
-    print(f"{given.result}: as it was written")
+    check_seal(options.result)
+    print(f"{options.result}: as it was written")
     return errors.DONE

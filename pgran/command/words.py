@@ -12,23 +12,10 @@ WIDTH = 80
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are pgran's, and whose help is: usage, what it does, words, examples.
-
-    Parameters
-    ----------
-    command : str
-    does : str
-        What the command does.
-    *examples : str
-        Command lines.
-    more : str
-        What its help ends with.
-    **others
-        Of `argparse.ArgumentParser`.
-    """
+    """A parser whose errors are pgran's; its help is usage, what it does, words, examples."""
 
     def __init__(self, command, does, *examples, more="", **others):
-        """Say what the help holds."""
+        """Say what a command does, with command lines as examples; the help ends with `more`."""
         self.command = command
         epilog = "examples:\n" + "".join(f"  {line}\n" for line in examples) if examples else ""
         super().__init__(
@@ -53,7 +40,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def magnitude(text):
-    """Return a number that is 0 or more. Not collective."""
+    """Return a number that is 0 or more."""
     with contextlib.suppress(ValueError):
         if 0 <= float(text) < math.inf:
             return float(text)
@@ -61,7 +48,7 @@ def magnitude(text):
 
 
 def positive(text):
-    """Return a positive number. Not collective."""
+    """Return a positive number."""
     with contextlib.suppress(ValueError):
         if 0 < float(text) < math.inf:
             return float(text)

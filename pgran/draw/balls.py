@@ -1,13 +1,22 @@
-"""A number for each ball: an image of a plane of balls, or the line along a chain."""
+"""How balls move: of a lattice an image of a plane, or the line along a chain; of a network arrows.
+
+And the page of such panels, or of maps, with one scale of colours from -1 to 1.
+"""
+
+import math
 
 import numpy as np
 
 from pgran.draw import style
+from pgran.draw.view import View
+from pgran.medium.space import everywhere, in_space
 
 STILL = 1e-3  # of the largest: what moves less does not count among the balls that move
-DRIVEN = "Thick blue line: driven wall."
 NARROWEST = 1.3  # inches of a panel
 MANY = 1000  # balls that move; the colours of fewer reach to the largest
+FAINT = 0.02  # of the largest: no arrow for what is smaller
+SCALED = "each panel scaled by itself"
+ARROWS = "arrows: displacements, scaled in each panel to the largest"
 
 
 def scale_of(values):
@@ -15,10 +24,6 @@ def scale_of(values):
 
     That is the largest, or where many balls move their 99th percentile: a few of them, between soft
     bonds, move many times as far as the others, which would be pale.
-
-    Parameters
-    ----------
-    values : numpy.ndarray
     """
     size = np.abs(values)
     moving = size[size > STILL * size.max()]
@@ -27,20 +32,49 @@ def scale_of(values):
 
 def beyond(drawn):
     """Return whether some of the balls that are drawn are beyond the ends of the colours."""
-    return drawn.get_array() is not None and np.abs(drawn.get_array()).max() > 1
+    values = drawn.get_array() if hasattr(drawn, "get_array") else None  # a line has none
+    return values is not None and np.abs(values).max() > 1
 
 
-def draw(ax, values, wall=0.0):
-    """Draw numbers from -1, dark blue, to 1, yellow; return the image or the line.
+def motion(ax, medium, values, drive=0.0, detectors=(), few_beyond=False):
+    """Draw displacements `values` in units of the largest, or of the drive's where that is larger.
 
-    The driven wall is a thick blue line. One axis: a line from wall to wall.
+    Of three dimensions the plane of the first detector, or of the ball that moves farthest. With
+    `few_beyond` a few of many numbers may be beyond the colours (`scale_of`). Returns the image,
+    the line of a chain, or arrows or balls of a network; the unit; and the plane in words.
+    """
+    if medium.group == "network":
+        ball = detectors[0][0] if len(detectors) else None
+        if ball is None:
+            moved = everywhere(medium, values[None])[0, :, : medium.built.axes]
+            ball = np.linalg.norm(moved, axis=1).argmax()
+        view = View(medium, ball)
+        drawn, unit = arrows(ax, medium, view, values, drive, few_beyond)
+        xy, plane = view.xy[[each for (each,) in detectors if view.seen[each]]], view.plane
+    else:
+        largest = np.unravel_index(np.abs(values).argmax(), values.shape)
+        through = tuple((detectors[0] if len(detectors) else largest)[2:])
+        values = values[(..., *through)]
+        chain, moves = values.ndim == 1, np.append(values, drive)
+        few = few_beyond and not chain
+        unit = scale_of(moves) if few else float(np.abs(moves).max()) or 1.0
+        drawn = image(ax, values / unit, drive / unit)
+        xy = np.array([site[:2] for site in detectors if tuple(site[2:]) == through])
+        if chain and len(xy):  # on the line
+            xy = np.stack([xy[:, 0], values[xy[:, 0]] / unit], axis=1)
+        plane = "".join(f"plane $z$ = {z}" for z in through)
+    if len(xy):
+        look = {"linestyle": "none", "marker": "o", "markersize": 3, "markeredgewidth": 0.6}
+        look |= {"markerfacecolor": "white", "markeredgecolor": "black", "zorder": 4}
+        ax.plot(*xy.T, label="detectors", **look)
+    return drawn, unit, plane
 
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    values : numpy.ndarray, shape (nx,) or (nx, ny)
-    wall : float
-        The number of the driven wall, where the line ends.
+
+def image(ax, values, wall=0.0):
+    """Draw numbers from -1, dark blue, to 1, yellow, shape (nx,) or (nx, ny), and the driven wall.
+
+    That is a thick blue line; the line of one axis ends there at the number `wall`. Returns the
+    image or the line.
     """
     chain, (nx, ny) = values.ndim == 1, (*values.shape, 1)[:2]
     if chain:
@@ -60,20 +94,62 @@ def draw(ax, values, wall=0.0):
     return drawn
 
 
-def page(shape, draws, what="displacement"):
+def arrows(ax, network, view, values, drive=0.0, few_beyond=False):
+    """Draw how all balls of a network move: vectors as arrows, numbers as colours of -1 to 1.
+
+    The largest displacement of all is the unit. Rotations in a plane are such colours too, of
+    radius times angle. Returns the balls, or the arrows if there are no colours, and the unit.
+    """
+    moves, axes = everywhere(network, values[None], [drive])[0], network.built.axes
+    longest = max(1.2 * view.spacing, 0.09 * math.sqrt(math.prod(view.extent))) if axes > 1 else 0.0
+    view.frame(ax, 0.9 * longest)
+    turned = moves[:, axes:] * (network.radius[:, None] if network.built.turns else 1.0)
+    numbers = moves if axes == 1 else turned if turned.shape[1] == 1 else None
+    size = np.linalg.norm(moves[:, :axes], axis=1)
+    unit = max(size.max(), 0.0 if numbers is None else np.abs(numbers).max()) or 1.0
+    if few_beyond and axes == 1:
+        unit = scale_of(moves[view.seen])
+    look = {}
+    if numbers is not None:
+        look = {"array": numbers[view.seen, 0] / unit, "cmap": style.SIGNED, "clim": (-1.0, 1.0)}
+    drawn = view.draw(ax, **look)
+    if axes == 1:
+        return drawn, unit
+    chosen = view.seen & (size > FAINT * unit)
+    tips = longest * in_space(moves[:, :axes])[chosen][:, view.axes] / unit
+    look = {"angles": "xy", "scale_units": "xy", "scale": 1, "units": "inches", "width": 0.008}
+    look |= {"minlength": 0, "zorder": 3, "clip_on": False, "in_layout": False}
+    if numbers is not None:  # seen on dark balls, too
+        look |= {"edgecolor": "white", "linewidth": 0.3}
+    drawn_arrows = ax.quiver(*view.xy[chosen].T, *tips.T, **look)
+    return (drawn_arrows if numbers is None else drawn), unit
+
+
+def motions(medium, draws, caption, *more):
+    """Return a figure of some panels of `motion`, with what is drawn, and more, said above."""
+    network = medium.group == "network"
+    figure = page(View(medium).extent if network else medium.shape, draws)
+    kind = getattr(medium, "displacement", "scalar")
+    turns = "; colours: radius times angle" if network and medium.built.turns == 1 else ""
+    scaled = SCALED if kind == "scalar" else ARROWS + turns
+    rim = " rim" if turns or kind == "scalar" else ""
+    held = "" if network else "thick blue line: driven wall"
+    if network and medium.held.any():
+        held = f"dark{rim}: balls at rest; blue{rim}: driven balls"
+    text = "; ".join(filter(None, [scaled, *more, held]))
+    style.above(figure, text)
+    figure.caption = f"{caption} {text.capitalize()}."
+    return figure
+
+
+def page(extent, draws, what="displacement"):
     """Return a figure of some panels, as many next to each other as fit; long ones stacked.
 
-    Parameters
-    ----------
-    shape : tuple of number
-        Of the lattice; of what is in a plane width and height.
-    draws : list of callable
-        Each draws into the axes that it is given and gives them a title. What they return is of
-        one kind; a colour bar says what its colours are.
-    what : str
-        That the colours are of.
+    Each of `draws` draws into the axes that it is given and gives them a title. What they return is
+    of one kind; a colour bar says that its colours are of `what`. `extent`: width and height, or
+    the shape of a lattice.
     """
-    (nx, ny), chain = (*shape, 1)[:2], len(shape) == 1
+    (nx, ny), chain = (*extent, 1)[:2], len(extent) == 1
     flat, room = chain or nx > 1.5 * ny, style.wide(style.PAGE) - 1.2
     columns = 1 if flat else min(len(draws), max(1, int(room / NARROWEST)))
     rows = -(-len(draws) // columns)
@@ -86,8 +162,8 @@ def page(shape, draws, what="displacement"):
         ax.remove()
     panels = figure.panels = panels[: len(draws)]
     shown = []
-    for draw_into, ax in zip(draws, panels, strict=True):
-        shown.append(draw_into(ax))
+    for draw, ax in zip(draws, panels, strict=True):
+        shown.append(draw(ax))
         if not flat:
             ax.set_title(ax.get_title(loc="left").replace(", ", "\n     ", 1))
         ax.label_outer()

@@ -18,36 +18,30 @@ def page(lattice, detectors):
     ratio, plane = (ny + 1) / (nx + 1), tuple(detectors[0][2:])
     width = style.wide(style.PAGE if chain or nx > 40 or ratio < 0.5 else style.COLUMN)
     height = 0.35 if chain else min(max((width - 0.8) * ratio, 0.8), 6.5)
-    figure, (ax,) = style.page(width, height + 1.0 + 0.2 * len(plane))
+    figure, (ax,) = style.page(width, height + 1.0)
     drawn = bonds(ax, lattice, detectors)
     beyond = np.max(drawn.get_array()) > drawn.norm.vmax * (1 + 1e-9)
     look = {"aspect": 9 * width, "pad": 0.05, "extend": "max" if beyond else "neither"}
     bar = figure.colorbar(drawn, ax=ax, orientation="horizontal", **look)
     bar.set_label("bond constant $K$" + (", mean of each ball" if ax.images else ""))
     bar.outline.set_linewidth(0.6)
-    figure.set_figheight(figure.get_figheight() + 0.13 * style.legend_above([ax]))
+    style.legend_above([ax])
     figure.caption = (
         "The lattice: a line is a bond, the darker the larger its constant $K$; hatched: walls at "
         "rest; thick blue line with the arrow: driven wall; dots: detectors."
     )
     if plane:
-        figure.suptitle(f"bonds in the plane $z = {plane[0]}$", fontsize="medium")
+        style.above(figure, f"bonds in the plane $z = {plane[0]}$")
     return figure
 
 
 def bonds(ax, lattice, detectors):
     """Draw the bonds, white to black from 0 to kmax, the walls and the detectors (paper: sprpic).
 
-    Where the constants have nothing to do with kmax, up to the largest of them.
-    Three dimensions: the bonds within the plane of the first detector. Of a small lattice all balls
-    are drawn (paper: sprlat). A large one is drawn as an image: at each ball the mean constant of
-    all its bonds. Returns what a colour bar is of.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    lattice : pgran.results.LatticeRecord
-    detectors : array_like of int, shape (nd, dim)
+    Where the constants have nothing to do with kmax, up to the largest of them. Three dimensions:
+    the bonds within the plane of the first detector; `detectors` have the shape (nd, dim). Of a
+    small lattice all balls are drawn (paper: sprlat). A large one is drawn as an image: at each
+    ball the mean constant of all its bonds. Returns what a colour bar is of.
     """
     axes, (nx, ny) = len(lattice.shape), (*lattice.shape, 1)[:2]
     stiffness = [getattr(lattice, f"stiffness_{name}") for name in "xyz"[:axes]]
@@ -95,15 +89,8 @@ def _segments(stiffness):
 def walls(ax, nx, ny, axes, arrow=True):
     """Draw the walls, those at rest hatched and the driven one in blue, and number the balls.
 
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    nx, ny : int
-        How many balls there are in the plane.
-    axes : int
-        Of the lattice.
-    arrow : bool
-        Whether a double arrow says what is driven.
+    There are nx times ny balls in the plane of a lattice of so many axes; a double arrow says what
+    is driven.
     """
     ax.spines[:].set_visible(False)
     inch = ax.bbox.width / ax.figure.dpi / (nx + 1)  # of a spacing

@@ -58,6 +58,13 @@ def upper_limits(record):
     return np.where(at_floor > 0, amplitude + record.error_bound, np.nan)
 
 
+def known_amplitudes(response):
+    """Return which amplitudes are as accurate as asked, above the floor, and have a logarithm."""
+    above = np.isfinite(response.amplitude) & (response.amplitude > 0)
+    above &= np.isnan(upper_limits(response))
+    return above & (response.converged_reason > 0)[:, None]
+
+
 def failed(ax, x):
     """Mark where there is no good result, by crosses on the upper edge."""
     _mark(ax, x, 1.0, marker="x", color=style.FAILED, label="missed the accuracy asked for")
@@ -65,9 +72,8 @@ def failed(ax, x):
 
 def unresolved(ax, x):
     """Mark where straight lines between points are not the curve, by ticks on the lower edge."""
-    _mark(
-        ax, x, 0.015, marker="|", color=style.UNRESOLVED, markersize=3, label="curve not resolved"
-    )
+    ticks = {"marker": "|", "markersize": 3, "color": style.UNRESOLVED}
+    _mark(ax, x, 0.015, label="curve not resolved", **ticks)
 
 
 def modes(ax, x, label="normal modes"):
@@ -95,15 +101,3 @@ def _mark(ax, x, height, **mark):
         mark |= {"linestyle": "none", "markeredgewidth": 0.4, "clip_on": False, "zorder": 5}
         place = {"transform": ax.get_xaxis_transform(), "scalex": False, "scaley": False}
         ax.plot(inside, np.full(inside.size, height), **place, **mark)
-
-
-def known_amplitudes(response):
-    """Return which amplitudes are as accurate as asked, above the floor, and can have a logarithm.
-
-    Parameters
-    ----------
-    response : pgran.results.Response
-    """
-    above = np.isfinite(response.amplitude) & (response.amplitude > 0)
-    above &= np.isnan(upper_limits(response))
-    return above & (response.converged_reason > 0)[:, None]

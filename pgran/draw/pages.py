@@ -1,12 +1,11 @@
-"""The figures of a result. The only part of pgran that imports matplotlib.
+"""The figures of a result; matplotlib is imported when they are made.
 
 The module of a group of the result, `pgran.figures.response` say, has a function for each kind of
-panel, which draws into axes of the user's, with labels for a legend, and returns what it drew:
-`response.amplitude(ax, result.response, result.medium)`. Its `figures(result, **over)`
-yields the names and the pages that `pgran plot` saves; `over` is what another result of the same
-lattice adds, `modes` or `response`. `together` lays results of one scene over each other.
-`style.applied()` is their style. The `caption` of a page says what it shows, of which
-sample, and how exactly.
+panel, `panel(ax, record, medium)`: it draws a record of that group into axes of the user's, with
+labels for a legend, and returns what it drew. Its `figures(result, **over)` yields the names and
+the pages that `pgran plot` saves; `over` is what another result of the same lattice adds, `modes`
+or `response`. `together` lays results of one scene over each other, `style.applied()` is their
+style. The `caption` of a page says what it shows, of which sample, and how exactly.
 """
 
 import contextlib
@@ -20,7 +19,7 @@ from pgran.store.si import SI
 
 
 def make(result, si=None, width=None, **over):
-    """Return all figures of a result by their names. See `pgran.plot`. Not collective."""
+    """Return all figures of a result by their names. See `pgran.plot`."""
     groups = [group for group in sorted(catalogue.FIGURES) if hasattr(result, group)]
     if not groups:
         raise FileError(f"nothing to draw in this result (scene {result.scene})")
@@ -35,7 +34,7 @@ def make(result, si=None, width=None, **over):
 
 
 def compare(results, labels, si=None, width=None):
-    """Return figures of results of one scene over each other. See `pgran.plot`. Not collective."""
+    """Return figures of results of one scene over each other. See `pgran.plot`."""
     for result in results:
         _check_unit(result)
     with _style(width):
@@ -46,18 +45,18 @@ def compare(results, labels, si=None, width=None):
 
 def _finished(made, results, si):
     """Return figures with what all of them have: SI units, letters of panels, whole captions."""
-    from pgran.draw import captions, physical, style
+    from pgran.draw import captions, scales, style
 
     for name, figure in made.items():
         if hasattr(results[0], "medium"):
-            physical.label_axes(figure, results[0].medium, si)
+            scales.in_si(figure, results[0].medium, si)
         style.letter(figure.panels)
         figure.caption = captions.complete(figure, results, si, name in captions.SAMPLES)
     return made
 
 
 def add_measured(made, results, data, label):
-    """Draw what was measured into figures of responses; see `together`. Not collective."""
+    """Draw what was measured into figures of responses; see `together`."""
     with _style():
         return catalogue.figures("response").add_measured(made, results, data, label)
 
@@ -87,7 +86,7 @@ def _style(width=None):
 
 
 def save(made, output):
-    """Save what `make` returns, and return the paths. See `pgran.plot`. Not collective."""
+    """Save what `make` returns, and return the paths. See `pgran.plot`."""
     from matplotlib.backend_bases import FigureCanvasBase
 
     from pgran.draw import style
@@ -109,7 +108,7 @@ def save(made, output):
 
 
 def save_captions(made, paths):
-    """Save the captions of figures at these paths, and return them. Not collective."""
+    """Save the captions of figures at these paths, and return them."""
     for figure, path in zip(made.values(), paths, strict=False):
         with whole(path) as stream:
             stream.write(f"{figure.caption}\n".encode())

@@ -11,7 +11,6 @@ from pgran.draw import style
 from pgran.errors import FileError
 
 LINES = ("-", (0, (4, 1)), (0, (1, 0.8)), (0, (4, 1, 1, 1)), (0, (1.5, 2)), (0, (3, 1, 1, 1, 1, 1)))
-COLOURS = ("black", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
 MARKS = (".", "+", "x", "^", "s", "d")
 MOST = len(LINES)
 PAGES = ("response", "modes", "relaxation", "pulse")  # their figures have a function `over`
@@ -28,12 +27,12 @@ def figures(results, labels):
         raise FileError(f"{len(results)} results: at most {MOST} are told apart in one figure")
     labels = [_wrap(label) for label in labels]
     units = [f"{result.medium.omega_mx:.6g}" for result in results]
-    if len(set(units)) > 1:  # axes are in units of each one's own
+    differ = len(set(units)) > 1  # axes are in units of each one's own
+    if differ:
         pairs = zip(labels, units, strict=True)
         labels = [rf"{label}, $\omega_{{mx}}$ = {unit}" for label, unit in pairs]
     for name, figure in catalogue.figures(scene).over(results, labels):
-        if len(set(units)) > 1:
-            figure.caption += r" Each result is in units of its own $\omega_{mx}$."
+        figure.caption += r" Each result is in units of its own $\omega_{mx}$." * differ
         yield name, figure
 
 
@@ -44,15 +43,7 @@ def _wrap(label):
     return "\n".join(lines).replace("\xa0", " ")
 
 
-def finish(figure):
-    """Put a legend above a figure of one panel, and make it as high as that needs."""
-    rows = style.legend_above(figure.panels)
-    legend = figure.panels[0].get_legend()
-    texts = [text.get_text() for text in legend.get_texts()] if legend else [""]
-    figure.set_figheight(2.4 + 0.14 * rows * max(1 + text.count("\n") for text in texts))
-
-
-def look_of(number):
-    """Return the colour and the line style of a result."""
-    width = 1.0 if number else 0.8  # dashes and dots look thinner than they are
-    return {"color": COLOURS[number], "linestyle": LINES[number], "linewidth": width}
+def curve_look(number):
+    """Return the colour and the line style of a result; dashes look thinner than they are."""
+    look = {"color": style.COLOURS[number], "linestyle": LINES[number]}
+    return look | {"linewidth": 1.0 if number else 0.8}

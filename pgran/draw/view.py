@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.collections import EllipseCollection
 from matplotlib.colors import to_rgb
 
-from pgran.draw import style
+from pgran.draw import scales, style
 from pgran.medium.space import in_space, reaches
 
 FACES = np.array([to_rgb("#e4e4e4"), to_rgb("#8c8c8c"), style.pale(style.ACCENT)])  # held so
@@ -16,14 +16,8 @@ MANY = 5000  # contacts: above that they are pixels in a PDF, too
 class View:
     """What is seen: all of a plane network; of one in space the balls that a plane cuts.
 
-    The plane goes through one ball and contains the direction of the drive.
-
-    Parameters
-    ----------
-    network : pgran.results.NetworkRecord
-        With positions.
-    ball : int, optional
-        By default the one that is nearest to the middle.
+    The plane goes through one ball, by default the one that is nearest to the middle, and contains
+    the direction of the drive. The network has positions.
     """
 
     def __init__(self, network, ball=None):
@@ -31,8 +25,8 @@ class View:
         self.network, place = network, in_space(network.position)
         self.along, self.crosses = reaches(network)
         self.spacing = float(np.median(np.linalg.norm(self.along, axis=1)))
-        known = network.radius is not None
-        radius = network.radius if known else np.full(len(place), 0.25 * self.spacing)
+        sized = network.radius is not None
+        radius = network.radius if sized else np.full(len(place), 0.25 * self.spacing)
         across, depth, self.plane = 2, np.zeros(len(place)), ""
         if network.position.shape[1] == 3:
             drive = np.abs(np.append(network.direction, [0, 0])[:3])
@@ -41,7 +35,7 @@ class View:
             ball = np.linalg.norm(place - middle, axis=1).argmin() if ball is None else ball
             depth = place[:, across] - place[ball, across]
             self.plane = f"plane ${'xyz'[across]}$ = {place[ball, across]:.3g}"
-        near = radius if known else np.full(len(place), 0.5 * self.spacing)
+        near = radius if sized else np.full(len(place), 0.5 * self.spacing)
         self.seen = np.abs(depth) < near
         self.size = radius * np.sqrt(np.maximum(1 - (depth / near) ** 2, 0)) * 2
         self.axes = [axis for axis in range(3) if axis != across]
@@ -77,5 +71,6 @@ class View:
         margin = max(margin, 0.02 * self.extent.max())
         (left, bottom), (right, top) = self.low - margin, self.low + self.extent + margin
         ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-        ax.set(xlabel=f"${'xyz'[self.axes[0]]}$", ylabel=f"${'xyz'[self.axes[1]]}$")
+        for axis, place in zip((ax.xaxis, ax.yaxis), self.axes, strict=True):
+            scales.label(axis, scales.PLACES[place])
         ax.locator_params("both", nbins=6, steps=[1, 2, 5, 10])

@@ -39,21 +39,13 @@ from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 
 
 class ErrorBounds(Owner):
-    """Bounds for the steady states of one lattice; destroy with `destroy`.
+    """Bounds for the steady states of one lattice; destroy with `destroy`. Collective.
 
-    Collective.
-
-    Attributes
-    ----------
-    proven : bool
-        Whether there is a bound at the s of the last `prepare`, at first for s = i omega: proven by
-        damping or sigma, or certified by counts. Without damping there is none at s = i omega where
-        ranks share the lattice, because eigenvalues are counted serially; but what rounding does to
-        the amplitudes can be tried (`random_rounding`).
-    inverse_norm : float
-        No less than |S^-1|_2 there; NaN where unknown.
-    scale : float
-        No less than |S|_inf there.
+    At the s of the last `prepare`, at first for s = i omega, |S^-1|_2 is at most `inverse_norm`,
+    NaN where unknown, and |S|_inf at most `scale`. `proven` says that there is a bound: proven by
+    damping or sigma, or certified by counts. Without damping there is none at s = i omega where
+    ranks share the lattice, because eigenvalues are counted serially; but what rounding does to the
+    amplitudes can be tried (`random_rounding`).
     """
 
     owns = ("_product", "_work", "_counter", "_signs", "_sizes")
@@ -70,7 +62,7 @@ class ErrorBounds(Owner):
 
     @cached_property
     def _counter(self):
-        """What counts eigenvalues of K. Not collective."""
+        """What counts eigenvalues of K."""
         return ModeCounter(self.operators.K, self.operators.lattice)
 
     @cached_property
@@ -80,17 +72,17 @@ class ErrorBounds(Owner):
         return self.operators.layout.vector(signs.reshape(self.operators.shape))
 
     def stability(self, s):
-        """Return a c with |S x|_2 >= c |x|_2 for every x; 0 if none is certain. Not collective."""
+        """Return a c with |S x|_2 >= c |x|_2 for every x; 0 if none is certain."""
         damping = self.operators.damping and self.operators.damping * (
             abs(s) * smallest_damping(self.operators.lattice)
         )
-        found = damping + abs(s) * s.real * self.operators.mass
+        least = damping + abs(s) * s.real * self.operators.mass
         if s.real > 0:
-            found += s.real / abs(s) * smallest_stiffness(self.operators)
-        return max(found, 0.0)
+            least += s.real / abs(s) * smallest_stiffness(self.operators)
+        return max(least, 0.0)
 
     def prepare(self, s, tolerance):
-        """Bound the sizes of S(s), which must be combined, and of its inverse.
+        """Bound the norms of S(s), which must be combined, and of its inverse.
 
         Collective; `tolerance` is the relative accuracy that will be asked of amplitudes.
         """
@@ -119,11 +111,11 @@ class ErrorBounds(Owner):
 
     @cached_property
     def _sizes(self):
-        """The sizes of S. Collective when first asked for."""
+        """The magnitudes of S. Collective when first asked for."""
         return self.operators.K.duplicate()
 
     def _combine_sizes(self, size):
-        """Combine the sizes of S and f for an |s|; `_weights` are the sums of S's rows."""
+        """Combine the magnitudes of S and f for an |s|; `_weights` are the sums of S's rows."""
         (K, drive, *damping), beta = self.operators.sizes, self.operators.damping
         K.copy(self._sizes, structure=SAME)
         drive.copy(self._work)
@@ -191,31 +183,20 @@ class ErrorBounds(Owner):
         return adjoint.norm + self.unit * (adjoint.rhs.norm() + self.scale * size) + self.lost
 
     def evaluation(self, residual, terms, adjoint, value):
-        """Return a bound of what rounding does to A~_d + z~^T r in evaluating it.
+        """Return a bound of what rounding does to A~_d + z~^T r, the `value`, in evaluating it.
 
-        Collective.
-
-        Parameters
-        ----------
-        residual, terms : float, numpy.ndarray
-            `primal_residual` and `rounding` of A~.
-        adjoint : pgran.driven.linear.System
-            z~.
-        value : complex
-            The amplitude as evaluated.
+        Collective. `residual` and `terms` are the `primal_residual` and the `rounding` of A~;
+        `adjoint` is the system of z~.
         """
         z = np.abs(adjoint.solution.getArray(readonly=True))
-        known = self.unit * self._total(z @ terms)
+        sums = self.unit * self._total(z @ terms)
         product = (self.operators.balls + 2) * EPSILON * residual * adjoint.solution.norm()
         # What a product loses; what residuals lose, times z, `product` holds by their own `lost`.
         lost = 16 * self.operators.balls * SMALLEST_NORMAL
-        return 1.01 * (known + product) + 4 * EPSILON * abs(value) + lost
+        return 1.01 * (sums + product) + 4 * EPSILON * abs(value) + lost
 
     def amplitude(self, residual, terms, adjoint, value):
-        """Return the bound of a corrected amplitude.
-
-        Collective. Parameters are those of `evaluation`.
-        """
+        """Return the bound of a corrected amplitude, from what `evaluation` takes. Collective."""
         # The last digits cover the rounding of this very formula.
         theory = 1.01 * residual * self.adjoint_residual(adjoint) * self.inverse_norm
         return theory + self.evaluation(residual, terms, adjoint, value)
@@ -223,8 +204,7 @@ class ErrorBounds(Owner):
     def reaction(self, residual, primal, value):
         """Return the bound of f^T A, evaluated as f^T A~ + A~^T r, which misses r^T S^-1 r.
 
-        Collective. Parameters are those of `evaluation`. What rounding does to r and f, ball by
-        ball, `residual` holds as a norm.
+        Collective. What rounding does to r and f, ball by ball, `residual` holds as a norm.
         """
         theory = residual * residual * self.inverse_norm
         force, rounded = primal.rhs.norm(), 2 * (residual - primal.norm)

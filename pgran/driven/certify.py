@@ -7,10 +7,9 @@ from mpi4py import MPI
 
 from pgran.driven.counting import ModeCounter
 from pgran.driven.layout import NetworkLayout
-from pgran.medium.lattice import Lattice, smallest_damping_eigenvalue
 from pgran.run.petsc import PETSc
 
-PARTS = (0.9, 0.5, 0.1, 0.01)  # of the estimate that are tried
+PARTS = (0.9, 0.5, 0.1, 0.01)  # of an estimate of the smallest eigenvalue that are tried
 STEPS = 20  # of inverse iteration
 FLOORS = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1)  # of |K|: how far below zero its eigenvalues may be
 
@@ -18,26 +17,21 @@ FLOORS = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1)  # of |K|: how far below zero its 
 def smallest_damping(lattice):
     """Return a number that no eigenvalue of C = B^T diag(damped) B is below; 0 if none is certain.
 
-    Not collective, the same on every rank. Of a network it is found out once, on a copy of this
-    rank's own. Where C is no Laplacian, an estimate by inverse iteration is certified by
-    Sylvester's law, as a factorization of C less a little more than that number has no negative
-    pivot.
+    The same on every rank. Of a network it is computed once, on a copy of this rank's own.
     """
-    if isinstance(lattice, Lattice):
-        return smallest_damping_eigenvalue(lattice.shape)
     if lattice.isotropic:
-        return 0.999 * lattice.graph.smallest  # normals have the length 1 but for 1e-6
-    known = vars(lattice)
-    if "smallest_damping" not in known:
+        return lattice.least_damping
+    cache = vars(lattice)
+    if "smallest_damping" not in cache:
         with NetworkLayout(lattice, MPI.COMM_SELF) as layout:
-            known["smallest_damping"] = _certified_damping(lattice, *layout.csr(layout.damped))
-    return known["smallest_damping"]
+            cache["smallest_damping"] = _certified_damping(lattice, *layout.csr(layout.damped))
+    return cache["smallest_damping"]
 
 
 def smallest_stiffness(operators):
     """Return a number that no eigenvalue of K is below; 0 where no spring's constant is negative.
 
-    Not collective, the same on every rank; found out once for the constants that operators have.
+    The same on every rank; computed once for the constants that operators have.
     """
     if operators.softest is None:
         constants, operators.softest = operators.constants, 0.0
@@ -48,10 +42,7 @@ def smallest_stiffness(operators):
 
 
 def is_stable(network):
-    """Return whether no eigenvalue of K is negative but for rounding, certified by a count.
-
-    Not collective.
-    """
+    """Return whether no eigenvalue of K is negative but for rounding, certified by a count."""
     part, _ = _floor(network, network.constants)
     return part == FLOORS[0]
 
@@ -60,24 +51,27 @@ def _floor(network, constants):
     """Return how far below zero eigenvalues of K may be in units of its norm, and that norm."""
     with NetworkLayout(network, MPI.COMM_SELF) as layout:
         matrix = layout.csr(constants)
-    with _hermitian(*matrix) as K, ModeCounter(K, network) as counter:
+    with _counter(network, *matrix) as counter:
         certain = (p for p in FLOORS if counter.below(-p * counter.norm, p / 2 * counter.norm) == 0)
         return next(certain, 1.01), counter.norm
 
 
 @contextlib.contextmanager
-def _hermitian(pointer, columns, values):
-    """Return, for a `with`, a real symmetric matrix, flagged as what it is."""
+def _counter(network, pointer, columns, values):
+    """Return, for a `with`, what counts the eigenvalues of a real symmetric matrix."""
     size = (len(pointer) - 1,) * 2
     matrix = PETSc.Mat().createAIJ(size, csr=(pointer, columns, values), comm=MPI.COMM_SELF)
-    for flag in (PETSc.Mat.Option.SYMMETRIC, PETSc.Mat.Option.HERMITIAN):
-        matrix.setOption(flag, True)
-    yield matrix
+    with ModeCounter(matrix, network) as counter:
+        yield counter
     matrix.destroy()
 
 
 def _certified_damping(network, pointer, columns, values):
-    """Return what `smallest_damping` does for the matrix C of a network."""
+    """Return what `smallest_damping` does, for a C that is no Laplacian.
+
+    Inverse iteration estimates the smallest eigenvalue. By Sylvester's law none is below a part of
+    the estimate if the factorization of C less that part has no negative pivot.
+    """
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 
@@ -93,12 +87,11 @@ def _certified_damping(network, pointer, columns, values):
         if not 0 < size < np.inf:
             return 0.0
         x /= size
-    estimate, found = x @ (C @ x), 0.0
-    with _hermitian(pointer, columns, values) as matrix, ModeCounter(matrix, network) as counter:
+    estimate = x @ (C @ x)
+    with _counter(network, pointer, columns, values) as counter:
         for part in PARTS:
             shift, clearance = part * estimate, 0.05 * part * estimate
             if counter.below(shift, clearance) == 0:
                 # the count is of a matrix nearer to C - shift than a tenth of the clearance
-                found = 0.99 * (shift - clearance)
-                break
-    return found
+                return 0.99 * (shift - clearance)
+    return 0.0

@@ -12,14 +12,9 @@ COLUMNS = 32  # right-hand sides solved for at once
 
 
 class Columns(Owner):
-    """Solves with the factorization that a solver has; destroy with `destroy` or `with`.
+    """Solves with the factorization of S, as it is, that a solver has; destroy with `destroy`.
 
     Collective.
-
-    Parameters
-    ----------
-    solver : pgran.driven.steady.SteadySolver
-        Its preconditioner is a factorization of S as it is.
     """
 
     owns = ("_rhs", "_found", "_residual")
@@ -37,40 +32,29 @@ class Columns(Owner):
             block.assemble()
 
     def solved(self, items, fill, size):
-        """Yield some of the items, this rank's rows of S^-1 b for each, and bounds of norms.
+        """Yield some items, this rank's rows of S^-1 b for each, and bounds of norms and residuals.
 
-        Collective. A KSP may make up for an inexact factorization; here its residual shows.
-
-        Parameters
-        ----------
-        items : numpy.ndarray
-            One for each right-hand side b.
-        fill : callable
-            Sets this rank's rows of right-hand sides: fill(items, array).
-        size : float
-            No less than |b|_2.
-
-        Yields
-        ------
-        items, columns, norms, residuals : numpy.ndarray
-            The bounds, of |S^-1 b| as computed and of the residual, are the same on every rank.
+        Collective. `fill(items, array)` sets this rank's rows of the right-hand sides b, one for
+        each item, with |b|_2 <= size. The bounds, of |S^-1 b| as computed and of the residual, are
+        the same on every rank. A KSP may make up for an inexact factorization; here its residual
+        shows.
         """
         S, factor, bounds = self.operators.S, self.solver.factor, self.solver.bounds
         for start in range(0, len(items), COLUMNS):
-            part = items[start : start + COLUMNS]
-            fill(part, self._rhs.getDenseArray())
+            some = items[start : start + COLUMNS]  # the last block may be narrower
+            fill(some, self._rhs.getDenseArray())
             self._rhs.assemble()
             factor.matSolve(self._rhs, self._found)
             S.matMult(self._found, self._residual)
             self._residual.axpy(-1.0, self._rhs, structure=SAME)
-            found, missed = (
-                block.getDenseArray(readonly=True)[:, : len(part)]
+            solutions, missed = (
+                block.getDenseArray(readonly=True)[:, : len(some)]
                 for block in (self._found, self._residual)
             )
-            total = np.stack([squares(found), squares(missed)])
+            total = np.stack([squares(solutions), squares(missed)])
             if self.comm.size > 1:
                 self.comm.Allreduce(MPI.IN_PLACE, total)
             norms, residuals = 1.01 * np.sqrt(total)
             norms += bounds.lost
             residuals += bounds.unit * (size + bounds.scale * norms) + bounds.lost
-            yield part, found, norms, residuals
+            yield some, solutions, norms, residuals

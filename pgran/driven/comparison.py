@@ -57,14 +57,8 @@ class Comparison(Owner):
     def errors(self, residual, bounds):
         """Return a vector that no error of an amplitude exceeds, or None where there is none.
 
-        Collective; the next call overwrites it.
-
-        Parameters
-        ----------
-        residual : numpy.ndarray
-            No less than |f - S A~|, rounding included, at each of this rank's balls; positive.
-        bounds : pgran.driven.bounds.ErrorBounds
-            Prepared for this s.
+        Collective; the next call overwrites it. `residual` is positive and no less than |f - S A~|,
+        rounding included, at each of this rank's balls; `bounds` are prepared for this s.
         """
         if self._compare() <= 0:
             return None

@@ -11,8 +11,8 @@ from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 def march(G, delta):
     """Change one bond after the other; return how each then deforms the lattice.
 
-    Not collective. This is the inverse, column by column, of the factor L^T in the L D L^T
-    factorization of diag(1/delta) + G, whose leading blocks are the networks after each step.
+    This is the inverse, column by column, of the factor L^T in the L D L^T factorization of
+    diag(1/delta) + G, whose leading blocks are the networks after each step.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def march(G, delta):
     steps = len(delta)
     T, (c, row) = np.eye(steps, dtype=complex), np.zeros((2, steps), dtype=complex)
     with np.errstate(all="ignore"):  # what is not finite has no bound
-        for t in range(steps):
+        for t in range(steps):  # b_t^T S_t^-1 b_t follows from the changes before t
             before = T[:t, :t]
             row[:t] = G[t, :t] @ before
             along = -c * row
@@ -42,20 +42,10 @@ def march(G, delta):
 class Deformation:
     """How a field x, of amplitudes or an adjoint, follows the changes: x = x0 + Y a.
 
-    Parameters
-    ----------
-    T, c : numpy.ndarray
-        From `march`.
-    G, delta : numpy.ndarray
-        As there.
-    start : numpy.ndarray, shape (s,)
-        b^T x0 with all walls at rest.
-    rows : tuple of float
-        The largest |b|_2 of a bond, and what rounding adds to b^T x in units of |x|_2.
-    sizes : tuple
-        No less than |x0|_2, and than the norms of Y's columns, shape (s,).
-    wall : numpy.ndarray or float, optional
-        How far what is driven lengthens each bond.
+    T, c, G and delta are those of `march`. `start` (s,) is b^T x0 with all walls at rest, and
+    `wall` is how far what is driven lengthens each bond. `rows` are the largest |b|_2 of a bond,
+    and what rounding adds to b^T x in units of |x|_2; `sizes` are no less than |x0|_2, and than the
+    norms of Y's columns.
 
     Attributes
     ----------
@@ -88,19 +78,19 @@ class Deformation:
         self._loose = loose * (sizes[0] + sizes[1] @ self.coefficient_sizes)
 
     def stretch_rounding(self, weights):
-        """Bound, step by step, the rounding of a sum of weights times stretches. Not collective."""
-        found = (self._rounding @ weights) * self._norm + self._rounding_of_start @ weights
-        return found + self._loose * weights.sum(axis=0)
+        """Bound, step by step, the rounding of a sum of weights times stretches."""
+        rounding = (self._rounding @ weights) * self._norm + self._rounding_of_start @ weights
+        return rounding + self._loose * weights.sum(axis=0)
 
     def missed_rounding(self, weights):
-        """Bound the same for weights times `missed`. Not collective."""
+        """Bound the same for weights times `missed`."""
         changed = self.stretch_rounding(self._changes * weights)
         return changed + 2 * EPSILON * _column_sums(weights, self.coefficient_sizes)
 
     def residual(self, start, columns):
         """Return bounds of |f - S x|_2, or of |e_d - S x|_2, after each step.
 
-        Not collective; `start` bounds it before any change, `columns` the residuals of Y's columns.
+        `start` bounds it before any change, `columns` the residuals of Y's columns.
         """
         rounding = self.missed_rounding(np.ones(self.missed.shape))
         missed = np.sum(self.missed_sizes, axis=0) + rounding
@@ -110,14 +100,7 @@ class Deformation:
 def amplitudes(before, primal, adjoint):
     """Return A_d + q^T gamma - (q + G eta)^T h after each step, and bounds of its rounding.
 
-    Not collective.
-
-    Parameters
-    ----------
-    before : complex
-        A_d.
-    primal, adjoint : Deformation
-        Of the amplitudes, and of the detector's adjoint.
+    `before` is A_d; the deformations are those of the amplitudes and of the detector's adjoint.
     """
     missed = np.sum(adjoint.stretch * primal.missed, axis=0)
     amplitude = before + adjoint.start @ primal.coefficients - missed
@@ -130,7 +113,7 @@ def amplitudes(before, primal, adjoint):
 
 
 def squares(columns):
-    """Return the sum of squares of each column of this rank's part of a block. Not collective."""
+    """Return the sum of squares of each column of this rank's part of a block."""
     rows = np.ascontiguousarray(columns.T).view(float)
     return np.einsum("ij,ij->i", rows, rows)
 

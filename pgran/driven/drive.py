@@ -1,12 +1,11 @@
-"""What scenes of driven steady states share: what is asked of these, and what is said of them."""
+"""What scenes of driven steady states share: their options, and what they say of a drive."""
 
 import logging
-import math
 
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.medium.lattice import Lattice
+from pgran.medium.units import warn_above_modes
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Caution
 from pgran.run.options import INTEGER, INTEGERS, REAL, TEXT, Option
@@ -49,21 +48,9 @@ DETECTORS = (
 def check_driven(lattice, world, lowest, in_time=False):
     """Raise where a drive has no bounded answer; warn where steady states could not last.
 
-    Collective.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
-    world : mpi4py.MPI.Comm
-    lowest : float
-        The lowest driving frequency.
-    in_time : bool
-        Whether motions in time are wanted, which must not grow for ever.
-
-    Raises
-    ------
-    InputError
-        If nothing is driven, or balls float, or motions would grow.
+    Collective. `lowest` is the lowest driving frequency; `in_time` says that motions in time are
+    wanted, which must not grow for ever. Raises InputError if nothing is driven, or balls float, or
+    motions would grow.
     """
     lattice.check_driven()
     warn_above_modes(lattice, world, lowest)
@@ -85,24 +72,9 @@ def check_driven(lattice, world, lowest, in_time=False):
         )  # fmt: skip
 
 
-def warn_above_modes(lattice, world, lowest):
-    """Warn where no mode is above the lowest frequency asked for, which is then often in Hz.
-
-    Not collective; rank 0 warns.
-    """
-    if world.rank == 0 and lowest > math.sqrt(lattice.stiffness_norm / lattice.mass):
-        log.warning(
-            "omega = %.6g, the lowest asked for, is above all modes (omega_mx is %.6g); if it is "
-            "in Hz: frequencies are angular, omega = 2 pi f", lowest, lattice.omega_mx,
-        )  # fmt: skip
-
-
 def _say_unprovable(lattice, world):
-    """Say where dashpots leave motions undamped, on which all bounds of damped systems rest.
-
-    Collective.
-    """
-    if isinstance(lattice, Lattice) or lattice.isotropic or not lattice.damping:
+    """Warn where dashpots leave motions undamped: no bound can then be proven. Collective."""
+    if lattice.isotropic or not lattice.damping:
         return
     from pgran.driven.certify import smallest_damping
 
@@ -117,14 +89,7 @@ def _say_unprovable(lattice, world):
 
 
 def reached_accuracy(record, good):
-    """Yield in words how accurate amplitudes are. Not collective.
-
-    Parameters
-    ----------
-    record : pgran.results.Response or pgran.results.Relaxation
-    good : numpy.ndarray of bool, shape (...)
-        Which of its states have the accuracy asked for.
-    """
+    """Yield in words how accurate a record's amplitudes are; `good` says which states are."""
     floored = record.at_floor[good] > 0
     bound, amplitude = record.error_bound[good][~floored], record.amplitude[good][~floored]
     if np.isnan(bound).any():

@@ -22,42 +22,22 @@ GOOD = int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL)  # where no KSP had to iter
 
 @dataclass(frozen=True)
 class SteadyState:
-    """The lattice driven at one s.
-
-    Attributes
-    ----------
-    s : complex
-        sigma + i omega, omega the angular driving frequency.
-    displacement : numpy.ndarray, shape (nd,)
-        Complex amplitudes at the detectors, relative to the driven wall's; NaN where PETSc fails.
-    error_bound : numpy.ndarray, shape (nd,)
-        The error of each is at most this; NaN where no bound is known (an undamped lattice that
-        ranks share, at sigma = 0, where rounding is tried instead).
-    backward_error : float
-        |f - S A| / (|S| |A| + |f|).
-    iterations : int
-        Krylov iterations, those of the adjoints included.
-    converged_reason : int
-        Positive if every amplitude is as accurate as asked, or is below the floor with its bound;
-        else 0 or PETSc's negative KSP reason.
-    field_bound : float
-        The error of the whole field, in the 2-norm, is at most this; NaN where no bound is known,
-        or none was asked for.
-    derivative, derivative_bound : numpy.ndarray, shape (nd,), or None
-        d displacement / d omega and a bound of its error, if asked for; NaN where no bound is
-        known.
-    reaction, reaction_bound : complex, float, or None
-        f^T A, the force that balls take off what moves the wall by 1, and a bound of its error, if
-        derivatives are asked for; NaN where there is no solution, the bound where none is known.
-    """
+    """The lattice driven at one s = sigma + i omega; NaN is unknown, or was not asked for."""
 
     s: complex
+    # Of each detector, shape (nd,), the complex amplitude relative to the driven wall's, NaN where
+    # PETSc fails, and a bound of its error: unknown for an undamped lattice that ranks share at
+    # sigma = 0, where rounding is tried instead.
     displacement: np.ndarray
     error_bound: np.ndarray
-    backward_error: float
-    iterations: int
+    backward_error: float  # |f - S A| / (|S| |A| + |f|)
+    iterations: int  # of Krylov's method, those of the adjoints included
+    # Positive if every amplitude is as accurate as asked, or is below the floor with its bound;
+    # else 0 or PETSc's negative KSP reason.
     converged_reason: int
-    field_bound: float
+    field_bound: float  # of the error of the whole field, in the 2-norm
+    # If derivatives are asked for: d displacement / d omega, shape (nd,), and f^T A, the force that
+    # balls take off what moves the wall by 1; each with a bound of its error.
     derivative: np.ndarray | None = None
     derivative_bound: np.ndarray | None = None
     reaction: complex | None = None
@@ -65,10 +45,7 @@ class SteadyState:
 
 
 class Detectors(Owner):
-    """Balls whose entries are read out of distributed vectors; destroy with `destroy`.
-
-    Collective; `sites` has the shape (nd, dim).
-    """
+    """Balls (nd, dim) whose entries are read out of distributed vectors. Collective."""
 
     owns = ("_scatter", "_readings")
 
@@ -108,17 +85,14 @@ class Detectors(Owner):
         first, last = self._like.getOwnershipRange()
         for vector, numbers, weights in zip(vectors, self._numbers, self._weights, strict=True):
             mine = (numbers >= first) & (numbers < last)
-            vector.getArray()[numbers[mine] - first] = weights[mine]
+            vector.getArray()[numbers[mine] - first] = weights[mine]  # S^T = S: e_d is a source
         return vectors
 
 
 class Judge(Owner):
-    """Bounds the errors of solutions and judges them; destroy with `destroy`.
+    """Bounds the errors of solutions and judges them, for a `steady.SteadySolver`. Collective."""
 
-    Collective. Parameters are those of `steady.SteadySolver`.
-    """
-
-    owns = ("bounds", "detectors", "_comparison", "_bent", "_inertia")
+    owns = ("bounds", "detectors", "_comparison", "_work")
 
     def __init__(self, operators, sites, tolerance, floor, whole_field):
         """Make what reads and what bounds by norms."""
@@ -127,14 +101,9 @@ class Judge(Owner):
         self.bounds = ErrorBounds(operators)
 
     @cached_property
-    def _bent(self):
-        """g of `with_derivatives`. Collective when first asked for."""
-        return self.operators.f.duplicate()
-
-    @cached_property
-    def _inertia(self):
-        """M A of `with_derivatives`. Collective when first asked for."""
-        return self.operators.f.duplicate()
+    def _work(self):
+        """Two vectors for `with_derivatives`. Collective when first asked for."""
+        return [self.operators.f.duplicate() for _ in range(2)]
 
     @cached_property
     def _comparison(self):
@@ -149,16 +118,8 @@ class Judge(Owner):
     def assess(self, s, systems, krylov):
         """Return the state reached, its bounds, and whether they meet the tolerance.
 
-        Collective.
-
-        Parameters
-        ----------
-        s : complex
-            For which the bounds are prepared.
-        systems : list of pgran.driven.linear.System
-            That of the amplitudes, then each detector's adjoint; none where no bound is known.
-        krylov : pgran.driven.linear.Krylov
-            What has solved them.
+        Collective. `systems` are that of the amplitudes, then each detector's adjoint, none where
+        no bound is known; `krylov` has solved them, and the bounds are prepared for s.
         """
         bounds, (primal, *adjoints) = self.bounds, systems
         displacement = self.detectors.read(primal.solution)
@@ -186,13 +147,7 @@ class Judge(Owner):
     def compared(self, state, primal, krylov):
         """Return a state that misses its accuracy with bounds ball by ball; judge by the floor.
 
-        Collective.
-
-        Parameters
-        ----------
-        state : SteadyState
-        primal : pgran.driven.linear.System
-        krylov : pgran.driven.linear.Krylov
+        Collective. `primal` is the system of the amplitudes.
         """
         if not math.isfinite(state.backward_error) or not np.all(np.isfinite(state.displacement)):
             return state
@@ -213,18 +168,17 @@ class Judge(Owner):
     def with_derivatives(self, state, systems):
         """Return a state with the derivatives dA_d/domega, the reaction f^T A, and their bounds.
 
-        Collective. With S' = C + 2 s M, all damping in C, and g = f' - S' A~ (derivatives along s),
+        Collective; `assess` has looked at these systems last. With S' = C + 2 s M, all damping in
+        C, and g = f' - S' A~ (derivatives along s),
 
             dA_d/ds - z~^T g = q^T S^-1 g - z~^T S' S^-1 r - q^T S^-1 S' S^-1 r.
-
-        Parameters are those of `assess`, which has looked at these systems last.
         """
         reaction = self._reaction(state, systems[0])
         if not self.bounds.proven or not math.isfinite(state.backward_error):
             unknown = np.full(state.displacement.shape, math.nan)
             return replace(state, derivative=unknown + 0j, derivative_bound=unknown, **reaction)
         bounds, operators, (primal, *adjoints) = self.bounds, self.operators, systems
-        s, bent, inertia = state.s, self._bent, self._inertia
+        s, (bent, inertia) = state.s, self._work
         inertia.pointwiseMult(operators.M, primal.solution)
         bent.set(0.0)
         force = 0.0
@@ -252,8 +206,8 @@ class Judge(Owner):
         """Return f^T A = A~^T (f + r) + r^T S^-1 r and its bound, by name: A is its own adjoint."""
         value, bound, bounds = math.nan, math.nan, self.bounds
         if math.isfinite(state.backward_error):
-            found = primal.solution
-            value = found.tDot(primal.rhs) + found.tDot(primal.residual)
+            A = primal.solution
+            value = A.tDot(primal.rhs) + A.tDot(primal.residual)
             if bounds.proven:
                 bound = bounds.reaction(self._residual, primal, value)
         return {"reaction": value, "reaction_bound": bound}

@@ -14,22 +14,13 @@ from pgran.run.petsc import PETSc
 
 
 class Layout(Owner):
-    """What both kinds have in common.
+    """What the layouts of lattices and of other networks have in common.
 
-    Attributes
-    ----------
-    like : petsc4py.PETSc.Vec
-        A vector of unknowns, to duplicate.
-    first, last : int
-        The range of this rank's unknowns.
-    ends : numpy.ndarray of int, shape (springs, w)
-        The unknowns in each row of B: PETSc's numbers, -1 for none.
-    entries : numpy.ndarray, shape (springs, w) or (1, w)
-        B's entries there.
-    drive : numpy.ndarray, shape (springs,)
-        How far each spring is stretched when what is driven moves by 1.
-    damped : numpy.ndarray, shape (springs,)
-        Which part of beta each spring has.
+    This rank has the unknowns from `first` to `last`; `like` is a vector of them, to duplicate. Of
+    each spring `ends` (springs, w) are the unknowns in its row of B, PETSc's numbers, -1 for none,
+    and `entries`, which may be one row for all, B's entries there; `drive` is how far it is
+    stretched when what is driven moves by 1, `damped` which part of beta it has. `laplacian` says
+    that K and C have no positive entries beside their diagonals.
     """
 
     owns = ("like",)
@@ -38,8 +29,8 @@ class Layout(Owner):
         """Return vectors as arrays, one after the other, on rank 0, None on others. Collective."""
         if self.comm.size == 1:
             return self.fields(np.stack([x.getArray(readonly=True) for x in vectors]))
-        found = [self.field(x) for x in vectors]
-        return None if found[0] is None else np.stack(found)
+        fields = [self.field(x) for x in vectors]
+        return None if fields[0] is None else np.stack(fields)
 
     def own_entries(self, springs):
         """Yield, side by side, B's entries, this rank's rows that they are in, of which springs."""
@@ -51,7 +42,7 @@ class Layout(Owner):
     def driving(self, constants, size=lambda x: x):
         """Return this rank's rows of the drive, -B^T diag(k) of what is driven.
 
-        Not collective. `size` is applied to each spring's part before these are summed up.
+        `size` is applied to each spring's part before these are summed up.
         """
         springs = np.flatnonzero(self.drive)
         pull, total = -constants[springs] * self.drive[springs], np.zeros(self.last - self.first)
@@ -61,20 +52,7 @@ class Layout(Owner):
 
 
 class LatticeLayout(Layout):
-    """The balls of a lattice on a DMDA.
-
-    Collective.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice
-    comm : mpi4py.MPI.Comm
-
-    Raises
-    ------
-    InputError
-        If the lattice cannot be cut among so many ranks.
-    """
+    """The balls of a lattice on a DMDA; InputError if so many ranks cannot share it. Collective."""
 
     owns = ("like", "da")
     laplacian = True  # K and C have no positive entries beside their diagonals
@@ -119,11 +97,8 @@ class LatticeLayout(Layout):
         """Return a vector as an array over the lattice on rank 0, else None. Collective."""
         natural = self.da.createNaturalVec()
         self.da.globalToNatural(x, natural)
-        scatter, gathered = PETSc.Scatter.toZero(natural)
-        scatter.scatter(natural, gathered)
-        values = gathered.getArray().copy()
-        for held in (scatter, gathered, natural):
-            held.destroy()
+        values = on_rank_0(natural)
+        natural.destroy()
         return values.reshape(self.shape, order="F") if self.comm.rank == 0 else None
 
     def fields(self, rows):
@@ -136,6 +111,7 @@ class LatticeLayout(Layout):
 
         Shapes (own, 2 d) and (own, 2 d + 1). The column of a wall is -1, which PETSc ignores.
         """
+        # The place 2 b + side in `ends` is that of an end of bond b; its other end is at place ^ 1.
         ends = self.ends.ravel()
         order = np.argsort(ends, kind="stable")  # much quicker than the default
         order = order[np.count_nonzero(ends < self.first) : np.count_nonzero(ends < self.last)]
@@ -150,15 +126,15 @@ class LatticeLayout(Layout):
         return np.column_stack([k.sum(axis=1), -k]).astype(PETSc.ScalarType)
 
     def csr(self, constants):
-        """Return row pointers, columns and nonzeros of B^T diag(k) B. Not collective."""
+        """Return row pointers, columns and nonzeros of B^T diag(k) B."""
         pointer = np.append(0, np.cumsum(np.count_nonzero(self._exists, axis=1)))
         columns, values = self._columns[self._exists], self._values(constants)[self._exists]
         return pointer.astype(PETSc.IntType), columns, values
 
     def change(self, matrix, bonds, constants):
-        """Set in a matrix what some bonds contribute to; the rest of those rows, too.
+        """Set in a matrix, to be assembled, the rows of all balls at some bonds.
 
-        Not collective; it is to be assembled. What was before leaves no rounding behind.
+        They are summed up anew, so that what was before leaves no rounding behind.
         """
         balls = self.ends[bonds].ravel()
         balls = balls[(balls >= self.first) & (balls < self.last)]
@@ -168,14 +144,9 @@ class LatticeLayout(Layout):
 
 
 class NetworkLayout(Layout):
-    """The unknowns of any network, on ranges of a partition; on one rank in order of elimination.
+    """The unknowns of any network on ranges of a partition; on one rank in order of elimination.
 
     Collective. What is said of springs is known to every rank.
-
-    Parameters
-    ----------
-    network : pgran.medium.network.Network
-    comm : mpi4py.MPI.Comm
     """
 
     laplacian = False
@@ -202,6 +173,9 @@ class NetworkLayout(Layout):
         """Find the nonzeros of this rank's rows, and what each spring contributes to them."""
         from scipy.sparse import csr_matrix
 
+        # The nonzero (p, q) is the sum of B[s, p] B[s, q] k[s] over the springs s: a matrix, of a
+        # row for each nonzero and these products at the columns s, times the constants. Zeros
+        # keep the diagonal in the pattern.
         width, count = self.ends.shape[1], self.network.balls
         own = np.arange(self.first, self.last)
         keys, products, springs = [own * count + own], [np.zeros(len(own))], [0 * own]
@@ -221,7 +195,7 @@ class NetworkLayout(Layout):
         self._contributions = csr_matrix(triplets, shape=(len(keys), len(self.ends)))
 
     def csr(self, constants):
-        """Return row pointers, columns and nonzeros of B^T diag(k) B. Not collective."""
+        """Return row pointers, columns and nonzeros of B^T diag(k) B."""
         values = self._contributions @ constants
         return self._pointer, self._columns, values.astype(PETSc.ScalarType)
 
@@ -231,7 +205,7 @@ class NetworkLayout(Layout):
         return self._pointer, self._columns, values.astype(PETSc.ScalarType)
 
     def change(self, matrix, bonds, constants):
-        """Set in a matrix what all springs contribute. Not collective; it is to be assembled."""
+        """Set in a matrix what all springs contribute; it is to be assembled."""
         matrix.setValuesCSR(*self.csr(constants))
 
     def readings(self, sites):
@@ -248,11 +222,7 @@ class NetworkLayout(Layout):
 
     def field(self, x):
         """Return a vector as an array over all unknowns on rank 0, else None. Collective."""
-        scatter, gathered = PETSc.Scatter.toZero(x)
-        scatter.scatter(x, gathered)
-        values = gathered.getArray().copy()
-        for held in (scatter, gathered):
-            held.destroy()
+        values = on_rank_0(x)
         return values[self._number[:-1]] if self.comm.rank == 0 else None
 
     def fields(self, rows):
@@ -260,11 +230,26 @@ class NetworkLayout(Layout):
         return rows[:, self._number[:-1]]
 
 
+def layout_of(medium, comm):
+    """Return the layout of a medium on the ranks that share it. Collective."""
+    return (LatticeLayout if medium.is_grid else NetworkLayout)(medium, comm)
+
+
+def on_rank_0(x):
+    """Return the entries of a vector on rank 0, none on others. Collective."""
+    scatter, gathered = PETSc.Scatter.toZero(x)
+    scatter.scatter(x, gathered)
+    values = gathered.getArray().copy()
+    scatter.destroy()
+    gathered.destroy()
+    return values
+
+
 def partition(network, parts):
     """Return which rank has each unknown: those of a ball together, neighbours mostly, as many.
 
-    Not collective; the same on every rank. By bisection along the longest extent of the positions,
-    without positions along the order of reverse Cuthill and McKee.
+    By bisection along the longest extent of the positions; without positions along the order of
+    reverse Cuthill and McKee. The same on every rank.
     """
     balls = len(network.free)
     if network.position is not None:
@@ -279,15 +264,15 @@ def partition(network, parts):
         rank = np.empty(total)
         rank[order] = np.arange(total)
         where = rank[network.free][:, None]
-    part, left = np.zeros(balls, dtype=int), [(np.arange(balls), 0, parts)]
-    while left:
+    rank_of, left = np.zeros(balls, dtype=int), [(np.arange(balls), 0, parts)]
+    while left:  # cut the balls `here`, which are for `count` ranks from `first` on
         here, first, count = left.pop()
         if count == 1:
-            part[here] = first
+            rank_of[here] = first
             continue
         axis = np.argmax(np.ptp(where[here], axis=0)) if len(here) else 0
         order = here[np.argsort(where[here, axis], kind="stable")]
         half = count // 2
         split = len(here) * half // count
         left += [(order[:split], first, half), (order[split:], first + half, count - half)]
-    return np.repeat(part, network.components)
+    return np.repeat(rank_of, network.components)

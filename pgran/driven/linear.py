@@ -1,37 +1,27 @@
-"""Linear systems with the matrix S: the KSP that solves them, and a right-hand side's state."""
+"""Linear systems with the matrix S: their states, the KSP that solves them, when it factors anew.
+
+Whether a fresh factorization pays is decided by iteration counts and prices, never by clocks, so
+that a run repeats exactly.
+"""
 
 import math
 
 from mpi4py import MPI
 
 from pgran.driven.owner import Owner
-from pgran.driven.reuse import FACTORIZATIONS
 from pgran.run.petsc import PETSc
 
+FACTORIZATIONS = ("lu", "cholesky")
+# What a factorization costs in Krylov iterations, for each entry of the factor and ball; measured.
+FACTOR_PRICE = {"petsc": 0.4, "mumps": 0.075}
 LEAST_NORM = 1e-300  # a residual of which is none
 NO_NUMBER = int(PETSc.KSP.ConvergedReason.DIVERGED_NANORINF)
 NO_PRECONDITIONER = int(PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
-# Larger lattices go to MUMPS: it factors faster, but each of its solves is dearer.
-PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
-# Up to so many balls the ordering by minimum degree leaves less work than nested dissection.
-MINIMUM_DEGREE = {1: 10**7, 2: 2500, 3: 0}
-# The same of networks, by what the factorization in the order of their unknowns costs: PETSc up to
-# so many multiplications for each unknown; MUMPS in the ordering that it finds quickest up to so
-# many in all.
-PETSC_WORK, QUICK_ORDERING = 2500, (5e9, 2)
+ANALYSIS_BY_VALUES, ORDERING, AMF = 6, 7, 2  # MUMPS: two of its ICNTL, the quickest ordering
 
 
 class System(Owner):
-    """One right-hand side of S, which is not its own, with its solution and true residual.
-
-    Attributes
-    ----------
-    rhs, solution, residual : petsc4py.PETSc.Vec
-    norm : float
-        Of the residual.
-    last, before_last : petsc4py.PETSc.Vec
-        The solutions of the two s before this one.
-    """
+    """One right-hand side of S, with its solution, true residual, and the two solutions before."""
 
     owns = ("solution", "residual", "last", "before_last")
 
@@ -44,7 +34,7 @@ class System(Owner):
         self.norm = math.inf
 
     def advance(self):
-        """Keep the solution as the last one; a start then fills `solution`. Not collective."""
+        """Keep the solution as the last one; a start then fills `solution`."""
         self.solution, self.last, self.before_last = self.before_last, self.solution, self.last
 
     def start_from_zero(self):
@@ -75,12 +65,10 @@ class System(Owner):
 
 
 class Krylov(Owner):
-    """The KSP of S; destroy with `destroy`. Collective.
+    """The KSP of S. Collective.
 
-    Attributes
-    ----------
-    iterations, reason : int
-        Since the last `begin`; PETSc's reason of the last solve since then, 0 if there was none.
+    Since the last `begin` it has taken so many `iterations`; `reason` is PETSc's of the last solve
+    since then, 0 if there was none.
     """
 
     owns = ("ksp",)
@@ -94,7 +82,7 @@ class Krylov(Owner):
 
     @property
     def pc(self):
-        """The preconditioner. Not collective."""
+        """The preconditioner."""
         return self.ksp.getPC()
 
     def begin(self, longest=None):
@@ -139,33 +127,19 @@ class Krylov(Owner):
 
 
 def is_factored():
-    """Return whether the options ask for a factorization of S. Not collective."""
+    """Return whether the options ask for a factorization of S."""
     return PETSc.Options("steady_").getString("pc_type", "cholesky") in FACTORIZATIONS
 
 
 def factor_package(lattice, ranks):
-    """Return what factors the matrix of a lattice that so many ranks share. Not collective."""
-    if ranks > 1:
-        return "mumps"
-    if lattice.irregular:
-        small = lattice.graph.work <= PETSC_WORK * max(lattice.balls, 200)
-    else:
-        small = lattice.balls <= PETSC_FACTORS[lattice.axes]
-    return "petsc" if small else "mumps"
+    """Return what factors the matrix of a medium that so many ranks share."""
+    return "petsc" if ranks == 1 and lattice.elimination.small else "mumps"
 
 
 def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
-    """Return a KSP on an LDL^T factorization by default, then as its options say.
+    """Return a KSP on an LDL^T factorization by default, then as the options of a prefix say.
 
-    Collective. The caller destroys it.
-
-    Parameters
-    ----------
-    operators : pgran.driven.operators.Operators
-    matrix : petsc4py.PETSc.Mat
-        S, or another one of its pattern.
-    prefix, kind : str
-        Of the options; the type of KSP by default.
+    Collective. `matrix` is S, or another one of its pattern. The caller destroys the KSP.
     """
     ksp = PETSc.KSP().create(operators.comm)
     ksp.setOptionsPrefix(prefix)
@@ -176,10 +150,8 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
     pc.setType("cholesky")
     if factor_package(operators.lattice, operators.comm.size) != "petsc":
         pc.setFactorSolverType("mumps")
-    elif operators.lattice.irregular:
-        pc.setFactorOrdering("natural")
-    elif operators.balls <= MINIMUM_DEGREE[operators.axes]:
-        pc.setFactorOrdering("qmd")
+    elif operators.lattice.elimination.ordering:
+        pc.setFactorOrdering(operators.lattice.elimination.ordering)
     ksp.setFromOptions()
     accept_small_pivots(pc)
     analyse_by_pattern(pc, operators.lattice)
@@ -193,12 +165,6 @@ def set_up(ksp, matrix, comm):
     """Set up a KSP's preconditioner for the values of a matrix; return whether that worked.
 
     Collective. A KSP that failed is of no more use: PETSc keeps some failures for all later values.
-
-    Parameters
-    ----------
-    ksp : petsc4py.PETSc.KSP
-    matrix : petsc4py.PETSc.Mat
-    comm : mpi4py.MPI.Comm
     """
     ksp.setOperators(matrix)  # without it a KSP overlooks new values
     ksp.setUp()
@@ -209,19 +175,18 @@ def set_up(ksp, matrix, comm):
 def analyse_by_pattern(pc, lattice):
     """Let MUMPS analyse the pattern alone, and not for longer than that saves; options win.
 
-    Not collective. Else MUMPS permutes by the values of the first matrix, and the last digits of
-    all later solutions depend on which frequency a rank happened to factor first.
+    Else MUMPS permutes by the values of the first matrix, and the last digits of all later
+    solutions depend on which frequency a rank happened to factor first.
     """
     if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
         pc.setFactorSetUpSolverType()
-        pc.getFactorMatrix().setMumpsIcntl(6, 0)
-        work, ordering = QUICK_ORDERING
-        if lattice.irregular and lattice.graph.work <= work:
-            pc.getFactorMatrix().setMumpsIcntl(7, ordering)
+        pc.getFactorMatrix().setMumpsIcntl(ANALYSIS_BY_VALUES, 0)
+        if lattice.elimination.quick:
+            pc.getFactorMatrix().setMumpsIcntl(ORDERING, AMF)
 
 
 def accept_small_pivots(pc):
-    """Call no pivot zero that is not, unless options say otherwise. Not collective.
+    """Call no pivot zero that is not, unless options say otherwise.
 
     PETSc's threshold is absolute, 2e-14, and constants of one lattice may differ by more. A pivot
     that is zero but for rounding shows in the residuals. But the threshold is the least that a
@@ -232,3 +197,79 @@ def accept_small_pivots(pc):
     if options.getString("pc_factor_shift_type", usual).lower() != "positive_definite":
         pc.setFactorPivot(zeropivot=0.0)
         pc.setFromOptions()
+
+
+class ReusePolicy:
+    """Decides before each frequency whether to factor anew.
+
+    A cycle is a factorization and the frequencies it serves. It ends when the next frequency is
+    expected to take more than the cycle's price for each frequency so far. What to expect: what the
+    last one took, or, right after factoring, what the first reuse took in an earlier cycle. With a
+    limit it ends when the last frequency took more iterations than that.
+    """
+
+    def __init__(self, limit=0):
+        """Start without a factorization."""
+        self.limit, self.price = limit, 0.0
+        self.restart()
+
+    def restart(self):
+        """Forget the past: the next frequency gets a fresh factorization."""
+        self._served, self._spent, self._last, self._first = 0, 0, math.inf, None
+
+    def due(self, guess=0.0):
+        """Return whether to factor before the next frequency.
+
+        `guess` is what to expect of a first reuse while there is no experience.
+        """
+        if self._served == 0:
+            return True
+        if self.limit:
+            return self._last > self.limit
+        expected = self._last
+        if self._served == 1:
+            expected = guess if self._first is None else self._first
+        return expected * self._served >= self.price + self._spent
+
+    def patience(self):
+        """Return after how many iterations a reused factorization is given up."""
+        return None if self.limit or not self.price else max(4, math.ceil(2 * self.price))
+
+    def count(self, fresh, iterations):
+        """Note how many iterations a frequency took."""
+        if fresh:
+            self._served = self._spent = 0
+        self._served += 1
+        self._spent += iterations
+        self._last = iterations
+        if self._served == 2:
+            self._first = iterations
+
+    def count_failure(self):
+        """Note that reusing the factorization did not work."""
+        if self._served == 1:
+            self._first = math.inf
+
+
+def expected_iterations(before, s, axes, mass, damping):
+    """Return the iterations that a solve at s takes with the factorization made at `before`.
+
+    A resonance of the lattice is about |s| (2 d beta + sigma m) wide in m s^2, 2 d the mean
+    eigenvalue of C. Each application of the old factorization reduces the residual by the part of
+    that width which m s^2 has moved.
+    """
+    width = 2 * axes * abs(s) * damping + abs(s) * s.real * mass
+    moved = mass * abs(s * s - before * before)
+    if moved == 0:
+        return 1.0
+    if moved >= width:
+        return math.inf
+    return math.log(1e-6) / (2 * math.log(moved / width))
+
+
+def factor_price(pc, balls):
+    """Return what a factorization costs in Krylov iterations, from its size. Collective."""
+    if pc.getType() not in FACTORIZATIONS:
+        return 0.0
+    info = pc.getFactorMatrix().getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)
+    return FACTOR_PRICE.get(pc.getFactorSolverType(), 0.2) * info["nz_used"] / balls

@@ -11,55 +11,31 @@ from functools import cached_property
 import numpy as np
 from mpi4py import MPI
 
-from pgran.driven.layout import LatticeLayout, NetworkLayout
+from pgran.driven.layout import layout_of
 from pgran.driven.owner import Owner
-from pgran.medium.lattice import Lattice
 from pgran.run.petsc import PETSc
 
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 
 
 class Operators(Owner):
-    """A driven lattice or network as distributed matrices; destroy with `destroy` or `with`.
+    """A driven medium, the same on all ranks that share it, as distributed matrices. Collective.
 
-    Collective.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
-        The same on every rank.
-    comm : mpi4py.MPI.Comm
-        The ranks that share it.
-
-    Attributes
-    ----------
-    layout : pgran.driven.layout.Layout
-    K : petsc4py.PETSc.Mat
-        Stiffness: the graph Laplacian weighted by the bond constants.
-    C : petsc4py.PETSc.Mat or None
-        The same with every constant 1; damping is beta C. None without damping.
-    M : petsc4py.PETSc.Vec
-        The masses, a diagonal.
-    S, f : petsc4py.PETSc.Mat, petsc4py.PETSc.Vec
-        The driven system at the s of the last `combine`.
-    softest : float or None
-        No eigenvalue of K is below it; None where that is still to be found out.
+    K is the graph Laplacian weighted by the constants, C that of the parts of beta, None without
+    damping; the vector M holds the masses. S and f are the driven system at the s of the last
+    `combine`. No eigenvalue of K is below `softest`, which is None while that is unknown. `layout`
+    numbers the unknowns. Destroy with `destroy` or `with`.
     """
 
     owns = ("K", "C", "M", "_inertia", "S", "f", "f_stiffness", "f_damping", "sizes", "layout")
 
     def __init__(self, lattice, comm):
         """Assemble K, and C where there is damping."""
-        self.lattice, self.shape, self.balls, self.comm = (
-            lattice,
-            lattice.shape,
-            lattice.balls,
-            comm,
-        )
+        self.lattice, self.comm = lattice, comm
+        self.shape, self.balls = lattice.shape, lattice.balls
         self.mass, self.damping, self.axes = lattice.mass, lattice.damping, lattice.axes
         self.rounding = lattice.rounding
-        kind = LatticeLayout if isinstance(lattice, Lattice) else NetworkLayout
-        self.layout = kind(lattice, comm)
+        self.layout = layout_of(lattice, comm)
         self.first, self.last = self.layout.first, self.layout.last
         self.f_stiffness, self.M, self._inertia = (self.layout.like.duplicate() for _ in range(3))
         self.M.set(self.mass)
@@ -89,22 +65,17 @@ class Operators(Owner):
 
         Collective when first asked for; they say what rounding does to what is no Laplacian.
         """
-        found = []
+        matrices = []
         for constants in (self.constants, self.layout.damped)[: 1 + (self.C is not None)]:
             drive = self.f_stiffness.duplicate()
             drive.setArray(self.layout.driving(constants, np.abs))
-            found += [self._assemble(constants, self.layout.sizes), drive]
-        return found
+            matrices += [self._assemble(constants, self.layout.sizes), drive]
+        return matrices
 
     def combine(self, s):
         """Set S(s) = K + s beta C + s^2 M and the drive f(s) (paper: ampeq, s = i omega).
 
-        Collective.
-
-        Raises
-        ------
-        ValueError
-            If the real part of s is negative: no error is bounded there.
+        Collective. Raises ValueError if the real part of s is negative: no error is bounded there.
         """
         s = complex(s)
         if not s.real >= 0:
@@ -128,27 +99,24 @@ class Operators(Owner):
 
         Collective; `columns` holds this rank's rows, the result is the same on every rank.
         """
-        found = np.zeros((len(bonds), columns.shape[1]), dtype=complex)
+        stretches = np.zeros((len(bonds), columns.shape[1]), dtype=complex)
         for entries, rows, mine in self.layout.own_entries(bonds):
-            found[mine] += entries[:, None] * columns[rows]
+            stretches[mine] += entries[:, None] * columns[rows]
         if self.comm.size > 1:
-            self.comm.Allreduce(MPI.IN_PLACE, found)
-        return found
+            self.comm.Allreduce(MPI.IN_PLACE, stretches)
+        return stretches
 
     def spread(self, bonds, columns):
         """Set columns to b = B^T e of some bonds, as far as it lies in this rank's rows.
 
-        Not collective. Columns beyond those of the bonds become zero.
+        Columns beyond those of the bonds become zero.
         """
         columns[:] = 0.0
         for entries, rows, mine in self.layout.own_entries(bonds):
             columns[rows, mine] = entries
 
     def set_stiffness(self, constants):
-        """Replace all bond constants, in K and in the drive; S waits for `combine`.
-
-        Collective; `constants` has the shape (bonds,).
-        """
+        """Replace all bond constants in K and in the drive; S waits for `combine`. Collective."""
         self.constants, self.softest = constants, None
         self.forget("sizes")
         self.K.setValuesCSR(*self.layout.csr(constants))
@@ -158,8 +126,8 @@ class Operators(Owner):
     def change_bonds(self, bonds, constants):
         """Set some bond constants anew, in K and in the drive; S waits for `combine`.
 
-        Collective; `constants` are those of all bonds after the change. What K was before leaves no
-        rounding behind: the rows of all balls at these bonds are summed up anew.
+        Collective; `constants` are those of all bonds after the change. K's rows are summed up
+        anew.
         """
         self.constants, self.softest = constants, None
         self.forget("sizes")

@@ -34,7 +34,7 @@ class Owner:
             vars(self).pop(name, None)
 
     def vectors(self):
-        """Yield all vectors, those of other owners too. Not collective."""
+        """Yield all vectors, those of other owners too."""
         for held in self._held(self.owns):
             if isinstance(held, Owner):
                 yield from held.vectors()
@@ -43,6 +43,6 @@ class Owner:
 
     def _held(self, names):
         """Return what some attributes hold, as far as it is made."""
-        found = [vars(self).get(name) for name in names]
-        lists = [item if isinstance(item, list) else [item] for item in found]
+        values = [vars(self).get(name) for name in names]
+        lists = [item if isinstance(item, list) else [item] for item in values]
         return [held for several in lists for held in several if held is not None]

@@ -14,7 +14,7 @@ BENT = 2.0  # a phase is no line if its slope in one half of the window is so ma
 def phase_of_sign(displacement):
     """Return the phase of amplitudes that are real, as without damping: 0 or pi; NaN where unknown.
 
-    Not collective. Its jumps are changes of sign, to be followed by no unwrapping.
+    Its jumps are changes of sign, to be followed by no unwrapping.
     """
     sign = np.where(displacement.real < 0, np.pi, 0.0)
     return np.where(np.isnan(displacement), np.nan, sign)
@@ -23,23 +23,23 @@ def phase_of_sign(displacement):
 def unwrap(displacement):
     """Return the phase along the first axis without its jumps, from the lowest frequency on.
 
-    Not collective. Frequencies that have no amplitude keep NaN and are passed over.
+    Frequencies that have no amplitude keep NaN and are passed over.
     """
     phase = np.angle(displacement)
     for column in phase.T:
-        known = np.isfinite(column)
-        column[known] = np.unwrap(column[known])
+        finite = np.isfinite(column)
+        column[finite] = np.unwrap(column[finite])
     return phase
 
 
 def fit_line(x, y):
     """Return slope and intercept of the straight line through some points; y may hold NaN.
 
-    Not collective. NaN where less than three points are known, or where these are too close
-    together, by 1e-10, to tell a slope from rounding.
+    NaN where less than three points are known, or where these are too close together, by 1e-10, to
+    tell a slope from rounding.
     """
-    known = np.isfinite(y)
-    x, y = x[known], y[known]
+    finite = np.isfinite(y)
+    x, y = x[finite], y[finite]
     if len(x) < 3 or np.ptp(x) < 1e-10 * np.abs(x).max():
         return np.nan, np.nan
     middle = x.mean()
@@ -49,18 +49,7 @@ def fit_line(x, y):
 
 @dataclass(frozen=True)
 class PhaseLine:
-    """The straight line through a phase, or why there is none.
-
-    Attributes
-    ----------
-    slope, slope_error : float
-        Of the phase over x, with its standard error; NaN without a line.
-    intercept : float
-    low, high : float
-        The first and the last x that the line was fitted to.
-    why_not : str
-        Empty if there is a line.
-    """
+    """The straight line through a phase between two x, or why there is none; NaN without a line."""
 
     slope: float = np.nan
     slope_error: float = np.nan
@@ -73,9 +62,9 @@ class PhaseLine:
 def fit_phase(x, phase, line_error, low, high):
     """Fit the straight line to a phase, if it is one, its turns certain over the whole window.
 
-    Not collective. The line is that of least squares along the curve, whose points may lie closer
-    here than there. What it misses is correlated over the width of a resonance; so the standard
-    error is that of `BLOCKS` parts of the window taken as independent.
+    The line is that of least squares along the curve, whose points may lie closer here than there.
+    What it misses is correlated over the width of a resonance; so the standard error is that of
+    `BLOCKS` parts of the window taken as independent.
 
     Parameters
     ----------
@@ -84,10 +73,6 @@ def fit_phase(x, phase, line_error, low, high):
         leaves the straight line from the point before.
     low, high : float
         The window.
-
-    Returns
-    -------
-    PhaseLine
     """
     if not len(x) or x[0] > low * (1 + 1e-9) or x[-1] < high * (1 - 1e-9):
         why = f"the sweep does not cover the window of the fit, {low:g} to {high:g} omega_mx"
@@ -134,37 +119,29 @@ def _least_squares(x, phase):
 
 
 def and_more(count):
-    """Say in words that a place is not the only one. Not collective."""
+    """Say in words that a place is not the only one."""
     return f", and in {count} more places" if count else ""
 
 
 def group_delay(amplitude, derivative, error_bound, derivative_bound):
-    """Return -d arg A / d omega, and a bound of its error.
+    """Return -d arg A / d omega, and a bound of its error, from A, A' and bounds a, b of theirs.
 
-    Not collective. With A and its derivative A' wrong by at most a and b, A'/A is wrong by at most
-    (b + |A'/A| a) / (|A| - a); NaN and infinite where A may vanish.
-
-    Parameters
-    ----------
-    amplitude, derivative : numpy.ndarray of complex
-        A, A'.
-    error_bound, derivative_bound : numpy.ndarray of float, of the same shape
-        a, b.
+    A'/A is wrong by at most (b + |A'/A| a) / (|A| - a); NaN and infinite where A may vanish.
     """
     with np.errstate(all="ignore"):
         ratio = derivative / amplitude
         room = np.abs(amplitude) - error_bound
         bound = 1.01 * (derivative_bound + np.abs(ratio) * error_bound) / room
-    known = (room > 0) & np.isfinite(bound)
-    return np.where(known, -ratio.imag, np.nan), np.where(known, bound, np.inf)
+    bounded = (room > 0) & np.isfinite(bound)
+    return np.where(bounded, -ratio.imag, np.nan), np.where(bounded, bound, np.inf)
 
 
 def phase_velocity(slope, distance):
     """Return the velocity in spacings times omega_mx (paper: phsvel).
 
-    Not collective. The slope of the phase is in rad per omega_mx, the distance from the driven wall
-    in spacings. It is no speed of sound: absorbing diffusion makes the slope fall like
-    1 / sqrt(beta), seen from .003 to .03, and a pulse arrives far earlier.
+    The slope of the phase is in rad per omega_mx, the distance from the driven wall in spacings. It
+    is no speed of sound: absorbing diffusion makes the slope fall like 1 / sqrt(beta), seen from
+    .003 to .03, and a pulse arrives far earlier.
     """
     with np.errstate(divide="ignore"):
         return distance / np.abs(slope)

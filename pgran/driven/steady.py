@@ -13,9 +13,17 @@ from functools import cached_property
 import numpy as np
 
 from pgran.driven.judge import Judge, SteadyState
-from pgran.driven.linear import LEAST_NORM, NO_PRECONDITIONER, Krylov, System
+from pgran.driven.linear import (
+    FACTORIZATIONS,
+    LEAST_NORM,
+    NO_PRECONDITIONER,
+    Krylov,
+    ReusePolicy,
+    System,
+    expected_iterations,
+    factor_price,
+)
 from pgran.driven.owner import Owner
-from pgran.driven.reuse import FACTORIZATIONS, ReusePolicy, expected_iterations, factor_price
 from pgran.errors import is_bad_input, petsc_message
 from pgran.run.agreement import met_by_all
 from pgran.run.petsc import PETSc
@@ -27,56 +35,37 @@ SAFETY = 0.3  # aim at this part of what the tolerance allows
 
 
 class SteadySolver(Owner):
-    """Solves for one s after the other; destroy with `destroy` or `with`.
-
-    Collective.
+    """Solves for one s after the other; destroy with `destroy` or `with`. Collective.
 
     Parameters
     ----------
     operators : pgran.driven.operators.Operators
     sites : array_like of int, shape (nd, dim)
         The detectors; none where only the whole field is wanted.
-    error_tolerance : float
-        Relative accuracy asked of each amplitude.
+    error_tolerance, error_floor : float
+        Relative accuracy asked of each amplitude; a bound below this part of the wall's is enough.
     refresh_iterations : int
-        Refresh the factorization after an s that took more iterations; 0 decides by price.
-    whole_field : bool
-        Ask the same accuracy of the field, in the 2-norm.
-    error_floor : float
-        An amplitude whose bound is below this part of the wall's is good without it.
+        Factor anew after an s that took more iterations; 0 decides by price.
+    whole_field, whole_adjoints : bool
+        Ask the same accuracy of the field, in the 2-norm; reduce the adjoints' residuals as far.
     derivatives : bool
         Derivatives along omega are wanted as well.
-    whole_adjoints : bool
-        Reduce the adjoints' residuals as far as such a field's.
-
-    Attributes
-    ----------
-    factorizations : int
-        How many there were so far.
-    primal : pgran.driven.linear.System
-        The amplitudes of all balls at the last s.
     """
 
     owns = ("_krylov", "_judge", "_correction", "primal", "_units", "adjoints")
 
     def __init__(
-        self,
-        operators,
-        sites,
-        error_tolerance=1e-4,
-        refresh_iterations=0,
-        whole_field=False,
-        error_floor=0.0,
-        derivatives=False,
-        whole_adjoints=False,
-    ):
+        self, operators, sites, error_tolerance=1e-4, refresh_iterations=0, whole_field=False,
+        error_floor=0.0, derivatives=False, whole_adjoints=False
+    ):  # fmt: skip
         """Make the systems and their bounds."""
         self.operators, self.comm = operators, operators.comm
         self.tolerance, self.floor = error_tolerance, error_floor
-        self.whole_field, self.derivatives = whole_field, derivatives
-        self.whole_adjoints = whole_adjoints
-        self.factorizations = 0
-        self._sites, self._spoilt, self._works, self._said = sites, False, False, set()
+        self.whole_field, self.whole_adjoints = whole_field, whole_adjoints
+        self.derivatives, self.factorizations, self._sites = derivatives, 0, sites
+        self._spoilt = False  # the last s has failed: factors may be at fault
+        self._works = False  # a factorization has worked once: options are right
+        self._told = set()  # messages of PETSc that were told
         self._make_systems()
         self._policy = ReusePolicy(refresh_iterations)
         self.restart()
@@ -104,12 +93,12 @@ class SteadySolver(Owner):
 
     @property
     def bounds(self):
-        """What bounds the errors. Not collective."""
+        """What bounds the errors."""
         return self._judge.bounds
 
     @property
     def field(self):
-        """The amplitudes of all balls at the last s. Not collective."""
+        """The amplitudes of all balls at the last s."""
         return self.primal.solution
 
     @property
@@ -148,24 +137,15 @@ class SteadySolver(Owner):
         self._make_systems()
 
     def restart(self):
-        """Let nothing that follows depend on what was solved before. Not collective."""
+        """Let nothing that follows depend on what was solved before."""
         self._policy.restart()
         self._earlier, self._size = [], None
 
     def solve(self, s):
-        """Return the steady state at one s.
+        """Return the `SteadyState` at s = sigma + i omega, sigma >= 0: i omega for a steady drive.
 
         Collective. A point that misses its accuracy with a reused factorization is solved again
         with a fresh one, and marked if it still does.
-
-        Parameters
-        ----------
-        s : complex
-            sigma + i omega, sigma >= 0: i omega for a steady drive.
-
-        Returns
-        -------
-        pgran.driven.judge.SteadyState
         """
         state, s = None, complex(s)
         try:
@@ -211,12 +191,12 @@ class SteadySolver(Owner):
 
         That is the fault of an option or a callback, or not met by all ranks of the lattice.
         """
-        wrong = is_bad_input(error) and not self._works
-        if error.__cause__ or wrong or not met_by_all(self.comm):
+        of_option = is_bad_input(error) and not self._works
+        if error.__cause__ or of_option or not met_by_all(self.comm):
             raise error
         message = petsc_message(error)
-        if message not in self._said:
-            self._said.add(message)
+        if message not in self._told:
+            self._told.add(message)
             point = f"s = {s:g}" if s.real else f"omega = {s.imag:g}"
             log.warning("%s is marked: %s", point, message)
 
@@ -226,8 +206,12 @@ class SteadySolver(Owner):
         missing = np.full(len(self._judge.detectors), math.nan)
         unknown = math.inf if self.bounds.proven else math.nan
         bound = np.full(missing.shape, unknown)
-        said = s, missing + 0j, bound, math.nan, 0, NO_PRECONDITIONER, unknown
-        return SteadyState(*said, missing + 0j, bound, math.nan, unknown)
+        return SteadyState(
+            s=s, displacement=missing + 0j, error_bound=bound, field_bound=unknown,
+            derivative=missing + 0j, derivative_bound=bound,
+            reaction=math.nan, reaction_bound=unknown,
+            backward_error=math.nan, iterations=0, converged_reason=NO_PRECONDITIONER,
+        )  # fmt: skip
 
     def _attempt(self, s, fresh):
         """Solve with a fresh or the present factorization."""
@@ -247,7 +231,7 @@ class SteadySolver(Owner):
                 break
             if krylov.reason < 0 and not fresh:
                 break
-            if previous and not (
+            if previous and not (  # refinement has stalled
                 np.any(state.error_bound < 0.5 * previous.error_bound)
                 or state.field_bound < 0.5 * previous.field_bound
             ):
@@ -258,9 +242,9 @@ class SteadySolver(Owner):
         """Return how many iterations all systems are expected to take if nothing is factored."""
         if not self._earlier:
             return math.inf
-        lattice = self.operators
+        medium = self.operators.lattice
         return len(self._systems) * expected_iterations(
-            self._earlier[-1], s, lattice.axes, lattice.mass, lattice.damping
+            self._earlier[-1], s, medium.axes, medium.mass, medium.damping
         )
 
     def _factor(self):
@@ -291,6 +275,8 @@ class SteadySolver(Owner):
         contributes half, relative to its right-hand side.
         """
         krylov, primal, adjoints = self._krylov, self.primal, self._systems[1:]
+        # An amplitude is proven where |r|_2 |q|_2 <= goal. With |r| / |f| = |q| / |e_d| and |e_d|
+        # about 1 that takes |r| <= sqrt(goal |f|), |q| <= sqrt(goal / |f|).
         goal, field = np.zeros(len(adjoints)), 0.0
         if self.bounds.proven:
             share = SAFETY * self.tolerance / self.bounds.inverse_norm

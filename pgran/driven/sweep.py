@@ -15,19 +15,9 @@ LONGEST_UNIT = 16  # frequencies that share factorizations
 class FrequencySweep(Task):
     """Steady states of one lattice, one frequency after the other.
 
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice
-    omegas : array_like of float, shape (nw,)
-        Driving frequencies, angular, increasing.
-    sites : numpy.ndarray of int, shape (nd, dim)
-        The detectors.
-    kept : sequence of tuple
-        Fields of a row, named like those of `SteadyState` where they hold the same.
-    choices : dict
-        Keywords of `steady.SteadySolver`.
-    sigma : float
-        The real part of s = sigma + i omega; 0 for a steady drive.
+    Frequencies `omegas` (nw,) are angular and increase, `sites` (nd, dim) are the detectors. `kept`
+    are the fields of a row, named like those of `SteadyState` where they hold the same; `choices`
+    are keywords of `steady.SteadySolver`; `sigma` is the real part of s = sigma + i omega.
     """
 
     items = "frequencies"
@@ -46,13 +36,10 @@ class FrequencySweep(Task):
         """Make what `keep` needs of the lattice at all frequencies. Collective over a group."""
 
     def keep(self, point, solver):
-        """Put into a row, besides what a `SteadyState` has, what is wanted of the solver.
-
-        Collective over a group.
-        """
+        """Put into a row what is wanted besides a `SteadyState`. Collective over a group."""
 
     def complete(self, points):
-        """Put into the rows of a unit what is computed for all of them together. Not collective."""
+        """Put into the rows of a unit what is computed for all of them together."""
 
     @contextlib.contextmanager
     def open(self, group):
@@ -89,9 +76,6 @@ class FrequencySweep(Task):
 
 
 def ranges(count):
-    """Cut a sweep into ranges of frequencies; how many ranks there are does not matter.
-
-    Not collective.
-    """
+    """Cut a sweep into ranges of frequencies, in the same way for any number of ranks."""
     length = min(LONGEST_UNIT, max(1, count // 64))
     return [range(start, min(start + length, count)) for start in range(0, count, length)]

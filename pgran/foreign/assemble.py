@@ -15,8 +15,12 @@ SAME = 1e-6  # contacts that are listed twice agree to this part
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
-    """What is written, and what has been left out."""
+class Imported:
+    """What is written of a packing, and what was left out.
+
+    Not among the contacts are those of balls `apart`, those listed `twice`, and those `cut`; of the
+    others `kept` says what can vibrate. `unbalanced` is the largest total force on a free ball.
+    """
 
     members: dict
     attributes: dict
@@ -33,139 +37,129 @@ class Made:
         return Network(**values, **self.attributes)
 
 
-def assemble(found, given):
+def assemble(contacts, options):
     """Return the network of contacts: what touches, is not cut, and hangs together.
 
-    Not collective.
-
-    Parameters
-    ----------
-    found : pgran.foreign.contacts.Contacts
-    given : argparse.Namespace
-        The words of `pgran import`.
-
-    Returns
-    -------
-    Made
-
-    Raises
-    ------
-    InputError, FileError
+    `options` are those of `pgran import`. An InputError or a FileError says what is wrong with them
+    or with the contacts.
     """
-    balls = found.balls
-    kind = given.displacement or ("vector" if balls.axes else "scalar")
+    balls = contacts.balls
+    kind = options.displacement or ("vector" if balls.axes else "scalar")
     if kind != "scalar" and not balls.axes:
         raise InputError(f"--displacement {kind} needs positions of the balls")
     if kind == "rotations" and balls.radius is None:
         raise InputError("--displacement rotations needs radii of the balls")
-    stiffness = found.stiffness(given.law, given.hertz)
+    stiffness = contacts.stiffness(options.law, options.hertz)
     touch = stiffness != 0
-    once = touch & _first_of_each(found, stiffness, touch)
-    across = _crossing(found, given.cut)
-    held = _held(balls, given)
-    index = np.flatnonzero(once)
-    kept = packing.keep(found.bond[index], held, across[index])
+    once = touch & _first_of_each(contacts, stiffness, touch)
+    across = _crossing(contacts, options.cut)
+    held = _held(balls, options)
+    index = np.flatnonzero(once)  # of contacts in the file: all that could be kept
+    kept = packing.keep(contacts.bond[index], held, across[index])
     rows = index[kept.contacts]
     if not len(rows):
         raise InputError("no contact is left that a free ball has: see --rest, --drive, --cut")
-    if given.drive and not np.any(held[kept.balls] == DRIVEN):
-        raise InputError(f"--drive {given.drive}: none of these balls touches a free one")
+    if options.drive and not np.any(held[kept.balls] == DRIVEN):
+        raise InputError(f"--drive {options.drive}: none of these balls touches a free one")
     if balls.axes:
-        _check_images(found, rows)
+        _check_images(contacts, rows)
 
-    number = np.cumsum(kept.balls) - 1
-    bond, held = number[found.bond[rows]], held[kept.balls]
-    members = {"position": None if balls.position is None else balls.position[kept.balls]}
-    members |= {"mass": balls.mass[kept.balls], "held": held, "bond": bond}
-    members["radius"] = None if balls.radius is None else balls.radius[kept.balls]
-    members["stiffness"] = stiffness[rows]
-    members["id"] = balls.id[kept.balls]
-    attributes = {"displacement": kind, "damping": given.damping}
-    # the unit of frequency is that of all balls and contacts, whatever is held, cut or left out
-    attributes |= {
+    number = np.cumsum(kept.balls) - 1  # of a ball, once others are left out
+    bond, held = number[contacts.bond[rows]], held[kept.balls]
+    members = {
+        "position": None if balls.position is None else balls.position[kept.balls],
+        "mass": balls.mass[kept.balls],
+        "held": held,
+        "bond": bond,
+        "radius": None if balls.radius is None else balls.radius[kept.balls],
+        "stiffness": stiffness[rows],
+        "id": balls.id[kept.balls],
+    }
+    attributes = {
+        "displacement": kind,
+        "damping": options.damping,
+        # the unit of frequency is that of all balls and contacts, whatever is held, cut or left out
         "kmax": float(np.abs(stiffness).max()),
         "median_mass": float(np.median(balls.mass)),
     }
-    normal, force = found.normal, found.force
+    normal, force = contacts.normal, contacts.force
     ratio = None
     if normal is not None and force is not None:
         ratio = packing.unbalanced(bond, normal[rows], force[rows], held == FREE)
     if kind != "scalar":
-        members |= {"normal": normal[rows], "distance": found.distance[rows]}
-        if given.prestress and force is None:
+        members |= {"normal": normal[rows], "distance": contacts.distance[rows]}
+        if options.prestress and force is None:
             raise InputError("--prestress needs forces; --columns says which column they are in")
-        if given.prestress is not False and force is not None:
+        if options.prestress is not False and force is not None:
             members["force"] = force[rows]
-        shear = found.given("tangential")
-        if given.tangential is not None:
-            shear = given.tangential * stiffness
+        shear = contacts.column("tangential")
+        if options.tangential is not None:
+            shear = options.tangential * stiffness
         if shear is not None:
             members["tangential"] = shear[rows]
             attributes["kmax"] = max(attributes["kmax"], float(np.abs(shear[touch]).max()))
-        attributes["direction"] = _along(given.direction, balls.axes)
-    return Made(
-        members, attributes, kept, np.count_nonzero(~touch), np.count_nonzero(touch & ~once),
-        np.count_nonzero(across & once), ratio,
-    )  # fmt: skip
+        attributes["direction"] = _components(options.direction, balls.axes)
+    left_out = (~touch, touch & ~once, across & once)
+    return Imported(members, attributes, kept, *map(np.count_nonzero, left_out), ratio)
 
 
-def _first_of_each(found, stiffness, touch):
+def _first_of_each(contacts, stiffness, touch):
     """Return which contacts are the first of the same two balls; those listed again must agree."""
-    low, high = np.sort(found.bond, axis=1).T
+    low, high = np.sort(contacts.bond, axis=1).T
+    # contacts that touch come first, those of the same two balls together, in the file's order
     order = np.lexsort((np.arange(len(low)), high, low, ~touch))
     order = order[: np.count_nonzero(touch)]
     again = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
     one, other = stiffness[order[:-1]], stiffness[order[1:]]
-    wrong = np.flatnonzero(again & ~(np.abs(one - other) <= SAME * np.abs(one)))
-    if wrong.size:
-        why = "these balls touch twice, with different stiffness"
-        found.table.refuse(order[wrong[0] + 1], why)
+    differ = np.zeros(len(low), dtype=bool)
+    differ[order[1:]] = again & ~(np.abs(one - other) <= SAME * np.abs(one))
+    why = "these balls touch twice, with different stiffness"
+    contacts.table.refuse_any(differ, lambda row: why)
     first = np.ones(len(low), dtype=bool)
     first[order[1:][again]] = False
     return first
 
 
-def _check_images(found, rows):
+def _check_images(contacts, rows):
     """Refuse contacts that are as long as half a period: these balls can touch twice."""
-    half = found.balls.periods.min() / 2
-    wrong = rows[found.lengths[rows] >= half]
-    if wrong.size:
-        why = (
-            f"these balls are {found.lengths[wrong[0]]:.6g} apart, and half a period is {half:.6g}"
+    half, lengths = contacts.balls.periods.min() / 2, contacts.lengths
+    for row in rows[lengths[rows] >= half][:1]:
+        contacts.table.refuse(
+            row,
+            f"these balls are {lengths[row]:.6g} apart, and half a period is {half:.6g}: the box "
+            "is too small to tell their images apart",
         )
-        found.table.refuse(wrong[0], f"{why}: the box is too small to tell their images apart")
 
 
-def _crossing(found, cut):
+def _crossing(contacts, cut):
     """Return which contacts lead through the ends that are cut."""
-    across = np.zeros(len(found.bond), dtype=bool)
+    across = np.zeros(len(contacts.bond), dtype=bool)
     for axis in map(AXES.index, cut or ""):
-        if axis >= found.balls.axes or not np.isfinite(found.balls.periods[axis]):
+        if axis >= contacts.balls.axes or not np.isfinite(contacts.balls.periods[axis]):
             raise InputError(f"--cut {AXES[axis]}: the packing is not periodic along {AXES[axis]}")
-        across |= found.crossing[:, axis]
+        across |= contacts.crossing[:, axis]
     return across
 
 
-def _held(balls, given):
-    """Return which balls are free, at rest, driven."""
+def _held(balls, options):
+    """Return which balls are free, at rest, driven: as the file says, and then --rest, --drive."""
     held = np.full(len(balls.id), FREE) if balls.held is None else balls.held.copy()
-    chosen = {}
-    for option, kind in (("rest", AT_REST), ("drive", DRIVEN)):
-        condition = getattr(given, option)
+    chosen = np.zeros((2, len(balls.id)), dtype=bool)
+    for k, (option, kind) in enumerate((("rest", AT_REST), ("drive", DRIVEN))):
+        condition = getattr(options, option)
         if condition is not None:
             try:
-                chosen[kind] = choose(condition, balls.id, balls.column)
+                chosen[k] = choose(condition, balls.id, balls.column)
             except InputError as error:
                 raise InputError(f"--{option}: {error}") from None
-            held[chosen[kind]] = kind
-    if len(chosen) == 2 and np.any(chosen[AT_REST] & chosen[DRIVEN]):
-        ball = balls.id[chosen[AT_REST] & chosen[DRIVEN]][0]
+            held[chosen[k]] = kind
+    for ball in balls.id[chosen.all(axis=0)][:1]:
         raise InputError(f"--rest and --drive: ball {ball} cannot be both")
     return held
 
 
-def _along(direction, axes):
-    """Return the direction of the drive as components."""
+def _components(direction, axes):
+    """Return the direction of the drive, an axis or components, as components of length 1."""
     if direction is None or isinstance(direction, str):
         axis = AXES.index(direction or "x")
         if axis >= axes:

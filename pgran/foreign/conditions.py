@@ -20,29 +20,19 @@ LIST = re.compile(rf"{ITEM}(?:,{ITEM})*")
 
 
 def choose(condition, ids, column):
-    """Return which balls a condition chooses, shape (N,).
+    """Return which balls of some ids a condition chooses, shape (N,).
 
-    Not collective. `and` binds closer than `or`; `min` and `max` are those of the column.
-
-    Parameters
-    ----------
-    condition : str
-    ids : numpy.ndarray of int, shape (N,)
-    column : callable
-        Returns the numbers, shape (N,), of a column by its name.
-
-    Raises
-    ------
-    InputError
-        If it cannot be understood, or chooses no ball.
+    `column` returns the numbers, shape (N,), of a column by its name. `and` binds closer than `or`;
+    `min` and `max` are those of the column. An InputError says where a condition cannot be
+    understood, or chooses no ball.
     """
     if LIST.fullmatch(condition):
         chosen = _listed(condition, ids)
     else:
         chosen = np.zeros(len(ids), dtype=bool)
         for alternative in re.split(r"\bor\b", condition):
-            compared = [_compared(part, column) for part in re.split(r"\band\b", alternative)]
-            chosen |= np.logical_and.reduce(compared)
+            holds = [_compared(text, column) for text in re.split(r"\band\b", alternative)]
+            chosen |= np.logical_and.reduce(holds)
     if not np.any(chosen):
         raise InputError(f"{condition!r} chooses no ball")
     return chosen
@@ -53,22 +43,22 @@ def _listed(condition, ids):
     chosen = np.zeros(len(ids), dtype=bool)
     for item in condition.split(","):
         first, _, last = item.partition("-")
-        found = (ids >= int(first)) & (ids <= int(last or first))
-        if not np.any(found):
+        named = (ids >= int(first)) & (ids <= int(last or first))
+        if not np.any(named):
             raise InputError(f"{item.strip()}: no ball has such an id")
-        chosen |= found
+        chosen |= named
     return chosen
 
 
 def _compared(text, column):
     """Return where one comparison holds."""
-    found = COMPARISON.fullmatch(text)
-    name, sign, end, number = found.groups() if found else [None] * 4
-    bare = number and not end
-    if not found or not (end or number) or (end and number and number[0] not in "+-"):
+    match = COMPARISON.fullmatch(text)
+    name, sign, end, number = match.groups() if match else [None] * 4
+    # "x<max-1.5", "x<max", "x<1.5" are comparisons, but "x<" and "x<max1.5" are none
+    if not (end or number) or (end and number and number[0] not in "+-"):
         raise InputError(
             f"{text.strip()!r} is no condition; x<1.5, x>max-1.5 and type==2, 12,15,30-40 are"
         )
     values = column(name)
-    bound = 0.0 if bare or not end else getattr(values, end)()
+    bound = getattr(values, end)() if end else 0.0
     return COMPARE[sign](values, bound + float(number.replace(" ", "") if number else 0))

@@ -1,4 +1,7 @@
-"""Balls and contacts in tables of other programs, checked against each other by the geometry."""
+"""Balls and contacts in tables of other programs, checked against each other by the geometry.
+
+What a column holds follows from its name, here; without one, from its numbers: `recognise`.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,23 +15,27 @@ from pgran.medium import packing
 AXES = "xyz"
 PRINTED = 1e-5  # lengths may differ by this part of the packing: dumps print six digits
 LAWS = ("hertz", "harmonic")
+# What a contact has, its role, and what the column may be called in a file.
+ROLES = {
+    "id1": ("id1", "i", "source"),
+    "id2": ("id2", "j", "target"),
+    "distance": ("distance", "dist"),
+    "overlap": ("overlap", "delta"),
+    "force": ("force", "normal_force"),
+    "fx": ("fx",),
+    "fy": ("fy",),
+    "fz": ("fz",),
+    "stiffness": ("stiffness", "weight"),
+    "tangential": ("tangential",),
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Balls:
-    """The balls in a table.
+    """The balls in a table: `id`, `mass`, shape (N,), and so `radius` and `held`, or None.
 
-    Attributes
-    ----------
-    table : pgran.foreign.tables.Table
-    id : numpy.ndarray of int, shape (N,)
-    position : numpy.ndarray, shape (N, d), or None
-        In the box where that is periodic.
-    periods : numpy.ndarray, shape (d,)
-        Infinite where it is not.
-    mass : numpy.ndarray, shape (N,)
-    radius : numpy.ndarray, shape (N,), or None
-    held : numpy.ndarray of int, shape (N,), or None
+    Positions, shape (N, d), or None, lie in the box where that is periodic; `periods`, shape (d,),
+    are infinite where it is not.
     """
 
     table: Table
@@ -53,46 +60,36 @@ class Balls:
         """Return numbers to choose balls by: a coordinate in the box, or a column of the file."""
         if name in AXES[: self.axes]:
             return self.position[:, AXES.index(name)]
-        if name not in (*self.table.columns, *self.table.texts):
+        if name not in self.table:
             there = ", ".join([*AXES[: self.axes], *self.table.columns][:30])
             raise InputError(f"balls have no column {name}; there are {there}")
         return self.table.numbers(name)
 
 
 def read_balls(table):
-    """Return the balls in a table; raise a FileError where it is wrong. Not collective."""
+    """Return the balls in a table; raise a FileError where it is wrong."""
     ids = table.integers("id")
-    order = np.argsort(ids, kind="stable")
-    again = np.flatnonzero(np.diff(ids[order]) == 0)
-    if again.size:
-        row = order[again[0] + 1]
-        table.refuse(row, f"a second ball has the id {ids[row]}")
+    _, first = np.unique(ids, return_index=True)
+    again = ~np.isin(np.arange(len(ids)), first)
+    table.refuse_any(again, lambda row: f"a second ball has the id {ids[row]}")
     position, periods = _positions(table)
-    radius = mass = held = None
-    for name, part in (("radius", 1.0), ("diameter", 0.5)):
-        if radius is None and name in (*table.columns, *table.texts):
-            radius = part * _positive(table, name)
-    if "mass" in (*table.columns, *table.texts):
-        mass = _positive(table, "mass")
-    elif "density" in table.columns and radius is not None:  # of spheres, in a plane as well
-        mass = _positive(table, "density") * 4 / 3 * np.pi * radius**3
+    # a file says a mass, or the density of what has a radius, or nothing: then all are alike
+    radius = held = None
+    if "radius" in table:
+        radius = table.numbers("radius", positive=True)
+    elif "diameter" in table:
+        radius = 0.5 * table.numbers("diameter", positive=True)
+    if "mass" in table:
+        mass = table.numbers("mass", positive=True)
+    elif "density" in table and radius is not None:  # of spheres, in a plane as well
+        mass = table.numbers("density", positive=True) * 4 / 3 * np.pi * radius**3
     else:
         mass = np.ones(len(ids))
-    if "held" in (*table.columns, *table.texts):
+    if "held" in table:
         held = table.integers("held")
-        wrong = np.flatnonzero(~np.isin(held, (0, 1, 2)))
-        if wrong.size:
-            table.refuse(wrong[0], "held must be 0 (free), 1 (at rest) or 2 (driven)")
+        kinds = "held must be 0 (free), 1 (at rest) or 2 (driven)"
+        table.refuse_any(~np.isin(held, (0, 1, 2)), lambda row: kinds)
     return Balls(table, ids, position, periods, mass, radius, held)
-
-
-def _positive(table, name):
-    """Return a column of positive numbers."""
-    column = table.numbers(name)
-    wrong = np.flatnonzero(column <= 0)
-    if wrong.size:
-        table.refuse(wrong[0], f"{name} must be positive, not {column[wrong[0]]}")
-    return column
 
 
 def _positions(table):
@@ -100,44 +97,34 @@ def _positions(table):
 
     LAMMPS prints coordinates as x, unwrapped as xu, in units of the box as xs, or both as xsu.
     """
-    there, box = (*table.columns, *table.texts), table.box
-    ending = next((end for end in ("", "u", "s", "su") if f"x{end}" in there), None)
+    ending = next((end for end in ("", "u", "s", "su") if f"x{end}" in table), None)
     if ending is None:
         if isinstance(table.places, list):  # a graph may lie nowhere
             return None, np.empty(0)
         table.numbers("x")
-    axes = "xyz" if f"z{ending}" in there else "xy"
+    axes = "xyz" if f"z{ending}" in table else "xy"
     position = np.stack([table.numbers(name + ending) for name in axes], axis=1)
-    if box is None:
-        periods = np.full(len(axes), np.inf)
-    else:
+    periods = np.full(len(axes), np.inf)
+    if (box := table.box) is not None:
         low, size = box.low[: len(axes)], (box.high - box.low)[: len(axes)]
-        periods = np.where(box.periodic[: len(axes)], size, np.inf)
+        inside = box.periodic[: len(axes)]
+        periods[inside] = size[inside]
         if ending.startswith("s"):
             position = low + position * size
-        inside = np.isfinite(periods)
         away = (position - low)[:, inside]
         position[:, inside] = low[inside] + np.mod(away, periods[inside])
-    if not np.all(np.isfinite(position)):
-        row = np.flatnonzero(~np.isfinite(position).all(axis=1))[0]
-        table.refuse(row, "the position is too large a number")
-    if len(axes) == 3 and len(position) > 1 and np.ptp(position[:, 2]) == 0:
+    endless = ~np.isfinite(position).all(axis=1)
+    table.refuse_any(endless, lambda row: "the position is too large a number")
+    if len(axes) == 3 and len(position) > 1 and np.ptp(position[:, 2]) == 0:  # a plane
         position, periods = position[:, :2], periods[:2]
     return position, periods
 
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """The contacts in a table, between given balls.
+    """The contacts in a table: the rows of their two balls, shape (nb, 2), and what columns hold.
 
-    Attributes
-    ----------
-    table : pgran.foreign.tables.Table
-    balls : Balls
-    bond : numpy.ndarray of int, shape (nb, 2)
-        The rows of the balls.
-    roles : dict of str: str
-        Which column is what.
+    `roles` are the columns' names by what they hold, keys of ROLES.
     """
 
     table: Table
@@ -145,8 +132,8 @@ class Contacts:
     bond: np.ndarray
     roles: dict
 
-    def given(self, role):
-        """Return the column of a role, or None."""
+    def column(self, role):
+        """Return the column of a role, shape (nb,), or None."""
         return self.table.numbers(self.roles[role]) if role in self.roles else None
 
     @cached_property
@@ -165,9 +152,8 @@ class Contacts:
     def lengths(self):
         """Distances by the positions, shape (nb,); of balls at one place there is no normal."""
         lengths = np.linalg.norm(self._away[0], axis=1)
-        wrong = np.flatnonzero(~((lengths > 0) & (lengths < np.inf)))
-        if wrong.size:
-            self.table.refuse(wrong[0], f"these balls are {lengths[wrong[0]]} apart")
+        odd = ~((lengths > 0) & (lengths < np.inf))
+        self.table.refuse_any(odd, lambda row: f"these balls are {lengths[row]} apart")
         return lengths
 
     @property
@@ -178,87 +164,82 @@ class Contacts:
     @cached_property
     def distance(self):
         """Of the centres, shape (nb,), or None; as printed, if it is that of the positions."""
-        printed = self.given("distance")
-        if not self.balls.axes:
-            return printed
-        return self._agreeing("distance", printed, self.lengths)
+        printed = self.column("distance")
+        return self._agreeing("distance", printed, self.lengths) if self.balls.axes else printed
 
     @cached_property
     def overlap(self):
         """R_i + R_j - distance, shape (nb,), or None; as printed, if it is that of the balls."""
-        printed = self.given("overlap")
+        printed = self.column("overlap")
         if self.balls.radius is None or self.distance is None:
             return printed
         overlap = self.balls.radius[self.bond].sum(axis=1) - self.distance
         return self._agreeing("overlap", printed, overlap)
 
-    def _agreeing(self, name, printed, found):
-        """Return what the file says, once it is found to be what follows from the balls."""
+    def _agreeing(self, name, printed, computed):
+        """Return what the file says, if anything, once it is what follows from the balls."""
         if printed is None:
-            return found
-        limit = self.balls.tolerance if self.balls.axes else PRINTED * np.abs(found).max()
-        wrong = np.flatnonzero(~(np.abs(printed - found) <= limit))
-        if wrong.size:
-            row = wrong[0]
-            why = f"the {name} is {printed[row]:.6g}, but {found[row]:.6g} by the balls"
-            self.table.refuse(row, f"{why}: another snapshot, or another column?")
+            return computed
+        limit = self.balls.tolerance if self.balls.axes else PRINTED * np.abs(computed).max()
+        self.table.refuse_any(
+            ~(np.abs(printed - computed) <= limit),
+            lambda row: f"the {name} is {printed[row]:.6g}, but {computed[row]:.6g} by the balls: "
+            "another snapshot, or another column?",
+        )
         return printed
 
     @cached_property
     def force(self):
-        """Repulsive normal forces, shape (nb,), or None."""
-        force = self.given("force")
+        """Repulsive normal forces, shape (nb,), or None; along the normal, of its components."""
+        force = self.column("force")
         names = [f"f{x}" for x in AXES[: self.balls.axes]]
         if not names or any(name not in self.roles for name in names):
             return force
-        along = np.sum(np.stack([self.given(x) for x in names], axis=1) * self.normal, axis=1)
+        along = np.sum(np.stack([self.column(x) for x in names], axis=1) * self.normal, axis=1)
         along *= -1.0 if along.sum() <= 0 else 1.0  # on the first ball, or on the second
-        if force is not None:
-            wrong = np.flatnonzero(~(np.abs(along - force) <= PRINTED * np.abs(force).max()))
-            if wrong.size:
-                row = wrong[0]
-                why = f"the force is {force[row]:.6g}, but {along[row]:.6g} by its components"
-                self.table.refuse(row, why)
-        return along if force is None else force
+        if force is None:
+            return along
+        self.table.refuse_any(
+            ~(np.abs(along - force) <= PRINTED * np.abs(force).max()),
+            lambda row: f"the force is {force[row]:.6g}, but {along[row]:.6g} by its components",
+        )
+        return force
 
     def stiffness(self, law, c=None):
         """Return the stiffness of contacts, 0 where balls do not touch, shape (nb,).
 
-        Not collective.
-
-        Parameters
-        ----------
-        law : str or None
-            `hertz`, `harmonic` or a column; None is the column `stiffness`.
-        c : float, optional
-            Of F = c h^(3/2), to be used instead of overlaps.
-
-        Raises
-        ------
-        InputError, FileError
+        The law is `hertz`, `harmonic` or a column, that of the role `stiffness` where it is None. c
+        is that of F = c h^(3/2), used instead of overlaps.
         """
+        return self._by_law(law, c) if law in LAWS else self._by_column(law)
+
+    def _by_column(self, law):
+        """Return the stiffness in a column; two balls apart without a force do not touch."""
+        name = law or self.roles.get("stiffness")
+        if name is None or name not in self.table:
+            there = ", ".join([*self.table.columns][:30])
+            lacks = "is needed" if law is None else f"{law}: there is no such column"
+            raise InputError(f"--law {lacks}; it is hertz, harmonic, or one of {there}")
+        apart = np.zeros(len(self.bond), dtype=bool)
+        if self.force is not None and self.overlap is not None:
+            apart = (self.force == 0) & (self.overlap <= 0)
+        return np.where(apart, 0.0, self.table.numbers(name))
+
+    def _by_law(self, law, c):
+        """Return the stiffness by force and overlap, or by the force alone."""
         force = self.force
-        if law not in LAWS:
-            name = law or self.roles.get("stiffness")
-            if name is None or name not in (*self.table.columns, *self.table.texts):
-                there = ", ".join([*self.table.columns][:30])
-                said = "is needed" if law is None else f"{law}: there is no such column"
-                raise InputError(f"--law {said}; it is hertz, harmonic, or one of {there}")
-            apart = np.zeros(len(self.bond), dtype=bool)
-            if force is not None and self.overlap is not None:
-                apart = (force == 0) & (self.overlap <= 0)
-            return np.where(apart, 0.0, self.table.numbers(name))
         if force is None:
             raise InputError(f"--law {law} needs forces; --columns says which column they are in")
-        touch = force != 0
         overlap = np.ones(len(force)) if c is not None else self.overlap
         if overlap is None:
-            raise InputError(f"--law {law} needs overlaps: radii and positions of the balls"
-                             + (", or --hertz" if law == "hertz" else ""))  # fmt: skip
-        wrong = np.flatnonzero(touch & ~((force > 0) & (overlap > 0)))
-        if wrong.size:
-            said = f"a force of {force[wrong[0]]:.6g} at an overlap of {overlap[wrong[0]]:.6g}"
-            self.table.refuse(wrong[0], f"{said} is none of a {law} contact")
+            hint = ", or --hertz" if law == "hertz" else ""
+            raise InputError(f"--law {law} needs overlaps: radii and positions of the balls{hint}")
+        touch = force != 0
+        self.table.refuse_any(
+            touch & ~((force > 0) & (overlap > 0)),
+            lambda row: f"a force of {force[row]:.6g} at an overlap of {overlap[row]:.6g} is none "
+            f"of a {law} contact",
+        )
         stiffness = np.zeros(len(force))
         if c is not None:
             stiffness[touch] = packing.hertz_of_force(force[touch], c)
@@ -268,10 +249,10 @@ class Contacts:
 
 
 def rows_of(table, name, balls):
-    """Return the rows of the balls whose ids a column holds. Not collective."""
+    """Return the rows of the balls whose ids a column holds."""
     ids, order = table.integers(name), np.argsort(balls.id)
-    at = np.searchsorted(balls.id[order], ids).clip(max=len(order) - 1)
-    unknown = np.flatnonzero(balls.id[order[at]] != ids)
-    if unknown.size:
-        table.refuse(unknown[0], f"no ball {ids[unknown[0]]} in {balls.table.path}")
-    return order[at]
+    # the row of the ball that each id would have in a sorted list, which it is only if it is there
+    rows = order[np.searchsorted(balls.id[order], ids).clip(max=len(order) - 1)]
+    unknown = balls.id[rows] != ids
+    table.refuse_any(unknown, lambda row: f"no ball {ids[row]} in {balls.table.path}")
+    return rows

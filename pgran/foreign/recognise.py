@@ -11,101 +11,77 @@ import itertools
 import numpy as np
 
 from pgran.errors import FileError, InputError
-from pgran.foreign.contacts import AXES, PRINTED, Contacts, rows_of
+from pgran.foreign.contacts import AXES, PRINTED, ROLES, Contacts, rows_of
 
-# What contacts have, and what it may be called in a file.
-ROLES = {
-    "id1": ("id1", "i", "source"),
-    "id2": ("id2", "j", "target"),
-    "distance": ("distance", "dist"),
-    "overlap": ("overlap", "delta"),
-    "force": ("force", "normal_force"),
-    "fx": ("fx",),
-    "fy": ("fy",),
-    "fz": ("fz",),
-    "stiffness": ("stiffness", "weight"),
-    "tangential": ("tangential",),
-}
-MOST = 0.9  # of the rows of a column must hold what makes it a column of ids
+LARGE = 0.9  # the part of a column that must hold ids of balls if it is to be one of ids
+NAMED = "--columns id1,id2,distance,force names them"
 
 
 def read_contacts(table, balls, columns=None):
-    """Return the contacts in a table.
+    """Return the contacts in a table between some balls.
 
-    Not collective.
-
-    Parameters
-    ----------
-    table : pgran.foreign.tables.Table
-    balls : Balls
-    columns : str, optional
-        Names for the columns in their order, `_` for none, or NAME=COLUMN, by name or from 1.
-        Columns without names of their own are recognised by what they hold unless this is given.
-
-    Raises
-    ------
-    InputError, FileError
+    `columns` are names for the columns in their order, `_` for none, or NAME=COLUMN, by name or
+    from 1. Columns without names of their own are recognised by what they hold where it is None.
     """
     if None not in (table.step, balls.table.step) and table.step != balls.table.step:
         why = f"is of the time step {table.step}, {balls.table.path} of {balls.table.step}"
         raise FileError(f"{table.path}: {why}")
     if columns:
         table = _renamed(table, columns)
-    there = (*table.columns, *table.texts)
-    roles = {
-        role: next(name for name in names if name in there)
-        for role, names in ROLES.items()
-        if any(name in there for name in names)
-    }
-    guess = not columns and table.step is not None
-    if guess and not {"id1", "id2"} <= roles.keys():
-        roles |= _guess_balls(table, balls)
+    called = {role: [name for name in names if name in table] for role, names in ROLES.items()}
+    roles = {role: names[0] for role, names in called.items() if names}
+    unnamed = not columns and table.step is not None
+    if unnamed and not {"id1", "id2"} <= roles.keys():
+        roles |= _roles_of_balls(table, balls)
     rows = [rows_of(table, roles.get(role, role), balls) for role in ("id1", "id2")]
     bond = np.stack(rows, axis=1)
-    alone = np.flatnonzero(bond[:, 0] == bond[:, 1])
-    if alone.size:
-        table.refuse(alone[0], "a ball touches itself")
+    table.refuse_any(bond[:, 0] == bond[:, 1], lambda row: "a ball touches itself")
     contacts = Contacts(table, balls, bond, roles)
-    if guess and balls.axes:
-        _guess_rest(contacts)
+    if unnamed and balls.axes:
+        _recognise(contacts)
     ordered = {role: roles[role] for role in ROLES if role in roles}
     return dataclasses.replace(contacts, roles=ordered)
 
 
 def _renamed(table, columns):
     """Return a table whose columns have the names that the user gives them."""
-    old, words = [*table.columns], [word.strip() for word in columns.split(",")]
-    found = {}
-    for number, word in enumerate(words, 1):
+    names, renamed = [*table.columns], {}
+    for number, word in enumerate(map(str.strip, columns.split(",")), 1):
         name, _, source = word.partition("=")
         source = source or str(number)
-        if source.isascii() and source.isdigit() and 0 < int(source[:9]) <= len(old):
-            source = old[int(source) - 1]
-        if source not in old or (name in found and name != "_"):
-            raise InputError(f"--columns {word}: the file has the columns {', '.join(old[:30])}")
-        found[name] = table.columns[source]
-    found.pop("_", None)
-    return dataclasses.replace(table, columns=found | table.columns)
+        if source.isascii() and source.isdigit() and 0 < int(source[:9]) <= len(names):
+            source = names[int(source) - 1]
+        if source not in names or (name in renamed and name != "_"):
+            raise InputError(f"--columns {word}: the file has the columns {', '.join(names[:30])}")
+        renamed[name] = table.columns[source]
+    renamed.pop("_", None)
+    return dataclasses.replace(table, columns=renamed | table.columns)
 
 
-def _guess_balls(table, balls):
+def _roles_of_balls(table, balls):
     """Return which two columns hold the balls: those that the geometry tells the most of.
 
     What other columns hold must be the distance of these balls, a force that is there where they
     touch, or its components. A few rows may be wrong, so that it is these that are refused.
     """
     known = {name: np.isin(values, balls.id) for name, values in table.columns.items()}
-    ids = [name for name, each in known.items() if np.mean(each) >= MOST]
-    found = []
+    ids = [name for name, each in known.items() if np.mean(each) >= LARGE]
+    pairs = []
     for a, b in itertools.combinations(ids[:12], 2):
         right = known[a] & known[b] & (table.columns[a] != table.columns[b])
-        if np.mean(right) >= MOST:
+        if np.mean(right) >= LARGE:
             some = table.of_rows(right)
             bond = np.stack([rows_of(some, name, balls) for name in (a, b)], axis=1)
-            told = _told(Contacts(some, balls, bond, {"id1": a, "id2": b}))
-            found.append(((told, np.mean(right)), (a, b), bond))
-    best = max((score for score, *_ in found), default=(0, 0.0))
-    pairs = [(pair, bond) for score, pair, bond in found if score == best]
+            contacts = Contacts(some, balls, bond, {"id1": a, "id2": b})
+            recognised = (
+                _columns_like(contacts, contacts.lengths),
+                _columns_like_force(contacts),
+                _columns_like_components(contacts),
+            )
+            pairs.append(((sum(map(bool, recognised)), np.mean(right)), (a, b), bond))
+    # (how many things the other columns are, in how many rows they hold balls): the most wins
+    best = max((score for score, *_ in pairs), default=(0, 0.0))
+    pairs = [(pair, bond) for score, pair, bond in pairs if score == best]
     if not best[0]:
         why = "no two columns hold ids of balls whose distance or force another column holds"
     elif any(not np.array_equal(bond, pairs[0][1]) for _, bond in pairs):
@@ -113,47 +89,30 @@ def _guess_balls(table, balls):
         why = f"the balls could be in {names}, by the geometry"
     else:
         return dict(zip(("id1", "id2"), pairs[0][0], strict=True))
-    raise FileError(f"{table.path}: {why}; --columns id1,id2,distance,force names them")
+    raise FileError(f"{table.path}: {why}; {NAMED}")
 
 
-def _told(contacts):
-    """Return how many things the geometry recognises in the other columns."""
-    like = _columns_like_distance, _columns_like_force, _columns_like_components
-    return sum(bool(columns(contacts)) for columns in like)
-
-
-def _rest(contacts):
-    """Return the columns that have no role yet."""
-    taken = contacts.roles.values()
-    return {name: v for name, v in contacts.table.columns.items() if name not in taken}
-
-
-def _columns_like_distance(contacts):
-    """Return which columns hold the distance of the balls."""
-    return [
-        name
-        for name, values in _rest(contacts).items()
-        if np.all(np.abs(values - contacts.lengths) <= contacts.balls.tolerance)
-    ]
-
-
-def _guess_rest(contacts):
+def _recognise(contacts):
     """Add to the roles of contacts what the geometry tells: distance, force, its components."""
     roles = contacts.roles
-    if "distance" not in roles and (like := _columns_like_distance(contacts)):
-        roles["distance"] = like[0]
+    if "distance" not in roles and (alike := _columns_like(contacts, contacts.lengths)):
+        roles["distance"] = alike[0]
     if "fx" not in roles:
         roles |= _columns_like_components(contacts)
     if {"force", "stiffness"} & roles.keys():
         return
-    found = _columns_like_force(contacts)
-    if len(found) > 1:
-        said = f"{', '.join(found[:9])} could each be the force"
-        raise FileError(
-            f"{contacts.table.path}: {said}; --columns id1,id2,distance,force names them"
-        )
-    if found:
-        roles["force"] = found[0]
+    alike = _columns_like_force(contacts)
+    if len(alike) > 1:
+        names = ", ".join(alike[:9])
+        raise FileError(f"{contacts.table.path}: {names} could each be the force; {NAMED}")
+    if alike:
+        roles["force"] = alike[0]
+
+
+def _without_role(contacts):
+    """Return the columns that have no role yet."""
+    taken = contacts.roles.values()
+    return {name: v for name, v in contacts.table.columns.items() if name not in taken}
 
 
 def _touching(contacts):
@@ -164,6 +123,17 @@ def _touching(contacts):
     return contacts.overlap > limit, contacts.overlap < -limit
 
 
+def _alike(one, other):
+    """Return whether two columns of forces are the same but for what was not printed."""
+    return bool(np.all(np.abs(one - other) <= PRINTED * np.abs(other).max()))
+
+
+def _columns_like(contacts, lengths):
+    """Return which columns without a role are these lengths, as far as they were printed."""
+    limit, columns = contacts.balls.tolerance, _without_role(contacts)
+    return [name for name, v in columns.items() if np.all(np.abs(v - lengths) <= limit)]
+
+
 def _columns_like_force(contacts):
     """Return which columns are a force that is there where balls touch, and nowhere else.
 
@@ -172,37 +142,32 @@ def _columns_like_force(contacts):
     if (touching := _touching(contacts)) is None:
         return []
     (surely, never), along = touching, contacts.force  # by its components
-    rest = _rest(contacts)
-    found = [
+    forces = [
         name
-        for name, values in rest.items()
+        for name, values in _without_role(contacts).items()
         if np.all(values >= 0)
         and np.all(values[never] == 0)
         and np.all(values[surely] > 0)
         and np.any(values != np.rint(values))
         and (along is None or _alike(values, along))
     ]
-    limit = contacts.balls.tolerance
-    lengths = [name for name in found if np.all(np.abs(rest[name] - contacts.overlap) <= limit)]
-    return [name for name in found if name not in lengths] or found
-
-
-def _alike(one, other):
-    """Return whether two columns of forces are the same but for what was not printed."""
-    return bool(np.all(np.abs(one - other) <= PRINTED * np.abs(other).max()))
+    overlaps = _columns_like(contacts, contacts.overlap)
+    return [name for name in forces if name not in overlaps] or forces
 
 
 def _columns_like_components(contacts):
-    """Return which columns are a force of one sign along the normal, 0 where no balls touch.
+    """Return three neighbouring columns, in a plane two, that are the components of a force.
 
-    They are returned by the names of its components, and none if there is no such force.
+    It has one sign along the normal, where it is the largest, and is 0 where no balls touch. They
+    are returned by the names of the components; none if there is no such force.
     """
     if (touching := _touching(contacts)) is None:
         return {}
-    force, normal, rest = contacts.given("force"), contacts.normal, _rest(contacts)
-    for first in range(len(rest) - contacts.balls.axes + 1):
-        chosen = [*rest][first : first + contacts.balls.axes]
-        vectors = np.stack([rest[name] for name in chosen], axis=1)
+    force, normal = contacts.column("force"), contacts.normal
+    axes, columns = contacts.balls.axes, _without_role(contacts)
+    for first in range(len(columns) - axes + 1):
+        names = [*columns][first : first + axes]
+        vectors = np.stack([columns[name] for name in names], axis=1)
         along = np.sum(vectors * normal, axis=1)
         across = np.linalg.norm(vectors - along[:, None] * normal, axis=1)
         along *= np.sign(along.sum())
@@ -213,5 +178,5 @@ def _columns_like_components(contacts):
             and np.all(vectors[touching[1]] == 0)
             and (force is None or _alike(along, force))
         ):
-            return dict(zip((f"f{x}" for x in AXES), chosen, strict=False))
+            return dict(zip((f"f{x}" for x in AXES), names, strict=False))
     return {}

@@ -1,12 +1,52 @@
 """What lattices and other networks have in common, whatever asks them."""
 
+from typing import NamedTuple
+
+import numpy as np
+
 from pgran.arguments import shown
 from pgran.errors import InputError
+from pgran.medium.units import einstein_frequency
 from pgran.run.fingerprints import Distinct
 
 
 class Medium(Distinct):
-    """What vibrates: a `pgran.Lattice` or a `pgran.Network`."""
+    """What vibrates: a `pgran.Lattice` or a `pgran.Network`, which answer the same questions."""
+
+    is_grid = False  # of nearest neighbours, which can be cut into boxes
+
+    @property
+    def free_balls(self):
+        """How many balls are free."""
+        return self.balls // self.components  # `balls` are unknowns
+
+    @property
+    def omega_mx(self):
+        """The unit of frequency, angular: see `einstein_frequency`."""
+        return einstein_frequency(self.axes, abs(self.kmax), self.mass)
+
+    def reading_norms(self, sites):
+        """Return |e_d| of each detector, shape (nd,)."""
+        return np.linalg.norm(self.readings(sites)[1], axis=1)
+
+    def pull(self, s):
+        """Return the force that moves what is driven by 1 while all balls stay.
+
+        It is the sum of (k + s beta d) w^2 over the springs, which that stretches by w.
+        """
+        stiffness, damping = self.pulls
+        return stiffness + s * damping
+
+
+class Elimination(NamedTuple):
+    """How the matrices of a medium are factored best."""
+
+    numbered: bool  # one rank numbers the unknowns in the order of elimination
+    ordering: str | None  # PETSc's name of the order for S; None: nested dissection, its default
+    small: bool  # PETSc factors faster than MUMPS, whose solves are dearer, too
+    quick: bool  # the order that MUMPS finds quickest is as good as any
+    costly: bool  # a factorization takes longer than a search for some modes
+    seconds: float  # that a factorization of S takes, as measured
 
 
 def medium(value):

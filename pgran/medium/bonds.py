@@ -16,7 +16,7 @@ SIGNS = np.array([-1.0, 1.0])  # in a row of B, of the ball below a bond and of 
 
 
 def bond_shape(shape, axis):
-    """Return the shape of the array of bonds along `axis`. Not collective."""
+    """Return the shape of the array of bonds along an axis."""
     return tuple(n + (a == axis) for a, n in enumerate(shape))
 
 
@@ -26,31 +26,26 @@ def _bond_counts(shape):
 
 
 def bond_count(shape):
-    """Return the number of bonds, wall bonds included. Not collective."""
+    """Return the number of bonds, wall bonds included."""
     return sum(_bond_counts(shape))
 
 
 def bond_arrays(shape, bonds):
-    """Return numbers a bond, in order, as one array for each axis. Not collective."""
+    """Return numbers a bond, in order, as one array for each axis."""
     parts = np.split(bonds, np.cumsum(_bond_counts(shape))[:-1])
     return tuple(part.reshape(bond_shape(shape, axis)) for axis, part in enumerate(parts))
 
 
 def bond_sides(values, axis, wall):
-    """Return what the balls below and above each bond along an axis hold, walls included.
+    """Return what the balls below and above each bond along an axis hold; walls hold `wall`.
 
-    Not collective. This is the topology of the lattice: all else follows from it. Both arrays are
-    one longer than `values` along the axis.
-
-    Parameters
-    ----------
-    values : numpy.ndarray
-        Numbers of the balls.
-    axis : int
-        Of the array.
-    wall : number
-        What both walls hold.
+    `values`, an array over the balls, gives two arrays that are one longer along the axis. This is
+    the topology of the lattice: all else follows from it.
     """
+    # values         0 1 2
+    # padded    wall 0 1 2 wall
+    # below     wall 0 1 2
+    # above          0 1 2 wall
     axis %= values.ndim
     before = (slice(None),) * axis
     padded = np.empty([n + 2 * (a == axis) for a, n in enumerate(values.shape)], values.dtype)
@@ -60,17 +55,17 @@ def bond_sides(values, axis, wall):
 
 
 def bond_ends(numbers):
-    """Return the numbers of the balls that each bond joins, -1 for a wall, shape (bonds, 2).
+    """Return the balls that each bond joins, -1 for a wall, shape (bonds, 2).
 
-    Not collective. These are the columns of B in each of its rows; its entries there are `SIGNS`.
-    The balls have the given numbers, an array over the lattice.
+    `numbers` are those of the balls, an array over the lattice. The result holds the columns of B
+    in each of its rows; B's entries there are `SIGNS`.
     """
     sides = [bond_sides(numbers, axis, -1) for axis in range(numbers.ndim)]
     return np.concatenate([np.stack([end.ravel() for end in pair], axis=1) for pair in sides])
 
 
 def driven_bonds(shape):
-    """Return which bonds end at the driven wall, shape (bonds,). Not collective."""
+    """Return which bonds end at the driven wall, shape (bonds,)."""
     along = np.zeros(bond_shape(shape, 0), dtype=bool)
     along[-1] = True
     return np.pad(along.ravel(), (0, bond_count(shape) - along.size))
@@ -79,7 +74,7 @@ def driven_bonds(shape):
 def bond_places(shape, bonds):
     """Return the axis of each numbered bond, and its index into that axis's array.
 
-    Not collective. The indices are an array with one axis more, of the length of `shape`.
+    The indices are an array with one axis more, of the length of `shape`.
     """
     first = np.cumsum([0, *_bond_counts(shape)[:-1]])
     axis = np.searchsorted(first, bonds, side="right") - 1
@@ -92,10 +87,7 @@ def bond_places(shape, bonds):
 
 
 def stretch(fields, axes):
-    """Yield B x for the bonds along each axis: how far displacements lengthen them, walls at rest.
-
-    Not collective. The lattice has so many axes, the last ones of `fields`.
-    """
+    """Yield B x for the bonds along each axis, the last ones of `fields`, walls at rest."""
     for axis in range(-axes, 0):
         below, above = bond_sides(fields, axis, 0.0)
         yield above - below
@@ -104,7 +96,7 @@ def stretch(fields, axes):
 def spread(tensions):
     """Return B^T t, the adjoint of `stretch`: the sum, ball by ball, of what its bonds hold.
 
-    Not collective. `tensions` are arrays over the bonds, as `stretch` yields them.
+    `tensions` are arrays over the bonds, as `stretch` yields them.
     """
     total, tensions = 0.0, list(tensions)
     for axis, t in enumerate(tensions, -len(tensions)):
@@ -113,15 +105,12 @@ def spread(tensions):
 
 
 class ElasticBonds:
-    """What follows from the bonds of a lattice; a part of `lattice.Lattice`.
-
-    Of a network `springs.Elastic` says the same.
-    """
+    """The bonds of a lattice as springs; `springs.Elastic` answers the same for a network."""
 
     def stretched(self, fields, wall):
         """Yield how far fields (n, *shape) lengthen bonds, (n, bonds), constants, parts of beta.
 
-        Not collective. The driven wall moves by `wall`, shape (n,).
+        The driven wall moves by `wall`, shape (n,).
         """
         for axis, longer in enumerate(stretch(fields, self.axes)):
             if axis == 0:
@@ -129,18 +118,10 @@ class ElasticBonds:
             k = self.stiffness[axis].ravel()
             yield longer.reshape(len(fields), -1), k, np.ones(len(k))
 
-    @property
-    def irregular(self):
-        """Whether a graph of its own knows in which order to eliminate the balls."""
-        return False
-
-    @property
-    def semidefinite(self):
-        """Whether K has no negative eigenvalues."""
-        return True
+    semidefinite = True  # K has no negative eigenvalues
 
     def restoring_forces(self, fields):
-        """Return K f = B^T diag(k) B f for fields of shape (count, *shape). Not collective."""
+        """Return K f = B^T diag(k) B f for fields of shape (count, *shape)."""
         stretches = stretch(fields, self.axes)
         return spread(k * t for k, t in zip(self.stiffness, stretches, strict=True))
 
@@ -161,16 +142,8 @@ class ElasticBonds:
         driven = self.stiffness[0][-1]
         return driven.sum(), self.damping * driven.size
 
-    def pull(self, s):
-        """Return the force that moves the driven wall by 1 while all balls stay, sum k + s beta.
-
-        Not collective.
-        """
-        stiffness, damping = self.pulls
-        return stiffness + s * damping
-
     def pull_rounding(self, size):
-        """Return how much rounding changes `pull(s)`, at most, for an |s|. Not collective."""
+        """Return how much rounding changes `pull(s)`, at most, for an |s|."""
         return (self.stiffness[0][-1].size + 8) * EPSILON * self.pull(size)
 
     @property

@@ -13,22 +13,18 @@ from pgran.store.seal import check_seal, has_seal
 
 
 def read_bonds(path):
-    """Return the bond constants in a file, which make a lattice, and what sets their unit.
+    """Return the arrays `/lattice/stiffness_x` and so on of a lattice, and its kmax or None.
 
-    Not collective.
-
-    Returns
-    -------
-    stiffness : tuple of numpy.ndarray
-    kmax : float or None
-        As `read_stiffness` returns them.
-
-    Raises
-    ------
-    FileError
-        If the file is no good, or no lattice has such bonds.
+    A result that is as it was written is read directly; any other HDF5 file is tried first by a
+    process of its own. Raises FileError if arrays are missing, of another type or elsewhere, if no
+    lattice has such bonds, or the file is damaged.
     """
-    stiffness, kmax = read_stiffness(path)
+    if has_seal(path):
+        check_seal(path)
+    else:
+        hdf5.try_apart(path, "pgran.medium.bonds_file")
+    with hdf5.opened(path) as file:
+        stiffness, kmax = bonds(file)
     try:
         Lattice(stiffness)
     except InputError as error:
@@ -37,45 +33,19 @@ def read_bonds(path):
 
 
 def bonds(file):
-    """Return what `read_stiffness` does, from a `CarefulFile`. Not collective."""
+    """Return what a `CarefulFile` holds; kmax is that of the file's omega_mx, None if unknown."""
     names = [f.name for f in dataclasses.fields(LatticeRecord) if "axes" in f.metadata]
     there = file.members("lattice", names)
     if not there or there != names[: len(there)]:
         file.refuse("lattice", f"needs {names[0]}, and the others of {', '.join(names)} in order")
     stiffness = tuple(file.array(f"lattice/{name}", float) for name in there)
-    said = file.attributes("lattice")
-    mass, unit = (np.asarray(said.get(name, np.nan)) for name in ("mass", "omega_mx"))
+    attributes = file.attributes("lattice")
+    mass, unit = (np.asarray(attributes.get(name, np.nan)) for name in ("mass", "omega_mx"))
     if any(value.shape or value.dtype.kind not in "fiu" for value in (mass, unit)):
         return stiffness, None
     with np.errstate(all="ignore"):
         kmax = float(mass * unit.astype(float) ** 2 / (2 * len(stiffness)))
     return stiffness, kmax if 0 < kmax < np.inf else None
-
-
-def read_stiffness(path):
-    """Return the bond constants in `/lattice/stiffness_x` and so on. Not collective.
-
-    A result that is as it was written is read directly; any other HDF5 file is tried first by a
-    process of its own.
-
-    Returns
-    -------
-    stiffness : tuple of numpy.ndarray
-        An array for each axis; whether they make a lattice is for `Lattice` to say.
-    kmax : float or None
-        The bond constant that the file's unit of frequency belongs to, if it says.
-
-    Raises
-    ------
-    FileError
-        If they are missing, of another type or elsewhere, or the file is damaged.
-    """
-    if has_seal(path):
-        check_seal(path)
-    else:
-        hdf5.try_apart(path, "pgran.medium.bonds_file")
-    with hdf5.opened(path) as file:
-        return bonds(file)
 
 
 if __name__ == "__main__":

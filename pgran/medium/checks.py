@@ -8,30 +8,64 @@ from pgran.arguments import choice
 from pgran.errors import InputError
 from pgran.medium.bonds import AXES
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
-from pgran.run.numbers import numbers
+from pgran.run.numbers import number, numbers
+
+KINDS = ("scalar", "vector", "rotations")
+REQUIRED = ("held", "bond", "stiffness")
+
+
+def checked_values(network):
+    """Return the arrays and the damping of a network, by name, as copies that nobody can change.
+
+    Normals and distances that are needed and not given follow from positions. Raises InputError if
+    an array does not fit the others.
+    """
+    values = {}
+
+    def check(dtype, rest, count, *names):
+        for name in names:
+            value = values.get(name, getattr(network, name))
+            if value is not None or name in REQUIRED:
+                values[name] = checked_array(name, value, dtype, rest, count)
+
+    check(int, (), None, "held")
+    check(int, (2,), None, "bond")
+    contacts, balls = len(values["bond"]), len(values["held"])
+    masses = numbers("network: masses", network.masses)
+    if masses.ndim == 0:
+        values["masses"] = np.full(balls, masses)
+    values["damping"] = number("network: damping", network.damping)
+    choice("network: displacement", network.displacement, KINDS)
+    check(float, (None,), balls, "position")
+    if network.displacement != "scalar" and network.normal is None:
+        normal, distance = _normals(values.get("position"), values["bond"], balls)
+        values["normal"] = normal
+        if network.distance is None:
+            values["distance"] = distance
+    check(float, (None,), contacts, "normal")
+    check(float, (), contacts, "stiffness", "distance", "force", "tangential")
+    check(float, (), balls, "masses", "radius")
+    return values
+
+
+def _normals(position, bond, balls):
+    """Return the normals of contacts and the distances of their balls by the positions."""
+    if position is None:
+        raise InputError("network: vectors need normals, or positions to find them by")
+    bond = np.clip(bond, 0, balls - 1)  # balls that are not there are refused later
+    away = position[bond[:, 1]] - position[bond[:, 0]]
+    distance = np.linalg.norm(away, axis=1)
+    if not np.all(distance > 0):
+        at = np.argmin(distance)
+        raise InputError(f"network: the balls of contact {at} are at the same place")
+    return away / distance[:, None], distance
 
 
 def checked_array(name, value, dtype, rest, count=None):
-    """Return an array of finite numbers as a copy that nobody can change.
+    """Return an array of finite numbers as a copy that nobody can change, or raise InputError.
 
-    Not collective.
-
-    Parameters
-    ----------
-    name : str
-        What messages call it.
-    value : array_like
-    dtype : type
-        `int` or `float`; whole numbers are not rounded ones.
-    rest : tuple of int
-        Its shape along all axes but the first; None is any length.
-    count : int, optional
-        Its length along the first axis; any unless given.
-
-    Raises
-    ------
-    InputError
-        If it is no such array.
+    Its type is `int`, which rounds nothing, or `float`; its shape is (count, *rest), any count
+    unless given, where a length of None is any. Messages call it by its `name`.
     """
     array = np.array(numbers(f"network: {name}", value, whole=dtype is int))
     wanted = (count if count is not None else len(array) if array.ndim else 0, *rest)
@@ -46,17 +80,14 @@ def checked_array(name, value, dtype, rest, count=None):
 
 
 def check_network(network):
-    """Raise InputError where values of a network, whose arrays fit, are impossible.
-
-    Not collective.
-    """
+    """Raise InputError where values of a network, whose arrays fit, are impossible."""
     held, balls = network.held, len(network.held)
     if len(network.bond) == 0 or balls == 0:
         raise InputError("network: it has no contacts")
-    wrong = np.flatnonzero(np.any((network.bond < 0) | (network.bond >= balls), axis=1))
-    if wrong.size:
-        pair = tuple(network.bond[wrong[0]].tolist())
-        raise InputError(f"network: contact {wrong[0]}: no balls {pair} among {balls}")
+    outside = np.flatnonzero(np.any((network.bond < 0) | (network.bond >= balls), axis=1))
+    if outside.size:
+        pair = tuple(network.bond[outside[0]].tolist())
+        raise InputError(f"network: contact {outside[0]}: no balls {pair} among {balls}")
     if np.any(network.bond[:, 0] == network.bond[:, 1]):
         raise InputError("network: a ball touches itself")
     if not np.all(np.isin(held, (FREE, AT_REST, DRIVEN))):
@@ -86,7 +117,7 @@ def check_network(network):
 
 
 def unit_direction(direction, axes):
-    """Return the direction of a drive, of length 1; along x unless given. Not collective."""
+    """Return the direction of a drive, of length 1; along x unless given."""
     if direction is None:
         return np.eye(axes)[0]
     direction = numbers("network: the direction of the drive", direction)

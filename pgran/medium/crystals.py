@@ -5,16 +5,17 @@ or `held` is given, the balls at that axis' lower end are at rest, and those at 
 driven; the sides that are not periodic are free. Contacts of two held balls are left out.
 """
 
+import functools
 import itertools
 import math
 
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.medium.graph import part, without_floating
 from pgran.medium.law import BondLaw, unit_numbers
 from pgran.medium.network import Network
 from pgran.medium.packing import nearest_images
-from pgran.medium.parts import part, without_floating
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
 
 HALF, ROOT3 = 0.5, math.sqrt(3)
@@ -29,7 +30,7 @@ CELLS = {
 
 
 def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993, **others):
-    """Return a crystal of balls, each in contact with its nearest neighbours. Not collective.
+    """Return a crystal of balls, each in contact with its nearest neighbours.
 
     Balls are numbered cell by cell in C order, those of a cell together. The contacts of all cells
     come neighbour by neighbour, each of a ball with one at a larger x (if that is the same: y, z),
@@ -53,11 +54,6 @@ def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993,
         What is drawn is a pure function of it.
     **others
         Of `Network`. Vectors are the default, and with rotations balls that touch.
-
-    Raises
-    ------
-    InputError
-        If values are impossible, or a ball would touch itself.
     """
     edges, basis = (np.array(values) for values in CELLS[name])
     axes = len(edges)
@@ -71,10 +67,11 @@ def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993,
     for (a, start), (b, end) in itertools.product(enumerate(basis), repeat=2):
         for step in itertools.product((1, 0, -1), repeat=axes):
             away = (end + step - start) * edges
+            # of the contacts that each ball has, those that lead ahead
             ahead = away[np.argmax(np.abs(away) > 1e-9)] > 0
             if not ahead or abs(away @ away - 1) > 1e-9:
                 continue
-            other = cells + step
+            other = cells + step  # the cells that hold the second balls
             here = np.all(periodic | ((other >= 0) & (other < shape)), axis=1)
             other = tuple((other[here] % shape).T)
             bond.append(np.stack([balls[..., a].ravel()[here], balls[(*other, b)]], axis=1))
@@ -91,29 +88,8 @@ def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993,
     return _moving(Network(bond, stiffness, np.ravel(held), **others))
 
 
-def square(shape, stiffness=1.0, **others):
-    """Return a square lattice: see `crystal`. Not collective."""
-    return crystal("square", shape, stiffness, **others)
-
-
-def triangular(shape, stiffness=1.0, **others):
-    """Return a triangular lattice, close-packed along x: see `crystal`. Not collective."""
-    return crystal("triangular", shape, stiffness, **others)
-
-
-def honeycomb(shape, stiffness=1.0, **others):
-    """Return a honeycomb lattice: see `crystal`. Not collective."""
-    return crystal("honeycomb", shape, stiffness, **others)
-
-
-def cubic(shape, stiffness=1.0, **others):
-    """Return a simple cubic lattice: see `crystal`. Not collective."""
-    return crystal("cubic", shape, stiffness, **others)
-
-
-def fcc(shape, stiffness=1.0, **others):
-    """Return a face-centred cubic lattice: see `crystal`. Not collective."""
-    return crystal("fcc", shape, stiffness, **others)
+# makers of each kind, of the parameters of `crystal` after the name
+square, triangular, honeycomb, cubic, fcc = (functools.partial(crystal, name) for name in CELLS)
 
 
 def random_geometric(
@@ -122,26 +98,11 @@ def random_geometric(
 ):  # fmt: skip
     """Return a random geometric graph: random points in a box, in contact with all that are near.
 
-    Not collective. One point to each unit of volume of the box. What floats is left out. Held at
-    the first axis' ends is what lies within the radius of them.
-
-    Parameters
-    ----------
-    count : int
-        Points.
-    dimension : int
-        Of space.
-    contacts : float
-        Their mean number at a ball far from the walls, unless the radius is given.
-    radius : float, optional
-        In contact are balls at a smaller distance.
-    stiffness, periodic, held, seed, **others
-        As those of `crystal`; of each contact in the order of the balls' numbers.
-
-    Raises
-    ------
-    InputError
-        If values are impossible, or nothing free is left.
+    Each unit of volume of the box has one of the `count` points. Balls are in contact at distances
+    below `radius`, or have so many `contacts` on the mean far from the walls. What floats is left
+    out. Held at the first axis' ends are the balls within the radius of them. `stiffness`,
+    `periodic`, `held`, `seed` and others are as those of `crystal`, of each contact in the order of
+    the balls' numbers.
     """
     from scipy.spatial import cKDTree
 
@@ -150,6 +111,7 @@ def random_geometric(
     box = np.where(np.broadcast_to(periodic, (dimension,)), count ** (1 / dimension), 0.0)
     edge = count ** (1 / dimension)
     if radius is None:
+        # a ball of this radius in d dimensions holds so many of one point a unit volume
         ball = math.pi ** (dimension / 2) / math.gamma(dimension / 2 + 1)
         radius = (contacts / ball) ** (1 / dimension)
     if np.any(box) and not 2 * radius < edge:
@@ -170,21 +132,9 @@ def random_geometric(
 
 
 def in_box(position, bond, stiffness, held, box, **others):
-    """Return a network in a periodic box: normals and distances are those of nearest images.
+    """Return a network whose normals and distances are those of nearest images in a periodic box.
 
-    Not collective.
-
-    Parameters
-    ----------
-    position, bond, stiffness, held, **others
-        Of `Network`.
-    box : array_like of float, shape (d,)
-        Its edges; 0 along axes that are not periodic.
-
-    Raises
-    ------
-    InputError
-        If values are impossible.
+    `box` holds its edges, 0 along axes that are not periodic.
     """
     position, bond = np.asarray(position, dtype=float), np.asarray(bond, dtype=int)
     periods = np.where(np.asarray(box) > 0, box, np.inf)
@@ -192,34 +142,21 @@ def in_box(position, bond, stiffness, held, box, **others):
     distance = np.linalg.norm(away, axis=1)
     if not np.all(distance > 0):
         raise InputError(f"network: the balls {bond[np.argmin(distance)]} are at the same place")
-    found = {"position": position, "normal": away / distance[:, None], "distance": distance}
-    return Network(bond, stiffness, held, **(found | others))
+    geometry = {"position": position, "normal": away / distance[:, None], "distance": distance}
+    return Network(bond, stiffness, held, **(geometry | others))
 
 
 def diluted(network, missing, seed=1993):
-    """Return a network without a part of its contacts, and without what floats afterwards.
+    """Return a network without a part of its contacts, 0 to 1, and without what floats afterwards.
 
-    Not collective. With the same seed more contacts are missing if the part is larger, and none
-    come back.
-
-    Parameters
-    ----------
-    network : Network
-    missing : float
-        Which part of all contacts is removed, 0 to 1.
-    seed : int
-
-    Raises
-    ------
-    InputError
-        If nothing free is left.
+    With the same seed more contacts are missing if the part is larger, and none come back.
     """
     if not 0 <= missing <= 1:
         raise InputError(f"diluted: a part lies between 0 and 1, not at {missing}")
     count = len(network.bond)
     order = np.argsort(unit_numbers(seed, 0, count, generation=2), kind="stable")
-    kept = np.sort(order[round(missing * count) :])
-    return without_floating(part(network, contacts=kept))[0]
+    left = np.sort(order[round(missing * count) :])
+    return without_floating(part(network, contacts=left))[0]
 
 
 def _drawn(stiffness, count, seed):

@@ -1,62 +1,53 @@
-"""The graph of a network's contacts: in which order to eliminate its balls, and how it is damped.
+"""The graph of a network's contacts: what hangs together, the order of elimination, the damping.
 
-All follows from one sparse factorization of its Laplacian L, which has a row for each free ball;
-held balls are walls. Where damping is beta on the whole relative velocity of a contact and balls do
-not turn, C is L for each component of the displacements.
+Its Laplacian L has a row for each free ball; held balls are walls. Where damping is beta on the
+whole relative velocity of a contact and balls do not turn, C is L for each component of the
+displacements. One sparse factorization of L tells the order of elimination and bounds L from below.
 """
+
+import dataclasses
+from functools import cached_property
 
 import numpy as np
 
+from pgran.errors import InputError
+from pgran.medium.base import Elimination
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
+from pgran.medium.springs import DRIVEN, FREE, sparse_rows
 
+# Multiplications of a factorization: beyond these all ranks share the network; up to so many for
+# each unknown PETSc is faster than MUMPS; up to so many in all MUMPS need not look for an order.
+LARGE_WORK, PETSC_WORK, QUICK_WORK = 3e9, 2500, 5e9
 STEPS = 30  # of inverse iteration at most
 ENOUGH = 0.9  # of the smallest eigenvalue: a bound that is as close as that is not improved
 SYMMETRIC = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
 
 class Graph:
-    """The graph of a network's free balls.
+    """The graph of a network's free balls, and what one factorization of its Laplacian L tells.
 
-    Not collective.
-
-    Parameters
-    ----------
-    network : pgran.medium.network.Network
-
-    Attributes
-    ----------
-    laplacian : scipy.sparse.csc_matrix, shape (free, free)
-        Of constants 1, in mass-weighted unknowns.
-    order : numpy.ndarray of int, shape (free,)
-        The free balls in the order of minimum degree, which fills factors little.
-    work, entries, nonzeros : float
-        How many multiplications the factorization of a matrix over all unknowns takes, how many
-        entries its factor has, and the matrix.
-    smallest : float
-        A number that no eigenvalue of L is below, 0 if none is certain; mostly close to it.
+    The sparse `laplacian` (free, free) is that of constants 1 in mass-weighted unknowns. `order` is
+    that of minimum degree, which fills factors little. The factorization of a matrix over all
+    unknowns takes `work` multiplications; its factor has so many `entries`, the matrix so many
+    `nonzeros`. No eigenvalue of L is below `smallest`, which is mostly close, 0 if none is certain.
     """
 
     def __init__(self, network):
-        """Sum up the contacts; factor L, keeping no more of the factors than what they say."""
-        from scipy.sparse import csr_matrix
-
+        """Sum L up and factor it; the factors are not kept."""
         number = np.full(len(network.held), -1)
         number[network.free] = np.arange(len(network.free))
         ends = number[network.bond]
-        there = ends >= 0
         weights = network.weights[:: network.components]
-        entries = np.array([-1.0, 1.0]) * weights[ends]
-        rows = np.repeat(np.arange(len(ends)), np.count_nonzero(there, axis=1))
-        shape = len(ends), len(network.free)
-        b = csr_matrix((entries[there], (rows, ends[there])), shape)
+        b = sparse_rows(ends, np.array([-1.0, 1.0]) * weights[ends], len(network.free))
         self.laplacian = (b.T @ b).tocsc()
         factors = self._factored()
         self.order = np.argsort(factors.perm_c)
         lengths = np.diff(factors.L.indptr).astype(float)
+        # A column of L's factor with n entries: n^2 multiplications, blocks of c x c in the matrix.
         each = network.components
         self.work, self.entries = float(lengths @ lengths) * each**3, lengths.sum() * each**2
         self.nonzeros = float(self.laplacian.nnz) * each**2
-        met = int(np.bincount(ends[there]).max())  # contacts of a ball: terms of its diagonal
+        met = int(np.bincount(ends[ends >= 0]).max())  # contacts of a ball: terms of its diagonal
         self.smallest = self._bound(factors, (met + 8) * EPSILON)
 
     def _factored(self):
@@ -91,3 +82,95 @@ class Graph:
             if best > ENOUGH * (x @ product) / (x @ x):
                 break
         return best
+
+
+class Connected:
+    """The contacts of a network as a graph; `lattice.Lattice` answers the same by closed forms."""
+
+    @cached_property
+    def graph(self):
+        """See `Graph`."""
+        return Graph(self)
+
+    @property
+    def is_large(self):
+        """Whether all ranks should share it."""
+        return self.graph.work > LARGE_WORK
+
+    @property
+    def elimination(self):
+        """See `Elimination`."""
+        work = self.graph.work
+        small, quick = work <= PETSC_WORK * max(self.balls, 200), work <= QUICK_WORK
+        seconds = 1e-3 + 3.3e-7 * self.nonzeros + 1.3e-9 * work
+        return Elimination(True, "natural", small, quick, not small, seconds)
+
+    @property
+    def nonzeros(self):
+        """How many nonzeros K has."""
+        return self.graph.nonzeros
+
+    @property
+    def least_damping(self):
+        """A number that no eigenvalue of C is below where damping is isotropic."""
+        return 0.999 * self.graph.smallest  # normals have the length 1 but for 1e-6
+
+    def check_driven(self):
+        """Raise InputError if nothing is driven, or if balls float."""
+        if not np.any(self.held == DRIVEN):
+            raise InputError("network: no ball is driven; /network/held has 2 for those that are")
+        floating = np.flatnonzero(~anchored(self.bond, self.held))
+        if len(floating):
+            raise InputError(
+                f"network: {len(floating)} balls float, ball {floating[0]} first: no path of "
+                "contacts leads to a held one; pgran import leaves them out, and "
+                "pgran.medium.graph.without_floating"
+            )
+
+
+def without_floating(network):
+    """Return a network without what floats, and the numbers of the balls that are kept, ascending.
+
+    A free ball floats if no path of contacts leads from it to a held ball: its motion is no answer
+    to the drive, and K and C are singular. Where no ball is held, all parts but the largest float.
+    The unit of frequency, `kmax`, stays. Raises InputError if nothing free is left.
+    """
+    kept = np.flatnonzero(anchored(network.bond, network.held))
+    return part(network, kept), kept
+
+
+def anchored(bond, held):
+    """Return which balls do not float, shape (balls,)."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    balls = len(held)
+    graph = coo_matrix((np.ones(len(bond)), tuple(bond.T)), (balls, balls))
+    count, label = connected_components(graph, directed=False)
+    if not np.any(held):
+        return label == np.argmax(np.bincount(label))
+    anchors = np.zeros(count, dtype=bool)
+    anchors[label[held != FREE]] = True
+    return anchors[label]
+
+
+def part(network, balls=None, contacts=None):
+    """Return the network of some balls, and of those contacts that join two of them.
+
+    `balls` and `contacts` are the numbers of those that are kept, ascending, or None for all.
+    Raises InputError if nothing free is left.
+    """
+    balls = np.arange(len(network.held)) if balls is None else np.asarray(balls)
+    contacts = np.arange(len(network.bond)) if contacts is None else np.asarray(contacts)
+    number = np.full(len(network.held), -1)
+    number[balls] = np.arange(len(balls))
+    bond = number[network.bond[contacts]]
+    whole = np.all(bond >= 0, axis=1)
+    values_left = {"bond": bond[whole]}
+    for names, which in (
+        (("held", "masses", "position", "radius"), balls),
+        (("stiffness", "normal", "distance", "force", "tangential"), contacts[whole]),
+    ):
+        values = {name: getattr(network, name) for name in names}
+        values_left |= {name: value[which] for name, value in values.items() if value is not None}
+    return dataclasses.replace(network, **values_left)

@@ -18,20 +18,14 @@ LARGE = 0.2  # contact radius over that of the ball, beyond which Hertz's law is
 
 @dataclass(frozen=True)
 class Material:
-    """Young's modulus E, Poisson's ratio nu and the density rho of balls.
-
-    Raises
-    ------
-    InputError
-        If they are impossible for an isotropic solid.
-    """
+    """Young's modulus E, Poisson's ratio nu and density rho of balls of an isotropic solid."""
 
     modulus: float
     poisson: float
     density: float
 
     def __post_init__(self):
-        """Check the numbers."""
+        """Raise InputError if no solid has these numbers."""
         for name in ("modulus", "density"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
@@ -53,58 +47,36 @@ MATERIALS = {
 
 
 def ball_mass(material, diameter):
-    """Return the mass rho pi d^3 / 6 of a ball. Not collective."""
+    """Return the mass rho pi d^3 / 6 of a ball."""
     return material.density * math.pi * diameter**3 / 6
 
 
 def contact_constant(material, diameter):
-    """Return c of F = c h^(3/2) between two equal balls (paper: hertz).
-
-    Not collective. c = 4/3 E* sqrt(R*), 1/E* = 2 (1 - nu^2)/E, 1/R* = 2/R.
-    """
+    """Return c of F = c h^(3/2) between equal balls: 4/3 E* sqrt(R*) (paper: hertz)."""
     effective = material.modulus / (2 * (1 - material.poisson**2))
     return 4 / 3 * effective * math.sqrt(diameter / 4)
 
 
 def force_of_stiffness(constant, stiffness):
-    """Return the force F at which a contact has a stiffness k = 3/2 c^(2/3) F^(1/3).
-
-    Not collective.
-    """
+    """Return the force F at which k = 3/2 c^(2/3) F^(1/3); `constant` is c."""
     return (stiffness / 1.5) ** 3 / constant**2
 
 
 def force_of_pressure(pressure, diameter, fraction=0.64, contacts=6.0):
     """Return the mean force of a contact in a bed of balls under pressure.
 
-    Not collective. The mean stress of contacts F d, Z/2 of them a ball and phi a part of the
-    volume, is p = phi Z F / (pi d^2) (Rumpf); in the simple cubic lattice F = p d^2.
-
-    Parameters
-    ----------
-    pressure, diameter : float
-    fraction : float
-        phi, what part of the volume the balls fill.
-    contacts : float
-        Z, how many contacts a ball has.
+    The mean stress of contacts F d, Z/2 of them a ball, where balls fill a part phi of the volume,
+    is p = phi Z F / (pi d^2) (Rumpf); `fraction` is phi, `contacts` is Z. In the simple cubic
+    lattice F = p d^2.
     """
     return math.pi * diameter**2 * pressure / (fraction * contacts)
 
 
 def damping_of_quality(stiffness, quality, omega):
-    """Return beta of a contact that makes waves of frequency omega ring with a quality factor.
+    """Return beta = k / (Q omega), which makes waves ring with a quality factor Q.
 
-    Not collective. beta omega = k / Q: the loss angle of a contact, and with equal contacts
-    omega over the full width at half power of a mode.
-
-    Parameters
-    ----------
-    stiffness : float
-        k.
-    quality : float
-        Q.
-    omega : float
-        Angular.
+    It is the loss angle of a contact, and with equal contacts omega over the full width at half
+    power of a mode.
     """
     return stiffness / (quality * omega)
 
@@ -112,29 +84,15 @@ def damping_of_quality(stiffness, quality, omega):
 def damping_of_restitution(stiffness, mass, restitution):
     """Return beta of a linear contact between two balls that part with a part e of their speed.
 
-    Not collective. e = exp(-pi zeta / sqrt(1 - zeta^2)), beta = 2 zeta sqrt(k m/2).
-
-    Parameters
-    ----------
-    stiffness, mass : float
-        k of the contact, m of a ball.
-    restitution : float
-        e, above 0 and up to 1.
+    e = exp(-pi zeta / sqrt(1 - zeta^2)), beta = 2 zeta sqrt(k m/2), with k of the contact, m of a
+    ball.
     """
     loss = -math.log(restitution)
     return 2 * loss / math.hypot(math.pi, loss) * math.sqrt(stiffness * mass / 2)
 
 
 def restitution_of_damping(stiffness, mass, damping):
-    """Return the coefficient of restitution of a linear contact, 0 if it is overdamped.
-
-    Not collective. The inverse of `damping_of_restitution`.
-
-    Parameters
-    ----------
-    stiffness, mass, damping : float
-        k and beta of the contact, m of a ball.
-    """
+    """Return e of `damping_of_restitution` for a beta, 0 if it is overdamped."""
     zeta = damping / math.sqrt(2 * stiffness * mass)
     return math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2)) if zeta < 1 else 0.0
 
@@ -142,8 +100,8 @@ def restitution_of_damping(stiffness, mass, damping):
 def effective_stiffness(dimensions):
     """Return the constant that acts as bonds uniform on [0, 1] do, for long waves of the lattice.
 
-    Not collective. By effective-medium theory (Kirkpatrick, Rev. Mod. Phys. 45, 574, 1973): 0 for a
-    chain, .3979 for the square lattice, where it is right to 2 % or so.
+    By effective-medium theory (Kirkpatrick, Rev. Mod. Phys. 45, 574, 1973): 0 for a chain, .3979
+    for the square lattice, where it is right to 2 % or so.
     """
     others = dimensions - 1  # constants by which the rest of the lattice acts beside each bond
     if not others:
@@ -158,21 +116,9 @@ def effective_stiffness(dimensions):
 
 @dataclass(frozen=True)
 class Scale:
-    """A lattice of balls whose strongest contacts are under a force: its units.
+    """The units of a lattice of so many dimensions whose strongest contacts are under a force.
 
     In the program's units the mass of a ball, omega_mx and the spacing are 1.
-
-    Parameters
-    ----------
-    material : Material
-    diameter, force : float
-    dimensions : int
-        Of the lattice.
-
-    Raises
-    ------
-    InputError
-        If numbers do not fit into doubles.
     """
 
     material: Material
@@ -181,10 +127,10 @@ class Scale:
     dimensions: int = 2
 
     def __post_init__(self):
-        """Check that all that follows is finite."""
+        """Raise InputError if numbers do not fit into doubles."""
         try:
-            found = [self.mass, self.overlap, self.stiffness, self.omega_mx, self.velocity]
-            fits = all(0 < value < math.inf for value in found)
+            numbers = [self.mass, self.overlap, self.stiffness, self.omega_mx, self.velocity]
+            fits = all(0 < value < math.inf for value in numbers)
         except (OverflowError, ZeroDivisionError):
             fits = False
         if not fits:
@@ -236,5 +182,5 @@ class Scale:
         return math.sqrt(self.overlap / self.diameter)
 
     def own_damping(self, damping):
-        """Return a damping in the program's units, of mass times frequency. Not collective."""
+        """Return a damping in the program's units, of mass times frequency."""
         return damping / (self.mass * self.omega_mx)

@@ -15,7 +15,7 @@ import numpy as np
 
 from pgran.arguments import called_right, shown, whole_number
 from pgran.errors import InputError
-from pgran.medium.base import Medium
+from pgran.medium.base import Elimination, Medium
 from pgran.medium.bonds import (
     AXES,
     SIGNS,
@@ -29,11 +29,17 @@ from pgran.medium.bonds import (
 )
 from pgran.medium.law import BondLaw, unit_numbers
 from pgran.medium.springs import Springs
-from pgran.medium.units import check_magnitudes, einstein_frequency, own_unit
+from pgran.medium.units import check_magnitudes, own_unit
 from pgran.run.machine import check_memory
 from pgran.run.numbers import number, numbers
 
-LARGE = {1: 10**7, 2: 100_000, 3: 20_000}  # balls, by axes: beyond these all ranks share it
+# By axes, up to how many balls: one rank has the lattice; PETSc factors it faster than MUMPS; the
+# ordering by minimum degree leaves less work than nested dissection.
+LARGE = {1: 10**7, 2: 100_000, 3: 20_000}
+PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
+MINIMUM_DEGREE = {1: 10**7, 2: 2500, 3: 0}
+# Seconds of a factorization: the first times a power of the balls, that of nested dissection.
+SECONDS = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}
 
 
 @called_right
@@ -42,7 +48,6 @@ class Lattice(ElasticBonds, Medium):
     """Balls of one mass, springs of individual stiffness, one damping constant.
 
     Lattices are equal if bonds, mass, damping and kmax are.
-    Solvers and scenes ask the same of it as of a `network.Network`.
 
     Parameters
     ----------
@@ -68,9 +73,9 @@ class Lattice(ElasticBonds, Medium):
     kmax: float | None = None
 
     def __post_init__(self):
-        """Check shapes and values; keep copies that nobody can change."""
-        given = self.stiffness if isinstance(self.stiffness, (list, tuple)) else ()
-        arrays = tuple(np.array(numbers("stiffness", k), order="C") for k in given)
+        """Check shapes and values; copy arrays, so that nobody can change them."""
+        stiffness = self.stiffness if isinstance(self.stiffness, (list, tuple)) else ()
+        arrays = tuple(np.array(numbers("stiffness", k), order="C") for k in stiffness)
         if not 1 <= len(arrays) <= 3 or any(k.ndim != len(arrays) for k in arrays):
             raise InputError("stiffness: one array for each of 1 to 3 axes is needed")
         for name in ("mass", "damping"):
@@ -99,8 +104,6 @@ class Lattice(ElasticBonds, Medium):
     @called_right
     def random(cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=0.003, **parameters):
         """Return the lattice that the options of a run describe, the same on every rank.
-
-        Not collective.
 
         Parameters
         ----------
@@ -150,10 +153,34 @@ class Lattice(ElasticBonds, Medium):
         """How many balls there are."""
         return math.prod(self.shape)
 
+    is_grid = True
+    isotropic = True  # C is the graph's Laplacian
+    components = 1  # unknowns of a ball
+    inertia_ratio = 1.0  # the unit of mass over that of each ball
+
     @property
     def is_large(self):
         """Whether all ranks should share it."""
         return self.balls > LARGE[self.axes]
+
+    @property
+    def elimination(self):
+        """See `Elimination`."""
+        ordering = "qmd" if self.balls <= MINIMUM_DEGREE[self.axes] else None
+        constant, power = SECONDS[self.axes]
+        seconds = 3e-4 + constant * self.balls**power
+        small = self.balls <= PETSC_FACTORS[self.axes]
+        return Elimination(False, ordering, small, False, False, seconds)
+
+    @property
+    def nonzeros(self):
+        """How many nonzeros a row for each ball has in all, walls counted."""
+        return (2 * self.axes + 1) * self.balls
+
+    @property
+    def least_damping(self):
+        """The smallest eigenvalue of C, the Laplacian of the uniform lattice with walls."""
+        return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in self.shape)
 
     @property
     def constants(self):
@@ -176,37 +203,33 @@ class Lattice(ElasticBonds, Medium):
         return max(float(k.max()) for k in self.stiffness)
 
     @property
-    def omega_mx(self):
-        """The unit of frequency, angular: see `einstein_frequency`."""
-        return einstein_frequency(self.axes, self.kmax, self.mass)
-
-    @property
     def bonds(self):
         """How many bonds there are, wall bonds included."""
         return bond_count(self.shape)
 
     def bond_places(self, bonds):
-        """Return axis and index of numbered bonds: see `bond_places`. Not collective."""
+        """Return axis and index of numbered bonds: see `bond_places`."""
         return bond_places(self.shape, bonds)
 
     def check_driven(self):
-        """Do nothing: a driven lattice always has a bounded answer. Not collective."""
+        """Do nothing: a driven lattice always has a bounded answer."""
 
     def sites(self, detectors, name="detectors"):
         """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
 
-        Not collective. Raises InputError, which calls them by their `name`, if an index is missing
-        or a ball lies outside the lattice.
+        Raises InputError, which calls them by their `name`, if an index is missing or a ball lies
+        outside.
         """
         shape, axes = self.shape, self.axes
-        given = numbers(name, detectors, whole=True)
-        if given.size == 0 or given.size % axes or (given.ndim > 1 and given.shape[1:] != (axes,)):
-            size = " x ".join(map(str, given.shape)) or "1"
+        indices = numbers(name, detectors, whole=True)
+        misshapen = indices.ndim > 1 and indices.shape[1:] != (axes,)
+        if indices.size == 0 or indices.size % axes or misshapen:
+            size = " x ".join(map(str, indices.shape)) or "1"
             raise InputError(
                 f"{name}: a ball of this lattice has {axes} "
                 f"{'index' if axes == 1 else 'indices'}, so {size} numbers name no balls"
             )
-        sites = given.reshape(-1, axes)
+        sites = indices.reshape(-1, axes)
         for site in sites:
             if np.any(site < 0) or np.any(site >= shape):
                 raise InputError(
@@ -215,19 +238,17 @@ class Lattice(ElasticBonds, Medium):
                 )
         return sites
 
-    def reading_norms(self, sites):
-        """Return |e_d| of each detector, shape (nd,), which reads one unknown. Not collective."""
-        return np.ones(len(sites))
+    def readings(self, sites):
+        """Return unknowns that detectors read and their weights, (nd, 1)."""
+        return self.numbers_of(np.asarray(sites))[:, None], np.ones((len(sites), 1))
 
     def depths(self, sites):
-        """Return distances of balls from the driven wall, in spacings, (nd,). Not collective."""
+        """Return distances of balls from the driven wall, in spacings, (nd,)."""
         return self.shape[0] - sites[:, 0]
 
     def displacements(self, field):
-        """Return an array of unknowns as displacements, which they are here. Not collective."""
+        """Return an array of unknowns as displacements, which they are here."""
         return field
-
-    components = 1  # how many unknowns a ball has
 
     @property
     def ball_numbers(self):
@@ -235,26 +256,21 @@ class Lattice(ElasticBonds, Medium):
         return np.arange(self.balls)
 
     def numbers_of(self, sites):
-        """Return the numbers of balls given by their indices, (count, dim). Not collective."""
+        """Return the numbers of balls given by their indices, (count, dim)."""
         return np.ravel_multi_index(sites.T, self.shape)
 
-    @property
-    def inertia_ratio(self):
-        """The unit of mass over each ball's mass, all of which are equal."""
-        return 1.0
-
     def per_ball(self, squares):
-        """Return squares by ball, which has one unknown, shape (n, balls). Not collective."""
+        """Return squares by ball, which has one unknown, shape (n, balls)."""
         return squares.reshape(len(squares), math.prod(squares.shape[1:]))
 
     def in_own_unit(self):
         """Return the same lattice with its largest bond constant between 1 and 2, and the unit.
 
-        Not collective. Stiffness, mass and damping lose the same factor, so amplitudes and
-        frequencies stay as they are; it is a power of two, which rounds nothing but bonds 1e-308
-        times softer than the stiffest. PETSc and SLEPc take small pivots for zero by absolute
-        thresholds, and squares of small numbers vanish. Raises InputError if mass or damping do not
-        fit into doubles in that unit.
+        Stiffness, mass and damping lose the same factor, so amplitudes and frequencies stay as they
+        are; it is a power of two, which rounds nothing but bonds 1e-308 times softer than the
+        stiffest. PETSc and SLEPc take small pivots for zero by absolute thresholds, and squares of
+        small numbers vanish. Raises InputError if mass or damping do not fit into doubles in that
+        unit.
         """
         unit = own_unit(self.stiffest, self.mass, self.damping)
         mass, damping, kmax = self.mass / unit, self.damping / unit, self.kmax / unit
@@ -264,8 +280,3 @@ class Lattice(ElasticBonds, Medium):
     def bonds_sha256(self):
         """Checksum of all bond constants, as little-endian doubles, axis after axis."""
         return hashlib.sha256(self.constants.astype("<f8", copy=False)).hexdigest()
-
-
-def smallest_damping_eigenvalue(shape):
-    """Return lambda_min(C), C the Laplacian of the uniform lattice with walls. Not collective."""
-    return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in shape)

@@ -18,23 +18,14 @@ from pgran.run.options import REAL, Option
 
 
 def unit_numbers(seed, first, count, generation=0):
-    """Return numbers uniform on [0, 1), multiples of 2**-53, those of the bonds from `first` on.
+    """Return numbers uniform on [0, 1), multiples of 2**-53: `count` of a stream, from `first` on.
 
-    Not collective.
-
-    Parameters
-    ----------
-    seed : int
-        0 <= seed < 2**64.
-    first, count : int
-        Which part of the stream.
-    generation : int
-        Independent streams of the same seed.
+    The seed lies in [0, 2**64); its generations are independent streams.
     """
     block, skip = divmod(first, 4)  # Philox makes four numbers for each value of its counter
     stream = np.random.Philox(key=seed, counter=[block, 0, generation, 0])
     raw = stream.random_raw(skip + count)[skip:]
-    return (raw >> np.uint64(11)) * 2.0**-53
+    return (raw >> np.uint64(11)) * 2.0**-53  # the upper 53 of 64 bits, which doubles hold
 
 
 def _uniform(u, kmin, kmax):
@@ -62,17 +53,14 @@ def _bimodal(u, kmin, kmax, fraction):
 def _hertz(u, force, contact):
     """Springs of Hertzian contacts under random forces (paper: hertz, basespr).
 
-    F = c h^(3/2) linearised at the force F gives k = 3/2 c h^(1/2) = 3/2 c^(2/3) F^(1/3); F is
-    exponentially distributed with mean `force`, c is `contact`.
+    F = c h^(3/2) linearised at F gives k = dF/dh = 3/2 c^(2/3) F^(1/3); F is exponentially
+    distributed with mean `force`, c is `contact`.
     """
     forces = -np.longdouble(force) * np.log1p(-u.astype(np.longdouble))
     return (1.5 * np.cbrt(np.longdouble(contact) ** 2 * forces)).astype(float)
 
 
 # Of each law its function, and which parameters it has.
-HERTZ = Option(
-    "bonds_hertz", REAL, 1.0, "hertz: c in F = c h^(3/2)", "force / length^(3/2)", above=0
-)
 LAWS = {
     "uniform": (_uniform, ("kmin", "kmax")),
     "constant": (_constant, ("kmax",)),
@@ -80,9 +68,11 @@ LAWS = {
     "bimodal": (_bimodal, ("kmin", "kmax", "fraction")),
     "hertz": (_hertz, ("force", "hertz")),
 }
-
-
 DEFAULTS = {"kmin": 0.0, "kmax": 0.25, "fraction": 0.5, "force": 1.0, "hertz": 1.0}
+HERTZ = Option(
+    "bonds_hertz", REAL, DEFAULTS["hertz"], "hertz: c in F = c h^(3/2)",
+    "force / length^(3/2)", above=0
+)  # fmt: skip
 
 
 @called_right
@@ -105,14 +95,14 @@ class BondLaw:
     def __init__(self, name, *, kmin=None, kmax=None, fraction=None, force=None, hertz=None):
         """Check and keep the parameters."""
         self.function, names = LAWS[choice("bonds_law", name, LAWS)]
-        given = {"kmin": kmin, "kmax": kmax, "fraction": fraction, "force": force, "hertz": hertz}
-        for key, value in given.items():
-            if value is not None and key not in names:
+        own = {"kmin": kmin, "kmax": kmax, "fraction": fraction, "force": force, "hertz": hertz}
+        own = {key: value for key, value in own.items() if value is not None}
+        for key in own:
+            if key not in names:
                 raise InputError(
                     f"bonds_{key}: no parameter of the law {name}; it has {' and '.join(names)}"
                 )
-        given = DEFAULTS | {key: value for key, value in given.items() if value is not None}
-        values = {key: number(f"bonds_{key}", given[key]) for key in names}
+        values = {key: number(f"bonds_{key}", own.get(key, DEFAULTS[key])) for key in names}
         for key, value in values.items():
             positive = key not in ("kmin", "fraction")
             if not math.isfinite(value) or value < 0 or (positive and value == 0):
@@ -141,42 +131,33 @@ class BondLaw:
 def drawn(law, u):
     """Return the constants that a law of the user's makes of numbers uniform on [0, 1).
 
-    Not collective.
-
-    Raises
-    ------
-    InputError
-        Unless there is one for each number, finite and not negative.
+    Raises InputError unless there is one for each number, finite and not negative.
     """
     try:
-        found = law(u.copy())
+        returned = law(u.copy())
     except PgranError:
         raise
     except Exception as error:
         raise InputError(f"law: fails: {type(error).__name__}: {error}") from error
-    constants = numbers("law: what it returns", found)
+    constants = numbers("law: what it returns", returned)
     if constants.shape != u.shape:
         raise InputError(
             f"law: returns numbers of the shape {constants.shape} for {u.shape}; it must turn each "
             "number between 0 and 1 into a bond constant"
         )
-    wrong = constants[~(np.isfinite(constants) & (constants >= 0))]
-    if wrong.size:
+    impossible = constants[~(np.isfinite(constants) & (constants >= 0))]
+    if impossible.size:
         raise InputError(
-            f"law: bond constants must be finite and not negative, and it returns {wrong[0]:g}"
+            f"law: bond constants must be finite and not negative, and it returns {impossible[0]:g}"
         )
     return constants
 
 
 def check_law(law):
-    """Return a law of the user's, or None for none, once it has been tried.
+    """Return a law of the user's, or None for none, once it has been tried; raise InputError.
 
-    Not collective. Each constant must depend on its own number alone: else results would depend on
-    how many are drawn at a time.
-
-    Raises
-    ------
-    InputError
+    Each constant must depend on its own number alone: else results would depend on how many are
+    drawn at a time.
     """
     if law is None:
         return None

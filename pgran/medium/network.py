@@ -13,24 +13,20 @@ from functools import cached_property
 
 import numpy as np
 
-from pgran.arguments import called_right, choice
+from pgran.arguments import called_right
 from pgran.errors import InputError
 from pgran.medium.base import Medium
 from pgran.medium.bonds import AXES
-from pgran.medium.checks import check_network, checked_array, unit_direction
-from pgran.medium.graph import Graph
-from pgran.medium.parts import anchored
+from pgran.medium.checks import check_network, checked_values, unit_direction
+from pgran.medium.graph import Connected
 from pgran.medium.springs import DRIVEN, FREE, Elastic, springs_of
-from pgran.medium.units import check_magnitudes, einstein_frequency, own_unit
+from pgran.medium.units import check_magnitudes, own_unit
 from pgran.run.numbers import number, numbers
-
-LARGE_WORK = 3e9  # of a factorization: beyond it all ranks share the network
-KINDS = ("scalar", "vector", "rotations")
 
 
 @called_right
 @dataclass(frozen=True, eq=False)
-class Network(Elastic, Medium):
+class Network(Elastic, Connected, Medium):
     """Balls, the contacts between them, and which of them are held.
 
     Networks are equal if all that they are made of is.
@@ -93,31 +89,16 @@ class Network(Elastic, Medium):
     median_mass: float | None = None
 
     def __post_init__(self):
-        """Check shapes and values; keep copies that nobody can change."""
-        self._keep("held", int, ())
-        self._keep("bond", int, (2,))
-        contacts, balls = len(self.bond), len(self.held)
-        masses = numbers("network: masses", self.masses)
-        if masses.ndim == 0:
-            object.__setattr__(self, "masses", np.full(balls, masses))
-        object.__setattr__(self, "damping", number("network: damping", self.damping))
-        choice("network: displacement", self.displacement, KINDS)
-        self._keep("position", float, (None,), balls)
-        if self.displacement != "scalar" and self.normal is None:
-            self._find_normals()
-        self._keep("normal", float, (None,), contacts)
-        for name in ("stiffness", "distance", "force", "tangential"):
-            self._keep(name, float, (), contacts)
-        for name in ("masses", "radius"):
-            self._keep(name, float, (), balls)
+        """Check shapes and values; copy arrays, so that nobody can change them."""
+        for name, value in checked_values(self).items():
+            object.__setattr__(self, name, value)
         check_network(self)
         object.__setattr__(self, "direction", unit_direction(self.direction, self.axes))
         if self.median_mass is None:
-            heavy = self.masses[self.masses > 0]  # walls may be given none
-            object.__setattr__(self, "median_mass", float(np.median(heavy)))
+            median = float(np.median(self.masses[self.masses > 0]))  # walls may be given none
         else:
             median = number("network: median_mass", self.median_mass)
-            object.__setattr__(self, "median_mass", median)
+        object.__setattr__(self, "median_mass", median)
         kmax = self.stiffest if self.kmax is None else number("network: kmax", self.kmax)
         object.__setattr__(self, "kmax", kmax)
         check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, abs(kmax))
@@ -131,26 +112,6 @@ class Network(Elastic, Medium):
             f"omega_mx={self.omega_mx:.6g})"
         )
 
-    def _keep(self, name, dtype, rest, count=None):
-        """Keep an array, one that may be missing if there is one, as a copy nobody can change."""
-        value, required = getattr(self, name), ("bond", "stiffness", "held")
-        if value is not None or name in required:
-            object.__setattr__(self, name, checked_array(name, value, dtype, rest, count))
-
-    def _find_normals(self):
-        """Find normals and distances by the positions."""
-        if self.position is None:
-            raise InputError("network: vectors need normals, or positions to find them by")
-        bond = np.clip(self.bond, 0, len(self.held) - 1)
-        away = self.position[bond[:, 1]] - self.position[bond[:, 0]]
-        distance = np.linalg.norm(away, axis=1)
-        if not np.all(distance > 0):
-            at = np.argmin(distance)
-            raise InputError(f"network: the balls of contact {at} are at the same place")
-        object.__setattr__(self, "normal", away / distance[:, None])
-        if self.distance is None:
-            object.__setattr__(self, "distance", distance)
-
     @property
     def axes(self):
         """How many components a translation has."""
@@ -159,9 +120,7 @@ class Network(Elastic, Medium):
     @property
     def turns(self):
         """How many components a rotation has."""
-        if self.displacement != "rotations":
-            return 0
-        return {2: 1, 3: 3}[self.axes]
+        return {2: 1, 3: 3}[self.axes] if self.displacement == "rotations" else 0
 
     @property
     def components(self):
@@ -189,11 +148,6 @@ class Network(Elastic, Medium):
         return self.median_mass
 
     @property
-    def is_large(self):
-        """Whether all ranks should share it."""
-        return self.graph.work > LARGE_WORK
-
-    @property
     def constants(self):
         """The constants of all springs, those of contacts' normal springs first."""
         return self.springs.constants
@@ -203,17 +157,12 @@ class Network(Elastic, Medium):
         """The largest magnitude of a spring's constant."""
         return float(np.abs(self.springs.constants).max())
 
-    @property
-    def omega_mx(self):
-        """The unit of frequency, angular, as on the square lattice: see `einstein_frequency`."""
-        return einstein_frequency(self.axes, abs(self.kmax), self.mass)
-
     @cached_property
     def bonds_sha256(self):
         """Checksum of all that the springs follow from."""
         digest = hashlib.sha256()
-        for part in (self.springs.columns.astype("<i8"), self.springs.values.astype("<f8")):
-            digest.update(part.tobytes())
+        for array in (self.springs.columns.astype("<i8"), self.springs.values.astype("<f8")):
+            digest.update(array.tobytes())
         digest.update(self.springs.constants.astype("<f8").tobytes())
         return digest.hexdigest()
 
@@ -222,8 +171,8 @@ class Network(Elastic, Medium):
         """Displacement per mass-weighted unknown, shape (unknowns,)."""
         inertia = np.repeat(self.masses[self.free][:, None], self.components, axis=1)
         if self.turns:
-            part = {2: 0.5, 3: 0.4}[self.axes]  # of m R^2, of a disc and a sphere
-            inertia[:, self.axes :] *= part * self.radius[self.free][:, None] ** 2
+            factor = {2: 0.5, 3: 0.4}[self.axes]  # of m R^2, of a disc and a sphere
+            inertia[:, self.axes :] *= factor * self.radius[self.free][:, None] ** 2
         return np.sqrt(self.mass / inertia.ravel())
 
     @property
@@ -232,7 +181,7 @@ class Network(Elastic, Medium):
         return len(self.bond)
 
     def bond_places(self, bonds):
-        """Return axis, which is 0, and index of numbered contacts. Not collective."""
+        """Return axis, which is 0, and index of numbered contacts."""
         return np.zeros_like(bonds), bonds[..., None]
 
     @cached_property
@@ -240,38 +189,20 @@ class Network(Elastic, Medium):
         """See `springs.Springs`."""
         return springs_of(self)
 
-    @cached_property
-    def graph(self):
-        """See `graph.Graph`."""
-        return Graph(self)
-
     @property
     def isotropic(self):
         """Whether damping acts on each component alike: C is the graph's Laplacian for each."""
         return self.displacement == "scalar" or (self.damped == "all" and not self.turns)
 
-    def check_driven(self):
-        """Raise InputError if nothing is driven, or if balls float. Not collective."""
-        if not np.any(self.held == DRIVEN):
-            raise InputError("network: no ball is driven; /network/held has 2 for those that are")
-        floating = np.flatnonzero(~anchored(self.bond, self.held))
-        if len(floating):
-            raise InputError(
-                f"network: {len(floating)} balls float, ball {floating[0]} first: no path of "
-                "contacts leads to a held one; pgran import leaves them out, and "
-                "pgran.medium.parts.without_floating"
-            )
-
     def sites(self, detectors, name="detectors"):
         """Return ball numbers as an array (nd, 1).
 
-        Not collective. Raises InputError, which calls them by their `name`, unless these balls are
-        free.
+        Raises InputError, which calls them by their `name`, unless these balls are free.
         """
-        given = numbers(name, detectors, whole=True)
-        if given.ndim > 1 and given.shape[1:] != (1,):
+        balls = numbers(name, detectors, whole=True)
+        if balls.ndim > 1 and balls.shape[1:] != (1,):
             raise InputError(f"{name}: balls of a network have one number each, from 0")
-        sites = given.reshape(-1, 1)
+        sites = balls.reshape(-1, 1)
         for ball in sites[:, 0]:
             if not 0 <= ball < len(self.held):
                 raise InputError(f"{name}: no ball {ball} among {len(self.held)}, from 0")
@@ -282,7 +213,7 @@ class Network(Elastic, Medium):
         return sites
 
     def readings(self, sites):
-        """Return unknowns that detectors read and their weights, (nd, axes). Not collective."""
+        """Return unknowns that detectors read and their weights, (nd, axes)."""
         first = np.searchsorted(self.free, np.asarray(sites)[:, 0]) * self.components
         unknowns = first[:, None] + np.arange(self.axes)
         along = self.direction
@@ -290,12 +221,8 @@ class Network(Elastic, Medium):
             along = np.eye(self.axes)[AXES.index(self.component)]
         return unknowns, along * self.weights[unknowns]
 
-    def reading_norms(self, sites):
-        """Return |e_d| of each detector, shape (nd,). Not collective."""
-        return np.linalg.norm(self.readings(sites)[1], axis=1)
-
     def depths(self, sites):
-        """Return distances from the nearest driven ball, NaN if unknown. Not collective."""
+        """Return distances from the nearest driven ball, NaN if unknown."""
         driven = np.flatnonzero(self.held == DRIVEN)
         if self.position is None or not len(driven):
             return np.full(len(sites), np.nan)
@@ -303,7 +230,7 @@ class Network(Elastic, Medium):
         return np.sqrt(np.sum(away**2, axis=2)).min(axis=1)
 
     def displacements(self, field):
-        """Return mass-weighted unknowns as displacements, shape (..., unknowns). Not collective."""
+        """Return mass-weighted unknowns (..., unknowns) as displacements."""
         return self.weights * field
 
     @property
@@ -312,7 +239,7 @@ class Network(Elastic, Medium):
         return self.free
 
     def numbers_of(self, sites):
-        """Return places among the free balls, of numbers (count, 1). Not collective."""
+        """Return places among the free balls, of numbers (count, 1)."""
         return np.searchsorted(self.free, sites[:, 0])
 
     @property
@@ -321,14 +248,11 @@ class Network(Elastic, Medium):
         return self.mass / self.masses[self.free]
 
     def per_ball(self, squares):
-        """Return sums over the components of each free ball, (n, balls). Not collective."""
+        """Return sums over the components of each free ball, (n, balls)."""
         return squares.reshape(len(squares), -1, self.components).sum(axis=2)
 
     def in_own_unit(self):
-        """Return the same network with its largest constant between 1 and 2, and the unit.
-
-        Not collective. As `lattice.Lattice.in_own_unit`.
-        """
+        """Return the same network in its own unit, and that: see `Lattice.in_own_unit`."""
         unit = own_unit(self.stiffest, self.mass, self.damping)
         names = "stiffness", "masses", "damping", "force", "tangential", "kmax", "median_mass"
         scaled = {

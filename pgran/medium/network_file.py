@@ -52,23 +52,11 @@ CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with
 
 
 def write_network(path, members, attributes, overwrite=False):
-    """Write a network whole, or leave what was there as it was.
+    """Write a network whole, or leave what was there as it was; raise FileError. For rank 0.
 
-    Not collective: rank 0.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-    members : dict of str: array_like
-        Keys of `DATASETS`; what is None is left out.
-    attributes : dict
-        Of `/network`: `displacement`, `direction` and so on.
-    overwrite : bool
-        Whether a network that is there may be replaced; nothing else ever may.
-
-    Raises
-    ------
-    FileError
+    `members` are named by `DATASETS`, what is None is left out; `attributes` are those of
+    `/network`. `overwrite` says that a network that is there may be replaced; nothing else ever
+    may.
     """
     path = Path(path)
     check_output(path, overwrite)
@@ -90,7 +78,7 @@ def write_network(path, members, attributes, overwrite=False):
 
 
 def check_output(path, overwrite):
-    """Raise a FileError unless a network can be written there. Not collective."""
+    """Raise a FileError unless a network can be written there."""
     try:
         if not os.path.lexists(path):
             return
@@ -106,31 +94,28 @@ def check_output(path, overwrite):
 
 
 def members_of(file):
-    """Return what `/network` of a `pgran.store.careful.CarefulFile` holds, as `Network` takes it.
-
-    Not collective.
-    """
-    known = [*DATASETS, *ATTRIBUTES]
-    there = file.members("network", known)
-    said = file.attributes("network")
-    for name in [*file.file["network"], *said]:
-        if name not in known:  # others' data may stay, if no word is misspelt
-            meant = difflib.get_close_matches(name, known, 1, 0.8)
-            if meant:
-                file.refuse(f"network/{name}", f"is not known; is {meant[0]} meant?")
+    """Return what `/network` of a `CarefulFile` holds, as `Network` takes it."""
+    names = [*DATASETS, *ATTRIBUTES]
+    datasets = file.members("network", names)
+    attributes = file.attributes("network")
+    for name in [*file.file["network"], *attributes]:
+        if name not in names:  # others' data may stay, if no word is misspelt
+            similar = difflib.get_close_matches(name, names, 1, 0.8)
+            if similar:
+                file.refuse(f"network/{name}", f"is not known; is {similar[0]} meant?")
     for name in ("bond", "stiffness"):
-        if name not in there:
+        if name not in datasets:
             file.refuse(f"network/{name}", "is missing")
     values = {
         name: file.array(f"network/{name}", DATASETS[name][0])
-        for name in there
+        for name in datasets
         if name not in (*NOT_READ, *ATTRIBUTES)
     }
     for name, kind in ATTRIBUTES.items():
-        if name in there:
+        if name in datasets:
             file.refuse(f"network/{name}", "is an attribute, not a dataset")
-        if name in said:
-            values[name] = _plain(file, name, said[name], kind)
+        if name in attributes:
+            values[name] = _plain(file, name, attributes[name], kind)
     balls = next((len(values[name]) for name in ("held", "mass", "position") if name in values
                   and values[name].ndim), None)  # fmt: skip
     if balls is None:
@@ -161,25 +146,9 @@ def _plain(file, name, value, kind):
 def read_network(path, **overrides):
     """Return the network in an HDF5 file: `read_network("packing.h5", damping=0.01)`.
 
-    Not collective. The file is tried first by a process of its own, because HDF5 can crash on
-    damage.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-    **overrides
-        What `pgran.Network` takes, instead of what the file says.
-
-    Returns
-    -------
-    pgran.medium.network.Network
-
-    Raises
-    ------
-    FileError
-        If the file is damaged, lacks something or makes no network.
-    InputError
-        If the overrides make none.
+    The file is tried first by a process of its own, because HDF5 can crash on damage. Overrides are
+    what `pgran.Network` takes, instead of what the file says. Raises FileError if the file is
+    damaged, lacks something or makes no network, InputError if the overrides make none.
     """
     hdf5.try_apart(path, "pgran.medium.network_file")
     with hdf5.opened(path) as file:
@@ -211,13 +180,13 @@ def _unit_vector(path, values):
 def load(path):
     """Return a result, `load(path).response.omega`, or the network in a file of one.
 
-    Not collective. The structure of the file is checked; its checksum only where that costs
-    nothing, in a small file that still has its seal, because HDF5 can crash on damage. Groups that
-    pgran does not know are left out.
+    The structure of the file is checked; its checksum only where that costs nothing, in a small
+    file that still has its seal, because HDF5 can crash on damage. Groups that pgran does not know
+    are left out.
 
     Returns
     -------
-    pgran.store.record.Result or pgran.medium.network.Network
+    pgran.store.record.Result or pgran.Network
         Each group as the record that declares it, and the attributes of the file. A network of
         `pgran import`, or one that other programs wrote, is read by `read_network`.
 

@@ -4,41 +4,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.medium.parts import anchored
+from pgran.medium.graph import anchored
 from pgran.medium.springs import FREE
 
 
 def hertz(force, overlap):
-    """Return k = dF/dh = 3/2 F / h of Hertz's law F = c h^(3/2). Not collective."""
+    """Return k = dF/dh = 3/2 F / h of Hertz's law F = c h^(3/2)."""
     return 1.5 * force / overlap
 
 
 def hertz_of_force(force, c):
-    """Return k = 3/2 c^(2/3) F^(1/3) of Hertz's law F = c h^(3/2). Not collective."""
+    """Return k = 3/2 c^(2/3) F^(1/3) of Hertz's law F = c h^(3/2)."""
     return 1.5 * np.cbrt(c**2 * force)
 
 
 def harmonic(force, overlap):
-    """Return k = F / h. Not collective."""
+    """Return k = F / h."""
     return force / overlap
 
 
 def nearest_images(away, periods):
-    """Return vectors between the nearest images, and through which ends they lead.
+    """Return vectors (n, d) between the nearest images, and through which ends they lead.
 
-    Not collective.
-
-    Parameters
-    ----------
-    away : numpy.ndarray, shape (n, d)
-        Vectors between balls in the box.
-    periods : numpy.ndarray, shape (d,)
-        Infinite along an axis without period.
-
-    Returns
-    -------
-    numpy.ndarray, shape (n, d)
-    numpy.ndarray of bool, shape (n, d)
+    `away` are the vectors between balls in the box, `periods` (d,) are infinite where there is
+    none.
     """
     finite = np.isfinite(periods)
     turns = np.rint(away / periods)  # 0 where the period is infinite
@@ -47,45 +36,21 @@ def nearest_images(away, periods):
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """What of a packing can vibrate, and why the rest cannot.
+    """What of a packing can vibrate, and how many balls and contacts cannot, and why."""
 
-    Attributes
-    ----------
-    balls, contacts : numpy.ndarray of bool
-        Which are kept.
-    rattlers, torn_off, floating, idle : int
-        Balls left out: free and without contacts; free and without contacts since some were cut;
-        free and without a path to a held ball; held, and touching no free ball that is kept.
-    inert : int
-        Contacts left out because both balls are held.
-    """
-
-    balls: np.ndarray
+    balls: np.ndarray  # which are kept
     contacts: np.ndarray
-    rattlers: int
-    torn_off: int
-    floating: int
-    idle: int
-    inert: int
+    rattlers: int  # free balls without contacts
+    torn_off: int  # free balls without contacts since some were cut
+    floating: int  # free balls without a path to a held one
+    idle: int  # held balls that touch no free ball that is kept
+    inert: int  # contacts of two held balls
 
 
 def keep(bond, held, cut):
-    """Return which balls and contacts of a packing are kept.
+    """Return which balls and contacts of a packing are kept, where some contacts are `cut`.
 
-    Not collective.
-
-    Parameters
-    ----------
-    bond : numpy.ndarray of int, shape (nb, 2)
-        The balls of each contact.
-    held : numpy.ndarray of int, shape (N,)
-        0: free. If none is held, parts may float.
-    cut : numpy.ndarray of bool, shape (nb,)
-        Contacts that are cut.
-
-    Returns
-    -------
-    Kept
+    Contacts join the balls `bond` (nb, 2); where no ball is held, parts may float.
     """
     free, count = held == FREE, len(held)
     whole = bond[~cut]
@@ -109,16 +74,7 @@ def keep(bond, held, cut):
 def unbalanced(bond, normal, force, free):
     """Return the largest total force on a free ball, in units of the mean contact force.
 
-    Not collective.
-
-    Parameters
-    ----------
-    bond : numpy.ndarray of int, shape (nb, 2)
-    normal : numpy.ndarray, shape (nb, d)
-        From the first ball of a contact to the second.
-    force : numpy.ndarray, shape (nb,)
-        Repulsive along the normal.
-    free : numpy.ndarray of bool, shape (N,)
+    Forces (nb,) repel along the normals (nb, d), from the first ball of a contact to the second.
     """
     total = np.zeros((len(free), normal.shape[1]))
     np.add.at(total, bond[:, 0], -force[:, None] * normal)

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pgran.medium.base import Medium
 from pgran.medium.lattice import Lattice
 from pgran.medium.network import Network
 from pgran.medium.springs import FREE
@@ -146,13 +147,13 @@ class NetworkRecord(Record):
 
 
 def record_of(lattice):
-    """Return the record of a lattice or of another network. Not collective."""
+    """Return the record of a lattice or of another network."""
     return (NetworkRecord if isinstance(lattice, Network) else LatticeRecord).of(lattice)
 
 
 def as_result(medium):
-    """Return a lattice or a network by itself as a result, others as they are. Not collective."""
-    if not isinstance(medium, Lattice | Network):
+    """Return a lattice or a network by itself as a result, others as they are."""
+    if not isinstance(medium, Medium):
         return medium
     record = record_of(medium)
     return Result([record], scene=record.group)

@@ -9,9 +9,9 @@ SMALLEST_NORMAL = float(np.finfo(float).tiny)  # a result below it may be lost
 def residual_rounding(axes):
     """Return the u for which rounding moves a ball's residual by at most u (|f| + |S| |x|).
 
-    Not collective. Each operation adds at most h = EPSILON / 2 of the sum of all magnitudes, a
-    product of complex numbers sqrt(5) h (Brent, Percival, Zimmermann 2007). On a path from the
-    constants to f - S x lie
+    Each operation adds at most h = EPSILON / 2 of the sum of all magnitudes, a product of complex
+    numbers sqrt(5) h (Brent, Percival, Zimmermann 2007). On a path from the constants to f - S x
+    lie
 
     - 2d - 1 sums of bonds in K_pp, with two more where s C and s^2 m are added, or one product
       (s beta), one product with C_pp and two sums, or two products (m s^2) and a sum: 2d + 3 hold

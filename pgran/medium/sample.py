@@ -4,12 +4,12 @@ import dataclasses
 
 from pgran.errors import InputError, PgranError
 from pgran.medium.lattice import Lattice
-from pgran.medium.law import HERTZ, LAWS, make_law
+from pgran.medium.law import DEFAULTS, HERTZ, LAWS, make_law
 from pgran.medium.record import record_of
 from pgran.run.agreement import on_root
 from pgran.run.options import FILE, INTEGER, INTEGERS, REAL, TEXT, Option, alternatives
 
-LATTICE = (
+OF_LATTICE = (
     Option("lattice_shape", INTEGERS, (20, 20), "balls along each axis, 1 to 3 numbers", low=1),
     Option("lattice_mass", REAL, 1.0, "mass m of a ball", above=0),
     Option("lattice_damping", REAL, 0.003, "damping beta of every bond", "mass x frequency", low=0),
@@ -19,19 +19,24 @@ LATTICE = (
         "kmax; hertz, 3/2 c^(2/3) F^(1/3) with exponential forces F; file",
         choices=(*LAWS, "file"),
     ),
-    Option("bonds_kmin", REAL, 0.0, "smallest bond constant", "mass x frequency^2", low=0),
     Option(
-        "bonds_kmax", REAL, 0.25,
+        "bonds_kmin", REAL, DEFAULTS["kmin"], "smallest bond constant", "mass x frequency^2", low=0
+    ),
+    Option(
+        "bonds_kmax", REAL, DEFAULTS["kmax"],
         "largest bond constant; of hertz and file what omega_mx belongs to, where given",
         "mass x frequency^2", above=0
     ),
-    Option("bonds_fraction", REAL, 0.5, "bimodal: part of the bonds that is kmax", low=0, high=1),
-    Option("bonds_force", REAL, 1.0, "hertz: mean contact force", "force", above=0),
+    Option(
+        "bonds_fraction", REAL, DEFAULTS["fraction"], "bimodal: part of the bonds that is kmax",
+        low=0, high=1
+    ),
+    Option("bonds_force", REAL, DEFAULTS["force"], "hertz: mean contact force", "force", above=0),
     HERTZ,
     Option("bonds_seed", INTEGER, 1993, "which sample", low=0, high=2**63 - 1),
     Option("bonds_file", FILE, None, "law file: HDF5 file with /lattice/stiffness_x ..."),
 )  # fmt: skip
-NETWORK = (
+OF_NETWORK = (
     Option(
         "network_file", FILE, None,
         "HDF5 file with /network/bond, stiffness ..., instead of a lattice and its bonds"
@@ -42,7 +47,7 @@ NETWORK = (
     ),
 )  # fmt: skip
 LAW = ("bonds_law", "bonds_kmin", "bonds_kmax", "bonds_fraction", "bonds_force", "bonds_hertz")
-LATTICE = (*LATTICE, *NETWORK)
+LATTICE = (*OF_LATTICE, *OF_NETWORK)
 OWN_KMAX = ("hertz", "file")  # laws of bonds whose largest constant is not known beforehand
 
 
@@ -52,7 +57,7 @@ def check_lattice(values, given, draws=False):
     `draws` says that the experiment draws constants itself, of networks by the law, too.
     """
     law = LAW if draws else ()
-    named = [o.name for o in LATTICE if o not in NETWORK and o.name not in law]
+    named = [option.name for option in OF_LATTICE if option.name not in law]
     alternatives(("network_file", "network_damping"), named, values, given)
     if values["network_file"] is not None:
         return
@@ -79,41 +84,41 @@ def check_lattice(values, given, draws=False):
 def make_lattice(options, world):
     """Return the lattice or the network that the options describe, the same on every rank.
 
-    Collective.
-
-    Raises
-    ------
-    InputError, FileError
-        If the options or the bonds file are impossible.
-    PgranError
-        If the ranks disagree on the bonds.
+    Collective. Raises InputError or FileError if the options or the bonds file are impossible,
+    PgranError if the ranks disagree on the bonds.
     """
-    if options.network_file is not None:
-        from pgran.medium.network_file import read_network
+    medium = (_lattice if options.network_file is None else _network)(options, world)
+    if len(set(world.allgather(medium.bonds_sha256))) > 1:
+        raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
+    return medium
 
-        component = getattr(options, "detectors_component", "drive")
-        lattice = on_root(world, lambda: read_network(options.network_file))
-        changes = {"component": component if lattice.displacement != "scalar" else "drive"}
-        if options.network_damping is not None:
-            changes["damping"] = options.network_damping
-        lattice = dataclasses.replace(lattice, **changes)
-    elif options.bonds_law == "file":
+
+def _network(options, world):
+    """Return the network of a file, changed as the options ask. Collective."""
+    from pgran.medium.network_file import read_network
+
+    network = on_root(world, lambda: read_network(options.network_file))
+    changes = {"component": getattr(options, "detectors_component", "drive")}
+    if network.displacement == "scalar":
+        changes["component"] = "drive"
+    if options.network_damping is not None:
+        changes["damping"] = options.network_damping
+    return dataclasses.replace(network, **changes)
+
+
+def _lattice(options, world):
+    """Return the lattice of a bonds file or of a law. Collective."""
+    mass, damping = options.lattice_mass, options.lattice_damping
+    if options.bonds_law == "file":
         from pgran.medium.bonds_file import read_bonds
 
         stiffness, kmax = on_root(world, lambda: read_bonds(options.bonds_file))
-        lattice = Lattice(stiffness, options.lattice_mass, options.lattice_damping, kmax)
+        lattice = Lattice(stiffness, mass, damping, kmax)
     else:
-        lattice = Lattice.random(
-            options.lattice_shape,
-            options.bonds_seed,
-            make_law(options),
-            mass=options.lattice_mass,
-            damping=options.lattice_damping,
-        )
-    if options.network_file is None and options.bonds_law in OWN_KMAX and options.bonds_kmax:
+        law, shape, seed = make_law(options), options.lattice_shape, options.bonds_seed
+        lattice = Lattice.random(shape, seed, law, mass=mass, damping=damping)
+    if options.bonds_law in OWN_KMAX and options.bonds_kmax:
         lattice = dataclasses.replace(lattice, kmax=options.bonds_kmax)
-    if len(set(world.allgather(lattice.bonds_sha256))) > 1:
-        raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
     return lattice
 
 
@@ -127,16 +132,7 @@ def ranks_per_lattice(scene, options, medium, world):
 def run_scene(scene, options, world, crew):
     """Carry an experiment out, and return its records on rank 0, None on the others.
 
-    Collective.
-
-    Parameters
-    ----------
-    scene : pgran.run.experiment.Scene
-    options : Options
-        Of the run.
-    world : mpi4py.MPI.Comm
-    crew : callable
-        Makes a crew of all ranks: `crew(ranks, medium)` takes how many share the medium, and it.
+    Collective. `crew(ranks, medium)` makes a crew of all ranks, of which so many share the medium.
     """
     if not scene.on_medium:
         with crew(1, None) as workers:

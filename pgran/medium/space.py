@@ -8,27 +8,18 @@ from pgran.medium.record import NetworkRecord
 
 
 def in_space(vectors):
-    """Return vectors of 1 to 3 components with 3, the last ones 0. Not collective."""
+    """Return vectors of 1 to 3 components with 3, the last ones 0."""
     missing = 3 - vectors.shape[-1]
     return np.pad(vectors, [(0, 0)] * (vectors.ndim - 1) + [(0, missing)])
 
 
 def reaches(network):
-    """Return how far each contact reaches from its first ball, and which cross the box.
+    """Return how far each contact reaches from its first ball, (nb, 3), and which cross the box,
+    (nb,).
 
-    Not collective. The box of a packing may be periodic. Where two balls that touch are not apart
-    by the normal and the distance of their contact, one touches an image of the other.
-
-    Parameters
-    ----------
-    network : pgran.results.NetworkRecord
-        With positions.
-
-    Returns
-    -------
-    along : numpy.ndarray, shape (nb, 3)
-        To the second ball, or to its image.
-    crosses : numpy.ndarray of bool, shape (nb,)
+    The box of a packing may be periodic. Where two balls that touch are not apart by the normal and
+    the distance of their contact, one touches an image of the other, and the contact reaches to
+    that image.
     """
     i, j = network.bond.T
     away = in_space(network.position[j] - network.position[i])
@@ -46,15 +37,8 @@ def reaches(network):
 def everywhere(network, values, drive=0.0):
     """Return displacements of all balls, held ones too, shape (n, N, components).
 
-    Not collective.
-
-    Parameters
-    ----------
-    network : pgran.results.NetworkRecord
-    values : numpy.ndarray, shape (n, unknowns)
-        Displacements and rotations of the free balls.
-    drive : array_like, shape (n,), optional
-        Of the driven balls, along the direction of the drive.
+    `values` (n, unknowns) are displacements and rotations of the free balls, `drive` (n,) those of
+    the driven balls along the direction of the drive.
     """
     built = network.built
     moves = np.zeros((len(values), len(network.held), built.components), dtype=values.dtype)
@@ -64,16 +48,9 @@ def everywhere(network, values, drive=0.0):
 
 
 def mesh(result):
-    """Return what there is in space: points, lines between them, and data of both.
+    """Return what there is in space: points (n, 3), lines between them (m, 2), and data of both.
 
-    Not collective.
-
-    Returns
-    -------
-    points : numpy.ndarray, shape (n, 3)
-    lines : numpy.ndarray of int, shape (m, 2)
-    of_points, of_lines : dict of str: numpy.ndarray
-        Of as many rows; vectors have 3 components.
+    The data of points and of lines are arrays of as many rows, by name; vectors have 3 components.
     """
     network = as_network(result.medium)
     of_points = {"mass": network.mass, "radius": network.radius, "held": network.held}
@@ -98,14 +75,10 @@ def mesh(result):
 
 
 def as_network(medium):
-    """Return a network as it is, a lattice as one of scalar displacements.
+    """Return the record of a network as it is, of a lattice as one of scalar displacements.
 
-    Not collective. Where a bond of the lattice ends at a wall there is a held ball; bonds and free
-    balls keep their order.
-
-    Parameters
-    ----------
-    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
+    Where a bond of the lattice ends at a wall there is a held ball; bonds and free balls keep their
+    order.
     """
     return medium if medium.group == "network" else _with_walls(medium)
 
@@ -131,13 +104,13 @@ def _with_walls(lattice):
 
 def _of_bonds(result):
     """Yield what a signal depends on and the power, by name, at the frequencies that succeeded."""
-    found = getattr(result, "sensitivity", None)
-    for n in [] if found is None else np.flatnonzero(found.converged_reason > 0):
-        yield f"flux_{n + 1:04}", found.flux[n]
-        yield f"loss_{n + 1:04}", found.loss[n]
-        for d, site in enumerate(found.detector.tolist()):
+    record = getattr(result, "sensitivity", None)
+    for n in [] if record is None else np.flatnonzero(record.converged_reason > 0):
+        yield f"flux_{n + 1:04}", record.flux[n]
+        yield f"loss_{n + 1:04}", record.loss[n]
+        for d, site in enumerate(record.detector.tolist()):
             name = "_".join(map(str, ["log_amplitude", f"{n + 1:04}", *site]))
-            yield name, found.on_bonds(n, d)
+            yield name, record.on_bonds(n, d)
 
 
 def _motions(result):

@@ -24,33 +24,19 @@ FREE, AT_REST, DRIVEN = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """The rows of B in mass-weighted unknowns: blocks of a spring for each contact.
+    """The rows of B in mass-weighted unknowns: blocks of a spring for each contact."""
 
-    Attributes
-    ----------
-    unknowns : int
-        How many there are.
-    blocks : tuple of str
-        What each block is, the first one `normal`: `tangential`, of the tangential stiffness,
-        `pre_stress`, or `transverse`, both in one where balls do not turn.
-    columns : numpy.ndarray of int, shape (springs, w)
-        Unknowns, those of the contact's first ball in the first half; -1 where there is none.
-    values : numpy.ndarray, shape (springs, w) or (1, w)
-        Entries of B.
-    drive : numpy.ndarray, shape (springs,)
-        How far the driven balls' motion, of size 1, stretches each.
-    drive_apart : numpy.ndarray, shape (springs,)
-        The same with the part of each contact's first ball turned around, as in `D`.
-    constants, damped : numpy.ndarray, shape (springs,)
-        Of each its constant, and the part of beta that it has.
-    elastic : numpy.ndarray, shape (springs,)
-        The constants without pre-stress: what grows with a contact's stiffness.
-    """
-
-    unknowns: int
+    unknowns: int  # how many there are
+    # What each block is, the first one `normal`: `tangential`, of the tangential stiffness,
+    # `pre_stress`, or `transverse`, both in one where balls do not turn.
     blocks: tuple
+    # Shapes (springs, w): unknowns, -1 where there is none, and the entries of B, which may be one
+    # row for all. Those of a contact's first ball are in the first half.
     columns: np.ndarray
     values: np.ndarray
+    # Shapes (springs,): how far the driven balls' motion, of size 1, stretches each; the same with
+    # the first ball's part turned around, as in `D`; constants; parts of beta; constants without
+    # pre-stress, which grow with a contact's stiffness.
     drive: np.ndarray
     drive_apart: np.ndarray
     constants: np.ndarray
@@ -69,13 +55,7 @@ class Springs:
         return self._sparse(self.values * np.repeat([-1.0, 1.0], half))
 
     def _sparse(self, values):
-        """Return entries at the columns as a sparse matrix."""
-        from scipy.sparse import csr_matrix  # here: SciPy takes its time
-
-        there = self.columns >= 0
-        rows = np.repeat(np.arange(len(there)), np.count_nonzero(there, axis=1))
-        entries = np.broadcast_to(values, there.shape)[there]
-        return csr_matrix((entries, (rows, self.columns[there])), (len(there), self.unknowns))
+        return sparse_rows(self.columns, values, self.unknowns)
 
     @cached_property
     def lengths(self):
@@ -84,8 +64,18 @@ class Springs:
         return np.sqrt(np.sum(there * self.values**2, axis=1))
 
 
+def sparse_rows(columns, values, size):
+    """Return rows of B as a sparse matrix; columns, of so many unknowns, are -1 for none."""
+    from scipy.sparse import csr_matrix  # here: SciPy takes its time
+
+    there = columns >= 0
+    rows = np.repeat(np.arange(len(there)), np.count_nonzero(there, axis=1))
+    entries = np.broadcast_to(values, there.shape)[there]
+    return csr_matrix((entries, (rows, columns[there])), (len(there), size))
+
+
 class Elastic:
-    """What follows from the `springs` of a network; a part of `network.Network`."""
+    """The springs of a network; `bonds.ElasticBonds` answers the same for a lattice."""
 
     @property
     def B(self):  # noqa: N802
@@ -95,7 +85,7 @@ class Elastic:
     def stretched(self, fields, wall):
         """Yield how far fields (n, unknowns) lengthen springs, constants, parts of beta.
 
-        Not collective. What is driven moves by `wall`, shape (n,).
+        What is driven moves by `wall`, shape (n,).
         """
         springs = self.springs
         yield (
@@ -104,18 +94,13 @@ class Elastic:
             springs.damped,
         )
 
-    @property
-    def irregular(self):
-        """Whether its `graph` knows in which order to eliminate the balls, and what that costs."""
-        return True
-
     @cached_property
     def semidefinite(self):
         """Whether K has no negative eigenvalues for certain, as all constants are positive."""
         return bool(np.all(self.springs.constants >= 0))
 
     def restoring_forces(self, fields):
-        """Return K f = B^T diag(k) B f for fields of shape (count, unknowns). Not collective."""
+        """Return K f = B^T diag(k) B f for fields of shape (count, unknowns)."""
         return (self.B.T @ (self.springs.constants[:, None] * (self.B @ fields.T))).T
 
     @property
@@ -148,16 +133,8 @@ class Elastic:
         stiffness, damped, _ = self._pulls
         return stiffness, self.damping * damped
 
-    def pull(self, s):
-        """Return the force that moves what is driven by 1 while all balls stay.
-
-        Not collective. It is the sum of (k + s beta d) w^2 over the springs, stretched by w.
-        """
-        stiffness, damping = self.pulls
-        return stiffness + s * damping
-
     def pull_rounding(self, size):
-        """Return how much rounding changes `pull(s)`, at most, for an |s|. Not collective."""
+        """Return how much rounding changes `pull(s)`, at most, for an |s|."""
         _, damped, stiffness = self._pulls
         stretched = np.count_nonzero(self.springs.drive)
         return (stretched + 8) * EPSILON * (stiffness + size * (self.damping * damped))
@@ -185,17 +162,17 @@ class Elastic:
 
     @cached_property
     def rounding(self):
-        """How much rounding moves a residual, in units of what it is summed from.
+        """How much rounding moves a residual, in units of the magnitudes that it is summed from.
 
-        As `rounding.residual_rounding`: sums over the springs at an unknown, and over
-        the unknowns that these couple it to.
+        As `residual_rounding`: sums over the springs at an unknown, and over the unknowns that
+        these couple it to.
         """
         met = int(np.bincount(self.B.indices).max())
         return (met * (1 + self.springs.columns.shape[1]) + 12) * EPSILON
 
 
 def springs_of(network):
-    """Return the springs of a `network.Network`. Not collective."""
+    """Return the springs of a `network.Network`."""
     balls, components = len(network.held), network.components
     unknown = np.full((balls + 1, components), -1)
     unknown[network.free] = np.arange(network.balls).reshape(-1, components)
@@ -226,10 +203,8 @@ def springs_of(network):
 
 
 def _rows(network, i, j):
-    """Return blocks: what each is, rows over both balls' components, constants, beta's part.
-
-    Beside the constants stands what they are without pre-stress.
-    """
+    """Return blocks: name, rows of B, constants, those without pre-stress, the part of beta."""
+    # A row of a contact: -t (of u_i), the first ball's rotation, t (of u_j), the second's.
     still = np.zeros((len(i), network.turns))
 
     def row(t, first=still, second=still):
@@ -241,18 +216,19 @@ def _rows(network, i, j):
     nothing = np.zeros(len(i))
     pre_stress = nothing if network.force is None else -network.force / network.distance
     shear = nothing if network.tangential is None else network.tangential
-    part = float(network.damped == "all")
+    damped = float(network.damped == "all")
     # constants that are given, zeros too: amplitudes have derivatives by them
-    bent, sheared = network.force is not None, network.tangential is not None or part
+    bent, sheared = network.force is not None, network.tangential is not None or damped
     for t in tangents(network.normal):
         if not network.turns:
-            kinds = [("transverse", row(t), shear + pre_stress, shear, part)]
+            kinds = [("transverse", row(t), shear + pre_stress, shear, damped)]
             wanted = [bent or sheared]
         else:
+            # (R theta) . (n x t): what a ball's rotation adds to the slip along t
             lever = _cross(network.normal, t)
             turned = [-network.radius[end][:, None] * lever for end in (i, j)]
             kinds = [
-                ("tangential", row(t, *turned), shear, shear, part),
+                ("tangential", row(t, *turned), shear, shear, damped),
                 ("pre_stress", row(t), pre_stress, nothing, 0.0),
             ]
             wanted = [sheared, bent]
@@ -261,7 +237,7 @@ def _rows(network, i, j):
 
 
 def tangents(normal):
-    """Return the directions across normals, an array like them for each. Not collective."""
+    """Return the directions across normals, an array like them for each."""
     if normal.shape[1] == 2:
         return [np.stack([-normal[:, 1], normal[:, 0]], axis=1)]
     axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]

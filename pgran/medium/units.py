@@ -1,21 +1,17 @@
 """Units in which the numbers of a lattice or a network fit into doubles."""
 
+import logging
 import math
 
 from pgran.errors import InputError
+
+log = logging.getLogger("pgran")
 
 
 def check_magnitudes(axes, mass, damping, stiffest, kmax):
     """Raise InputError where mass, damping and stiffness make no vibrations.
 
-    Not collective.
-
-    Parameters
-    ----------
-    axes : int
-    mass, damping : float
-    stiffest, kmax : float
-        The largest constant, and that which sets the unit of frequency.
+    `stiffest` is the largest constant, `kmax` that which sets the unit of frequency.
     """
     if not (math.isfinite(kmax) and kmax >= 0):
         raise InputError(f"bonds_kmax: must be 0 or more and finite, not {kmax}")
@@ -31,34 +27,17 @@ def check_magnitudes(axes, mass, damping, stiffest, kmax):
 
 
 def einstein_frequency(axes, stiffness, mass):
-    """Return sqrt(2 d k / m), of a ball on 2 d springs whose other ends rest (paper: omxdef).
+    """Return sqrt(2 d k / m) of a ball on 2 d springs whose other ends rest (paper: omxdef).
 
-    Not collective. With k = kmax it is the unit of frequency.
-
-    Parameters
-    ----------
-    axes : int
-        d.
-    stiffness, mass : float
-        k, m.
+    With k = kmax it is the unit of frequency; d is the number of axes.
     """
     return math.sqrt(2 * axes * stiffness / mass)
 
 
 def own_unit(stiffest, mass, damping):
-    """Return the unit in which the largest bond constant lies between 1 and 2.
+    """Return the unit, a power of two, in which the largest bond constant lies between 1 and 2.
 
-    Not collective.
-
-    Parameters
-    ----------
-    stiffest, mass, damping : float
-        The largest constant first.
-
-    Raises
-    ------
-    InputError
-        If mass or damping do not fit into doubles in that unit.
+    Raises InputError if mass or damping do not fit into doubles in that unit.
     """
     unit = 2.0 ** (math.frexp(stiffest)[1] - 1)
     for name, value in (("mass", mass), ("damping", damping)):
@@ -73,7 +52,7 @@ def own_unit(stiffest, mass, damping):
 def check_frequency(lattice, omega):
     """Raise InputError unless the driven lattice's numbers and their squares fit into doubles.
 
-    Not collective. No entry of S exceeds 4 d (k + omega beta) + m omega^2 up to the frequency.
+    No entry of S exceeds 4 d (k + omega beta) + m omega^2 up to the frequency.
     """
     omega = float(omega)
     springs = 4 * lattice.axes * (lattice.stiffest + omega * lattice.damping)
@@ -83,3 +62,12 @@ def check_frequency(lattice, omega):
             f"lattice_mass, lattice_damping, bonds: at the frequency {omega:g} the equations hold "
             "numbers too large to compute with; choose other units"
         )
+
+
+def warn_above_modes(lattice, world, lowest):
+    """Warn on rank 0 where no mode is above the lowest frequency, which is then often in Hz."""
+    if world.rank == 0 and lowest > math.sqrt(lattice.stiffness_norm / lattice.mass):
+        log.warning(
+            "omega = %.6g, the lowest asked for, is above all modes (omega_mx is %.6g); if it is "
+            "in Hz: frequencies are angular, omega = 2 pi f", lowest, lattice.omega_mx,
+        )  # fmt: skip

@@ -20,21 +20,12 @@ from pgran.errors import (
 )
 
 SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail alike
-FAILED = 0  # tag of the message in which it tells them
 
 
 def on_root(comm, action, keep=False):
-    """Return `action()`, called on rank 0 alone; raise its error on every rank.
+    """Return `action()`, called on rank 0 alone; raise its error on every rank. Collective.
 
-    Collective. Raises the PgranError that `action` raised; an OSError becomes a FileError.
-
-    Parameters
-    ----------
-    comm : mpi4py.MPI.Comm
-    action : callable
-        Called without arguments.
-    keep : bool
-        Keep what it returns on rank 0, None on the others, instead of broadcasting it.
+    An OSError becomes a FileError. Where `keep` is true only rank 0 gets the value, others None.
     """
     value, failure = None, None
     if comm.rank == 0:
@@ -42,8 +33,8 @@ def on_root(comm, action, keep=False):
             value = action()
         except Exception as error:
             failure = error
-    told, shared = comm.bcast((_told(failure), None if keep else value))
-    _raise(told, failure)
+    description, shared = comm.bcast((_described(failure), None if keep else value))
+    _raise(description, failure)
     return value if keep else shared
 
 
@@ -69,8 +60,8 @@ def agree(comm, failure, asked=None):
     PETSc did; what no one has foreseen is raised as it is where it was met. Raises an InputError
     if what is `asked` differs.
     """
-    told, everyone = zip(*comm.allgather((_told(failure), asked)), strict=True)
-    _raise(next(filter(None, told), None), failure)
+    failures, everyone = zip(*comm.allgather((_described(failure), asked)), strict=True)
+    _raise(next(filter(None, failures), None), failure)
     first = everyone[0]
     for rank, other in enumerate(everyone if first else ()):
         names = [name for name in first | other if first.get(name) != other.get(name)]
@@ -82,7 +73,7 @@ def agree(comm, failure, asked=None):
             )
 
 
-def _told(failure):
+def _described(failure):
     """Return the kind and the message of an error, as other ranks are told of it."""
     if failure is None:
         return None
@@ -95,13 +86,13 @@ def _told(failure):
     return PgranError, f"{type(failure).__name__}: {failure}"
 
 
-def _raise(told, failure):
-    """Raise what ranks were told of, if anything, or what was met here unforeseen."""
-    if told is None:
+def _raise(description, failure):
+    """Raise what some rank has met, if anything, or what was met here unforeseen."""
+    if description is None:
         return
     if failure is not None and not (is_foreseen(failure) or isinstance(failure, OSError)):
         raise failure
-    kind, message = told
+    kind, message = description
     raise kind(message) from failure
 
 
@@ -110,32 +101,10 @@ def met_by_all(comm):
 
     For an error that may have been raised on some ranks only, while the others go on or wait.
     """
+    # a barrier that need not be waited for: whoever is not there is at work, or waits elsewhere
     request, deadline = comm.Ibarrier(), time.monotonic() + SECONDS_FOR_OTHERS
     while not request.Test():
         if time.monotonic() > deadline:
             return False
         time.sleep(0.001)
     return True
-
-
-def who_reports(comm, failure):
-    """Return which rank is to report a failure, and whether all ranks have met it alike.
-
-    Not collective: the other ranks may be at work, or wait for this one for ever. The first rank
-    to fail reports; of those that failed before they heard of another, the lowest. `failure` says
-    what has happened on this rank.
-    """
-    others = [rank for rank in range(comm.size) if rank != comm.rank]
-    late = any(comm.Iprobe(rank, FAILED) for rank in others)
-    failures = {comm.rank: (failure, late)}
-    requests = [comm.isend((failure, late), rank, tag=FAILED) for rank in others]
-    deadline = time.monotonic() + SECONDS_FOR_OTHERS
-    while len(failures) < comm.size and time.monotonic() < deadline:
-        for rank in others:
-            if comm.Iprobe(rank, FAILED):
-                failures[rank] = comm.recv(source=rank, tag=FAILED)
-        time.sleep(0.01)
-    del requests  # not waited for: who does not fail does not receive
-    first = min((rank for rank, (_, late) in failures.items() if not late), default=0)
-    alike = len(failures) == comm.size and len({failure for failure, _ in failures.values()}) == 1
-    return first, alike

@@ -15,7 +15,7 @@ PREFIXES, SUFFIXES = ("openblas_", "scipy_openblas_"), ("", "64_")
 
 
 def take_one_thread():
-    """Let linear algebra take one thread, unless the environment says how many. Not collective.
+    """Let linear algebra take one thread, unless the environment says how many.
 
     A library that is loaded later reads the environment; one that is there already is told.
     """
@@ -26,7 +26,7 @@ def take_one_thread():
 
 
 def kernels():
-    """Return for which processors the kernels that run here were written. Not collective.
+    """Return for which processors the kernels that run here were written.
 
     OpenBLAS chooses them by the processor it finds, or as OPENBLAS_CORETYPE says. Last bits differ
     between them.
@@ -36,7 +36,7 @@ def kernels():
 
 
 def ask(name, *arguments, restype=ctypes.c_int):
-    """Call a function of every OpenBLAS that is loaded, and return the answers. Not collective."""
+    """Call a function of every OpenBLAS that is loaded, and return the answers."""
     try:
         with open("/proc/self/maps") as stream:
             files = set(re.findall(r" (/.*openblas.*\.so.*)$", stream.read(), re.MULTILINE))

@@ -17,31 +17,12 @@ WORD, FIRST_TAG = 1, 2  # tags of messages: a word to stop; results, a tag for e
 
 
 class Crew:
-    """All ranks of a run, cut into groups. Collective; use with `with`.
+    """All ranks of a run, cut into groups that share a lattice. Collective; use with `with`.
 
-    Parameters
-    ----------
-    world : mpi4py.MPI.Comm
-    ranks_per_lattice : int
-        How many ranks share a lattice.
-    journal : pgran.run.journal.Journal, optional
-        Keeps finished units, and says when to stop.
-    begins : callable, optional
-        Called on rank 0 when all that is given has been read and checked, before the work.
-
-    Attributes
-    ----------
-    group : mpi4py.MPI.Comm
-        The ranks that share a lattice with this one.
-    number, groups : int
-        Which group this rank is in, of how many.
-    dry : bool
-        Whether units are only tried, in a dry run.
-
-    Raises
-    ------
-    InputError
-        If the ranks cannot be cut into groups of that size.
+    `group` is the communicator of this rank's group, which is `number` of `groups`. The journal, if
+    there is one, keeps finished units and says when to stop. `begins`, if any, is called on rank 0
+    when all input has been read and checked, before the work. In a dry run, `dry`, units are only
+    tried. An InputError says that the ranks cannot be cut into groups of that size.
     """
 
     dry = False
@@ -57,7 +38,7 @@ class Crew:
         self.groups = world.size // ranks_per_lattice
         self.number = world.rank // ranks_per_lattice
         self.group = world.Split(self.number, world.rank)
-        self._shared, self._told, self._words = 0, None, []
+        self._shared, self._stopped_by, self._words = 0, None, []
 
     def __enter__(self):
         """Return the crew."""
@@ -69,7 +50,7 @@ class Crew:
             self.group.Free()
 
     def begin(self):
-        """Note that all that is given has been read and checked, once. Collective."""
+        """Note, once, that all input has been read and checked. Collective."""
         begins, self._begins = self._begins, None
         if begins is not None:
             on_root(self.world, begins)
@@ -81,22 +62,10 @@ class Crew:
     def share(self, task, work, deliver):
         """Call `work` for every unit on one group, and `deliver` with its rows on rank 0.
 
-        Collective. Units that the journal holds are delivered from there.
-
-        Parameters
-        ----------
-        task : pgran.run.task.Task
-            Its `units` and `row`, the same on every rank.
-        work : callable
-            Takes a unit, collectively on a group, and returns its rows, on the first rank of the
-            group at least.
-        deliver : callable
-            Takes the position of a unit and its rows; called on rank 0 alone, as they arrive.
-
-        Raises
-        ------
-        StoppedError
-            If a signal asked for it; on every rank.
+        Collective. The task is the same on every rank. `work` takes a unit, collectively on a
+        group, and returns its rows on the first rank of the group at least. `deliver` takes the
+        position of a unit and its rows, as they arrive, or at once where the journal holds them. A
+        StoppedError on every rank says that a signal asked to stop.
         """
         # A tag of its own keeps a fast rank's next results apart from a slow one's present ones.
         self._shared += 1
@@ -119,6 +88,8 @@ class Crew:
         The groups take turns, each round in the opposite order, which shares out evenly what is
         sorted by size.
         """
+        # turn   0 1 2 3 4 5 6 7 8
+        # group  0 1 2 2 1 0 0 1 2
         cycle, place = divmod(turn, self.groups)
         return self.number == (place if cycle % 2 == 0 else self.groups - 1 - place)
 
@@ -133,18 +104,18 @@ class Crew:
         name = next(filter(None, names), None)
         if name and first:
             others = set(range(0, self.world.size, self.group.size)) - {self.world.rank}
-            self._told = name
+            self._stopped_by = name
             self._words = [self.world.isend(name, rank, tag=WORD) for rank in others]
         return name or any(heard)
 
     def _agree_to_stop(self):
         """Raise StoppedError on all ranks if one of them has stopped; leave no word unheard."""
-        told = self.world.allgather(self._told)
-        for rank, name in enumerate(told):
+        names = self.world.allgather(self._stopped_by)
+        for rank, name in enumerate(names):
             if name and self.group.rank == 0 and rank != self.world.rank:
                 self.world.recv(source=rank, tag=WORD)
         MPI.Request.waitall(self._words)
-        stopped = next(filter(None, told), None)
+        stopped = next(filter(None, names), None)
         if stopped:
             self.journal.stop(stopped)
 
@@ -168,10 +139,7 @@ class AgreeingCrew(Crew):
             yield work
 
     def share(self, task, work, deliver):
-        """Do as a Crew does; after an error a rank takes part without working.
-
-        Collective. Parameters are those of `Crew.share`.
-        """
+        """Do as `Crew.share`; after an error a rank takes part without working. Collective."""
         met = []
 
         def tried(unit):
@@ -197,10 +165,10 @@ class _Results:
         self.left, self._sent, self._working = list(range(len(task.units))), [], crew.groups
         if self.journal is not None and self.world.rank == 0:
             self.stage = self.journal.stage(tag, task.units, task.row)
-            kept = self.journal.kept(self.stage, task.row)
-            for position, rows in kept.items():
+            finished = self.journal.kept(self.stage, task.row)
+            for position, rows in finished.items():
                 deliver(position, rows)
-            self.left = sorted(set(self.left).difference(kept))
+            self.left = sorted(set(self.left).difference(finished))
 
     def put(self, message):
         """Hand in a unit's position and rows, or None after the last, on a group's first rank."""

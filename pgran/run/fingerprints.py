@@ -30,10 +30,7 @@ class Distinct:
 
 
 def fingerprint(value):
-    """Return a checksum of plain values, arrays and what holds them; of functions, of their names.
-
-    Not collective; the same on every rank that has the same.
-    """
+    """Return a checksum of plain values, arrays and what holds them; of functions their names."""
     digest = hashlib.sha256()
     try:
         _feed(digest, value)

@@ -25,7 +25,7 @@ SWEEP = (
 
 
 def check_sweep(values, given):
-    """Raise where the options of a sweep contradict each other. Not collective."""
+    """Raise where the options of a sweep contradict each other."""
     alternatives(("sweep_omega",), ("sweep_min", "sweep_max", "sweep_points"), values, given)
     omega = values["sweep_omega"]
     if omega is None:
@@ -35,14 +35,9 @@ def check_sweep(values, given):
 
 
 def driving_frequencies(options, lattice=None):
-    """Return the frequencies of the sweep, angular, increasing; the lattice may be their unit.
+    """Return the frequencies of a run's sweep, angular, increasing; the lattice may be their unit.
 
-    Not collective.
-
-    Raises
-    ------
-    InputError
-        If the lattice has no omega_mx to measure them in.
+    Raises InputError if the lattice has no omega_mx to measure them in.
     """
     if options.sweep_omega:
         omegas = np.array(options.sweep_omega)
@@ -57,14 +52,7 @@ def driving_frequencies(options, lattice=None):
 
 
 def checked_frequencies(omegas):
-    """Return driving frequencies as an array; raise unless they are positive and increase.
-
-    Not collective.
-
-    Raises
-    ------
-    InputError
-    """
+    """Return driving frequencies as an array, which increase from above 0; raise InputError."""
     omegas = np.atleast_1d(numbers("-sweep_omega", omegas))
     if omegas.ndim != 1 or not omegas.size or not np.all(np.isfinite(omegas) & (omegas > 0)):
         raise InputError("-sweep_omega: the frequencies must be positive and finite, in a list")

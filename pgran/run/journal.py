@@ -27,7 +27,8 @@ from pgran.run.launch import SIGNALS
 log = logging.getLogger("pgran")
 
 MAGIC = b"pgran journal 1\n"
-RECORD = struct.Struct("<IIQI")  # stage, position, bytes, checksum
+# MAGIC | head | identity | head | rows of a unit | head | rows of a unit ...
+RECORD = struct.Struct("<IIQI")  # a head: stage, position, bytes, checksum of both
 IDENTITY = (0, 0)  # stage and position of the record that says what the run is
 SECONDS_BETWEEN_SYNCS = 1.0  # a kill loses nothing in between, only a power failure does
 
@@ -35,30 +36,12 @@ SECONDS_BETWEEN_SYNCS = 1.0  # a kill loses nothing in between, only a power fai
 class Journal:
     """Keeps finished units, and says when a signal asks the run to stop; use with `with`.
 
-    Collective. Rank 0 holds the file; every rank takes note of signals.
+    Collective. Rank 0 holds the file; every rank takes note of signals. `path` is the result's. An
+    earlier journal goes on if its identity, texts by the names that users know, is the same. If it
+    is another an InputError names the difference, or it is discarded where `overwrite` says so. A
+    FileError says that another run is writing the same result, or that the file cannot be written.
 
-    Parameters
-    ----------
-    comm : mpi4py.MPI.Comm
-    path : str or os.PathLike
-        The result's path.
-    identity : dict of str
-        What the run is, by the names that users know; an earlier journal goes on only if it says
-        the same.
-    overwrite : bool
-        Whether an unfinished run that was another one may be discarded.
-
-    Attributes
-    ----------
-    medium : str
-        Checksum of what is computed on; units of another medium are no units of this run.
-
-    Raises
-    ------
-    InputError
-        If there is an unfinished run with other options.
-    FileError
-        If another run is writing the same result, or the file cannot be written.
+    `medium` is the checksum of what is computed on: units of another medium are none of this run.
     """
 
     medium = ""
@@ -98,25 +81,15 @@ class Journal:
 
     @property
     def stop_asked(self):
-        """The name of the signal that has asked this rank to stop, or None. Not collective."""
+        """The name of the signal that has asked this rank to stop, or None."""
         return self._signal and signal.Signals(self._signal).name
 
     def stage(self, number, units, row):
-        """Return what tells a stage's units from those of another one.
-
-        Not collective.
-
-        Parameters
-        ----------
-        number : int
-            Of the stage.
-        units : sequence
-        row : numpy.dtype
-        """
+        """Return what tells the units of a stage, by its number, from those of another one."""
         return zlib.crc32(f"{number} {units!r} {row!r} {self.medium}".encode()) or 1
 
     def kept(self, stage, row):
-        """Return the finished units of a stage, {position: rows}. Not collective: rank 0."""
+        """Return the finished units of a stage, {position: rows}, on rank 0."""
         return {
             position: np.frombuffer(os.pread(self._file.fileno(), size, start), row)
             for (name, position), (start, size) in sorted(self._kept.items())
@@ -124,15 +97,7 @@ class Journal:
         }
 
     def write(self, stage, position, rows):
-        """Append the rows of a finished unit, or raise FileError.
-
-        Not collective: rank 0.
-
-        Parameters
-        ----------
-        stage, position : int
-        rows : numpy.ndarray
-        """
+        """Append the rows of a finished unit, on rank 0, or raise a FileError."""
         self._append((stage, position), rows.tobytes())
         if time.monotonic() - self._synced > SECONDS_BETWEEN_SYNCS:
             self._sync()
@@ -161,15 +126,15 @@ class Journal:
     def _open(self, identity, overwrite):
         """Open the file, and begin anew where it holds no units of this run."""
         self._file = self._locked()
-        found = self._scan()
-        self._new = found != identity
+        earlier = self._scan()
+        self._new = earlier != identity
         if not self._new:
             log.info("%s: going on from there, %d units are finished", self.path, len(self._kept))
             return
         if self._kept:
             if not overwrite:
-                key = next(k for k in identity | found if found.get(k) != identity.get(k))
-                was, now = (run.get(key, "not given") for run in (found, identity))
+                key = next(k for k in identity | earlier if earlier.get(k) != identity.get(k))
+                was, now = (run.get(key, "not given") for run in (earlier, identity))
                 raise InputError(
                     f"{key}: {self.path} holds an unfinished run with {was}, and now it is {now}; "
                     "give what was given then to go on, take another -output_file, or begin anew "
@@ -207,7 +172,7 @@ class Journal:
 
     def _scan(self):
         """Find the records; return the identity, or None where there is none. Drop what is torn."""
-        file, found = self._file, None
+        file, identity = self._file, None
         size = os.fstat(file.fileno()).st_size
         start = file.read(len(MAGIC))
         if start != MAGIC[: len(start)]:
@@ -224,17 +189,17 @@ class Journal:
             payload = file.read(length)
             if zlib.crc32(payload, zlib.crc32(head[:-4])) != checksum:
                 break
-            if found is None:
-                found = json.loads(payload)
+            if identity is None:
+                identity = json.loads(payload)
             else:
                 self._kept[tuple(place)] = content, length
             position = content + length
-        if found is None and size > len(MAGIC) + RECORD.size:
+        if identity is None and size > len(MAGIC) + RECORD.size:
             log.warning("%s: damaged; the run begins anew", self.path)
-        elif found is not None and position < size:
+        elif identity is not None and position < size:
             log.info("%s: its end was cut off; that work is done again", self.path)
             file.truncate(position)
-        return found
+        return identity
 
     def _refuse(self):
         raise FileError(f"{self.path}: in the way, and no journal of pgran; move it away")

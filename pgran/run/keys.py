@@ -178,8 +178,13 @@ def is_solver_key(key):
 
 
 def is_petsc_key(key):
-    """Return whether a key is one of PETSc's own at run time. Not collective."""
+    """Return whether a key is one of PETSc's own at run time."""
     return re.fullmatch(f"{PRINTING}|{OTHERS}", key, re.ASCII) is not None
+
+
+def is_listed(key):
+    """Return whether files may set a key of PETSc's, to some values."""
+    return any(keys.fullmatch(key) for keys, _ in _in_files())
 
 
 def check_in_file(key, item):

@@ -50,18 +50,10 @@ SHARED = {
 
 
 def option(default, meaning, unit="", *, key="", kind=None, **limits):
-    """Declare a keyword and its option.
+    """Declare a keyword and its option; its type is that of the default, or the `kind`.
 
-    Parameters
-    ----------
-    default : bool, int, float, str or tuple; None with a `kind`
-        Its type is the option's.
-    meaning, unit : str
-    key : str, optional
-        Of the option, unless it is that of the experiment and the keyword.
-    kind : pgran.run.options.Kind, optional
-    **limits
-        `low`, `above`, `high`, `choices`, as `pgran.run.options.Option` has them.
+    The option's name is that of the experiment and the keyword, unless there is a `key`. Limits are
+    `low`, `above`, `high`, `choices`, as `pgran.run.options.Option` has them.
     """
     if kind is None:
         several = isinstance(default, tuple)

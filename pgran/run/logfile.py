@@ -1,11 +1,10 @@
 """A log file beside the result: each line with its time, added to what is there.
 
 Rank 0 tells what the run does, the others what goes wrong. All append to the same file, a message
-with one call each, so that messages never mix.
+with one call each, so that messages do not mix.
 """
 
 import logging
-import os
 import re
 import sys
 import tempfile
@@ -19,10 +18,7 @@ OURS = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4} pgran[ :]")
 
 
 def check(path, make=True):
-    """Raise a FileError unless a log can be appended to `path`. Not collective.
-
-    Its folder is made if `make` says so.
-    """
+    """Raise a FileError unless a log can be appended to `path`; make its folder if asked to."""
     path = Path(path)
     if path.is_dir():
         raise FileError(f"{path}: is a folder")
@@ -41,24 +37,28 @@ def check(path, make=True):
         raise FileError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
-class LogFile(logging.Handler):
-    """Appends messages to a file; all ranks but 0 are named in their lines. Not collective."""
+class LogFile(logging.FileHandler):
+    """Appends messages to a file, a stamp before each line; all ranks but 0 are named there.
+
+    Whoever cannot open it raises a FileError; what cannot be written later ends no run.
+    """
 
     def __init__(self, path, rank):
-        """Keep the path."""
-        super().__init__()
-        self.path, self._file = path, None
-        self.name_of_rank = f" (rank {rank})" if rank else ""
+        """Open the file."""
+        self.speaker = f"pgran (rank {rank})" if rank else "pgran"
+        try:
+            super().__init__(path, encoding="utf-8", errors="replace")
+        except OSError as error:
+            raise FileError(f"{path}: cannot be written: {error.strerror}") from None
 
-    def emit(self, record):
-        """Append a message, a stamp before each of its lines."""
+    def format(self, record):
+        """Return the lines of a message."""
         stamp = time.strftime(STAMP, time.localtime(record.created))
         level = "" if record.levelno <= logging.INFO else f"{record.levelname.lower()}: "
         lines = record.getMessage().splitlines() or [""]
-        text = "".join(f"{stamp} pgran{self.name_of_rank}: {level}{line}\n" for line in lines)
-        try:
-            if self._file is None:
-                self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
-            os.write(self._file, text.encode(errors="replace"))
-        except OSError as error:  # the run goes on: the terminal has the message
-            print(f"pgran: {self.path}: cannot be written: {error.strerror}", file=sys.stderr)
+        return "\n".join(f"{stamp} {self.speaker}: {level}{line}" for line in lines)
+
+    def handleError(self, record):  # noqa: N802
+        """Say why a message could not be written; the terminal has it."""
+        error = sys.exc_info()[1]
+        print(f"pgran: {self.baseFilename}: cannot be written: {error}", file=sys.stderr)

@@ -8,18 +8,14 @@ from pgran.errors import InputError
 
 
 def total_memory():
-    """Return the memory of this machine. Not collective."""
+    """Return the memory of this machine."""
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 def check_memory(key, size):
-    """Raise where arrays that one rank must hold, and one copy, exceed this machine's memory.
+    """Raise an InputError where arrays, and one copy, exceed this machine's memory.
 
-    Not collective. `key` is the option that asks for them.
-
-    Raises
-    ------
-    InputError
+    One rank must hold all of them; `key` is the option that asks for them.
     """
     if 2 * size > total_memory():
         raise InputError(
@@ -29,12 +25,12 @@ def check_memory(key, size):
 
 
 def most_resident():
-    """Return the largest part of the memory that this process has taken. Not collective."""
+    """Return the largest part of the memory that this process has taken."""
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def free_memory():
-    """Return the memory that programs may still take here, None if unknown. Not collective.
+    """Return the memory that programs may still take here, None if unknown.
 
     What the system has available, or less where a container has a limit of its own.
     """

@@ -9,20 +9,8 @@ from pgran.errors import InputError
 def numbers(name, value, whole=False):
     """Return real numbers as an array of floats, or of integers; nothing is rounded or left out.
 
-    Not collective. Whole numbers may come as floats; the array may be the one that was given.
-
-    Parameters
-    ----------
-    name : str
-        What messages call them.
-    value : array_like
-    whole : bool
-        Whether whole numbers are needed.
-
-    Raises
-    ------
-    InputError
-        If they are anything else: complex, truth values, texts, masked.
+    Whole numbers may come as floats; the array may be the one that was given. Raises InputError,
+    which calls them `name`, if they are complex, truth values, texts or masked.
     """
     try:
         array = None if _has_truth_values(value) else np.asarray(value)
@@ -39,10 +27,7 @@ def numbers(name, value, whole=False):
 
 
 def number(name, value):
-    """Return one real number as a float; raise an InputError if it is anything else.
-
-    Not collective.
-    """
+    """Return one real number as a float; raise an InputError if it is anything else."""
     found = numbers(name, value)
     if found.ndim:
         raise InputError(f"{name}: one number is needed, not {shown(value)}")

@@ -50,7 +50,7 @@ FILES = _several(FILE)
 
 
 def text_of(value):
-    """Return the text that a value is read from. Not collective."""
+    """Return the text that a value is read from."""
     value = _without_numpy(value)
     if isinstance(value, tuple):
         return ",".join(map(text_of, value))
@@ -160,7 +160,7 @@ class Option:
 
 
 def nearest(word, words):
-    """Return the word most like `word`, or None. Not collective."""
+    """Return the word most like `word`, or None."""
     return next(iter(difflib.get_close_matches(word, words, n=1, cutoff=0.5)), None)
 
 
@@ -171,7 +171,7 @@ RUN = (
         "ranks that share one lattice, the rest share out the work; 0 = automatic", low=0
     ),
     Option(
-        "output_file", TEXT, None, "result (default: results/<name of the options file>.h5)"
+        "output_file", TEXT, None, "result (default: results/NAME.h5 for NAME.opts)"
     ),
     Option("output_overwrite", FLAG, False, "replace an existing result"),
     Option(
@@ -196,20 +196,8 @@ def options_in(text):
 def alternatives(some, others, values, given):
     """Let one of two ways to say the same stand: what was given, and of both the winning source.
 
-    Not collective.
-
-    Parameters
-    ----------
-    some, others : sequence of str
-        Options. `some` stand only where given; without any, `others` have their defaults.
-    values : dict
-        Of all options; those of the way that does not stand become None.
-    given : dict of pgran.run.reading.Given
-
-    Raises
-    ------
-    InputError
-        If both ways are given at the same place.
+    `some` options stand only where given; without any, `others` have their defaults. The values of
+    the way that does not stand become None. Raises InputError if both are given at the same place.
     """
     first, second = (
         max((given[k].rank for k in keys if k in given), default=-1) for keys in (some, others)
@@ -224,7 +212,7 @@ def alternatives(some, others, values, given):
 
 
 def check_ends(name, values):
-    """Raise unless the lower end of a window lies below its upper end. Not collective."""
+    """Raise unless the lower end of a window lies below its upper end."""
     low, high = (values.get(f"{name}_{end}") for end in ("min", "max"))
     if low is not None and low >= high:
         raise InputError(f"-{name}_min: {low:g} is not below -{name}_max, {high:g}")

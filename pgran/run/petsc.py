@@ -48,13 +48,13 @@ def holding(keys):
 
 
 def unused(keys):
-    """Return those of some keys in the database that no object has asked for. Not collective."""
+    """Return those of some keys in the database that no object has asked for."""
     used = _whether_used()
     return [key for key in keys if not used(key)]
 
 
 def warn_of_unused(keys):
-    """Warn of those of some keys in the database that no object has asked for. Not collective."""
+    """Warn of those of some keys in the database that no object has asked for."""
     for key in unused(keys):
         log.warning("-%s was not used: no solver of this run has such an option", key)
 

@@ -5,17 +5,10 @@ import time
 
 
 class Progress:
-    """Counts finished items; close with `with`.
+    """Counts finished items, `what` in the plural, on rank 0; close with `with`.
 
-    Not collective: rank 0 makes one.
-
-    Parameters
-    ----------
-    total : int
-    what : str
-        What an item is, in the plural.
-    style : {"auto", "bar", "lines", "none"}
-        A bar through tqdm, or a line every ten seconds; `auto` is a bar on a terminal.
+    The style is `bar`, through tqdm, `lines`, one every ten seconds, `none`, or `auto`, which is a
+    bar on a terminal.
     """
 
     seconds_between_lines = 10.0
@@ -23,7 +16,7 @@ class Progress:
     def __init__(self, total, what, style="auto"):
         """Start the clock."""
         self.total, self.what, self.done = total, what, 0
-        self.said, self.said_done, self.bar = time.monotonic(), 0, None
+        self.last_time, self.last_done, self.bar = time.monotonic(), 0, None
         if style == "auto":
             style = "bar" if sys.stderr.isatty() else "lines"
         self.lines = style == "lines"
@@ -50,10 +43,10 @@ class Progress:
         if self.bar is not None:
             self.bar.update(count)
         now = time.monotonic()
-        if self.lines and count and now - self.said >= self.seconds_between_lines:
+        if self.lines and count and now - self.last_time >= self.seconds_between_lines:
             # by the pace since the last line: what an earlier run had finished came at once
-            left = (now - self.said) * (self.total - self.done) / (self.done - self.said_done)
-            self.said, self.said_done = now, self.done
+            left = (now - self.last_time) * (self.total - self.done) / (self.done - self.last_done)
+            self.last_time, self.last_done = now, self.done
             text = f"{self.done} of {self.total} {self.what}, about {_duration(left)} left"
             print(f"pgran: {text}", file=sys.stderr, flush=True)
 

@@ -34,18 +34,12 @@ class Given:
 
     @property
     def rank(self):
-        """What wins: the command line over the file over the environment. Not collective."""
+        """What wins: the command line over the file over the environment."""
         return {"": 2, ENVIRONMENT: 0}.get(self.where, 1)
 
 
 def read_file(path):
-    """Return what an options file gives, in order. Not collective.
-
-    Raises
-    ------
-    FileError, InputError
-        If it cannot be read, is no text of a sensible size, or a line is not `-key value`.
-    """
+    """Return what an options file gives, in order; an error names what is no `-key value`."""
     with open_regular(path) as stream:
         content = stream.read(LONGEST_FILE + 1)
     if len(content) > LONGEST_FILE:
@@ -54,7 +48,7 @@ def read_file(path):
     if strange := NO_TEXT.search(text):
         line = 1 + text.count("\n", 0, strange.start())
         raise FileError(f"{path}: not a text file (line {line})")
-    given = []
+    items = []
     for number, line in enumerate(text.splitlines(), 1):
         words = UNQUOTED.findall(line.partition("#")[0])
         if not words:
@@ -66,37 +60,37 @@ def read_file(path):
         except ValueError as error:
             hint = next((hint for word in line.split() if (hint := _hint(word))), error)
             raise InputError(f"{line.strip()}{where}: {hint}") from None
-        given += read_words(words, where)
-    return given
+        items += read_words(words, where)
+    return items
 
 
 def read_words(words, where=""):
-    """Return what a command line gives: `-key value`, or `-key` alone. Not collective."""
-    given = []
+    """Return what a command line gives: `-key value`, or `-key` alone."""
+    items = []
     for word in words:
         check_word(word, where)
         if KEY.fullmatch(word):
-            given.append(Given(word.lstrip("-"), "", where))
+            items.append(Given(word.lstrip("-"), "", where))
         elif re.match("--?[A-Za-z]", word):
             key, sign, value = word.partition("=")
             hint = f"write {key} {value}" if sign else "no key has such a name"
             raise InputError(f"{word}{where}: {hint}")
-        elif given and not given[-1].text:
-            given[-1] = Given(given[-1].key, word, where)
+        elif items and not items[-1].text:
+            items[-1] = Given(items[-1].key, word, where)
         else:
-            hint = _hint(word, given) or "a value without a key (keys look like -key)"
+            hint = _hint(word, items) or "a value without a key (keys look like -key)"
             raise InputError(f"{word}{where}: {hint}")
-    return given
+    return items
 
 
 def check_word(word, where=""):
-    """Raise where a word could not be read again from an options file. Not collective."""
+    """Raise where a word could not be read again from an options file."""
     if NO_TEXT.search(word) or "".join(word.splitlines()) != word:
         odd = "a line break, a control character, or a byte that is no UTF-8"
         raise InputError(f"{word}{where}: holds {odd}")
 
 
-def _hint(word, given=()):
+def _hint(word, items=()):
     """Return what a word may have been meant to be that is no value, or None."""
     if word.startswith(COMMENTS):
         return "a comment begins with #"
@@ -104,23 +98,18 @@ def _hint(word, given=()):
         return "begins with a long dash; keys begin with -"
     if re.fullmatch("[a-z]+(_[a-z]+)+|scene|detectors", word.lower()):
         return f"a value without a key; did you mean -{word.lower()}?"
-    if given and given[-1].text in ("=", ":"):
-        return f"write -{given[-1].key} {word}"
-    if given and re.fullmatch(r"[\d.,e+-]+", word):
-        both = f"{given[-1].text.strip(',')},{word.strip(',')}"
-        return f"a value without a key; a list has no blanks: -{given[-1].key} {both}"
+    if items and items[-1].text in ("=", ":"):
+        return f"write -{items[-1].key} {word}"
+    if items and re.fullmatch(r"[\d.,e+-]+", word):
+        both = f"{items[-1].text.strip(',')},{word.strip(',')}"
+        return f"a value without a key; a list has no blanks: -{items[-1].key} {both}"
     return None
 
 
 def read_solver(path, own):
     """Return what the options file of a solver sets: values of options, and keys for PETSc.
 
-    Not collective. `own` are the options by name that it may set besides keys of PETSc's solvers.
-
-    Raises
-    ------
-    FileError, InputError
-        If it cannot be read, or holds anything else.
+    `own` are the options by name that it may set besides keys of PETSc's solvers.
     """
     values, keys = {}, {}
     for item in read_file(path):
@@ -138,7 +127,7 @@ def read_solver(path, own):
 
 
 def read_environment():
-    """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked. Not collective."""
+    """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked."""
     if os.environ.pop("PETSC_OPTIONS_YAML", ""):
         raise InputError("PETSC_OPTIONS_YAML: not read; an options file or PETSC_OPTIONS is")
     return read_words(os.environ.pop("PETSC_OPTIONS", "").split(), ENVIRONMENT)

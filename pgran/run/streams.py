@@ -48,13 +48,13 @@ class Messages(logging.Formatter):
 
 @contextlib.contextmanager
 def saying_once():
-    """Let each warning be said once, however often it is met meanwhile. Not collective."""
-    log, said = logging.getLogger("pgran"), set()
+    """Let each warning be said once, however often it is met meanwhile."""
+    log, texts = logging.getLogger("pgran"), set()
 
     def is_new(record):
         text = record.getMessage()
-        new = text not in said
-        said.add(text)
+        new = text not in texts
+        texts.add(text)
         return new or record.levelno < logging.WARNING
 
     log.addFilter(is_new)
@@ -65,7 +65,7 @@ def saying_once():
 
 
 def guard():
-    """Let this process use standard streams that break in order. Not collective."""
+    """Let this process use standard streams that break in order."""
     for number in range(3):
         try:
             os.fstat(number)

@@ -11,14 +11,9 @@ from pgran.run.progress import Progress
 class Task:
     """A computation cut into units, whose results do not depend on which ranks do which of them.
 
-    Attributes
-    ----------
-    units : sequence
-        What is shared out. How many ranks there are has no influence on it.
-    row : numpy.dtype
-        What the results of a unit travel in and the journal keeps: a row an item, as a rule.
-    items : str
-        What an item is, in the plural.
+    `units` are shared out; how many ranks there are has no influence on them. `row`, a NumPy dtype,
+    is what the results of a unit travel in and the journal keeps: a row an item, as a rule. `items`
+    is what an item is, in the plural.
     """
 
     def open(self, group):
@@ -29,37 +24,27 @@ class Task:
         raise NotImplementedError
 
     def length(self, unit):
-        """Return how many items a unit has. Not collective."""
+        """Return how many items a unit has."""
         return len(unit)
 
     def blank(self, unit):
-        """Return rows of zeros for a unit that a dry run does not do. Not collective."""
+        """Return rows of zeros for a unit that a dry run does not do."""
         return np.zeros(self.length(unit), self.row)
 
     def sample(self, unit):
-        """Return a small part of a unit, for a dry run to try. Not collective."""
+        """Return a small part of a unit, for a dry run to try."""
         return unit
 
     def collect(self, rows, seconds):
-        """Return the record that all rows, an array of `row`, make up in the order of the units.
+        """Return the record of all rows, an array of `row` in the order of the units, on rank 0.
 
-        Not collective: called on rank 0. `seconds` is what the task took.
+        `seconds` is what the task took.
         """
         raise NotImplementedError
 
 
 def carry_out(task, crew, progress="none"):
-    """Return the record of a task on rank 0, None on the others.
-
-    Collective. Raises what `Crew.share` raises.
-
-    Parameters
-    ----------
-    task : Task
-    crew : pgran.run.crew.Crew
-    progress : str
-        Style of `progress.Progress`.
-    """
+    """Return the record of a task on rank 0, None on the others. Collective."""
     started, root = time.perf_counter(), crew.world.rank == 0
     style = progress if root and not crew.dry else "none"
     total, parts = sum(map(task.length, task.units)), {}

@@ -30,7 +30,7 @@ TROUBLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError
 
 @contextlib.contextmanager
 def opened(path):
-    """Open an HDF5 file as a `CarefulFile`, every trouble a FileError. Not collective."""
+    """Open an HDF5 file as a `CarefulFile`, every trouble a FileError."""
     open_regular(path).close()
     try:
         if not h5py.is_hdf5(path):
@@ -58,6 +58,7 @@ class CarefulFile:
 
     def _member(self, name, kind):
         """Return a member, found without following a link that leads elsewhere."""
+        # step by step: HDF5 itself would follow a link before it can be asked whether it is one
         member, way = self.file, ""
         for part in name.strip("/").split("/") if name != "/" else []:
             way = f"{way}/{part}"
@@ -77,7 +78,7 @@ class CarefulFile:
 
     def attributes(self, group):
         """Return a group's attributes that are texts, numbers or short lists of numbers."""
-        found = {}
+        values = {}
         member = self._member(group, h5py.Group)
         for name in member.attrs:
             declared = member.attrs.get_id(name)
@@ -86,14 +87,11 @@ class CarefulFile:
                 if isinstance(value, np.bytes_):  # a text of fixed length
                     value = value.decode()
                 if isinstance(value, str | np.generic | np.ndarray):
-                    found[name] = value.item() if isinstance(value, np.generic) else value
-        return found
+                    values[name] = value.item() if isinstance(value, np.generic) else value
+        return values
 
     def array(self, name, dtype):
-        """Return a dataset of the file itself, as the type that a record declares.
-
-        Not collective. Numbers of the same kind become this one; integers become real numbers.
-        """
+        """Return a dataset of the file itself, as the type that a record declares."""
         data = self._member(name, h5py.Dataset)
         # Asking for the shape of data that lie elsewhere would open the other file.
         if data.external or data.is_virtual:
@@ -104,6 +102,7 @@ class CarefulFile:
             self.refuse(name, f"holds no {called}s but {data.dtype}")
         if data.shape is None:
             self.refuse(name, "is empty")
+        # a few bytes of compressed zeros can declare terabytes
         self._left -= data.size * data.dtype.itemsize
         if self._left < 0:
             self.refuse(name, f"of shape {data.shape} declares far more than the file holds")
@@ -114,35 +113,28 @@ class CarefulFile:
 
 
 def try_apart(path, module):
-    """Raise a FileError unless a process of its own can read a file. Not collective.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-    module : str
-        What reads it when it is run.
-    """
+    """Raise a FileError unless a process of its own, which runs a module, can read a file."""
     seconds = SECONDS + os.path.getsize(path) / 2**25
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHERS)}
+    variables = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHERS)}
     home = str(Path(__file__).parents[2])
-    kept["PYTHONPATH"] = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
+    variables["PYTHONPATH"] = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
     # -P: a file numpy.py in the present folder stays what it is. A group of its own: mpirun hands
     # the signals that ask a run to stop on to all processes of a rank's.
     words = [sys.executable, "-P", "-m", module, os.fspath(path)]
     try:
         done = subprocess.run(
-            words, env=kept, stdin=subprocess.DEVNULL, capture_output=True, timeout=seconds,
+            words, env=variables, stdin=subprocess.DEVNULL, capture_output=True, timeout=seconds,
             process_group=0,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         raise FileError(f"{path}: damaged: reading it took more than {seconds:.0f} s") from None
     except OSError as error:
         raise FileError(f"{path}: cannot be read apart: {reason_of(error)}") from None
-    said = done.stderr.decode(errors="replace").strip().split("\n")[-1]
+    last_words = done.stderr.decode(errors="replace").strip().split("\n")[-1]
     if done.returncode == BAD_FILE:
-        raise FileError(said)
+        raise FileError(last_words)
     if done.returncode:
-        crash = signal.Signals(-done.returncode).name if done.returncode < 0 else said
+        crash = signal.Signals(-done.returncode).name if done.returncode < 0 else last_words
         raise FileError(f"{path}: damaged: reading it crashed ({crash})")
 
 

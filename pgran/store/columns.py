@@ -1,8 +1,11 @@
 """Columns of numbers in a text file: motions of the wall, and what was measured."""
 
+import os
+
 import numpy as np
 
 from pgran.errors import FileError
+from pgran.store.lines import Lines, is_number
 from pgran.store.paths import open_regular
 
 LONGEST_FILE = 2**26  # bytes
@@ -12,12 +15,8 @@ MEASURED = ("omega", "amplitude", "phase")
 def read_columns(path):
     """Return the numbers in a file of one or two columns, shape (n, 1) or (n, 2).
 
-    Not collective. Blanks, commas or semicolons part them; `#` begins a comment.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be read, or holds what is no finite number, with the line it is in.
+    Blanks, commas or semicolons part them; `#` begins a comment. A FileError names the line of what
+    is no finite number.
     """
     rows = _numbers(path, _lines(path), (1, 2), "one, or a time and one")
     return np.array([row for _, row in rows])
@@ -26,16 +25,11 @@ def read_columns(path):
 def read_measured(path):
     """Return what was measured at some frequencies, columns by their names.
 
-    Not collective. Two columns, `omega` (angular, in the unit of a result) and `amplitude` relative
+    Two columns, `omega` (angular, in the unit of a result) and `amplitude` relative
     to the drive, or three, `phase` in rad too. A header may name them in another order.
-
-    Raises
-    ------
-    FileError
-        As `read_columns`, and if a frequency or an amplitude is not positive.
     """
     lines, names, widths = _lines(path), MEASURED, (2, 3)
-    if lines and not any(map(_is_number, lines[0][1])):
+    if lines and not any(map(is_number, lines[0][1])):
         place, header, _ = lines.pop(0)
         names = [word.strip("\"'").lower() for word in header]
         widths = (len(names),)
@@ -49,38 +43,31 @@ def read_measured(path):
     return columns
 
 
-def _is_number(word):
-    """Return whether a word can be read as a number."""
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
 def _lines(path):
     """Return of each line that is not empty its place, its words, and itself."""
     with open_regular(path) as stream:
-        content = stream.read(LONGEST_FILE + 1)
-    if len(content) > LONGEST_FILE:
-        raise FileError(f"{path}: a file of numbers has at most {LONGEST_FILE} bytes")
-    found = []
-    for number, line in enumerate(content.decode("utf-8-sig", errors="replace").splitlines(), 1):
-        words = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
-        if words:
-            found.append((f"{path}:{number}", words, repr(line.strip()[:60])))
-    return found
+        if os.path.getsize(path) > LONGEST_FILE:
+            raise FileError(f"{path}: a file of numbers has at most {LONGEST_FILE} bytes")
+        lines = Lines(path, stream)
+        return [
+            (
+                f"{path}:{lines.number}",
+                line.replace(",", " ").replace(";", " ").split(),
+                repr(line[:60]),
+            )
+            for line in iter(lines.next_content, None)
+        ]
 
 
 def _numbers(path, lines, widths, meaning):
     """Return of each line its place, and as many finite numbers as the first one has."""
     rows = []
-    for place, words, said in lines:
-        if not all(map(_is_number, words)):
-            raise FileError(f"{place}: {said} is no number; begin comments with #")
+    for place, words, line in lines:
+        if not all(map(is_number, words)):
+            raise FileError(f"{place}: {line} is no number; begin comments with #")
         row = [float(word) for word in words]
         if not np.all(np.isfinite(row)):
-            raise FileError(f"{place}: {said} is not finite; fill the gap, or leave its end away")
+            raise FileError(f"{place}: {line} is not finite; fill the gap, or leave its end away")
         if len(row) != len(rows[0][1] if rows else row) or len(row) not in widths:
             raise FileError(f"{place}: {len(row)} numbers; each line has {meaning}")
         rows.append((place, row))

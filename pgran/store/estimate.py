@@ -11,13 +11,7 @@ FEWEST_SAMPLES = 8
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What a statistic of data comes to.
-
-    Attributes
-    ----------
-    value, error : float or numpy.ndarray
-        Its value and its standard error; NaN where there is none.
-    """
+    """The value of a statistic and its standard error; NaN where there is none."""
 
     value: float | np.ndarray
     error: float | np.ndarray
@@ -26,24 +20,14 @@ class Estimate:
 def jackknife(measure, parts):
     """Return a statistic with its standard error, and without its bias of first order.
 
-    Not collective. With T of all data and T_g of all but part g, one of n independent ones:
+    With T of all data and T_g of all but part g, one of n independent ones:
 
         value = n T - (n - 1) <T_g>,    error^2 = (n - 1) / n sum_g (T_g - <T_g>)^2
 
-    (Quenouille, Biometrika 43, 353 (1956); Tukey, Ann. Math. Stat. 29, 614 (1958)).
-
-    Parameters
-    ----------
-    measure : callable
-        `measure(None)` is the statistic of all data, `measure(g)` without part g; numbers or arrays
-        of one shape.
-    parts : int
-        n.
-
-    Returns
-    -------
-    Estimate
+    (Quenouille, Biometrika 43, 353 (1956); Tukey, Ann. Math. Stat. 29, 614 (1958)). `measure(None)`
+    is T, `measure(g)` is T_g, numbers or arrays of one shape; `parts` is n.
     """
+    # the measure of all data but a part, for each part: their scatter is the error's
     replicas = np.array([measure(part) for part in range(parts)])
     mean = replicas.mean(axis=0)
     value = parts * measure(None) - (parts - 1) * mean
@@ -54,14 +38,8 @@ def jackknife(measure, parts):
 def jackknife_samples(measure, samples):
     """Return a statistic of independent samples with its standard error.
 
-    Not collective. As `jackknife`, with the samples dealt out to at most `MOST` parts.
-
-    Parameters
-    ----------
-    measure : callable
-        What is measured of samples that a mask, shape (samples,), selects.
-    samples : int
-        How many there are, at least `FEWEST_SAMPLES`.
+    As `jackknife`, with the samples, at least `FEWEST_SAMPLES`, dealt out to at most `MOST` parts:
+    `measure` is called with masks, shape (samples,), of those that count.
     """
     part_of = np.arange(samples) % min(samples, MOST)
     return jackknife(
@@ -73,7 +51,7 @@ def jackknife_samples(measure, samples):
 def mean_of(numbers):
     """Return the mean of independent numbers along the first axis, and its standard error.
 
-    Not collective. Both are NaN where there are no numbers, the error where there is only one.
+    Both are NaN where there are no numbers, the error where there is only one.
     """
     numbers = np.asarray(numbers, dtype=float)
     count = len(numbers)
@@ -86,13 +64,13 @@ def mean_of(numbers):
 def two_digits(error):
     """Return an error with two digits, as it stands after +-: 13, 0.0023, 2600.
 
-    Not collective. Only numbers below 1e-4 or from 1e6 on have an exponent.
+    Only numbers below 1e-4 or from 1e6 on have an exponent.
     """
     return f"{float(f'{error:.2g}'):g}"
 
 
 def counted(count, name):
-    """Return a number of things in words, "1 frequency", "2 frequencies". Not collective."""
+    """Return a number of things in words, "1 frequency", "2 frequencies"."""
     if count != 1:
         name = f"{name[:-1]}ies" if name.endswith("y") else f"{name}s"
     return f"{count} {name}"

@@ -1,7 +1,7 @@
 """Results on disk: one HDF5 file a run, written whole by rank 0, and read back.
 
-The fields of the records say what a file holds: it is written and checked by
-them. A group is one of netCDF-4, too: each axis of an array has a dimension scale of one axis.
+The fields of the records say what a file holds: it is written and checked by them. A group is one
+of netCDF-4, too: each axis of an array has a dimension scale of one axis.
 """
 
 import contextlib
@@ -26,21 +26,9 @@ CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with
 
 
 def check_output(path, overwrite, make=True):
-    """Raise unless a result can be written.
+    """Raise a FileError unless a result can be written; make its folder if asked to.
 
-    Not collective.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-    overwrite : bool
-        Whether a result that is there may be replaced; nothing else ever may.
-    make : bool
-        Whether to make its folder.
-
-    Raises
-    ------
-    FileError
+    A result that is there may be replaced if `overwrite` says so, nothing else ever.
     """
     path = Path(path)
     try:
@@ -68,28 +56,18 @@ def _check_place(path, overwrite):
 
 
 def write(path, attributes, records, overwrite=True):
-    """Write a result whole, or leave what was there as it was. Not collective: rank 0.
+    """Write a result whole, or leave what was there as it was and raise a FileError.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-    attributes : dict
-        What the run says of itself; `format`, `format_version` and `created` are added.
-    records : sequence of pgran.store.record.Record
-    overwrite : bool
-        Whether a result that is there by then may be replaced; nothing else ever may.
-
-    Raises
-    ------
-    FileError
+    To the attributes, what the run says of itself, `format`, `format_version` and `created` are
+    added. A result that is there by then may be replaced if `overwrite` says so.
     """
     path = Path(path)
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    known = {"format": FORMAT, "format_version": FORMAT_VERSION, "created": now}
+    own = {"format": FORMAT, "format_version": FORMAT_VERSION, "created": now}
     # by the one run that holds the journal: what it has left when it was killed is its own
     with whole(path, lambda: _check_place(path, overwrite), _Stream, owner="") as stream:
         with h5py.File(stream, "w", libver=CHECKED) as file:
-            for name, value in (known | attributes).items():
+            for name, value in (own | attributes).items():
                 file.attrs[name] = _stored(value)
             for record in records:
                 _write_record(file, record)
@@ -175,7 +153,7 @@ def _attach(group, data, number, scale):
 
 
 def is_result(path):
-    """Return whether a file is a result, whatever became of it since. Not collective."""
+    """Return whether a file is a result, whatever became of it since."""
     if not Path(path).is_file():
         return False
     if has_seal(path):
@@ -186,7 +164,7 @@ def is_result(path):
 
 
 def read_result(path):
-    """Return the result in a file; see `pgran.load`. Not collective."""
+    """Return the result in a file; see `pgran.load`."""
     with hdf5.opened(path) as file:
         facts = file.attributes("/")
         version = facts.get("format_version")
@@ -210,11 +188,11 @@ def _read_record(file, group, kind, facts):
     """Return a group as the record that declares it; `facts` are the attributes of the file."""
     fields = dataclasses.fields(kind)
     there = file.members(group, [item.name for item in fields])
-    values, said = {}, file.attributes(group)
+    values, attributes = {}, file.attributes(group)
     for item in fields:
         name, meta = item.name, item.metadata
         newer = meta.get("since", 1) > facts["format_version"]
-        source = facts if "of_run" in meta else said
+        source = facts if "of_run" in meta else attributes
         if "part" in meta:
             inner = meta["part"].group
             if inner in there:

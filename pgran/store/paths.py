@@ -10,15 +10,7 @@ from pgran.errors import FileError, reason_of
 
 
 def open_regular(path):
-    """Return a file opened for reading bytes, refusing what could block or never end.
-
-    Not collective.
-
-    Raises
-    ------
-    FileError
-        If it cannot be opened, or is a folder, a pipe or a device.
-    """
+    """Return a file opened for reading bytes; refuse what could block or never end."""
     try:
         mode = os.stat(os.fspath(path)).st_mode
         if not stat.S_ISREG(mode):
@@ -33,25 +25,12 @@ def open_regular(path):
 
 @contextlib.contextmanager
 def whole(path, check=lambda: None, kind=open, owner=None):
-    """Open a file for bytes that takes the place of `path` once it is whole. Not collective.
+    """Open a file for bytes that takes the place of `path` once it is whole.
 
     Where anything fails, what was there stays as it was. The folder is made if it is missing; what
     stands in the way of the new file, beside `path`, is removed, and a link is not followed.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-    check : callable, optional
-        Called just before; raises where what is at `path` by then must stay.
-    kind : callable, optional
-        Opens the new file: takes a path and a mode.
-    owner : str, optional
-        A part of the name of the new file, which nobody else writes; else this process's number.
-
-    Raises
-    ------
-    FileError
-        If it cannot be written.
+    `check` raises, just before, where what is at `path` by then must stay; `kind` opens the new
+    file by its path and a mode; `owner` is a part of its name, by default this process's number.
     """
     path = Path(path)
     owner = f"{os.getpid()}." if owner is None else owner

@@ -27,21 +27,11 @@ KINDS = {
 
 
 def array(long_name, units, *axes, dtype=float, since=1, optional=False, row=False):
-    """Declare an array: a dataset of a file.
+    """Declare an array: a dataset of a file, with its axes (None for a coordinate).
 
-    Parameters
-    ----------
-    long_name, units : str
-    *axes : str
-        None for a coordinate.
-    dtype : type
-        Of its entries.
-    since : int
-        The first version of the file format that has it; None in a record of an older file.
-    optional : bool
-        Whether it may be missing in any file.
-    row : bool
-        Whether ranks compute it, one entry of the first axis after the other: see `row_of`.
+    Files have it `since` a version of their format, and it is None in a record of an older one; an
+    `optional` array may be missing in any. With `row` ranks compute it, one entry of the first axis
+    after the other: see `row_of`.
     """
     said = {"long_name": long_name, "units": units, "axes": axes, "dtype": dtype, "since": since}
     return dataclasses.field(
@@ -53,14 +43,8 @@ def array(long_name, units, *axes, dtype=float, since=1, optional=False, row=Fal
 def row_of(kind, without=(), **lengths):
     """Return the fields of a row that ranks send: a record's arrays without their first axis.
 
-    Parameters
-    ----------
-    kind : type
-        The record; those of its arrays count that are declared with `row`.
-    without : sequence of str
-        Optional arrays that are not wanted.
-    **lengths : tuple of int
-        Of the other axes by name; `balls` may be several.
+    Those of its arrays count that are declared with `row`, but for some optional ones. `lengths`
+    are the shapes along the other axes by name; `balls` may be several.
     """
     row = []
     for item in dataclasses.fields(kind):
@@ -92,7 +76,7 @@ def part(kind):
 
 
 def axes_of(item, dimensions):
-    """Return the name of each axis of a field's array in a lattice of so many. Not collective."""
+    """Return the name of each axis of a field's array in a lattice of so many."""
     names, space = [], SPACE[:dimensions]
     for axis in item.metadata.get("along") or item.metadata["axes"] or (item.name,):
         if axis == "balls":
@@ -105,12 +89,12 @@ def axes_of(item, dimensions):
 
 
 def dimensions_of(item, value):
-    """Return how many axes the lattice has by the shape of an array. Not collective."""
+    """Return how many axes the lattice has by the shape of an array."""
     return np.ndim(value) - max(len(item.metadata["axes"]), 1) + 1
 
 
 def plain_value(item, value):
-    """Return an attribute of a file as its field's type, or raise a MisfitError. Not collective."""
+    """Return an attribute of a file as its field's type, or raise a MisfitError."""
     many = item.type not in (int, float, bool, str)
     dtype = item.metadata.get("dtype") or (*get_args(item.type), item.type)[0]
     kinds, called = KINDS[np.dtype(dtype).kind]
@@ -150,7 +134,7 @@ class Record:
     def check(self, lattice_axes):
         """Raise a MisfitError unless every array has its declared axes, each as long everywhere.
 
-        Not collective. `lattice_axes` are the lengths of the lattice's axes by name.
+        `lattice_axes` are the lengths of the lattice's axes by name.
         """
         lengths = dict(lattice_axes)
         for item in dataclasses.fields(self):
@@ -170,7 +154,7 @@ class Record:
     def to_xarray(self):
         """Return the record as an xarray.Dataset: coordinates, units and long names.
 
-        Not collective. Plain values are its attributes. A PgranError says if there is no xarray.
+        Plain values are its attributes. A PgranError says if there is no xarray.
         """
         try:
             import xarray
@@ -215,13 +199,7 @@ class Result:
 
     `result.response` is a `pgran.results.Response`, `result.scene` a text. What is missing raises
     an AttributeError, so `getattr(result, "spectrum", None)` asks for a group that may be missing.
-
-    Parameters
-    ----------
-    records : iterable of Record
-        Kept in the dictionary `records` by group.
-    **attributes
-        Texts and numbers, kept in the dictionary `attributes`.
+    `records` and `attributes` are dictionaries of both.
     """
 
     def __init__(self, records, /, **attributes):

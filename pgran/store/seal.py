@@ -10,23 +10,14 @@ import os
 from pgran.errors import FileError
 from pgran.store.paths import open_regular
 
+# | what HDF5 has written ... | pgran result 2, sha256 of all before, zeros: 512 bytes |
 SEAL_SIZE, SEAL = 512, b"pgran result "
 AT_END = 2  # the version of a seal in this place, that of the format which brought it
 PIECE = 2**20  # bytes read at a time
 
 
 def seal_of(stream, version, start, stop):
-    """Return the seal of a part of a file, which is read through.
-
-    Not collective.
-
-    Parameters
-    ----------
-    stream : io.RawIOBase
-    version : int
-        Of the seal.
-    start, stop : int
-    """
+    """Return the seal, of some version, of the bytes of a file from `start` to `stop`."""
     stream.seek(start)
     digest, left = hashlib.sha256(), stop - start
     while piece := stream.read(min(left, PIECE)):
@@ -49,13 +40,13 @@ def _read_seal(stream):
 
 
 def has_seal(path):
-    """Return whether a file has a seal, right or wrong. Not collective."""
+    """Return whether a file has a seal, right or wrong."""
     with open_regular(path) as stream:
         return bool(_read_seal(stream)[0])
 
 
 def check_seal(path):
-    """Raise a FileError unless a file is a result, unchanged since written. Not collective."""
+    """Raise a FileError unless a file is a result, unchanged since written."""
     with open_regular(path) as stream:
         seal, version, content = _read_seal(stream)
         if not seal:

@@ -40,7 +40,7 @@ class SI:
 
     @classmethod
     def of(cls, result):
-        """Return the units that the run of a `record.Result` was given. Not collective."""
+        """Return the units that the run of a `record.Result` was given."""
         return cls(*(getattr(result, f"units_{name}", None) for name in ("length", "time")))
 
     def factor(self, unit):
@@ -56,7 +56,7 @@ class SI:
     def say(self, unit, *values):
         """Return numbers of the program in SI units, in parentheses; nothing if unknown.
 
-        Not collective. As `si.say("Hz", 1.0)`: " (12.5 kHz)".
+        As `si.say("Hz", 1.0)`: " (12.5 kHz)".
         """
         factor = self.factor(unit)
         if factor is None:
@@ -69,10 +69,7 @@ class SI:
 
 
 def prefix_of(value, unit):
-    """Return what to multiply with so that a value reads well, and the unit with its prefix.
-
-    Not collective.
-    """
+    """Return what to multiply with so that a value reads well, and the unit with its prefix."""
     if not (math.isfinite(value) and value) or unit == "1/s":
         return 1.0, unit
     inverse = unit.startswith("1/")

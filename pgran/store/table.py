@@ -14,39 +14,24 @@ IN_SPACE = "balls", "bonds_"  # what arrays along these hold is a picture, no ta
 def tables(result):
     """Return the tables of a result: columns by their names.
 
-    Not collective. Of each record but the lattice's or the network's all arrays along the same axes
+    Of each record but the lattice's or the network's all arrays along the same axes
     make a table: a row for each place along them, first what is there (`omega`, or a number from
-    0), then the arrays, of each detector a column: `amplitude_8_10`, `amplitude_17`.
-
-    Parameters
-    ----------
-    result : pgran.store.record.Result
-
-    Returns
-    -------
-    dict of str: dict of str: numpy.ndarray
-        By what tells them apart, the group and the axes; the first, of the scene's own record if it
-        has one, by "".
-
-    Raises
-    ------
-    FileError
-        If there is none.
+    0), then the arrays, of each detector a column: `amplitude_8_10`, `amplitude_17`. The tables
+    have the names of what tells them apart, the group and the axes; the first, of the scene's own
+    record if it has one, has the name "". A FileError says if there is none.
     """
     records, scene = result.records, str(result.scene)
     own = {scene: records[scene]} if scene in records else {}
-    found = {}
+    named = {}
     for group, record in (own | records).items():
         if group in ("lattice", "network"):
             continue
-        first = True
-        for axes, columns in _of_record(record).items():
-            name = [group] * (group not in own) + [*axes] * (not first)
-            found["-".join(name) if found else ""] = columns
-            first = False
-    if not found:
+        for number, (axes, columns) in enumerate(_of_record(record).items()):
+            name = [group] * (group not in own) + [*axes] * (number > 0)
+            named["-".join(name) if named else ""] = columns
+    if not named:
         raise FileError(f"no table in this result (scene {result.scene})")
-    return found
+    return named
 
 
 def _of_record(record):
@@ -55,7 +40,7 @@ def _of_record(record):
     along = {item.name: item.metadata["axes"] for item in fields}
     coordinates = {name for name, axes in along.items() if not axes}
     used = {axis for axes in along.values() for axis in axes}
-    found = {}
+    of_axes = {}
     for name, axes in along.items():
         values = getattr(record, name)
         if values is None or name in used or axes == ("detector_number", "axis"):
@@ -63,19 +48,20 @@ def _of_record(record):
         axes = axes or (name,)
         if any(axis.startswith(IN_SPACE) for axis in axes):
             continue
+        # displacement (omega, detector_number): a row each omega, a column each detector
         rows = tuple(axis for axis in axes if axis not in ASIDE)
         at = [axes.index(axis) for axis in rows]
-        if rows not in found:
+        if rows not in of_axes:
             places = [
                 getattr(record, axis) if axis in coordinates else np.arange(values.shape[n])
                 for axis, n in zip(rows, at, strict=True)
             ]
             every = np.meshgrid(*places, indexing="ij")
-            found[rows] = {axis: all_.ravel() for axis, all_ in zip(rows, every, strict=True)}
+            of_axes[rows] = {axis: all_.ravel() for axis, all_ in zip(rows, every, strict=True)}
         if name not in coordinates:
-            found[rows] |= _columns(record, name, values, axes, at)
-    found = {rows: columns for rows, columns in found.items() if len(columns[rows[0]])}
-    return dict(sorted(found.items(), key=lambda table: len(table[0])))
+            of_axes[rows] |= _columns(record, name, values, axes, at)
+    filled = {rows: columns for rows, columns in of_axes.items() if len(columns[rows[0]])}
+    return dict(sorted(filled.items(), key=lambda table: len(table[0])))
 
 
 def _columns(record, name, values, axes, at):

@@ -10,7 +10,6 @@ never stopped.
 
 import contextlib
 import os
-import shutil
 import signal
 import sys
 import tempfile
@@ -140,16 +139,5 @@ def change(number):
     return f"{option_of(scene)}, {'anew' if words else 'gone on with'}", seconds
 
 
-def main():
-    """Carry out all trials; return the exit code."""
-    home = tempfile.mkdtemp(prefix="pgran-changes-")
-    os.chdir(home)
-    failures = faults.carry_out(change, range(int(sys.argv[1])))
-    print(f"{failures} failures; the folders are in {home}" if failures else "no failures")
-    if not failures:
-        shutil.rmtree(home)
-    return 1 if failures else 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(faults.campaign(change, count=int(sys.argv[1])))

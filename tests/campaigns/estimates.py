@@ -18,11 +18,11 @@ from pathlib import Path
 sys.path.append(str(Path(__file__).parents[1]))
 
 import numpy as np
-from synthetic import BondSums, gaussian_fields
+from synthetic import BondSums, gaussian_fields, mean_intensity
 
 from pgran.errors import InputError
-from pgran.experiments.ensemble import intensity as statistics
-from pgran.experiments.ensemble.intensity import NoisyCurves
+from pgran.experiments.ensemble import intensity
+from pgran.experiments.ensemble.noise import MAXIMA_SPACING, NoisyCurves
 from pgran.experiments.modes import levels
 from pgran.experiments.modes.levels import GOE_SPACING_RATIO, POISSON_SPACING_RATIO
 from pgran.experiments.relaxation import memory
@@ -30,13 +30,13 @@ from pgran.experiments.relaxation import memory
 FIELDS = (1, 100), (1, 300), (1, 1000), *((n, 10) for n in (8, 20, 40, 80, 300))
 GAMMA, EDGES = 0.02, np.array([0.3, 1.0])
 MEASURES = {
-    "<I>": (statistics.mean_intensity, 1.0),
-    "<I^2>/<I>^2": (statistics.contrast, statistics.GAUSSIAN_CONTRAST),
-    "spread in dB": (statistics.spread, statistics.GAUSSIAN_SPREAD),
-    "half width": (statistics.half_width, GAMMA),
-    "spacing of maxima": (statistics.maxima_spacing, statistics.MAXIMA_SPACING * GAMMA),
+    "<I>": (mean_intensity, 1.0),
+    "<I^2>/<I>^2": (intensity.contrast, intensity.GAUSSIAN_CONTRAST),
+    "spread in dB": (intensity.spread, intensity.GAUSSIAN_SPREAD),
+    "half width": (intensity.half_width, GAMMA),
+    "spacing of maxima": (intensity.maxima_spacing, MAXIMA_SPACING * GAMMA),
     "P between .3 and 1": (
-        lambda curves: statistics.histogram(curves, EDGES),
+        lambda curves: intensity.histogram(curves, EDGES),
         (np.exp(-0.3) - np.exp(-1.0)) / 0.7,
     ),
 }

@@ -288,12 +288,11 @@ def stop(number):
     return f"{how} {when} the end, {went} units kept", seconds
 
 
-def main(percent):
-    """Carry out that part of the trials; return the exit code."""
+def campaign(*trials, count):
+    """Carry out so many of each of these trials in a new folder; return the exit code."""
     home = tempfile.mkdtemp(prefix="pgran-faults-")
     os.chdir(home)
-    trials = range(TRIALS * int(percent) // 100)
-    failures = carry_out(plant, trials) + carry_out(stop, trials)
+    failures = sum(carry_out(trial, range(count)) for trial in trials)
     print(f"{failures} failures; the folders are in {home}" if failures else "no failures")
     if not failures:
         shutil.rmtree(home)
@@ -301,4 +300,4 @@ def main(percent):
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    sys.exit(campaign(plant, stop, count=TRIALS * int(sys.argv[1]) // 100))

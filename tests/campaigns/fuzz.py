@@ -202,21 +202,33 @@ SHAPE, SIZE = (3, 2), (4, 2)  # of a lattice, and of its bonds along the first a
 LAYOUTS = ({}, {"chunks": True}, {"compression": "gzip", "shuffle": True})
 VIRTUAL = h5py.VirtualLayout(SIZE, float)
 VIRTUAL[...] = h5py.VirtualSource("/dev/zero", "lattice/stiffness_x", SIZE)
+LINKS = [h5py.SoftLink("/lattice"), h5py.SoftLink("/lattice/stiffness_y"), h5py.SoftLink("no"),
+         h5py.ExternalLink("/dev/zero", "/"), h5py.ExternalLink("case.h5", "/lattice")]  # fmt: skip
 TYPES = (
     "S5", complex, bool, [("a", float), ("b", "S3")], h5py.string_dtype(), h5py.ref_dtype,
-    h5py.vlen_dtype(float), "V7", "f2", "f16", "u8", "i1", np.dtype((float, (2, 2))),
-    h5py.enum_dtype({"a": 1, "b": 2}, "i4"), h5py.opaque_dtype(np.dtype("M8[s]")),
+    h5py.vlen_dtype(float), "V7", h5py.opaque_dtype(np.dtype("M8[s]")),
 )  # fmt: skip
-PLACED = (  # what takes the place of bonds: nothing, a link, or the words for an array
-    None, h5py.SoftLink("/lattice"), h5py.SoftLink("/lattice/stiffness_y"), h5py.SoftLink("no"),
-    h5py.ExternalLink("/dev/zero", "/"), h5py.ExternalLink("case.h5", "/lattice"), VIRTUAL,
-    *({"shape": SIZE, "dtype": kind} for kind in TYPES),
-    *({"shape": shape, "dtype": float} for shape in ((), (0,), (0, 3), (2, 2, 2), (1, 2, 3, 4))),
-    {"shape": SIZE, "dtype": float, "external": [("/dev/zero", 0, 64)]},
-    {"shape": (10**6, 10**6), "dtype": float, "chunks": (5000, 10000)},
-    {"data": np.zeros(9 * 10**6), "compression": 1},
-    *({"data": np.full(SIZE, value)} for value in (-0.25, np.nan, np.inf, 1e308)),
-)  # fmt: skip
+NUMBERS = "f2", "f16", "u8", "i1", h5py.enum_dtype({"a": 1, "b": 2}, "i4")
+SHAPES = (), (0,), (0, 3), (1, 2), (4, 3), (2, 2, 2), (1, 2, 3, 4)
+REAL = {"shape": SIZE, "dtype": float}
+# What takes the place of bonds: nothing, a link, words for an array; and why they are refused, if
+# they must be.
+PLACED = (
+    (None, "needs stiffness_x"),
+    *((link, "is a link; links are not read") for link in LINKS),
+    (VIRTUAL, "lies in another file"),
+    (REAL | {"external": [("/dev/zero", 0, 64)]}, "lies in another file"),
+    *((REAL | {"dtype": kind}, "/stiffness_x holds no real numbers") for kind in TYPES),
+    *((REAL | {"dtype": kind}, None) for kind in NUMBERS),
+    *((REAL | {"shape": shape}, "/lattice/stiffness") for shape in SHAPES),
+    (REAL | {"dtype": np.dtype((float, (2, 2)))}, "/lattice/stiffness"),
+    ({"data": h5py.Empty(float)}, "/stiffness_x is empty"),
+    (REAL | {"shape": (10**6, 10**6), "chunks": (5000, 10000)}, "far more than the file holds"),
+    ({"data": np.zeros(9 * 10**6), "compression": 1}, "far more than the file holds"),
+    *(({"data": np.full(SIZE, value)}, "every bond constant must be") for value in (-1, np.nan)),
+    ({"data": np.full(SIZE, np.longdouble(1e308) * 100)}, "every bond constant must be finite"),
+    ({"data": np.full(SIZE, 1e308)}, None),
+)
 ATTRIBUTES = ("text", 1e308, -1, np.ones(4000), [b"a"], h5py.Empty("f"), 1 + 2j, np.nan)
 
 
@@ -259,11 +271,16 @@ def restructure(group, rng):
             group.attrs[key] = ATTRIBUTES[rng.integers(len(ATTRIBUTES))]
         group["\x1b[2J\n"] = group  # it holds itself
         return
+    placed, _ = PLACED[rng.integers(len(PLACED))]
+    if isinstance(placed, dict) and rng.random() < 0.5:
+        del group["stiffness_y"]
+    place(group, placed)
+
+
+def place(group, placed):
+    """Put something in the place of the bonds along the first axis."""
     del group["stiffness_x"]
-    placed = PLACED[rng.integers(len(PLACED))]
     if isinstance(placed, dict):
-        if rng.random() < 0.5:
-            del group["stiffness_y"]
         group.create_dataset("stiffness_x", **placed)
     elif placed is VIRTUAL:
         group.create_virtual_dataset("stiffness_x", placed)

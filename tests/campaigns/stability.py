@@ -158,15 +158,8 @@ known = {}  # exact amplitudes, the same for all runs of a file
 def compared(key, options, record, point, good):
     """Yield the amplitudes at all detectors of a point; at the floor only bounds are promised.
 
-    Parameters
-    ----------
-    key : tuple
-        The file's name and the point's index in the record's arrays.
-    options : pgran.run.options.Options
-    record : namespace
-    point : tuple
-        Bond constants, mass, damping and frequency; empty where the exact amplitudes are not asked.
-    good : bool
+    `key` is the file's name and the point's index in the record's arrays; `point` are the bond
+    constants, mass, damping and frequency, empty where the exact amplitudes are not asked.
     """
     if point and key not in known:
         known[key] = exact_amplitudes(*point, record.detector)

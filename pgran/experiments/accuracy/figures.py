@@ -1,10 +1,12 @@
 """The figure of an accuracy study: error against run time, a colour and a mark a solver."""
 
+from functools import partial
+
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from pgran.draw import style
+from pgran.draw import captions, style
 
 ALIKE = 10  # errors that differ by less are one line: run times are what is to be seen
 MARKS = "os^Dv<>"  # 7, so that with 6 colours no two solvers of 42 look alike
@@ -16,22 +18,23 @@ def figures(result, **_):
     drawn = np.isfinite(accuracy.error_max)
     style.check_any(np.flatnonzero(drawn), "configuration has computed anything")
     alike = np.nanmax(accuracy.error_max) < ALIKE * np.nanmin(accuracy.error_max)
-    if alike:
-        figure, (ax,) = style.page(style.PAGE, 0.9 + 0.18 * np.count_nonzero(drawn))
-        times(ax, accuracy)
-    else:
-        figure, (ax,) = style.page(style.PAGE, 2.9)
-        front(ax, accuracy)
-        figure.set_figheight(2.8 + 0.13 * style.legend_above([ax]))
-    if not np.all(drawn):
-        nothing = ", ".join(dict.fromkeys(accuracy.solver[~drawn]))
-        style.note(figure, f"without a result, at some tolerance: {nothing}")
-    figure.caption = (
+    panel, height = (times, 0.9 + 0.18 * np.count_nonzero(drawn)) if alike else (front, 2.8)
+    caption = (
         f"Largest relative error against run time of {accuracy.experiment}, by solvers and the "
         f"tolerances given to them; median of {accuracy.repeats} runs, bars: from the shortest to "
         "the longest."
     )
+    figure = style.single(partial(panel, accuracy=accuracy), caption, style.PAGE, height)
+    if not np.all(drawn):
+        nothing = ", ".join(dict.fromkeys(accuracy.solver[~drawn]))
+        style.note(figure, f"without a result, at some tolerance: {nothing}")
     yield "front", figure
+
+
+def errors(record, _):
+    """Return what errors are relative to."""
+    reference = captions.number(record.reference_bound)
+    return f"The reference's own relative error: at most {reference}."
 
 
 def times(ax, accuracy):

@@ -1,6 +1,5 @@
 """Scene `accuracy`: error against run time, one experiment by several solvers and tolerances."""
 
-import logging
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +10,6 @@ from pgran.errors import InputError
 from pgran.experiments.accuracy.errors import read_modes, read_pulse, read_relaxation, read_response
 from pgran.experiments.accuracy.study import Comparison, Configuration, Reference, Study
 from pgran.experiments.modes import scene as modes
-from pgran.experiments.modes.shapes import RESIDUAL
 from pgran.experiments.pulse import scene as pulse
 from pgran.experiments.relaxation import scene as relaxation
 from pgran.experiments.response import scene as response
@@ -24,8 +22,6 @@ from pgran.run.keywords import call, options_of
 from pgran.run.options import FILES, INTEGER, REALS, TEXT, Option
 from pgran.run.reading import read_solver
 from pgran.run.task import carry_out
-
-log = logging.getLogger("pgran")
 
 EXPERIMENTS = {"response": response, "modes": modes, "relaxation": relaxation, "pulse": pulse}
 STUDY = (
@@ -43,8 +39,7 @@ STUDY = (
     ),
     Option("accuracy_repeats", INTEGER, 5, "repeats of each timing", low=1),
 )  # fmt: skip
-# What the file of a solver may set besides keys of PETSc's solvers, and what `sweep` and `relax`
-# call it.
+# What the file of a solver may set besides keys of PETSc's solvers, and the keywords of these.
 CHOICES = {
     "steady_refresh_iterations": "refresh_iterations",
     "sweep_method": "method",
@@ -57,10 +52,7 @@ MODES_REFERENCE = 1e-6  # how well a mode must be known to be compared with
 
 
 def check(values, given):
-    """Raise unless the options of a study are those of its experiment; unset all others.
-
-    Not collective.
-    """
+    """Raise unless the options of a study are those of its experiment; unset all others."""
     if values["accuracy_solvers"] is None:
         raise InputError("-accuracy_solvers is missing: options files of the solvers to compare")
     experiment = EXPERIMENTS[values["accuracy_of"]].SCENE
@@ -77,7 +69,7 @@ def check(values, given):
 
 
 def summary(result):
-    """Return in words what a run found: a table, a row a configuration. Not collective."""
+    """Return in words what a run found: a table, a row a configuration."""
     accuracy = result.accuracy
     yield (
         f"{accuracy.compared} of {accuracy.values} numbers compared with a reference that is wrong "
@@ -88,15 +80,12 @@ def summary(result):
         f"  {'solver':{width}} {'asked':>7} {'seconds':>8} {'error':>7} {'median':>7} {'bound':>7} "
         f"{'iterations':>10} {'failures':>8}"
     )
-    for row in range(len(accuracy.label)):
-        numbers = [
-            getattr(accuracy, f"error_{name}")[row] for name in ("max", "median", "bound_max")
-        ]
-        errors = " ".join(f"{'-' if np.isnan(x) else f'{x:.1e}':>7}" for x in numbers)
-        iterations = accuracy.iterations[row]
+    errors = np.transpose([accuracy.error_max, accuracy.error_median, accuracy.error_bound_max])
+    for row, iterations in enumerate(accuracy.iterations):
+        numbers = " ".join(f"{'-' if np.isnan(x) else f'{x:.1e}':>7}" for x in errors[row])
         yield (
             f"{'*' if accuracy.on_front[row] else ' '} {accuracy.solver[row]:{width}} "
-            f"{accuracy.tolerance[row]:7.0e} {accuracy.seconds[row]:8.4f} {errors} "
+            f"{accuracy.tolerance[row]:7.0e} {accuracy.seconds[row]:8.4f} {numbers} "
             f"{'-' if iterations < 0 else iterations:>10} {accuracy.failures[row]:8}"
         )
     yield "* on the front: no other one without failures is faster and as accurate"
@@ -105,26 +94,20 @@ def summary(result):
 def read_configurations(options):
     """Return the configurations that the options ask for, from the files of the solvers.
 
-    Not collective.
-
-    Raises
-    ------
-    FileError, InputError
-        If a file cannot be read, or holds what is no solver's.
+    Raises a FileError or an InputError if one cannot be read, or holds what is no solver's.
     """
-    declared = EXPERIMENTS[options.accuracy_of].SCENE.options
-    own = {option.name: option for option in declared if option.name in CHOICES}
-    paths = options.accuracy_solvers
+    of, paths = options.accuracy_of, options.accuracy_solvers
+    own = {option.name: option for option in EXPERIMENTS[of].SCENE.options}
+    own = {name: option for name, option in own.items() if name in CHOICES}
     names = [Path(path).stem for path in paths]
     if len(set(names)) < len(names):
         names = paths
     configurations = []
     for name, path in zip(names, paths, strict=True):
         values, keys = read_solver(path, own)
-        given = {key: values.get(key, getattr(options, key)) for key in own}
-        choices = {CHOICES[key]: value for key, value in given.items()}
+        choices = {CHOICES[key]: values.get(key, getattr(options, key)) for key in own}
         for tolerance in options.accuracy_tolerances:
-            if options.accuracy_of == "modes":
+            if of == "modes":
                 asked = choices, keys | {"normal_eps_tol": repr(tolerance)}
             else:
                 asked = choices | {"error_tolerance": tolerance}, keys
@@ -137,8 +120,8 @@ def make_study(options, lattice, world):
     of, smallest = options.accuracy_of, 0.1 * min(options.accuracy_tolerances)
     exact, certified = {"error_tolerance": min(REFERENCE, smallest)}, smallest
     if of == "modes":
-        function, places, fixed = modes.find_modes, (lattice,), modes.chosen(options)
-        read, exact, certified = partial(read_modes, lattice, RESIDUAL), {}, MODES_REFERENCE
+        function, places, fixed = modes.find_modes, (lattice,), {}
+        read, exact, certified = partial(read_modes, lattice), {}, MODES_REFERENCE
     elif of == "response":
         places = lattice, driving_frequencies(options, lattice), options.detectors
         function, fixed, read = response.sweep, {"resolve": 0.0, "error_floor": 0.0}, read_response
@@ -175,22 +158,14 @@ def run(lattice, options, crew):
 
 # Of the experiments' options, a study takes those of the one that it repeats; but it decides itself
 # how accurate results are, and what is kept of them.
-DECIDED = {
-    *("error_tolerance", "error_floor", "sweep_resolve", "phase_fit_min", "phase_fit_max"),
-    *("output_fields", "output_models"),
-}
+DECIDED = (
+    "error_tolerance", "error_floor", "sweep_resolve", "phase_fit_min", "phase_fit_max",
+    "output_fields", "output_models",
+)  # fmt: skip
+REPEATED = options_of(response.sweep, relaxation.relax, pulse.pulse, modes.find_modes)
+OPTIONS = (*STUDY, *driven.DETECTORS, *SWEEP, relaxation.OMEGA, *REPEATED)
 SCENE = Scene(
-    options=(
-        *(*STUDY, *driven.DETECTORS, *SWEEP),
-        *(
-            option
-            for option in (
-                *options_of(response.sweep, relaxation.relax, pulse.pulse),
-                *(relaxation.OMEGA, *modes.WHICH),
-            )
-            if option.name not in DECIDED
-        ),
-    ),
+    options=tuple(option for option in OPTIONS if option.name not in DECIDED),
     run=run,
     summary=summary,
     check=check,

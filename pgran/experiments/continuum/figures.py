@@ -4,29 +4,26 @@ import math
 
 import numpy as np
 
-from pgran.draw import marks, style
+from pgran.draw import marks, scales, style
 
 
 def figures(result, **_):
     """Yield the amplitude of the box above its phase."""
     box = result.continuum
-    figure, (upper, lower) = style.page(style.PAGE, 4.4, nrows=2, sharex=True)
-    amplitude(upper, box)
-    phase(lower, box)
-    upper.set_xlabel("")
     (x, y), (lx, ly) = box.point, box.size
     numbers = (
         rf"$x$ = {x:g}, $y$ = {y:g}, $L_x$ = {lx:g}, $L_y$ = {ly:g}, "
         rf"$K_0$ = {box.stiffness:g}, $m$ = {box.mass:g}, $\beta$ = {box.damping:g}"
     )
+    end = "." if box.damping else ", where the amplitude is infinite: peaks end where points lie."
+    captions = [
+        f"The homogeneous box, {numbers}: amplitude at the point relative to the driven wall, "
+        f"against the driving frequency, by the exact series; ticks: resonances{end}",
+        "Its phase.",
+    ]
+    draws = [lambda ax: amplitude(ax, box), lambda ax: phase(ax, box)]
+    figure = style.stack(draws, captions, style.PAGE, shared=True)
     style.above(figure, numbers)
-    style.legend_above([upper])
-    figure.align_ylabels()
-    figure.caption = (
-        f"The homogeneous box, {numbers}: (a) amplitude at the point relative to the driven wall, "
-        "(b) its phase, against the driving frequency, by the exact series; ticks: resonances"
-        + ("." if box.damping else ", where the amplitude is infinite: peaks end where points lie.")
-    )
     yield "exactpl", figure
 
 
@@ -35,7 +32,7 @@ def amplitude(ax, continuum):
 
     Amplitudes of zero, on a wall at rest, are gaps.
     """
-    ax.set(yscale="log", ylabel=style.AMPLITUDE)
+    ax.set(yscale="log", ylabel=scales.AMPLITUDE)
     return _curve(ax, continuum, continuum.amplitude)
 
 
@@ -44,7 +41,7 @@ def phase(ax, continuum):
 
     Without damping the displacement is real and its phase 0 or pi.
     """
-    ax.set_ylabel(style.PHASE)
+    ax.set_ylabel(scales.PHASE)
     if continuum.damping > 0:
         return _curve(ax, continuum, continuum.phase)
     ax.set_yticks([0, np.pi], ["0", r"$\pi$"])
@@ -58,7 +55,7 @@ def _curve(ax, continuum, values, **line):
     unit = math.sqrt(continuum.stiffness / continuum.mass) / continuum.size[0]
     x = continuum.omega / unit
     good = np.isfinite(continuum.amplitude) & (continuum.amplitude > 0)
-    ax.set(xlim=style.limits(x), xlabel=r"driving frequency $\omega L_x/\sqrt{K_0/m}$")
+    ax.set(xlim=scales.limits(x), xlabel=r"driving frequency $\omega L_x/\sqrt{K_0/m}$")
     (curve,) = marks.curves(ax, x, values, good, **line)
     marks.modes(ax, continuum.resonance / unit, "driven resonances")
     return curve

@@ -21,7 +21,7 @@ class ContinuumResponse(Record):
     omega: np.ndarray = array("driving frequency, angular", "sqrt(K0/m)/length")
     displacement: np.ndarray = array(
         "amplitude relative to the driven wall, convention exp(+i omega t)",
-        "1", "omega", dtype=complex,
+        "1", "omega", dtype=complex, row=True,
     )  # fmt: skip
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega")
     phase: np.ndarray = array(PHASE, "rad", "omega")

@@ -12,19 +12,21 @@ from pgran.run.frequencies import FREQUENCIES, check_sweep, checked_frequencies,
 from pgran.run.interface import in_parallel
 from pgran.run.keywords import PROGRESS, call, option, options_of
 from pgran.run.task import Task, carry_out
+from pgran.store.record import columns_of, row_of
 
 LONGEST_UNIT = 256  # frequencies
+POSITIVE = {"low": 1e-100, "high": 1e100}  # no square of it overflows or underflows
 
 
 def check(values, given):
-    """Raise where options contradict each other. Not collective."""
+    """Raise where options contradict each other."""
     check_sweep(values, given)
     if values["units_length"] is not None or values["units_time"] is not None:
         raise InputError("-units_length, -units_time: the box has its own, -continuum_size ...")
 
 
 def summary(result):
-    """Return in words what a run found. Not collective."""
+    """Return in words what a run found."""
     response = result.continuum
     yield (
         f"{len(response.omega)} frequencies, {len(response.resonance)} driven resonances up to "
@@ -38,10 +40,10 @@ def continuum(
     point=option((0.47, 0.52), "where the amplitude is taken", "length"),
     crew=None,
     *,
-    size=option((1.0, 1.0), "extent of the box along x, y", "length", above=0),
-    mass=option(1.0, "mass per area", above=0),
-    stiffness=option(1.0, "K0", above=0),
-    damping=option(0.003, "beta", low=0),
+    size=option((1.0, 1.0), "extent of the box along x, y", "length", **POSITIVE),
+    mass=option(1.0, "mass per area", **POSITIVE),
+    stiffness=option(1.0, "K0", **POSITIVE),
+    damping=option(0.003, "beta", low=0, high=1e100),
     progress=PROGRESS,
 ):
     """Evaluate the exact response of the homogeneous box over a sweep (paper: axysol, exactpl).
@@ -63,26 +65,17 @@ def continuum(
 
 
 class Series(Task):
-    """The exact series, some frequencies at a time.
-
-    Parameters
-    ----------
-    box : pgran.experiments.continuum.series.Continuum
-    omegas : numpy.ndarray, shape (nw,)
-    point : tuple of float
-    """
+    """The exact series at a point of a box, some frequencies at a time."""
 
     items = "frequencies"
-    row = np.dtype([("displacement", complex)])
+    row = np.dtype(row_of(ContinuumResponse))
 
     def __init__(self, box, omegas, point):
         """Cut the sweep."""
         self.box, self.omegas, self.point = box, omegas, point
         self.resonances = box.resonances(omegas[-1])
-        self.units = [
-            range(i, min(i + LONGEST_UNIT, len(omegas)))
-            for i in range(0, len(omegas), LONGEST_UNIT)
-        ]
+        numbers = range(len(omegas))
+        self.units = [numbers[i : i + LONGEST_UNIT] for i in numbers[::LONGEST_UNIT]]
 
     @contextlib.contextmanager
     def open(self, group):
@@ -97,19 +90,17 @@ class Series(Task):
 
     def collect(self, rows, seconds):
         """See `Task`."""
-        displacement, box = rows["displacement"], self.box
+        displacement = rows["displacement"]
+        # without damping 0 or pi
+        phase = np.angle(displacement if self.box.damping else displacement.real)
         return ContinuumResponse(
-            point=tuple(self.point),
-            size=box.size,
-            mass=box.mass,
-            stiffness=box.stiffness,
-            damping=box.damping,
+            point=self.point,
+            **vars(self.box),
             omega=self.omegas,
-            displacement=displacement,
             amplitude=np.abs(displacement),
-            # without damping 0 or pi
-            phase=np.unwrap(np.angle(displacement)) if box.damping else np.angle(displacement.real),
+            phase=np.unwrap(phase) if self.box.damping else phase,
             resonance=self.resonances,
+            **columns_of(ContinuumResponse, rows),
         )
 
 

@@ -20,7 +20,7 @@ Extended precision, where the machine has it, because terms cancel where the amp
 
 import math
 from dataclasses import dataclass
-from decimal import Context, Decimal
+from decimal import Context, Decimal, localcontext
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from pgran.errors import InputError
 
 PI = np.longdouble("3.14159265358979323846264338327950288419716939937510582")
 PI_SQUARED = Decimal("9.86960440108935861883449099987615113531369940724079")
-EXACT = Context(prec=50)
+EXACT = Context(prec=50)  # of all decimals below
 
 # What is smaller than the leading term by exp(-NEGLECTED), 2e-22, is left out.
 NEGLECTED = 50.0
@@ -37,23 +37,15 @@ NEGLECTED = 50.0
 # least: a trapezoidal rule of step STEP is wrong by about exp(-2 pi .68 / STEP) = 3e-19.
 ANGLE = PI / 4
 STEP = np.longdouble(0.1)
-PART = 64  # frequencies treated at once, which bounds memory
+TOGETHER = 64  # frequencies treated at once, which bounds memory
 HALF_WAVES = 2000  # along a side: integers below 2^11 times a double are exact in long doubles
-LARGEST = 1e100  # of parameters, and of their inverses, so that no square overflows
 
 
 @dataclass(frozen=True)
 class Continuum:
-    """A box of uniform stiffness, driven at the wall x = Lx.
+    """A box of the size Lx, Ly, of uniform stiffness K0, driven at the wall x = Lx.
 
-    Parameters
-    ----------
-    size : tuple of float
-        Lx and Ly, positive.
-    mass, stiffness : float
-        m and K0, positive.
-    damping : float
-        beta, not negative.
+    Parameters and their inverses are 1e100 at most, so that no square overflows.
     """
 
     size: tuple = (1.0, 1.0)
@@ -62,46 +54,18 @@ class Continuum:
     damping: float = 0.003
 
     def __post_init__(self):
-        """Raise InputError if a value is impossible."""
+        """Raise InputError unless there are two lengths."""
         if len(self.size) != 2:
             raise InputError(f"continuum_size: two lengths are needed, not {len(self.size)}")
-        object.__setattr__(self, "size", tuple(float(length) for length in self.size))
-        positive = [("size", length) for length in self.size]
-        positive += [("mass", self.mass), ("stiffness", self.stiffness)]
-        for name, value in positive:
-            if not 1 / LARGEST <= value <= LARGEST:
-                raise InputError(
-                    f"continuum_{name}: must be positive and finite (1e-100 to 1e100), not {value}"
-                )
-        if not 0 <= self.damping <= LARGEST:
-            raise InputError(f"continuum_damping: must be 0 or more and finite, not {self.damping}")
 
     def response(self, omega, point):
-        """Return the amplitude at a point for each driving frequency (paper: axysol).
+        """Return the amplitude at (x, y) for each driving frequency, 0 or more (paper: axysol).
 
-        Not collective.
+        Complex, relative to the driven wall, for exp(+i omega t), in the shape of `omega`; the
+        corners belong to the walls at rest. No double falls on an undamped resonance exactly.
+        Raises an InputError if the point lies outside the box, or a frequency is negative, not
+        finite, or so high that more than `HALF_WAVES` half-waves fit along the box.
 
-        Parameters
-        ----------
-        omega : array_like of float
-            Angular frequencies, 0 or more.
-        point : tuple of float
-            x and y in the box; the corners belong to the walls at rest.
-
-        Returns
-        -------
-        numpy.ndarray of complex, the shape of `omega`
-            Relative to the driven wall, for exp(+i omega t). No double falls on an undamped
-            resonance exactly.
-
-        Raises
-        ------
-        InputError
-            If the point lies outside the box, or a frequency is negative, not finite, or so high
-            that more than `HALF_WAVES` half-waves fit along the box.
-
-        Notes
-        -----
         The result is exact for the given doubles to 1e-12 of itself, next to every wall and every
         resonance too. Exceptions: within about 1e-10 of omega of a zero of the undamped response,
         where A is more than 1e6 times smaller than the terms that cancel (there the error is below
@@ -117,32 +81,23 @@ class Continuum:
                 raise InputError(f"continuum_point: {name} = {value} is outside [0, {length}]")
         x, y = (np.longdouble(float(value)) for value in point)
         amplitude = np.empty(omega.size, dtype=complex)
-        for first in range(0, omega.size, PART):
-            part = slice(first, first + PART)
-            amplitude[part] = self._series(omega.ravel()[part], x, y)
+        with localcontext(EXACT):
+            for first in range(0, omega.size, TOGETHER):
+                these = slice(first, first + TOGETHER)
+                amplitude[these] = self._series(omega.ravel()[these], x, y)
         return amplitude.reshape(omega.shape)
 
     def resonances(self, omega_max):
         """Return the frequencies up to `omega_max` of the modes that the wall drives, ascending.
 
-        Not collective. The eigenvalues with odd q2 (paper: simpfreq). Raises as `response` does.
+        omega^2 = (K0/m) pi^2 (q1^2/Lx^2 + q2^2/Ly^2) with q1 >= 1 and q2 odd (paper: eigvalues,
+        simpfreq), damping left aside. Raises as `response` does.
         """
-        return self._modes(omega_max, 2)
-
-    def eigenvalues(self, omega_max):
-        """Return all eigenfrequencies up to `omega_max`, walls at rest, ascending.
-
-        Not collective. omega^2 = (K0/m) pi^2 (q1^2/Lx^2 + q2^2/Ly^2) with q1, q2 >= 1
-        (paper: eigvalues), damping left aside; degenerate ones repeated. Raises as `response` does.
-        """
-        return self._modes(omega_max, 1)
-
-    def _modes(self, omega_max, stride):
-        """Return the frequencies of all q1 >= 1 and every `stride`-th q2 >= 1."""
-        self._half_waves(*self._wavenumber(np.array([omega_max], dtype=float), 0.0)[0])
+        with localcontext(EXACT):
+            self._half_waves(*self._wavenumber(np.array([omega_max], dtype=float), 0.0)[0])
         unit = math.pi * math.sqrt(self.stiffness / self.mass)
         q1, q2 = (np.arange(1, int(omega_max / unit * length) + 2) for length in self.size)
-        omega = unit * np.hypot(q1[:, None] / self.size[0], q2[::stride] / self.size[1]).ravel()
+        omega = unit * np.hypot(q1[:, None] / self.size[0], q2[::2] / self.size[1]).ravel()
         return np.sort(omega[omega <= omega_max])
 
     def _series(self, omega, x, y):
@@ -150,9 +105,10 @@ class Continuum:
         lx, ly = (np.longdouble(length) for length in self.size)
         y = min(y, ly - y)  # the sum is symmetric, and its terms are most accurate for small y
         real, loss = self._wavenumber(omega, self.damping)
-        half_waves = self._half_waves(max(map(EXACT.add, real, loss)))
+        half_waves = self._half_waves(max(a + b for a, b in zip(real, loss, strict=True)))
         z, loss = _pairs(real), _sum(_pairs(loss))
         wave = np.sqrt(_sum(z) - 1j * loss)
+        # nu = 1, 3, ... 2 count - 1 in the sum, and above in the integral, if that is less work
         count = math.ceil(half_waves * self.size[1] / 2) + 1
         nodes, weights = _contour(2 * count, PI * (lx - x) / ly, PI * y / ly)
         enough = _enough(wave, lx - x, ly)
@@ -174,15 +130,15 @@ class Continuum:
         m, k, beta = (Decimal(float(v)) for v in (self.mass, self.stiffness, damping))
         real, loss = [], []
         for w in map(Decimal, omega.tolist()):
-            force, drag = EXACT.multiply(m, EXACT.multiply(w, w)), EXACT.multiply(w, beta)
-            scale = EXACT.divide(force, EXACT.fma(k, k, EXACT.multiply(drag, drag)))
-            real.append(EXACT.multiply(scale, k))
-            loss.append(EXACT.multiply(scale, drag))
+            drag = w * beta
+            scale = m * (w * w) / (k * k + drag * drag)
+            real.append(scale * k)
+            loss.append(scale * drag)
         return real, loss
 
     def _half_waves(self, z):
         """Return sqrt(z)/pi, half-waves to a unit of length, unless too many."""
-        half_waves = float(EXACT.sqrt(z)) / math.pi
+        half_waves = float(z.sqrt()) / math.pi
         if half_waves * max(self.size) > HALF_WAVES:
             raise InputError(
                 f"omega: too high, there would be more than {HALF_WAVES} half-waves along the box"
@@ -227,14 +183,14 @@ def _turn(n, s, length):
 
 def _squares(n, length):
     """Return (n pi/length)^2 as pairs of doubles, shape (2, len(n))."""
-    unit = EXACT.divide(PI_SQUARED, EXACT.power(Decimal(length), 2))
-    return _pairs([EXACT.multiply(unit, int(i) ** 2) for i in n])
+    unit = PI_SQUARED / Decimal(length) ** 2
+    return _pairs([unit * int(i) ** 2 for i in n])
 
 
 def _pairs(numbers):
     """Return decimals as pairs of doubles, high and low, shape (2, len)."""
     high = [float(number) for number in numbers]
-    low = [float(EXACT.subtract(n, Decimal(h))) for n, h in zip(numbers, high, strict=True)]
+    low = [float(number - Decimal(h)) for number, h in zip(numbers, high, strict=True)]
     return np.array([high, low])
 
 
@@ -243,9 +199,9 @@ def _sum(*pairs):
     high, low = 0.0, 0.0
     for more, lower in pairs:
         total = high + more
-        kept = total - high
+        added = total - high
         # Knuth's two-sum: what rounding took from the total.
-        low = low + ((high - (total - kept)) + (more - kept)) + lower
+        low = low + ((high - (total - added)) + (more - added)) + lower
         high = total
     return high + np.asarray(low, dtype=np.longdouble)
 

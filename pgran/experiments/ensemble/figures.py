@@ -1,15 +1,23 @@
 """The figures of an ensemble: curves with their band, histograms of numbers, densities of modes."""
 
 import math
-import re
+from functools import partial
 
 import numpy as np
 
-from pgran.draw import style
-from pgran.draw.style import NUMBERS
+from pgran.draw import scales, style
+from pgran.draw.scales import Quantity
+from pgran.experiments.ensemble.record import measures
+from pgran.experiments.modes.figures import (
+    bin_edges,
+    density_axes,
+    density_of,
+    participation_axes,
+)
 
-SINGLE = ("#0072B2", "#E69F00", "#009E73")  # three samples
-SAID = {
+# Numbers of a sample, by their names in the record, which declares how they are called.
+NUMBERS = {name: Quantity(*measure.quantity) for name, measure in measures().items()}
+CAPTIONS = {
     "amplitude": "Amplitude against the driving frequency over samples: the band of 80 % of them, "
     "their median, and the coherent part $|\\langle A\\rangle|$, where it is more than the mean of "
     "so many samples has by chance, less that.",
@@ -30,48 +38,46 @@ def figures(result, **_):
     """Yield what there is: bands of curves, densities of modes, and histograms of numbers."""
     found, lattice = result.ensemble, result.medium
     style.check_any(found.seed[found.good > 0], "sample that is as accurate as asked")
-    made = {}
-    if found.omega is not None:
-        for name, panel in (("amplitude", amplitude), ("delay", delay)):
-            if np.isfinite(getattr(found, "delay" if name == "delay" else "ln_amplitude")).any():
-                made[name] = _curves_page(found, lattice, panel)
-    if found.mode_omega is not None and len(np.unique(known(found, "mode_omega"))) > 1:
-        for panel in (density, participation):
-            figure, (ax,) = style.page(style.COLUMN, 2.5)
-            panel(ax, found, lattice)
-            style.legend_above([ax])
-            figure.caption = SAID[panel.__name__]
-            made[panel.__name__] = figure
-    for name in NUMBERS:
-        values = getattr(found, name)
-        columns = range(0 if values is None else np.size(values[:1]))
-        shown = [d for d in columns if len(np.unique(known(found, name, d))) > 1]
-        if shown:
-            figure, panels = style.page(style.COLUMN, 0.4 + 1.9 * len(shown), nrows=len(shown))
-            for ax, d in zip(panels, shown, strict=True):
-                histogram(ax, found, name, d)
-            figure.caption = (
-                f"Histogram over samples: {NUMBERS[name]}; line and band: mean and its standard "
-                "error."
-            )
-            if any(withheld(found, name, d) for d in shown):
-                figure.caption += " Withheld: samples in which it is not certain."
-            made[name] = figure
-    for name, figure in made.items():
+    for name, figure in _pages(found, lattice):
         if found.left_out:
             style.note(figure, f"{found.left_out} of {len(found.seed)} samples are left out")
         yield name, figure
 
 
-def known(found, name, detector=None):
-    """Return a number of all samples that are good and have it, shape (n,).
+def _pages(found, lattice):
+    """Yield the names and the figures."""
+    curves = {"amplitude": (amplitude, found.ln_amplitude), "delay": (delay, found.delay)}
+    for name, (panel, values) in curves.items():
+        if found.omega is not None and np.isfinite(values).any():
+            yield name, _curves_page(found, lattice, panel)
+    if found.mode_omega is not None and len(np.unique(known(found, "mode_omega"))) > 1:
+        for panel in (density, participation):
+            draw = partial(panel, found=found, lattice=lattice)
+            yield panel.__name__, style.single(draw, CAPTIONS[panel.__name__])
+    for name, quantity in NUMBERS.items():
+        values = getattr(found, name)
+        columns = range(0 if values is None else np.size(values[:1]))
+        shown = [d for d in columns if len(np.unique(known(found, name, d))) > 1]
+        if shown:
+            draws = [partial(histogram, found=found, name=name, detector=d) for d in shown]
+            figure = style.stack(draws, [""], height=2.0)
+            figure.caption = (
+                f"Histogram over samples: {quantity.name} {quantity.own}".strip()
+                + "; line and band: mean and its standard error."
+            )
+            if any(withheld(found, name, d) for d in shown):
+                figure.caption += " Withheld: samples in which it is not certain."
+            yield name, figure
 
-    Parameters
-    ----------
-    found : pgran.results.Ensemble
-    name : str
-    detector : int, optional
-    """
+
+def errors(record, _):
+    """Return how many samples are good."""
+    lost = f"; {record.left_out} more are left out" if record.left_out else ""
+    return f"Each of {np.count_nonzero(record.good)} samples has the accuracy asked for{lost}."
+
+
+def known(found, name, detector=None):
+    """Return a number of all samples that are good and have it, shape (n,)."""
     values = getattr(found, name)[found.good > 0]
     if detector is not None and values.ndim > 1:
         values = values[:, detector]
@@ -84,26 +90,16 @@ def withheld(found, name, detector=None):
 
 
 def amplitude(ax, found, lattice, detector=0):
-    """Draw the band, the median, some samples, and the `coherent` part; return the median.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    found : pgran.results.Ensemble
-        Of responses.
-    lattice : pgran.results.LatticeRecord
-    detector : int
-    """
-    single = None
-    if found.displacement is not None:
-        single = np.abs(found.displacement[:, :, detector])
+    """Draw the band, the median, some samples, and the `coherent` part; return the median."""
+    values = found.displacement
+    single = None if values is None else np.abs(values[:, :, detector])
     drawn = _band(ax, found, lattice, np.exp(found.ln_amplitude[:, :, detector]), single)
-    look = {"color": "#D55E00", "linestyle": (0, (3, 1)), "linewidth": 1.2}
     part = coherent(found, detector)
     if np.isfinite(part).any():
+        look = {"color": style.UNRESOLVED, "linestyle": (0, (3, 1)), "linewidth": 1.2}
         label = r"coherent, $|\langle A\rangle|$"
         ax.plot(found.omega / lattice.omega_mx, part, label=label, **look)
-    ax.set(yscale="log", ylabel=style.AMPLITUDE)
+    ax.set(yscale="log", ylabel=scales.AMPLITUDE)
     return drawn
 
 
@@ -123,18 +119,15 @@ def coherent(found, detector):
 def delay(ax, found, lattice, detector=0):
     """Draw the band of the group delay, its median, and some samples; return the median.
 
-    Linear up to the power of ten next to the median, logarithmic beyond. Parameters are those of
-    `amplitude`.
+    Linear up to the power of ten next to the median, logarithmic beyond.
     """
-    values = found.delay[:, :, detector] * lattice.omega_mx
-    single = None
-    if found.sample_delay is not None:
-        single = found.sample_delay[:, :, detector] * lattice.omega_mx
+    values, each = found.delay[:, :, detector] * lattice.omega_mx, found.sample_delay
+    single = None if each is None else each[:, :, detector] * lattice.omega_mx
     drawn = _band(ax, found, lattice, values, single)
     middle = np.nanmedian(np.abs(values[found.statistic.tolist().index("median")]))
     threshold = 10.0 ** round(math.log10(middle)) if middle > 0 else 1.0
-    style.symmetric(ax, values[np.isfinite(values)], threshold)
-    ax.set_ylabel(style.DELAY)
+    scales.symmetric(ax, values[np.isfinite(values)], threshold)
+    scales.label(ax.yaxis, scales.DELAY)
     return drawn
 
 
@@ -144,10 +137,10 @@ def _band(ax, found, lattice, values, single):
     band = values[row("low")], values[row("high")]
     ax.fill_between(x, *band, color=BAND, linewidth=0, label="10 to 90 % of the samples")
     if single is not None:
-        for n, shade in zip(np.flatnonzero(found.good)[:3], SINGLE, strict=False):
+        for n, shade in zip(np.flatnonzero(found.good), style.COLOURS[1:4], strict=False):
             ax.plot(x, single[n], color=shade, linewidth=0.4, label=f"seed {found.seed[n]}")
     (median,) = ax.plot(x, values[row("median")], color="black", linewidth=1.0, label="median")
-    style.frequencies(ax, x)
+    scales.frequencies(ax, x)
     return median
 
 
@@ -161,27 +154,18 @@ def _curves_page(found, lattice, panel):
         panel(ax, found, lattice, d)
         if count > 1:
             ax.set_title(names[d])
-    rows_above = style.legend_above([panels[columns - 1]])
-    figure.set_figheight(figure.get_figheight() + 0.13 * (rows_above - 1))
+    style.legend_above([panels[columns - 1]])
     single = any("seed" in str(line.get_label()) for line in panels[0].get_lines())
-    figure.caption = SAID[panel.__name__] + (" Thin lines: single samples." if single else "")
+    figure.caption = CAPTIONS[panel.__name__] + " Thin lines: single samples." * single
     return figure
 
 
 def histogram(ax, found, name, detector=0):
-    """Draw the histogram of a number over the samples, its mean and the mean's error.
+    """Draw the histogram of a number (a key of NUMBERS) over the samples, its mean and its error.
 
     Returns the outline.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    found : pgran.results.Ensemble
-    name : str
-        A key of NUMBERS.
-    detector : int
     """
-    values = known(found, name, detector)
+    values, quantity = known(found, name, detector), NUMBERS[name]
     whole = np.all(values == np.round(values)) and np.ptp(values) <= BINS
     bins = np.arange(values.min() - 0.5, values.max() + 1) if whole else _bins(values)
     counts, edges = np.histogram(values, bins)
@@ -191,13 +175,13 @@ def histogram(ax, found, name, detector=0):
     ax.axvspan(mean - error, mean + error, color="black", alpha=0.35, linewidth=0)
     ax.axvline(mean, color="black")
     where = "" if found.detector is None else f"{style.ball_names(found.detector)[detector]}: "
-    unit = re.search(r"\((\$.*\$)\)$", NUMBERS[name]) or ""
     places = max(0, 1 - math.floor(math.log10(error)))
-    numbers = rf"${mean:.{places}f} \pm {error:.{places}f}$ {unit and unit[1]}".rstrip()
-    ax.set_title(f"{where}mean {numbers}")
+    numbers = rf"${mean:.{places}f} \pm {error:.{places}f}$ {quantity.own.strip('()')}"
+    ax.set_title(f"{where}mean {numbers.strip()}")
     missing = withheld(found, name, detector)
     of = f"{len(values)}; {missing} withheld" if missing else f"of {len(values)}"
-    ax.set(xlabel=NUMBERS[name], ylabel=f"samples ({of})")
+    ax.set(ylabel=f"samples ({of})")
+    scales.label(ax.xaxis, quantity)
     ax.set_ylim(bottom=0)
     ax.locator_params("x", nbins=6)
     ax.locator_params("y", integer=True)
@@ -211,52 +195,32 @@ def _bins(values):
     return np.linspace(values.min(), values.max(), min(max(count, 4), BINS) + 1)
 
 
-def _frequency_bins(x):
-    """Return edges of bins from the lowest to the highest mode."""
-    count = np.count_nonzero(np.isfinite(x))
-    return np.linspace(np.nanmin(x), np.nanmax(x), min(60, max(10, round(math.sqrt(count)))) + 1)
-
-
 def density(ax, found, lattice):
-    """Draw the density of modes a sample, with its standard error; return the outline.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    found : pgran.results.Ensemble
-        Of modes, with those of each sample.
-    lattice : pgran.results.LatticeRecord
-    """
+    """Draw the density of modes a sample, with its standard error; return the outline."""
     x = found.mode_omega[found.good > 0] / lattice.omega_mx
-    edges = _frequency_bins(x)
-    counts = np.array([np.histogram(row, edges)[0] for row in x])
-    counts = counts / np.diff(edges) / lattice.free_balls
-    mean, error = counts.mean(axis=0), counts.std(axis=0, ddof=1) / math.sqrt(len(x))
-    low, high = mean - error, mean + error
-    ax.stairs(high, edges, baseline=low, fill=True, color="#999999", label="its standard error")
+    edges = bin_edges(x)
+    each = np.array([density_of(row, edges, lattice) for row in x])
+    mean, error = each.mean(axis=0), each.std(axis=0, ddof=1) / math.sqrt(len(x))
+    shade = {"fill": True, "color": "#999999", "label": "its standard error"}
+    ax.stairs(mean + error, edges, baseline=mean - error, **shade)
     outline = ax.stairs(mean, edges, color="black", label=f"mean of {len(x)} samples")
-    ax.set(ylim=(0, None), ylabel=style.DENSITY)
-    style.frequencies(ax, edges, style.MODE_FREQUENCY)
+    density_axes(ax, edges)
     return outline
 
 
 def participation(ax, found, lattice):
     """Draw the participation ratio against frequency, its band and median over the modes of a bin.
 
-    Returns the median. Parameters are those of `density`.
+    Returns the median.
     """
     x, values = known(found, "mode_omega") / lattice.omega_mx, known(found, "participation")
-    edges = _frequency_bins(x)
+    edges = bin_edges(x)
     bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
-    band = np.full((3, len(edges) - 1), np.nan)
+    low, middle, high = np.full((3, len(edges) - 1), np.nan)
     for n in np.unique(bins):
-        band[:, n] = np.percentile(values[bins == n], (10, 50, 90))
-    ax.stairs(
-        band[2], edges, baseline=band[0], fill=True, color=BAND, label="10 to 90 % of the modes"
-    )
-    median = ax.stairs(band[1], edges, baseline=None, color="black", label="median")
-    balls = lattice.free_balls
-    ax.set(yscale="log", ylim=(1, max(balls, 10)))
-    style.frequencies(ax, edges, style.MODE_FREQUENCY)
-    ax.set_ylabel(f"participation ratio $P_i$ (of {balls} balls)")
+        low[n], middle[n], high[n] = np.percentile(values[bins == n], (10, 50, 90))
+    shade = {"fill": True, "color": BAND, "label": "10 to 90 % of the modes"}
+    ax.stairs(high, edges, baseline=low, **shade)
+    median = ax.stairs(middle, edges, baseline=None, color="black", label="median")
+    participation_axes(ax, edges, lattice)
     return median

@@ -16,24 +16,8 @@ import math
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.experiments.ensemble.noise import MAXIMA_SPACING, NoisyCurves, spacing_of_maxima
+from pgran.experiments.ensemble.noise import spacing_of_maxima
 from pgran.store.estimate import FEWEST, Estimate
-
-__all__ = [
-    "GAUSSIAN_CONTRAST",
-    "GAUSSIAN_SPREAD",
-    "MAXIMA_SPACING",
-    "NoisyCurves",
-    "contrast",
-    "correlation",
-    "gaussian_distribution",
-    "half_width",
-    "histogram",
-    "lorentzian",
-    "maxima_spacing",
-    "mean_intensity",
-    "spread",
-]
 
 # Of a complex Gaussian field, the sum of many independent modes: P(I/<I>) = exp(-I/<I>), so that
 # <I^2>/<I>^2 = 2 (Goodman, Speckle Phenomena in Optics, 2007, section 3.2); and the standard
@@ -45,22 +29,8 @@ GAUSSIAN_SPREAD = 10 / math.log(10) * math.pi / math.sqrt(6)
 # these are -.8 and 1.9 for <I^2>/<I>^2, which few strong samples rule (tests/campaigns/estimates).
 SAMPLES_FOR = {"<I^2>/<I>^2": 80, "spread in dB": 20, "half width": 80}
 LENGTH_FOR_WIDTH = 800  # half widths of a single curve; of 600 these are -.6 and 1.6
-NEAR = 0.1  # of an edge: where the density at it is taken from
+NEAR = 0.1  # of an edge: within that its density is counted
 POINTS_TO_MAXIMUM = 6  # with fewer, splines miss more than one maximum in a hundred
-
-
-def gaussian_distribution(x):
-    """Return exp(-x), the density of x = I/<I> of a complex Gaussian field. Not collective."""
-    return np.exp(-np.asarray(x))
-
-
-def lorentzian(shift, gamma):
-    """Return 1 / (1 + (shift/gamma)^2), the correlation of I where many modes overlap.
-
-    Not collective. Of overlapping modes of one width Gamma (Ericson, Ann. Phys. 23, 390 (1963);
-    Schroeder, J. Acoust. Soc. Am. 34, 1819 (1962), for rooms).
-    """
-    return 1 / (1 + (np.asarray(shift) / gamma) ** 2)
 
 
 def _moment(x, weights):
@@ -69,12 +39,12 @@ def _moment(x, weights):
 
 
 def _along(y, weights):
-    """Return the mean over the window of what `_moment` has found."""
+    """Return the mean over the window of a function of `_moment`."""
     return np.average(y, weights=weights) if np.ndim(y) else y
 
 
 def _enough(curves, name):
-    """Raise where samples are too few for a measure with an error that is right."""
+    """Raise where samples are too few for the error of a measure to be right."""
     needed = SAMPLES_FOR[name]
     if 1 < curves.samples < needed:
         raise InputError(
@@ -83,23 +53,15 @@ def _enough(curves, name):
         )
 
 
-def mean_intensity(curves):
-    """Return <I> over samples and window. Not collective."""
-    return curves.estimate(lambda x, w: _along(_moment(x, w), w))
-
-
 def contrast(curves):
     """Return <I^2>/<I>^2; `GAUSSIAN_CONTRAST` for a complex Gaussian field.
 
-    Not collective. Where few strong samples are missed both it and its spread over samples come out
-    small. The inverse <I>^2/<I^2> varies about as much wherever it lies, so the error is taken
-    from that, and is the larger of the two that one of the inverse makes; NaN if that is as large
-    as the inverse.
+    Where few strong samples are missed both it and its spread over samples come out small. The
+    inverse <I>^2/<I^2> varies about as much wherever it lies, so the error is taken from that:
 
-    Raises
-    ------
-    InputError
-        If samples are fewer than `SAMPLES_FOR` has.
+        1 / (1/c - e) - c = c (c e) / (1 - c e),    e the error of the inverse, c the value,
+
+    the larger of both sides; NaN if e is as large as the inverse.
     """
     _enough(curves, "<I^2>/<I>^2")
 
@@ -107,47 +69,30 @@ def contrast(curves):
         return _along(_moment(x**2, w) / _moment(x, w) ** 2, w)
 
     value = curves.estimate(measure).value
-    part = value * curves.estimate(lambda x, w: 1 / measure(x, w)).error
-    return Estimate(value, value * part / (1 - part) if part < 1 else math.nan)
+    relative = value * curves.estimate(lambda x, w: 1 / measure(x, w)).error
+    return Estimate(value, value * relative / (1 - relative) if relative < 1 else math.nan)
 
 
 def spread(curves):
-    """Return the standard deviation of 10 log10 I in dB.
-
-    Not collective. `GAUSSIAN_SPREAD` for a complex Gaussian field.
-
-    Raises
-    ------
-    InputError
-        If an amplitude vanishes, or samples are fewer than `SAMPLES_FOR` has.
-    """
+    """Return the standard deviation of 10 log10 I in dB; `GAUSSIAN_SPREAD` for Gaussian fields."""
     _enough(curves, "spread in dB")
     if np.any(curves.intensity == 0):
         raise InputError("amplitude: one vanishes, and has no level in dB")
 
     def measure(x, w):
         level = 10 * np.log10(x)
-        level -= level.mean()
+        level -= level.mean()  # which drops out; without it digits would cancel
         return np.sqrt(_along(_moment(level**2, w) - _moment(level, w) ** 2, w))
 
     return curves.estimate(measure)
 
 
 def correlation(curves, shifts):
-    """Return C(s) = <dI(omega) dI(omega + s)> / <dI^2>, dI = I/<I> - 1, at some shifts.
+    """Return C(s) = <dI(omega) dI(omega + s)> / <dI^2>, dI = I/<I> - 1, at some shifts s.
 
-    Not collective. `lorentzian` where many modes of one width overlap.
-
-    Parameters
-    ----------
-    curves : NoisyCurves
-    shifts : array_like of float, shape (n,)
-        From 0 to half of the window.
-
-    Raises
-    ------
-    InputError
-        If a shift is outside that.
+    Of overlapping modes of one width Gamma it is 1 / (1 + (s/Gamma)^2) (Ericson, Ann. Phys. 23, 390
+    (1963); Schroeder, J. Acoust. Soc. Am. 34, 1819 (1962), for rooms). Shifts lie between 0 and
+    half of the window, as those beyond have few pairs.
     """
     curves, shifts = curves.uniform, np.asarray(shifts, dtype=float)
     grid = curves.omega[: len(curves.omega) // 2 + 1] - curves.omega[0]
@@ -159,14 +104,8 @@ def correlation(curves, shifts):
 def half_width(curves):
     """Return the shift at which the correlation C of I has fallen to 1/2.
 
-    Not collective. Gamma where many modes of that width overlap. Between points 1/C is a straight
-    line over the square of the shift, as it is for a Lorentzian.
-
-    Raises
-    ------
-    InputError
-        If it has not within a quarter of the window, or has at once: the curve is not resolved; or
-        if samples are fewer than `SAMPLES_FOR` has, a single curve shorter than `LENGTH_FOR_WIDTH`.
+    It is Gamma where many modes of that width overlap. A single curve must be `LENGTH_FOR_WIDTH`
+    long.
     """
     _enough(curves, "half width")
     if curves.samples == 1 and curves.length < LENGTH_FOR_WIDTH:
@@ -179,11 +118,8 @@ def half_width(curves):
 
 
 def _first_half(curves, C):
-    """Return the first shift at which a correlation is 1/2, up to a quarter of the window.
-
-    Beyond, only windows in which it happens to fall early would have one.
-    """
-    C = C[: len(C) // 2 + 1]
+    """Return the first shift at which a correlation is 1/2, up to a quarter of the window."""
+    C = C[: len(C) // 2 + 1]  # beyond, only windows in which it happens to fall early have one
     at = int(np.argmax(C < 0.5))
     if C[at] >= 0.5:
         raise InputError(
@@ -195,7 +131,9 @@ def _first_half(curves, C):
             "is not resolved"
         )
     step = curves.omega[1] - curves.omega[0]
-    before, after = 1 / C[at - 1], 1 / max(C[at], 0.1)  # past 10 the line is no better than its end
+    # between points 1/C is a straight line over the square of the shift, as of a Lorentzian; past
+    # 10 the line is no better than its end
+    before, after = 1 / C[at - 1], 1 / max(C[at], 0.1)
     squares = (at - 1) ** 2 + (2 - before) / (after - before) * (at**2 - (at - 1) ** 2)
     return step * math.sqrt(squares)
 
@@ -203,27 +141,31 @@ def _first_half(curves, C):
 def _correlations(intensity, weights):
     """Return C at all shifts up to half of the window, in steps of the grid.
 
-    Pairs count whose first point has a weight: sums over them of products and of both members.
+    With x = dI and m = 1 where a point has a weight, 0 elsewhere,
+
+        C(s) ~ sum m x(omega) x(omega + s) / n - sum m x(omega) sum m x(omega + s) / n^2,
+
+    sums over the n pairs, m of the first point, of all samples.
     """
     points = intensity.shape[1]
-    lags, size = points // 2 + 1, 2 * points
-    kept = (weights > 0).astype(float)
-    x = intensity / _moment(intensity, kept) - 1
+    lags, size = points // 2 + 1, 2 * points  # twice as long, so that no pair wraps around
+    mask = (weights > 0).astype(float)
+    x = intensity / _moment(intensity, mask) - 1
     if len(x) > 1:
         x -= x.mean(axis=0)
     transform = np.fft.rfft(x, size)
-    masked = transform if np.all(kept) else np.fft.rfft(kept * x, size)
+    firsts_only = transform if np.all(mask) else np.fft.rfft(mask * x, size)
 
     def pairs(products):
         return np.fft.irfft(products, size)[:lags]
 
-    def firsts(y):  # of what has a partner
+    def firsts(y):  # sums over the first points that have a partner at each lag
         return np.cumsum(y)[points - 1 - np.arange(lags)]
 
-    count = len(x) * firsts(kept)
-    product = pairs(np.sum(np.conj(masked) * transform, axis=0)) / count
-    seconds = pairs(np.conj(np.fft.rfft(kept, size)) * transform.sum(axis=0))
-    means = firsts((kept * x).sum(axis=0)) * seconds / count**2
+    count = len(x) * firsts(mask)
+    product = pairs(np.sum(np.conj(firsts_only) * transform, axis=0)) / count
+    seconds = pairs(np.conj(np.fft.rfft(mask, size)) * transform.sum(axis=0))
+    means = firsts((mask * x).sum(axis=0)) * seconds / count**2
     C = product - means
     if not C[0] > 1e-12:
         raise InputError("amplitude: the intensity is the same everywhere and has no correlation")
@@ -233,42 +175,26 @@ def _correlations(intensity, weights):
 def maxima_spacing(curves):
     """Return the mean distance along omega of the maxima of |A|.
 
-    Not collective. `MAXIMA_SPACING` times Gamma where many modes of that width overlap. Every
-    maximum of splines through the points counts: a curve must be computed more exactly than it
-    varies from point to point.
-
-    Raises
-    ------
-    InputError
-        If there are too few maxima, or too few points to each of them.
+    It is `noise.MAXIMA_SPACING` times Gamma where many modes of that width overlap. Every maximum
+    of splines through the points counts: a curve must be computed more exactly than it varies from
+    point to point.
     """
-    found = curves.estimate(spacing_of_maxima, curves.maxima, slow=False)
-    points = found.value / np.average(np.diff(curves.omega))
+    spacing = curves.estimate(spacing_of_maxima, curves.maxima, slow=False)
+    points = spacing.value / np.average(np.diff(curves.omega))
     if points < POINTS_TO_MAXIMUM:
         raise InputError(
             f"omega: {points:.2g} points to a maximum of |A| are too few to tell maxima apart; "
             f"{POINTS_TO_MAXIMUM} are needed"
         )
-    return found
+    return spacing
 
 
 def histogram(curves, edges):
-    """Return the density P of I/<I> in bins; `gaussian_distribution` for a complex Gaussian field.
+    """Return the density P of I/<I> in bins between ascending edges; of Gaussian fields exp(-x).
 
-    Not collective. The error is NaN in bins that less than 5 samples, or stretches of one curve,
-    reach. As each point is measured by the mean, of n independent ones, P is that of n beta(1, n-1)
-    for a Gaussian field: nearer to exp(-x) than its error, by a part of order 1/n.
-
-    Parameters
-    ----------
-    curves : NoisyCurves
-    edges : array_like of float, shape (n + 1,)
-        Of the bins, ascending.
-
-    Returns
-    -------
-    Estimate
-        Arrays of shape (n,).
+    The error is NaN in bins that less than 5 samples, or stretches of one curve, reach. As each
+    point is measured by the mean, of n independent ones, P is that of n beta(1, n-1) for a Gaussian
+    field: nearer to exp(-x) than its error, by a part of order 1/n.
     """
     edges = np.asarray(edges, dtype=float)
     if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
@@ -277,25 +203,27 @@ def histogram(curves, edges):
     x = curves.intensity / _moment(curves.intensity, curves.weights)
     size = len(x) * np.sum(curves.weights)
 
-    def part(x, w, edges):
+    def share(x, w, edges):
         return np.histogram(x, edges, weights=np.broadcast_to(w, x.shape))[0] / size
 
-    # By how much more lies below an edge as <I> grows: counted anew, it would jump.
-    ends = ((1 - NEAR) * edges, (1 + NEAR) * edges)
+    # The jackknife leaves data out, and <x> of the rest is no longer 1 but a mean m. Its I/<I> is
+    # x/m, an edge e lies at e m. Counted anew, single points would jump over edges; to first order
+    # what lies below e grows by e P(e) (m - 1), and e P(e) is what lies within e (1 -+ NEAR),
+    # divided by 2 NEAR.
+    around = zip((1 - NEAR) * edges, (1 + NEAR) * edges, strict=True)
     growth = [
-        part(x, curves.weights, pair)[0] / (2 * NEAR) if 0 < pair[0] < pair[1] < math.inf else 0.0
-        for pair in zip(*ends, strict=True)
+        share(x, curves.weights, ends)[0] / (2 * NEAR) if 0 < ends[0] < ends[1] < math.inf else 0.0
+        for ends in around
     ]
 
     def measure(x, w):
-        kept = len(x) * np.sum(w) / size
+        rest = len(x) * np.sum(w) / size
         mean = _along(_moment(x, w), w)
-        return (part(x, w, edges) / kept + np.diff(growth) * (mean - 1)) / np.diff(edges)
+        return (share(x, w, edges) / rest + np.diff(growth) * (mean - 1)) / np.diff(edges)
 
-    found = curves.estimate(measure, x, slow=False)
+    density = curves.estimate(measure, x, slow=False)
     bins = np.searchsorted(edges, x, side="right") - 1
-    single = curves.samples == 1
-    owner = curves.stretch if single else np.arange(curves.samples)[:, None]
-    owner, count = np.broadcast_to(owner, bins.shape), len(edges) - 1
-    reached = [len(np.unique(owner[bins == number])) for number in range(count)]
-    return Estimate(found.value, np.where(np.array(reached) < FEWEST, math.nan, found.error))
+    owner = curves.stretch if curves.samples == 1 else np.arange(curves.samples)[:, None]
+    owner = np.broadcast_to(owner, bins.shape)
+    reached = np.array([len(np.unique(owner[bins == n])) for n in range(len(edges) - 1)])
+    return Estimate(density.value, np.where(reached < FEWEST, math.nan, density.error))

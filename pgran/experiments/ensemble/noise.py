@@ -1,4 +1,4 @@
-"""Curves to measure: checked, cut to a window, and with what errors are told from.
+"""Noisy curves to measure: checked, cut to a window, and how estimates of them get their errors.
 
 Errors come from leaving out a part of the samples at a time, or of one curve a stretch of omega of
 several correlation widths (`pgran.store.estimate.jackknife`).
@@ -30,23 +30,12 @@ SPLINE_POINTS = 8  # between two of a curve, to look for its maxima
 
 @dataclass(frozen=True, eq=False)
 class NoisyCurves:
-    """Response curves in a window of frequencies, checked.
+    """Response curves of one detector in a window of frequencies (low, high), checked.
 
-    Parameters
-    ----------
-    omega : array_like of float, shape (nw,)
-        Angular frequencies, ascending; equal distances are not needed.
-    amplitude : array_like of complex, shape (nw,) or (samples, nw)
-        A of one detector; what is not finite is left out, aloud: samples of many, points of one.
-    window : tuple of float, optional
-        Lowest and highest omega; all that there are unless given.
-    incoherent : bool
-        Take the mean over the samples off A first, for laws of a field without a coherent part.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit, the frequencies do not cover the window, or too little is left.
+    `amplitude` is A of one sample, shape (nw,), or of several, (samples, nw), at angular
+    frequencies `omega`, ascending at any distances. What is not finite is left out, aloud: samples
+    of many, points of one. `incoherent` takes the mean over the samples off A first, for laws of a
+    field without a coherent part. An InputError says what does not fit, or that too little is left.
     """
 
     omega: np.ndarray
@@ -71,7 +60,9 @@ class NoisyCurves:
                 f"{omega[0]:g} to {omega[-1]:g}"
             )
         inside = (low * (1 - 1e-9) <= omega) & (omega <= high * (1 + 1e-9))
-        omega, amplitude = _finite(omega[inside], amplitude[:, inside])
+        omega, amplitude = omega[inside], amplitude[:, inside]
+        if not np.all(np.isfinite(amplitude)):
+            omega, amplitude = _finite(omega, amplitude)
         if len(omega) < 3:
             raise InputError(
                 f"window: {len(omega)} amplitudes lie in it, and 3 at least are needed"
@@ -97,7 +88,7 @@ class NoisyCurves:
 
     @cached_property
     def weights(self):
-        """Of the trapezoidal rule, shape (nw,)."""
+        """The weights of the trapezoidal rule, shape (nw,)."""
         gaps = np.diff(self.omega)
         return 0.5 * (np.append(gaps, 0.0) + np.append(0.0, gaps))
 
@@ -114,7 +105,7 @@ class NoisyCurves:
 
     @cached_property
     def length(self):
-        """Of the window, in half widths of the correlation as maxima have them."""
+        """How many half widths Gamma of the correlation the window has; Gamma is told by maxima."""
         gamma = spacing_of_maxima(self.maxima, self.weights) / MAXIMA_SPACING
         return np.ptp(self.omega) / gamma
 
@@ -122,12 +113,14 @@ class NoisyCurves:
     def stretches(self):
         """Into how many stretches a single curve is cut, and by what that makes errors too small.
 
-        A stretch knows a little of its neighbours. With a Lorentzian correlation of half width
-        Gamma, the variance of a mean over the length x Gamma is that of a point times
+        With a Lorentzian correlation of half width Gamma, the variance of a mean over the length
+        x Gamma is that of a point times
 
             V(x) = 2 / x^2 (x atan x - ln(1 + x^2) / 2)
 
-        and n stretches that were independent would have V(x/n) = n V(x).
+        Of n independent stretches it would be V(x/n) / n. A stretch knows a little of its
+        neighbours, so it is more, and the spread of the stretches about their mean is less: the
+        jackknife finds (V(x/n) - V(x)) / (n - 1) instead of V(x).
         """
         x = self.length
         count = min(int(x / STRETCH), MOST_STRETCHES)
@@ -139,6 +132,7 @@ class NoisyCurves:
         whole, part = (
             2 / y**2 * (y * math.atan(y) - 0.5 * math.log1p(y**2)) for y in (x, x / count)
         )
+        # errors, so the root of that ratio
         return count, math.sqrt(whole * (count - 1) / (part - whole))
 
     @cached_property
@@ -149,12 +143,11 @@ class NoisyCurves:
 
     @cached_property
     def intensity(self):
-        """I, shape (samples, nw); without the coherent part if so asked.
-
-        That is found once: to first order its error changes no moment of a circular field.
-        """
+        """I, shape (samples, nw); without the coherent part if so asked."""
         if not self.incoherent:
             return np.abs(self.amplitude) ** 2
+        # taken off once, and not anew for each part of the samples that the jackknife leaves: to
+        # first order an error of the mean changes no moment of a circular field
         fields = self.amplitude - self.amplitude.mean(axis=0)
         return np.abs(fields) ** 2 * (self.samples / (self.samples - 1))
 
@@ -176,58 +169,55 @@ class NoisyCurves:
         )
         field = CubicSpline(self.omega, self.amplitude - shift, axis=1)(fine)
         sample, at = argrelmax(np.abs(field), axis=1)
-        found = np.zeros(self.amplitude.shape, dtype=int)
-        np.add.at(found, (sample, (at + SPLINE_POINTS // 2) // SPLINE_POINTS), 1)
-        return found
+        counts = np.zeros(self.amplitude.shape, dtype=int)
+        # point i of the curve is point SPLINE_POINTS i of the fine one: the nearest i
+        np.add.at(counts, (sample, (at + SPLINE_POINTS // 2) // SPLINE_POINTS), 1)
+        return counts
 
     def estimate(self, measure, data=None, *, slow=True):
-        """Return what a measure comes to, with its error.
+        """Return the Estimate of `measure(data, weights)`, shapes (samples, nw) and (nw,).
 
-        Not collective.
-
-        Parameters
-        ----------
-        measure : callable
-            Of data and weights, shapes (samples, nw) and (nw,).
-        data : numpy.ndarray, optional
-            I unless given.
-        slow : bool
-            Whether it is correlated along omega as far as I is, so that `stretches` are not quite
-            independent: products and counts forget sooner.
+        The data are I unless given. `slow` measures are correlated along omega as far as I is, so
+        that `stretches` are not quite independent: products and counts forget sooner.
         """
         data, w = self.intensity if data is None else data, self.weights
         if self.samples > 1:
-            return jackknife_samples(lambda kept: measure(data[kept], w), self.samples)
+            return jackknife_samples(lambda some: measure(data[some], w), self.samples)
         count, factor = self.stretches
-        found = jackknife(
-            lambda part: measure(data, w if part is None else w * (self.stretch != part)),
-            count,
+
+        def without(stretch):
+            return measure(data, w if stretch is None else w * (self.stretch != stretch))
+
+        estimate = jackknife(without, count)
+        return Estimate(estimate.value, estimate.error * (factor if slow else 1.0))
+
+
+def finite_samples(amplitude):
+    """Return which samples, the first axis, are finite everywhere; say which are left out."""
+    kept = np.isfinite(amplitude).reshape(len(amplitude), -1).all(axis=1)
+    if not np.all(kept):
+        log.warning(
+            "amplitude: %d of %d samples are left out, as some amplitudes are not finite; sample "
+            "%d is the first",
+            *(np.count_nonzero(~kept), len(kept), np.argmin(kept)),
         )
-        return Estimate(found.value, found.error * (factor if slow else 1.0))
+    return kept
 
 
 def _finite(omega, amplitude):
-    """Return frequencies and amplitudes without what is not finite; say what is left out."""
-    good = np.isfinite(amplitude)
-    if np.all(good):
-        return omega, amplitude
+    """Return the samples that are finite, or the points of a single one; say what is left out."""
     if len(amplitude) > 1:
-        kept = np.all(good, axis=1)
-        log.warning(
-            "amplitude: %d of %d samples are left out, as some amplitudes in the window are not "
-            "finite; sample %d is the first",
-            *(np.count_nonzero(~kept), len(kept), np.argmin(kept)),
-        )
-        return omega, amplitude[kept]
+        return omega, amplitude[finite_samples(amplitude)]
+    finite = np.isfinite(amplitude[0])
     log.warning(
         "amplitude: %d of %d points are left out, as they are not finite; the first is at %g",
-        *(np.count_nonzero(~good), good.size, omega[np.argmin(good[0])]),
+        *(np.count_nonzero(~finite), finite.size, omega[np.argmin(finite)]),
     )
-    return omega[good[0]], amplitude[:, good[0]]
+    return omega[finite], amplitude[:, finite]
 
 
 def spacing_of_maxima(maxima, weights):
-    """Return the mean distance of the maxima next to points that have a weight. Not collective."""
+    """Return the mean distance of the maxima next to points that have a weight."""
     count = int(np.sum(maxima[:, weights > 0]))
     if count < 2 * FEWEST:
         raise InputError(f"window: {count} maxima of |A| lie in it, {2 * FEWEST} are needed")

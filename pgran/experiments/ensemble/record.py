@@ -1,14 +1,87 @@
-"""The record of an ensemble: what holds over many samples of one kind."""
+"""The records of an ensemble: what each sample tells, and noise and transport over all of them.
 
+What is read of a sample is one entry of `Ensemble`: `sampled` says from which record, and the row
+that ranks send, the file and the bands follow; a `measure` is told and drawn besides.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from pgran.catalogue import EXPERIMENTS
 from pgran.store.fields import DETECTOR
 from pgran.store.record import Record, array, attribute
 
+Array = np.ndarray | None  # what not every ensemble has
 CURVE = "omega", "detector_number"
 VALUE = "seed", "detector_number"
+# Units of measures: as axes show them, in SI, and the power of omega_mx that numbers are in.
+UNITS = {
+    "1": ("", None, 0),
+    "length x omega_mx": (r"($d\,\omega_{mx}$)", "m/s", 1),
+    "sqrt(m/k)": (r"($\sqrt{m/k}$)", "s", 0),
+    "sqrt(k/m)": (r"($\sqrt{k/m}$)", "1/s", 0),
+}
+
+
+class Sampled(NamedTuple):
+    """How a number of each sample is read: by `read(record, medium)` from its record of a group.
+
+    `words` tell it, `label` names its axis; without them it is stored only.
+    """
+
+    group: str
+    read: Callable
+    units: str
+    words: str
+    label: str
+
+    @property
+    def quantity(self):
+        """What an axis shows: name, unit, that in SI, and the power of omega_mx of the numbers."""
+        return self.label, *UNITS[self.units]
+
+
+def sampled(source, long_name, units, *axes, read=None, dtype=float, words="", label=""):
+    """Declare an array that is read of each sample; see `pgran.store.record.array`.
+
+    The source is a group and what is read of its record, "pulse.arrival", or a group and `read`, as
+    in `Sampled`. The first axis is `seed`, or `statistic` where only the band of all is stored.
+    """
+    group, _, name = source.partition(".")
+    read = read or (lambda record, medium: getattr(record, name))
+    declared = array(long_name, units, *axes, dtype=dtype, optional=True, row=True)
+    reading = {"sampled": Sampled(group, read, units, words, label)}
+    return dataclasses.field(default=None, metadata=declared.metadata | reading)
+
+
+def measure(source, long_name, units, *axes, words="", label="", **reading):
+    """Declare a number of each sample that is told and drawn, in its long name or other words."""
+    words = words or long_name
+    return sampled(source, long_name, units, *axes, words=words, label=label or words, **reading)
+
+
+def logarithms(response, medium):
+    """Return ln|A| where it is known: NaN where A is but an upper limit, or missed its accuracy."""
+    unknown = (response.at_floor > 0) | (response.converged_reason <= 0)[:, None]
+    with np.errstate(divide="ignore"):
+        return np.where(unknown, np.nan, np.log(response.amplitude))
+
+
+def padded(values, medium):
+    """Return the values of modes, one for each unknown of the medium: NaN after the last."""
+    unknowns = math.prod(medium.shape)
+    return np.append(values, np.full(unknowns, np.nan))[:unknowns]
+
+
+def effective_bonds(sensitivity, medium):
+    """Return (sum x)^2 / sum x^2 over the bonds, x = (d ln|A| / d ln k)^2, mean over omega."""
+    x = sensitivity.log_amplitude**2
+    return np.mean(x.sum(axis=2) ** 2 / (x**2).sum(axis=2), axis=0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -24,57 +97,67 @@ class Ensemble(Record):
     solve_seconds: float
     left_out: int
     seed: np.ndarray = array("which sample", "1", dtype=int)
-    good: np.ndarray = array("1: as accurate as asked", "1", "seed", dtype=np.int8)
-    detector: np.ndarray | None = array(
-        DETECTOR, "1", "detector_number", "axis", dtype=int, optional=True
-    )
-    omega: np.ndarray | None = array("driving frequency, angular", "sqrt(k/m)", optional=True)
-    statistic: np.ndarray | None = array(
+    good: np.ndarray = array("1: as accurate as asked", "1", "seed", dtype=np.int8, row=True)
+    detector: Array = array(DETECTOR, "1", "detector_number", "axis", dtype=int, optional=True)
+    omega: Array = array("driving frequency, angular", "sqrt(k/m)", optional=True)
+    statistic: Array = array(
         "what over the samples: mean, its standard error, median, what a tenth of the samples is "
         "below (low) and above (high)", "1", dtype=str, optional=True,
     )  # fmt: skip
-    ln_amplitude: np.ndarray | None = array("ln|A|", "1", "statistic", *CURVE, optional=True)
-    delay: np.ndarray | None = array("group delay", "sqrt(m/k)", "statistic", *CURVE, optional=True)
-    delay_samples: np.ndarray | None = array(
-        "how many samples have a group delay that is certain", "1", *CURVE, dtype=int,
-        optional=True,
+    ln_amplitude: Array = sampled("response", "ln|A|", "1", "statistic", *CURVE, read=logarithms)
+    delay: Array = sampled("response.delay", "group delay", "sqrt(m/k)", "statistic", *CURVE)
+    delay_samples: Array = array(
+        "how many samples have a group delay that is certain", "1", *CURVE, dtype=int, optional=True
+    )
+    coherent: Array = array("mean of the displacement", "1", *CURVE, dtype=complex, optional=True)
+    intensity: Array = array("mean of |displacement|^2", "1", *CURVE, optional=True)
+    slope: Array = sampled("response.phase_slope", "slope of the phase", "rad", *VALUE)
+    velocity: Array = measure(
+        "response.phase_velocity", "phase velocity", "length x omega_mx", *VALUE
+    )
+    exponent: Array = measure(
+        "spectrum.exponent", "exponent psi of the spectrum", "1", "seed",
+        words="exponent psi", label=r"exponent $\psi$ of the spectrum",
     )  # fmt: skip
-    coherent: np.ndarray | None = array(
-        "mean of the displacement", "1", *CURVE, dtype=complex, optional=True
+    exponent_error: Array = sampled("spectrum.exponent_error", "its standard error", "1", "seed")
+    order: Array = measure(
+        "memory.order", "bonds that act jointly, kbar of a relaxation", "1", "seed",
+        words="bonds that act jointly", label=r"bonds that act jointly, $\bar k$",
+    )  # fmt: skip
+    modes: Array = measure(
+        "modes", "how many modes were found", "1", "seed", words="modes found",
+        read=lambda modes, medium: len(modes.omega),
+    )  # fmt: skip
+    above: Array = measure(
+        "modes", "modes above omega_mx", "1", "seed", label=r"modes above $\omega_{mx}$",
+        read=lambda modes, medium: np.count_nonzero(modes.omega > medium.omega_mx),
+    )  # fmt: skip
+    arrival: Array = measure("pulse.arrival", "arrival of the front", "sqrt(m/k)", *VALUE)
+    centre: Array = measure(
+        "pulse.centre", "mean time of the envelope", "sqrt(m/k)", *VALUE,
+        words="centre of the envelope",
+    )  # fmt: skip
+    decay: Array = measure(
+        "pulse.decay", "rate of decay of the envelope", "sqrt(k/m)", *VALUE, words="rate of decay"
     )
-    intensity: np.ndarray | None = array("mean of |displacement|^2", "1", *CURVE, optional=True)
-    slope: np.ndarray | None = array("slope of the phase", "rad", *VALUE, optional=True)
-    velocity: np.ndarray | None = array(
-        "phase velocity", "length x omega_mx", *VALUE, optional=True
-    )
-    exponent: np.ndarray | None = array("exponent psi of the spectrum", "1", "seed", optional=True)
-    exponent_error: np.ndarray | None = array("its standard error", "1", "seed", optional=True)
-    order: np.ndarray | None = array(
-        "bonds that act jointly, kbar of a relaxation", "1", "seed", optional=True
-    )
-    modes: np.ndarray | None = array("how many modes were found", "1", "seed", optional=True)
-    above: np.ndarray | None = array("modes above omega_mx", "1", "seed", optional=True)
-    arrival: np.ndarray | None = array("arrival of the front", "sqrt(m/k)", *VALUE, optional=True)
-    centre: np.ndarray | None = array(
-        "mean time of the envelope", "sqrt(m/k)", *VALUE, optional=True
-    )
-    decay: np.ndarray | None = array(
-        "rate of decay of the envelope", "sqrt(k/m)", *VALUE, optional=True
-    )
-    effective_bonds: np.ndarray | None = array(
+    effective_bonds: Array = measure(
+        "sensitivity",
         "participation ratio of (d ln|A| / d ln k)^2 over the bonds, mean over frequencies", "1",
-        *VALUE, optional=True,
+        *VALUE, read=effective_bonds, label="bonds that matter",
+        words="bonds that matter, on the mean over frequencies,",
     )  # fmt: skip
-    mode_omega: np.ndarray | None = array(
-        "mode frequencies, NaN after the last", "sqrt(k/m)", "seed", "mode", optional=True
+    mode_omega: Array = sampled(
+        "modes", "mode frequencies, NaN after the last", "sqrt(k/m)", "seed", "mode",
+        read=lambda modes, medium: padded(modes.omega, medium),
+    )  # fmt: skip
+    participation: Array = sampled(
+        "modes", "participation ratios", "1", "seed", "mode",
+        read=lambda modes, medium: padded(modes.participation, medium),
+    )  # fmt: skip
+    displacement: Array = sampled(
+        "response.displacement", "amplitudes of each sample", "1", "seed", *CURVE, dtype=complex
     )
-    participation: np.ndarray | None = array(
-        "participation ratios", "1", "seed", "mode", optional=True
-    )
-    displacement: np.ndarray | None = array(
-        "amplitudes of each sample", "1", "seed", *CURVE, dtype=complex, optional=True
-    )
-    sample_delay: np.ndarray | None = array(
+    sample_delay: Array = array(
         "group delay of each sample", "sqrt(m/k)", "seed", *CURVE, optional=True
     )
 
@@ -84,10 +167,31 @@ class Ensemble(Record):
         return self.left_out
 
 
+def sampled_of(of=None):
+    """Return what is read of each sample of an experiment, or of all of them: `Sampled` by name."""
+    groups = EXPERIMENTS[of].groups if of else None
+    declared = {i.name: i.metadata.get("sampled") for i in dataclasses.fields(Ensemble)}
+    return {name: s for name, s in declared.items() if s and (not of or s.group in groups)}
+
+
+def measures():
+    """Return what is told and drawn of samples: `Sampled` by name."""
+    return {name: sampled for name, sampled in sampled_of().items() if sampled.words}
+
+
+def error_of(measured):
+    """Declare the standard error of an array that is declared."""
+    facts = measured.metadata
+    return array("its standard error", facts["units"], *facts["axes"], since=facts["since"])
+
+
+def with_errors(**estimates):
+    """Return the fields of a record that estimates are: `length`, and its error `length_error`."""
+    errors = {f"{name}_error": estimate.error for name, estimate in estimates.items()}
+    return {name: estimate.value for name, estimate in estimates.items()} | errors
+
+
 PLACE = "window", "detector_number"
-DEPTH, BAND = ("omega", "depth"), ("band", "depth")
-
-
 EACH = *PLACE, "part"
 
 
@@ -109,19 +213,22 @@ class NoiseStatistics(Record):
     edge: np.ndarray = array("edges of the bins of I/<I>", "1")
     shift: np.ndarray = array("shift along omega", "sqrt(k/m)", "window", "shift_number")
     coherent_part: np.ndarray = array("|<A>|^2 / <|A|^2>", "1", *PLACE)
-    coherent_part_error: np.ndarray = array("its standard error", "1", *PLACE)
+    coherent_part_error: np.ndarray = error_of(coherent_part)
     contrast: np.ndarray = array("<I^2>/<I>^2", "1", *EACH)
-    contrast_error: np.ndarray = array("its standard error", "1", *EACH)
+    contrast_error: np.ndarray = error_of(contrast)
     spread: np.ndarray = array("standard deviation of 10 log10 I", "dB", *EACH)
-    spread_error: np.ndarray = array("its standard error", "dB", *EACH)
+    spread_error: np.ndarray = error_of(spread)
     half_width: np.ndarray = array("shift at which the correlation is 1/2", "sqrt(k/m)", *EACH)
-    half_width_error: np.ndarray = array("its standard error", "sqrt(k/m)", *EACH)
+    half_width_error: np.ndarray = error_of(half_width)
     maxima_spacing: np.ndarray = array("mean distance of maxima of |A|", "sqrt(k/m)", *EACH)
-    maxima_spacing_error: np.ndarray = array("its standard error", "sqrt(k/m)", *EACH)
+    maxima_spacing_error: np.ndarray = error_of(maxima_spacing)
     density: np.ndarray = array("density of I/<I>", "1", *EACH, "bin")
-    density_error: np.ndarray = array("its standard error", "1", *EACH, "bin")
+    density_error: np.ndarray = error_of(density)
     correlation: np.ndarray = array("correlation of I", "1", *EACH, "shift_number")
-    correlation_error: np.ndarray = array("its standard error", "1", *EACH, "shift_number")
+    correlation_error: np.ndarray = error_of(correlation)
+
+
+DEPTH, BAND = ("omega", "depth"), ("band", "depth")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,7 +241,7 @@ class Transport(Record):
     the fall. The group delay is weighted by intensity; `band_delay` is its mean over the
     frequencies between one `edge` and the next, which grows with depth by `delay_growth`. (Files
     before version 5 have no more of delays than a mean over all frequencies, `delay`, which is not
-    read.) See `localization`.
+    read.) See `pgran.experiments.ensemble.transport`.
     """
 
     group = "transport"
@@ -143,21 +250,19 @@ class Transport(Record):
     depth: np.ndarray = array("distance from what is driven", "spacing")
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
     ln_amplitude: np.ndarray = array("mean of ln|A|", "1", *DEPTH)
-    ln_amplitude_error: np.ndarray = array("its standard error", "1", *DEPTH)
+    ln_amplitude_error: np.ndarray = error_of(ln_amplitude)
     intensity: np.ndarray = array("mean of |A|^2", "1", *DEPTH)
-    intensity_error: np.ndarray = array("its standard error", "1", *DEPTH)
+    intensity_error: np.ndarray = error_of(intensity)
     rate: np.ndarray = array("1 / attenuation length", "1/spacing", "omega")
-    rate_error: np.ndarray = array("its standard error", "1/spacing", "omega")
+    rate_error: np.ndarray = error_of(rate)
     length: np.ndarray = array("attenuation length of the amplitude", "spacing", "omega")
-    length_error: np.ndarray = array("its standard error", "spacing", "omega")
+    length_error: np.ndarray = error_of(length)
     group_delay: np.ndarray = array("mean group delay", "sqrt(m/k)", *DEPTH, since=5)
-    group_delay_error: np.ndarray = array("its standard error", "sqrt(m/k)", *DEPTH, since=5)
+    group_delay_error: np.ndarray = error_of(group_delay)
     edge: np.ndarray = array("ends of bands of frequencies, angular", "sqrt(k/m)", since=5)
     band_delay: np.ndarray = array("mean group delay of a band", "sqrt(m/k)", *BAND, since=5)
-    band_delay_error: np.ndarray = array("its standard error", "sqrt(m/k)", *BAND, since=5)
+    band_delay_error: np.ndarray = error_of(band_delay)
     delay_growth: np.ndarray = array(
         "growth of the mean group delay of a band with depth", "sqrt(m/k)/spacing", "band", since=5
     )
-    delay_growth_error: np.ndarray = array(
-        "its standard error", "sqrt(m/k)/spacing", "band", since=5
-    )
+    delay_growth_error: np.ndarray = error_of(delay_growth)

@@ -10,7 +10,7 @@ from pgran.arguments import shown
 from pgran.errors import InputError
 from pgran.experiments.ensemble import statistics as noise
 from pgran.experiments.ensemble import transport
-from pgran.experiments.ensemble.sampling import Samples, measures
+from pgran.experiments.ensemble.sampling import Samples, in_words
 from pgran.experiments.modes import scene as modes
 from pgran.experiments.pulse import scene as pulse
 from pgran.experiments.relaxation import fluctuations
@@ -19,7 +19,7 @@ from pgran.experiments.response import scene as response
 from pgran.experiments.sensitivity import scene as sensitivity
 from pgran.medium.base import medium
 from pgran.medium.lattice import Lattice
-from pgran.medium.sample import LATTICE, run_scene
+from pgran.medium.sample import LATTICE, make_lattice
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Caution, Scene
 from pgran.run.frequencies import driving_frequencies
@@ -31,14 +31,15 @@ from pgran.run.task import carry_out
 
 log = logging.getLogger("pgran")
 
-# Of each experiment its module, the function that carries it out, and what it is told here.
+# Of each experiment its scene, and the function that carries it out.
 EXPERIMENTS = {
-    "response": (response, response.sweep, {"resolve": 0.0, "keep_models": False}),
-    "modes": (modes, modes.find_modes, {}),
-    "relaxation": (relaxation, relaxation.relax, {}),
-    "pulse": (pulse, pulse.pulse, {}),
-    "sensitivity": (sensitivity, sensitivity.sensitivity, {}),
+    "response": (response.SCENE, response.sweep),
+    "modes": (modes.SCENE, modes.find_modes),
+    "relaxation": (relaxation.SCENE, relaxation.relax),
+    "pulse": (pulse.SCENE, pulse.pulse),
+    "sensitivity": (sensitivity.SCENE, sensitivity.sensitivity),
 }
+KEPT = ("response", "modes")  # what has curves
 ENSEMBLE = (
     Option(
         "ensemble_of", TEXT, "response", "the experiment that is repeated",
@@ -62,19 +63,22 @@ ENSEMBLE = (
 )  # fmt: skip
 OF, SAMPLES, KEEP = ENSEMBLE[:3]
 SEED = next(option for option in LATTICE if option.name == "bonds_seed")
-# Options of the experiments that make no sense for many samples, and what stands for them.
-LEFT_OUT = {"output_fields": False, "output_models": False, "sweep_resolve": 0.0}
-LEFT_OUT |= {"modes_target": None, "modes_count": None, "modes_density": None}
-NOT_TAKEN = {"crew", "seed", "progress", "fields", "shapes", "resolve", "keep_models", "solver"}
-NOT_TAKEN |= {"targets", "count"}
-KEPT = ("response", "modes")  # what has curves
 SEEDS = 2**63  # that options and files can hold
+# What makes no sense for many samples: options and what stands for them, and keywords.
+LEFT_OUT = {
+    "output_fields": False, "output_models": False, "sweep_resolve": 0.0,
+    "modes_target": None, "modes_count": None, "modes_density": None,
+}  # fmt: skip
+NOT_TAKEN = {
+    "crew", "seed", "progress", "fields", "shapes", "resolve", "keep_models", "solver", "targets",
+    "count",
+}  # fmt: skip
 
 
 def check(values, given):
-    """Raise unless the options are those of the experiment; unset all others. Not collective."""
+    """Raise unless the options are those of the experiment; unset all others."""
     kind = values["ensemble_of"]
-    experiment = EXPERIMENTS[kind][0].SCENE
+    experiment, _ = EXPERIMENTS[kind]
     used = {option.name for option in (*experiment.options, *ENSEMBLE)}
     for name in [option.name for option in SCENE.options if option.name not in used]:
         if name in given:
@@ -104,7 +108,7 @@ def check(values, given):
 
 
 def check_kept(of, keep):
-    """Raise unless an experiment has curves that are to be kept. Not collective."""
+    """Raise unless an experiment has curves that are to be kept."""
     if keep == "curves" and of not in KEPT:
         raise InputError(f"-ensemble_keep curves: of {' and '.join(KEPT)} only, not of {of}")
 
@@ -156,57 +160,65 @@ def ensemble(
         the seed fails.
     """
     check_kept(of, keep)
-    _, function, told = EXPERIMENTS[of]
-    if isinstance(lattice, (list, tuple)):
-        seed = 0
-    seeds = seeds_of(seed, samples)
+    _, function = EXPERIMENTS[of]
+    listed = isinstance(lattice, (list, tuple))
+    seeds = seeds_of(0 if listed else seed, samples)
     with agreeing(crew.world) as asked:
         if refused := NOT_TAKEN & experiment.keys():
             raise InputError(f"ensemble: many samples have no {sorted(refused)[0]} of their own")
-        if isinstance(lattice, (list, tuple)) and len(lattice) != samples:
+        if listed and len(lattice) != samples:
             raise InputError(f"ensemble: {samples} samples are asked for, {len(lattice)} given")
-        first = _sample(lattice, seed)
+        sample = _maker(lattice)
+        first = sample(seeds[0])
         asked["lattice"] = first.fingerprint
-        experiment = function.check(first, **experiment).arguments
-        experiment = {n: experiment[n] for n in experiment.keys() - {"lattice", "solver"}}
+        choices = function.check(first, **experiment).arguments
+        choices = {name: choices[name] for name in choices.keys() - {"lattice", "solver"}}
+    all_modes = of == "modes" and "interval" not in choices
+    places = choices.get("omegas"), choices.get("detectors")
+    if of == "response":
+        choices |= {"resolve": 0.0, "keep_models": False}
 
-    def solve(number, group):
-        from pgran.run.crew import AgreeingCrew
+    def another(seed, group):
+        medium = sample(seed)
+        if (type(medium), medium.shape) != (type(first), first.shape):
+            raise InputError(f"ensemble: the sample of seed {seed} is of another size")
+        return medium
 
-        sample = _sample(lattice, number)
-        if (type(sample), sample.shape) != (type(first), first.shape):
-            raise InputError(f"ensemble: the sample of seed {number} is of another size")
-        choices = experiment | told
-        if of == "relaxation":
-            choices["seed"] = 1 + number - seed
-        with AgreeingCrew(group, group.size) as one:
-            found = function(sample, crew=one, **choices)
-        if of == "relaxation":
-            found = fluctuations.measured(found, fluctuations.FIT, sample.bonds)
-        return [sample, *(found if isinstance(found, list) else [found])]
+    def one(medium, number, crew):
+        own = {"seed": 1 + number} if of == "relaxation" else {}
+        record = function(medium, crew=crew, **choices, **own)
+        if record and of == "relaxation":
+            return fluctuations.measured(record, fluctuations.FIT, medium.bonds)
+        return record and [record]
 
-    whole = of == "modes" and "interval" not in experiment
-    given = experiment.get("omegas"), experiment.get("detectors"), whole
     with agreeing(crew.world):
-        task = Samples(of, seeds, solve, first, keep, *given)
+        task = Samples(of, seeds, _solver(seeds, another, one), first, keep, *places, all_modes)
     return carry_out(task, crew, progress)
 
 
-def _sample(lattice, seed):
-    """Return the sample of a seed, by keywords, a function of the user's, or its place in a list.
+def _solver(seeds, sample, experiment):
+    """Return what makes and solves the sample of a seed on a group of ranks: see `Samples`.
 
-    Not collective.
+    `sample(seed, group)` makes the medium, `experiment(medium, number, crew)` its records.
     """
+
+    def solve(seed, group):
+        from pgran.run.crew import AgreeingCrew
+
+        medium = sample(seed, group)
+        with AgreeingCrew(group, group.size) as crew:
+            records = experiment(medium, seed - seeds[0], crew)
+        return records and [medium, *records]
+
+    return solve
+
+
+def _maker(lattice):
+    """Return a function of the seed from the keyword `lattice` of `ensemble`."""
     if isinstance(lattice, (list, tuple)):
-        return medium(_listed(lattice, seed))
+        return lambda number: medium(_loaded(lattice[number]))
     if callable(lattice):
-        try:
-            sample = lattice(seed)
-        except Exception as error:
-            raise InputError(
-                f"ensemble: lattice({seed}) fails: {type(error).__name__}: {error}"
-            ) from error
-        return medium(sample)
+        return lambda seed: medium(_called(lattice, seed))
     if not isinstance(lattice, dict):
         raise InputError(
             "ensemble: lattice is what pgran.Lattice.random takes, as a dict, a function of the "
@@ -214,20 +226,30 @@ def _sample(lattice, seed):
         )
     if "seed" in lattice:
         raise InputError("ensemble: seed says which samples, not lattice")
-    return Lattice.random(seed=seed, **lattice)
+    return lambda seed: Lattice.random(seed=seed, **lattice)
 
 
-def _listed(samples, number):
-    """Return the sample of a number, from its file if it is one. Not collective."""
+def _loaded(sample):
+    """Return a sample, that of its file or of its result."""
     from pgran.medium.network_file import load
 
-    sample = samples[number]
-    found = load(sample) if isinstance(sample, (str, os.PathLike)) else sample
-    return getattr(found, "medium", found)  # of a result
+    if isinstance(sample, (str, os.PathLike)):
+        sample = load(sample)
+    return getattr(sample, "medium", sample)
+
+
+def _called(function, seed):
+    """Return what a function of the user's makes of a seed."""
+    try:
+        return function(seed)
+    except Exception as error:
+        raise InputError(
+            f"ensemble: lattice({seed}) fails: {type(error).__name__}: {error}"
+        ) from error
 
 
 def summary(result):
-    """Return in words what a run found. Not collective."""
+    """Return in words what a run found."""
     found = result.ensemble
     yield f"{len(found.seed)} samples of scene {found.of} in {found.solve_seconds:.2f} s"
     if found.left_out:
@@ -235,7 +257,7 @@ def summary(result):
             f"{found.left_out} of {len(found.seed)} samples are left out of all that follows: they "
             "failed, or missed the accuracy asked for (good)"
         )
-    yield from measures(result)
+    yield from in_words(result)
     if found.mode_omega is not None:
         spectra = [omega[np.isfinite(omega)] for omega in found.mode_omega[found.good > 0]]
         yield from modes.spacings(spectra, result.medium.omega_mx)
@@ -251,10 +273,8 @@ def summary(result):
 
 def run(lattice, options, crew):
     """Return the ensemble, its noise and transport; see `pgran.run.experiment.Scene`."""
-    from pgran.run.crew import AgreeingCrew
-
     of = options.ensemble_of
-    module, function, _ = EXPERIMENTS[of]
+    scene, function = EXPERIMENTS[of]
     seeds = seeds_of(options.bonds_seed, options.ensemble_samples)
     seeds_of(options.relax_seed or 0, options.ensemble_samples)
     swept = "omegas" in inspect.signature(function).parameters
@@ -263,44 +283,44 @@ def run(lattice, options, crew):
     if windows is not None:
         windows = noise.windows_of(windows, omegas)
 
-    def solve(seed, group):
-        changed = {"bonds_seed": seed, "output_progress": "none"}
-        if of == "relaxation":  # else all samples would become the same network
-            changed["relax_seed"] = options.relax_seed + seed - options.bonds_seed
-        sample = options.changed(**changed)
-        one = lambda *_: AgreeingCrew(group, group.size)  # noqa: E731
-        return run_scene(module.SCENE, sample, group, one)
+    def sample(seed, group):
+        return make_lattice(options.changed(bonds_seed=seed), group)
 
-    whole = of == "modes" and options.modes_target is None and options.modes_omega_min is None
-    task = Samples(
-        of, seeds, solve, lattice, options.ensemble_keep, omegas, options.detectors, whole
-    )
-    found = [carry_out(task, crew, options.output_progress)]
-    if found[0] and windows is not None and not crew.dry:
-        found.append(noise.statistics(found[0], windows))
-    kept = found[0] and found[0].displacement is not None and not crew.dry
-    if kept and transport.is_line(lattice, found[0].detector):
+    def one(medium, number, crew):
+        changed = {"output_progress": "none"}
+        if of == "relaxation":  # else all samples would become the same network
+            changed["relax_seed"] = options.relax_seed + number
+        return scene.run(medium, options.changed(**changed), crew)
+
+    all_modes = of == "modes" and options.modes_omega_min is None
+    solve = _solver(seeds, sample, one)
+    places = omegas, options.detectors
+    task = Samples(of, seeds, solve, lattice, options.ensemble_keep, *places, all_modes)
+    record = carry_out(task, crew, options.output_progress)
+    if record is None or record.displacement is None or crew.dry:
+        return record and [record]
+    records = [record]
+    if windows is not None:
+        records.append(noise.statistics(record, windows))
+    if transport.is_line(lattice, record.detector):
         try:
-            found.append(transport.transport(lattice, found[0]))
+            records.append(transport.transport(lattice, record))
         except InputError as error:
             log.warning("no transport: %s", error)
-    return found if found[0] else None
+    return records
+
+
+def _options():
+    """Return the options of an ensemble and of all that it repeats, each once."""
+    every = [*ENSEMBLE, *(o for scene, _ in EXPERIMENTS.values() for o in scene.options)]
+    return tuple({o.name: o for o in every if o.name not in LEFT_OUT}.values())
 
 
 SCENE = Scene(
-    options=tuple(
-        {
-            option.name: option
-            for option in (
-                *ENSEMBLE,
-                *(o for e, *_ in EXPERIMENTS.values() for o in e.SCENE.options),
-            )
-            if option.name not in LEFT_OUT
-        }.values()
-    ),
+    options=_options(),
     run=run,
     summary=summary,
     check=check,
-    draws=lambda values: EXPERIMENTS[values["ensemble_of"]][0].SCENE.draws(values),
+    draws=lambda values: EXPERIMENTS[values["ensemble_of"]][0].draws(values),
     shares_lattice=True,
 )

@@ -7,10 +7,12 @@ import numpy as np
 
 from pgran.arguments import called_right
 from pgran.errors import InputError
-from pgran.experiments.ensemble.record import Ensemble, NoiseStatistics
+from pgran.experiments.ensemble import intensity
+from pgran.experiments.ensemble.noise import MAXIMA_SPACING, NoisyCurves
+from pgran.experiments.ensemble.record import Ensemble, NoiseStatistics, with_errors
 from pgran.run.numbers import numbers
 from pgran.run.streams import saying_once
-from pgran.store.estimate import two_digits
+from pgran.store.estimate import Estimate, two_digits
 from pgran.store.fields import ball_names
 
 log = logging.getLogger("pgran")
@@ -24,7 +26,7 @@ MEASURED = "contrast", "spread", "half_width", "maxima_spacing"
 def windows_of(values, omegas=None):
     """Return numbers low, high, low, high ... as windows, shape (n, 2).
 
-    Not collective. Raises InputError unless they are such, and within the sweep if it is given.
+    Raises InputError unless they are such, and within the sweep if it is given.
     """
     ends = numbers("-statistics_windows", values).ravel()
     if not ends.size or ends.size % 2:
@@ -48,8 +50,8 @@ def windows_of(values, omegas=None):
 def statistics(ensemble, windows):
     """Measure the noise of an ensemble's responses (paper: freqres, "noisy").
 
-    Not collective. Only samples count that are good. What cannot be measured, because a curve is
-    not resolved, say, is NaN, which is said.
+    Only samples count that are good. What cannot be measured, because a curve is not resolved, say,
+    is NaN, which is said.
 
     Parameters
     ----------
@@ -67,34 +69,20 @@ def statistics(ensemble, windows):
     InputError
         If the ensemble has no curves, or a window lies outside the sweep, or samples are too few.
     """
-    from pgran.experiments.ensemble.intensity import NoisyCurves
-
     if not isinstance(ensemble, Ensemble) or ensemble.displacement is None:
         raise InputError(
             "statistics: this ensemble has no curves; -ensemble_keep curves keeps them"
         )
     windows = windows_of(windows, ensemble.omega)
     A = ensemble.displacement[ensemble.good > 0]
-    shifts, found, missing = np.empty((len(windows), SHIFTS)), {}, {}
-    for w, window in enumerate(windows):
-        for d in range(A.shape[2]):
-            whole, rest = (
-                NoisyCurves(ensemble.omega, A[:, :, d], window, s) for s in (False, True)
-            )
-            shifts[w] = _shifts(whole.uniform.omega)
-            where = f"{window[0]:g} to {window[1]:g}, detector {d}"
-            both = [_measure(curves, shifts[w], where, missing) for curves in (whole, rest)]
-            coherent = whole.estimate(_coherent_part, whole.amplitude)
-            for name in both[0]:
-                parts = [one[name] for one in both]
-                for key, kind in ((name, "value"), (f"{name}_error", "error")):
-                    found.setdefault(key, []).append([getattr(one, kind) for one in parts])
-            found.setdefault("coherent_part", []).append(coherent.value)
-            found.setdefault("coherent_part_error", []).append(coherent.error)
-    for (name, error), places in missing.items():
-        log.warning("no %s in %s: %s", name, "; ".join(places), error)
-    across = len(windows), A.shape[2]
-    arrays = {n: np.array(v).reshape(*across, *np.shape(v)[1:]) for n, v in found.items()}
+    detectors, missing = range(A.shape[2]), {}
+    places = [
+        [_of_place(ensemble.omega, A[:, :, d], window, d, missing) for d in detectors]
+        for window in windows
+    ]
+    for (name, error), where in missing.items():
+        log.warning("no %s in %s: %s", name, "; ".join(where), error)
+    arrays = {name: np.array([[d[name] for d in row] for row in places]) for name in places[0][0]}
     return NoiseStatistics(
         samples=len(A),
         low=windows[:, 0].copy(),
@@ -102,15 +90,32 @@ def statistics(ensemble, windows):
         part=np.array(PARTS),
         detector=ensemble.detector,
         edge=EDGES,
-        shift=shifts,
+        shift=arrays.pop("shift")[:, 0],  # those of a window, whatever the detector is
         **arrays,
     )
 
 
-def _shifts(omega):
-    """Return shifts that are multiples of the step, as correlations are known there."""
+def _of_place(omega, A, window, detector, missing):
+    """Return the arrays of a record, but the first two axes: of one window and detector.
+
+    `missing` gets what there is not, by name and reason the places, each once.
+    """
+    whole = NoisyCurves(omega, A, window)
+    incoherent = NoisyCurves(omega, A, window, incoherent=True)
+    where = f"{window[0]:g} to {window[1]:g}, detector {detector}"
+    # multiples of the step, where correlations are known: as many steps as leave SHIFTS of them
+    omega = whole.uniform.omega
     stride = -(-(len(omega) - 1) // (2 * SHIFTS))
-    return stride * (omega[1] - omega[0]) * np.arange(SHIFTS)
+    shifts = stride * (omega[1] - omega[0]) * np.arange(SHIFTS)
+    both = [_measure(curves, shifts, where, missing) for curves in (whole, incoherent)]
+    estimates = {name: _stacked([part[name] for part in both]) for name in both[0]}
+    coherent = whole.estimate(_coherent_part, whole.amplitude)
+    return {"shift": shifts} | with_errors(coherent_part=coherent, **estimates)
+
+
+def _stacked(estimates):
+    """Return estimates as one, along a new first axis."""
+    return Estimate(*(np.array([getattr(e, n) for e in estimates]) for n in ("value", "error")))
 
 
 def _coherent_part(A, weights):
@@ -119,58 +124,44 @@ def _coherent_part(A, weights):
 
 
 def _measure(curves, shifts, where, missing):
-    """Return the measures of some curves by name; NaN where there is none.
-
-    What there is not goes into `missing`: by name and reason the places, each once.
-    """
-    from pgran.experiments.ensemble import intensity as measures
-    from pgran.store.estimate import Estimate
-
-    wanted = {name: ((), partial(getattr(measures, name), curves)) for name in MEASURED}
-    wanted["density"] = (len(EDGES) - 1,), partial(measures.histogram, curves, EDGES)
+    """Return the estimates of some curves by name; NaN where there is none, see `_of_place`."""
     omega = curves.uniform.omega
     known = np.flatnonzero(shifts < omega[len(omega) // 2] - omega[0])
-    wanted["correlation"] = known.shape, partial(measures.correlation, curves, shifts[known])
-    found = {}
-    for name, (shape, measure) in wanted.items():
+    measures = {name: ((), partial(getattr(intensity, name), curves)) for name in MEASURED}
+    measures["density"] = (len(EDGES) - 1,), partial(intensity.histogram, curves, EDGES)
+    measures["correlation"] = known.shape, partial(intensity.correlation, curves, shifts[known])
+    estimates = {}
+    for name, (shape, measure) in measures.items():
         try:
-            found[name] = measure()
+            estimates[name] = measure()
         except InputError as error:
             missing.setdefault((name.replace("_", " "), str(error)), {})[where] = True
-            found[name] = Estimate(*[np.full(shape, np.nan)] * 2)
-    beyond = (0, len(shifts) - len(known))
-    padded = [
-        np.pad(x, beyond, constant_values=np.nan) for x in vars(found["correlation"]).values()
-    ]
-    found["correlation"] = Estimate(*padded)
-    return found
+            estimates[name] = Estimate(np.full(shape, np.nan), np.full(shape, np.nan))
+    beyond, found = (0, len(shifts) - len(known)), estimates["correlation"]
+    pad = partial(np.pad, pad_width=beyond, constant_values=np.nan)
+    estimates["correlation"] = Estimate(pad(found.value), pad(found.error))
+    return estimates
 
 
 def summary(found):
-    """Return in words what the noise is like, beside Gaussian laws. Not collective."""
-    from pgran.experiments.ensemble.intensity import (
-        GAUSSIAN_CONTRAST,
-        GAUSSIAN_SPREAD,
-        MAXIMA_SPACING,
-    )
-
+    """Return in words what the noise is like, beside Gaussian laws."""
     for w, d in np.ndindex(found.coherent_part.shape):
         yield (
             f"{ball_names(found.detector)[d]}, {found.low[w]:g} to {found.high[w]:g}: "
-            f"{_said(found, 'coherent_part', (w, d))} of <|A|^2> is coherent, |<A>|^2"
+            f"{_with_error(found, 'coherent_part', (w, d))} of <|A|^2> is coherent, |<A>|^2"
         )
-        for f, part in enumerate(found.part):
-            contrast, spread, width, spacing = (_said(found, n, (w, d, f)) for n in MEASURED)
-            ratio = found.maxima_spacing[w, d, f] / found.half_width[w, d, f]
+        for p, part in enumerate(found.part):
+            contrast, spread, width, spacing = (_with_error(found, n, (w, d, p)) for n in MEASURED)
+            ratio = found.maxima_spacing[w, d, p] / found.half_width[w, d, p]
             beside = f", {ratio:.3g} half widths ({MAXIMA_SPACING:.3g})" if ratio > 0 else ""
             yield (
-                f"  {part}: <I^2>/<I>^2 {contrast} (Gaussian: {GAUSSIAN_CONTRAST:g}), spread "
-                f"{spread} dB ({GAUSSIAN_SPREAD:.3g}), half width of the correlation {width}, "
-                f"spacing of maxima {spacing}{beside}"
+                f"  {part}: <I^2>/<I>^2 {contrast} (Gaussian: {intensity.GAUSSIAN_CONTRAST:g}), "
+                f"spread {spread} dB ({intensity.GAUSSIAN_SPREAD:.3g}), half width of the "
+                f"correlation {width}, spacing of maxima {spacing}{beside}"
             )
 
 
-def _said(found, name, place):
-    """Return a measure with its error."""
-    value, error = (getattr(found, n)[place] for n in (name, f"{name}_error"))
+def _with_error(found, name, place):
+    """Return in words a measure with its error."""
+    value, error = getattr(found, name)[place], getattr(found, f"{name}_error")[place]
     return f"{value:.3g} +- {two_digits(error)}" if np.isfinite(error) else "unknown"

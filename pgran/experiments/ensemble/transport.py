@@ -1,17 +1,152 @@
-"""Transport through an ensemble: amplitude, attenuation and delay against depth."""
+"""Transport through an ensemble: amplitude, attenuation length and group delay against depth."""
+
+import math
+from functools import cached_property
 
 import numpy as np
 
 from pgran.arguments import called_right
 from pgran.errors import InputError
-from pgran.experiments.ensemble.record import Ensemble, Transport
-from pgran.experiments.modes.scene import REGIMES
+from pgran.experiments.ensemble.noise import finite_samples
+from pgran.experiments.ensemble.record import Ensemble, Transport, with_errors
+from pgran.experiments.modes.levels import REGIMES, first_mode
 from pgran.medium.base import medium as medium_of
 from pgran.run.streams import saying_once
-from pgran.store.estimate import two_digits
+from pgran.store.estimate import FEWEST_SAMPLES, Estimate, jackknife_samples, mean_of, two_digits
 from pgran.store.si import SI
 
-FEWEST_DEPTHS = 3
+FEWEST_DEPTHS = 3  # of a straight line
+FALLS = 2.0  # errors that a slope is negative by, for an attenuation length
+
+
+class Profiles:
+    """Responses of samples at detectors of several depths, and their means against depth.
+
+    `depth` are those of the detectors, shape (nd,); `amplitude` and `derivative` are A and
+    dA/domega, shape (samples, nw, nd). Samples that are not finite everywhere are left out, aloud.
+    Means have the shape (nw, nx), of frequencies and of `depths`, ascending; detectors of one depth
+    are averaged in each sample. An InputError says what does not fit, or is too little.
+    """
+
+    def __init__(self, depth, amplitude, derivative):
+        """Check, leave out, and find which detectors are of one depth."""
+        depth, amplitude = np.asarray(depth, dtype=float), np.asarray(amplitude, dtype=complex)
+        derivative = np.asarray(derivative, dtype=complex)
+        if amplitude.shape != derivative.shape:
+            raise InputError(
+                f"derivative: shape {derivative.shape} is not that of the amplitudes, "
+                f"{amplitude.shape}"
+            )
+        if amplitude.ndim != 3 or depth.shape != amplitude.shape[2:] or amplitude.size == 0:
+            raise InputError(
+                f"amplitude: shape {amplitude.shape} is not samples by frequencies by "
+                f"{depth.size} detectors"
+            )
+        if not np.all(np.isfinite(depth)):
+            raise InputError("depth: every one must be finite")
+        kept = finite_samples(np.where(np.isfinite(derivative), amplitude, math.nan))
+        self.samples = np.count_nonzero(kept)
+        if self.samples < FEWEST_SAMPLES:
+            raise InputError(
+                f"amplitude: {self.samples} samples are too few; {FEWEST_SAMPLES} are needed"
+            )
+        self.amplitude, self.derivative = amplitude[kept], derivative[kept]
+        self.depths, place = np.unique(depth, return_inverse=True)
+        # one column a depth: 1/n at each of its n detectors, so that numbers @ share are the means
+        self.share = (place[:, None] == np.arange(len(self.depths))) / np.bincount(place)
+        self.intensities = np.abs(self.amplitude) ** 2 @ self.share
+        if not np.all(self.intensities.any(axis=0)):
+            raise InputError("amplitude: it vanishes in all samples")
+
+    @cached_property
+    def levels(self):
+        """ln|A| of each sample, shape (samples, nw, nx)."""
+        size = np.abs(self.amplitude)
+        if np.any(size == 0):
+            sample, frequency, detector = np.argwhere(size == 0)[0]
+            raise InputError(
+                f"amplitude: that of sample {sample}, frequency {frequency}, detector {detector} "
+                "vanishes and has no logarithm"
+            )
+        return np.log(size) @ self.share
+
+    def log_amplitude(self):
+        """Return <ln|A|>, the typical amplitude.
+
+        It averages itself where <|A|^2> is ruled by few samples (Sheng, Introduction to Wave
+        Scattering, Localization and Mesoscopic Phenomena, 2006, ch. 8).
+        """
+        return mean_of(self.levels)
+
+    def intensity(self):
+        """Return <|A|^2>."""
+        return mean_of(self.intensities)
+
+    def attenuation(self):
+        """Return 1 / length and length of the line <ln|A|> = a - depth / length, by frequency.
+
+        Depths weigh by the variance of their <ln|A|>. The line through the means is the mean of the
+        samples' lines, and its error is that over samples: depths of one sample are not
+        independent, so weights alone would claim too much. Depths should be those where the fall is
+        straight: not next to the walls, and not below the first mode, where walls alone make it.
+        The length is NaN where <ln|A|> does not fall by `FALLS` errors at least.
+        """
+        self._check_depths()
+        depths, levels = self.depths, self.levels
+        variance = levels.var(axis=0)
+        floor = 1e-12 * np.maximum(variance.max(axis=1, keepdims=True), np.finfo(float).tiny)
+        weights = 1 / np.maximum(variance, floor)
+        # least squares: slope = sum w (x - <x>) y / sum w (x - <x>)^2, <x> = sum w x / sum w
+        middle = np.sum(weights * depths, axis=1, keepdims=True) / weights.sum(
+            axis=1, keepdims=True
+        )
+        along = weights * (depths - middle)
+        rate = mean_of(-np.sum(along * levels, axis=2) / np.sum(along * (depths - middle), axis=1))
+        with np.errstate(all="ignore"):
+            falls = rate.value > FALLS * rate.error
+            length = np.where(falls, 1 / rate.value, math.nan)
+            error = np.where(falls, rate.error / rate.value**2, math.nan)
+        return rate, Estimate(length, error)
+
+    def delay(self, over=None):
+        """Return the mean group delay, each sample's weighted by its intensity.
+
+            tau = < |A|^2 (-d arg A / d omega) > / < |A|^2 > = -< Im(A* dA/domega) > / < |A|^2 >
+
+        For a complex Gaussian field this is the mean delay itself, whose own distribution has no
+        variance (van Tiggelen, Sebbah, Stoytchev and Genack, Phys. Rev. E 59, 7166 (1999)); where
+        modes of one width Gamma overlap it is 1/Gamma. `over`, shape (n, nw), are averages over
+        frequencies, one a row, that are wanted in place of single frequencies.
+        """
+        return jackknife_samples(self._delay(over), self.samples)
+
+    def delay_growth(self, over=None):
+        """Return by how much the mean group delay grows with depth, 1 / speed, by frequency.
+
+        The slope of the straight line through `delay`, all depths alike, with the error over
+        samples. What stands and rings between walls has none; what propagates has.
+        """
+        self._check_depths()
+        measure, away = self._delay(over), self.depths - self.depths.mean()
+        return jackknife_samples(lambda some: measure(some) @ away / np.sum(away**2), self.samples)
+
+    def _delay(self, over):
+        """Return the function of a mask of samples that is their mean delay."""
+        flow = -np.imag(np.conj(self.amplitude) * self.derivative) @ self.share
+
+        def measure(some):
+            late = flow[some].mean(axis=0) / self.intensities[some].mean(axis=0)
+            return late if over is None else over @ late
+
+        return measure
+
+    def _check_depths(self):
+        """Raise unless a straight line through the depths tells something."""
+        if len(self.depths) < FEWEST_DEPTHS:
+            raise InputError(
+                f"depth: {len(self.depths)} depths are too few for a line; {FEWEST_DEPTHS} are "
+                "needed"
+            )
 
 
 @called_right
@@ -19,13 +154,13 @@ FEWEST_DEPTHS = 3
 def transport(medium, ensemble):
     """Return what an ensemble's responses say of transport.
 
-    Not collective. Only samples count that are good. A delay that is not certain, as the amplitude
-    may vanish there, has no weight. Below the first mode walls alone make amplitudes fall, in a
-    length that is geometry, and there is none.
+    Only samples count that are good. A delay that is not certain, as the amplitude may vanish
+    there, has no weight. Below the first mode walls alone make amplitudes fall, in a length that is
+    geometry, and there is none.
 
     Parameters
     ----------
-    medium : pgran.medium.lattice.Lattice or pgran.medium.network.Network
+    medium : pgran.Lattice or pgran.Network
         One of the samples, or of their size.
     ensemble : pgran.results.Ensemble
         Of responses at detectors of three depths or more, with their curves.
@@ -40,15 +175,6 @@ def transport(medium, ensemble):
         If there are no curves, or too few depths or samples, or an amplitude vanishes, or all
         frequencies lie below the first mode.
     """
-    from pgran.experiments.ensemble.localization import (
-        attenuation,
-        delay_per_depth,
-        delay_profile,
-        intensity_profile,
-        log_amplitude_profile,
-    )
-    from pgran.experiments.modes.levels import first_mode
-
     if not isinstance(ensemble, Ensemble) or ensemble.displacement is None:
         raise InputError("transport: this ensemble has no curves; -ensemble_keep curves keeps them")
     medium = medium_of(medium)
@@ -56,37 +182,28 @@ def transport(medium, ensemble):
     waves = omega >= first
     if not waves.any():
         raise InputError(f"transport: all frequencies lie below the first mode, at {first:.4g}")
-    depth, good = depths_of(medium, ensemble.detector), ensemble.good > 0
+    good = ensemble.good > 0
     displacement = ensemble.displacement[good]
-    logs = log_amplitude_profile(depth, displacement)
-    intensity = intensity_profile(depth, displacement)
-    line = attenuation(depth, displacement)
-    # d arg A / d omega is minus the delay
+    # dA/domega along the circle |A| alone: d arg A / domega is minus the delay
     turned = -1j * np.nan_to_num(ensemble.sample_delay[good]) * displacement
+    profiles = Profiles(medium.depths(ensemble.detector), displacement, turned)
+    rate, length = profiles.attenuation()
     edges, over = _bands(omega, first, medium.omega_mx)
-    late = delay_profile(depth, displacement, turned)
-    banded = delay_profile(depth, displacement, turned, over)
-    growth = delay_per_depth(depth, displacement, turned, over)
     return Transport(
         samples=len(displacement),
         first_mode=first,
-        depth=logs.depth,
+        depth=profiles.depths,
         omega=omega,
-        ln_amplitude=logs.mean.value,
-        ln_amplitude_error=logs.mean.error,
-        intensity=intensity.mean.value,
-        intensity_error=intensity.mean.error,
-        rate=line.rate.value,
-        rate_error=line.rate.error,
-        length=np.where(waves, line.length.value, np.nan),
-        length_error=np.where(waves, line.length.error, np.nan),
-        group_delay=late.mean.value,
-        group_delay_error=late.mean.error,
         edge=edges,
-        band_delay=banded.mean.value,
-        band_delay_error=banded.mean.error,
-        delay_growth=growth.value,
-        delay_growth_error=growth.error,
+        **with_errors(
+            ln_amplitude=profiles.log_amplitude(),
+            intensity=profiles.intensity(),
+            rate=rate,
+            length=Estimate(*(np.where(waves, x, np.nan) for x in (length.value, length.error))),
+            group_delay=profiles.delay(),
+            band_delay=profiles.delay(over),
+            delay_growth=profiles.delay_growth(over),
+        ),
     )
 
 
@@ -97,27 +214,20 @@ def _bands(omega, first, unit):
         inside = (omega >= max(first, low * unit)) & (omega < high * unit)
         if inside.any():
             lowest = max(first, low * unit, omega.min())
+            # the upper end of a band is the lower one of the next, which replaces it
             ends[len(rows) :] = [lowest, min(high * unit, omega.max())]
             rows.append(inside / np.count_nonzero(inside))
     return np.array(ends), np.array(rows)
 
 
-def depths_of(medium, detectors):
-    """Return the depth of each detector; NaN where it is unknown. Not collective."""
-    return np.asarray(medium.depths(detectors), dtype=float)
-
-
 def is_line(medium, detectors):
-    """Return whether detectors lie at so many depths that a line tells something. Not collective.
-
-    Then a run looks at transport without being asked.
-    """
-    depth = depths_of(medium, detectors)
+    """Return whether detectors have so many depths that a run looks at transport unasked."""
+    depth = np.asarray(medium.depths(detectors), dtype=float)
     return bool(np.all(np.isfinite(depth)) and len(np.unique(depth)) >= FEWEST_DEPTHS)
 
 
 def summary(result):
-    """Return in words how far sound gets. Not collective."""
+    """Return in words how far sound gets."""
     found, si = result.transport, SI.of(result)
     known, waves = np.isfinite(found.length), found.omega >= found.first_mode
     if not known.any():

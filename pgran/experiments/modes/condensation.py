@@ -1,11 +1,23 @@
 """How many eigenvalues of a lattice's K lie below a shift, by condensing boxes of balls.
 
-The lattice is cut in two by a layer of balls, and each part again, down to small boxes. A box acts
-on the balls around it by its Schur complement; a layer is eliminated once both of its parts are, in
-the basis of its own modes. By Sylvester's law K - sigma has as many negative eigenvalues as all the
-blocks eliminated have together (nested dissection: George 1973; inertia: Haynsworth 1968). No
-factors are kept, boxes of one shape go through each step together, and the modes of the smallest
-boxes are the same for all shifts.
+The lattice is a box. A box is cut in two by a layer of balls, and each part again, down to small
+boxes that stay whole:
+
+      a a a a a a a          o  in the two parts, and eliminated with these
+    a o o o i o o o |        i  `inner`: the layer, eliminated next, in the basis of its own modes
+    a o o o i o o o |        a  `around`: balls next to the box, on sides without a wall |
+    a o o o i o o o |
+      a a a a a a a
+
+What is eliminated leaves its Schur complement on the balls around, which is added to the matrix of
+the box that the part was cut from. With i before a,
+
+    [ D    C ]                             D = V diag(values) V^T,  coupled = V^T C
+    [ C^T  A ]    leaves   A - C^T D^-1 C = A - coupled^T diag(1 / values) coupled
+
+By Sylvester's law K - sigma has as many negative eigenvalues as all the D together (nested
+dissection: George 1973; inertia: Haynsworth 1968). No factors are kept, boxes of one shape go
+through each step together, and the modes of the smallest boxes are the same for all shifts.
 """
 
 from dataclasses import dataclass, field
@@ -16,31 +28,37 @@ from pgran.medium.rounding import EPSILON
 
 SMALLEST = {1: 12, 2: 60, 3: 80}  # balls in a box that is not cut further; measured
 CHUNK = 2**19  # numbers in the matrices that are worked on together: they fit into the cache
+FEW_RUNS = 12  # pieces that are added one by one
 
 
 @dataclass(eq=False)
 class Boxes:
-    """Boxes of one shape: what to eliminate in each, and the balls around it.
+    """Boxes of one shape and with walls on the same sides, and where their balls and parts are.
 
-    Coordinates are those of a box's own first ball. `around` has the balls next to it on each side
-    on which there is no wall; `inner` those to be eliminated: a layer, or all if it is not cut.
+    `inner` and `around` are coordinates from a box's own first ball, shape (balls, axes), `origins`
+    those of the first balls in the lattice, shape (boxes, axes).
     """
 
     inner: np.ndarray
     around: np.ndarray
-    cut: tuple  # pairs (offset, key) of the parts
+    cut: tuple  # pairs (offset, (shape, sides)) of the two parts; none if the box stays whole
     origins: list = field(default_factory=list)
-    parts: list = field(default_factory=list)  # (boxes, where in them the first one's part is)
+    # Of each of the two parts: its boxes, which of these is the first box's, offset.
+    parts: list = field(default_factory=list)
+    # Where numbers go, by `_prepare`; a matrix has rows and columns for `inner`, then for `around`.
+    springs: list = field(default_factory=list)  # (axis, rows, columns, bonds) of what meets inner
+    scatter: list = field(default_factory=list)  # of each part the rows of the balls around it
+    modes: list = field(default_factory=list)  # what `_modes` returns, if the boxes stay whole
+
+    def chunks(self):
+        """Yield slices of the boxes whose matrices are worked on together."""
+        at_once = max(1, CHUNK // (len(self.inner) + len(self.around)) ** 2)
+        for start in range(0, len(self.origins), at_once):
+            yield slice(start, min(start + at_once, len(self.origins)))
 
 
 class Condensation:
     """Counts the eigenvalues of a lattice's K below a shift.
-
-    Not collective.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice
 
     Attributes
     ----------
@@ -63,25 +81,25 @@ class Condensation:
         sums = 0.0
         for axis, k in enumerate(lattice.stiffness):
             k = np.moveaxis(k, axis, 0)
-            sums = sums + np.moveaxis(k[1:] + k[:-1], 0, axis)
+            sums = sums + np.moveaxis(k[1:] + k[:-1], 0, axis)  # of the bonds on both sides
         self._diagonal = sums.ravel()
         self._levels = self._dissect()
         for level in self._levels:
-            for boxes in level.values():
+            for boxes in level:
                 self._prepare(boxes)
 
     def below(self, shift, clearance):
         """Return how many eigenvalues lie below a shift, or None where that is uncertain.
 
-        Not collective. The count at shift - clearance is at most the one wanted, that at shift +
-        clearance at least, if both are exact for matrices that miss K by no more than clearance
-        (Weyl). So it is certain where both agree; the bound of what is missed rests on the backward
-        stability of LAPACK's eigenvalues.
+        The count at shift - clearance is at most the one wanted, that at shift + clearance at
+        least, if both are exact for matrices that miss K by no more than clearance (Weyl). So it is
+        certain where both agree; the bound of what is missed rests on the backward stability of
+        LAPACK's eigenvalues.
         """
         counts = set()
         for side in (-1, 1):
-            count, missed = self.inertia(shift + side * clearance)
-            if not missed <= clearance:
+            count, distance = self.inertia(shift + side * clearance)
+            if not distance <= clearance:  # NaN, too
                 return None
             counts.add(count)
         return counts.pop() if len(counts) == 1 else None
@@ -89,79 +107,66 @@ class Condensation:
     def inertia(self, shift):
         """Return how many negative eigenvalues a matrix near K - shift has, and how near it is.
 
-        Not collective. The distance is a bound of |E|_2 for K - shift + E. A ball lies in one box
-        of a level, or in a layer between two: so many of their errors overlap at most.
+        The distance is a bound of |E|_2 for K - shift + E. A ball lies in one box of a level, or in
+        a layer between two: so many of their errors overlap at most.
         """
-        negative, missed, done = 0, 0.0, {}
+        negative, distance, complements = 0, 0.0, {}
         scale = self.norm + abs(shift)
         with np.errstate(all="ignore"):
             for level in reversed(self._levels):
-                found, worst = {}, 0.0
-                for boxes in level.values():
-                    found[id(boxes)], count, error = self._condense(boxes, shift, scale, done)
+                of_parts, complements, worst = complements, {}, 0.0
+                for boxes in level:
+                    complements[boxes], count, error = self._condense(boxes, shift, scale, of_parts)
                     negative += count
                     worst = max(worst, error)
-                missed += 2 * worst
-                done = found
-        return negative, missed
+                distance += 2 * worst
+        return negative, distance
 
     def _dissect(self):
-        """Return the boxes of each level by shape and sides, from the whole to the smallest."""
+        """Return the boxes of each level, from the whole lattice to the smallest ones."""
         axes = len(self.shape)
-        whole = (self.shape, ((False, False),) * axes)
-        levels = [{whole: _boxes(*whole)}]
-        levels[0][whole].origins.append(np.zeros((1, axes), dtype=int))
-        while any(boxes.cut for boxes in levels[-1].values()):
+        whole = _boxes(self.shape, ((False, False),) * axes)
+        whole.origins = np.zeros((1, axes), dtype=int)
+        levels = [[whole]]
+        while any(boxes.cut for boxes in levels[-1]):
             following = {}
-            for boxes in levels[-1].values():
-                boxes.origins = np.concatenate(boxes.origins)
-                for offset, key in boxes.cut:
-                    part = following.setdefault(key, None) or _boxes(*key)
-                    following[key] = part
+            for boxes in levels[-1]:
+                for offset, kind in boxes.cut:
+                    if kind not in following:
+                        following[kind] = _boxes(*kind)
+                    part = following[kind]
                     boxes.parts.append((part, sum(map(len, part.origins)), offset))
                     part.origins.append(boxes.origins + offset)
-            levels.append(following)
-        for boxes in levels[-1].values():
-            boxes.origins = np.concatenate(boxes.origins)
+            for part in following.values():
+                part.origins = np.concatenate(part.origins)
+            levels.append(list(following.values()))
         return levels
 
     def _prepare(self, boxes):
         """Find where numbers go in the matrices of boxes, and modes of those that stay whole."""
         nodes = np.concatenate([boxes.inner, boxes.around])
-        extent = nodes.max(axis=0) + 3
-        strides, inner = _strides(extent), len(boxes.inner)
-        keys = (nodes + 1) @ strides
-        by_key = np.argsort(keys)
-
-        def places(wanted):
-            at = np.searchsorted(keys[by_key], wanted)
-            at = by_key[np.minimum(at, len(keys) - 1)]
-            return at, keys[at] == wanted
-
-        boxes.springs = []
+        inner, extent = len(boxes.inner), nodes.max(axis=0) + 3
+        # Sites are numbered in a grid wider by one on each side: the neighbour along an axis is a
+        # stride away, and has the row -1 where nothing of the box is.
+        strides = _strides(extent)
+        site = (nodes + 1) @ strides
+        row_of = np.full(np.prod(extent), -1)
+        row_of[site] = np.arange(len(nodes))
         for axis, stride in enumerate(strides):
-            step = np.arange(len(strides)) == axis
+            upward = np.arange(len(strides)) == axis
             for sign in (1, -1):
-                at, there = places(keys[:inner] + sign * stride)
-                there &= (sign > 0) | (at >= inner)  # each bond once
-                first, second = np.flatnonzero(there), at[there]
-                upper = boxes.inner[there] + step * (sign > 0)
-                boxes.springs.append((axis, first, second, upper @ self._strides[axis]))
-        boxes.ball = boxes.inner @ _strides(self.shape)
-        boxes.scatter = []
-        for part, _, offset in boxes.parts:
-            at, _ = places((part.around + offset + 1) @ strides)
-            boxes.scatter.append(_runs(at))
-        boxes.chunk = max(1, CHUNK // len(nodes) ** 2)
+                neighbour = row_of[site[:inner] + sign * stride]
+                # Bonds between two inner balls are met from below only, so that each comes once.
+                first = np.flatnonzero(neighbour >= (0 if sign > 0 else inner))
+                # The bond below a ball has the ball's coordinates, that above has one more.
+                bond = boxes.inner[first] + (upward if sign > 0 else 0)
+                boxes.springs.append((axis, first, neighbour[first], bond @ self._strides[axis]))
+        boxes.scatter = [
+            _runs(row_of[(part.around + offset + 1) @ strides]) for part, _, offset in boxes.parts
+        ]
         if not boxes.cut:
-            values, coupled = [], []
-            for start in range(0, len(boxes.origins), boxes.chunk):
-                matrix = self._assemble(boxes, slice(start, start + boxes.chunk))
-                value, vectors = np.linalg.eigh(matrix[:, :inner, :inner])
-                values.append(value)
-                coupled.append(vectors.transpose(0, 2, 1) @ matrix[:, :inner, inner:])
-            boxes.values, boxes.coupled = np.concatenate(values), np.concatenate(coupled)
-            boxes.squares = np.einsum("bij,bij->bi", boxes.coupled, boxes.coupled)
+            modes = [_modes(self._assemble(boxes, some), inner) for some in boxes.chunks()]
+            boxes.modes = [np.concatenate(arrays) for arrays in zip(*modes, strict=True)]
 
     def _assemble(self, boxes, some):
         """Return the rows of K of what is eliminated in some boxes, each a matrix."""
@@ -169,55 +174,56 @@ class Condensation:
         size = inner + len(boxes.around)
         matrix = np.zeros((len(origins), size, size))
         diagonal = np.arange(inner)
-        first = origins @ _strides(self.shape)
-        matrix[:, diagonal, diagonal] = self._diagonal[first[:, None] + boxes.ball]
-        for axis, one, other, places in boxes.springs:
-            springs = self._bonds[axis][(origins @ self._strides[axis])[:, None] + places]
-            matrix[:, one, other] = -springs
-            ours = other < inner
-            matrix[:, other[ours], one[ours]] = -springs[:, ours]
+        # a ball's number is that of its box's first ball, and what it is farther
+        ball = (origins @ _strides(self.shape))[:, None] + boxes.inner @ _strides(self.shape)
+        matrix[:, diagonal, diagonal] = self._diagonal[ball]
+        for axis, rows, columns, bond in boxes.springs:
+            springs = self._bonds[axis][(origins @ self._strides[axis])[:, None] + bond]
+            matrix[:, rows, columns] = -springs
+            both = columns < inner
+            matrix[:, columns[both], rows[both]] = -springs[:, both]
         return matrix
 
-    def _condense(self, boxes, shift, scale, done):
-        """Return the Schur complements of boxes, negative values eliminated, and a bound of errors.
-
-        Errors of one box: those of its modes' values and couplings, of the sums over its modes,
-        and of what is stored.
-        """
+    def _condense(self, boxes, shift, scale, of_parts):
+        """Return Schur complements of boxes, how many values are negative, a bound of errors."""
         inner, around = len(boxes.inner), len(boxes.around)
         schur = np.empty((len(boxes.origins), around, around))
         negative, worst = 0, 0.0
-        for start in range(0, len(schur), boxes.chunk):
-            some = slice(start, min(start + boxes.chunk, len(schur)))
+        for some in boxes.chunks():
             if boxes.cut:
                 matrix = self._assemble(boxes, some)
                 diagonal = np.arange(inner)
                 matrix[:, diagonal, diagonal] -= shift
                 for (part, first, _), runs in zip(boxes.parts, boxes.scatter, strict=True):
-                    added = done[id(part)][first + some.start : first + some.stop]
-                    _add(matrix, runs, added)
+                    _add(matrix, runs, of_parts[part][first + some.start : first + some.stop])
                 if not np.isfinite(matrix[:, :inner, :inner]).all():
                     return schur, 0, np.inf
-                values, vectors = np.linalg.eigh(matrix[:, :inner, :inner])
-                coupled = vectors.transpose(0, 2, 1) @ matrix[:, :inner, inner:]
-                squares = np.einsum("bij,bij->bi", coupled, coupled)
-                stays = matrix[:, inner:, inner:]
+                values, coupled, squares = _modes(matrix, inner)
+                outer = matrix[:, inner:, inner:]
             else:
-                values, coupled = boxes.values[some] - shift, boxes.coupled[some]
-                squares, stays = boxes.squares[some], 0.0
+                values, coupled, squares = (array[some] for array in boxes.modes)
+                values, outer = values - shift, 0.0
             inverse = 1.0 / values
-            found = coupled.transpose(0, 2, 1) @ (inverse[:, :, None] * coupled)
-            np.subtract(stays, found, out=schur[some])
+            through = coupled.transpose(0, 2, 1) @ (inverse[:, :, None] * coupled)
+            np.subtract(outer, through, out=schur[some])
             negative += np.count_nonzero(values < 0)
-            size = np.sqrt(np.einsum("bij,bij->b", schur[some], schur[some]))
-            size += 4 * inner * (np.abs(values).max(axis=1) + np.sqrt(squares.sum(axis=1)) + scale)
-            size += (0.5 * inner + 2) * (squares * np.abs(inverse)).sum(axis=1)
-            worst = max(worst, size.max()) if np.isfinite(size).all() else np.inf
+            # of what is stored; of the modes' values and couplings; of the sums over modes
+            error = np.sqrt(np.einsum("bij,bij->b", schur[some], schur[some]))
+            error += 4 * inner * (np.abs(values).max(axis=1) + np.sqrt(squares.sum(axis=1)) + scale)
+            error += (0.5 * inner + 2) * (squares * np.abs(inverse)).sum(axis=1)
+            worst = max(worst, error.max()) if np.isfinite(error).all() else np.inf
         return schur, negative, EPSILON * worst
 
 
+def _modes(matrix, inner):
+    """Return the values of D, V^T C and the squares of its rows' norms, of each matrix."""
+    values, vectors = np.linalg.eigh(matrix[:, :inner, :inner])
+    coupled = vectors.transpose(0, 2, 1) @ matrix[:, :inner, inner:]
+    return values, coupled, np.einsum("bij,bij->bi", coupled, coupled)
+
+
 def _boxes(shape, sides):
-    """Return boxes of a shape, with balls around them on some sides of each axis."""
+    """Return boxes of a shape; `sides` tells of both sides of each axis if there are balls."""
     axes, around, cut = len(shape), [], ()
     span = [np.arange(n) for n in shape]
     for axis, (low, high) in enumerate(sides):
@@ -227,13 +233,14 @@ def _boxes(shape, sides):
     longest = int(np.argmax(shape))
     if np.prod(shape) > SMALLEST[axes] and shape[longest] > 2:
         middle = shape[longest] // 2
-        for first, size, side in (
-            (0, middle, (sides[longest][0], True)),
-            (middle + 1, shape[longest] - middle - 1, (True, sides[longest][1])),
+        low, high = sides[longest]
+        for first, size, ends in (
+            (0, middle, (low, True)),  # the layer is next to both parts
+            (middle + 1, shape[longest] - middle - 1, (True, high)),
         ):
-            part = tuple(size if a == longest else n for a, n in enumerate(shape))
-            its = tuple(side if a == longest else s for a, s in enumerate(sides))
-            cut = (*cut, (first * (np.arange(axes) == longest), (part, its)))
+            part = (*shape[:longest], size, *shape[longest + 1 :])
+            its_sides = (*sides[:longest], ends, *sides[longest + 1 :])
+            cut = (*cut, (first * (np.arange(axes) == longest), (part, its_sides)))
         span[longest] = np.array([middle])
     nothing = np.zeros((0, axes), dtype=int)
     return Boxes(_grid(span), np.concatenate([nothing, *around]), cut)
@@ -250,18 +257,21 @@ def _strides(shape):
 
 
 def _runs(places):
-    """Return slices (of the places, of what goes there) that follow each other; or the places."""
+    """Return the slices of following places, and of what goes there; the places if these are many.
+
+    Places 3 4 5 9 10: [(3:6, 0:3), (9:11, 3:5)]. Blocks are added much faster than single entries.
+    """
     if not len(places):
         return []
     ends = np.flatnonzero(np.diff(places) != 1) + 1
     pieces = np.split(np.arange(len(places)), ends)
-    if len(pieces) > 12:
+    if len(pieces) > FEW_RUNS:
         return places
     return [(slice(places[p[0]], places[p[-1]] + 1), slice(p[0], p[-1] + 1)) for p in pieces]
 
 
 def _add(matrix, runs, added):
-    """Add matrices to parts of others."""
+    """Add matrices to the rows and columns of others that `runs` are."""
     if isinstance(runs, np.ndarray):
         matrix[:, runs[:, None], runs] += added
         return

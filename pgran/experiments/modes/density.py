@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import time
 from functools import partial
 
 import numpy as np
@@ -18,6 +17,7 @@ from pgran.run.keywords import PROGRESS
 from pgran.run.numbers import numbers
 from pgran.run.options import INTEGER, Option, alternatives
 from pgran.run.task import Task, carry_out
+from pgran.store.record import columns_of, row_of
 from pgran.store.si import SI
 
 DENSITY = Option(
@@ -26,12 +26,17 @@ DENSITY = Option(
     "-modes_omega_max (above all modes)",
     low=2, high=10**6
 )  # fmt: skip
+# In mean distances of eigenvalues: how far a count stays clear of them; the second where rounding
+# is larger than the first, the others, down to MARGIN of |K|, where one is closer.
+CLEARANCES = (0.01, 0.1, 1e-4, 1e-6, 1e-8, 1e-10)
+MARGIN = 1e-11  # of |K|: how far a count is moved down at first where an eigenvalue is too close
+ATTEMPTS = 40  # each four times as far down
 
 
 def check(values, given):
     """Let counts stand for modes, or the other way round, whichever is asked for later.
 
-    Not collective. Raises InputError where both are asked for at the same place.
+    Raises InputError where both are asked for at the same place.
     """
     if values.get("modes_density") is None:  # an accuracy study has no such option
         return
@@ -47,7 +52,7 @@ def check(values, given):
 
 
 def frequencies(options, lattice):
-    """Return the frequencies to count at. Not collective."""
+    """Return the frequencies to count at."""
     low, high = options.modes_omega_min, options.modes_omega_max
     if low is None:
         scaled, _ = lattice.in_own_unit()
@@ -66,8 +71,6 @@ def count_modes(lattice, omegas, crew=None, *, progress=PROGRESS):
     ----------
     omegas : array_like, shape (N,)
         Angular, increasing, two or more.
-    crew : pgran.run.crew.Crew, optional
-        All ranks unless given; of groups of one rank.
 
     Returns
     -------
@@ -82,68 +85,35 @@ def count_modes(lattice, omegas, crew=None, *, progress=PROGRESS):
     # not >: NaN too
     if omegas.ndim != 1 or len(omegas) < 2 or not (omegas[0] >= 0 and np.all(np.diff(omegas) > 0)):
         raise InputError("omegas: two frequencies or more are needed, 0 or higher, that increase")
-    started = time.perf_counter()
     check_frequency(lattice, omegas[-1])
-    at = omegas if lattice.semidefinite or omegas[0] == 0 else np.append(0.0, omegas)
-    found = carry_out(Counts(lattice, at), crew, progress)
-    if found is None:
-        return None
-    unstable = 0 if lattice.semidefinite else _certain(found)[0]
-    found = found[-len(omegas) :]
-    known, count = found["certified"], _certain(found)
-    widths = np.diff(omegas) / lattice.omega_mx if lattice.omega_mx > 0 else math.nan
-    balls = len(lattice.free) if lattice.irregular else lattice.balls
-    density = np.where(known[1:] & known[:-1], np.diff(count) / (balls * widths), math.nan)
-    return Density(
-        balls=balls,
-        omega_mx=lattice.omega_mx,
-        solve_seconds=time.perf_counter() - started,
-        unstable=int(unstable),
-        omega=omegas,
-        count=count,
-        certified=known,
-        margin=np.ascontiguousarray(found["margin"]),
-        middle=0.5 * (omegas[1:] + omegas[:-1]),
-        density=density,
-    )
-
-
-def _certain(found):
-    """Return the counts of rows of `Counts`, -1 where one is not certain."""
-    return np.where(found["certified"], found["count"], -1)
+    return carry_out(Counts(lattice, omegas), crew, progress)
 
 
 class Counts(Task):
-    """How many modes lie below some frequencies.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
-    omegas : numpy.ndarray, shape (N,)
-    """
+    """How many modes lie below some frequencies, one of them a unit; unstable ones below 0."""
 
     items = "frequencies"
-    row = np.dtype([("count", int), ("certified", bool), ("margin", float)])
+    row = np.dtype(row_of(Density))
 
     def __init__(self, lattice, omegas):
-        """A frequency is a unit."""
-        self.lattice, _ = lattice.in_own_unit()
-        self.units = omegas.tolist()
+        """Count at 0, too, where modes may be unstable."""
+        self.lattice, self.omegas = lattice, omegas
+        self.scaled, _ = lattice.in_own_unit()
+        self.at_zero = not lattice.semidefinite and omegas[0] > 0
+        self.units = [*([0.0] if self.at_zero else []), *omegas.tolist()]
 
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`."""
-        from pgran.experiments.modes.staircase import count_below, counter_of
-
-        mass = self.lattice.mass
-        with counter_of(self.lattice) as counter:
+        mass = self.scaled.mass
+        with counter_of(self.scaled) as counter:
 
             def work(omega):
                 shift = mass * omega**2
                 count, margin = count_below(counter, shift)
                 rows = np.zeros(1, self.row)
                 rows["certified"] = count is not None
-                rows["count"] = count or 0
+                rows["count"] = -1 if count is None else count
                 moved = (shift - margin) / mass  # of an unstable mode's omega below 0
                 if margin:
                     rows["margin"] = omega - math.copysign(math.sqrt(abs(moved)), moved)
@@ -157,11 +127,81 @@ class Counts(Task):
 
     def collect(self, rows, seconds):
         """See `Task`."""
-        return rows
+        unstable = 0 if self.lattice.semidefinite else rows["count"][0]
+        columns = columns_of(Density, rows[1:] if self.at_zero else rows)
+        certified, omega, unit = columns["certified"], self.omegas, self.lattice.omega_mx
+        balls = self.lattice.free_balls
+        widths = np.diff(omega) / unit if unit > 0 else math.nan
+        density = np.diff(columns["count"]) / (balls * widths)
+        return Density(
+            balls=balls,
+            omega_mx=unit,
+            solve_seconds=seconds,
+            unstable=int(unstable),
+            omega=omega,
+            middle=0.5 * (omega[1:] + omega[:-1]),
+            density=np.where(certified[1:] & certified[:-1], density, math.nan),
+            **columns,
+        )
+
+
+@contextlib.contextmanager
+def counter_of(lattice):
+    """Return, for a `with`, what counts the eigenvalues of K: `below`, `norm`, `order`.
+
+    Boxes of a lattice are condensed; networks, which have no boxes, are factored. The lattice is in
+    its own unit.
+    """
+    if lattice.is_grid:
+        from pgran.experiments.modes.condensation import Condensation
+
+        yield Condensation(lattice)
+        return
+    from mpi4py import MPI
+
+    from pgran.driven.counting import ModeCounter
+    from pgran.driven.operators import Operators
+
+    with (
+        Operators(lattice, MPI.COMM_SELF) as operators,
+        ModeCounter(operators.K, lattice) as counter,
+    ):
+        yield counter
+
+
+def count_below(counter, shift):
+    """Return how many eigenvalues lie below a shift, and by how much less it was counted at.
+
+    Where an eigenvalue is so close that it is open on which side it lies, the shift is moved down,
+    below 0 where K may be indefinite: that eigenvalue, and those equal to it, are not counted.
+
+    Returns
+    -------
+    count : int or None
+        Certain for shift - margin; None if no count is certain.
+    margin : float
+    """
+    if shift <= 0 and counter.semidefinite:
+        return 0, 0.0
+    if shift > (1 + 1e-12) * counter.norm:  # which is rounded itself
+        return counter.order, 0.0
+    unit, margin = counter.norm / counter.order, MARGIN * counter.norm
+    for part in CLEARANCES:
+        count = counter.below(shift, part * unit) if part * unit > margin else None
+        if count is not None:
+            return count, 0.0
+    for _ in range(ATTEMPTS):
+        if shift <= margin and counter.semidefinite:
+            return 0, shift
+        count = counter.below(shift - margin, 0.5 * margin)
+        if count is not None:
+            return count, margin
+        margin *= 4
+    return None, margin
 
 
 def summary(result):
-    """Return in words what a run found. Not collective."""
+    """Yield in words what a run found."""
     density, si = result.density, SI.of(result)
     yield f"modes counted below {len(density.omega)} frequencies in {density.solve_seconds:.2f} s"
     if density.failures:

@@ -1,13 +1,16 @@
 """The figures of the driven lattice in terms of its modes (paper: onefreq, maxci, cifreq)."""
 
+from functools import partial
+
 import numpy as np
 
-from pgran.draw import marks, style
+from pgran.draw import marks, scales, style
+from pgran.experiments.modes import figures as modes_figures
 
 COEFFICIENT = "coefficient $|c_i|$ (drive = 1)"
 SHOWN = 0.6  # omega_mx: the driving frequency of onefreq, and where the modes of cifreq lie
 
-SAID = {
+CAPTIONS = {
     "onefreq": "Coefficients of the driven lattice in its normal modes at one driving frequency, "
     "against the frequency of the modes.",
     "maxci": "Frequency of the mode that is excited most, against the driving frequency.",
@@ -29,34 +32,33 @@ def figures(result, **_):
         name, draw = "onefreq", coefficients
     else:
         name, draw = ("maxci", dominant) if many else ("cifreq", single_modes)
-    figure, (ax,) = style.page(style.COLUMN, 2.5)
-    draw(ax, projection, result.medium)
-    figure.set_figheight(2.3 + 0.13 * style.legend_above([ax]))
+    panel = partial(draw, projection=projection, lattice=result.medium)
+    figure = style.single(panel, CAPTIONS[name])
     style.note_missing(figure, projection)
-    figure.caption = SAID[name]
     yield name, figure
+
+
+def errors(record, how):
+    """Return how many modes there are, and how many frequencies failed."""
+    failed = record.converged_reason <= 0
+    missed = f"{np.count_nonzero(failed)} of {len(failed)} frequencies"
+    lost = f" {missed} missed the accuracy asked for." if failed.any() else ""
+    return modes_figures.errors(record, how) + lost
 
 
 def coefficients(ax, projection, lattice, drive=SHOWN):
     """Draw the coefficients against the frequency of the modes at one drive (paper: onefreq).
 
-    A point a mode, on a stem. Returns the points.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    projection : pgran.results.Projection
-    lattice : pgran.results.LatticeRecord
-    drive : float
-        Driving frequency in units of omega_mx. Of those that are as accurate as asked, the nearest
-        is drawn; if none is, only a cross at the nearest of all.
+    A point a mode, on a stem. Of the driving frequencies that are as accurate as asked the one
+    nearest to `drive`, in units of omega_mx, is drawn; if none is, only a cross at the nearest of
+    all. Returns the points.
     """
     x, modes, accurate = _in_units(projection, lattice)
     shown = np.where(accurate == accurate.any(), np.abs(x - drive), np.inf).argmin()
     values = np.abs(projection.coefficient[shown])
     good = accurate[shown] & np.isfinite(values) & (values > 0)
     ax.set(yscale="log", ylabel=COEFFICIENT)
-    style.frequencies(ax, modes, style.MODE_FREQUENCY)
+    scales.frequencies(ax, modes, scales.MODE_FREQUENCY)
     label = rf"driving frequency {x[shown]:.4g} $\omega_{{mx}}$"
     ax.axvline(x[shown], color=style.ACCENT, zorder=1, label=label)
     look = {"color": "black", "linestyle": "none", "clip_on": False}
@@ -72,18 +74,11 @@ def dominant(ax, projection, lattice):
     """Draw the frequency of the dominant mode against the drive, and slope 1 (paper: maxci).
 
     Points that missed the accuracy asked for are crosses on the upper edge. Returns the points.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    projection : pgran.results.Projection
-    lattice : pgran.results.LatticeRecord
     """
     x, modes, accurate = _in_units(projection, lattice)
     good = accurate & (projection.dominant >= 0)
-    ylabel = r"dominant mode $\omega_i/\omega_{mx}$"
-    ax.set_ylabel(ylabel)
-    style.frequencies(ax, x)
+    ax.set_ylabel(r"dominant mode $\omega_i/\omega_{mx}$")
+    scales.frequencies(ax, x)
     ends = [max(x[0], modes[0]), min(x[-1], modes[-1])]
     if ends[0] < ends[1]:
         ax.plot(ends, ends, color=style.pale(style.ACCENT), linewidth=2.5, label="slope 1")
@@ -99,12 +94,6 @@ def single_modes(ax, projection, lattice):
     The modes nearest to .6 omega_mx, or to the middle of a sweep that is elsewhere; their own
     frequencies are broken lines. Points that missed the accuracy asked for are gaps, and crosses on
     the upper edge. Returns the curves.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    projection : pgran.results.Projection
-    lattice : pgran.results.LatticeRecord
     """
     x, modes, accurate = _in_units(projection, lattice)
     chosen = successive(modes, SHOWN if x[0] <= SHOWN <= x[-1] else (x[0] + x[-1]) / 2)
@@ -114,7 +103,7 @@ def single_modes(ax, projection, lattice):
     values = np.abs(projection.coefficient[near][:, chosen])
     good = accurate[near, None] & np.isfinite(values) & (values > 0)
     ax.set(yscale="log", ylabel=COEFFICIENT)
-    style.frequencies(ax, x[near])
+    scales.frequencies(ax, x[near])
     labels = [rf"$\omega_i$ = {modes[mode]:.5f} $\omega_{{mx}}$" for mode in chosen]
     drawn = marks.curves(ax, x[near], values, good, labels)
     for mode, curve in zip(chosen, drawn, strict=True):

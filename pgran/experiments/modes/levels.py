@@ -1,5 +1,6 @@
 """Statistics of normal modes: their spacings, their widths, and how these overlap."""
 
+import contextlib
 import math
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.store.estimate import FEWEST, FEWEST_SAMPLES, MOST, Estimate, mean_of
 
+REGIMES = ("below .3", 0.0, 0.3), ("from .3 to 1", 0.3, 1.0), ("above 1", 1.0, math.inf)  # omega_mx
 # Mean of min(s, s') / max(s, s') of neighbouring spacings: extended modes, whose matrices are as
 # good as those of the Gaussian orthogonal ensemble, and independent levels, as of localized modes,
 # 2 ln 2 - 1 (Oganesyan and Huse, Phys. Rev. B 75, 155111 (2007); Atas, Bogomolny, Giraud and Roux,
@@ -18,11 +20,29 @@ NUMBERS_AT_ONCE = 1 << 22
 BELOW_ZERO = 1e-12  # of |K|: so that a K with modes at rest can be factored
 
 
+def spacings(spectra, unit):
+    """Yield in words how the modes of samples keep apart, in three ranges of frequencies.
+
+    Nothing of ranges with too few modes, or where three of them coincide. `spectra` are all
+    frequencies of each sample, or those of an interval, `unit` is omega_mx.
+    """
+    ratios = []
+    for name, *ends in REGIMES:
+        with contextlib.suppress(InputError):
+            ratio = spacing_ratio(spectra, [end * unit for end in ends])
+            ratios.append(f"{ratio.value:.3f} +- {ratio.error:.3f} {name}")
+    if ratios:
+        yield (
+            f"mean ratio of neighbouring spacings {', '.join(ratios)} omega_mx (extended modes "
+            f"{GOE_SPACING_RATIO:.3f}, localized ones {POISSON_SPACING_RATIO:.3f})"
+        )
+
+
 def spacing_ratio(values, window=None):
     """Return the mean ratio of neighbouring spacings, the smaller to the larger one.
 
-    Not collective. `GOE_SPACING_RATIO`, `POISSON_SPACING_RATIO`. It needs no density of modes, and
-    eigenvalues or their square roots do alike.
+    `GOE_SPACING_RATIO`, `POISSON_SPACING_RATIO`. It needs no density of modes, and eigenvalues or
+    their square roots do alike.
 
     Parameters
     ----------
@@ -42,7 +62,12 @@ def spacing_ratio(values, window=None):
     InputError
         If values do not ascend, three of them coincide, or there are too few.
     """
-    ratios = [_ratios(spectrum) for spectrum in _spectra(values, window)]
+    low, high = (-math.inf, math.inf) if window is None else window
+    _check_window(low, high)
+    spectra = [np.asarray(spectrum, dtype=float) for spectrum in _samples(values)]
+    if any(s.ndim != 1 or not np.all(np.isfinite(s)) for s in spectra):
+        raise InputError("values: every spectrum must be an array of finite numbers")
+    ratios = [_ratios(s[(s >= low) & (s <= high)]) for s in spectra]
     if sum(r.size >= RATIOS_IN_PART for r in ratios) >= FEWEST_SAMPLES:
         parts = [r for r in ratios if len(r)]
     else:
@@ -57,14 +82,11 @@ def spacing_ratio(values, window=None):
             f"values: {sum(map(len, ratios))} ratios of spacings are too few; "
             f"{FEWEST * RATIOS_IN_PART} are needed"
         )
-    return _mean_of_parts(np.array([r.sum() for r in parts]), np.array([len(r) for r in parts]))
-
-
-def _mean_of_parts(sums, counts):
-    """Return the mean of numbers of which parts have sums, with the error over parts."""
-    mean, parts = sums.sum() / counts.sum(), len(sums)
-    missed = sums - mean * counts
-    error = math.sqrt(parts / (parts - 1) * np.sum(missed**2)) / counts.sum()
+    # the mean of all ratios, its error by how far the sums of the parts are from their shares of it
+    sums, counts = np.array([r.sum() for r in parts]), np.array([len(r) for r in parts])
+    mean, number = sums.sum() / counts.sum(), len(parts)
+    deviation = sums - mean * counts
+    error = math.sqrt(number / (number - 1) * np.sum(deviation**2)) / counts.sum()
     return Estimate(float(mean), float(error))
 
 
@@ -80,26 +102,21 @@ def _ratios(values):
     return np.minimum(spacing[1:], spacing[:-1]) / larger
 
 
-def _spectra(values, window):
-    """Return one array a sample of what lies in a window."""
-    single = np.ndim(values[0]) == 0 if len(values) else True
-    spectra = [np.asarray(v, dtype=float) for v in ([values] if single else values)]
-    if any(v.ndim != 1 or not np.all(np.isfinite(v)) for v in spectra):
-        raise InputError("values: every spectrum must be an array of finite numbers")
-    low, high = (-math.inf, math.inf) if window is None else window
+def _samples(values):
+    """Return the arrays of samples, one if values are those of a single sample."""
+    return [values] if not len(values) or np.ndim(values[0]) == 0 else values
+
+
+def _check_window(low, high):
+    """Raise an InputError unless a window is an interval."""
     if not low < high:
         raise InputError(f"window: {low:g} to {high:g} is no interval")
-    return [v[(v >= low) & (v <= high)] for v in spectra]
 
 
 def first_mode(lattice):
     """Return the frequency of the lowest normal mode, 0 if it is one at rest or unstable.
 
-    Not collective. By ARPACK, around 0, without a certificate.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
+    By ARPACK, around 0, without a certificate.
     """
     from scipy.sparse import diags
     from scipy.sparse.linalg import eigsh
@@ -115,29 +132,24 @@ def first_mode(lattice):
 
 
 def modal_widths(lattice, vectors):
-    """Return Gamma = beta f^T C f / m of each mode f, C = B^T B of the dashpots.
+    """Return Gamma = beta f^T C f / m of each mode f, C = B^T B of the dashpots, shape (nm,).
 
-    Not collective. The full width at half power of |A|^2 along omega where the mode stands alone,
-    to first order in beta: S f = (m omega_i^2 - m omega^2 + i omega beta C) f, so that
+    The full width at half power of |A|^2 along omega where the mode stands alone, to first order in
+    beta: S f = (m omega_i^2 - m omega^2 + i omega beta C) f, so that
     |f^T A|^2 ~ 1 / ((omega_i - omega)^2 + (Gamma/2)^2).
 
     Parameters
     ----------
-    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
+    lattice : pgran.Lattice or pgran.Network
     vectors : numpy.ndarray, shape (nm, *shape)
         Modes, of any length, in the lattice's unknowns.
-
-    Returns
-    -------
-    numpy.ndarray, shape (nm,)
     """
     widths, at_once = np.empty(len(vectors)), max(1, NUMBERS_AT_ONCE // lattice.bonds)
     for first in range(0, len(vectors), at_once):
-        some = vectors[first : first + at_once]
-        power = sum(
-            longer**2 @ damped for longer, _, damped in lattice.stretched(some, np.zeros(len(some)))
-        )
-        size = np.sum(some.reshape(len(some), -1) ** 2, axis=1)
+        chunk = vectors[first : first + at_once]
+        springs = lattice.stretched(chunk, np.zeros(len(chunk)))
+        power = sum(longer**2 @ damped for longer, _, damped in springs)
+        size = np.sum(chunk.reshape(len(chunk), -1) ** 2, axis=1)
         widths[first : first + at_once] = lattice.damping * power / (lattice.mass * size)
     return widths
 
@@ -145,7 +157,7 @@ def modal_widths(lattice, vectors):
 def modal_overlap(omega, width, window):
     """Return the modal overlap: mean width times density of modes, sum Gamma_i / (high - low).
 
-    Not collective. Below 1 modes stand alone; far above, A is a complex Gaussian field.
+    Below 1 modes stand alone; far above, A is a complex Gaussian field.
 
     Parameters
     ----------
@@ -166,11 +178,9 @@ def modal_overlap(omega, width, window):
     InputError
         If there are too few modes.
     """
-    single = np.ndim(omega[0]) == 0 if len(omega) else True
-    omega, width = ([x] if single else x for x in (omega, width))
     low, high = window
-    if not low < high:
-        raise InputError(f"window: {low:g} to {high:g} is no interval")
+    _check_window(low, high)
+    omega, width = _samples(omega), _samples(width)
     inside = sum(np.count_nonzero((low <= np.asarray(w)) & (np.asarray(w) <= high)) for w in omega)
     parts = min(MOST, inside // (2 * len(omega)))
     if parts < FEWEST:
@@ -178,15 +188,11 @@ def modal_overlap(omega, width, window):
             f"window: {inside} modes of {len(omega)} samples lie in it, and {2 * FEWEST} of each "
             "are needed"
         )
-    sums = np.array(
-        [
-            np.histogram(w, parts, (low, high), weights=g)[0]
-            for w, g in zip(omega, width, strict=True)
-        ]
-    )
+    pairs = zip(omega, width, strict=True)
+    sums = np.array([np.histogram(w, parts, window, weights=gamma)[0] for w, gamma in pairs])
     if len(sums) >= FEWEST_SAMPLES:
-        found = mean_of(sums.sum(axis=1))
-        return Estimate(float(found.value / (high - low)), float(found.error / (high - low)))
-    mean = sums.mean(axis=0)
-    error = math.sqrt(parts * 0.5 * np.mean(np.diff(mean) ** 2))
-    return Estimate(float(mean.sum() / (high - low)), error / (high - low))
+        total = mean_of(sums.sum(axis=1))
+    else:
+        mean = sums.mean(axis=0)
+        total = Estimate(mean.sum(), math.sqrt(parts * 0.5 * np.mean(np.diff(mean) ** 2)))
+    return Estimate(float(total.value / (high - low)), float(total.error / (high - low)))

@@ -1,11 +1,9 @@
 """Normal modes K f = lambda f, lambda = m omega^2, of one slice of the spectrum, with SLEPc.
 
-The slice comes with the number of its modes (`pgran.driven.counting`), and the solver searches
-until it has them all: an EPS (option prefix `normal_`), by default Krylov-Schur on
-(K - sigma)^-1, sigma in the middle of the slice. A Krylov space sees one vector of each eigenspace,
-so copies of degenerate modes may be missing; the search is repeated in the orthogonal complement of
-what was
-found.
+The slice comes with the number of its modes (`slices`), and the solver searches until it has them
+all: an EPS (option prefix `normal_`), by default Krylov-Schur on (K - sigma)^-1, sigma in the
+middle of the slice. A Krylov space sees one vector of each eigenspace, so copies of degenerate
+modes may be missing: the search is repeated in the orthogonal complement of what was found.
 
 The complex build of SLEPc gives complex vectors. One Rayleigh-Ritz step in real arithmetic makes
 them real and orthonormal.
@@ -18,6 +16,7 @@ import numpy as np
 import slepc4py
 from mpi4py import MPI
 
+from pgran.driven.counting import flag_hermitian
 from pgran.driven.owner import Owner
 from pgran.errors import is_petsc
 from pgran.experiments.modes.shapes import rayleigh_ritz, residuals, with_fixed_sign
@@ -58,40 +57,25 @@ def plain_errors():
 
 
 class ModeSolver(Owner):
-    """Finds the modes of slices of the spectrum; destroy with `destroy` or `with`.
-
-    Not collective: each rank has a copy of its own.
-
-    Parameters
-    ----------
-    operators : pgran.driven.operators.Operators
-        Of this rank alone, K flagged symmetric and Hermitian.
-    """
+    """Finds the modes of slices of the spectrum of K, which is this rank's alone."""
 
     owns = ("_eps",)
 
     def __init__(self, operators):
         """Keep what the slices share."""
         self.lattice, self.K, self.comm = operators.lattice, operators.K, MPI.COMM_SELF
+        flag_hermitian(self.K)
         self._layout = operators.layout
         self.norm = self.K.norm(PETSc.NormType.INFINITY) or 1.0
         self._eps = None
 
     @staticmethod
     def whole():
-        """Return whether the EPS finds all modes at once, without slices. Not collective."""
+        """Return whether the EPS finds all modes at once, without slices."""
         return _eps_type() == "lapack"
 
     def solve(self, low, high, count):
-        """Return the modes with low < lambda < high, as far as they are found.
-
-        Not collective.
-
-        Parameters
-        ----------
-        low, high : float
-        count : int
-            How many there are.
+        """Return the modes with low < lambda < high, `count` of them, as far as they are found.
 
         Returns
         -------
@@ -103,13 +87,14 @@ class ModeSolver(Owner):
             |K f - lambda f| / |K|.
         """
         best, self._failure = None, "the EPS did not converge"
-        for part in SHIFTS:
-            first = part == SHIFTS[0]
+        for fraction in SHIFTS:
+            first = fraction == SHIFTS[0]
             eps = self._eps = self._eps or self._make_eps(first)
-            found = self._search(eps, low, high, count, part)
-            modes = self._real_modes(found, low, high)
+            rough = self._search(eps, low, high, count, fraction)
+            modes = self._real_modes(rough, low, high)
+            # pairs compare by their first numbers first: what is missing is worse than residuals
             if _defects(modes, count) > (0, REFINE) and eps.getST().getType() == "sinvert":
-                modes = self._real_modes(self._refined(eps.getST(), found), low, high)
+                modes = self._real_modes(self._refined(eps.getST(), rough), low, high)
             if self._deflated or not first or _defects(modes, count) > (0, SEARCH_AGAIN):
                 eps.destroy()  # it never forgets what it was to deflate
                 self._eps = None
@@ -128,10 +113,10 @@ class ModeSolver(Owner):
     def nearest(self, value, count):
         """Return roughly the eigenvalues nearest to a value; none where the EPS has no target.
 
-        Not collective; some may be missing, or belong to others' copies.
+        Some may be missing, or belong to others' copies.
         """
         eps = self._make_eps(first=True)
-        found = []
+        values = []
         if eps.getWhichEigenpairs() == SLEPc.EPS.Which.TARGET_MAGNITUDE:
             eps.setTarget(value)
             eps.setDimensions(min(count, self.lattice.balls))
@@ -139,18 +124,17 @@ class ModeSolver(Owner):
             self._start(eps, 0)
             with contextlib.suppress(PETSc.Error), plain_errors():
                 eps.solve()
-                found = [eps.getEigenvalue(number).real for number in range(eps.getConverged())]
+                values = [eps.getEigenvalue(number).real for number in range(eps.getConverged())]
         eps.destroy()
-        return np.array(found)
+        return np.array(values)
 
-    def _real_modes(self, found, low, high):
+    def _real_modes(self, rough, low, high):
         """Return values, shapes and residuals of the slice's real modes that vectors span."""
-        lattice = self.lattice
-        values, vectors = rayleigh_ritz(lattice, self._layout.fields(found))
+        values, vectors = rayleigh_ritz(self.lattice, self._layout.fields(rough))
         inside = (values > low) & (values < high)
         values, vectors = values[inside], vectors[inside]
-        missed = residuals(lattice, values, vectors) / self.norm
-        return values, with_fixed_sign(vectors), missed
+        residual = residuals(self.lattice, values, vectors) / self.norm
+        return values, with_fixed_sign(vectors), residual
 
     @plain_errors()
     def _make_eps(self, first):
@@ -169,36 +153,46 @@ class ModeSolver(Owner):
             eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
             if first and self.lattice.balls >= ETA_BALLS:
                 eps.getBV().setOrthogonalization(eta=ETA)
-            eps.getST().setType("sinvert")
-            ksp = eps.getST().getKSP()
-            ksp.setType("preonly")
-            ksp.getPC().setType("cholesky")
-            if self.lattice.irregular:
-                ksp.getPC().setFactorOrdering("natural")
-                own_slices = PETSc.Options("normal_").getBool("eps_all", False)
-                if self.lattice.graph.work > PETSC_SOLVES * self.lattice.balls and not own_slices:
-                    # MUMPS has no LDL^T of Hermitian matrices
-                    ksp.getPC().setType("lu")
-                    ksp.getPC().setFactorSolverType("mumps")
+            self._invert(eps.getST())
         eps.setFromOptions()
         return eps
 
-    def _search(self, eps, low, high, count, part):
+    def _invert(self, st):
+        """Let the EPS see (K - sigma)^-1, by factors of K - sigma."""
+        st.setType("sinvert")
+        st.getKSP().setType("preonly")
+        pc = st.getKSP().getPC()
+        pc.setType("cholesky")
+        if (
+            self.lattice.elimination.numbered
+        ):  # its unknowns are numbered in the order of elimination
+            pc.setFactorOrdering("natural")
+            own_slices = PETSc.Options("normal_").getBool("eps_all", False)
+            if self.lattice.graph.work > PETSC_SOLVES * self.lattice.balls and not own_slices:
+                pc.setType("lu")  # MUMPS has no LDL^T of Hermitian matrices
+                pc.setFactorSolverType("mumps")
+
+    def _search(self, eps, low, high, count, fraction):
         """Return eigenvectors of the slice, a row each, searching on while some are missing."""
-        inside, seen = [], []
+        inside, seen = [], []  # copies of those in the slice; all that converged, to be deflated
         self._deflated = False
         once = eps.getType() == "lapack" or eps.getWhichEigenpairs() == SLEPc.EPS.Which.ALL
         try:
             with plain_errors():
                 for _ in range(1 if once else SEARCHES):
                     before = len(seen)
-                    self._aim(eps, low, high, count - len(inside), before, part)
+                    self._aim(eps, low, high, count - len(inside), before, fraction)
                     if seen:
                         eps.setDeflationSpace(seen)
                         self._deflated = True
                     self._start(eps, before)
                     eps.solve()
-                    self._collect(eps, low, high, inside, seen)
+                    for number in range(eps.getConverged()):
+                        vector = self.K.createVecLeft()
+                        value = eps.getEigenpair(number, vector).real
+                        seen.append(vector)
+                        if low < value < high:
+                            inside.append(vector.getArray().copy())
                     if len(inside) >= count or len(seen) == before:
                         break
         except PETSc.Error as error:
@@ -208,50 +202,10 @@ class ModeSolver(Owner):
                 vector.destroy()
         return np.array(inside, dtype=complex).reshape(-1, self.lattice.balls)
 
-    def _start(self, eps, seen):
-        """Start from a random vector that depends on nothing but how many modes were seen.
-
-        Another search needs another one: what the last one left out is orthogonal to its own.
-        """
-        vector = self.K.createVecLeft()
-        numbers = np.random.Generator(np.random.Philox(seen)).standard_normal(self.lattice.balls)
-        vector.setArray(numbers)
-        eps.setInitialSpace(vector)
-        vector.destroy()
-
-    def _collect(self, eps, low, high, inside, seen):
-        """Append the converged vectors to `seen`, and copies of those in the slice to `inside`."""
-        for number in range(eps.getConverged()):
-            vector = self.K.createVecLeft()
-            value = eps.getEigenpair(number, vector).real
-            seen.append(vector)
-            if low < value < high:
-                inside.append(vector.getArray().copy())
-
-    @plain_errors()
-    def _refined(self, st, found):
-        """Return x - (K - sigma)^-1 (K x - lambda x) for eigenvectors x, a row each.
-
-        An LDL^T without pivoting is that of a matrix nearby, whose modes the EPS finds. This step
-        takes out what they contain of modes farther from sigma than lambda; Rayleigh-Ritz does the
-        rest.
-        """
-        x, residual = self.K.createVecs()
-        refined = found.copy()
-        for vector in refined:
-            x.setArray(vector)
-            self.K.mult(x, residual)
-            residual.axpy(-residual.dot(x) / x.dot(x), x)
-            st.apply(residual, x)
-            vector -= x.getArray()
-        x.destroy()
-        residual.destroy()
-        return refined
-
-    def _aim(self, eps, low, high, missing, seen, part):
+    def _aim(self, eps, low, high, missing, seen, fraction):
         """Tell the EPS where to search, and for how many modes."""
         width = high - low
-        margin = abs(part - SHIFTS[0]) * width
+        margin = abs(fraction - SHIFTS[0]) * width
         if eps.getType() == "ciss":
             # A flat ellipse around the slice, with room for half as many vectors again. More
             # moments would need fewer vectors, but lose digits.
@@ -264,15 +218,46 @@ class ModeSolver(Owner):
         elif eps.getWhichEigenpairs() == SLEPc.EPS.Which.ALL:
             eps.setInterval(low - margin, high + margin)
         elif eps.getType() != "lapack":
-            eps.setTarget(low + part * width)
+            eps.setTarget(low + fraction * width)
             room = self.lattice.balls - seen
             eps.setDimensions(missing, min(room, missing + missing // 3 + 12))
 
+    def _start(self, eps, seen):
+        """Start from a random vector that depends on nothing but how many modes were seen.
+
+        Another search needs another one: what the last one left out is orthogonal to its own.
+        """
+        vector = self.K.createVecLeft()
+        numbers = np.random.Generator(np.random.Philox(seen)).standard_normal(self.lattice.balls)
+        vector.setArray(numbers)
+        eps.setInitialSpace(vector)
+        vector.destroy()
+
+    @plain_errors()
+    def _refined(self, st, rough):
+        """Return x - (K - sigma)^-1 (K x - lambda x) for eigenvectors x, a row each.
+
+        An LDL^T without pivoting is that of a matrix nearby, whose modes the EPS finds. This step
+        takes out what they contain of modes farther from sigma than lambda; Rayleigh-Ritz does the
+        rest.
+        """
+        x, residual = self.K.createVecs()
+        refined = rough.copy()
+        for vector in refined:
+            x.setArray(vector)
+            self.K.mult(x, residual)
+            residual.axpy(-residual.dot(x) / x.dot(x), x)
+            st.apply(residual, x)
+            vector -= x.getArray()
+        x.destroy()
+        residual.destroy()
+        return refined
+
 
 def _defects(modes, count):
-    """Return how many modes of a slice are missing or too many, and the largest residual."""
-    values, _, missed = modes
-    return abs(count - len(values)), missed.max(initial=0.0)
+    """Return how many modes are missing or too many, and the largest residual."""
+    values, _, residual = modes
+    return abs(count - len(values)), residual.max(initial=0.0)
 
 
 def _eps_type():

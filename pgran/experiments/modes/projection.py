@@ -1,9 +1,5 @@
 """Scene `projection`: the driven lattice in terms of its normal modes, over a sweep."""
 
-import math
-import time
-from dataclasses import replace
-
 import numpy as np
 
 from pgran.arguments import shown
@@ -11,67 +7,43 @@ from pgran.driven import drive as driven
 from pgran.driven.phase import fit_line
 from pgran.driven.sweep import FrequencySweep
 from pgran.errors import InputError
+from pgran.experiments.modes.find import find_modes
 from pgran.experiments.modes.record import Projection
-from pgran.experiments.modes.scene import WHICH, certificate, check_modes, chosen, find_modes
+from pgran.experiments.modes.scene import certificate, check_modes
 from pgran.medium.base import medium
 from pgran.medium.units import check_frequency
 from pgran.run.experiment import Scene
 from pgran.run.frequencies import SWEEP, check_sweep, checked_frequencies, driving_frequencies
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, call
+from pgran.run.keywords import PROGRESS, call, options_of
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted
+from pgran.store.record import columns_of, row_of
 
 ALL_MODES = 3600  # balls; of a larger lattice only the modes near each driving frequency
 NEAR = 60  # so many
 
 
 def check(values, given):
-    """Raise where options contradict each other. Not collective."""
+    """Raise where options contradict each other."""
     check_sweep(values, given)
     check_modes(values, given)
 
 
 def which_modes(options, balls, omegas):
-    """Return which modes to project on, as `find_modes` takes it.
+    """Return which modes to project on, as `find_modes` takes it; nothing: all.
 
-    Not collective.
-
-    Parameters
-    ----------
-    options : pgran.run.options.Options
-    balls : int
-        Of the lattice: of a large one only modes near the drives are wanted, unless options say.
-    omegas : numpy.ndarray, shape (nw,)
+    Of a large lattice only modes near the drives are wanted, unless options say others.
     """
-    which = chosen(options)
-    if not which and (options.modes_count or balls > ALL_MODES):
-        which = {"targets": omegas, "count": options.modes_count or NEAR}
-    return which
+    if options.modes_omega_min is not None:
+        return {"interval": (options.modes_omega_min, options.modes_omega_max)}
+    count = options.modes_count or (NEAR if balls > ALL_MODES else None)
+    return {"targets": options.modes_target or omegas, "count": count} if count else {}
 
 
-def summary(result):
-    """Return in words what a run found. Not collective."""
-    lattice, projection = result.medium, result.projection
-    nm = projection.count_found
-    yield (
-        f"{counted(len(projection.omega), 'frequency')} on {counted(nm, 'mode')} in "
-        f"{projection.solve_seconds:.2f} s, with "
-        f"{counted(projection.factorizations, 'factorization')}"
-    )
-    yield certificate(projection)
-    omega, modes, unit = projection.omega, projection.mode_omega, lattice.omega_mx
-    inside = (omega > 0.1 * unit) & (omega < 0.9 * unit) & (projection.converged_reason > 0)
-    if nm > 3:
-        inside &= (omega >= modes[0]) & (omega <= modes[-1])
-        slope, _ = fit_line(omega[inside], modes[projection.dominant[inside]])
-        if np.isfinite(slope):
-            yield f"the dominant mode follows the drive with slope {slope:.3f} (.1 to .9 omega_mx)"
-
-
-def modes_chosen(which):
-    """Return the arguments of `find_modes` that were handed in. Not collective."""
+def _which(which):
+    """Return the arguments of `find_modes` that were handed in, or raise an InputError."""
     if not isinstance(which, dict) or not which.keys() <= {"interval", "targets", "count"}:
         raise InputError(
             f"which: a dict of interval, or of targets and count is needed, not {shown(which)}"
@@ -79,7 +51,7 @@ def modes_chosen(which):
     return which
 
 
-@in_parallel("project", lattice=medium, omegas=checked_frequencies, which=modes_chosen)
+@in_parallel("project", lattice=medium, omegas=checked_frequencies, which=_which)
 @with_solver
 def project(
     lattice,
@@ -99,8 +71,6 @@ def project(
 
     Parameters
     ----------
-    crew : pgran.run.crew.Crew, optional
-        All ranks unless given; of groups of one rank.
     which : dict, optional
         Which modes: arguments of `find_modes`; all by default.
 
@@ -109,49 +79,32 @@ def project(
     pgran.results.Projection or None
         With a crew of the caller's None on all ranks but rank 0.
     """
-    started = time.perf_counter()
+    scaled, _ = lattice.in_own_unit()
+    check_frequency(scaled, omegas[-1])  # before any work
+    driven.check_driven(lattice, crew.world, omegas[0])
+    modes = find_modes(lattice, crew, **(which or {}), shapes=True, progress=progress)
     choices = {
         "error_tolerance": error_tolerance,
         "error_floor": error_floor,
         "refresh_iterations": refresh_iterations,
     }
-    scaled, _ = lattice.in_own_unit()
-    check_frequency(scaled, omegas[-1])  # before any work
-    driven.check_driven(lattice, crew.world, omegas[0])
-    modes = find_modes(lattice, crew, **(which or {}), shapes=True, progress=progress)
-    vectors = _on_all_ranks(modes.vector if modes else None, crew.world)
-    projection = carry_out(ProjectedSweep(lattice, omegas, vectors, choices), crew, progress)
-    return projection and replace(
-        projection,
-        count_expected=modes.count_expected,
-        count_certified=modes.count_certified,
-        mode_omega=modes.omega,
-        solve_seconds=time.perf_counter() - started,
-    )
+    vectors = _on_all_ranks(modes and modes.vector, crew.world)
+    return carry_out(ProjectedSweep(lattice, omegas, modes, vectors, choices), crew, progress)
 
 
 class ProjectedSweep(FrequencySweep):
-    """The projection of each field on mode shapes.
+    """The projection of each field on mode shapes: `vectors`, orthonormal, shape (nm, balls).
 
-    Parameters
-    ----------
-    lattice, omegas
-        As in `project`.
-    vectors : numpy.ndarray, shape (nm, balls)
-        The shapes of the modes, a row a mode, orthonormal.
-    choices : dict
-        Keywords of `pgran.driven.steady.SteadySolver`.
+    `modes` is their record, on rank 0.
     """
 
-    def __init__(self, lattice, omegas, vectors, choices):
+    def __init__(self, lattice, omegas, modes, vectors, choices):
         """Say what a frequency's results travel in."""
-        self.vectors, kept = vectors, [
-            ("coefficient", complex, (len(vectors),)),
-            ("field_bound", float),
-            ("converged_reason", np.int64),
-        ]  # fmt: skip
+        self.modes, self.vectors = modes, vectors
+        columns = row_of(Projection, mode_omega=(len(vectors),))
         nowhere = np.empty((0, len(lattice.shape)), dtype=np.int64)
-        super().__init__(lattice, omegas, nowhere, kept, choices | {"whole_field": True})
+        choices = choices | {"whole_field": True}
+        super().__init__(lattice, omegas, nowhere, [*columns, ("field_bound", float)], choices)
 
     def keep(self, point, solver):
         """Project: c_i = sum over balls p of A_p f_i(p) (paper: cidef)."""
@@ -159,36 +112,28 @@ class ProjectedSweep(FrequencySweep):
         point["coefficient"] = self.vectors @ field.real + 1j * (self.vectors @ field.imag)
 
     def collect(self, rows, seconds):
-        """See `Task`; what belongs to the modes is added by `project`."""
-        coefficient = rows["coefficient"].copy()  # in one piece, on which sums depend
+        """See `Task`."""
+        columns = columns_of(Projection, rows)
+        size = np.abs(columns["coefficient"])
         return Projection(
-            count_expected=len(self.vectors),
-            count_certified=False,
+            count_expected=self.modes.count_expected,
+            count_certified=self.modes.count_certified,
             factorizations=int(rows["factorizations"].sum()),
-            solve_seconds=seconds,
+            solve_seconds=self.modes.solve_seconds + seconds,
             omega=self.omegas,
-            mode_omega=np.full(len(self.vectors), np.nan),
-            coefficient=coefficient,
-            dominant=_dominant(coefficient),
+            mode_omega=self.modes.omega,
+            dominant=size.argmax(axis=1) if size.shape[1] else np.full(len(rows), -1),
             error_bound=rows["field_bound"],
-            converged_reason=rows["converged_reason"],
+            **columns,
         )
 
 
-def _dominant(coefficient):
-    """Return the index of the largest coefficient at each frequency; -1 where there is none."""
-    nw, nm = coefficient.shape
-    return np.argmax(np.abs(coefficient), axis=1) if nm else np.full(nw, -1)
-
-
 def _on_all_ranks(vectors, world):
-    """Return rank 0's mode shapes, a row a mode, on every rank."""
+    """Return rank 0's mode shapes, a row a mode, on every rank. Collective."""
     shape = world.bcast(vectors.shape if world.rank == 0 else None)
-    if world.rank > 0:
-        vectors = np.empty(shape)
-    vectors = np.ascontiguousarray(vectors)
+    vectors = np.ascontiguousarray(vectors) if world.rank == 0 else np.empty(shape)
     world.Bcast(vectors)
-    return vectors.reshape(shape[0], math.prod(shape[1:]))
+    return vectors.reshape(shape[0], np.prod(shape[1:], dtype=int))
 
 
 def run(lattice, options, crew):
@@ -199,9 +144,29 @@ def run(lattice, options, crew):
     return projection and [projection]
 
 
+def summary(result):
+    """Yield in words what a run found."""
+    lattice, projection = result.medium, result.projection
+    nm = projection.count_found
+    yield (
+        f"{counted(len(projection.omega), 'frequency')} on {counted(nm, 'mode')} in "
+        f"{projection.solve_seconds:.2f} s, with "
+        f"{counted(projection.factorizations, 'factorization')}"
+    )
+    yield certificate(projection)
+    omega, modes, unit = projection.omega, projection.mode_omega, lattice.omega_mx
+    inside = (omega > 0.1 * unit) & (omega < 0.9 * unit) & (projection.converged_reason > 0)
+    if nm > 3:
+        inside &= (omega >= modes[0]) & (omega <= modes[-1])
+        slope, _ = fit_line(omega[inside], modes[projection.dominant[inside]])
+        if np.isfinite(slope):
+            yield f"the dominant mode follows the drive with slope {slope:.3f} (.1 to .9 omega_mx)"
+
+
 SCENE = Scene(
     options=(
-        *(*SWEEP, *WHICH),
+        *SWEEP,
+        *(option for option in options_of(find_modes) if option.name != "output_fields"),
         *(driven.STEADY["error_tolerance"], driven.STEADY["refresh_iterations"]),
     ),
     run=run,

@@ -1,10 +1,10 @@
 """The records of modes, of their counts, and of a drive in terms of them."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.experiments.modes.shapes import weyl
 from pgran.store.fields import Frequencies
 from pgran.store.record import Record, array, attribute
 
@@ -27,10 +27,14 @@ class Density(Record):
     solve_seconds: float
     unstable: int = attribute(since=5)
     omega: np.ndarray = array("frequency, angular", "sqrt(k/m)")
-    count: np.ndarray = array("how many modes lie below; -1: not certain", "1", "omega", dtype=int)
-    certified: np.ndarray = array("the count is exact at omega - margin", "1", "omega", dtype=bool)
+    count: np.ndarray = array(
+        "how many modes lie below; -1: not certain", "1", "omega", dtype=int, row=True
+    )
+    certified: np.ndarray = array(
+        "the count is exact at omega - margin", "1", "omega", dtype=bool, row=True
+    )
     margin: np.ndarray = array(
-        "by how much less than omega the modes are counted at", "sqrt(k/m)", "omega"
+        "by how much less than omega the modes are counted at", "sqrt(k/m)", "omega", row=True
     )
     middle: np.ndarray = array("middle between neighbouring frequencies, angular", "sqrt(k/m)")
     density: np.ndarray = array("modes there per ball and omega_mx", "1", "middle")
@@ -42,25 +46,26 @@ class Density(Record):
 
     @staticmethod
     def weyl(lattice, omega):
-        """Return Weyl's law for the record of a lattice, None where it has none.
+        """Return how many modes long waves have below frequencies, by Weyl's law for a rectangle.
 
-        Not collective. That is a lattice of two axes whose bonds are all equal.
-
-        Parameters
-        ----------
-        lattice : pgran.results.LatticeRecord or pgran.results.NetworkRecord
-        omega : numpy.ndarray
+        N(omega) = A omega^2 / (4 pi c^2) - P omega / (4 pi c), c = sqrt(k/m), with the area A and
+        the perimeter P of the box between the walls, which are at rest one spacing outside of the
+        balls; for L x L, L^2 omega^2 / (4 pi c^2) - L omega / (pi c). Shorter waves are slower on a
+        lattice: A (omega / c)^4 / (64 pi) modes more. None unless `lattice` is the record of one of
+        two axes whose bonds are all equal.
         """
         if lattice.group != "lattice" or len(lattice.shape) != 2:
             return None
         bonds = np.concatenate([k.ravel() for k in lattice.stiffness])
         if not np.all(bonds == bonds[0]):
             return None
-        return weyl(omega, lattice.shape, np.sqrt(bonds[0] / lattice.mass))
+        sides = np.add(lattice.shape, 1.0)
+        waves = np.asarray(omega) / np.sqrt(bonds[0] / lattice.mass)
+        return (sides.prod() * waves**2 - 2 * sides.sum() * waves) / (4 * math.pi)
 
 
 def _missing(record):
-    """Return how many modes are missing, at least 1 unless they are certified."""
+    """Return how many modes are missing or too many, at least 1 unless they are certified."""
     return 0 if record.count_certified else max(1, abs(record.count_expected - record.count_found))
 
 
@@ -77,11 +82,13 @@ class Modes(Record):
     count_certified: bool
     solve_seconds: float
     omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
-    residual: np.ndarray = array("|K f - m omega^2 f| / |K|", "1", "omega")
-    participation: np.ndarray = array("how many balls take part, 1 / sum f^4", "1", "omega")
+    residual: np.ndarray = array("|K f - m omega^2 f| / |K|", "1", "omega", row=True)
+    participation: np.ndarray = array(
+        "how many balls take part, 1 / sum f^4", "1", "omega", row=True
+    )
     vector: np.ndarray | None = array(
         "shape of the mode, orthonormal, its largest entry positive",
-        "1", "omega", "balls", optional=True,
+        "1", "omega", "balls", optional=True, row=True,
     )  # fmt: skip
 
     @property
@@ -111,15 +118,18 @@ class Projection(Frequencies, Record):
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
     mode_omega: np.ndarray = array("frequency of the mode, angular", "sqrt(k/m)")
     coefficient: np.ndarray = array(
-        "sum over balls of amplitude times mode shape", "1", "omega", "mode_omega", dtype=complex
-    )
+        "sum over balls of amplitude times mode shape", "1", "omega", "mode_omega", dtype=complex,
+        row=True,
+    )  # fmt: skip
     dominant: np.ndarray = array(
         "mode of the largest coefficient; -1: none", "1", "omega", dtype=int
     )
     error_bound: np.ndarray = array(
         "bound of the field's part in each coefficient's error; NaN: none is known", "1", "omega"
     )
-    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
+    converged_reason: np.ndarray = array(
+        "positive: as accurate as asked", "1", "omega", dtype=int, row=True
+    )
 
     @property
     def count_found(self):

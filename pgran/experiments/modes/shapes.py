@@ -8,26 +8,20 @@ RESIDUAL = 1e-12  # of |K|: what a mode must meet
 
 
 def rayleigh_ritz(lattice, vectors):
-    """Return the real modes in the span of complex ones.
+    """Return the real modes in the span of complex ones: values ascending, vectors a row each.
 
-    Not collective. With rows X, orthonormal and spanning whole eigenspaces of a real matrix, the
-    projector on their span is real: X^H X = Re(X)^T Re(X) + Im(X)^T Im(X). So the singular values
-    of [Re X; Im X] are 1, as often as there are rows, and 0: a real orthonormal basis comes without
-    loss of accuracy, and no cluster of equal eigenvalues needs to be told from its neighbours.
-
-    Returns
-    -------
-    values : numpy.ndarray, shape (count,)
-        Ascending.
-    vectors : numpy.ndarray of float, shape (count, *shape)
+    With rows X, orthonormal and spanning whole eigenspaces of a real matrix, the projector on their
+    span is real: X^H X = Re(X)^T Re(X) + Im(X)^T Im(X). So the singular values of [Re X; Im X] are
+    1, as often as there are rows, and 0: a real orthonormal basis comes without loss of accuracy,
+    and no cluster of equal eigenvalues needs to be told from its neighbours.
     """
     count, *shape = vectors.shape
     if count == 0:
         return np.zeros(0), np.zeros((0, *shape))
     parts = np.concatenate([vectors.real, vectors.imag]).reshape(2 * count, -1)
     weights, rotation = np.linalg.eigh(parts @ parts.T)
-    kept = weights > 0.1  # fewer than `count` if the rows are not what they should be
-    basis = (rotation[:, kept] / np.sqrt(weights[kept])).T @ parts
+    ones = weights > 0.1  # fewer than `count` if the rows are not what they should be
+    basis = (rotation[:, ones] / np.sqrt(weights[ones])).T @ parts
     forces = lattice.restoring_forces(basis.reshape(-1, *shape)).reshape(basis.shape)
     energy = basis @ forces.T
     values, rotation = np.linalg.eigh(0.5 * (energy + energy.T))
@@ -35,24 +29,14 @@ def rayleigh_ritz(lattice, vectors):
 
 
 def residuals(lattice, values, vectors):
-    """Return |K f - lambda f| of each mode.
-
-    Not collective.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice or pgran.medium.network.Network
-    values : numpy.ndarray, shape (nm,)
-        lambda.
-    vectors : numpy.ndarray, shape (nm, *shape)
-    """
-    missed = lattice.restoring_forces(vectors)
-    missed -= values.reshape(-1, *[1] * (vectors.ndim - 1)) * vectors
-    return np.sqrt(np.sum(missed**2, axis=tuple(range(1, missed.ndim))))
+    """Return |K f - lambda f| of each mode f, a row of `vectors`."""
+    residual = lattice.restoring_forces(vectors)
+    residual -= values.reshape(-1, *[1] * (vectors.ndim - 1)) * vectors
+    return np.sqrt(np.sum(residual**2, axis=tuple(range(1, residual.ndim))))
 
 
 def with_fixed_sign(vectors):
-    """Return modes with their entry of largest magnitude positive. Not collective."""
+    """Return modes with their entry of largest magnitude positive."""
     flat = vectors.reshape(len(vectors), math.prod(vectors.shape[1:]))
     largest = np.argmax(np.abs(flat), axis=1)
     signs = np.where(flat[np.arange(len(flat)), largest] < 0, -1.0, 1.0)
@@ -60,26 +44,6 @@ def with_fixed_sign(vectors):
 
 
 def participation(lattice, vectors):
-    """Return 1 / sum |f_p|^4 of each mode: how many balls take part. Not collective."""
+    """Return 1 / sum |f_p|^4 of each mode: how many balls take part."""
     squares = lattice.per_ball(vectors * vectors)
     return 1.0 / np.sum(squares * squares, axis=1)
-
-
-def weyl(omega, shape, velocity):
-    """Return how many modes long waves have below a frequency, by Weyl's law for a rectangle.
-
-    Not collective. N(omega) = A omega^2 / (4 pi c^2) - P omega / (4 pi c): area A and perimeter P
-    of the box between the walls, which are at rest; for L x L, L^2 omega^2 / (4 pi c^2) -
-    L omega / (pi c). Shorter waves are slower on a lattice: A (omega / c)^4 / (64 pi) modes more.
-
-    Parameters
-    ----------
-    omega : numpy.ndarray
-    shape : tuple of int
-        Balls along both axes; the walls are one spacing outside.
-    velocity : float
-        c of long waves, in spacings: sqrt(k/m) for equal bonds k.
-    """
-    sides = np.add(shape, 1.0)
-    waves = np.asarray(omega) / velocity
-    return (sides.prod() * waves**2 - 2 * sides.sum() * waves) / (4 * math.pi)

@@ -22,7 +22,7 @@ import math
 
 import numpy as np
 
-from pgran.driven.limits import Limits
+from pgran.driven.accurate import Limits
 from pgran.driven.sweep import FrequencySweep
 from pgran.medium.rounding import EPSILON
 
@@ -56,7 +56,7 @@ class Line:
     pulse : pgran.experiments.pulse.wall.Pulse or pgran.experiments.pulse.wall.Samples
     time, points : float, int
         How long the signals are wanted, at so many equal times, 0 and the last included.
-    limits : pgran.driven.limits.Limits
+    limits : pgran.driven.accurate.Limits
     tolerance : float
         Of displacements, in units of the wall's.
     readings : array_like of float, optional

@@ -209,15 +209,9 @@ def predicted_seconds(recording, points):
     the shorter the smaller the tolerance, by a method of order 7.
     """
     lattice, highest = recording.lattice, recording.highest
-    if lattice.irregular:
-        nonzeros = lattice.graph.nonzeros
-        point = 1e-3 + 3.3e-7 * nonzeros + 1.3e-9 * lattice.graph.work
-    else:
-        nonzeros = (2 * lattice.axes + 1) * lattice.balls
-        constant, power = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}[lattice.axes]
-        point = 3e-4 + constant * lattice.balls**power
     steps = 1.2 * highest * recording.time[-1] * (1e-4 / recording.tolerance) ** 0.125
-    return points * point, steps * (8e-4 + 1.4e-7 * nonzeros)
+    steps *= 8e-4 + 1.4e-7 * lattice.nonzeros
+    return points * lattice.elimination.seconds, steps
 
 
 def run(lattice, options, crew):

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from pgran.draw import marks, style
-from pgran.draw.marks import known_amplitudes
+from pgran.draw import marks, scales, style
 from pgran.errors import FileError
 
 LOUD = 0.01  # of the largest of the wall's spectrum: what spectra are divided by
@@ -14,30 +13,21 @@ ROWS = 6  # of spectra, before there is another column
 
 
 def spectrum(ax, signals, lattice, number, response=None):
-    r"""Draw the spectrum of a signal over the wall's, and the amplitude of a steady response.
+    r"""Draw the spectrum of one detector's signal over the wall's, and a steady response.
 
     Velocities are faded out over the last quarter of the time T. This blurs the spectrum of a ball
     that moves there still, over 2 pi / T or, if it began late, more: the title says how much of its
     largest velocity is left there. What is below its error, or where the wall's own velocity has
-    next to no spectrum, is not drawn. Returns the curve.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    signals : pgran.results.Signals
-    lattice : pgran.results.LatticeRecord
-    number : int
-        Which detector.
-    response : pgran.results.Response, optional
-        Of the same lattice. Its amplitude is drawn where it has the detector.
+    next to no spectrum, is not drawn. Of a response of the same lattice the amplitude is drawn
+    where it has the detector. Returns the curve.
     """
     omega, size, good = ratio(signals, number)
     x = omega / lattice.omega_mx
-    ax.set(yscale="log", ylabel=style.AMPLITUDE)
-    style.frequencies(ax, x[np.isfinite(size)])
+    ax.set(yscale="log", ylabel=scales.AMPLITUDE)
+    scales.frequencies(ax, x[np.isfinite(size)])
     low, high = ax.get_xlim()
     for d in [] if response is None else shared(signals.detector[number], response):
-        swept, there = response.omega / lattice.omega_mx, known_amplitudes(response)[:, d]
+        swept, there = response.omega / lattice.omega_mx, marks.known_amplitudes(response)[:, d]
         there &= (low <= swept) & (swept <= high)
         look = {"color": style.pale(style.ACCENT), "linewidth": 2.5, "dots": False}
         marks.curves(ax, swept, response.amplitude[:, d], there, ["steady response"], **look)
@@ -54,19 +44,8 @@ def ratio(signals, number):
 
     From differences between successive times, whose transforms have a factor in common: so a step
     has a spectrum too. Both are faded out alike; without that a ball that moves still at the end
-    would seem to have heard all frequencies.
-
-    Parameters
-    ----------
-    signals : pgran.results.Signals
-    number : int
-        Which detector.
-
-    Returns
-    -------
-    omega, size : numpy.ndarray, shape (n,)
-        The size is NaN where the wall has next to no spectrum.
-    good : numpy.ndarray of bool, shape (n,)
+    would seem to have heard all frequencies. All have the shape (n,); the ratio is NaN where the
+    wall has next to no spectrum.
     """
     step, count = signals.time[1] - signals.time[0], FINER * len(signals.time)
     omega = 2 * np.pi / step * np.fft.rfftfreq(count)
@@ -86,8 +65,8 @@ def ratio(signals, number):
     # An error e at one time adds e |w - z w'|, w and w' in the window before and after, |z| = 1.
     before, after = np.append(0.0, window), np.append(window, 0.0)
     turn = 2 * np.abs(np.sin(omega * step / 2))  # |1 - z|
-    wrong = turn * (after @ error) + np.abs(before - after) @ error
-    return omega, size, loud & (moved > wrong)
+    bound = turn * (after @ error) + np.abs(before - after) @ error
+    return omega, size, loud & (moved > bound)
 
 
 def shared(site, response):
@@ -101,13 +80,13 @@ def page(signals, lattice, response):
     if response and not any(shared(site, response).size for site in signals.detector):
         raise FileError("the pulse and the response have no detector in common")
     figure, panels, columns = style.grid(
-        count, ROWS, NARROWEST, lambda rows: 0.7 + max(1.2 * rows, 2.0), sharex=True, sharey=True
+        count, ROWS, NARROWEST, lambda rows: 0.4 + max(1.2 * rows, 2.0), sharex=True, sharey=True
     )
     for d, ax in enumerate(panels):
         spectrum(ax, signals, lattice, d, response)
         ax.set(xlabel="", ylabel="")
     for ax in panels[max(0, count - columns) :]:  # nothing stands below these
-        ax.set_xlabel(style.FREQUENCY)
+        scales.label(ax.xaxis, scales.FREQUENCY)
         ax.tick_params(labelbottom=True)
     if response:
         style.legend_above([panels[columns - 1], *panels])
@@ -118,5 +97,5 @@ def page(signals, lattice, response):
     )
     style.above(figure, text)
     figure.caption = f"Spectra of balls over that of the drive: {text}."
-    figure.supylabel(style.AMPLITUDE, fontsize="medium")
+    figure.supylabel(scales.AMPLITUDE, fontsize="medium")
     return figure

@@ -1,32 +1,27 @@
 """The figure of a relaxing network: amplitude against time, power spectrum (paper: timeres)."""
 
+from functools import partial
+
 import numpy as np
 
-from pgran.draw import marks, style, together
+from pgran.draw import captions, marks, scales, style, together
 from pgran.errors import FileError
 from pgran.store.estimate import two_digits
 
 
 def figures(result, **_):
     """Yield the beginning of the series above its power spectrum and its memory, if there are."""
-    relaxation, power = result.relaxation, getattr(result, "spectrum", None)
-    remembered = getattr(result, "memory", None)
-    rows = 1 + bool(power) + bool(remembered)
-    figure, (ax, *below) = style.page(style.COLUMN, 0.2 + 2.3 * rows, nrows=rows)
-    series(ax, relaxation)
-    style.legend_above([ax])
+    relaxation = result.relaxation
     omega = rf"{relaxation.omega / result.medium.omega_mx:.4g} $\omega_{{mx}}$"
-    said = [f"Amplitude at {omega} against time, a step being one bond that is drawn anew."]
-    drawn = [
-        (spectrum, power, "Its power spectrum, the power law fitted to it, and slope -2."),
-        (memory, remembered, "Its autocorrelation, and the band that it must lie in."),
-    ]
-    for panel, (draw, record, text) in zip(below, [d for d in drawn if d[1]], strict=True):
-        draw(panel, record)
-        panel.legend(loc="lower left", borderaxespad=0.8)
-        said.append(text)
-    figure.caption = style.lettered(said)
-    figure.align_ylabels()
+    panels = [
+        (series, "relaxation", f"Amplitude at {omega} against time, a step being one bond that is "
+         "drawn anew."),
+        (spectrum, "spectrum", "Its power spectrum, the power law fitted to it, and slope -2."),
+        (memory, "memory", "Its autocorrelation, and the band that it must lie in."),
+    ]  # fmt: skip
+    there = [(draw, name, text) for draw, name, text in panels if getattr(result, name, None)]
+    draws = [partial(draw, **{name: getattr(result, name)}) for draw, name, _ in there]
+    figure = style.stack(draws, [text for *_, text in there], height=2.3)
     missed = np.isnan(relaxation.displacement).any(axis=2)
     if missed.any():
         count = f"{np.count_nonzero(missed)} of {missed.size} amplitudes"
@@ -34,23 +29,19 @@ def figures(result, **_):
     yield "timeres", figure
 
 
+errors = captions.amplitudes
+
+
 def series(ax, relaxation, steps=2000):
-    """Draw the amplitudes of the first trajectory against time (paper: timeres).
+    """Draw the amplitudes of the first trajectory against time, the first steps (paper: timeres).
 
     Steps that missed the accuracy asked for are gaps, and crosses on the upper edge; of amplitudes
     at the floor the upper limit is drawn. Returns the curves.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    relaxation : pgran.results.Relaxation
-    steps : int
-        How many are drawn.
     """
     amplitude = np.abs(relaxation.displacement[0, : steps + 1])
     limit = marks.upper_limits(relaxation)[0, : steps + 1]
     time, good = np.arange(len(amplitude)), np.isfinite(amplitude) & np.isnan(limit)
-    ax.set(xlabel="time (steps of one bond)", ylabel=style.AMPLITUDE)
+    ax.set(xlabel="time (steps of one bond)", ylabel=scales.AMPLITUDE)
     ax.set_xlim(0, max(len(time) - 1, 1))
     ax.locator_params("x", nbins=5)
     drawn = marks.curves(ax, time, amplitude, good, style.ball_names(relaxation.detector), limit)
@@ -84,9 +75,8 @@ def memory(ax, memory):
     law = ax.fill_between(memory.lag, memory.lowest, memory.highest, color="#cccccc", label=words)
     label = rf"$\bar k = {memory.order:.3g} \pm {two_digits(memory.order_error)}$"
     look = {"color": style.ACCENT, "linewidth": 0.8, "marker": ".", "markersize": 3}
-    return law, ax.errorbar(
-        memory.lag, memory.correlation, memory.correlation_error, label=label, **look
-    )
+    values = memory.lag, memory.correlation, memory.correlation_error
+    return law, ax.errorbar(*values, label=label, **look)
 
 
 def power(ax, spectrum, label, color, shade=None, linestyle="-"):
@@ -115,11 +105,12 @@ def over(results, labels):
         raise FileError(
             "spectra are laid over each other: a result has none, its run was too short"
         )
-    figure, (ax,) = style.page(style.COLUMN, 2.5)
-    for number, (result, label) in enumerate(zip(results, labels, strict=True)):
-        said = f"{label}:\n{exponent(result.spectrum)}"
-        look = together.look_of(number)
-        power(ax, result.spectrum, said, look["color"], linestyle=look["linestyle"])
-    together.finish(figure)
-    figure.caption = "Power spectra of the amplitude, and the laws fitted to them."
-    yield "spectrum", figure
+
+    def spectra(ax):
+        for number, (result, label) in enumerate(zip(results, labels, strict=True)):
+            words = f"{label}:\n{exponent(result.spectrum)}"
+            look = style.COLOURS[number], None, together.LINES[number]
+            power(ax, result.spectrum, words, *look)
+
+    caption = "Power spectra of the amplitude, and the laws fitted to them."
+    yield "spectrum", style.single(spectra, caption)

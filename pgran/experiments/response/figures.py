@@ -1,10 +1,11 @@
 """The figures of a sweep: amplitude, phase, delay and the wall's force (freqres, phaseres)."""
 
 import math
+from functools import partial
 
 import numpy as np
 
-from pgran.draw import bonds, captions, marks, style, together
+from pgran.draw import bonds, captions, marks, scales, style, together
 from pgran.draw.marks import known_amplitudes
 from pgran.errors import FileError
 from pgran.experiments.response.record import LINES
@@ -16,47 +17,43 @@ REGIMES = (
     r"intermediate frequencies",
     r"high frequencies, $\omega > \omega_{mx}$",
 )
-
-SAID = {
+CAPTIONS = {
     "amplitude": "Amplitude of the steady response relative to the driven wall, against the "
     "driving frequency.",
     "phase": "Unwrapped phase of the steady response against the driving frequency, and straight "
     "lines fitted to it.",
     "delay": "Group delay $-d \\arg A / d\\omega$ of the steady response; the axis is linear up to "
     "the median, logarithmic beyond.",
+    "force": "Magnitude of the force that drives the wall.",
+    "force_phase": "Its phase.",
+    "power": "Mean power that the wall puts in.",
 }
-WALL = (
-    "Magnitude of the force that drives the wall.",
-    "Its phase.",
-    "Mean power that the wall puts in.",
-)
 
 
 def figures(result, modes=None, **_):
     """Yield the amplitudes, a panel a regime, phases, group delay, wall's force, and bonds."""
     response, lattice = result.response, result.medium
+
+    def page(*panels, **look):
+        draws = [
+            partial(panel, response=response, lattice=lattice, modes=modes) for panel in panels
+        ]
+        return style.stack(draws, [CAPTIONS[panel.__name__] for panel in panels], **look)
+
     yield "amplitude", amplitude_page([(response, lattice, None, {})], modes)
-    single = {"phase": phase}
+    figure = page(phase)
+    figure.caption += _slopes(response)
+    yield "phase", figure
     if lattice.damping and response.delay is not None and np.isfinite(response.delay).any():
-        single["delay"] = delay
-    for name, panel in single.items():
-        figure, (ax,) = style.page(style.COLUMN, 2.3)
-        panel(ax, response, lattice, modes)
-        figure.set_figheight(2.3 + 0.13 * style.legend_above([ax]))
-        figure.caption = SAID[name] + (captions.slopes(response) if name == "phase" else "")
-        yield name, figure
+        yield "delay", page(delay)
     if response.force is not None and np.any(known_force(response)):
         panels = (force, force_phase, power)[: 3 if np.any(known_power(response)) else 2]
-        figure, axes = style.page(style.COLUMN, 0.7 + 1.25 * len(panels), nrows=len(panels))
-        for ax, panel in zip(axes, panels, strict=True):
-            panel(ax, response, lattice, modes)
-            ax.label_outer()
-        figure.align_ylabels()
-        style.legend_above(axes)
-        figure.caption = style.lettered(WALL[: len(panels)])
-        yield "wall", figure
+        yield "wall", page(*panels, height=1.4, shared=True)
     if lattice.group == "lattice":
         yield "bonds", bonds.page(lattice, response.detector)
+
+
+errors = captions.amplitudes
 
 
 def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf), labels=None, **line):
@@ -69,7 +66,7 @@ def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf), labels=
     ----------
     ax : matplotlib.axes.Axes
     response : pgran.results.Response
-    lattice : pgran.results.LatticeRecord
+    lattice : pgran.results.LatticeRecord or pgran.results.NetworkRecord
     modes : array_like, optional
         Angular frequencies of normal modes, marked by ticks.
     within : tuple of float
@@ -79,51 +76,21 @@ def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf), labels=
     **line
         For `Axes.plot`.
     """
-    x, values = response.omega / lattice.omega_mx, response.amplitude
-    inside = (within[0] <= x) & (x <= within[1])
-    limit = np.where(inside[:, None], marks.upper_limits(response), np.nan)
-    ax.set(yscale="log", ylabel=style.AMPLITUDE)
-    style.frequencies(ax, x, within=within)
-    names = labels or style.ball_names(response.detector)
-    drawn = marks.curves(
-        ax,
-        x,
-        values,
-        inside[:, None] & known_amplitudes(response),
-        names,
-        limit,
-        **_look(response) | line,
-    )
-    _finish(ax, response, lattice, modes)
-    return drawn
-
-
-def _look(response):
-    """Return how curves are drawn: few points that lines do not join rightly as points alone."""
-    few = len(response.omega) <= style.FEW and 2 * np.count_nonzero(response.unresolved) >= len(
-        response.unresolved
-    )
-    return {"linestyle": "none", "clip_on": False} if few else {}
+    x = response.omega / lattice.omega_mx
+    inside = ((within[0] <= x) & (x <= within[1]))[:, None]
+    limit = np.where(inside, marks.upper_limits(response), np.nan)
+    ax.set(yscale="log", ylabel=scales.AMPLITUDE)
+    values, good = response.amplitude, inside & known_amplitudes(response)
+    look = {"labels": labels, "limit": limit, "within": within} | line
+    return _curves(ax, response, lattice, modes, values, good, **look)
 
 
 def phase(ax, response, lattice, modes=None, labels=None, **line):
     """Draw the unwrapped phase with the straight lines fitted (paper: phaseres).
 
     A line covers the points that it was fitted to; the phase velocity (`phsvel`), or without
-    positions its slope, is in the label of the curve. Points that missed the accuracy asked for
-    are as in the amplitudes. Returns the curves.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    response : pgran.results.Response
-    lattice : pgran.results.LatticeRecord
-    modes : array_like, optional
-        Angular frequencies of normal modes, marked by ticks.
-    labels : sequence of str, optional
-        Of the curves, instead of the detectors' names.
-    **line
-        For `Axes.plot`.
+    positions its slope, is in the label of the curve. Parameters, marks and what is returned are
+    as in `amplitude`.
     """
     x, low, high = response.omega / lattice.omega_mx, response.phase_fit_min, response.phase_fit_max
     good = (response.converged_reason > 0)[:, None] & np.isfinite(response.phase)
@@ -132,17 +99,15 @@ def phase(ax, response, lattice, modes=None, labels=None, **line):
     labels = list(labels or style.ball_names(response.detector))
     for d in fitted:
         labels[d] += f": {_velocity(response, lattice, d)}"
-    ax.set(ylabel=style.PHASE)
-    ax.yaxis.set_major_locator(style.round_ticks(ax.figure))
-    style.frequencies(ax, x)
-    drawn = marks.curves(ax, x, response.phase, good, labels, **_look(response) | line)
+    ax.set_ylabel(scales.PHASE)
+    ax.yaxis.set_major_locator(scales.round_ticks(ax.figure))
+    drawn = _curves(ax, response, lattice, modes, response.phase, good, labels, **line)
     label = rf"fit, {low:g} to {high:g} $\omega_{{mx}}$"
     for d in fitted:
         fit = response.phase_slope[d] * ends[:, d] + response.phase_intercept[d]
         shade = style.pale(drawn[d].get_color())
         ax.plot(ends[:, d], fit, color=shade, linewidth=3, zorder=1, label=label)
         label = None
-    _finish(ax, response, lattice, modes)
     return drawn
 
 
@@ -151,86 +116,89 @@ def _velocity(response, lattice, d):
     name, unit = "phase_velocity", r"$d\,\omega_{mx}$"
     if not np.isfinite(response.phase_velocity[d]):  # without positions
         name, unit = "phase_slope", r"rad/$\omega_{mx}$"
-    said, error = f"{getattr(response, name)[d]:.3g}", getattr(response, f"{name}_error")
+    number, error = f"{getattr(response, name)[d]:.3g}", getattr(response, f"{name}_error")
     if error is not None:  # as it is in a file of version 0.1
-        said += rf" \pm {two_digits(error[d])}"
-    return f"${'v' if 'velocity' in name else 's'} = {said}$ {unit}"
+        number += rf" \pm {two_digits(error[d])}"
+    return f"${'v' if 'velocity' in name else 's'} = {number}$ {unit}"
+
+
+def _slopes(response):
+    """Return the slopes of fitted phases in words, none where none is known."""
+    errors, slopes = response.phase_slope_error, []
+    for d, name in enumerate(style.ball_names(response.detector)):
+        if np.isfinite(response.phase_slope[d]):
+            error = "" if errors is None else rf" \pm {two_digits(errors[d])}"
+            slopes.append(rf"${response.phase_slope[d]:.4g}{error}$ at {name}")
+    unit = r"rad per $\omega_{mx}$; $v$: phase velocity, $d$: unit of length"
+    return f" Slopes: {', '.join(slopes)}, in {unit}." if slopes else ""
 
 
 def delay(ax, response, lattice, modes=None):
     """Draw the group delay -d arg A / d omega; linear up to the median, logarithmic beyond.
 
-    Returns the curves. Parameters are those of `phase`.
+    Returns the curves.
     """
-    x, values = response.omega / lattice.omega_mx, response.delay * lattice.omega_mx
+    values = response.delay * lattice.omega_mx
     good = (response.converged_reason > 0)[:, None] & np.isfinite(values)
     middle = float(f"{np.median(np.abs(values[good])):.1g}")
-    style.symmetric(ax, values[good], middle or 1.0)
-    ax.set_ylabel(style.DELAY)
-    style.frequencies(ax, x)
-    drawn = marks.curves(
-        ax, x, values, good, style.ball_names(response.detector), **_look(response)
-    )
-    _finish(ax, response, lattice, modes)
-    return drawn
+    scales.symmetric(ax, values[good], middle or 1.0)
+    scales.label(ax.yaxis, scales.DELAY)
+    return _curves(ax, response, lattice, modes, values, good)
 
 
 def known_force(response):
-    """Return which forces are proven to a part of `LINES`, or solved for where nothing is proven.
-
-    Parameters
-    ----------
-    response : pgran.results.Response
-    """
+    """Return which forces are proven to a part of `LINES`, or solved for if nothing is proven."""
     doubtful = response.force_bound > LINES * np.abs(response.force)
     return (response.converged_reason > 0) & (np.abs(response.force) > 0) & ~doubtful
 
 
 def known_power(response):
-    """Return which powers are proven to a part of `LINES`. Parameters are as above."""
+    """Return which powers are proven to a part of `LINES`."""
     bound = 0.5 * response.omega * response.force_bound
     good = (response.converged_reason > 0) & (response.power > 0)
     return good & (bound <= LINES * response.power)
 
 
 def force(ax, response, lattice, modes=None):
-    """Draw the magnitude of the force that drives the wall; return the curve.
-
-    Parameters are those of `phase`.
-    """
-    ax.set_yscale("log")
-    values, name = np.abs(response.force), "force $|F|$ (drive = 1)"
-    return _wall(ax, response, lattice, modes, values, known_force(response), name)
+    """Draw the magnitude of the force that drives the wall; return the curve."""
+    ax.set(yscale="log", ylabel="force $|F|$ (drive = 1)")
+    values, good = np.abs(response.force), known_force(response)
+    return _curves(ax, response, lattice, modes, values, good, [None])
 
 
 def force_phase(ax, response, lattice, modes=None):
-    """Draw the phase of that force, from 0 (a spring) to pi (a mass); return the curve.
-
-    Parameters are those of `phase`.
-    """
+    """Draw the phase of that force, from 0 (a spring) to pi (a mass); return the curve."""
     values = np.abs(np.angle(response.force))  # rounding alone could make it negative
-    ax.set(ylim=(-0.1 * math.pi, 1.1 * math.pi), yticks=[0, math.pi / 2, math.pi])
-    ax.set_yticklabels(["0", r"$\pi/2$", r"$\pi$"])
-    return _wall(ax, response, lattice, modes, values, known_force(response), "phase of $F$")
+    ax.set(ylim=(-0.1 * math.pi, 1.1 * math.pi), ylabel="phase of $F$")
+    ax.set_yticks([0, math.pi / 2, math.pi], ["0", r"$\pi/2$", r"$\pi$"])
+    return _curves(ax, response, lattice, modes, values, known_force(response), [None])
 
 
 def power(ax, response, lattice, modes=None):
-    """Draw the mean power that the wall puts in and dashpots dissipate; return the curve.
+    """Draw the mean power that the wall puts in and dashpots dissipate; return the curve."""
+    ax.set(yscale="log", ylabel=r"power $\frac{1}{2}\omega\,\mathrm{Im}\,F$")
+    values, good = response.power, known_power(response)
+    return _curves(ax, response, lattice, modes, values, good, [None])
 
-    Parameters are those of `phase`.
+
+def _curves(
+    ax, response, lattice, modes, values, good, labels=None, limit=None, within=(0.0, math.inf),
+    **line,
+):  # fmt: skip
+    """Draw curves over the driving frequency; mark failed and unresolved points, normal modes.
+
+    Few points that lines do not join rightly are points alone.
     """
-    ax.set_yscale("log")
-    values, name = response.power, r"power $\frac{1}{2}\omega\,\mathrm{Im}\,F$"
-    return _wall(ax, response, lattice, modes, values, known_power(response), name)
-
-
-def _wall(ax, response, lattice, modes, values, good, name):
-    """Draw a quantity of the wall against frequency."""
-    x = response.omega / lattice.omega_mx
-    ax.set_ylabel(name)
-    style.frequencies(ax, x)
-    drawn = marks.curves(ax, x, values, good, **_look(response))
-    _finish(ax, response, lattice, modes)
+    x, unresolved = response.omega / lattice.omega_mx, response.unresolved
+    scales.frequencies(ax, x, within=within)
+    labels = labels or style.ball_names(response.detector)
+    if len(x) <= style.FEW and 2 * np.count_nonzero(unresolved) >= len(unresolved):
+        line = {"linestyle": "none", "clip_on": False} | line
+    drawn = marks.curves(ax, x, values, good, labels, limit, **line)
+    marks.failed(ax, x[response.converged_reason <= 0])
+    marks.unresolved(ax, 0.5 * (x[1:] + x[:-1])[unresolved])
+    if modes is not None:
+        marks.modes(ax, np.asarray(modes) / lattice.omega_mx)
     return drawn
 
 
@@ -244,24 +212,10 @@ def _fitted_ends(response, x, good):
     return np.transpose([c[[0, -1]] if c.size else [np.nan] * 2 for c in columns])
 
 
-def _finish(ax, response, lattice, modes):
-    """Mark failed frequencies, unresolved ones and normal modes, and label the frequency axis."""
-    x = response.omega / lattice.omega_mx
-    marks.failed(ax, x[response.converged_reason <= 0])
-    marks.unresolved(ax, 0.5 * (x[1:] + x[:-1])[response.unresolved])
-    if modes is not None:
-        marks.modes(ax, np.asarray(modes) / lattice.omega_mx)
-
-
 def amplitude_page(shown, modes=None):
     """Return the figure of amplitudes, a panel a regime that a sweep reaches.
 
-    Parameters
-    ----------
-    shown : sequence of tuple
-        Each a response, its lattice, labels of its curves or None, and their look.
-    modes : array_like, optional
-        Angular frequencies of normal modes, marked by ticks.
+    `shown` has of each result the response, its lattice, labels of its curves or None, their look.
     """
     few = all(len(response.omega) <= style.HANDFUL for response, *_ in shown)
     edges = EDGES[:1] + EDGES[-1:] if few else EDGES
@@ -271,23 +225,19 @@ def amplitude_page(shown, modes=None):
     present = np.unique(np.concatenate(reached))
     figure, panels = style.page(style.PAGE, 0.4 + 1.75 * len(present), nrows=len(present))
     for regime, ax in zip(present, panels, strict=True):
-        drawn, ends = [], []
+        drawn, within = [], edges[regime : regime + 2]
         for (response, lattice, names, look), there in zip(shown, reached, strict=True):
             if regime in there:
-                within = edges[regime : regime + 2]
                 drawn += amplitude(ax, response, lattice, modes, within, names, **look)
-                ends.append(ax.get_xlim())
-        ax.set_xlim(np.min(ends), np.max(ends))
         if len(shown) == len(drawn) == 1:
             drawn[0].set_label("")
         ax.set_title("" if few else REGIMES[regime])
         ax.set(xlabel="", ylabel="")
-    rows = style.legend_above(panels)
-    figure.set_figheight(figure.get_figheight() + 0.13 * rows)
-    panels[-1].set_xlabel(style.FREQUENCY)
-    figure.supylabel(style.AMPLITUDE, fontsize="medium")
+    style.legend_above(panels)
+    scales.label(panels[-1].xaxis, scales.FREQUENCY)
+    figure.supylabel(scales.AMPLITUDE, fontsize="medium")
     several = [f"({letter}) {REGIMES[n]}" for letter, n in zip("abc", present, strict=False)]
-    figure.caption = SAID["amplitude"] + (f" {', '.join(several)}." if len(present) > 1 else "")
+    figure.caption = CAPTIONS["amplitude"] + f" {', '.join(several)}." * (len(present) > 1)
     return figure
 
 
@@ -304,40 +254,26 @@ def over(results, labels):
     """
     shown, alone = [], all(len(result.response.detector) == 1 for result in results)
     for number, (result, label) in enumerate(zip(results, labels, strict=True)):
-        balls, look = style.ball_names(result.response.detector), together.look_of(number)
+        balls, look = style.ball_names(result.response.detector), together.curve_look(number)
         if not alone:
             del look["color"]
         names = [label] if alone else [f"{label}, {ball}" for ball in balls]
         shown.append((result.response, result.medium, names, look))
+
+    def phases(ax):
+        for response, lattice, names, look in shown:
+            phase(ax, response, lattice, labels=names, **look)
+
     yield "amplitude", amplitude_page(shown)
-    figure, (ax,) = style.page(style.COLUMN, 2.5)
-    ends = []
-    for record, lattice, names, look in shown:
-        phase(ax, record, lattice, labels=names, **look)
-        ends.append(ax.get_xlim())
-    ax.set_xlim(np.min(ends), np.max(ends))
-    together.finish(figure)
-    figure.caption = SAID["phase"]
-    yield "phase", figure
+    yield "phase", style.single(phases, CAPTIONS["phase"])
 
 
 def add_measured(made, results, data, label):
     """Draw what was measured into the figures of responses: circles over amplitudes and phases.
 
-    Parameters
-    ----------
-    made : dict of str: matplotlib.figure.Figure
-        Of `response`, or of `figures`.
-    results : sequence of pgran.store.record.Result
-        What they show.
-    data : dict of str: numpy.ndarray
-        `omega`, `amplitude`, and maybe `phase`.
-    label : str
-
-    Returns
-    -------
-    int
-        How many points lie beyond all sweeps, and are not drawn.
+    The figures `made` of the results, by name, are those of `figures` or `over`; `data` has
+    `omega`, `amplitude`, and maybe `phase`. Returns how many points lie beyond all sweeps, and are
+    not drawn.
     """
     if not all(hasattr(result, "response") for result in results):
         raise FileError(f"{label}: what was measured is laid over responses only")
@@ -349,18 +285,15 @@ def add_measured(made, results, data, label):
     look = {"linestyle": "none", "marker": "o", "markersize": 3, "markerfacecolor": "white"}
     look |= {"color": "black", "markeredgewidth": 0.6, "zorder": 4}
     seen, name = np.zeros(len(x), dtype=bool), label.replace("$", r"\$")
-    for part in ("amplitude", "phase"):
-        for ax in made[part].panels if part in data else ():
+    for part in [part for part in ("amplitude", "phase") if part in data]:
+        for ax in made[part].panels:
             low, high = ax.get_xlim()
             inside = (low <= x) & (x <= high)
             if inside.any():
                 ax.plot(x[inside], data[part][inside], label=name, scalex=False, **look)
             seen |= inside
-    style.legend_above(made["amplitude"].panels)
-    made["amplitude"].set_figheight(made["amplitude"].get_figheight() + 0.13)
-    together.finish(made["phase"])
-    for part in ("amplitude", "phase"):
-        made[part].caption += f" Circles: measured ({label})." if part in data else ""
+        style.legend_above(made[part].panels)
+        made[part].caption += f" Circles: measured ({label})."
     if not seen.any():
         raise FileError(f"{label}: none of its frequencies is one of the sweep; omega is angular, "
                         "in the unit of the result")  # fmt: skip

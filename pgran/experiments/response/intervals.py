@@ -3,15 +3,16 @@
 The moments of A at omega_0 are its scaled derivatives x_k = h^k A^(k) / k!; with d = omega -
 omega_0, S = S_0 + d S_1 + d^2 S_2 and f = f_0 + d f_1 they follow from the factorization of S_0,
 
-    S_0 x_k = f_k - h S_1 x_(k-1) - h^2 S_2 x_(k-2),    S_1 = i C - 2 omega_0 M,    S_2 = -M,
+    S_0 x_k = h^k f_k - h S_1 x_(k-1) - h^2 S_2 x_(k-2),    S_1 = i C - 2 omega_0 M,    S_2 = -M,
 
-and those of a detector's adjoint from the same with e_d for f_0. A and all adjoints are solved as
-one block of right-hand sides. Models are reduced and proven by `models`; they need
-damping, which bounds S^-1 for all frequencies alike.
+f_k being 0 from k = 2 on, and those of a detector's adjoint from the same with e_d for f_0. A and
+all adjoints are solved as one block of right-hand sides. Models are evaluated by `models`; they
+need damping, which bounds S^-1 for all frequencies alike.
 """
 
 import logging
 import math
+from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +21,8 @@ from pgran.driven.judge import Detectors
 from pgran.driven.linear import LEAST_NORM, make_ksp, set_up
 from pgran.driven.owner import Owner
 from pgran.errors import is_bad_input, petsc_message
-from pgran.experiments.response.models import MOMENTS, ModelLimits, evaluate, model_dtype, poles
+from pgran.experiments.response.models import MOMENTS, ModelLimits, evaluate, poles
+from pgran.experiments.response.record import model_dtype
 from pgran.experiments.response.tall import SUMMED, products, qr_rounding, squares, tall_qr
 from pgran.medium.rounding import EPSILON
 from pgran.run.agreement import met_by_all
@@ -34,38 +36,23 @@ ORDER = 4 * MOMENTS  # a bound falls like this power of the interval's length
 
 
 class IntervalModels(Owner):
-    """Makes models of one lattice and proves them; destroy with `destroy` or `with`.
+    """Makes models of one lattice, with damping, and proves them; destroy with `destroy` or `with`.
 
-    Collective.
-
-    Parameters
-    ----------
-    operators : pgran.driven.operators.Operators
-        With damping.
-    sites : array_like of int, shape (nd, dim)
-        The detectors.
-    tolerance : float
-        Relative accuracy asked of each amplitude.
-    length : callable
-        Takes a frequency, returns about how long an interval there may be.
-
-    Attributes
-    ----------
-    factorizations : int
-        How many there were so far.
+    Collective. The `tolerance` is the relative accuracy asked of each amplitude at the detectors,
+    `sites` (nd, dim); `length` takes a frequency and returns about how long an interval may be.
     """
 
-    owns = ("_ksp", "_rhs", "_found", "_image", "_columns", "_products")
+    owns = ("_ksp", "_rhs", "_solution", "_image", "_columns", "_products")
 
     def __init__(self, operators, sites, tolerance, length):
         """Make the blocks of right-hand sides and of columns."""
         self.operators, self.comm = operators, operators.comm
         self.tolerance, self.length = tolerance, length
-        self.factorizations, self._ksp, self._works = 0, None, False
+        self.factorizations, self._works = 0, False
         self.width = min(2 * MOMENTS, operators.balls)
         systems = 1 + len(sites)
         self.dtype = model_dtype(self.width, len(sites), operators.balls)
-        self._rhs, self._found, self._image = (self._block(systems) for _ in range(3))
+        self._rhs, self._solution, self._image = (self._block(systems) for _ in range(3))
         self._columns, self._products = (self._block((systems + 1) * self.width) for _ in range(2))
         self._read(sites)
         self.limits = self._limits(sites)
@@ -85,20 +72,22 @@ class IntervalModels(Owner):
         self._loads[0, :, 1] = 1j * damping * operators.f_damping.getArray()
         # Half the sums of the rows of |K| and |C|: of Laplacians their diagonals.
         if operators.layout.laplacian:
-            diagonals = operators.K.getDiagonal(), operators.C.getDiagonal()
+            diagonals = [operators.K.getDiagonal(), operators.C.getDiagonal()]
         else:
-            diagonals = [operators.M.duplicate() for _ in range(2)]
-            diagonals[0].set(0.5)
-            K, _, C, _ = operators.sizes
-            C.mult(diagonals[0], diagonals[1])
-            half = diagonals[0].duplicate()
-            K.mult(diagonals[0], half)
-            diagonals[0].destroy()
-            diagonals[0] = half
+            half, *diagonals = (operators.M.duplicate() for _ in range(3))
+            half.set(0.5)
+            for matrix, diagonal in zip(operators.sizes[::2], diagonals, strict=True):
+                matrix.mult(half, diagonal)
+            half.destroy()
         self._diagonal, C = (d.getArray().real[:, None].copy() for d in diagonals)
         self._damping, self._mass = damping * C, operators.M.getArray().real[:, None].copy()
         for vector in (*units, *diagonals):
             vector.destroy()
+
+    @cached_property
+    def _ksp(self):
+        """What factors S. Collective when first asked for."""
+        return make_ksp(self.operators, self.operators.S)
 
     def _block(self, columns):
         """Return a dense matrix of so many columns."""
@@ -133,25 +122,23 @@ class IntervalModels(Owner):
     def _largest(self, numbers):
         """Return the largest numbers in the rows, the last axis but one, of all ranks."""
         largest = np.maximum(np.abs(numbers.real), np.abs(numbers.imag)).max(axis=-2)
-        return largest if self.comm.size == 1 else np.max(self.comm.allgather(largest), axis=0)
+        return np.max(self.comm.allgather(largest), axis=0)
 
     def cover(self, low, high):
-        """Yield models of intervals that follow each other from `low` to `high`.
+        """Yield models of intervals that follow each other from `low` to `high`, one row each.
 
         Collective. An interval that misses its accuracy anywhere is shortened by the order of the
-        model, and its far end serves a later one; where rounding forbids the accuracy, the model is
-        marked as not proven. Nothing depends on clocks.
-
-        Parameters
-        ----------
-        low, high : float
-
-        Yields
-        ------
-        numpy.ndarray of `models.model_dtype`, shape (1,)
+        model; where rounding forbids the accuracy, the model is marked as not proven. Nothing
+        depends on clocks.
         """
+        # `ahead` holds the far ends of intervals that were too long: each was factored already, and
+        # becomes an end of a later one. Up to the nearest the way is cut into equal pieces.
+        #
+        #     low         start   end     ahead[-1]            ahead[-2]            ahead[0] = high
+        #      |==|==|=====|.......|.......|....................|....................|
+        #         yielded     tried
         start, ahead, step, done = low, [high], 2 * self.length(low), self.factorizations
-        moments = {}
+        moments = {}  # at `start`, and at ends ahead
         while ahead:
             pieces = max(1, math.ceil((ahead[-1] - start) / step - 1e-9))
             end = start + (ahead[-1] - start) / pieces if pieces > 1 else ahead[-1]
@@ -159,7 +146,9 @@ class IntervalModels(Owner):
                 if omega not in moments:
                     moments[omega] = self.moments(omega)
             model = self._model(start, end, moments[start], moments[end])
-            missed, in_vain = self._agreed(self._missed(model[0]))
+            # the first rank's: a last digit must not part the ranks' ways
+            missed, in_vain = self.comm.bcast(self._missed(model[0]))
+            # missed ~ length^ORDER: the length that would just be accurate, within limits
             reach = 0.9 * max(missed, 1e-300) ** (-1 / ORDER)
             reach = min(max(reach, 0.3), 3.0 if missed <= 1 else 0.8)
             step = (end - start) * (2.0 if in_vain else reach)
@@ -175,10 +164,6 @@ class IntervalModels(Owner):
                     ahead.pop()
             elif end != ahead[-1]:
                 ahead.append(end)
-
-    def _agreed(self, found):
-        """Return what the first rank has found: a last digit must not part the ranks' ways."""
-        return found if self.comm.size == 1 else self.comm.bcast(found)
 
     def _missed(self, model):
         """Return the largest bound relative to what is allowed; whether shortening is in vain.
@@ -207,25 +192,22 @@ class IntervalModels(Owner):
 
         Collective. Not finite where S cannot be factored, or PETSc fails, which is said.
         """
-        operators, found = self.operators, None
-        operators.combine(1j * omega)
+        self.operators.combine(1j * omega)
         self.factorizations += 1
-        if self._ksp is None:
-            self._ksp = make_ksp(operators, operators.S)
+        ksp, moments = self._ksp, None
         try:
-            if set_up(self._ksp, operators.S, self.comm):
-                found = self._series(omega)
+            if set_up(ksp, self.operators.S, self.comm):
+                moments = self._series(omega)
         except PETSc.Error as error:
-            wrong = is_bad_input(error) and not self._works
-            if error.__cause__ or wrong or not met_by_all(self.comm):
+            wrong_options = is_bad_input(error) and not self._works
+            if error.__cause__ or wrong_options or not met_by_all(self.comm):
                 raise
             log.warning("no model at omega = %g: %s", omega, petsc_message(error))
-        if found is None:
+        if moments is None:
             self.forget("_ksp")
-            self._ksp = None
             return np.full((*self._loads.shape[:2], MOMENTS), np.nan, dtype=complex)
         self._works = True
-        return found
+        return moments
 
     def _series(self, omega):
         """Return the moments at a frequency whose S is factored."""
@@ -233,20 +215,20 @@ class IntervalModels(Owner):
         h, damping = self.length(omega), operators.damping
         g = operators.f.getArray()[:, None]
         rhs = np.concatenate([g, self._loads[1:, :, 0].T], axis=1)
-        found = np.empty((MOMENTS, *rhs.shape), dtype=complex)
+        x = np.empty((MOMENTS, *rhs.shape), dtype=complex)
         for k in range(MOMENTS):
             self._rhs.getDenseArray()[:] = rhs
             self._rhs.assemble()
-            factor.matSolve(self._rhs, self._found)
-            found[k] = self._found.getDenseArray(readonly=True)
-            operators.C.matMult(self._found, self._image)
-            bent = 1j * damping * self._image.getDenseArray(readonly=True)
-            rhs = -h * (bent - 2 * omega * self._mass * found[k])
+            factor.matSolve(self._rhs, self._solution)
+            x[k] = self._solution.getDenseArray(readonly=True)
+            operators.C.matMult(self._solution, self._image)
+            damped = 1j * damping * self._image.getDenseArray(readonly=True)
+            rhs = -h * (damped - 2 * omega * self._mass * x[k])
             if k == 0:
                 rhs[:, 0] += h * self._loads[0, :, 1]
             else:
-                rhs += h * h * self._mass * found[k - 1]
-        return np.ascontiguousarray(found.transpose(2, 1, 0))
+                rhs += h * h * self._mass * x[k - 1]
+        return np.ascontiguousarray(x.transpose(2, 1, 0))
 
     def _model(self, low, high, *moments):
         """Return the model of an interval from the moments at its ends. Collective."""
@@ -267,6 +249,7 @@ class IntervalModels(Owner):
         into["triangle"] = self._triangle(X, W)
         into["cross"] = self._total(products(X[1:], W[0]))
         into["reading"] = self._total(self._loads[1:, :, 0].real @ X[0])
+        # |S| |X| at the highest frequency
         sizes = high * high * self._mass * np.abs(X[0])
         if self.operators.layout.laplacian:
             # |K| has the same diagonal as K, and so on; its other entries are those of -K.
@@ -293,13 +276,14 @@ class IntervalModels(Owner):
         good = np.all(missed <= qr_rounding(p) ** 2 * squares(R))
         # both parts of Q are orthonormal, and orthogonal to each other but for this
         overlap = np.sqrt(squares(self._total(across @ Q)).sum(axis=-1))
+        # W = [X, Q] [inside; R, 0]
         R = np.pad(R, [(0, 0), (0, 0), (0, p)])
         R = np.concatenate([inside, R], axis=1) * np.sqrt(1 + overlap)[:, None, None]
         return R if good else np.full_like(R, np.nan)
 
     def _applied(self, blocks, matrices):
         """Return K x and C x, all damping, of this rank's rows of blocks of columns. Collective."""
-        width, found = self.width, []
+        width, images = self.width, []
         columns = self._columns.getDenseArray()
         for number, block in enumerate(blocks):
             columns[:, number * width : (number + 1) * width] = block
@@ -309,5 +293,5 @@ class IntervalModels(Owner):
             product = self._products.getDenseArray(readonly=True)
             # a copy, of one row too: the next product overwrites this one
             product = product.reshape(-1, len(blocks), width).swapaxes(0, 1)
-            found.append(np.array(product, order="C"))
-        return found[0], self.operators.damping * found[1]
+            images.append(np.array(product, order="C"))
+        return images[0], self.operators.damping * images[1]

@@ -25,8 +25,7 @@ rounding moves it by is bounded through |X y| <= |y|_1.
 What a model holds, with p columns in X and in each Z, system 0 that of A, then one a detector:
 `own`, X^T W of each system with its own W; `cross`, Z^T W with the W of A; `triangle`, R of each;
 `reading`, e_d^T X; `sizes`, |Z|^T |W| summed up at the highest frequency, and `drive_sizes`, the
-same of f, by which rounding is bounded; `poles`, the frequencies above the poles of system 0.
-NumPy only.
+same of f, by which rounding is bounded. NumPy only.
 """
 
 import math
@@ -34,60 +33,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgran.driven.limits import Limits
+from pgran.driven.accurate import Limits
+from pgran.experiments.response.tall import squares
 from pgran.medium.rounding import SMALLEST_NORMAL
 
 MOMENTS = 8  # of each right-hand side at each end
 LOST = 2**10 * SMALLEST_NORMAL  # what sums of products too small for doubles may lose
-SHORTEST = 4  # frequencies: NumPy rounds products of fewer complex numbers in one way or another
 LOST_NORM = 16 * math.sqrt(SMALLEST_NORMAL)  # what a norm may miss because squares are lost
-
-
-# The arrays of a model, and what a curve tells of a point.
-ARRAYS = ("low", "high", "own", "cross", "triangle", "reading", "sizes", "drive_sizes")
-POINT = ("omega", "displacement", "error_bound", "derivative", "derivative_bound")
-
-
-def model_dtype(columns, detectors, balls):
-    """Return the dtype of a model. Not collective.
-
-    Parameters
-    ----------
-    columns : int
-        p, those of X and of each Z.
-    detectors, balls : int
-    """
-    systems, width = 1 + detectors, 2 + 3 * columns
-    return np.dtype(
-        [
-            ("low", float),
-            ("high", float),
-            ("proven", np.int8),
-            ("factorizations", np.int64),
-            ("poles", float, (2 * columns,)),
-            ("own", complex, (systems, columns, width)),
-            ("cross", complex, (detectors, columns, width)),
-            ("triangle", complex, (systems, columns + min(2 + 2 * columns, balls), width)),
-            ("reading", complex, (detectors, columns)),
-            ("sizes", float, (detectors, columns, columns)),
-            ("drive_sizes", float, (detectors, columns)),
-        ]
-    )
+SHORTEST = 4  # frequencies: NumPy rounds products of fewer complex numbers in one way or another
 
 
 @dataclass(frozen=True, eq=False)
 class ModelLimits(Limits):
     """What bounds the errors of all models of a lattice.
 
-    Attributes
-    ----------
-    rounding : float
-        What a residual's norm misses, relative to |f| + (|K| + omega |C| + omega^2 |M|) |x|.
-    sum_rounding : float
-        The same of a sum over all balls.
-    receiver : float
-        |e_d| is at most this: 1 unless a detector's ball has another mass than the unit. None in
-        files before format version 5.
+    By rounding a residual's norm misses the part `rounding` of |f| + (|K| + omega |C| + omega^2
+    |M|) |x|, a sum over all balls `sum_rounding`. |e_d| is at most `receiver`: 1 unless a
+    detector's ball has another mass than the unit; None in files before format version 5.
     """
 
     rounding: float
@@ -96,13 +58,13 @@ class ModelLimits(Limits):
 
 
 def point_dtype(detectors):
-    """Return the dtype of what `evaluate` returns for each frequency. Not collective."""
+    """Return the dtype of what `evaluate` returns for each frequency."""
     return np.dtype(
         [
             ("omega", float),
             ("displacement", complex, (detectors,)),
             ("error_bound", float, (detectors,)),
-            ("rounding", float, (detectors,)),
+            ("rounding", float, (detectors,)),  # of the bound, that no shorter interval reduces
             ("derivative", complex, (detectors,)),
             ("derivative_bound", float, (detectors,)),
             ("reaction", complex),
@@ -113,111 +75,77 @@ def point_dtype(detectors):
 
 
 def evaluate(model, omega, limits, derivatives=True):
-    """Return amplitudes at some frequencies of an interval, derivatives, reactions, all bounds.
+    """Return amplitudes at frequencies of an interval, derivatives, reactions, and all bounds.
 
-    Not collective.
-
-    Parameters
-    ----------
-    model : numpy.void of `model_dtype`, or dict of its arrays
-    omega : numpy.ndarray, shape (n,)
-    limits : ModelLimits
-    derivatives : bool
-        Whether they are wanted, and reactions; else they are zero.
-
-    Returns
-    -------
-    numpy.ndarray of `point_dtype`, shape (n,)
-        What cannot be computed is not finite; `rounding` is the part of a bound that a shorter
-        interval would not reduce.
+    The `model` is a row or a dict of its arrays, `omega` (n,). What is returned is of the dtype
+    `point_dtype`, shape (n,); what cannot be computed is not finite. Without `derivatives` these
+    and the reactions are zero.
     """
     if len(omega) < SHORTEST:
         return evaluate(model, np.resize(omega, SHORTEST), limits, derivatives)[: len(omega)]
-    found = np.zeros(len(omega), point_dtype(len(model["reading"])))
-    found["omega"] = omega
+    points = np.zeros(len(omega), point_dtype(len(model["reading"])))
+    points["omega"] = omega
     with np.errstate(all="ignore"):
         try:
-            solved = _Solved(model, limits, omega)
-            solved.amplitudes(found)
+            systems = SmallSystems(model, limits, omega)
+            systems.amplitudes(points)
             if derivatives:
-                solved.derivatives(found)
-                solved.reactions(found)
+                systems.derivatives(points)
+                systems.reactions(points)
         except np.linalg.LinAlgError:  # a small system is singular
-            for name in found.dtype.names[1:]:
-                found[name] = np.nan
-    return found
+            for name in points.dtype.names[1:]:
+                points[name] = np.nan
+    return points
 
 
-def evaluate_all(models, omega):
-    """Return what models say at some frequencies: those, amplitudes, bounds, derivatives, bounds.
+class SmallSystems:
+    """The small systems of an interval at n frequencies: index 0 that of A, then one a detector.
 
-    Not collective. NaN, with infinite bounds, where no model is proven.
-
-    Parameters
-    ----------
-    models : pgran.results.Models
-    omega : numpy.ndarray, shape (n,)
-    """
-    found = np.zeros(omega.shape, point_dtype(models.reading.shape[1]))
-    found["omega"] = omega
-    for value, bound in (POINT[1:3], POINT[3:]):
-        found[value], found[bound] = np.nan, np.inf
-    place = np.searchsorted(models.low, omega, side="right") - 1
-    inside = omega <= np.append(models.high, -np.inf)[place]  # the last is that of place -1
-    for interval in np.unique(place[inside]):
-        here = inside & (place == interval)
-        model = {name: getattr(models, name)[interval] for name in ARRAYS}
-        found[here] = evaluate(model, omega[here], models)
-    return tuple(found[name] for name in POINT)
-
-
-class _Solved:
-    """The small systems of an interval solved at n frequencies.
-
-    `y` (systems, p, n) holds the solutions, `c` (systems, 2 + 3p, n) what W is multiplied by, `r`
-    (systems, n) bounds of the residuals; `y1`, `c1`, `r1` belong to the derivatives. Powers of
+    `y` (systems, p, n) solves them: y of A, then each w. The residuals are W `c`, of the norms `r`
+    (systems, n): |r|, then each |q|, at most; rounding alone may make them `rounding`. Powers of
     omega are real: their products with complex numbers round alike wherever these lie in memory.
     """
 
     def __init__(self, model, limits, omega):
-        """Solve for y and w."""
+        """Solve for y and w, and bound their residuals."""
         self.model, self.limits, self.omega = model, limits, omega
         own = model["own"]
         systems, p, _ = own.shape
+        # X^T W has 2 + 3p columns: X^T g_0, X^T g_1 | X^T B_0 X | X^T B_1 X | X^T B_2 X
         self.loads, blocks = own[:, :, :2], own[:, :, 2:].reshape(systems, p, 3, p)
         self.blocks = np.ascontiguousarray(blocks.transpose(2, 0, 1, 3))
         one = np.ones_like(omega)
         self.powers = np.stack([one, omega, omega * omega])
-        self.slopes = np.stack([0 * one, one, 2 * omega])
+        self.slopes = np.stack([0 * one, one, 2 * omega])  # their derivatives
+        # X^T S X = sum of omega^j X^T B_j X, for all frequencies in one product
         T = self.powers.T @ self.blocks.reshape(3, -1)
         self.T = T.reshape(-1, systems, p, p)
-        self.y = self._solved(self.loads @ self.powers[:2])
-        self.c = self._combined(self.powers, _times(self.powers, self.y))
-        self.size = _norms(self.y)
-        # of |S|, and of |f| or |e_d|
-        self.norm = limits.stiffness + omega * (limits.damping + omega * limits.mass)
-        drive = self.drive = np.empty_like(self.size)
-        drive[0] = limits.drive + omega * limits.drive_damping
-        if limits.receiver is None:  # R is no shorter than W, whose first columns are the e_d
-            drive[1:] = 1.01 * _norms(model["triangle"][1:, :, :1])
-        else:
-            drive[1:] = limits.receiver
-        self.known = limits.rounding * (drive + 1.01 * self.norm * self.size) + LOST_NORM
-        self.r = self._residual(self.c) + self.known
-        self.backward_error = self.r[0] / (self.norm * self.size[0] + drive[0])
-        self.bound = 1.01 / (omega * limits.stability)  # of |S^-1|
-        self.theory = self.bound * self.r[0] * self.r[1:]
-        # of each ball's terms in Z^T r
+        self.y = self._solve(self.loads @ self.powers[:2])
+        self.c = self._coefficients(self.powers, _times(self.powers, self.y))
+        self.size = np.sqrt(squares(self.y))  # |X y|, as X is orthonormal
         self.sizes = np.abs(self.y)
-        self.into = self._into(self.sizes[0]) + model["drive_sizes"][:, :, None]
+        # bounds of |S|, of |f| and each |e_d|, and of |S^-1|
+        self.norm = limits.stiffness + omega * (limits.damping + omega * limits.mass)
+        self.drive = np.empty_like(self.size)
+        self.drive[0] = limits.drive + omega * limits.drive_damping
+        if limits.receiver is None:  # R is no shorter than W, whose first columns are the e_d
+            self.drive[1:] = 1.01 * np.sqrt(squares(model["triangle"][1:, :, :1]))
+        else:
+            self.drive[1:] = limits.receiver
+        self.inverse = 1.01 / (omega * limits.stability)
+        self.rounding = limits.rounding * (self.drive + 1.01 * self.norm * self.size) + LOST_NORM
+        self.r = self._residual(self.c) + self.rounding
+        self.theory = self.inverse * self.r[0] * self.r[1:]  # |q| |r| |S^-1|
+        # |Z|^T (|S| |X y| + |f|), of which rounding takes its part in Z^T r
+        self.terms = model["sizes"] @ self.sizes[0] + model["drive_sizes"][:, :, None]
 
-    def _solved(self, load):
+    def _solve(self, load):
         """Return T^-1 times a load (systems, p, n)."""
-        found = np.linalg.solve(self.T, load.transpose(2, 0, 1)[..., None])[..., 0]
-        return np.ascontiguousarray(found.transpose(1, 2, 0))
+        y = np.linalg.solve(self.T, load.transpose(2, 0, 1)[..., None])[..., 0]
+        return np.ascontiguousarray(y.transpose(1, 2, 0))
 
-    def _combined(self, powers, products):
-        """Return c from powers and their products with y."""
+    def _coefficients(self, powers, products):
+        """Return c, (systems, 2 + 3p, n), from powers and their products with y."""
         systems, p, n = self.y.shape
         c = np.empty((systems, 2 + 3 * p, n), complex)
         c[:, :2] = powers[:2]
@@ -226,55 +154,54 @@ class _Solved:
 
     def _residual(self, c):
         """Return |W c|, but for rounding."""
-        return 1.01 * _norms(self.model["triangle"] @ c)
+        return 1.01 * np.sqrt(squares(self.model["triangle"] @ c))
 
-    def _into(self, sizes):
-        """Return |Z|^T |S| |X| times sizes."""
-        return self.model["sizes"] @ sizes
-
-    def amplitudes(self, found):
-        """Fill in the corrected amplitudes and their bounds."""
+    def amplitudes(self, points):
+        """Fill in e_d^T X y + (Z w)^T r and its bounds."""
         model, limits = self.model, self.limits
         self.missed = model["cross"] @ self.c[0]  # Z^T r
-        found["displacement"] = (model["reading"] @ self.y[0] + _sums(self.y[1:], self.missed)).T
-        terms = np.abs(model["reading"]) @ self.sizes[0] + _sums(self.sizes[1:], self.into)
+        points["displacement"] = (model["reading"] @ self.y[0] + _sums(self.y[1:], self.missed)).T
+        terms = np.abs(model["reading"]) @ self.sizes[0] + _sums(self.sizes[1:], self.terms)
         evaluation = limits.sum_rounding * terms + LOST
-        found["error_bound"] = (self.theory + evaluation).T
-        found["rounding"] = (self.bound * self.known[0] * self.known[1:] + evaluation).T
-        found["backward_error"] = self.backward_error
+        rounding = self.inverse * self.rounding[0] * self.rounding[1:]
+        points["error_bound"] = (self.theory + evaluation).T
+        points["rounding"] = (rounding + evaluation).T
+        points["backward_error"] = self.r[0] / (self.norm * self.size[0] + self.drive[0])
 
-    def derivatives(self, found):
-        """Fill in their derivatives and the bounds of these."""
+    def derivatives(self, points):
+        """Fill in the derivatives of the corrected amplitudes, and their bounds."""
         model, limits, omega = self.model, self.limits, self.omega
-        bent = (self.blocks @ self.y * self.slopes[:, None, None]).sum(axis=0)  # X^T S' X y
-        y1 = self._solved(self.loads @ self.slopes[:2] - bent)
-        c1 = self._combined(self.slopes, _times(self.slopes, self.y) + _times(self.powers, y1))
-        missed = model["cross"] @ c1[0]
-        found["derivative"] = (
+        # T y' = X^T (f' - S' X y)
+        bent = (self.blocks @ self.y * self.slopes[:, None, None]).sum(axis=0)
+        y1 = self._solve(self.loads @ self.slopes[:2] - bent)
+        products = _times(self.slopes, self.y) + _times(self.powers, y1)
+        c1 = self._coefficients(self.slopes, products)
+        missed = model["cross"] @ c1[0]  # Z^T r'
+        points["derivative"] = (
             model["reading"] @ y1[0] + _sums(y1[1:], self.missed) + _sums(self.y[1:], missed)
         ).T
         slope = limits.damping + 2 * omega * limits.mass  # of |S'|
         drive = np.zeros_like(self.size)
         drive[0] = limits.drive_damping
-        rounding = drive + 1.01 * (slope * self.size + self.norm * _norms(y1))
+        rounding = drive + 1.01 * (slope * self.size + self.norm * np.sqrt(squares(y1)))
         r, r1 = self.r, self._residual(c1) + limits.rounding * rounding + LOST_NORM
-        theory = self.bound * (r[0] * r1[1:] + r1[0] * r[1:] + slope * self.theory)
+        theory = self.inverse * (r[0] * r1[1:] + r1[0] * r[1:] + slope * self.theory)
         # |S'| is at most 2 / omega of |K| + omega |C| + omega^2 |M|, ball by ball
         sizes = np.abs(y1)
-        into = self._into(sizes[0]) + 2 / omega * self.into
+        into = model["sizes"] @ sizes[0] + 2 / omega * self.terms
         terms = np.abs(model["reading"]) @ sizes[0]
-        terms = terms + _sums(sizes[1:], self.into) + _sums(self.sizes[1:], into)
-        found["derivative_bound"] = (theory + limits.sum_rounding * terms + LOST).T
+        terms = terms + _sums(sizes[1:], self.terms) + _sums(self.sizes[1:], into)
+        points["derivative_bound"] = (theory + limits.sum_rounding * terms + LOST).T
 
-    def reactions(self, found):
+    def reactions(self, points):
         """Fill in f^T A and its bound."""
         y, own = self.y[0], self.model["own"][0]
         forces = self.loads[0] @ self.powers[:2] + own @ self.c[0]  # X^T (f + r)
-        found["reaction"] = _sums(y, forces)
-        size = 1.01 * self.sizes[0].sum(axis=0)
+        points["reaction"] = _sums(y, forces)
+        size = 1.01 * self.sizes[0].sum(axis=0)  # |y|_1
         terms = size * (2 * self.drive[0] + self.norm * size)
-        theory = self.bound * self.r[0] ** 2
-        found["reaction_bound"] = theory + self.limits.sum_rounding * terms + LOST
+        theory = self.inverse * self.r[0] ** 2
+        points["reaction_bound"] = theory + self.limits.sum_rounding * terms + LOST
 
 
 def _times(powers, y):
@@ -287,24 +214,15 @@ def _sums(a, b):
     return np.einsum("...in,...in->...n", a, b)
 
 
-def _norms(vectors):
-    """Return the 2-norms along the last axis but one."""
-    numbers = np.ascontiguousarray(vectors).view(float)
-    both = _sums(numbers, numbers)
-    return np.sqrt(both[..., ::2] + both[..., 1::2])
-
-
 def poles(own, low, high):
-    """Return the frequencies above which the poles of small systems lie, (systems, 2p).
+    """Return the frequencies above which the poles of small systems lie, NaN outside the interval.
 
-    Not collective. NaN outside the interval. Each system is expanded around the interval's middle,
-    where it can be solved; 1 / (pole - middle) are the eigenvalues of its companion matrix.
+    `own` is a model's, (systems, p, 2 + 3p); what is returned has the shape (systems, 2p). Around
+    the interval's middle m, where a system can be solved, its polynomial in d = omega - m is
 
-    Parameters
-    ----------
-    own : numpy.ndarray, shape (systems, p, 2 + 3p)
-        As in a model.
-    low, high : float
+        (T + d T' + d^2 B_2) x = 0,    so that    (1 / d) (x, d x) = L (x, d x),
+
+    and 1 / (pole - m) are the eigenvalues of its companion matrix L = [-T^-1 T', -T^-1 B_2; 1, 0].
     """
     middle, p = 0.5 * (low + high), own.shape[1]
     b = own[:, :, 2:].reshape(-1, p, 3, p).transpose(2, 0, 1, 3)
@@ -317,5 +235,5 @@ def poles(own, low, high):
     except np.linalg.LinAlgError:
         return np.full((len(own), 2 * p), np.nan)
     with np.errstate(all="ignore"):
-        found = middle + (1 / inverse).real
-    return np.where((low < found) & (found < high), found, np.nan)
+        above = middle + (1 / inverse).real
+    return np.where((low < above) & (above < high), above, np.nan)

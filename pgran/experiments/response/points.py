@@ -17,39 +17,29 @@ from pgran.driven.sweep import FrequencySweep
 from pgran.experiments.response.record import LINES, Response
 from pgran.experiments.response.resolution import line_errors
 from pgran.medium.rounding import EPSILON
+from pgran.store.record import columns_of, row_of
 
-GOOD = 2  # the reason of a frequency that a model gives
+MODELLED = 2  # the reason of a frequency that a model gives
 
 
 class ResponseSweep(FrequencySweep):
     """The amplitudes at the detectors, with their bounds, and the whole field if it is wanted.
 
-    Parameters are those of `scene.sweep`.
+    `steady` holds the other keywords of `pgran.driven.steady.SteadySolver`.
     """
 
     def __init__(self, lattice, omegas, detectors, fields, steady):
         """Say what a frequency's results travel in."""
         self.fields, self.detectors, self.steady = fields, detectors, steady
         sites = lattice.sites(detectors)
-        kept = [
-            ("omega", float),
-            ("displacement", complex, (len(sites),)),
-            ("error_bound", float, (len(sites),)),
-            ("derivative", complex, (len(sites),)),
-            ("derivative_bound", float, (len(sites),)),
-            ("reaction", complex),
-            ("reaction_bound", float),
-            ("backward_error", float),
-            ("iterations", np.int64),
-            ("converged_reason", np.int64),
-            ("modelled", np.int8),
-            *([("field", complex, lattice.shape)] if fields else []),
-        ]
+        axes = {"detector_number": (len(sites),), "balls": lattice.shape}
+        row = row_of(Response, () if fields else ("field",), **axes)
+        row += [("reaction", complex), ("reaction_bound", float)]
         choices = steady | {"whole_field": fields, "derivatives": True}
-        super().__init__(lattice, omegas, sites, kept, choices)
+        super().__init__(lattice, omegas, sites, row, choices)
 
     def at(self, omegas):
-        """Return the same task at other frequencies. Not collective."""
+        """Return the same task at other frequencies."""
         return ResponseSweep(self.lattice, omegas, self.detectors, self.fields, self.steady)
 
     def keep(self, point, solver):
@@ -60,117 +50,105 @@ class ResponseSweep(FrequencySweep):
 
     def collect(self, rows, seconds):
         """See `Task`."""
-        rows = rows.copy()
         rows["omega"] = self.omegas
         return rows
 
     def accurate(self, points):
-        """Return as rows those points of models that are as accurate as asked. Not collective."""
+        """Return as rows those points of models that are as accurate as asked."""
         tolerance = self.choices["error_tolerance"]
         good = is_accurate(points["error_bound"], points["displacement"], tolerance).all(axis=1)
         rows = np.zeros(np.count_nonzero(good), self.row)
         for name in set(rows.dtype.names) & set(points.dtype.names):
             rows[name] = points[name][good]
-        rows["converged_reason"] = GOOD
+        rows["converged_reason"] = MODELLED
         return rows
+
+    def response(self, rows, models, method, resolve, phase_window, seconds):
+        """Return the record that all rows make up.
+
+        `resolve` is what straight lines were asked to be right to, `seconds` what it took.
+        """
+        columns = columns_of(Response, rows)
+        omega, displacement = columns["omega"], columns["displacement"]
+        at_floor = self.at_floor(columns)
+        # only what is accurate relative to itself has a phase
+        failed = columns["converged_reason"] <= 0
+        accurate = np.where(failed[:, None] | (at_floor > 0), np.nan, displacement)
+        phase = unwrap(accurate) if self.lattice.damping else phase_of_sign(accurate)
+        rates = columns["derivative"], columns["error_bound"], columns["derivative_bound"]
+        delay, delay_bound = group_delay(accurate, *rates)
+        line_error = self.line_errors(columns, accurate, resolve)
+        force, force_bound = self.driving_force(rows)
+        return Response(
+            **columns,
+            **phase_slopes(self.lattice, self.sites, omega, phase, line_error, phase_window),
+            factorizations=int(rows["factorizations"].sum()),
+            solve_seconds=seconds,
+            method=method,
+            resolve=resolve,
+            requested=np.isin(omega, self.omegas).astype(np.int8),
+            detector=self.sites,
+            amplitude=np.abs(displacement),
+            phase=phase,
+            delay=delay,
+            delay_bound=delay_bound,
+            line_error=line_error,
+            force=force,
+            force_bound=force_bound,
+            power=0.5 * omega * force.imag,
+            at_floor=at_floor,
+            models=models,
+        )
+
+    def at_floor(self, columns):
+        """Return which amplitudes are good by the floor alone: 1, else 0, shape (nw, nd)."""
+        bound, displacement = columns["error_bound"], columns["displacement"]
+        tolerance = self.choices["error_tolerance"]
+        at_floor = below_relative_accuracy(bound, displacement, tolerance)
+        at_floor[columns["converged_reason"] <= 0] = 0
+        return at_floor
+
+    def line_errors(self, columns, accurate, resolve):
+        """Return how far the curve may leave the line from the frequency before; 0 at the first."""
+        compared = (columns["modelled"][1:] > 0) & (resolve > 0)
+        curve = columns["omega"], accurate, columns["derivative"]
+        errors = line_errors(self.scaled, *curve, compared, resolve or LINES)
+        return np.pad(errors, ((1, 0), (0, 0)))
 
     def driving_force(self, rows):
         """Return the force F that drives the wall when it moves by 1, and a bound of its error.
 
-        Not collective. It is what the wall takes to move while all balls stay, less what these give
-        way: F = sum over driven bonds of (k + i omega beta)(1 - A_p) = pull - f^T A.
+        It is what the wall takes to move while all balls stay, less what these give way:
+        F = sum over driven bonds of (k + i omega beta)(1 - A_p) = pull - f^T A.
         """
         omega, scaled = rows["omega"], self.scaled
         force = scaled.pull(1j * omega) - rows["reaction"]
         rounding = scaled.pull_rounding(omega) + 4 * EPSILON * np.abs(force)
         return self.unit * force, self.unit * (rows["reaction_bound"] + rounding)
 
-    def response(self, rows, models, method, resolve, phase_window, seconds):
-        """Return the record that all rows make up.
 
-        Not collective.
-
-        Parameters
-        ----------
-        rows : numpy.ndarray of `row`
-        models : pgran.results.Models or None
-        method : str
-        resolve : float
-            What straight lines were asked to be right to.
-        phase_window : tuple of float
-        seconds : float
-            What it took.
-        """
-        lattice, omega, displacement = self.lattice, rows["omega"], rows["displacement"].copy()
-        tolerance = self.choices["error_tolerance"]
-        at_floor = below_relative_accuracy(rows["error_bound"], displacement, tolerance)
-        failed = rows["converged_reason"] <= 0
-        at_floor[failed] = 0
-        known = np.where(failed[:, None] | (at_floor > 0), np.nan, displacement)
-        derivative, bounds = rows["derivative"].copy(), rows["derivative_bound"]
-        phase = unwrap(known) if lattice.damping else phase_of_sign(known)
-        modelled = rows["modelled"] > 0
-        looked_at = modelled[1:] & (resolve > 0)
-        line_error = line_errors(self.scaled, omega, known, derivative, looked_at, resolve or LINES)
-        line_error = np.pad(line_error, ((1, 0), (0, 0)))
-        delay, delay_bound = group_delay(known, derivative, rows["error_bound"], bounds)
-        force, force_bound = self.driving_force(rows)
-        lines = phase_lines(lattice, omega, phase, line_error, phase_window)
-        slope, slope_error, intercept, low, high = np.transpose(
-            [astuple(line)[:-1] for line in lines]
-        )
-        velocity = phase_velocity(slope, lattice.depths(self.sites))
-        return Response(
-            factorizations=int(rows["factorizations"].sum()),
-            solve_seconds=seconds,
-            method=method,
-            resolve=resolve,
-            phase_slope=slope,
-            phase_slope_error=slope_error,
-            phase_velocity=velocity,
-            phase_velocity_error=velocity * slope_error / np.abs(slope),
-            phase_intercept=intercept,
-            phase_fit_min=phase_window[0],
-            phase_fit_max=phase_window[1],
-            phase_used_min=low,
-            phase_used_max=high,
-            omega=omega,
-            requested=np.isin(omega, self.omegas).astype(np.int8),
-            detector=self.sites,
-            displacement=displacement,
-            amplitude=np.abs(displacement),
-            phase=phase,
-            backward_error=rows["backward_error"],
-            error_bound=rows["error_bound"],
-            derivative=derivative,
-            derivative_bound=bounds,
-            delay=delay,
-            delay_bound=delay_bound,
-            line_error=line_error,
-            modelled=rows["modelled"],
-            force=force,
-            force_bound=force_bound,
-            power=0.5 * omega * force.imag,
-            at_floor=at_floor,
-            iterations=rows["iterations"],
-            converged_reason=rows["converged_reason"],
-            field=rows["field"] if self.fields else None,
-            models=models,
-        )
+def phase_slopes(lattice, sites, omega, phase, line_error, window):
+    """Return the phase's slopes and velocities at the detectors by their names in a Response."""
+    lines = phase_lines(lattice, omega, phase, line_error, window)
+    slope, error, intercept, low, high = np.transpose([astuple(line)[:-1] for line in lines])
+    velocity = phase_velocity(slope, lattice.depths(sites))
+    return {
+        "phase_slope": slope,
+        "phase_slope_error": error,
+        "phase_velocity": velocity,
+        "phase_velocity_error": velocity * error / np.abs(slope),
+        "phase_intercept": intercept,
+        "phase_fit_min": window[0],
+        "phase_fit_max": window[1],
+        "phase_used_min": low,
+        "phase_used_max": high,
+    }
 
 
 def phase_lines(lattice, omega, phase, line_error, window):
-    """Return the straight line through each detector's phase, or why there is none.
+    """Return the PhaseLine of each detector, within a window in units of omega_mx.
 
-    Not collective.
-
-    Parameters
-    ----------
-    lattice : pgran.medium.lattice.Lattice or pgran.results.LatticeRecord
-    omega, phase, line_error : numpy.ndarray
-        As in `pgran.results.Response`.
-    window : tuple of float
-        In units of omega_mx.
+    The medium may be its record; the arrays are those of a Response.
     """
     if lattice.damping == 0:
         why = "without damping amplitudes are real, and their phase is 0 or pi"

@@ -6,11 +6,24 @@ from typing import NamedTuple
 import numpy as np
 
 from pgran.errors import PgranError
-from pgran.experiments.response.models import ModelLimits
+from pgran.experiments.response.models import ModelLimits, evaluate, point_dtype
 from pgran.store.fields import BOUND, DETECTOR, FLOOR, PHASE, Frequencies
-from pgran.store.record import Record, array, attribute, attribute_array, part
+from pgran.store.record import Record, array, attribute, attribute_array, columns_of, part, row_of
 
 LINES = 1e-2  # of the amplitude, that straight lines between neighbours should be right to
+
+
+class Curve(NamedTuple):
+    """The response at some frequencies: arrays of shape (n, nd), but for `omega`.
+
+    `displacement` and `derivative` are wrong by at most `error_bound` and `derivative_bound`.
+    """
+
+    omega: np.ndarray
+    displacement: np.ndarray
+    error_bound: np.ndarray
+    derivative: np.ndarray
+    derivative_bound: np.ndarray
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -22,26 +35,66 @@ class Models(ModelLimits, Record):
     """
 
     group, within = "models", "response"
-    low: np.ndarray = array("lower end of the interval, angular", "sqrt(k/m)", "interval")
-    high: np.ndarray = array("upper end of the interval, angular", "sqrt(k/m)", "interval")
+    low: np.ndarray = array("lower end of the interval, angular", "sqrt(k/m)", "interval", row=True)
+    high: np.ndarray = array(
+        "upper end of the interval, angular", "sqrt(k/m)", "interval", row=True
+    )
     own: np.ndarray = array(
         "X^T W of each system: that of A, then one a detector",
-        "k", "interval", "system", "column", "place", dtype=complex,
+        "k", "interval", "system", "column", "place", dtype=complex, row=True,
     )  # fmt: skip
     cross: np.ndarray = array(
         "Z^T W with the W of A", "k", "interval", "detector_number", "column", "place",
-        dtype=complex,
+        dtype=complex, row=True,
     )  # fmt: skip
     triangle: np.ndarray = array(
-        "R of W = Q R", "k", "interval", "system", "row", "place", dtype=complex
+        "R of W = Q R", "k", "interval", "system", "row", "place", dtype=complex, row=True
     )
     reading: np.ndarray = array(
-        "e_d^T X", "1", "interval", "detector_number", "column", dtype=complex
+        "e_d^T X", "1", "interval", "detector_number", "column", dtype=complex, row=True
     )
     sizes: np.ndarray = array(
-        "|Z|^T |S| |X|", "k", "interval", "detector_number", "column", "other"
+        "|Z|^T |S| |X|", "k", "interval", "detector_number", "column", "other", row=True
     )
-    drive_sizes: np.ndarray = array("|Z|^T |f|", "k", "interval", "detector_number", "column")
+    drive_sizes: np.ndarray = array(
+        "|Z|^T |f|", "k", "interval", "detector_number", "column", row=True
+    )
+
+    def at(self, omega):
+        """Return the Curve at some frequencies: NaN, bounds infinite, where no model is proven."""
+        points = np.zeros(omega.shape, point_dtype(self.reading.shape[1]))
+        points["omega"] = omega
+        points["displacement"] = points["derivative"] = np.nan
+        points["error_bound"] = points["derivative_bound"] = np.inf
+        interval = np.searchsorted(self.low, omega, side="right") - 1  # -1: below all
+        covered = omega <= np.append(self.high, -np.inf)[interval]
+        for number in np.unique(interval[covered]):
+            here = covered & (interval == number)
+            model = {name: a[number] for name, a in vars(self).items() if np.ndim(a)}
+            points[here] = evaluate(model, omega[here], self)
+        return Curve(*(points[name] for name in Curve._fields))
+
+
+def model_dtype(columns, detectors, balls):
+    """Return the dtype of a model that ranks send: X and each Z have so many columns, p."""
+    lengths = {
+        "detector_number": detectors,
+        "system": 1 + detectors,
+        "column": columns,
+        "other": columns,
+        "place": 2 + 3 * columns,  # columns of W
+        "row": columns + min(2 + 2 * columns, balls),
+    }
+    row = row_of(Models, **{name: (length,) for name, length in lengths.items()})
+    row += [("proven", np.int8), ("factorizations", np.int64)]
+    row.append(("poles", float, (2 * columns,)))  # the frequencies above those of system 0
+    return np.dtype(row)
+
+
+def proven_models(models, limits):
+    """Return the record of those of some models that are proven, with what bounds their errors."""
+    proven = models[models["proven"] > 0]
+    return Models(**vars(limits), **columns_of(Models, proven))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,7 +121,7 @@ class Response(Frequencies, Record):
     phase_fit_max: float
     phase_used_min: np.ndarray = attribute_array("detector_number", since=3)
     phase_used_max: np.ndarray = attribute_array("detector_number", since=3)
-    omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
+    omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)", row=True)
     requested: np.ndarray = array(
         "1: this frequency was asked for, 0: added to resolve the curve", "1", "omega",
         dtype=np.int8, since=3,
@@ -76,19 +129,21 @@ class Response(Frequencies, Record):
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, convention exp(+i omega t)",
-        "1", "omega", "detector_number", dtype=complex,
+        "1", "omega", "detector_number", dtype=complex, row=True,
     )  # fmt: skip
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega", "detector_number")
     phase: np.ndarray = array(PHASE, "rad", "omega", "detector_number")
-    backward_error: np.ndarray = array("normwise backward error of the field", "1", "omega")
-    error_bound: np.ndarray = array(BOUND, "1", "omega", "detector_number")
+    backward_error: np.ndarray = array(
+        "normwise backward error of the field", "1", "omega", row=True
+    )
+    error_bound: np.ndarray = array(BOUND, "1", "omega", "detector_number", row=True)
     derivative: np.ndarray = array(
         "derivative of the displacement along omega", "sqrt(m/k)", "omega", "detector_number",
-        dtype=complex, since=3,
+        dtype=complex, since=3, row=True,
     )  # fmt: skip
     derivative_bound: np.ndarray = array(
         "bound of the error of the derivative; NaN: none is known",
-        "sqrt(m/k)", "omega", "detector_number", since=3,
+        "sqrt(m/k)", "omega", "detector_number", since=3, row=True,
     )  # fmt: skip
     delay: np.ndarray = array(
         "group delay, minus the derivative of the phase along omega; NaN: the amplitude may vanish",
@@ -104,7 +159,7 @@ class Response(Frequencies, Record):
     )  # fmt: skip
     modelled: np.ndarray = array(
         "1: proven models cover the curve from the frequency before", "1", "omega",
-        dtype=np.int8, since=5,
+        dtype=np.int8, since=5, row=True,
     )  # fmt: skip
     force: np.ndarray = array(
         "force that drives the wall, or the driven balls along their motion, when they move by 1; "
@@ -120,11 +175,15 @@ class Response(Frequencies, Record):
         "k sqrt(k/m)", "omega", since=4,
     )  # fmt: skip
     at_floor: np.ndarray = array(FLOOR, "1", "omega", "detector_number", dtype=np.int8, since=2)
-    iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega", dtype=int)
-    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
+    iterations: np.ndarray = array(
+        "Krylov iterations, adjoints included", "1", "omega", dtype=int, row=True
+    )
+    converged_reason: np.ndarray = array(
+        "positive: as accurate as asked", "1", "omega", dtype=int, row=True
+    )
     field: np.ndarray | None = array(
         "amplitudes of all balls relative to the driven wall",
-        "1", "omega", "balls", dtype=complex, optional=True,
+        "1", "omega", "balls", dtype=complex, optional=True, row=True,
     )  # fmt: skip
     models: Models | None = part(Models)
 
@@ -151,8 +210,6 @@ class Response(Frequencies, Record):
     def at(self, omega):
         """Return the curve at any frequencies of the sweep, without PETSc.
 
-        Not collective.
-
         Parameters
         ----------
         omega : array_like of float, shape (n,)
@@ -175,20 +232,6 @@ class Response(Frequencies, Record):
                 "the response holds no models to tell the amplitude at any frequency: compute it "
                 "with -sweep_method curve and -output_models (keep_models=True)"
             )
-        from pgran.experiments.response.models import evaluate_all
         from pgran.run.numbers import numbers
 
-        return Curve(*evaluate_all(self.models, numbers("omega", omega)))
-
-
-class Curve(NamedTuple):
-    """The response at some frequencies: arrays of shape (n, nd), but for `omega`.
-
-    `displacement` and `derivative` are wrong by at most `error_bound` and `derivative_bound`.
-    """
-
-    omega: np.ndarray
-    displacement: np.ndarray
-    error_bound: np.ndarray
-    derivative: np.ndarray
-    derivative_bound: np.ndarray
+        return self.models.at(numbers("omega", omega))

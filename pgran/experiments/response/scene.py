@@ -24,7 +24,7 @@ from pgran.store.si import SI
 
 
 def check(values, given):
-    """Raise where options contradict each other. Not collective."""
+    """Raise where options contradict each other."""
     check_sweep(values, given)
     check_ends("phase_fit", values)
     if values["sweep_omega"] is not None:
@@ -36,7 +36,7 @@ def check(values, given):
 
 
 def summary(result):
-    """Return in words what a run found. Not collective."""
+    """Return in words what a run found."""
     lattice, response, si = result.medium, result.response, SI.of(result)
     nw, asked = len(response.omega), np.count_nonzero(response.requested)
     added = f", {nw - asked} of them added to resolve the curve," if nw > asked else ""
@@ -66,7 +66,7 @@ def summary(result):
 
 
 def unresolved(response, damped):
-    """Yield in words where straight lines between the points are not the curve. Not collective."""
+    """Yield in words where straight lines between the points are not the curve."""
     places, omega = np.flatnonzero(response.unresolved), response.omega
     if response.method == "curve" and response.unmodelled:
         first = np.flatnonzero(response.modelled[1:] == 0)[0]

@@ -40,16 +40,13 @@ def _qr(columns):
 def qr_rounding(width):
     """Return a u: W - Q R can be computed but for u times the norms of R's columns, and is no more.
 
-    Not collective. Each entry is a sum of `width` products of complex numbers.
+    Each entry is a sum of `width` products of complex numbers.
     """
     return 2 * EPSILON * (width + 4) * math.sqrt(width)
 
 
 def products(Z, W):
-    """Return Z^T W of this rank's rows, summed up block by block: rounding adds up over short sums.
-
-    Not collective.
-    """
+    """Return Z^T W of this rank's rows, block by block: rounding adds up in short sums."""
     if len(W) <= 2 * SUMMED:
         return Z.swapaxes(-1, -2) @ W
     blocks = -(-len(W) // SUMMED)
@@ -62,7 +59,7 @@ def products(Z, W):
 
 
 def squares(columns):
-    """Return the sums of squares down the columns of this rank's rows. Not collective."""
+    """Return the sums of squares of the magnitudes down the columns, the last axis but one."""
     numbers = np.ascontiguousarray(columns).view(float)
     both = np.einsum("...in,...in->...n", numbers, numbers)
     return both[..., ::2] + both[..., 1::2]

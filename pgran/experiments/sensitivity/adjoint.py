@@ -3,6 +3,7 @@
 import numpy as np
 
 from pgran.driven.sweep import FrequencySweep
+from pgran.store.record import row_of
 
 MISSED = 0  # the reason of a frequency whose results miss the accuracy asked for
 
@@ -10,25 +11,17 @@ MISSED = 0  # the reason of a frequency whose results miss the accuracy asked fo
 class AdjointSweep(FrequencySweep):
     """Steady states of which more than the amplitudes is computed, frequency by frequency.
 
-    Parameters
-    ----------
-    lattice, omegas, sites
-        As of `FrequencySweep`.
-    kept : sequence of tuple
-        Fields of a row besides the amplitudes at the detectors and the bounds of the errors.
-    error_tolerance : float
-        Asked of each amplitude.
+    A row holds what `record` declares, but for `missing`, optional arrays with their bounds, which
+    the sweep does not compute; `lengths` are those of the record's other axes.
     """
 
-    def __init__(self, lattice, omegas, sites, kept, error_tolerance):
+    def __init__(self, lattice, omegas, sites, error_tolerance, record, missing, **lengths):
         """Ask for whole fields."""
-        nd = len(sites)
-        amplitudes = [
-            ("displacement", complex, (nd,)), ("error_bound", float, (nd,)),
-            ("field_bound", float), ("converged_reason", np.int64),
-        ]  # fmt: skip
+        without = {*missing, *(f"{name}_bound" for name in missing)}
+        lengths |= {"detector_number": (len(sites),), "every_bond": (lattice.bonds,)}
+        row = [("field_bound", float), *row_of(record, without, **lengths)]
         choices = {"error_tolerance": error_tolerance, "whole_field": True, "whole_adjoints": True}
-        super().__init__(lattice, omegas, sites, [*amplitudes, *kept], choices)
+        super().__init__(lattice, omegas, sites, row, choices)
 
     def keep(self, point, solver):
         """See `FrequencySweep`; a frequency without proven bounds misses the accuracy."""
@@ -37,16 +30,9 @@ class AdjointSweep(FrequencySweep):
             point["converged_reason"] = min(point["converged_reason"], MISSED)
 
     def systems(self, point, solver):
-        """Return the solved systems, that of the field first, and bounds of their errors.
+        """Return the solved systems, the field's, then each adjoint's, and bounds of their errors.
 
-        Collective over a group.
-
-        Returns
-        -------
-        systems : list
-            Of the field and of each detector's adjoint.
-        errors : numpy.ndarray
-            Bounds of the 2-norm of each solution's error.
+        Collective over a group. The errors are those of the solutions in the 2-norm.
         """
         bounds = solver.bounds
         errors = [1.01 * bounds.inverse_norm * bounds.adjoint_residual(z) for z in solver.adjoints]

@@ -1,26 +1,13 @@
 """The figures of what a signal depends on: derivatives by bonds, and the power through them."""
 
-import logging
 from functools import partial
 
 import numpy as np
 
-from pgran.draw import balls, bonds, style
-from pgran.experiments.sensitivity.influence import (
-    few,
-    logarithmic,
-    note_failed,
-    on_bonds,
-    page,
-    pages,
-    shares,
-    title,
-)
-from pgran.experiments.sensitivity.maps import Map
+from pgran.draw import balls, bonds, captions, style
+from pgran.experiments.sensitivity import maps
+from pgran.experiments.sensitivity.maps import Map, few
 
-log = logging.getLogger("pgran")
-SIGNS = "red: |A| grows with k; blue, hollow: it falls; width: square root"
-SUMS = "each ball: sum over its bonds; red: |A| grows with k; blue: it falls"
 SLOPE = r"$|d\,\ln|A|\,/\,d\,\ln k|$"
 
 
@@ -29,23 +16,31 @@ def figures(result, **_):
     found, medium = result.sensitivity, result.medium
     chosen = few(found)
     if not len(chosen):
-        log.warning("no frequency of the sensitivity is as accurate as asked: none is drawn")
         return
     if medium.has_places:
-        yield from pages("sensitivity", derivatives, found, medium, "derivative", _words)
+        yield from maps.pages("sensitivity", derivatives, found, medium, "derivative", _words)
         panels = [partial(flux, record=found, medium=medium, at=n) for n in chosen]
         text = "wedges: power, from the broad end to the point; width: square root"
-        yield "flux", page(found, medium, 0, panels, "power lost at a ball", text)
-    figure, (ax,) = style.page(style.COLUMN, 2.5)
-    distribution(ax, found, medium)
-    figure.set_figheight(2.3 + 0.13 * style.legend_above([ax]))
-    figure.caption = (
+        yield "flux", maps.page(found, medium, 0, panels, "power lost at a ball", text)
+    caption = (
         "Share of the bonds whose logarithmic derivative $|d\\,\\ln|A| / d\\,\\ln k|$ is larger."
     )
-    note_failed(figure, found)
+    figure = style.single(partial(distribution, record=found, medium=medium), caption)
+    maps.note_failed(figure, found)
     yield "distribution", figure
     if medium.group == "lattice":
         yield "bonds", bonds.page(medium, found.detector)
+
+
+def errors(record, how):
+    """Return the bounds of amplitudes, and the largest of the derivatives d ln|A| / d ln k."""
+    words = captions.amplitudes(record, how)
+    largest = np.max(record.log_bound[record.converged_reason > 0], initial=0.0)
+    if 0 < largest < np.inf:
+        slope = "$d\\,\\ln|A| / d\\,\\ln k$"
+        most = captions.number(largest)
+        words += f" Error of every derivative {slope}: at most {most} ({how})."
+    return words
 
 
 def derivatives(ax, record, medium, at, d=0):
@@ -53,29 +48,18 @@ def derivatives(ax, record, medium, at, d=0):
 
     Where bonds are too many to be seen, the sum over the bonds of each ball: what happens if it
     presses harder on all its neighbours. Only bonds that are kept are drawn (`most`). Three
-    dimensions: the plane of the detector. Returns what a colour bar is of.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    record : pgran.results.Sensitivity
-    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
-        With positions.
-    at : int
-        Number of the frequency.
-    d : int
-        Number of the detector.
+    dimensions: the plane of the detector. The medium has positions; `at` and `d` are the numbers of
+    the frequency and of the detector. Returns what a colour bar is of.
     """
     seen = Map(medium, record.detector[d])
-    drawn, unit = on_bonds(ax, seen, record.on_bonds(at, d))
-    title(ax, record, medium, at, f"{unit:.3g}", balls.beyond(drawn))
+    drawn, unit = seen.on_bonds(ax, record.on_bonds(at, d))
+    maps.title(ax, record, medium, at, f"{unit:.3g}", balls.beyond(drawn))
     return drawn
 
 
 def _words(record, medium, at, d):
     """Return what the map of a detector shows, in words."""
-    each = Map(medium, record.detector[d]).each(record.on_bonds(at, d))
-    return SIGNS if each else SUMS
+    return Map(medium, record.detector[d]).words(record.on_bonds(at, d), "|A| grows with k")
 
 
 def flux(ax, record, medium, at):
@@ -83,14 +67,12 @@ def flux(ax, record, medium, at):
 
     The loss of a bond counts half at each of its balls. Returns the balls, coloured in units of the
     largest loss that is seen.
-
-    Parameters are those of `derivatives`.
     """
     seen = Map(medium, record.detector[0])
     lost = 0.5 * seen.summed(record.loss[at])
     largest = np.abs(record.flux[at][seen.numbers]).max(initial=0.0) or 1.0
     drawn = seen.flow(ax, record.flux[at] / largest, lost / (lost[seen.free].max() or 1.0))
-    title(ax, record, medium, at, f"power {largest:.2g}", False)
+    maps.title(ax, record, medium, at, f"power {largest:.2g}", False)
     return drawn
 
 
@@ -98,19 +80,17 @@ def distribution(ax, record, medium):
     """Draw how many of the bonds change |A| by more than so much, at a few frequencies.
 
     With `most` only those that are kept. Returns the curves.
-
-    Parameters are those of `derivatives`.
     """
     drawn, total = [], record.flux.shape[1]
     names = style.ball_names(record.detector)
     for n in few(record):
         for d, name in enumerate(names):
-            size, share = shares(np.abs(record.log_amplitude[n, d]), total)
+            size, share = maps.shares(np.abs(record.log_amplitude[n, d]), total)
             x = record.omega[n] / medium.omega_mx
             label = rf"{x:.4g} $\omega_{{mx}}$" + f", {name}" * (len(names) > 1)
             drawn += ax.plot(size, share, label=label)
     for curve, shade in zip(drawn, style.colours(len(drawn)), strict=True):
         curve.set_color(shade)
     ax.set(xlabel=SLOPE, ylabel="share of bonds with more")
-    logarithmic(ax, drawn)
+    maps.logarithmic(ax, drawn)
     return drawn

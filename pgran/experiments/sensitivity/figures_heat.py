@@ -1,99 +1,69 @@
 """The figures of what a warm ball, or a cut bond, does to a signal."""
 
-import logging
+from functools import partial
 
 import numpy as np
 
-from pgran.draw import balls, marks, style
-from pgran.experiments.sensitivity.influence import (
-    MOST,
-    few,
-    logarithmic,
-    note_failed,
-    on_bonds,
-    pages,
-    shares,
-    title,
-)
+from pgran.draw import balls, captions, marks, scales, style
+from pgran.experiments.sensitivity import maps
 from pgran.experiments.sensitivity.maps import Map
 
-log = logging.getLogger("pgran")
 QUARTER = 25.0  # %, what the heater of the experiment changed
 CHANGE = r"change $|A' - A|\,/\,|A|$ (%)"
-WARMED = "red: |A| grows; blue, with a bar: it falls"
-MEANS = "each ball: mean over its bonds; red: |A| grows; blue: it falls"
-SAID = (
+CAPTIONS = (
     "Share of balls warmed, or bonds cut, that change the amplitude by more, at all frequencies.",
     "Median and largest change against the driving frequency.",
 )
-HOLLOW = "red: |A| grows; blue, hollow: it falls; width: square root"
 
 
 def figures(result, **_):
     """Yield maps of warm balls and cut bonds, how the changes are distributed, and over omega."""
     heat, medium = result.heat, result.medium
-    chosen = few(heat)
-    if not len(chosen):
-        log.warning("no frequency of the heater is as accurate as asked: none is drawn")
+    if not maps.few(heat):
         return
     if medium.has_places:
         if heat.warmed is not None:
-            yield from pages("warmed", warm, heat, medium, "change of |A|", _warmth)
+            yield from maps.pages("warmed", warm, heat, medium, "change of |A|", _warmth)
         if heat.cut is not None:
-            yield from pages("cut", cut, heat, medium, "change in dB", _words)
-    rows = 1 + (np.count_nonzero(heat.converged_reason > 0) > MOST)
-    figure, panels = style.page(style.COLUMN, 2.1 * rows + 0.2, nrows=rows)
-    lines = 0
-    for panel, ax in zip((distribution, over_frequency), panels, strict=False):
-        panel(ax, heat, medium)
-        lines += style.legend_above([ax])
-    figure.set_figheight(figure.get_figheight() + 0.13 * lines)
-    figure.caption = style.lettered(SAID[:rows])
-    note_failed(figure, heat)
+            yield from maps.pages("cut", cut, heat, medium, "change in dB", _words)
+    several = bool(np.count_nonzero(heat.converged_reason > 0) > maps.MOST)
+    panels = [distribution] + [over_frequency] * several
+    draws = [partial(panel, heat=heat, medium=medium) for panel in panels]
+    figure = style.stack(draws, CAPTIONS[: len(draws)])
+    maps.note_failed(figure, heat)
     yield "changes", figure
+
+
+errors = captions.amplitudes
 
 
 def change(heat, name):
     """Return by what part amplitudes change, |A'| / |A| - 1 and |A' - A| / |A|, NaN if not known.
 
     That is where the error is larger than the change, and than a thousandth of the amplitude.
-
-    Parameters
-    ----------
-    heat : pgran.results.Heat
-    name : str
-        `warmed` or `cut`.
+    `name`: `warmed` or `cut`.
     """
     before, after = heat.displacement[..., None], getattr(heat, name)
     size = np.abs(before)
     with np.errstate(all="ignore"):
         moved, grown = np.abs(after - before) / size, np.abs(after) / size - 1
-        wrong = (getattr(heat, f"{name}_bound") + heat.error_bound[..., None]) / size
-    known = (wrong <= np.maximum(moved, 1e-3)) & (heat.converged_reason > 0)[:, None, None]
+        error = (getattr(heat, f"{name}_bound") + heat.error_bound[..., None]) / size
+    known = (error <= np.maximum(moved, 1e-3)) & (heat.converged_reason > 0)[:, None, None]
     return np.where(known, grown, np.nan), np.where(known, moved, np.nan)
 
 
 def warm(ax, record, medium, at, d=0):
     """Draw by how much each ball, warm, changes |A|, in units of the largest change that is seen.
 
-    Grey: balls that were not warmed. Returns the balls.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    record : pgran.results.Heat
-        With `warmed`.
-    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
-        With positions.
-    at, d : int
-        Numbers of the frequency and of the detector.
+    Grey: balls that were not warmed. The record has `warmed`, the medium positions; `at` and `d`
+    are the numbers of the frequency and of the detector. Returns the balls.
     """
     seen = Map(medium, record.detector[d])
     values = np.full(len(seen.network.held), np.nan)
     values[record.ball] = change(record, "warmed")[0][at, d]
     unit = balls.scale_of(np.nan_to_num(values[seen.free]))
     drawn = seen.discs(ax, values / unit)
-    title(ax, record, medium, at, f"{100 * unit:.3g} %", balls.beyond(drawn))
+    maps.title(ax, record, medium, at, f"{100 * unit:.3g} %", balls.beyond(drawn))
     return drawn
 
 
@@ -102,19 +72,17 @@ def cut(ax, record, medium, at, d=0):
 
     What falls by more than 60 dB is drawn as if by 60. Where bonds are too many to be seen, each
     ball has the mean of its bonds. Returns what a colour bar is of.
-
-    Parameters are those of `warm`.
     """
     seen = Map(medium, record.detector[d])
-    drawn, unit = on_bonds(ax, seen, decibels(record, at, d), mean=True)
-    title(ax, record, medium, at, f"{unit:.3g} dB", balls.beyond(drawn))
+    drawn, unit = seen.on_bonds(ax, decibels(record, at, d), mean=True)
+    maps.title(ax, record, medium, at, f"{unit:.3g} dB", balls.beyond(drawn))
     return drawn
 
 
 def _words(record, medium, at, d):
     """Return what the map of the bonds cut shows, in words."""
-    each = Map(medium, record.detector[d]).each(decibels(record, at, d))
-    return f"each bond cut alone; {HOLLOW if each else MEANS}"
+    seen, values = Map(medium, record.detector[d]), decibels(record, at, d)
+    return f"each bond cut alone; {seen.words(values, '|A| grows', 'mean')}"
 
 
 def _warmth(record, *_):
@@ -122,7 +90,7 @@ def _warmth(record, *_):
     how = f"bonds {record.factor:g} times as stiff"
     if not np.isfinite(record.factor):
         how = f"overlaps larger by {record.overlap:g}"
-    return f"each ball warmed alone, {how}; {WARMED}"
+    return f"each ball warmed alone, {how}; red: |A| grows; blue, with a bar: it falls"
 
 
 def decibels(heat, at, d):
@@ -141,36 +109,24 @@ def distribution(ax, heat, medium=None):
     """Draw the share of balls, or bonds, that change an amplitude by more, at all frequencies.
 
     A quarter is marked. Returns the curves.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    heat : pgran.results.Heat
     """
     drawn = []
     for n, (label, moved) in enumerate(changes(heat)):
         for d, name in enumerate(style.ball_names(heat.detector)):
-            size, share = shares(moved[:, d])
+            size, share = maps.shares(moved[:, d])
             quarter = np.count_nonzero(size >= QUARTER) / max(len(size), 1)
-            said = f"{label}: {100 * quarter:.2g} % of cases above"
-            said = f"{name}, {said}" if len(heat.detector) > 1 else said
-            look = {"linestyle": "-" if n == 0 else "--", "label": said}
+            words = f"{name}, " * (len(heat.detector) > 1)
+            words += f"{label}: {100 * quarter:.2g} % of cases above"
+            look = {"linestyle": "-" if n == 0 else "--", "label": words}
             drawn += ax.plot(size, share, color=style.colours(len(heat.detector))[d], **look)
     ax.axvline(QUARTER, color=style.UNRESOLVED, linestyle=":", label="a quarter")
     ax.set(xlabel=CHANGE, ylabel="share of cases with more")
-    logarithmic(ax, drawn, QUARTER)
+    maps.logarithmic(ax, drawn, QUARTER)
     return drawn
 
 
 def over_frequency(ax, heat, medium):
-    """Draw median and largest change over the driving frequency; return the curves.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    heat : pgran.results.Heat
-    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
-    """
+    """Draw median and largest change over the driving frequency; return the curves."""
     x, drawn = heat.omega / medium.omega_mx, []
     shades = style.colours(len(heat.detector))
     looks = ("-", "full"), ("--", "none")
@@ -190,6 +146,6 @@ def over_frequency(ax, heat, medium):
                 drawn += marks.curves(ax, x, y[:, d], good[:, d], text, color=shade, **look)
     ax.axhline(QUARTER, color=style.UNRESOLVED, linestyle=":")
     ax.set(yscale="log", ylabel=CHANGE)
-    style.frequencies(ax, x)
+    scales.frequencies(ax, x)
     marks.failed(ax, x[heat.converged_reason <= 0])
     return drawn

@@ -24,8 +24,6 @@ from pgran.medium.rounding import EPSILON
 def changed_amplitudes(before, stretched, flexibility, delta):
     """Return the amplitudes after each of many changes, one at a time, and their bounds.
 
-    Not collective.
-
     Parameters
     ----------
     before : tuple
@@ -43,22 +41,27 @@ def changed_amplitudes(before, stretched, flexibility, delta):
     after, error_bound : numpy.ndarray, shape (nd, count)
         The bound is infinite where P is singular but for rounding.
     """
-    (amplitude, known), (t, t_error, y, y_error), (G, G_error) = before, stretched, flexibility
+    (amplitude, amplitude_bound), (t, t_error, y, y_error), (G, G_error) = (
+        before,
+        stretched,
+        flexibility,
+    )
     r, one = delta.shape[-1], np.eye(delta.shape[-1])
     with np.errstate(all="ignore"):
         P = one + G * delta[:, None, :]
         Q, possible = _inverses(P)
         sizes = np.abs(Q)
         rounding = (2 * r + 12) * EPSILON * (_norm(P) + np.sqrt(r)) * _norm(sizes)
+        # phi, then the two terms of the bound above
         missed = _norm(one - P @ Q) + rounding + 1.01 * G_error * _norm(delta[:, :, None] * Q)
         v = np.einsum("dnr,nrq->dnq", y * delta, Q)
         after = amplitude[:, None] - np.einsum("dnq,nq->dn", v, t)
-        left = 1.01 / (1 - missed)
+        amplified = 1.01 / (1 - missed)
         sizes_t = np.linalg.norm(t, axis=-1)
         theory = np.linalg.norm(v, axis=-1) * (missed * sizes_t + t_error)
         theory += y_error * np.abs(delta).max(axis=-1) * _norm(sizes) * (sizes_t + t_error)
         terms = np.einsum("dnr,nrq,nq->dn", np.abs(y * delta), sizes, np.abs(t))
-        bound = known[:, None] + left * theory
+        bound = amplitude_bound[:, None] + amplified * theory
         bound += 1.01 * EPSILON * ((2 * r + 12) * terms + 4 * np.abs(after))
         bound[:, ~((missed < 1) & possible)] = np.inf
         bound[np.isnan(bound)] = np.inf
@@ -76,10 +79,10 @@ def _inverses(P):
     try:
         return np.linalg.inv(P), possible
     except np.linalg.LinAlgError:  # NumPy gives up all if one is singular
-        found = np.zeros_like(P)
+        inverses = np.zeros_like(P)
         for number, matrix in enumerate(P):
             try:
-                found[number] = np.linalg.inv(matrix)
+                inverses[number] = np.linalg.inv(matrix)
             except np.linalg.LinAlgError:
                 possible[number] = False
-        return found, possible
+        return inverses, possible

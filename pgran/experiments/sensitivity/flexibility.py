@@ -8,88 +8,93 @@ from pgran.medium.rounding import EPSILON
 class Flexibility:
     """The matrices G of many small groups of springs, at any frequency.
 
-    Not collective. Each unknown at these springs is solved for once, however many groups it is in.
+    Each unknown at these springs is solved for once, however many groups it is in. With b_j, the
+    w entries of B of spring j, and L(i, u), how far x = S^-1 e_u stretches spring i,
 
-    Parameters
-    ----------
-    operators : pgran.driven.operators.Operators
-    groups : numpy.ndarray of int, shape (count, r)
-        Springs; -1 fills up a row.
+        G_ij = sum over the unknowns u of spring j of L(i, u) b_j(u).
 
-    Attributes
-    ----------
-    springs : numpy.ndarray of int
-        All springs of the groups, each once; -1 too, if it is there.
-    place : numpy.ndarray of int, shape (count, r)
-        Where among these each spring of a group is.
+    `groups`, shape (count, r), are numbers of springs; -1 fills up a row.
     """
 
     def __init__(self, operators, groups):
-        """Find the unknowns to solve for, and where what they give belongs."""
-        self.operators, layout, self._shape = operators, operators.layout, groups.shape
+        """Find the unknowns to solve for, and which L(i, u) each G_ij needs."""
+        self.operators, self.groups, layout = operators, groups, operators.layout
+        self._there = groups >= 0
+        # `place` (count, r) is where a spring of a group stands among all `springs`, each once;
+        # `number` (count, r, w) is where an unknown of that spring stands among all `unknowns`.
+        # Both lists may begin with -1, which is none.
         self.springs, place = np.unique(groups, return_inverse=True)
-        self.place = place = place.reshape(groups.shape)
-        there = groups >= 0
-        ends = np.where(there[..., None], layout.ends[groups], -1)  # (count, r, w)
+        self._place = place.reshape(groups.shape)
+        ends = np.where(self._there[..., None], layout.ends[groups], -1)
+        self._unknowns, number = np.unique(ends, return_inverse=True)
+        self._number = number.reshape(ends.shape)
+        self._no_spring, self._no_unknown = int(self.springs[0] < 0), int(self._unknowns[0] < 0)
         entries = layout.entries[groups if len(layout.entries) > 1 else 0 * groups]
         self._entries = np.where(ends >= 0, entries, 0.0)
-        self._lengths = np.linalg.norm(self._entries, axis=-1)
-        self._unknowns, self._number = np.unique(ends, return_inverse=True)
-        self._number = self._number.reshape(ends.shape)
-        # G_ij takes from the column of an unknown at spring j what it stretches spring i by
-        count, r, width = ends.shape
-        shape = (count, r, r, width)
-        rows = np.broadcast_to(place[:, :, None, None], shape).ravel()
-        columns = np.broadcast_to(self._number[:, None], shape).ravel()
+        self._size = np.linalg.norm(np.linalg.norm(self._entries, axis=-1), axis=1)  # |U|
+        # What G of group p needs stands in the table L, a row a spring, a column an unknown:
+        #
+        #                       number[p, j, u]
+        #                              |
+        #     place[p, i]  -  -  -  L(i, u)  =  needed[p, i, j, u]
+        #
+        # A few columns are solved for at a time; `order` sorts all [p, i, j, u] by columns, so that
+        # those which need some columns are a slice of it.
+        self._shape = (*groups.shape, *ends.shape[1:])
+        rows = np.broadcast_to(self._place[:, :, None, None], self._shape).ravel()
+        columns = np.broadcast_to(self._number[:, None], self._shape).ravel()
         self._order = np.argsort(columns, kind="stable")
-        self._rows, self._at = rows[self._order], columns[self._order]
-        self._void = int(self._unknowns[0] < 0), int(self.springs[0] < 0)
+        self._rows, self._columns = rows[self._order], columns[self._order]
+
+    def stretched(self, fields, errors):
+        """Return how far fields stretch the springs of each group, and bounds of the errors.
+
+        Fields, this rank's rows, shape (rows, 1 + nd), are the amplitudes, with which the drive
+        moves, then the adjoints; `errors`, shape (1 + nd,), bound theirs in the 2-norm. Collective.
+        Returns what `changed_amplitudes` takes: t (count, r), a bound of each row's error, y (nd,
+        count, r), bounds of its rows' errors.
+        """
+        springs = self.operators.lattice.springs
+        stretch = self.operators.stretch(fields, np.maximum(self.springs, 0)).T
+        stretch[0] += springs.drive[self.springs]
+        stretch = np.where(self._there, stretch[:, self._place], 0.0)
+        lengths = np.where(self._there, springs.lengths[self.groups], 0.0)
+        bounds = 1.01 * errors[:, None] * np.linalg.norm(lengths, axis=1)
+        bounds += 4 * EPSILON * np.linalg.norm(stretch, axis=2)
+        return stretch[0], bounds[0], stretch[1:], bounds[1:]
 
     def matrices(self, columns):
         """Return G for each group, and a bound of its error in Frobenius' norm.
 
-        Collective. S is factored and the bounds are prepared for it.
-
-        Parameters
-        ----------
-        columns : pgran.driven.columns.Columns
-            Of a solver with these operators.
-
-        Returns
-        -------
-        G : numpy.ndarray, shape (count, r, r)
-            Zero in rows and columns that only fill up.
-        error : numpy.ndarray, shape (count,)
+        Collective. `columns`, a `Columns`, are of a solver with these operators, for whose S the
+        bounds are prepared. G, shape (count, r, r), is zero in rows and columns that only fill up.
         """
-        bounds, layout = columns.solver.bounds, self.operators.layout
-        springs = self.springs[self._void[1] :]
-        taken = np.zeros(len(self._order), dtype=complex)
-        wrong = np.zeros(len(self._unknowns))
-        start = self._void[0]
-        solved = columns.solved(self._unknowns[start:], self._units, 1.0)
-        for part, found, norms, residuals in solved:
-            longer = np.zeros((len(self.springs), len(part)), dtype=complex)
-            longer[self._void[1] :] = self.operators.stretch(found, springs)
-            stop = start + len(part)
-            here = slice(*np.searchsorted(self._at, [start, stop]))
-            taken[here] = longer[self._rows[here], self._at[here] - start]
-            rounding = (layout.ends.shape[1] + 2) * EPSILON * norms
-            wrong[start:stop] = residuals * bounds.inverse_norm + rounding
+        bounds, width = columns.solver.bounds, self._shape[-1]
+        needed = np.zeros(len(self._order), dtype=complex)  # in G's order
+        errors = np.zeros(len(self._unknowns))  # bounds of those of S^-1 e_u
+        start = self._no_unknown
+        solved = columns.solved(self._unknowns[start:], self._unit_vectors, 1.0)
+        for unknowns, solutions, norms, residuals in solved:
+            stop = start + len(unknowns)
+            table = np.zeros((len(self.springs), len(unknowns)), dtype=complex)
+            springs = self.springs[self._no_spring :]
+            table[self._no_spring :] = self.operators.stretch(solutions, springs)
+            here = slice(*np.searchsorted(self._columns, [start, stop]))
+            needed[self._order[here]] = table[self._rows[here], self._columns[here] - start]
+            errors[start:stop] = residuals * bounds.inverse_norm + (width + 2) * EPSILON * norms
             start = stop
-        count, r = self._shape
-        T = np.empty_like(taken)
-        T[self._order] = taken
-        T = T.reshape(count, r, r, -1)
-        G = np.einsum("pije,pje->pij", T, self._entries)
-        across = np.einsum("pje,pje->pj", np.abs(self._entries), wrong[self._number])
-        error = 1.01 * np.linalg.norm(self._lengths, axis=1) * np.linalg.norm(across, axis=1)
+        needed = needed.reshape(self._shape)
+        G = np.einsum("pije,pje->pij", needed, self._entries)
+        across = np.einsum("pje,pje->pj", np.abs(self._entries), errors[self._number])
+        error = 1.01 * self._size * np.linalg.norm(across, axis=1)
         # what rounds while the parts of a column are summed up
-        size = np.einsum("pije,pje->pij", np.abs(T), np.abs(self._entries))
-        error += (T.shape[-1] + 4) * EPSILON * np.linalg.norm(size, axis=(1, 2))
+        size = np.einsum("pije,pje->pij", np.abs(needed), np.abs(self._entries))
+        error += (width + 4) * EPSILON * np.linalg.norm(size, axis=(1, 2))
         return G, error
 
-    def _units(self, unknowns, columns):
+    def _unit_vectors(self, unknowns, columns):
         """Set columns to the unit vectors of unknowns, as far as they lie in this rank's rows."""
+        first, last = self.operators.first, self.operators.last
         columns[:] = 0.0
-        mine = np.flatnonzero((unknowns >= self.operators.first) & (unknowns < self.operators.last))
-        columns[unknowns[mine] - self.operators.first, mine] = 1.0
+        mine = np.flatnonzero((unknowns >= first) & (unknowns < last))
+        columns[unknowns[mine] - first, mine] = 1.0

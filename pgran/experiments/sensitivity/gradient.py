@@ -35,57 +35,43 @@ class Gradient(NamedTuple):
 
 
 def gradient(medium, s, fields, errors):
-    """Return the Gradient of some steady states.
+    """Return the Gradient of steady states at n values of s.
 
-    Not collective.
-
-    Parameters
-    ----------
-    medium : pgran.medium.lattice.Lattice or pgran.medium.network.Network
-    s : numpy.ndarray of complex, shape (n,)
-    fields : numpy.ndarray of complex, shape (n, 1 + nd, unknowns)
-        The amplitudes of all unknowns, then the adjoints.
-    errors : numpy.ndarray, shape (n, 1 + nd)
-        Bounds of their errors, in the 2-norm.
+    Fields, shape (n, 1 + nd, unknowns), are the amplitudes of all unknowns, then the adjoints;
+    `errors`, shape (n, 1 + nd), bound their errors in the 2-norm.
     """
     springs, s = medium.springs, s[:, None]
-    longer = _applied(springs.B, fields)
+    stretch = _applied(springs.B, fields)
     rounding = (springs.columns.shape[1] + 2) * EPSILON
     errors = (errors + rounding * np.linalg.norm(fields, axis=-1))[..., None]
-    t, y, A, z = longer[:, :1] + springs.drive, longer[:, 1:], fields[:, :1], fields[:, 1:]
+    # shapes (n, 1, springs), (n, nd, springs), (n, 1, unknowns), (n, nd, unknowns)
+    t, y, A, z = stretch[:, :1] + springs.drive, stretch[:, 1:], fields[:, :1], fields[:, 1:]
     products, a, c = t * y, errors[:, :1], errors[:, 1:]
-    wrong = _wrong(_size(y), _size(t), springs.lengths * c, springs.lengths * a)
-    loose = _wrong(_size(z), _size(A), c, a)
-    known = (len(springs.damped) + 8) * EPSILON * (_size(products) @ springs.damped)
+    spring_errors = _product_error(_size(y), _size(t), springs.lengths * c, springs.lengths * a)
+    mass_errors = _product_error(_size(z), _size(A), c, a)
+    # what rounds while the sum over the springs is formed
+    summing = (len(springs.damped) + 8) * EPSILON * (_size(products) @ springs.damped)
     inertia = -(s[..., None] ** 2) * medium.inertia_ratio
     return Gradient(
         -products,
-        wrong,
+        spring_errors,
         inertia * _per_ball(medium, z * A),
-        np.abs(inertia) * _per_ball(medium, loose),
+        np.abs(inertia) * _per_ball(medium, mass_errors),
         -s * (products @ springs.damped),
-        np.abs(s) * (wrong @ springs.damped + known + SMALLEST_NORMAL),
+        np.abs(s) * (spring_errors @ springs.damped + summing + SMALLEST_NORMAL),
     )
 
 
 def energy_flux(medium, s, fields):
     """Return the mean power through each contact, and what it loses, for drives s = i omega.
 
-    Not collective. The power that the springs of a contact give to one of its balls is
+    The power that the springs of a contact give to one of its balls is
     -(omega/2) Im(kappa t conj(b u)), kappa = k + s beta d and b u the ball's part of the stretch;
     both powers sum up to minus the loss (1/2) beta omega^2 d |t|^2. What flows from the first ball
     to the second is half their difference. What all contacts give to a free ball vanishes.
 
-    Parameters
-    ----------
-    medium : pgran.medium.lattice.Lattice or pgran.medium.network.Network
-    s : numpy.ndarray of complex, shape (n,)
-    fields : numpy.ndarray of complex, shape (n, unknowns)
-
-    Returns
-    -------
-    flux, loss : numpy.ndarray, shape (n, contacts)
-        In units of the constants times frequency, for a driven motion of amplitude 1.
+    Fields have the shape (n, unknowns), flux and loss (n, contacts), in units of the constants
+    times frequency, for a driven motion of amplitude 1.
     """
     springs, beta, s = medium.springs, medium.damping, s[:, None]
     t = _applied(springs.B, fields) + springs.drive
@@ -115,7 +101,7 @@ def _size(x):
     return np.abs(x.real) + np.abs(x.imag)
 
 
-def _wrong(x, y, x_error, y_error):
+def _product_error(x, y, x_error, y_error):
     """Return how far a product of numbers of these sizes may be off, its rounding included."""
-    found = x * (1.01 * y_error + 16 * EPSILON * y) + 1.01 * x_error * (y + y_error)
-    return found + SMALLEST_NORMAL
+    error = x * (1.01 * y_error + 16 * EPSILON * y) + 1.01 * x_error * (y + y_error)
+    return error + SMALLEST_NORMAL

@@ -20,16 +20,17 @@ from pgran.run.keywords import PROGRESS, option
 from pgran.run.options import INTEGERS, REAL
 from pgran.run.task import carry_out
 from pgran.store.fields import ball_names
+from pgran.store.record import columns_of
 
 QUARTER = 0.25  # of the amplitude: what the heater of the experiment changed
 
 
 def check(values):
-    """Raise where options contradict each other. Not collective."""
+    """Raise where options contradict each other."""
     if values["heat_factor"] is not None and values["heat_overlap"] is not None:
         raise InputError("-heat_factor, -heat_overlap: a ball is warmed in one of these ways")
-    warm = values["heat_factor"] is not None or values["heat_overlap"] is not None
-    if values["heat_balls"] is not None and not warm:
+    warmed = values["heat_factor"] is not None or values["heat_overlap"] is not None
+    if values["heat_balls"] is not None and not warmed:
         raise InputError("-heat_balls: by how much? -heat_factor or -heat_overlap says")
 
 
@@ -38,29 +39,29 @@ def is_wanted(options):
     return options.heat_cut or (options.heat_factor, options.heat_overlap) != (None, None)
 
 
-def summary(found):
-    """Return in words what heating or cutting does. Not collective."""
-    good = found.converged_reason > 0
-    if found.failures:
-        yield Caution(f"{found.failures} of {len(good)} frequencies of the heater failed")
-    for d, ball in enumerate(ball_names(found.detector)):
+def summary(record):
+    """Return in words what heating or cutting does."""
+    good = record.converged_reason > 0
+    if record.failures:
+        yield Caution(f"{record.failures} of {len(good)} frequencies of the heater failed")
+    for d, ball in enumerate(ball_names(record.detector)):
         for name, what in (("warmed", "warm ball"), ("cut", "cut bond")):
-            changed = getattr(found, name)
-            if changed is None or not good.any():
+            after = getattr(record, name)
+            if after is None or not good.any():
                 continue
-            known = np.isfinite(getattr(found, f"{name}_bound")[good, d])
-            before, after = found.displacement[good, d][:, None], changed[good, d]
+            before = record.displacement[good, d][:, None]
             with np.errstate(all="ignore"):  # a detector may be at rest
-                moved = np.abs(after - before) / np.abs(before)
-            known &= np.isfinite(moved)
+                moved = np.abs(after[good, d] - before) / np.abs(before)
+            bounded = np.isfinite(getattr(record, f"{name}_bound")[good, d])
+            moved = moved[bounded & np.isfinite(moved)]
             text = f"{ball}: one {what} changes its amplitude by "
-            if not known.any():
+            if not moved.size:
                 yield f"{text}what is not known"
                 continue
-            usual, most = 100 * np.median(moved[known]), 100 * moved[known].max()
-            text += f"{usual:.3g} % (median), {most:.4g} % at most"
+            usual, largest = 100 * np.median(moved), 100 * moved.max()
+            text += f"{usual:.3g} % (median), {largest:.4g} % at most"
             if name == "warmed":
-                share = 100 * found.heard[good, d].mean()
+                share = 100 * record.heard[good, d].mean()
                 text += f", a quarter or more in {share:.3g} % of all cases"
             yield text
 
@@ -109,8 +110,7 @@ def heat(
     InputError
         If a value is impossible.
     """
-    values = {"heat_factor": factor, "heat_overlap": overlap, "heat_balls": balls}
-    check(values)
+    check({"heat_factor": factor, "heat_overlap": overlap, "heat_balls": balls})
     if factor is None and overlap is None and not cut:
         raise InputError("heat: give a factor or an overlap, or cut=True")
     with agreeing(crew.world):
@@ -123,7 +123,7 @@ def heat(
 
 
 def check_solver(lattice, crew):
-    """Raise where the solvers that options choose cannot say what a change does. Not collective."""
+    """Raise where the solvers that options choose cannot say what a change does."""
     from pgran.driven.linear import is_factored
 
     if not is_factored():
@@ -138,41 +138,37 @@ def check_solver(lattice, crew):
 class HeatSweep(AdjointSweep):
     """The amplitudes after all changes, frequency by frequency.
 
-    Parameters are those of `heat`.
+    `law` are factor, overlap and hertz; the other parameters are those of `heat`.
     """
 
     def __init__(self, lattice, omegas, detectors, law, balls, cut, error_tolerance):
         """Find the springs that change."""
         sites, free = lattice.sites(detectors), lattice.ball_numbers
         self.factor, self.overlap, hertz = law
-        self.balls, self.groups = free[:0], {}  # the springs of each change, kind by kind
+        self.balls, groups = free[:0], {}  # groups[kind][n]: the springs that change n changes
         if self.factor is not None or self.overlap is not None:
-            chosen = np.arange(len(free))
+            warm = np.arange(len(free))
             if balls is not None:
-                chosen = np.unique(lattice.numbers_of(lattice.sites(balls, "-heat_balls")))
+                warm = np.unique(lattice.numbers_of(lattice.sites(balls, "-heat_balls")))
             if self.overlap is None:
                 growth = (self.factor - 1) * lattice.springs.elastic
             else:
                 growth = warming.grown_by_overlap(lattice, self.overlap, hertz)
-            contacts, self.balls = warming.contacts_of(lattice, chosen), free[chosen]
-            groups, self.delta = warming.changes(lattice, contacts, growth)
-            self.groups["warmed"] = np.where(self.delta != 0, groups, -1)
+            self.balls, contacts = free[warm], warming.contacts_of(lattice, warm)
+            groups["warmed"], self.delta = warming.changes(lattice, contacts, growth)
         if cut:
-            groups, delta = warming.cuts(lattice, 1j)  # what is zero is so for any other s
-            self.groups["cut"] = np.where(delta != 0, groups, -1)
-        self.groups = {name: groups for name, groups in self.groups.items() if len(groups)}
-        kept = []
-        for name, groups in self.groups.items():
-            kept.append((name, complex, (len(sites), len(groups))))
-            kept.append((f"{name}_bound", float, (len(sites), len(groups))))
-        super().__init__(lattice, omegas, sites, kept, error_tolerance)
+            groups["cut"], _ = warming.cuts(lattice, 1j)
+        self.groups = {name: springs for name, springs in groups.items() if len(springs)}
+        missing = {"warmed", "cut"} - self.groups.keys()
+        balls = (len(self.balls),)
+        super().__init__(lattice, omegas, sites, error_tolerance, Heat, missing, ball=balls)
 
     def prepare(self, operators):
         """See `FrequencySweep`."""
         from pgran.experiments.sensitivity.flexibility import Flexibility
 
         self.flexibilities = {
-            name: Flexibility(operators, groups) for name, groups in self.groups.items()
+            name: Flexibility(operators, springs) for name, springs in self.groups.items()
         }
 
     def keep(self, point, solver):
@@ -186,10 +182,15 @@ class HeatSweep(AdjointSweep):
             point["converged_reason"] = min(point["converged_reason"], MISSED)
         if point["converged_reason"] <= 0:
             return
+        before = point["displacement"], point["error_bound"]
         with Columns(solver) as columns, np.errstate(all="ignore"):  # not finite: without a bound
-            known = self._fields(point, solver)
-            for name in self.groups:
-                point[name], point[f"{name}_bound"] = self._after(point, columns, *known, name)
+            fields, errors = self._fields(point, solver)
+            for name, flexibility in self.flexibilities.items():
+                stretched = flexibility.stretched(fields, errors)
+                matrices = flexibility.matrices(columns)
+                delta = self._delta(name, solver.operators.s)  # zero where rows are filled up
+                after = changed_amplitudes(before, stretched, matrices, delta)
+                point[name], point[f"{name}_bound"] = after
 
     def _fields(self, point, solver):
         """Return this rank's rows of the field and the adjoints, and bounds of their errors.
@@ -201,44 +202,27 @@ class HeatSweep(AdjointSweep):
         norms = np.array([x.solution.norm() for x in systems])
         return fields, errors + (self.scaled.springs.columns.shape[1] + 2) * EPSILON * norms
 
-    def _after(self, point, columns, fields, errors, kind):
-        """Return the amplitudes after changes of groups of springs, and their bounds."""
-        operators, springs = columns.operators, self.scaled.springs
-        groups, flexibility = self.groups[kind], self.flexibilities[kind]
-        if kind == "cut":
-            delta = warming.cuts(self.scaled, operators.s)[1]
-        else:
-            delta = self.delta / self.unit
-        there = groups >= 0
-        longer = operators.stretch(fields, np.maximum(flexibility.springs, 0)).T
-        longer[0] += springs.drive[flexibility.springs]
-        longer = np.where(there, longer[:, flexibility.place], 0.0)
-        sizes = np.linalg.norm(np.where(there, springs.lengths[groups], 0.0), axis=1)
-        wrong = 1.01 * errors[:, None] * sizes
-        wrong += 4 * EPSILON * np.linalg.norm(longer, axis=2)
-        before = point["displacement"], point["error_bound"]
-        stretched = longer[0], wrong[0], longer[1:], wrong[1:]
-        matrices = flexibility.matrices(columns)
-        return changed_amplitudes(before, stretched, matrices, np.where(there, delta, 0.0))
+    def _delta(self, name, s):
+        """Return by how much kappa = k + s beta d of the springs of each change grows."""
+        return warming.cuts(self.scaled, s)[1] if name == "cut" else self.delta / self.unit
 
     def collect(self, rows, seconds):
         """See `Task`."""
-        found = {name: rows[name].copy() for name in rows.dtype.names}
-        heard = None
-        if "warmed" in self.groups:
-            before, known = (found[n][..., None] for n in ("displacement", "error_bound"))
-            moved = np.abs(found["warmed"] - before) - found["warmed_bound"] - known
-            heard = np.mean(moved >= QUARTER * (np.abs(before) + known), axis=-1)
-            heard[found["converged_reason"] <= 0] = np.nan
-        del found["field_bound"]
+        arrays, heard = columns_of(Heat, rows), None
+        if "warmed" in arrays:
+            before, bound = (arrays[n][..., None] for n in ("displacement", "error_bound"))
+            moved = np.abs(arrays["warmed"] - before) - arrays["warmed_bound"] - bound
+            # for certain: by a quarter of what the amplitude may be at most
+            heard = np.mean(moved >= QUARTER * (np.abs(before) + bound), axis=-1)
+            heard[arrays["converged_reason"] <= 0] = np.nan
         return Heat(
             factor=np.nan if self.factor is None else float(self.factor),
             overlap=np.nan if self.overlap is None else float(self.overlap),
-            factorizations=int(found.pop("factorizations").sum()),
+            factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,
             omega=self.omegas,
             detector=self.sites,
             ball=self.balls,
             heard=heard,
-            **found,
+            **arrays,
         )

@@ -1,17 +1,20 @@
-"""What belongs to bonds and balls, drawn where these are, in lattices and networks alike."""
+"""Maps of what belongs to bonds and balls, in lattices and networks alike, and shares of these."""
 
+import logging
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import matplotlib
 import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import ListedColormap
 
-from pgran.draw import bonds
+from pgran.draw import balls, bonds, style
 from pgran.draw.view import MANY, View
 from pgran.medium.space import as_network
 
+log = logging.getLogger("pgran")
+MOST = 3  # frequencies in maps, and detectors with maps of their own
 CLEAR = 8000  # bonds in the plane that are drawn one by one; of more, what their balls sum up to
 CELLS = 24  # of arrows along the longer side, where there are more bonds
 LOST = ListedColormap(matplotlib.colormaps["YlOrBr"](np.linspace(0.0, 0.7, 64)))
@@ -27,14 +30,8 @@ GROUND = {"colors": "#bbbbbb", "linewidths": 0.3, "zorder": 0.5}
 class Map:
     """The balls and bonds that are seen: of three dimensions those in the plane of one ball.
 
-    A lattice is a network whose balls touch, within walls; its free balls come first.
-
-    Parameters
-    ----------
-    medium : pgran.results.LatticeRecord or pgran.results.NetworkRecord
-        With positions.
-    detector : numpy.ndarray of int, shape (axes,)
-        The ball that the plane goes through, and that is marked.
+    That is the detector, which is marked. A lattice is a network whose balls touch, within walls;
+    its free balls come first.
     """
 
     def __init__(self, medium, detector):
@@ -53,7 +50,7 @@ class Map:
 
     @cached_property
     def extent(self):
-        """Width and height, for `balls.page`."""
+        """Width and height of what is seen."""
         if self.lattice:
             nx, ny = (*self.medium.shape, 1)[:2]
             return (nx + 1, ny + 1 if len(self.medium.shape) > 1 else 1)
@@ -79,15 +76,10 @@ class Map:
         ax.plot(*self.view.xy[self.detector], label="detector", **look)
 
     def lines(self, ax, values):
-        """Draw numbers from -1 to 1 on bonds, NaN: none; return what a colour bar is of.
+        """Draw numbers from -1 to 1 on all bonds, NaN: none; return what a colour bar is of.
 
         Widths are as the root of the magnitude; lines of negative numbers are hollow. Those of a
         large lattice, a few bonds of which are drawn, are longer than bonds.
-
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes
-        values : numpy.ndarray, shape (bonds,)
         """
         self.frame(ax)
         points = self.points(ax)
@@ -114,6 +106,28 @@ class Map:
         """Return whether the bonds with a number are few enough to be drawn one by one."""
         return np.count_nonzero(np.isfinite(values[self.numbers])) <= CLEAR
 
+    def words(self, values, grows, combined="sum"):
+        """Return what `on_bonds` shows of these numbers, in words; what red is."""
+        if self.each(values):
+            return f"red: {grows}; blue, hollow: it falls; width: square root"
+        return f"each ball: {combined} over its bonds; red: {grows}; blue: it falls"
+
+    def on_bonds(self, ax, values, mean=False):
+        """Draw numbers of bonds, NaN: none, in units of the largest that is seen.
+
+        Where bonds are too many to be seen, each ball has the sum over its bonds, or their mean.
+        Returns what is drawn, and the unit.
+        """
+        if self.each(values):
+            unit = balls.scale_of(np.nan_to_num(values[self.numbers]))
+            return self.lines(ax, values / unit), unit
+        known = np.isfinite(values)
+        values = self.summed(np.where(known, values, 0.0))
+        if mean:
+            values /= np.maximum(self.summed(known), 1)
+        unit = balls.scale_of(values[self.free])
+        return self.discs(ax, values / unit), unit
+
     def summed(self, values):
         """Return for each ball the sum over its bonds, which counts a bond at both its balls."""
         total = np.zeros(len(self.network.held))
@@ -122,14 +136,9 @@ class Map:
         return total
 
     def discs(self, ax, values):
-        """Draw numbers from -1 to 1 as colours of all free balls, NaN: grey; return the balls.
+        """Draw numbers of all balls, -1 to 1, as colours of the free ones, NaN: grey; return these.
 
         Negative ones have a white bar, if balls are large enough on paper.
-
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes
-        values : numpy.ndarray, shape (balls of the network,)
         """
         self.frame(ax)
         look = {"cmap": COLOURS, "clim": (-1.0, 1.0), "zorder": 1}
@@ -147,15 +156,8 @@ class Map:
 
         A wedge a bond, broad where it comes from, its width as the root of what flows. Of more
         bonds than are clear a wedge a square cell, for the sum of the vectors along the bonds.
-        Returns the balls, which have what is lost there as colours from 0 to 1.
-
-        Parameters
-        ----------
-        ax : matplotlib.axes.Axes
-        values : numpy.ndarray, shape (bonds,)
-            In units of the largest.
-        lost : numpy.ndarray, shape (balls of the network,)
-            Likewise.
+        Returns the balls, which have what is lost there as colours from 0 to 1. The values of all
+        bonds, and what is lost at all balls, are in units of the largest.
         """
         self.frame(ax)
         look = {"cmap": LOST, "clim": (0.0, 1.0), "zorder": 0.4}
@@ -181,10 +183,74 @@ class Map:
         vectors = flows[:, None] * (self.segments[:, 1] - self.segments[:, 0])
         side = self.view.extent.max() / CELLS
         cell = ((middle - self.view.low) // side).astype(int)
-        known, number = np.unique(cell, axis=0, return_inverse=True)
-        total = np.zeros((len(known), 2))
+        occupied, number = np.unique(cell, axis=0, return_inverse=True)
+        total = np.zeros((len(occupied), 2))
         np.add.at(total, number.ravel(), vectors)
         size = np.linalg.norm(total, axis=1)
-        centre = self.view.low + (known + 0.5) * side
+        centre = self.view.low + (occupied + 0.5) * side
         half = 0.45 * side * total / np.where(size > 0, size, 1.0)[:, None]
         return centre - half, centre + half, size / (size.max() or 1.0), 0.5 * side
+
+
+def few(record):
+    """Return the numbers of up to three good frequencies: the middles of as many equal parts."""
+    good = np.flatnonzero(record.converged_reason > 0)
+    if not len(good):
+        log.warning("no frequency of the %s is as accurate as asked: none is drawn", record.group)
+    count = min(MOST, len(good))
+    return [int(good[(2 * n + 1) * len(good) // (2 * count)]) for n in range(count)]
+
+
+def pages(name, draw, record, medium, what, words):
+    """Yield the name and the page of maps of each detector that has its own.
+
+    A panel is `draw(ax, record, medium, at, d)`, its colours are of `what`, and
+    `words(record, medium, at, d)` says what is drawn.
+    """
+    at, sites = few(record), record.detector.tolist()
+    if len(sites) > MOST:
+        log.warning("maps are drawn of the first %d of %d detectors", MOST, len(sites))
+    for d, site in enumerate(sites[:MOST]):
+        panels = [partial(draw, record=record, medium=medium, at=n, d=d) for n in at]
+        end = "_".join(["", *map(str, site)]) if len(sites) > 1 else ""
+        yield name + end, page(record, medium, d, panels, what, words(record, medium, at[0], d))
+
+
+def page(record, medium, d, panels, what, text):
+    """Return the figure of some maps, with what they show and what failed said above."""
+    seen = Map(medium, record.detector[d])
+    figure = balls.page(seen.extent, panels, what)
+    name = style.ball_names(record.detector[d : d + 1])[0]
+    held = "driven wall: blue" if seen.lattice else "balls at rest: dark; driven: blue"
+    where = "; ".join(filter(None, [seen.view.plane, f"circle: {name}", held]))
+    style.above(figure, where, text)
+    note_failed(figure, record)
+    figure.caption = f"Map of the {what}: {text}; {where}."
+    return figure
+
+
+def note_failed(figure, record):
+    """Say in a figure how many frequencies are not drawn because they failed."""
+    if record.failures:
+        count = f"{record.failures} of {len(record.omega)} frequencies"
+        style.note(figure, f"NOT DRAWN: {count} that missed the accuracy asked for")
+
+
+def title(ax, record, medium, at, largest, few_beyond):
+    """Say in the title of a map which frequency it is at, and its unit."""
+    end = "99% within" if few_beyond else "largest"
+    x = record.omega[at] / medium.omega_mx
+    ax.set_title(rf"$\omega$ = {x:.4g} $\omega_{{mx}}$, {end} {largest}")
+
+
+def shares(values, total=None):
+    """Return sizes, the largest first, and which share of the total is as large or larger."""
+    size = np.sort(values[np.isfinite(values)])[::-1]
+    return size, np.arange(1, len(size) + 1) / (total or max(len(size), 1))
+
+
+def logarithmic(ax, curves, reach=0.0):
+    """Make axes of shares logarithmic, up to `reach` at least, without what is next to nothing."""
+    largest = max((curve.get_xdata().max(initial=0.0) for curve in curves), default=0.0) or 1.0
+    right = 2 * max(largest, reach)
+    ax.set(xscale="log", yscale="log", ylim=(None, 1), xlim=(1e-5 * largest, right))

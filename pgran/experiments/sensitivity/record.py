@@ -30,64 +30,65 @@ class Sensitivity(Frequencies, Record):
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, convention exp(+i omega t)",
-        "1", *WHERE, dtype=complex,
+        "1", *WHERE, dtype=complex, row=True,
     )  # fmt: skip
-    error_bound: np.ndarray = array(BOUND, "1", *WHERE)
+    error_bound: np.ndarray = array(BOUND, "1", *WHERE, row=True)
     by_stiffness: np.ndarray = array(
-        "derivative of the displacement by each bond constant", "1/k", *OF_BOND[1:], dtype=complex
-    )
-    by_stiffness_bound: np.ndarray = array("bound of its error", "1/k", *OF_BOND[1:])
+        "derivative of the displacement by each bond constant", "1/k", *OF_BOND[1:], dtype=complex,
+        row=True,
+    )  # fmt: skip
+    by_stiffness_bound: np.ndarray = array("bound of its error", "1/k", *OF_BOND[1:], row=True)
     log_amplitude: np.ndarray = array("d ln|A| / d ln k of each bond", *OF_BOND)
     log_phase: np.ndarray = array("d phase / d ln k of each bond", "rad", *OF_BOND[1:])
     log_bound: np.ndarray = array("bound of the error of both", *OF_BOND)
     by_mass: np.ndarray = array(
         "derivative of the displacement by each ball's mass", "1/m", *WHERE, "ball_number",
-        dtype=complex,
+        dtype=complex, row=True,
     )  # fmt: skip
-    by_mass_bound: np.ndarray = array("bound of its error", "1/m", *WHERE, "ball_number")
+    by_mass_bound: np.ndarray = array("bound of its error", "1/m", *WHERE, "ball_number", row=True)
     by_damping: np.ndarray = array(
-        "derivative of the displacement by beta", "1/sqrt(k m)", *WHERE, dtype=complex
+        "derivative of the displacement by beta", "1/sqrt(k m)", *WHERE, dtype=complex, row=True
     )
-    by_damping_bound: np.ndarray = array("bound of its error", "1/sqrt(k m)", *WHERE)
+    by_damping_bound: np.ndarray = array("bound of its error", "1/sqrt(k m)", *WHERE, row=True)
     flux: np.ndarray = array(
         "mean power through each bond, from its first ball to its second", "k sqrt(k/m)",
-        "omega", "every_bond",
+        "omega", "every_bond", row=True,
     )  # fmt: skip
     loss: np.ndarray = array(
-        "mean power that each bond's dashpot takes", "k sqrt(k/m)", "omega", "every_bond"
+        "mean power that each bond's dashpot takes", "k sqrt(k/m)", "omega", "every_bond", row=True
     )
-    iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega", dtype=int)
-    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
+    iterations: np.ndarray = array(
+        "Krylov iterations, adjoints included", "1", "omega", dtype=int, row=True
+    )
+    converged_reason: np.ndarray = array(
+        "positive: as accurate as asked", "1", "omega", dtype=int, row=True
+    )
     bond: np.ndarray | None = array(
-        "numbers of the bonds that are kept", *OF_BOND, dtype=int, optional=True
+        "numbers of the bonds that are kept", *OF_BOND, dtype=int, optional=True, row=True
     )
     ball: np.ndarray | None = array(
-        "numbers of the balls that are kept", "1", *WHERE, "ball_number", dtype=int, optional=True
-    )
+        "numbers of the balls that are kept", "1", *WHERE, "ball_number", dtype=int, optional=True,
+        row=True,
+    )  # fmt: skip
     by_tangential: np.ndarray | None = array(
         "derivative by each contact's tangential stiffness", "1/k", *OF_BOND[1:], dtype=complex,
-        optional=True,
+        optional=True, row=True,
     )  # fmt: skip
     by_tangential_bound: np.ndarray | None = array(
-        "bound of its error", "1/k", *OF_BOND[1:], optional=True
+        "bound of its error", "1/k", *OF_BOND[1:], optional=True, row=True
     )
     by_force: np.ndarray | None = array(
         "derivative by each contact's force, as pre-stress", "1/force", *OF_BOND[1:],
-        dtype=complex, optional=True,
+        dtype=complex, optional=True, row=True,
     )  # fmt: skip
     by_force_bound: np.ndarray | None = array(
-        "bound of its error", "1/force", *OF_BOND[1:], optional=True
+        "bound of its error", "1/force", *OF_BOND[1:], optional=True, row=True
     )
 
     def on_bonds(self, number, d):
         """Return d ln|A| / d ln k of all bonds, NaN of those that are not kept, shape (bonds,).
 
-        Not collective.
-
-        Parameters
-        ----------
-        number, d : int
-            Of the frequency, and of the detector.
+        At the frequency of this number, for the detector d.
         """
         if self.bond is None:
             return self.log_amplitude[number, d]
@@ -113,22 +114,25 @@ class Heat(Frequencies, Record):
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
-        "amplitude at the detectors before any change", "1", *WHERE, dtype=complex
+        "amplitude at the detectors before any change", "1", *WHERE, dtype=complex, row=True
     )
-    error_bound: np.ndarray = array(BOUND, "1", *WHERE)
+    error_bound: np.ndarray = array(BOUND, "1", *WHERE, row=True)
     ball: np.ndarray = array(
         "numbers of the balls that are warmed, in C order, of a network as there", "1", dtype=int
     )
-    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", dtype=int)
-    warmed: np.ndarray | None = array(
-        "amplitude with each ball warm", "1", *WHERE, "ball", dtype=complex, optional=True
+    converged_reason: np.ndarray = array(
+        "positive: as accurate as asked", "1", "omega", dtype=int, row=True
     )
-    warmed_bound: np.ndarray | None = array(BOUND, "1", *WHERE, "ball", optional=True)
+    warmed: np.ndarray | None = array(
+        "amplitude with each ball warm", "1", *WHERE, "ball", dtype=complex, optional=True, row=True
+    )
+    warmed_bound: np.ndarray | None = array(BOUND, "1", *WHERE, "ball", optional=True, row=True)
     heard: np.ndarray | None = array(
         "share of the balls whose warming changes the amplitude by a quarter or more", "1", *WHERE,
         optional=True,
     )  # fmt: skip
     cut: np.ndarray | None = array(
-        "amplitude with each bond cut", "1", *WHERE, "every_bond", dtype=complex, optional=True
-    )
-    cut_bound: np.ndarray | None = array(BOUND, "1", *WHERE, "every_bond", optional=True)
+        "amplitude with each bond cut", "1", *WHERE, "every_bond", dtype=complex, optional=True,
+        row=True,
+    )  # fmt: skip
+    cut_bound: np.ndarray | None = array(BOUND, "1", *WHERE, "every_bond", optional=True, row=True)

@@ -19,48 +19,49 @@ from pgran.run.keywords import PROGRESS, call, option, options_of
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted, two_digits
 from pgran.store.fields import ball_names, site_name
+from pgran.store.record import columns_of
 from pgran.store.si import SI
 
-TOGETHER = 2**22  # bytes of fields that derivatives are computed of at a time
+# Bytes of fields that derivatives are computed of at a time: for one state of a small lattice the
+# calls of NumPy would take as long as the solve.
+TOGETHER = 2**22
 
 
 def check(values, given):
-    """Raise where options contradict each other. Not collective."""
+    """Raise where options contradict each other."""
     check_sweep(values, given)
     heat.check(values)
 
 
 def summary(result):
-    """Return in words what a run found. Not collective."""
-    found, good = result.sensitivity, result.sensitivity.converged_reason > 0
-    nw, kept, bonds = len(found.omega), found.by_stiffness.shape[-1], found.flux.shape[-1]
+    """Return in words what a run found."""
+    record, good = result.sensitivity, result.sensitivity.converged_reason > 0
+    nw, kept, bonds = len(record.omega), record.by_stiffness.shape[-1], record.flux.shape[-1]
     what = "all" if kept == bonds else f"the largest {kept} of"
     yield (
-        f"{counted(nw, 'frequency')} with {counted(found.factorizations, 'factorization')} in "
-        f"{found.solve_seconds:.2f} s: derivatives by {what} {bonds} bonds, by masses and beta"
+        f"{counted(nw, 'frequency')} with {counted(record.factorizations, 'factorization')} in "
+        f"{record.solve_seconds:.2f} s: derivatives by {what} {bonds} bonds, by masses and beta"
     )
-    if found.failures:
+    if record.failures:
         yield Caution(
-            f"{found.failures} of {nw} frequencies failed or missed the accuracy asked for"
+            f"{record.failures} of {nw} frequencies failed or missed the accuracy asked for"
         )
-    for d, ball in enumerate(ball_names(found.detector)):
-        size = np.abs(found.log_amplitude[good, d])
-        if size.size:
-            at, bond = np.unravel_index(np.argmax(size), size.shape)
-            number = bond if found.bond is None else found.bond[good][at, d, bond]
-            most, joined = found.log_amplitude[good][at, d, bond], joins(result.medium, number)
-            omega = found.omega[good][at]
-            yield (
-                f"{ball}: depends most on bond {number}, {joined}, at omega = "
-                f"{omega:.6g}{SI.of(result).say('Hz', omega)}: d ln|A| / d ln k = {most:.4g} "
-                f"+- {two_digits(found.log_bound[good][at, d, bond])}"
-            )
+    for d, ball in enumerate(ball_names(record.detector) if good.any() else []):
+        slopes = record.log_amplitude[good, d]
+        at, bond = np.unravel_index(np.argmax(np.abs(slopes)), slopes.shape)
+        number = bond if record.bond is None else record.bond[good][at, d, bond]
+        omega, error = record.omega[good][at], record.log_bound[good][at, d, bond]
+        yield (
+            f"{ball}: depends most on bond {number}, {joins(result.medium, number)}, at omega = "
+            f"{omega:.6g}{SI.of(result).say('Hz', omega)}: d ln|A| / d ln k = "
+            f"{slopes[at, bond]:.4g} +- {two_digits(error)}"
+        )
     if getattr(result, "heat", None):
         yield from heat.summary(result.heat)
 
 
 def joins(medium, number):
-    """Return in words what a bond joins, by its number. Not collective."""
+    """Return in words what a bond joins, by its number."""
     if medium.group == "network":
         return "balls {} and {}".format(*medium.bond[number].tolist())
     (axis,), (upper,) = bond_places(medium.shape, np.array([number]))
@@ -115,30 +116,24 @@ class GradientSweep(AdjointSweep):
     def __init__(self, lattice, omegas, detectors, most, error_tolerance):
         """Say what a frequency's results travel in."""
         sites, springs = lattice.sites(detectors), lattice.springs
-        nd, self.most = len(sites), most
-        self.balls = lattice.balls // lattice.components
-        bonds, balls = (min(most, n) if most else n for n in (lattice.bonds, self.balls))
-        # which blocks of springs a contact's other constants stand in
-        self.blocks = {"stiffness": ["normal"]}
+        self.most = most
+        # which blocks of springs a contact's constants stand in
+        kinds = {"stiffness": ["normal"]}
         if getattr(lattice, "tangential", None) is not None:
-            self.blocks["tangential"] = ["transverse", "tangential"]
+            kinds["tangential"] = ["transverse", "tangential"]
         if getattr(lattice, "force", None) is not None:
-            self.blocks["force"] = ["transverse", "pre_stress"]
+            kinds["force"] = ["transverse", "pre_stress"]
         self.blocks = {
-            name: np.flatnonzero(np.isin(springs.blocks, kinds))
-            for name, kinds in self.blocks.items()
+            name: np.flatnonzero(np.isin(springs.blocks, blocks)) for name, blocks in kinds.items()
         }
-        kept = [
-            ("iterations", np.int64),
-            ("by_damping", complex, (nd,)), ("by_damping_bound", float, (nd,)),
-            ("flux", float, (lattice.bonds,)), ("loss", float, (lattice.bonds,)),
-        ]  # fmt: skip
-        for name, size in (*((block, bonds) for block in self.blocks), ("mass", balls)):
-            kept.append((f"by_{name}", complex, (nd, size)))
-            kept.append((f"by_{name}_bound", float, (nd, size)))
+        missing = {f"by_{name}" for name in {"tangential", "force"} - kinds.keys()}
+        bonds, balls = lattice.bonds, lattice.balls // lattice.components
         if most:
-            kept += [("bond", np.int64, (nd, bonds)), ("ball", np.int64, (nd, balls))]
-        super().__init__(lattice, omegas, sites, kept, error_tolerance)
+            bonds, balls = min(most, bonds), min(most, balls)
+        else:
+            missing |= {"bond", "ball"}
+        lengths = {"bond_number": (bonds,), "ball_number": (balls,)}
+        super().__init__(lattice, omegas, sites, error_tolerance, Sensitivity, missing, **lengths)
         self._waiting = []  # states of this unit that derivatives are still to be computed of
 
     def keep(self, point, solver):
@@ -161,14 +156,13 @@ class GradientSweep(AdjointSweep):
         self._waiting.clear()
         s, fields = np.array(s), np.stack(fields)
         with np.errstate(all="ignore"):  # what failed is marked below
-            found = gradient(self.scaled, s, fields, np.stack(errors))
-            flux, loss = energy_flux(self.scaled, s, fields[:, 0])
-        values = self._kept(found) | {"flux": flux, "loss": loss}
+            values = self._by_name(gradient(self.scaled, s, fields, np.stack(errors)))
+            values["flux"], values["loss"] = energy_flux(self.scaled, s, fields[:, 0])
         good = np.ones(len(rows), dtype=bool)
         for name in ("by_stiffness", "by_mass"):  # each as accurate as asked of the largest
             largest = np.abs(values[name]).max(axis=-1)
-            wrong = values[f"{name}_bound"].max(axis=-1)
-            good &= np.all(wrong <= self.choices["error_tolerance"] * largest, axis=1)
+            error = values[f"{name}_bound"].max(axis=-1)
+            good &= np.all(error <= self.choices["error_tolerance"] * largest, axis=1)
         for number, row in enumerate(rows):
             missed = row["converged_reason"] <= 0
             for name, value in values.items():
@@ -176,66 +170,64 @@ class GradientSweep(AdjointSweep):
             if not missed and not good[number]:
                 row["converged_reason"] = MISSED
 
-    def _kept(self, found):
-        """Return what rows keep of derivatives, by name, the drives first."""
+    def _by_name(self, derivatives):
+        """Return what rows keep of a Gradient, by the names of the record's arrays."""
         medium, bonds = self.scaled, self.scaled.bonds
-        shape = (*found.damping.shape, -1, bonds)
-        derivatives, bounds = (x.reshape(shape) for x in found[:2])
-        parts = {
-            name: [x[..., blocks, :].sum(axis=-2) for x in (derivatives, bounds)]
+        # Springs stand block by block, one of each for every contact: (n, nd, blocks, bonds).
+        shape = (*derivatives.damping.shape, -1, bonds)
+        by_spring = [x.reshape(shape) for x in (derivatives.springs, derivatives.springs_bound)]
+        pairs = {
+            name: [x[..., blocks, :].sum(axis=-2) for x in by_spring]
             for name, blocks in self.blocks.items()
         }
-        if "force" in parts:  # the constant is -F / d
-            value, bound = parts["force"]
-            parts["force"] = -value / medium.distance, bound / medium.distance
-        parts["mass"] = [found.masses, found.masses_bound]
-        kept = {"by_damping": found.damping, "by_damping_bound": found.damping_bound}
-        if self.most:
+        if "force" in pairs:  # the constant is -F / d
+            value, bound = pairs["force"]
+            pairs["force"] = -value / medium.distance, bound / medium.distance
+        pairs["mass"] = [derivatives.masses, derivatives.masses_bound]
+        values = {}
+        if self.most:  # the numbers of the largest, in the record's shapes
             constants = np.abs(medium.springs.constants[:bonds])
             sizes = {
-                "bond": constants * parts["stiffness"][0],
-                "ball": found.masses / medium.inertia_ratio,
+                "bond": constants * pairs["stiffness"][0],
+                "ball": derivatives.masses / medium.inertia_ratio,
             }
             for name, size in sizes.items():
                 number = np.argsort(-np.abs(size), axis=-1, kind="stable")
-                kept[name] = number[..., : self.row[name].shape[-1]]
-        for name, pair in parts.items():
-            if self.most:
-                number = kept["ball" if name == "mass" else "bond"]
-                pair = [np.take_along_axis(x, number, axis=-1) for x in pair]
-            kept[f"by_{name}"], kept[f"by_{name}_bound"] = pair
-        return kept
+                values[name] = number[..., : self.row[name].shape[-1]]
+            for name, pair in pairs.items():
+                number = values["ball" if name == "mass" else "bond"]
+                pairs[name] = [np.take_along_axis(x, number, axis=-1) for x in pair]
+        pairs["damping"] = [derivatives.damping, derivatives.damping_bound]
+        for name, pair in pairs.items():
+            values[f"by_{name}"], values[f"by_{name}_bound"] = pair
+        return values
 
     def collect(self, rows, seconds):
         """See `Task`."""
-        unit, constants = self.unit, np.abs(self.lattice.springs.constants[: self.lattice.bonds])
-        arrays = {name: rows[name].copy() for name in rows.dtype.names if name.startswith("by_")}
-        for name in arrays:  # constants, forces, masses and beta all scale with the unit
-            arrays[name] /= unit
-        k = constants[rows["bond"]] if self.most else constants
-        A, known = rows["displacement"][:, :, None], rows["error_bound"][:, :, None]
+        arrays = columns_of(Sensitivity, rows)
+        for name in arrays:
+            if name.startswith("by_"):  # constants, forces, masses and beta all scale with the unit
+                arrays[name] /= self.unit
+        arrays["flux"] *= self.unit
+        arrays["loss"] *= self.unit
+        k = np.abs(self.lattice.springs.constants[: self.lattice.bonds])
+        k = k[arrays["bond"]] if self.most else k
+        A, A_bound = rows["displacement"][:, :, None], rows["error_bound"][:, :, None]
+        slope, slope_bound = arrays["by_stiffness"], arrays["by_stiffness_bound"]
         with np.errstate(all="ignore"):
-            logs = k * arrays["by_stiffness"] / A
-            wrong = arrays["by_stiffness_bound"] + np.abs(arrays["by_stiffness"] / A) * known
-            log_bound = 1.01 * k * wrong / (np.abs(A) - known)
-            log_bound = np.where(np.abs(A) > known, log_bound, np.inf)
+            logs = k * slope / A
+            log_bound = 1.01 * k * (slope_bound + np.abs(slope / A) * A_bound)
+            log_bound = log_bound / (np.abs(A) - A_bound)
+            log_bound = np.where(np.abs(A) > A_bound, log_bound, np.inf)
         return Sensitivity(
             factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,
             most=self.most,
             omega=self.omegas,
             detector=self.sites,
-            displacement=rows["displacement"].copy(),
-            error_bound=rows["error_bound"].copy(),
             log_amplitude=logs.real.copy(),
             log_phase=logs.imag.copy(),
             log_bound=log_bound,
-            flux=unit * rows["flux"],
-            loss=unit * rows["loss"],
-            iterations=rows["iterations"].copy(),
-            converged_reason=rows["converged_reason"].copy(),
-            bond=rows["bond"].copy() if self.most else None,
-            ball=rows["ball"].copy() if self.most else None,
             **arrays,
         )
 

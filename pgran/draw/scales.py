@@ -1,0 +1,157 @@
+"""What axes show, where their ends and ticks are, and the same axes in SI units.
+
+What is drawn stays in units of omega_mx: in SI ticks and labels are in Hz, s, m.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.ticker import (
+    FixedLocator,
+    FuncFormatter,
+    Locator,
+    LogLocator,
+    MaxNLocator,
+    NullFormatter,
+    NullLocator,
+)
+
+from pgran.draw import style
+from pgran.store.si import prefix_of
+
+
+class Quantity(NamedTuple):
+    """A quantity with its unit in the program, in SI, and the power of omega_mx in its numbers."""
+
+    name: str
+    own: str = ""
+    unit: str | None = None
+    power: int = 0
+
+
+AMPLITUDE = r"amplitude $|A|$ (drive = 1)"
+PHASE = "phase (rad)"
+FREQUENCY = Quantity("driving frequency", r"$\omega/\omega_{mx}$", "Hz", 1)
+ANY_FREQUENCY = Quantity("frequency", r"$\omega/\omega_{mx}$", "Hz", 1)
+MODE_FREQUENCY = Quantity("mode frequency", r"$\omega_i/\omega_{mx}$", "Hz", 1)
+DENSITY = Quantity("density of modes per ball", r"($1/\omega_{mx}$)", "1/Hz", -1)
+TIME = Quantity("time", r"($1/\omega_{mx}$)", "s", -1)
+DELAY = Quantity("group delay", r"($1/\omega_{mx}$)", "s", -1)
+DISTANCE = Quantity("distance from the driven wall", "(spacings)", "m")
+ATTENUATION = Quantity("attenuation length", "(spacings)", "m")
+PLACES = [Quantity(f"${name}$", unit="m") for name in "xyz"]
+
+
+def label(axis, quantity):
+    """Name an axis by what it shows, which `in_si` finds on it."""
+    axis.quantity = quantity
+    axis.set_label_text(f"{quantity.name} {quantity.own}".strip())
+
+
+def limits(x):
+    """Return the range of an axis for the points `x`: theirs, and a margin around a handful."""
+    few = len(x) <= style.HANDFUL
+    margin = 0.05 * (np.ptp(x) or np.max(np.abs(x)) or 1.0) if few else 0.0
+    return np.min(x) - margin, np.max(x) + margin
+
+
+def frequencies(ax, x, quantity=FREQUENCY, within=(0.0, np.inf)):
+    """Make an axis one of the frequencies `x`, in units of omega_mx, which is a dotted line.
+
+    Only those `within` two ends are shown. An axis of frequencies gets as long as it must be.
+    """
+    low, high = limits(x)
+    low, high = max(low, within[0]), min(high, within[1])
+    if hasattr(ax.xaxis, "quantity"):
+        low, high = min(low, ax.get_xlim()[0]), max(high, ax.get_xlim()[1])
+    label(ax.xaxis, quantity)
+    ax.set_xlim(low, high)
+    ax.xaxis.set_major_locator(round_ticks(ax.figure))
+    if low < 1 < high and not any(line.get_gid() == style.UNIT for line in ax.get_lines()):
+        dots = {"color": style.MODE, "linewidth": 0.6, "linestyle": (0, (1, 2)), "zorder": 0.5}
+        ax.axvline(1.0, gid=style.UNIT, **dots)
+
+
+def round_ticks(figure):
+    """Return what makes ticks, as many whatever the layout is: that depends on them."""
+    narrow = figure.get_figwidth() < 1.5 * style.COLUMN
+    return MaxNLocator(6 if narrow else 10, steps=[1, 2, 2.5, 5, 10])
+
+
+def symmetric(ax, values, threshold):
+    """Make the axis of y linear up to a threshold, logarithmic beyond, with few labels."""
+    ax.set_yscale("symlog", linthresh=threshold)
+    largest = np.max(np.abs(values), initial=threshold)
+    ax.set_yticks(symmetric_ticks(threshold, largest))
+
+
+def symmetric_ticks(threshold, largest):
+    """Return 0 and a few powers of ten from a threshold to the largest value, of both signs."""
+    low, high = math.ceil(math.log10(threshold)), math.floor(math.log10(largest))
+    powers = 10.0 ** np.arange(low, high + 1)[:: -max(1, -(-(high - low + 1) // 3))]
+    return [*-powers, 0.0, *powers]
+
+
+class Ticks(Locator):
+    """Ticks where `base` has them for the numbers of an axis times `factor`."""
+
+    def __init__(self, base, factor):
+        """Keep both."""
+        self.base, self.factor = base, factor
+
+    def set_axis(self, axis):
+        """Tell both whose ticks they make."""
+        super().set_axis(axis)
+        self.base.set_axis(axis)
+
+    def __call__(self):
+        """Return the ticks of the axis."""
+        return self.tick_values(*sorted(self.axis.get_view_interval()))
+
+    def tick_values(self, vmin, vmax):
+        """Return the ticks between two ends."""
+        ticks = self.base.tick_values(vmin * self.factor, vmax * self.factor)
+        return np.asarray(ticks) / self.factor
+
+
+def in_si(figure, medium, si):
+    """Give the axes of a figure SI units where these are known; axes of a quantity are alike."""
+    shown = {}
+    for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
+        quantity = getattr(axis, "quantity", None)
+        if quantity and quantity.unit and si.factor(quantity.unit) is not None:
+            shown.setdefault(quantity, []).append(axis)
+    for quantity, alike in shown.items():
+        factor = si.factor(quantity.unit) * medium.omega_mx**quantity.power
+        largest = max(np.abs(axis.get_view_interval()).max() for axis in alike)
+        shift, unit = prefix_of(factor * largest, quantity.unit)
+        for axis in alike:
+            convert(axis, factor * shift)
+            if axis.get_label_text():  # else the panel below has the label
+                axis.set_label_text(f"{quantity.name} ({unit})")
+
+
+def convert(axis, factor):
+    """Put ticks at round numbers of the axis times `factor`, and those numbers beside them."""
+    kind, minor = axis.get_scale(), NullLocator()
+    if kind == "log":
+        low, high = sorted(axis.get_view_interval())
+        narrow = high < 100 * low  # may hold a single power of ten
+        major = LogLocator(subs=(1, 2, 5) if narrow else (1,))
+        minor = LogLocator(subs=range(2, 10))
+    elif kind == "symlog":
+        ends = axis.get_transform().linthresh, np.abs(axis.get_view_interval()).max()
+        major = FixedLocator(symmetric_ticks(*(factor * end for end in ends)))
+    else:
+        major = round_ticks(axis.figure)
+    axis.set_major_locator(Ticks(major, factor))
+    axis.set_minor_locator(Ticks(minor, factor))
+    axis.set_minor_formatter(NullFormatter())
+    axis.set_major_formatter(FuncFormatter(lambda x, _: _written(x * factor)))
+
+
+def _written(number):
+    """Return a number as it stands beside a tick."""
+    mantissa, _, power = f"{number:.4g}".partition("e")
+    return rf"${mantissa} \cdot 10^{{{int(power)}}}$" if power else f"${mantissa}$"
