@@ -102,4 +102,4 @@ def test_derivatives_and_changes_of_light_balls(comm, mass):
         0, network, np.array([0.8, 1.7]), np.array([2, 4]), "default", 1e-2, {"factor": 2.0}
     )
     assert list(faults(case, seen, comm)) == []
-    assert comm.rank or (seen["good"] == 2 and seen["bounded"] > 0)
+    assert comm.rank or (seen["good"] == 2 and seen["by_stiffness bounded"] > 0)
