@@ -1,7 +1,7 @@
 """The panels of figures, `pgran.figures.response.amplitude(ax, result.response, result.medium)`.
 
-By the group of a result that they draw, each in the `figures` of its experiment; besides, their
-`style`, and `maps` of balls and bonds.
+By the group of a result that they draw, each in its experiment's folder; besides their `style`,
+and `together`, which lays several results over each other.
 """
 
 from importlib import import_module

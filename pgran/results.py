@@ -3,12 +3,15 @@
 Each is declared in the `record.py` of its experiment.
 """
 
-from pgran.catalogue import RECORDS, record_kind
+from importlib import import_module
+
+from pgran.catalogue import RECORDS
 
 
 def __getattr__(name):
     """Return a record by its name."""
-    for group in RECORDS:
-        if (kind := record_kind(group)).__name__ == name:
+    for module in dict.fromkeys(RECORDS.values()):
+        kind = getattr(import_module(module), name, None)
+        if hasattr(kind, "group"):
             return kind
     raise AttributeError(f"module pgran.results has no attribute {name!r}")

@@ -4,6 +4,12 @@ import ast
 import graphlib
 from pathlib import Path
 
+import pytest
+
+import pgran.figures
+import pgran.results
+from pgran import catalogue
+
 HOUSE = Path(__file__).parents[1] / "pgran"
 TOP = "errors arguments catalogue"  # files beside the folders; the catalogue is a table of names
 BELOW = {  # of each folder and file at the top: what it may import
@@ -61,3 +67,18 @@ def test_who_knows_petsc_matplotlib_and_scenes():
         if "matplotlib" in packages:
             assert module.startswith("draw.") or last.startswith("figures") or module in (
                 "command.doctor", "experiments.sensitivity.maps"), module  # fmt: skip
+
+
+def test_public_names_of_records_and_panels():
+    """Whatever folder they are in."""
+    for group, module in catalogue.RECORDS.items():
+        kind = catalogue.record_kind(group)
+        assert getattr(pgran.results, kind.__name__) is kind
+        assert kind.__module__ == module
+    assert pgran.results.Models.within == "response"
+    for group, module in catalogue.FIGURES.items():
+        assert getattr(pgran.figures, group).__name__ == module
+    assert pgran.figures.style.applied
+    for module in (pgran.results, pgran.figures):
+        with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+            module.nothing  # noqa: B018
