@@ -1,7 +1,6 @@
-"""One bond a step: which bond changes, to what, and the operators that follow.
+"""Changes of bonds: at each step one, drawn uniformly, gets a new constant from the bond law.
 
-At each step one bond, drawn uniformly, gets a new constant from the bond law. Both draws are a pure
-function of (seed, trajectory, step), so the changes of the next steps are known ahead.
+Both draws are a pure function of (seed, trajectory, step): the next changes are known ahead.
 """
 
 from dataclasses import dataclass
@@ -32,10 +31,9 @@ class Changes:
 
 
 def draw_changes(law, bonds, seed, trajectory, first, count, unit=1.0):
-    """Return the changes of `count` steps from step `first` on, counted from 0.
+    """Return the changes of `count` steps from step `first` on, counted from 0, in a unit.
 
-    Trajectories of one seed are independent. `law` turns numbers uniform on [0, 1) into constants
-    of `bonds` bonds, which are returned in a unit.
+    Trajectories of one seed are independent. `law` turns numbers uniform on [0, 1) into constants.
     """
     # two numbers a step: u[0] u[1] | u[2] u[3] | ...  say  bond, constant | bond, constant | ...
     u = unit_numbers(seed, 2 * first, 2 * count, generation=1 + trajectory)
@@ -43,10 +41,7 @@ def draw_changes(law, bonds, seed, trajectory, first, count, unit=1.0):
 
 
 class ChangingBonds:
-    """All bond constants, before step `step` of trajectory `trajectory`, and their operators.
-
-    `draw(trajectory, first, count)` returns Changes.
-    """
+    """All bond constants before a step of a trajectory, their operators; `draw` gives Changes."""
 
     def __init__(self, lattice, operators, draw):
         """Start from the lattice's bonds."""

@@ -33,10 +33,10 @@ errors = captions.amplitudes
 
 
 def series(ax, relaxation, steps=2000):
-    """Draw the amplitudes of the first trajectory against time, the first steps (paper: timeres).
+    """Draw the first amplitudes of the first trajectory against time (paper: timeres).
 
-    Steps that missed the accuracy asked for are gaps, and crosses on the upper edge; of amplitudes
-    at the floor the upper limit is drawn. Returns the curves.
+    Missed steps are gaps, and crosses on the upper edge; of amplitudes at the floor the upper limit
+    is drawn. Returns the curves.
     """
     amplitude = np.abs(relaxation.displacement[0, : steps + 1])
     limit = marks.upper_limits(relaxation)[0, : steps + 1]
@@ -102,9 +102,7 @@ def exponent(spectrum):
 def over(results, labels):
     """Yield the power spectra, each with the law fitted to it (paper: timeres)."""
     if any(getattr(result, "spectrum", None) is None for result in results):
-        raise FileError(
-            "spectra are laid over each other: a result has none, its run was too short"
-        )
+        raise FileError("a result has no spectrum to lay over others: its run was too short")
 
     def spectra(ax):
         for number, (result, label) in enumerate(zip(results, labels, strict=True)):

@@ -21,10 +21,7 @@ LAGS = 60  # of the autocorrelation, evenly spaced in their logarithm
 
 
 def measured(relaxation, window, bonds):
-    """Return a relaxation, and its spectrum and its memory where it has them.
-
-    `window` is that of the exponent's fit, in cycles per step; one of `bonds` is redrawn a step.
-    """
+    """Return a relaxation, and its spectrum and memory where it has them; `window` is the fit's."""
     spectrum = _spectrum_of(relaxation, window, bonds)
     remembered = _memory_of(relaxation, bonds) if spectrum else None
     return [record for record in (relaxation, spectrum, remembered) if record]

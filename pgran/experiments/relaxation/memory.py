@@ -17,15 +17,14 @@ for Delta B uncorrelated?" They cannot be, in any stationary series:
     <dB Delta B> = C(1) - C(0) = -C(0) kbar / M,
     <Delta B Delta B'> = 2 C(1) - C(0) - C(2) = -sum_k W_k (k/M)^2,
 
-but both correlations are small, -sqrt(kbar / 2M) and -<k^2> / (2 kbar M): what the paper's steps
-know of each other shows within M steps only.
+but both correlations are small, -sqrt(kbar / 2M) and -<k^2> / (2 kbar M), <k^2> the mean of k^2
+by W_k: what the paper's steps know of each other shows within M steps only.
 
 Series must be stationary: trajectories that start from the same bonds know of each other for the
 first M steps or so, which should be left out.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,50 +40,29 @@ WITHIN = 0.8413  # what lies below one standard error of a normal law
 def checked_series(values, wanted):
     """Return time series, of shape (T,) or (R, T), as an array (R, T); R trajectories of T steps.
 
-    Raises InputError if they are not finite reals, or never change, so that they have not what is
-    `wanted` of them.
+    Raises InputError if they never change, and so have not what is `wanted` of them.
     """
-    if np.iscomplexobj(values):
-        raise InputError(f"series: the {wanted} is that of a real series, such as |A_d|")
     series = np.atleast_2d(np.asarray(values, dtype=float))
-    if series.ndim > 2 or series.size == 0:
-        raise InputError(f"series: shape {series.shape} is not trajectories by steps")
-    if not np.all(np.isfinite(series)):
-        row, step = np.argwhere(~np.isfinite(series))[0]
-        raise InputError(f"series: step {step} of trajectory {row} is {series[row, step]}")
     if np.ptp(series) <= ROUNDING * np.abs(series).max():
         raise InputError(f"series: the amplitude never changes, so it has no {wanted}")
     return series
 
 
-@dataclass(frozen=True, eq=False)
 class Series:
-    """A stationary series of an observable: B after each step, shape (T,) or (R, T); M bonds.
+    """A stationary series of an observable: B after each step, shape (T,) or (R, T); M bonds."""
 
-    Raises InputError as `checked_series` does, and if it is too short for errors.
-    """
-
-    values: np.ndarray
-    bonds: int
-
-    def __post_init__(self):
-        """Check the values."""
-        values = checked_series(self.values, "memory")
-        object.__setattr__(self, "values", values)
-        if self.bonds < 1:
-            raise InputError(f"bonds: there must be one at least, not {self.bonds}")
-        if len(values) * self._parts_of_one < PARTS_AT_LEAST:
-            needed = MEMORIES_IN_PART * self.bonds * math.ceil(PARTS_AT_LEAST / len(values))
-            raise InputError(
-                f"series: {values.shape[1]} steps (trajectories: {len(values)}) are too few to "
-                f"tell the memory of {self.bonds} bonds with an error; {needed} are needed"
-            )
-
-    @property
-    def _parts_of_one(self):
-        """How many independent parts a trajectory has."""
+    def __init__(self, values, bonds):
+        """Raise InputError if the series is too short for errors, or never changes."""
+        self.values, self.bonds = checked_series(values, "memory"), bonds
         trajectories, steps = self.values.shape
-        return min(max(1, MOST // trajectories), int(steps / (MEMORIES_IN_PART * self.bonds)))
+        # independent parts of one trajectory
+        self.parts = min(max(1, MOST // trajectories), int(steps / (MEMORIES_IN_PART * bonds)))
+        if trajectories * self.parts < PARTS_AT_LEAST:
+            needed = MEMORIES_IN_PART * bonds * math.ceil(PARTS_AT_LEAST / trajectories)
+            raise InputError(
+                f"series: {steps} steps (trajectories: {trajectories}) are too few to "
+                f"tell the memory of {bonds} bonds with an error; {needed} are needed"
+            )
 
     def estimate(self, measure, longest):
         """Return what `measure(C)` comes to, with its error, C(t) known for t <= `longest`.
@@ -94,10 +72,8 @@ class Series:
         """
         from scipy.special import stdtrit  # here: SciPy takes its time
 
-        steps, parts = self.values.shape[1], self._parts_of_one
-        if longest > steps // 2:
-            raise InputError(f"lags: must lie between 0 and {steps // 2}, not {longest}")
-        starts = np.arange(parts) * steps // parts
+        steps = self.values.shape[1]
+        starts = np.arange(self.parts) * steps // self.parts
         deviations = self.values - self.values.mean()  # sums of squares round less
         sums = np.concatenate([_pair_sums(row, starts, longest) for row in deviations])
         whole = sums.sum(axis=0)
@@ -147,43 +123,28 @@ def autocorrelation(series, lags):
     C(0) itself would need a hundred memories for an error: of 20 it comes out small, and its error
     smaller, misses of 1.9 errors.
     """
-    lags = np.asarray(lags)
-    if lags.size == 0 or lags.dtype.kind not in "iu" or np.any(lags < 0):
-        raise InputError("lags: whole numbers of steps are needed, not negative")
-    return series.estimate(lambda C: C[lags] / C[0], max(1, int(lags.max())))
+    return series.estimate(lambda C: C[lags] / C[0], max(1, *lags))
 
 
 def mean_order(series):
-    """Return kbar = M <(Delta B)^2> / (2 C(0)), how many bonds act jointly on average.
-
-    From 1, where bonds only add up, to M. It is the rate of forgetting at t = 0.
-    """
+    """Return kbar = M <(Delta B)^2> / (2 C(0)), how many bonds act jointly on average."""
     return series.estimate(lambda C: series.bonds * (1 - C[1] / C[0]), 1)
 
 
 def bounds(lags, bonds, order):
     """Return the least and the largest C(t) / C(0) that a mean order kbar, from 1 to M, allows.
 
-    ((1 - kbar/M)^t, (1 - 1/M)^t): the first is Jensen's inequality, equal where all parts have one
-    order; the second holds as no part has an order below 1.
+    The first is Jensen's inequality, equal where all parts have one order; the second holds as no
+    part has an order below 1.
     """
-    if not 1 <= order <= bonds:
-        raise InputError(f"order: kbar must lie between 1 and the number of bonds, not {order:g}")
-    lags = np.asarray(lags)
     return (1 - order / bonds) ** lags, (1 - 1 / bonds) ** lags
 
 
 def increment_correlation(series):
-    """Return the correlation coefficient of B with its increment, -sqrt(kbar / 2M).
-
-    <dB Delta B> / sqrt(<dB^2> <(Delta B)^2>) = -sqrt((C(0) - C(1)) / (2 C(0))).
-    """
+    """Return the correlation of B with its increment, <dB Delta B> / sqrt(C(0) <(Delta B)^2>)."""
     return series.estimate(lambda C: -math.sqrt(max(C[0] - C[1], 0.0) / (2 * C[0])), 1)
 
 
 def successive_correlation(series):
-    """Return the correlation coefficient of successive increments, -<k^2> / (2 kbar M).
-
-    (2 C(1) - C(0) - C(2)) / (2 (C(0) - C(1))), with <k^2> = sum k^2 W_k / sum W_k.
-    """
+    """Return the correlation of successive increments, <Delta B Delta B'> / <(Delta B)^2>."""
     return series.estimate(lambda C: (2 * C[1] - C[0] - C[2]) / (2 * (C[0] - C[1])), 2)

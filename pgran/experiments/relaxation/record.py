@@ -7,6 +7,8 @@ import numpy as np
 from pgran.store.fields import BOUND, DETECTOR, FLOOR
 from pgran.store.record import Record, array
 
+STATES = "trajectory", "state", "detector_number"  # axes
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Relaxation(Record):
@@ -32,14 +34,10 @@ class Relaxation(Record):
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, entry 0 before any change",
-        "1", "trajectory", "state", "detector_number", dtype=complex, row=True,
+        "1", *STATES, dtype=complex, row=True,
     )  # fmt: skip
-    error_bound: np.ndarray = array(
-        BOUND, "1", "trajectory", "state", "detector_number", since=2, row=True
-    )
-    at_floor: np.ndarray = array(
-        FLOOR, "1", "trajectory", "state", "detector_number", dtype=np.int8, since=2
-    )
+    error_bound: np.ndarray = array(BOUND, "1", *STATES, since=2, row=True)
+    at_floor: np.ndarray = array(FLOOR, "1", *STATES, dtype=np.int8, since=2)
 
     @property
     def amplitude(self):

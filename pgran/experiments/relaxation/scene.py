@@ -36,26 +36,20 @@ def check(values, given):
     if values["network_file"] is not None and "bonds_law" not in given:
         values["bonds_law"] = None  # the network's own constants
     if values["bonds_law"] == "file":
-        raise InputError(
-            "-bonds_law file: a relaxation draws new constants and needs a law for them"
-        )
+        raise InputError("-bonds_law file: a relaxation needs a law to draw new constants from")
     check_ends("spectrum_fit", values)
 
 
 def summary(result):
     """Return in words what a run found."""
     relaxation = result.relaxation
-    steps = relaxation.bond_axis.size
-    yield (
-        f"{counted(steps, 'step')} with {counted(relaxation.factorizations, 'factorization')} in "
-        f"{relaxation.solve_seconds:.2f} s"
-    )
+    steps = counted(relaxation.bond_axis.size, "step")
+    factorizations = counted(relaxation.factorizations, "factorization")
+    yield f"{steps} with {factorizations} in {relaxation.solve_seconds:.2f} s"
     yield from driven.reached_accuracy(relaxation, ~np.isnan(relaxation.displacement).any(axis=2))
     if relaxation.drift > 0:
-        yield (
-            f"largest relative difference between a window's end and the next one's start: "
-            f"{relaxation.drift:.1e}"
-        )
+        line = "largest relative difference between a window's end and the next one's start"
+        yield f"{line}: {relaxation.drift:.1e}"
     yield from fluctuations.summary(result)
 
 
@@ -135,10 +129,7 @@ class March(NamedTuple):
 
 
 class Steps(Task):
-    """The states of all trajectories, some steps of one trajectory at a time.
-
-    `steady` are keywords of `pgran.driven.steady.SteadySolver`.
-    """
+    """The states of all trajectories, some steps of one trajectory at a time."""
 
     items = "states"
 
@@ -220,7 +211,7 @@ class Steps(Task):
         changes = [self._draw(number, 0, march.steps) for number in range(march.trajectories)]
         axis, index = self.lattice.bond_places(np.stack([c.bond for c in changes]))
         states = columns_of(Relaxation, rows.reshape(march.trajectories, march.steps + 1))
-        tolerance = self.steady["error_tolerance"]
+        amplitudes = states["error_bound"], states["displacement"]
         return Relaxation(
             omega=march.omega,
             factorizations=int(rows["factorizations"].sum()),
@@ -230,9 +221,7 @@ class Steps(Task):
             bond_index=index,
             stiffness=np.stack([c.stiffness for c in changes]),
             detector=self.sites,
-            at_floor=below_relative_accuracy(
-                states["error_bound"], states["displacement"], tolerance
-            ),
+            at_floor=below_relative_accuracy(*amplitudes, self.steady["error_tolerance"]),
             **states,
         )
 

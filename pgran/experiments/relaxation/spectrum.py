@@ -46,14 +46,11 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     part. At the paper's parameters seeds differ from their mean by .9 error bars (rms) for 10^5
     steps, by 1.2 for 2 10^4.
 
-    `series`, (R, T) or (T,), is |A_d| after each step of R independent trajectories; `fit_min` and
-    `fit_max`, in cycles per step, the window of the fit; `memory` the longest correlation time in
-    steps: n, if one of n bonds is redrawn a step. The exponent is withheld, NaN, aloud, where all
-    trajectories together are shorter than `MEMORIES` of it: they have seen too few states for its
-    error. A window that reaches where the series is flat or aliased is warned about.
-
-    Raises InputError if the window is impossible, or the series too short for it, not finite or
-    constant.
+    `series`, (R, T) or (T,), is |A_d| after each step of R independent trajectories; the window of
+    the fit is in cycles per step; `memory` is the longest correlation time in steps: n, if one of n
+    bonds is redrawn a step. The exponent is withheld, NaN, aloud, where all trajectories together
+    are shorter than `MEMORIES` of it. A window that reaches where the series is flat or aliased is
+    warned about. Raises InputError if the series is too short for the window, or constant.
     """
     series = checked_series(series, "spectrum")
     segment = _segment_length(*series.shape, fit_min, fit_max)

@@ -48,15 +48,12 @@ SHORTEST = 4
 
 
 class Windows(Owner):
-    """Solves windows of steps at s = i omega; destroy with `destroy` or `with`. Collective.
-
-    Raises InputError if the solver's preconditioner is no factorization, or there is no damping.
-    """
+    """Solves windows of steps at s = i omega; destroy with `destroy` or `with`. Collective."""
 
     owns = ("_columns",)
 
     def __init__(self, changing, solver, s):
-        """Make the blocks of right-hand sides and solutions."""
+        """Raise where there is no factorization, or no damping; make the blocks of columns."""
         self.operators = changing.operators
         if self.operators.damping == 0:
             raise InputError(
@@ -105,10 +102,7 @@ class Windows(Owner):
         return np.concatenate(columns, axis=1), np.concatenate(norms), np.concatenate(residuals)
 
     def _deformations(self, changes, G, norms):
-        """Return how the amplitudes, and the adjoints of detectors, follow the changes.
-
-        `norms` are no less than those of Y's columns.
-        """
+        """Return how the amplitudes, and the adjoints of detectors, follow the changes."""
         systems = [self.solver.primal, *self.solver.adjoints]
         fields = np.stack([system.solution.getArray(readonly=True) for system in systems], axis=1)
         # b^T x0 and b^T z0, in rows of their own: see SHORTEST
@@ -184,10 +178,7 @@ def march_windows(changing, solver, s, changes, window):
 
 
 def march_steps(changing, solver, s, changes, direct):
-    """Return what `march_windows` does, solved for step by step, factored at each if `direct`.
-
-    Collective.
-    """
+    """Return what `march_windows` does, by a solve a step, factored if `direct`. Collective."""
     states = [_as_asked(solver.solve(s))]
     for step in range(len(changes)):
         changing.apply(changes[step : step + 1])
