@@ -82,8 +82,7 @@ def field(ax, signals, lattice, number):
     """Draw the displacement of all balls at one of the times of the record's `field`.
 
     As `balls.motion` draws it, in units of the largest, or the wall's: colours from -1, dark blue,
-    to 1, yellow, which of many balls a few may be beyond; a line from wall to wall; or arrows. The
-    detectors are marked. Returns the image, the line, or arrows or balls.
+    to 1, yellow; a line from wall to wall; or arrows. Detectors are marked. Returns what is drawn.
     """
     time, where = signals.field_time[number], signals.detector
     wall = np.interp(time, signals.time, signals.wall)
@@ -96,10 +95,7 @@ def field(ax, signals, lattice, number):
 
 
 def energy(ax, signals, lattice):
-    """Draw the work of the drive, the energy of balls and springs, and what damping took.
-
-    Returns the curves. The record has its `energy`.
-    """
+    """Draw work of the drive, energy of balls and springs, what damping took; return the curves."""
     time, unit = signals.time * lattice.omega_mx, lattice.built.mass * lattice.omega_mx**2
     shown = [
         (signals.work, "work of the drive", {"color": "#bbbbbb", "linewidth": 2.5}),

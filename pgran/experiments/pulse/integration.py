@@ -16,10 +16,7 @@ WALL = ("force", "work", "energy", "dissipated")  # of the wall, and what became
 
 
 class Integration(Task):
-    """The signals of a Recording by PETSc's integrators, at each of some tolerances.
-
-    `tolerances` are pairs: how many coarser integrations there are, and the tolerance.
-    """
+    """The signals of a Recording by PETSc's integrators: `tolerances` by their number, from 0."""
 
     items = "times"
 
@@ -36,8 +33,8 @@ class Integration(Task):
             ("complete", bool),
         ]
         if recording.fields:
-            row.append(("field_time", float, (FIELDS,)))
-            row.append(("field", float, (FIELDS, *recording.lattice.shape)))
+            shape = (FIELDS, *recording.lattice.shape)
+            row += [("field_time", float, (FIELDS,)), ("field", float, shape)]
         self.row = np.dtype(row)
 
     @contextlib.contextmanager
@@ -106,8 +103,8 @@ class Integration(Task):
 def integrate(recording, crew, progress):
     """Return the Signals by integrations at ever smaller tolerances, until two of them agree.
 
-    Collective. The record comes to rank 0, None to the others. The error of the last one is
-    estimated, too large by about a power of ten, by its difference from the one before.
+    Collective. The error of the last one is estimated, too large by about a power of ten, by its
+    difference from the one before.
     """
     tolerance = COARSE * recording.tolerance
     tolerances, rows, seconds = [(0, tolerance), (1, FINER * tolerance)], [], 0.0
@@ -120,11 +117,9 @@ def integrate(recording, crew, progress):
     if crew.world.rank > 0:
         return None
     before, last = rows
-    complete = before["complete"] and last["complete"]
+    unknown = 0.0 if before["complete"] and last["complete"] else np.inf
     errors = {
-        name: np.maximum.accumulate(np.abs(last[name] - before[name]), axis=0)
-        if complete
-        else np.full_like(last[name], np.inf)
+        name: np.maximum.accumulate(np.abs(last[name] - before[name]), axis=0) + unknown
         for name in (*MOTION, *WALL)
     }
     for name in ("work", "dissipated"):

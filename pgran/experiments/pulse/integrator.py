@@ -65,8 +65,7 @@ class History(NamedTuple):
 class Integrator(Owner):
     """Integrates a lattice from rest; destroy with `destroy` or `with`. Collective.
 
-    `sites` are the detectors, and no normal mode has a higher frequency than `highest`. Raises
-    InputError if the options ask for another kind of integrator than KINDS, or what is REFUSED.
+    `sites` are the detectors, and no normal mode has a higher frequency than `highest`.
     """
 
     owns = ("_matrix", "_u", "_v", "_Ku", "_Cv")
@@ -156,12 +155,11 @@ class Integrator(Owner):
                 ts.setTimeStep(HALF**number * ts.getTimeStep())
             ts.solve(state)
         self._given.getReal("ts_dt", step)  # it was used
-        complete = ts.getConvergedReason() > 0 and ts.getTime() >= time
+        reason, ended = ts.getConvergedReason(), ts.getTime()
+        complete = reason > 0 and ended >= time
         if not complete and self.comm.rank == 0:
-            log.warning(
-                "an integration has ended at time %.6g, before %g (TSConvergedReason %d)",
-                ts.getTime(), time, ts.getConvergedReason(),
-            )  # fmt: skip
+            text = "an integration has ended at time %.6g, before %g (TSConvergedReason %d)"
+            log.warning(text, ended, time, reason)
         for held in (ts, *pair, *([] if self._second_order else [state])):
             held.destroy()
         return self._history(complete)
@@ -181,8 +179,7 @@ class Integrator(Owner):
     def _slope(self, ts, t, y, slope):
         """Set y' = J y + drive."""
         self._matrix.mult(y, slope)
-        values = slope.getArray()
-        values[2 * self._driven + 1] += self._drive(t) / self.operators.mass
+        slope.getArray()[2 * self._driven + 1] += self._drive(t) / self.operators.mass
 
     def _balance(self, ts, t, u, v, a, balance):
         """Set M a + C v + K u - f."""
@@ -192,8 +189,7 @@ class Integrator(Owner):
             operators.C.mult(v, self._Cv)
             balance.axpy(operators.damping, self._Cv)
         balance.axpy(operators.mass, a)
-        values = balance.getArray()
-        values[self._driven] -= self._drive(t)
+        balance.getArray()[self._driven] -= self._drive(t)
 
     def _balance_matrix(self, ts, t, u, v, a, of_velocity, of_acceleration, matrix, _):
         """Set the matrix of a step, and leave it and its factors while the step stays the same."""
@@ -269,11 +265,7 @@ class Integrator(Owner):
 
 
 def checked_kind(options):
-    """Return which kind of integrator options ask for, one of KINDS.
-
-    Raises InputError for another kind, and for what would make an integration other than a run is
-    told of.
-    """
+    """Return which of KINDS options ask for; raise for what would make another integration."""
     for key, why in REFUSED.items():
         if options.hasName(key):
             raise InputError(f"-pulse_{key}: not for pulses; {why}")

@@ -6,16 +6,13 @@ wall's motion. Taken at omega_k = 2 pi k / P only, the inverse transform
     e^(sigma t) (1 / P) sum over all k of A(s_k) U(s_k) e^(i omega_k t) = sum over n of
     u(t + n P) e^(-sigma n P)
 
-has the later turns in it, damped; what is wrong with A grows by e^(sigma t). The factor e^(sigma T)
-is all that doubles allow, GROWTH, and the period P so long that later turns are small enough. Every
-part of the error is bounded:
+has the later turns in it, damped; what is wrong with A grows by e^(sigma t). Every part of the
+error is bounded:
 
 - each amplitude's own bound, times |U| e^(sigma t);
 - frequencies left out: |A| <= |S^-1| |f|, and U is known;
 - later turns: with E the energy, dE/dt <= |u'| |f|, and so |u'|_2 <= (1/m) int |f|, never more;
   earlier ones, and frequencies above the pulse's highest, are below 1e-16 of what the wall does.
-
-`Line` has the formulas; `PulseLine` computes the amplitudes on it.
 """
 
 import math
@@ -49,27 +46,12 @@ def largest_speed(limits, pulse, t):
 
 
 class Line:
-    """Where on the line of the inverse transform the amplitudes are computed, and what follows.
+    """Where on the line amplitudes are computed: `s` and `transform`, U(s), of shape (ns,).
 
-    Parameters
-    ----------
-    pulse : pgran.experiments.pulse.wall.Pulse or pgran.experiments.pulse.wall.Samples
-    time, points : float, int
-        How long the signals are wanted, at so many equal times, 0 and the last included.
-    limits : pgran.driven.accurate.Limits
-    tolerance : float
-        Of displacements, in units of the wall's.
-    readings : array_like of float, optional
-        |e_d| of each detector, whose displacement is e_d^T u: 1 unless its mass is not the unit.
-
-    Attributes
-    ----------
-    s, transform : numpy.ndarray, shape (ns,)
-        Where on the line, and U(s) there.
-    growth : float
-        An error of every A(s) is as many times larger in a displacement, at most.
-    left_out, left_out_speed : float
-        What the frequencies left out add up to in |A|_2, without the factor e^(sigma t).
+    Signals are wanted at `points` equal times from 0 to `time`, to a `tolerance` in units of the
+    wall's motion; `readings` are |e_d| of each detector, 1 unless its mass is not the unit. An
+    error of every A(s) is `growth` times larger in a displacement, at most; what frequencies left
+    out add up to, without e^(sigma t), is `left_out`, and `left_out_speed` in a velocity.
     """
 
     def __init__(self, pulse, time, points, limits, tolerance, readings=1.0):
@@ -104,8 +86,7 @@ class Line:
     def inverse(self, transforms, finer=1, before=0):
         """Return functions, from transforms (ns, ...) on the line, at the times of the signals.
 
-        Each step between these is cut into `finer`, and `before` finer steps before the time 0 come
-        first: the shape is (before + finer (points - 1) + 1, ...).
+        Each step is cut into `finer`, and `before` finer steps before the time 0 come first.
         """
         from scipy.fft import irfft  # here: SciPy takes its time, and all scenes are imported
 
@@ -143,12 +124,10 @@ class Line:
         steps = len(self.s) + 16 + 6 * math.log2(self.times + len(self.s)) + size * self.period
         rounding = 4 * EPSILON * steps * np.abs(self.transform)
         rounding += self.pulse.rounding(self.s, self.transform)
-        displacement_and_velocity = (
-            (np.ones_like(self.s), self.left_out, self._later(1)),
-            (self.s, self.left_out_speed, self._later(0)),
-        )
+        displacement = np.ones_like(self.s), self.left_out, self._later(1)
+        velocity = self.s, self.left_out_speed, self._later(0)
         signals = []
-        for power, left_out, later in displacement_and_velocity:
+        for power, left_out, later in (displacement, velocity):
             weight = (self._weight * np.abs(power))[:, None]
             error = weight * (np.abs(U) * bound + rounding[:, None] * np.abs(amplitude))
             at_start = error.sum(axis=0) + left_out * self.readings
@@ -170,10 +149,7 @@ class Line:
 
 
 def energies(lattice, line, field, time, fine):
-    """Return the energy of springs and balls at times, and the power of the dashpots at fine ones.
-
-    From A(s) of all balls, shape (ns, *lattice.shape).
-    """
+    """Return the energy of springs and balls at times, and power of dashpots at fine ones, by A."""
     s, U = line.s[:, None], line.transform.reshape(-1, *[1] * (field.ndim - 1))
     moved = field * U
     flat = moved.reshape(len(s), -1)
@@ -250,7 +226,7 @@ class PulseLine(FrequencySweep):
             wall |= {"energy": (energy, error), "dissipated": (dissipated, error)}
         at_times = {}
         if recording.fields:
-            U = line.transform.reshape(-1, *[1] * len(recording.lattice.shape))
+            U = line.transform.reshape(-1, *[1] * (field.ndim - 1))
             moved = recording.scaled.displacements(line.at(recording.field_time, U * field))
             at_times = {"field_time": recording.field_time, "field": moved}
         return recording.record(

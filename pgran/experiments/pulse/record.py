@@ -9,6 +9,7 @@ from pgran.store.record import Record, array, attribute_array
 
 BOUND = "bound of the error of the "
 ESTIMATE = "estimate of the error of the "
+SIGNALS = "time", "detector_number"  # axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,25 +46,18 @@ class Signals(Record):
     force: np.ndarray = array("force on the driven wall", "k", "time")
     work: np.ndarray = array("work of the driven wall until then", "k", "time")
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
-    displacement: np.ndarray = array(
-        "displacement of the detectors", "1", "time", "detector_number"
-    )
-    velocity: np.ndarray = array(
-        "velocity of the detectors", "sqrt(k/m)", "time", "detector_number"
-    )
+    displacement: np.ndarray = array("displacement of the detectors", "1", *SIGNALS)
+    velocity: np.ndarray = array("velocity of the detectors", "sqrt(k/m)", *SIGNALS)
     envelope: np.ndarray = array(
-        "sqrt(u^2 + (v / omega)^2), omega^2 the mean of v^2 over that of u^2",
-        "1", "time", "detector_number",
-    )  # fmt: skip
+        "sqrt(u^2 + (v / omega)^2), omega^2 the mean of v^2 over that of u^2", "1", *SIGNALS
+    )
     energy: np.ndarray | None = array("energy of the balls and springs", "k", "time", optional=True)
     dissipated: np.ndarray | None = array(
         "work taken by damping until then", "k", "time", optional=True
     )
-    error_bound: np.ndarray | None = array(
-        BOUND + "displacement", "1", "time", "detector_number", optional=True
-    )
+    error_bound: np.ndarray | None = array(BOUND + "displacement", "1", *SIGNALS, optional=True)
     velocity_bound: np.ndarray | None = array(
-        BOUND + "velocity", "sqrt(k/m)", "time", "detector_number", optional=True
+        BOUND + "velocity", "sqrt(k/m)", *SIGNALS, optional=True
     )
     force_estimate: np.ndarray | None = array(ESTIMATE + "force", "k", "time", optional=True)
     work_estimate: np.ndarray | None = array(ESTIMATE + "work", "k", "time", optional=True)
@@ -72,10 +66,10 @@ class Signals(Record):
         ESTIMATE + "work taken by damping", "k", "time", optional=True
     )
     error_estimate: np.ndarray | None = array(
-        ESTIMATE + "displacement", "1", "time", "detector_number", optional=True
+        ESTIMATE + "displacement", "1", *SIGNALS, optional=True
     )
     velocity_estimate: np.ndarray | None = array(
-        ESTIMATE + "velocity", "sqrt(k/m)", "time", "detector_number", optional=True
+        ESTIMATE + "velocity", "sqrt(k/m)", *SIGNALS, optional=True
     )
     field_time: np.ndarray | None = array("times of the field", "sqrt(m/k)", optional=True)
     field: np.ndarray | None = array(

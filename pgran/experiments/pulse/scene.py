@@ -44,10 +44,8 @@ def summary(result):
     proven = signals.method == "laplace"
     how = f"an integration of {signals.solves} steps and coarser ones"
     if proven:
-        how = (
-            f"{signals.solves} points of the line sigma = {signals.sigma:.3g}, "
-            f"{counted(signals.factorizations, 'factorization')}"
-        )
+        how = f"{signals.solves} points of the line sigma = {signals.sigma:.3g}, "
+        how += counted(signals.factorizations, "factorization")
     yield f"{len(signals.time)} times from {how}, {signals.solve_seconds:.2f} s"
     for d, ball in enumerate(ball_names(signals.detector)):
         yield from _summary_of_ball(signals, si, d, ball)
@@ -57,9 +55,9 @@ def summary(result):
     line += f" +- {signals.work_estimate[-1]:.1e} (an estimate)"
     if signals.energy is not None:
         line += f", of which {signals.energy[-1]:.3g} is left in balls and springs"
-    if signals.energy is not None and proven:
-        missing = np.abs(signals.work - signals.energy - signals.dissipated).max()
-        line += f"; work, energy and what damping took balance to {missing:.1e}"
+        if proven:
+            missing = np.abs(signals.work - signals.energy - signals.dissipated).max()
+            line += f"; work, energy and what damping took balance to {missing:.1e}"
     yield line
 
 
@@ -69,18 +67,18 @@ def _summary_of_ball(signals, si, d, ball):
     largest, error = np.abs(signals.displacement[:, d]).max(), signals.error[:, d].max()
     if not error <= signals.tolerance * largest:
         helps = "a smaller -error_tolerance may help"
-        helps += ", or -pulse_method integrate" if proven else ""
+        helps += ", or -pulse_method integrate" * proven
         yield Caution(f"{ball}: not as accurate as asked: {helps}")
     accuracy = "wrong by at most" if proven else "wrong by an estimated"
     line = f"{ball}: largest displacement {largest:.3g}, {accuracy} {error:.1e}"
-    if np.isfinite(signals.arrival[d]):
-        front, centre = signals.arrival[d], signals.centre[d]
+    front, centre, decay = signals.arrival[d], signals.centre[d], signals.decay[d]
+    if np.isfinite(front):
         line += f"; front at {front:.4g}{si.say('s', front)}"
         line += f", centre at {centre:.4g}{si.say('s', centre)}"
     else:
         line += "; when its front arrives is not certain"
-    if np.isfinite(signals.decay[d]):
-        decay, error = signals.decay[d], two_digits(signals.decay_error[d])
+    if np.isfinite(decay):
+        error = two_digits(signals.decay_error[d])
         line += f", then decay at the rate {decay:.3g} +- {error}{si.say('1/s', decay)}"
     yield line
 
@@ -155,48 +153,46 @@ def pulse(
 
 
 def samples_of(values, step):
-    """Return the motion that numbers make, at times `step` apart unless they say their own.
-
-    Raises InputError if they are no motion that begins at rest, at equal times.
-    """
-    if values.ndim == 2 and values.shape[1] == 2:
-        apart = np.diff(values[:, 0])
+    """Return the motion that numbers make, at times `step` apart unless they say their own."""
+    columns = np.atleast_2d(values.T).T
+    if columns.ndim > 2 or columns.shape[1] not in (1, 2):
+        raise InputError("-pulse_file: a motion is one column of numbers, or times and numbers")
+    times, motion = columns[:, 0], columns[:, -1]
+    if columns.shape[1] == 2:
+        apart = np.diff(times)
         step = np.median(apart) if len(apart) else step  # a gap changes their mean
         uneven = np.flatnonzero(~(np.abs(apart - step) <= EQUAL * step))
         if uneven.size or not step > 0:
-            at = values[uneven[0] if uneven.size else 0, 0]
+            at = times[uneven[0] if uneven.size else 0]
             raise InputError(
                 f"-pulse_file: times must increase by equal steps, and do not at {at:g}; fill the "
                 "gap, or resample the motion"
             )
         step = apart.mean() if len(apart) else step
-    elif values.ndim != 1 and values.shape[1:] != (1,):
-        raise InputError("-pulse_file: a motion is one column of numbers, or times and numbers")
-    values = values[:, -1] if values.ndim == 2 else values
-    largest = np.abs(values).max(initial=0.0)
-    if not (np.all(np.isfinite(values)) and len(values) > 1 and largest > 0):
+    largest = np.abs(motion).max(initial=0.0)
+    if not (np.all(np.isfinite(motion)) and len(motion) > 1 and largest > 0):
         raise InputError("-pulse_file: a motion needs two finite numbers or more, not all zero")
-    if abs(values[0]) > AT_REST * largest:
+    if abs(motion[0]) > AT_REST * largest:
         raise InputError(
             f"-pulse_file: the wall is at rest at 0 before the first number, which is "
-            f"{values[0]:g}; take off a constant, or let the motion begin smoothly"
+            f"{motion[0]:g}; take off a constant, or let the motion begin smoothly"
         )
-    return Samples(values, float(step))
+    return Samples(motion, float(step))
 
 
 def check_times(recording):
     """Raise where the times do not hold the pulse, or what it carries."""
-    sent, time, count = recording.sent, recording.time[-1], len(recording.time)
+    sent, time, steps = recording.sent, recording.time[-1], len(recording.time) - 1
     if time < sent.end * (1 - 1e-9):
         helps = "" if sent.shape == "file" else ", or take a shorter pulse"
         raise InputError(
             f"-pulse_time {time:g}: the pulse lasts until {sent.end:g}; listen longer{helps}"
         )
     band = min(sent.band, recording.highest)
-    if math.pi * (count - 1) < band * time:
+    if math.pi * steps < band * time:
         raise InputError(
-            f"-pulse_points {count}: signals go up to omega = {band:.3g}, and times "
-            f"{time / (count - 1):.3g} apart hold no more than {math.pi * (count - 1) / time:.3g}; "
+            f"-pulse_points {steps + 1}: signals go up to omega = {band:.3g}, and times "
+            f"{time / steps:.3g} apart hold no more than {math.pi * steps / time:.3g}; "
             f"record {math.ceil(band * time / math.pi) + 1} times or more"
         )
 
@@ -204,12 +200,11 @@ def check_times(recording):
 def predicted_seconds(recording, points):
     """Return what the transform, with so many points, and integrations will take, by measurements.
 
-    A point costs a factorization, which grows like the work of nested dissection, or as the graph
-    of a network knows; a step of an integration some passes over the nonzeros of K, and steps are
-    the shorter the smaller the tolerance, by a method of order 7.
+    A point costs a factorization; a step of an integration some passes over the nonzeros of K, and
+    steps are the shorter the smaller the tolerance, by a method of order 7.
     """
-    lattice, highest = recording.lattice, recording.highest
-    steps = 1.2 * highest * recording.time[-1] * (1e-4 / recording.tolerance) ** 0.125
+    lattice = recording.lattice
+    steps = 1.2 * recording.highest * recording.time[-1] * (1e-4 / recording.tolerance) ** 0.125
     steps *= 8e-4 + 1.4e-7 * lattice.nonzeros
     return points * lattice.elimination.seconds, steps
 

@@ -17,11 +17,10 @@ DEGREE = 11  # of the splines that are integrated: an odd number
 
 
 class Recording:
-    """What is recorded of a pulse `sent`: the lattice, its detectors, and the times.
+    """What is recorded of a pulse `sent`, to a `tolerance` relative to a signal's largest.
 
-    Signals at `points` equal times until `time`, to a `tolerance` relative to their largest; if
-    `fields`, the displacement of all balls at FIELDS times, too. Powers are integrated on a finer
-    grid, which begins where the wall does:
+    Signals at `points` equal times; if `fields`, the displacement of all balls at FIELDS times,
+    too. Powers are integrated on a finer grid, which begins where the wall does:
 
         fine   -2  -1   0   1   2   3   4   5   6  ...      before = 2, finer = 3
         time            0           1           2  ...
@@ -103,11 +102,13 @@ def arrivals(time, velocity, error, earliest=0.0):
     """Return when FRONT of each signal's energy, the integral of v^2, has passed, shape (nd,).
 
     NaN where errors hide it, nothing moves, or it would be before the `earliest`, the driven wall's
-    own: of a motion whose early part alone passes, say, shares of the whole tell no front.
-    Velocities and errors have the shape (nt, nd).
+    own: of a motion whose early part alone passes, shares of the whole tell no front.
     """
+    from scipy.integrate import cumulative_trapezoid  # here: SciPy takes its time
+
     fronts = []
-    for energy, missed in zip(_passed(time, velocity).T, _passed(time, error).T, strict=True):
+    passed = [cumulative_trapezoid(x**2, time, axis=0, initial=0.0).T for x in (velocity, error)]
+    for energy, missed in zip(*passed, strict=True):
         level = FRONT * energy[-1]
         first = np.argmax(energy > level)
         if not missed[first] < 0.01 * level:  # a tenth of the velocity
@@ -117,13 +118,6 @@ def arrivals(time, velocity, error, earliest=0.0):
         front = time[first - 1] + share * (time[first] - time[first - 1])
         fronts.append(front if front >= earliest else np.nan)
     return np.array(fronts)
-
-
-def _passed(time, x):
-    """Return the integral of x^2 until each time, by the trapezoidal rule, shape (nt, nd)."""
-    squares = x**2
-    steps = 0.5 * np.diff(time)[:, None] * (squares[1:] + squares[:-1])
-    return np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(steps, axis=0)])
 
 
 def envelopes(displacement, velocity):
@@ -147,7 +141,7 @@ def codas(time, envelope, error):
 
     A straight line goes through the logarithm of the mean square of each of BLOCKS blocks, as far
     as errors of the displacement are below a tenth of it; NaN where too few are left, or nothing
-    decays. Envelopes and errors have the shape (nt, nd).
+    decays.
     """
     from scipy.stats import linregress  # here: SciPy takes its time, and all scenes are imported
 
@@ -169,16 +163,13 @@ def codas(time, envelope, error):
 
 
 def integral(time, values, at=None):
-    """Return the integral of a smooth function, given at equal times, from the first one on.
-
-    By a spline of degree DEGREE; at the same times unless others are given.
-    """
+    """Return the integral until each time of a smooth function at equal ones, by a spline."""
+    from scipy.integrate import cumulative_trapezoid
     from scipy.interpolate import make_interp_spline
 
     degree, at = min(DEGREE, (len(time) - 1) // 2 * 2 - 1), time if at is None else at
     if degree < 1:
-        steps = np.diff(time) * (values[1:] + values[:-1]) / 2
-        return np.interp(at, time, np.append(0.0, np.cumsum(steps)))
+        return np.interp(at, time, cumulative_trapezoid(values, time, initial=0.0))
     return make_interp_spline(time, values, degree).antiderivative()(at)
 
 

@@ -37,21 +37,12 @@ def bells(x, width, carrier, count):
 
 
 class Motion:
-    """A motion of the wall, and how far it extends in time and in frequency.
+    """A motion of the wall, with its `shape`, `omega`, `width`, and how far it extends.
 
-    Attributes
-    ----------
-    shape, omega, width : str, float, float
-    begin, rest : float
-        The times before which it is below 1e-26, and after which what is left of it is.
-    start : float
-        The time from which on its work counts: before, it is below 2e-8.
-    centre, end : float
-        The time of its middle, and after which it is at rest again, to 2e-8.
-    band, reach : float
-        Up to which omega its spectrum is above a hundredth, and above 2e-8, of its largest.
-    highest : float
-        An omega above which |U(s)| is below 1e-40 of its largest on any line.
+    It is below 1e-26 before the time `begin`, as is what is left of it after `rest`; below 2e-8
+    before `start`, from which on its work counts, and at rest again to 2e-8 after `end`; `centre`
+    is its middle. Its spectrum is above a hundredth of its largest up to the omega `band`, above
+    2e-8 up to `reach`; above `highest` |U(s)| is below 1e-40 of its largest on any line.
     """
 
 
@@ -112,13 +103,13 @@ class Pulse(Motion):
     def sizes(self, t):
         """Return no less than int |U| dt and int |U'| dt up to some times."""
         area, t = self.width * math.sqrt(2 * math.pi), np.maximum(t, self.width)
-        one = np.ones_like(t)
-        return {
-            "gauss": lambda: (area * one, 2 * one),
-            "ricker": lambda: (2 * area * one, 4 * one),
-            "burst": lambda: (area * one, (2 + self.omega * area) * one),
-            "step": lambda: (t, one),
-        }[self.shape]()
+        moved, turned = {
+            "gauss": (area, 2),
+            "ricker": (2 * area, 4),
+            "burst": (area, 2 + self.omega * area),
+            "step": (t, 1),
+        }[self.shape]
+        return moved * np.ones_like(t), turned * np.ones_like(t)
 
 
 class Samples(Motion):
