@@ -47,8 +47,7 @@ def expected_intervals(lattice, low, high):
 def choose_method(method, lattice, omegas, tolerance, fields):
     """Return `points` or `curve`: what is asked for, or what is predicted to be cheaper.
 
-    `tolerance` is what straight lines are asked to be right to, or None. An InputError says where
-    a curve is asked for that cannot be had.
+    `tolerance` is what straight lines are asked to be right to, or None.
     """
     if method == "points":
         if tolerance:
@@ -81,10 +80,7 @@ def _why_no_curve(lattice, omegas, fields):
 
 
 class IntervalSweep(Task):
-    """Models of the response of one lattice, from its lowest driving frequency to the highest.
-
-    The lattice is in its own unit; each amplitude is asked for to the relative `tolerance`.
-    """
+    """Models of the response of a lattice, in its own unit, to a relative `tolerance`."""
 
     items = "intervals"
 
@@ -117,7 +113,7 @@ class IntervalSweep(Task):
             yield lambda unit: np.concatenate(list(models.cover(*unit)))
 
     def length(self, unit):
-        """See `Task`; how many intervals there are shows only later."""
+        """See `Task`: as many as are expected."""
         low, high = np.interp(unit, self.frequencies, self.counts)
         return max(1, round(high - low))
 
@@ -126,16 +122,11 @@ class IntervalSweep(Task):
         low, high = unit
         return low, low + 0.2 * (high - low)
 
-    def collect(self, rows, seconds):
-        """See `Task`."""
-        return rows
-
 
 class CurvePoints(Task):
     """The curve at the frequencies asked for, and at those that resolve it.
 
-    The models are of intervals that follow each other. Straight lines between neighbours are to be
-    right to the `tolerance`, relative to the amplitude; 0 adds no frequency.
+    Straight lines between neighbours are to be right to the relative `tolerance`; 0 adds none.
     """
 
     items = "intervals"
@@ -171,18 +162,13 @@ class CurvePoints(Task):
         points = resolve(partial(evaluate, model, limits=self.limits), start, self.tolerance)
         return points[:-1] if follows else points
 
-    def collect(self, rows, seconds):
-        """See `Task`."""
-        return rows
-
 
 def solve_curve(task, crew, tolerance, keep_models, progress):
     """Return the points of the curve, and the record of its models if they are kept, on rank 0.
 
     Collective. Where no model is proven the frequencies asked for are solved for one by one by the
     `task`, a ResponseSweep, and so are points of the curve that a proven model misses, as where the
-    amplitude almost vanishes. Straight lines between neighbours are right to the `tolerance`.
-    Models are kept by default, None, where they are few.
+    amplitude almost vanishes. Models are kept by default, None, where they are few.
     """
     intervals = IntervalSweep(task.scaled, task.omegas, task.sites, task.choices["error_tolerance"])
     models = crew.world.bcast(carry_out(intervals, crew, progress))

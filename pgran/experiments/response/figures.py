@@ -35,9 +35,8 @@ def figures(result, modes=None, **_):
     response, lattice = result.response, result.medium
 
     def page(*panels, **look):
-        draws = [
-            partial(panel, response=response, lattice=lattice, modes=modes) for panel in panels
-        ]
+        shown = {"response": response, "lattice": lattice, "modes": modes}
+        draws = [partial(panel, **shown) for panel in panels]
         return style.stack(draws, [CAPTIONS[panel.__name__] for panel in panels], **look)
 
     yield "amplitude", amplitude_page([(response, lattice, None, {})], modes)
@@ -60,21 +59,10 @@ def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf), labels=
     """Draw the amplitudes against frequency, a curve a detector (paper: freqres).
 
     Points that missed the accuracy asked for are gaps in the curves and crosses on the upper edge;
-    of amplitudes at the floor the upper limit is drawn. Returns the curves.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    response : pgran.results.Response
-    lattice : pgran.results.LatticeRecord or pgran.results.NetworkRecord
-    modes : array_like, optional
-        Angular frequencies of normal modes, marked by ticks.
-    within : tuple of float
-        Range of the driving frequencies that are drawn, in units of omega_mx.
-    labels : sequence of str, optional
-        Of the curves, instead of the detectors' names.
-    **line
-        For `Axes.plot`.
+    of amplitudes at the floor the upper limit is drawn. `modes` are angular frequencies of normal
+    modes, marked by ticks, `within` is the range of driving frequencies that is drawn, in units of
+    omega_mx; `labels` stand for the detectors' names, `line` is for `Axes.plot`. Returns the
+    curves.
     """
     x = response.omega / lattice.omega_mx
     inside = ((within[0] <= x) & (x <= within[1]))[:, None]
@@ -89,8 +77,7 @@ def phase(ax, response, lattice, modes=None, labels=None, **line):
     """Draw the unwrapped phase with the straight lines fitted (paper: phaseres).
 
     A line covers the points that it was fitted to; the phase velocity (`phsvel`), or without
-    positions its slope, is in the label of the curve. Parameters, marks and what is returned are
-    as in `amplitude`.
+    positions its slope, is in the label of the curve. All else is as in `amplitude`.
     """
     x, low, high = response.omega / lattice.omega_mx, response.phase_fit_min, response.phase_fit_max
     good = (response.converged_reason > 0)[:, None] & np.isfinite(response.phase)
@@ -134,10 +121,7 @@ def _slopes(response):
 
 
 def delay(ax, response, lattice, modes=None):
-    """Draw the group delay -d arg A / d omega; linear up to the median, logarithmic beyond.
-
-    Returns the curves.
-    """
+    """Draw -d arg A / d omega, linear up to the median, logarithmic beyond; return the curves."""
     values = response.delay * lattice.omega_mx
     good = (response.converged_reason > 0)[:, None] & np.isfinite(values)
     middle = float(f"{np.median(np.abs(values[good])):.1g}")
@@ -185,14 +169,12 @@ def _curves(
     ax, response, lattice, modes, values, good, labels=None, limit=None, within=(0.0, math.inf),
     **line,
 ):  # fmt: skip
-    """Draw curves over the driving frequency; mark failed and unresolved points, normal modes.
-
-    Few points that lines do not join rightly are points alone.
-    """
+    """Draw curves over the driving frequency; mark failed and unresolved points, normal modes."""
     x, unresolved = response.omega / lattice.omega_mx, response.unresolved
     scales.frequencies(ax, x, within=within)
     labels = labels or style.ball_names(response.detector)
     if len(x) <= style.FEW and 2 * np.count_nonzero(unresolved) >= len(unresolved):
+        # few points that lines do not join rightly are points alone
         line = {"linestyle": "none", "clip_on": False} | line
     drawn = marks.curves(ax, x, values, good, labels, limit, **line)
     marks.failed(ax, x[response.converged_reason <= 0])
@@ -213,10 +195,7 @@ def _fitted_ends(response, x, good):
 
 
 def amplitude_page(shown, modes=None):
-    """Return the figure of amplitudes, a panel a regime that a sweep reaches.
-
-    `shown` has of each result the response, its lattice, labels of its curves or None, their look.
-    """
+    """Return the figure of amplitudes of (response, lattice, labels, look), a panel a regime."""
     few = all(len(response.omega) <= style.HANDFUL for response, *_ in shown)
     edges = EDGES[:1] + EDGES[-1:] if few else EDGES
     reached = [
@@ -248,10 +227,7 @@ def _regimes(x, edges):
 
 
 def over(results, labels):
-    """Yield amplitudes and phases (paper: freqres, phaseres).
-
-    Of several detectors each has a colour, and line styles tell the results apart.
-    """
+    """Yield amplitudes and phases: line styles tell results apart, colours several detectors."""
     shown, alone = [], all(len(result.response.detector) == 1 for result in results)
     for number, (result, label) in enumerate(zip(results, labels, strict=True)):
         balls, look = style.ball_names(result.response.detector), together.curve_look(number)
@@ -271,9 +247,8 @@ def over(results, labels):
 def add_measured(made, results, data, label):
     """Draw what was measured into the figures of responses: circles over amplitudes and phases.
 
-    The figures `made` of the results, by name, are those of `figures` or `over`; `data` has
-    `omega`, `amplitude`, and maybe `phase`. Returns how many points lie beyond all sweeps, and are
-    not drawn.
+    `made` has the figures by name; `data` has `omega`, `amplitude`, and maybe `phase`. Returns how
+    many points lie beyond all sweeps, and are not drawn.
     """
     if not all(hasattr(result, "response") for result in results):
         raise FileError(f"{label}: what was measured is laid over responses only")

@@ -58,10 +58,7 @@ class IntervalModels(Owner):
         self.limits = self._limits(sites)
 
     def _read(self, sites):
-        """Keep this rank's rows of g_0 and g_1 of each system, (systems, own balls, 2); diagonals.
-
-        Of an adjoint g_0 is e_d, and g_1 zero.
-        """
+        """Keep this rank's rows of diagonals, and g_0, g_1 of each system; e_d, 0 of an adjoint."""
         operators, damping = self.operators, self.operators.damping
         with Detectors(operators, sites) as detectors:
             units = detectors.unit_vectors()

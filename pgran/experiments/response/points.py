@@ -4,15 +4,8 @@ from dataclasses import astuple
 
 import numpy as np
 
+from pgran.driven import phase as phases
 from pgran.driven.accurate import below_relative_accuracy, is_accurate
-from pgran.driven.phase import (
-    PhaseLine,
-    fit_phase,
-    group_delay,
-    phase_of_sign,
-    phase_velocity,
-    unwrap,
-)
 from pgran.driven.sweep import FrequencySweep
 from pgran.experiments.response.record import LINES, Response
 from pgran.experiments.response.resolution import line_errors
@@ -23,10 +16,7 @@ MODELLED = 2  # the reason of a frequency that a model gives
 
 
 class ResponseSweep(FrequencySweep):
-    """The amplitudes at the detectors, with their bounds, and the whole field if it is wanted.
-
-    `steady` holds the other keywords of `pgran.driven.steady.SteadySolver`.
-    """
+    """The amplitudes at the detectors, with their bounds, and the whole field if it is wanted."""
 
     def __init__(self, lattice, omegas, detectors, fields, steady):
         """Say what a frequency's results travel in."""
@@ -64,20 +54,22 @@ class ResponseSweep(FrequencySweep):
         return rows
 
     def response(self, rows, models, method, resolve, phase_window, seconds):
-        """Return the record that all rows make up.
-
-        `resolve` is what straight lines were asked to be right to, `seconds` what it took.
-        """
+        """Return the record of all rows; straight lines were asked to be right to `resolve`."""
         columns = columns_of(Response, rows)
-        omega, displacement = columns["omega"], columns["displacement"]
-        at_floor = self.at_floor(columns)
-        # only what is accurate relative to itself has a phase
+        omega, displacement, bound = (columns[n] for n in ("omega", "displacement", "error_bound"))
         failed = columns["converged_reason"] <= 0
+        at_floor = below_relative_accuracy(bound, displacement, self.choices["error_tolerance"])
+        at_floor[failed] = 0
+        # only what is accurate relative to itself has a phase
         accurate = np.where(failed[:, None] | (at_floor > 0), np.nan, displacement)
-        phase = unwrap(accurate) if self.lattice.damping else phase_of_sign(accurate)
-        rates = columns["derivative"], columns["error_bound"], columns["derivative_bound"]
-        delay, delay_bound = group_delay(accurate, *rates)
-        line_error = self.line_errors(columns, accurate, resolve)
+        unwrapped = phases.unwrap if self.lattice.damping else phases.phase_of_sign
+        phase = unwrapped(accurate)
+        slope = columns["derivative"]
+        delay, delay_bound = phases.group_delay(accurate, slope, bound, columns["derivative_bound"])
+        compared = (columns["modelled"][1:] > 0) & (resolve > 0)
+        curve = omega, accurate, slope
+        line_error = line_errors(self.scaled, *curve, compared, resolve or LINES)
+        line_error = np.pad(line_error, ((1, 0), (0, 0)))  # from the frequency before
         force, force_bound = self.driving_force(rows)
         return Response(
             **columns,
@@ -100,21 +92,6 @@ class ResponseSweep(FrequencySweep):
             models=models,
         )
 
-    def at_floor(self, columns):
-        """Return which amplitudes are good by the floor alone: 1, else 0, shape (nw, nd)."""
-        bound, displacement = columns["error_bound"], columns["displacement"]
-        tolerance = self.choices["error_tolerance"]
-        at_floor = below_relative_accuracy(bound, displacement, tolerance)
-        at_floor[columns["converged_reason"] <= 0] = 0
-        return at_floor
-
-    def line_errors(self, columns, accurate, resolve):
-        """Return how far the curve may leave the line from the frequency before; 0 at the first."""
-        compared = (columns["modelled"][1:] > 0) & (resolve > 0)
-        curve = columns["omega"], accurate, columns["derivative"]
-        errors = line_errors(self.scaled, *curve, compared, resolve or LINES)
-        return np.pad(errors, ((1, 0), (0, 0)))
-
     def driving_force(self, rows):
         """Return the force F that drives the wall when it moves by 1, and a bound of its error.
 
@@ -131,7 +108,7 @@ def phase_slopes(lattice, sites, omega, phase, line_error, window):
     """Return the phase's slopes and velocities at the detectors by their names in a Response."""
     lines = phase_lines(lattice, omega, phase, line_error, window)
     slope, error, intercept, low, high = np.transpose([astuple(line)[:-1] for line in lines])
-    velocity = phase_velocity(slope, lattice.depths(sites))
+    velocity = phases.phase_velocity(slope, lattice.depths(sites))
     return {
         "phase_slope": slope,
         "phase_slope_error": error,
@@ -146,12 +123,9 @@ def phase_slopes(lattice, sites, omega, phase, line_error, window):
 
 
 def phase_lines(lattice, omega, phase, line_error, window):
-    """Return the PhaseLine of each detector, within a window in units of omega_mx.
-
-    The medium may be its record; the arrays are those of a Response.
-    """
+    """Return the PhaseLine of each detector, within a window in units of omega_mx."""
     if lattice.damping == 0:
         why = "without damping amplitudes are real, and their phase is 0 or pi"
-        return [PhaseLine(why_not=why) for _ in phase.T]
+        return [phases.PhaseLine(why_not=why) for _ in phase.T]
     columns = zip(phase.T, line_error.T, strict=True)
-    return [fit_phase(omega / lattice.omega_mx, *column, *window) for column in columns]
+    return [phases.fit_phase(omega / lattice.omega_mx, *column, *window) for column in columns]

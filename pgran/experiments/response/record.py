@@ -229,8 +229,8 @@ class Response(Frequencies, Record):
         """
         if self.models is None:
             raise PgranError(
-                "the response holds no models to tell the amplitude at any frequency: compute it "
-                "with -sweep_method curve and -output_models (keep_models=True)"
+                "the response holds no models: compute it with -sweep_method curve and "
+                "-output_models (keep_models=True)"
             )
         from pgran.run.numbers import numbers
 

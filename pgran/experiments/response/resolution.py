@@ -93,8 +93,7 @@ def is_near_mode(omega, lowest, highest):
 def normal_frequencies(medium):
     """Return between which two numbers each normal frequency lies, from all of dense K.
 
-    Ascending arrays, apart by what rounding may do, of a medium in its own unit. For few unknowns
-    n: it takes n^3 operations. An unstable mode has no frequency, and stands at 0.
+    Ascending arrays, apart by what rounding may do. An unstable mode stands at 0.
     """
     units = np.eye(medium.balls).reshape(-1, *medium.shape)
     values = np.linalg.eigvalsh(medium.restoring_forces(units).reshape(-1, medium.balls))

@@ -47,22 +47,17 @@ def summary(result):
     yield from driven.reached_accuracy(response, response.converged_reason > 0)
     yield from unresolved(response, lattice.damping > 0)
     window = response.phase_fit_min, response.phase_fit_max
-    curves = response.omega, response.phase, response.line_error
-    for ball, line, velocity, error in zip(
-        ball_names(response.detector),
-        phase_lines(lattice, *curves, window),
-        response.phase_velocity,
-        response.phase_velocity_error,
-        strict=True,
-    ):
+    lines = phase_lines(lattice, response.omega, response.phase, response.line_error, window)
+    for d, (ball, line) in enumerate(zip(ball_names(response.detector), lines, strict=True)):
         if line.why_not:
             yield f"{ball}: no phase velocity: {line.why_not}"
-        else:
-            yield (
-                f"{ball}: phase slope {line.slope:.4g} +- {two_digits(line.slope_error)} rad "
-                f"per omega_mx, phase velocity {velocity:.4g} +- {two_digits(error)} "
-                f"{lattice.length} x omega_mx{si.say('m/s', velocity * lattice.omega_mx)}"
-            )
+            continue
+        velocity, error = response.phase_velocity[d], response.phase_velocity_error[d]
+        yield (
+            f"{ball}: phase slope {line.slope:.4g} +- {two_digits(line.slope_error)} rad "
+            f"per omega_mx, phase velocity {velocity:.4g} +- {two_digits(error)} "
+            f"{lattice.length} x omega_mx{si.say('m/s', velocity * lattice.omega_mx)}"
+        )
 
 
 def unresolved(response, damped):
