@@ -9,13 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.errors import PgranError, is_foreseen
-from pgran.experiments.accuracy.errors import (
-    ENTRY,
-    front,
-    matched,
-    relative_bounds,
-    relative_errors,
-)
+from pgran.experiments.accuracy import errors
+from pgran.experiments.accuracy.errors import ENTRY, relative_bounds
 from pgran.experiments.accuracy.record import Accuracy
 from pgran.run.task import Task
 from pgran.store.record import columns_of, row_of
@@ -151,9 +146,8 @@ class Comparison(Task):
             result = self.study.solve(self.workers, **configuration.choices)
             seconds = world.allreduce(time.perf_counter() - started, MPI.MAX)
             for key in unused(configuration.keys):
-                self._warn(
-                    f"-{key} of {configuration.solver} was not used: its solver has no such option"
-                )
+                of = f"-{key} of {configuration.solver}"
+                self._warn(f"{of} was not used: its solver has no such option")
         return result, seconds
 
     def _warn(self, line):
@@ -171,15 +165,15 @@ class Comparison(Task):
         if result is not None:
             numbers = self.study.read(result)
             if self.study.name == "modes":
-                numbers = matched(numbers, self.reference)
+                numbers = errors.matched(numbers, self.reference)
         good = numbers["good"]
         compared = good & self.reference["good"]
-        errors = relative_errors(numbers[compared], self.reference[compared])
+        missed = errors.relative_errors(numbers[compared], self.reference[compared])
         bounds = relative_bounds(numbers[good])
         row = np.zeros(1, self.row)
         row["seconds"], row["failures"] = seconds, np.count_nonzero(~good)
-        row["error_max"] = errors.max() if len(errors) else np.nan
-        row["error_median"] = np.median(errors) if len(errors) else np.nan
+        row["error_max"] = missed.max() if len(missed) else np.nan
+        row["error_median"] = np.median(missed) if len(missed) else np.nan
         row["error_bound_max"] = bounds.max() if len(bounds) else np.nan
         row["iterations"] = result.iterations.sum() if hasattr(result, "iterations") else -1
         return row
@@ -201,6 +195,6 @@ class Comparison(Task):
             tolerance=np.array([c.tolerance for c in configurations]),
             seconds_min=times.min(axis=0),
             seconds_max=times.max(axis=0),
-            on_front=front(*(measured[name] for name in ("seconds", "error_max", "failures"))),
+            on_front=errors.front(*(measured[x] for x in ("seconds", "error_max", "failures"))),
             **measured,
         )

@@ -54,11 +54,6 @@ def continuum(
     -------
     pgran.results.ContinuumResponse or None
         With a crew of the caller's None on all ranks but rank 0.
-
-    Raises
-    ------
-    InputError
-        If the point lies outside the box, or a frequency is too high.
     """
     box = Continuum(size, mass, stiffness, damping)
     return carry_out(Series(box, omegas, point), crew, progress)

@@ -21,6 +21,7 @@ through each step together, and the modes of the smallest boxes are the same for
 """
 
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 
@@ -60,14 +61,7 @@ class Boxes:
 class Condensation:
     """Counts the eigenvalues of a lattice's K below a shift.
 
-    Attributes
-    ----------
-    norm : float
-        |K|_inf, which no eigenvalue exceeds; 1 if K is zero.
-    order : int
-        How many eigenvalues there are.
-    semidefinite : bool
-        No eigenvalue is negative: always true.
+    There are `order` of them; none is negative, or exceeds the `norm` |K|_inf, 1 if K is zero.
     """
 
     semidefinite = True
@@ -226,10 +220,9 @@ def _boxes(shape, sides):
     """Return boxes of a shape; `sides` tells of both sides of each axis if there are balls."""
     axes, around, cut = len(shape), [], ()
     span = [np.arange(n) for n in shape]
-    for axis, (low, high) in enumerate(sides):
-        for there, at in ((low, -1), (high, shape[axis])):
-            if there:
-                around.append(_grid([*span[:axis], np.array([at]), *span[axis + 1 :]]))
+    for axis, its_sides in enumerate(sides):
+        for at in np.array([-1, shape[axis]])[list(its_sides)]:
+            around.append(_grid([*span[:axis], [at], *span[axis + 1 :]]))
     longest = int(np.argmax(shape))
     if np.prod(shape) > SMALLEST[axes] and shape[longest] > 2:
         middle = shape[longest] // 2
@@ -241,7 +234,7 @@ def _boxes(shape, sides):
             part = (*shape[:longest], size, *shape[longest + 1 :])
             its_sides = (*sides[:longest], ends, *sides[longest + 1 :])
             cut = (*cut, (first * (np.arange(axes) == longest), (part, its_sides)))
-        span[longest] = np.array([middle])
+        span[longest] = [middle]
     nothing = np.zeros((0, axes), dtype=int)
     return Boxes(_grid(span), np.concatenate([nothing, *around]), cut)
 
@@ -275,6 +268,5 @@ def _add(matrix, runs, added):
     if isinstance(runs, np.ndarray):
         matrix[:, runs[:, None], runs] += added
         return
-    for rows, own_rows in runs:
-        for columns, own_columns in runs:
-            matrix[:, rows, columns] += added[:, own_rows, own_columns]
+    for (rows, own_rows), (columns, own_columns) in product(runs, repeat=2):
+        matrix[:, rows, columns] += added[:, own_rows, own_columns]

@@ -34,10 +34,7 @@ ATTEMPTS = 40  # each four times as far down
 
 
 def check(values, given):
-    """Let counts stand for modes, or the other way round, whichever is asked for later.
-
-    Raises InputError where both are asked for at the same place.
-    """
+    """Let counts stand for modes, or the other way round, whichever is asked for later."""
     if values.get("modes_density") is None:  # an accuracy study has no such option
         return
     alternatives(("modes_density",), ("modes_target", "modes_count"), values, given)
@@ -147,10 +144,9 @@ class Counts(Task):
 
 @contextlib.contextmanager
 def counter_of(lattice):
-    """Return, for a `with`, what counts the eigenvalues of K: `below`, `norm`, `order`.
+    """Return, for a `with`, what counts the eigenvalues of K, of a lattice in its own unit.
 
-    Boxes of a lattice are condensed; networks, which have no boxes, are factored. The lattice is in
-    its own unit.
+    Boxes of a lattice are condensed; networks, which have no boxes, are factored.
     """
     if lattice.is_grid:
         from pgran.experiments.modes.condensation import Condensation
@@ -162,24 +158,16 @@ def counter_of(lattice):
     from pgran.driven.counting import ModeCounter
     from pgran.driven.operators import Operators
 
-    with (
-        Operators(lattice, MPI.COMM_SELF) as operators,
-        ModeCounter(operators.K, lattice) as counter,
-    ):
+    with Operators(lattice, MPI.COMM_SELF) as own, ModeCounter(own.K, lattice) as counter:
         yield counter
 
 
 def count_below(counter, shift):
-    """Return how many eigenvalues lie below a shift, and by how much less it was counted at.
+    """Return how many eigenvalues lie below a shift, and by what margin less it was counted at.
 
     Where an eigenvalue is so close that it is open on which side it lies, the shift is moved down,
-    below 0 where K may be indefinite: that eigenvalue, and those equal to it, are not counted.
-
-    Returns
-    -------
-    count : int or None
-        Certain for shift - margin; None if no count is certain.
-    margin : float
+    below 0 where K may be indefinite: that eigenvalue, and those equal to it, are not counted. The
+    count is certain for shift - margin, None if none is.
     """
     if shift <= 0 and counter.semidefinite:
         return 0, 0.0

@@ -39,28 +39,12 @@ def spacings(spectra, unit):
 
 
 def spacing_ratio(values, window=None):
-    """Return the mean ratio of neighbouring spacings, the smaller to the larger one.
+    """Return the mean ratio of neighbouring spacings, the smaller to the larger one, an Estimate.
 
-    `GOE_SPACING_RATIO`, `POISSON_SPACING_RATIO`. It needs no density of modes, and eigenvalues or
-    their square roots do alike.
-
-    Parameters
-    ----------
-    values : array_like of float, shape (nm,), or sequence of these
-        All eigenvalues, or frequencies, of one sample or of several in the window, ascending. The
-        modes of one symmetry class: others know nothing of each other.
-    window : tuple of float, optional
-        Of the values.
-
-    Returns
-    -------
-    Estimate
-        Its error is that over samples where there are 8 or more, else over parts of the spectra.
-
-    Raises
-    ------
-    InputError
-        If values do not ascend, three of them coincide, or there are too few.
+    `values` are all eigenvalues of one sample, or of several, in the window, ascending, of one
+    symmetry class, since others know nothing of each other; frequencies do alike. The error is that
+    over samples where there are 8 or more, else over parts of the spectra. Raises an InputError if
+    values do not ascend, three of them coincide, or there are too few.
     """
     low, high = (-math.inf, math.inf) if window is None else window
     _check_window(low, high)
@@ -136,13 +120,8 @@ def modal_widths(lattice, vectors):
 
     The full width at half power of |A|^2 along omega where the mode stands alone, to first order in
     beta: S f = (m omega_i^2 - m omega^2 + i omega beta C) f, so that
-    |f^T A|^2 ~ 1 / ((omega_i - omega)^2 + (Gamma/2)^2).
-
-    Parameters
-    ----------
-    lattice : pgran.Lattice or pgran.Network
-    vectors : numpy.ndarray, shape (nm, *shape)
-        Modes, of any length, in the lattice's unknowns.
+    |f^T A|^2 ~ 1 / ((omega_i - omega)^2 + (Gamma/2)^2). The vectors, shape (nm, *lattice.shape),
+    may have any length.
     """
     widths, at_once = np.empty(len(vectors)), max(1, NUMBERS_AT_ONCE // lattice.bonds)
     for first in range(0, len(vectors), at_once):
@@ -157,26 +136,11 @@ def modal_widths(lattice, vectors):
 def modal_overlap(omega, width, window):
     """Return the modal overlap: mean width times density of modes, sum Gamma_i / (high - low).
 
-    Below 1 modes stand alone; far above, A is a complex Gaussian field.
-
-    Parameters
-    ----------
-    omega, width : array_like of float, shape (nm,), or sequences of these, one a sample
-        All modes of the window.
-    window : tuple of float
-        Of omega.
-
-    Returns
-    -------
-    Estimate
-        Its error is that over samples where there are 8 or more. For fewer it takes parts of the
-        window as independent, and what differs between neighbouring ones as their error; modes that
-        repel each other are more regular than that.
-
-    Raises
-    ------
-    InputError
-        If there are too few modes.
+    Below 1 modes stand alone; far above, A is a complex Gaussian field. `omega` and `width`, shape
+    (nm,), or sequences of these, one a sample, are of all modes in the window. The Estimate's error
+    is that over samples where there are 8 or more. For fewer it takes parts of the window as
+    independent, and what differs between neighbouring ones as their error; modes that repel each
+    other are more regular than that. Raises an InputError if there are too few modes.
     """
     low, high = window
     _check_window(low, high)

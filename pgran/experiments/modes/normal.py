@@ -77,14 +77,8 @@ class ModeSolver(Owner):
     def solve(self, low, high, count):
         """Return the modes with low < lambda < high, `count` of them, as far as they are found.
 
-        Returns
-        -------
-        values : numpy.ndarray, shape (found,)
-            lambda, ascending.
-        vectors : numpy.ndarray, shape (found, *lattice.shape)
-            Real, orthonormal, the entry of largest magnitude positive.
-        residuals : numpy.ndarray, shape (found,)
-            |K f - lambda f| / |K|.
+        They are lambda, ascending, the vectors f, shape (modes, *lattice.shape), real, orthonormal,
+        the largest entry positive, and the residuals |K f - lambda f| / |K|.
         """
         best, self._failure = None, "the EPS did not converge"
         for fraction in SHIFTS:
@@ -163,14 +157,13 @@ class ModeSolver(Owner):
         st.getKSP().setType("preonly")
         pc = st.getKSP().getPC()
         pc.setType("cholesky")
-        if (
-            self.lattice.elimination.numbered
-        ):  # its unknowns are numbered in the order of elimination
-            pc.setFactorOrdering("natural")
-            own_slices = PETSc.Options("normal_").getBool("eps_all", False)
-            if self.lattice.graph.work > PETSC_SOLVES * self.lattice.balls and not own_slices:
-                pc.setType("lu")  # MUMPS has no LDL^T of Hermitian matrices
-                pc.setFactorSolverType("mumps")
+        if not self.lattice.elimination.numbered:
+            return
+        pc.setFactorOrdering("natural")  # unknowns are numbered in the order of elimination
+        own_slices = PETSc.Options("normal_").getBool("eps_all", False)
+        if self.lattice.graph.work > PETSC_SOLVES * self.lattice.balls and not own_slices:
+            pc.setType("lu")  # MUMPS has no LDL^T of Hermitian matrices
+            pc.setFactorSolverType("mumps")
 
     def _search(self, eps, low, high, count, fraction):
         """Return eigenvectors of the slice, a row each, searching on while some are missing."""

@@ -68,10 +68,10 @@ def find_slices(operators, crew, interval=None, targets=None, count=None):
 
 
 def end(counter, shift, side, margin=MARGIN):
-    """Return a cut at an end of an interval, moved outward: to the lower `side` -1, or the upper 1.
+    """Return a cut at the lower end of an interval, `side` -1, or the upper one, 1, moved outward.
 
-    So a mode at the end belongs to the interval. It is moved by a part of |K|, and on where another
-    mode is too close for a certain count. Raises PgranError if no reliable count is found.
+    So a mode at the end belongs to it. It is moved by a part of |K|, and on where another mode is
+    too close for a certain count. Raises PgranError if no reliable count is found.
     """
     norm = counter.norm
     # 0 stands for the lowest frequency; unstable modes may be on both sides of less

@@ -24,28 +24,14 @@ from pgran.medium.rounding import EPSILON
 def changed_amplitudes(before, stretched, flexibility, delta):
     """Return the amplitudes after each of many changes, one at a time, and their bounds.
 
-    Parameters
-    ----------
-    before : tuple
-        The amplitudes at nd detectors before any change, and their bounds, each of shape (nd,).
-    stretched : tuple
-        t (count, r), a bound of each row's error (count,), y (nd, count, r), of its rows' errors
-        (nd, count).
-    flexibility : tuple
-        G (count, r, r), and a bound of each one's error in Frobenius' norm (count,).
-    delta : numpy.ndarray of complex, shape (count, r)
-        Zero for springs that only fill up a row.
-
-    Returns
-    -------
-    after, error_bound : numpy.ndarray, shape (nd, count)
-        The bound is infinite where P is singular but for rounding.
+    `before` are the amplitudes without any change and their bounds (nd,); `stretched` t (count, r)
+    and its rows' errors (count,), y (nd, count, r) and its rows' errors (nd, count); `flexibility`
+    G (count, r, r) and its errors in Frobenius' norm (count,). `delta`, shape (count, r), is zero
+    for springs that only fill up a row. Both results have the shape (nd, count), and a bound is
+    infinite where P is singular but for rounding.
     """
-    (amplitude, amplitude_bound), (t, t_error, y, y_error), (G, G_error) = (
-        before,
-        stretched,
-        flexibility,
-    )
+    (amplitude, amplitude_bound), (G, G_error) = before, flexibility
+    t, t_error, y, y_error = stretched
     r, one = delta.shape[-1], np.eye(delta.shape[-1])
     with np.errstate(all="ignore"):
         P = one + G * delta[:, None, :]

@@ -51,8 +51,7 @@ class Flexibility:
 
         Fields, this rank's rows, shape (rows, 1 + nd), are the amplitudes, with which the drive
         moves, then the adjoints; `errors`, shape (1 + nd,), bound theirs in the 2-norm. Collective.
-        Returns what `changed_amplitudes` takes: t (count, r), a bound of each row's error, y (nd,
-        count, r), bounds of its rows' errors.
+        Returns what `changed_amplitudes` takes.
         """
         springs = self.operators.lattice.springs
         stretch = self.operators.stretch(fields, np.maximum(self.springs, 0)).T

@@ -75,8 +75,7 @@ def energy_flux(medium, s, fields):
     """
     springs, beta, s = medium.springs, medium.damping, s[:, None]
     t = _applied(springs.B, fields) + springs.drive
-    apart = _applied(springs.D, fields) + springs.drive_apart
-    moved = t * apart.conj()
+    moved = t * (_applied(springs.D, fields) + springs.drive_apart).conj()
     # Im((k + i omega beta d) moved)
     tension = springs.constants * moved.imag + s.imag * beta * springs.damped * moved.real
     flux = -0.25 * s.imag * tension

@@ -104,20 +104,14 @@ def heat(
     -------
     pgran.results.Heat or None
         With a crew of the caller's None on all ranks but rank 0.
-
-    Raises
-    ------
-    InputError
-        If a value is impossible.
     """
     check({"heat_factor": factor, "heat_overlap": overlap, "heat_balls": balls})
     if factor is None and overlap is None and not cut:
         raise InputError("heat: give a factor or an overlap, or cut=True")
     with agreeing(crew.world):
         check_solver(lattice, crew)
-        task = HeatSweep(
-            lattice, omegas, detectors, (factor, overlap, hertz), balls, cut, error_tolerance
-        )
+        law = factor, overlap, hertz
+        task = HeatSweep(lattice, omegas, detectors, law, balls, cut, error_tolerance)
     driven.check_driven(lattice, crew.world, omegas[0])
     return carry_out(task, crew, progress)
 
@@ -136,10 +130,7 @@ def check_solver(lattice, crew):
 
 
 class HeatSweep(AdjointSweep):
-    """The amplitudes after all changes, frequency by frequency.
-
-    `law` are factor, overlap and hertz; the other parameters are those of `heat`.
-    """
+    """The amplitudes after all changes, frequency by frequency; `law`: factor, overlap, hertz."""
 
     def __init__(self, lattice, omegas, detectors, law, balls, cut, error_tolerance):
         """Find the springs that change."""
@@ -167,9 +158,8 @@ class HeatSweep(AdjointSweep):
         """See `FrequencySweep`."""
         from pgran.experiments.sensitivity.flexibility import Flexibility
 
-        self.flexibilities = {
-            name: Flexibility(operators, springs) for name, springs in self.groups.items()
-        }
+        groups = self.groups.items()
+        self.flexibilities = {name: Flexibility(operators, springs) for name, springs in groups}
 
     def keep(self, point, solver):
         """See `FrequencySweep`. Collective over a group."""
@@ -188,7 +178,10 @@ class HeatSweep(AdjointSweep):
             for name, flexibility in self.flexibilities.items():
                 stretched = flexibility.stretched(fields, errors)
                 matrices = flexibility.matrices(columns)
-                delta = self._delta(name, solver.operators.s)  # zero where rows are filled up
+                if name == "cut":  # the dashpots of a bond, too, so that it depends on s
+                    _, delta = warming.cuts(self.scaled, solver.operators.s)
+                else:
+                    delta = self.delta / self.unit
                 after = changed_amplitudes(before, stretched, matrices, delta)
                 point[name], point[f"{name}_bound"] = after
 
@@ -201,10 +194,6 @@ class HeatSweep(AdjointSweep):
         fields = np.stack([x.solution.getArray(readonly=True) for x in systems], axis=1)
         norms = np.array([x.solution.norm() for x in systems])
         return fields, errors + (self.scaled.springs.columns.shape[1] + 2) * EPSILON * norms
-
-    def _delta(self, name, s):
-        """Return by how much kappa = k + s beta d of the springs of each change grows."""
-        return warming.cuts(self.scaled, s)[1] if name == "cut" else self.delta / self.unit
 
     def collect(self, rows, seconds):
         """See `Task`."""

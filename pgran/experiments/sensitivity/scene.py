@@ -95,11 +95,6 @@ def sensitivity(
     -------
     pgran.results.Sensitivity or None
         With a crew of the caller's None on all ranks but rank 0.
-
-    Raises
-    ------
-    InputError
-        If a detector lies outside the lattice, or a value is impossible.
     """
     with agreeing(crew.world):
         task = GradientSweep(lattice, omegas, detectors, most, error_tolerance)
@@ -108,10 +103,7 @@ def sensitivity(
 
 
 class GradientSweep(AdjointSweep):
-    """The derivatives at each frequency, in the lattice's own unit.
-
-    Parameters are those of `sensitivity`.
-    """
+    """The derivatives at each frequency, in the lattice's own unit."""
 
     def __init__(self, lattice, omegas, detectors, most, error_tolerance):
         """Say what a frequency's results travel in."""

@@ -50,7 +50,7 @@ def grown_by_overlap(medium, overlap, hertz):
         squared = np.divide(k**3, 1.5 * force, out=np.zeros_like(k), where=force > 0)
     growth = np.sqrt(np.maximum(k * k + squared * overlap, 0.0)) - k
     part = np.divide(growth, k, out=np.zeros_like(k), where=k != 0)
-    return np.concatenate([growth[None], elastic[1:] * part]).ravel()
+    return np.concatenate([growth, (elastic[1:] * part).ravel()])
 
 
 def changes(medium, contacts, growth):
