@@ -76,10 +76,7 @@ def summary(result):
         f"by at most {accuracy.reference_bound:.1e}, relatively; no smaller error can be seen"
     )
     width = max(len(name) for name in ("solver", *accuracy.solver))
-    yield (
-        f"  {'solver':{width}} {'asked':>7} {'seconds':>8} {'error':>7} {'median':>7} {'bound':>7} "
-        f"{'iterations':>10} {'failures':>8}"
-    )
+    yield f"  {'solver':{width}}   asked  seconds   error  median   bound iterations failures"
     errors = np.transpose([accuracy.error_max, accuracy.error_median, accuracy.error_bound_max])
     for row, iterations in enumerate(accuracy.iterations):
         numbers = " ".join(f"{'-' if np.isnan(x) else f'{x:.1e}':>7}" for x in errors[row])
@@ -165,10 +162,10 @@ DECIDED = (
 REPEATED = options_of(response.sweep, relaxation.relax, pulse.pulse, modes.find_modes)
 OPTIONS = (*STUDY, *driven.DETECTORS, *SWEEP, relaxation.OMEGA, *REPEATED)
 SCENE = Scene(
-    options=tuple(option for option in OPTIONS if option.name not in DECIDED),
-    run=run,
-    summary=summary,
-    check=check,
+    tuple(option for option in OPTIONS if option.name not in DECIDED),
+    run,
+    summary,
+    check,
     draws=lambda values: EXPERIMENTS[values["accuracy_of"]].SCENE.draws(values),
     shares_lattice=True,
     whole=True,

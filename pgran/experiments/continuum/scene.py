@@ -27,11 +27,8 @@ def check(values, given):
 
 def summary(result):
     """Return in words what a run found."""
-    response = result.continuum
-    yield (
-        f"{len(response.omega)} frequencies, {len(response.resonance)} driven resonances up to "
-        f"{response.omega[-1]:g}"
-    )
+    omega, driven = result.continuum.omega, len(result.continuum.resonance)
+    yield f"{len(omega)} frequencies, {driven} driven resonances up to {omega[-1]:g}"
 
 
 @in_parallel("continuum", omegas=checked_frequencies)
@@ -105,10 +102,4 @@ def run(medium, options, crew):
     return response and [response]
 
 
-SCENE = Scene(
-    options=(*options_of(continuum), *FREQUENCIES),
-    run=run,
-    summary=summary,
-    check=check,
-    on_medium=False,
-)
+SCENE = Scene((*options_of(continuum), *FREQUENCIES), run, summary, check, on_medium=False)

@@ -140,9 +140,7 @@ class Continuum:
         """Return sqrt(z)/pi, half-waves to a unit of length, unless too many."""
         half_waves = float(z.sqrt()) / math.pi
         if half_waves * max(self.size) > HALF_WAVES:
-            raise InputError(
-                f"omega: too high, there would be more than {HALF_WAVES} half-waves along the box"
-            )
+            raise InputError(f"omega: too high, more than {HALF_WAVES} half-waves along the box")
         return half_waves
 
     def _head(self, nu, z, loss, x):

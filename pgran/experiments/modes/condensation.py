@@ -155,9 +155,8 @@ class Condensation:
                 # The bond below a ball has the ball's coordinates, that above has one more.
                 bond = boxes.inner[first] + (upward if sign > 0 else 0)
                 boxes.springs.append((axis, first, neighbour[first], bond @ self._strides[axis]))
-        boxes.scatter = [
-            _runs(row_of[(part.around + offset + 1) @ strides]) for part, _, offset in boxes.parts
-        ]
+        around = [part.around + offset + 1 for part, _, offset in boxes.parts]
+        boxes.scatter = [_runs(row_of[nodes @ strides]) for nodes in around]
         if not boxes.cut:
             modes = [_modes(self._assemble(boxes, some), inner) for some in boxes.chunks()]
             boxes.modes = [np.concatenate(arrays) for arrays in zip(*modes, strict=True)]

@@ -198,15 +198,11 @@ def summary(result):
         yield "all counts certified"
     moved = np.count_nonzero(density.margin)
     if moved:
-        yield (
-            f"modes too close to {moved} of the frequencies are not counted there; they are less "
-            f"than {density.margin.max():.1e} below"
-        )
+        below = f"they are less than {density.margin.max():.1e} below"
+        yield f"modes too close to {moved} of the frequencies are not counted there; {below}"
     if density.unstable:
         number = density.unstable if density.unstable > 0 else "an unknown number of"
         yield Caution(f"UNSTABLE: {number} modes have omega^2 < 0")
     low, high = density.omega[[0, -1]]
-    yield (
-        f"modes below omega = {low:.6g}{si.say('Hz', low)}: {density.count[0]}; below "
-        f"{high:.6g}{si.say('Hz', high)}: {density.count[-1]}"
-    )
+    first = f"modes below omega = {low:.6g}{si.say('Hz', low)}: {density.count[0]}"
+    yield f"{first}; below {high:.6g}{si.say('Hz', high)}: {density.count[-1]}"

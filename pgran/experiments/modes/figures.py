@@ -20,17 +20,15 @@ MANY = 20  # modes that have a density
 def figures(result, **_):
     """Yield three shapes if they are stored, participation ratios, the density of many modes."""
     record, lattice, made = result.modes, result.medium, {}
+    both = {"modes": record, "lattice": lattice}
     style.check_any(record.omega, "modes")
     if record.vector is not None and lattice.has_places:
         picked = pick(record.omega / lattice.omega_mx, record.participation)
-        panels = [partial(shape, modes=record, lattice=lattice, mode=mode) for mode in picked]
+        panels = [partial(shape, mode=mode, **both) for mode in picked]
         made["shapes"] = balls.motions(lattice, panels, CAPTIONS["shapes"])
-    made["participation"] = style.single(
-        partial(participation, modes=record, lattice=lattice), CAPTIONS["participation"]
-    )
+    made["participation"] = style.single(partial(participation, **both), CAPTIONS["participation"])
     if len(record.omega) >= MANY and np.ptp(record.omega) > 0:
-        panel = partial(density, modes=record, lattice=lattice, fill=True)
-        made["density"] = style.single(panel, CAPTIONS["density"])
+        made["density"] = style.single(partial(density, fill=True, **both), CAPTIONS["density"])
     for name, figure in made.items():
         style.note_missing(figure, record)
         yield name, figure
@@ -41,11 +39,9 @@ def errors(record, _):
     words = f"{record.count_found} of {record.count_expected} normal modes"
     if not record.count_certified:
         return f"{words} were found; they are not certified."
-    residual = getattr(record, "residual", None)
-    if residual is None or not len(residual):
-        return f"{words}, certified by their count."
-    largest = captions.number(residual.max())
-    return f"{words}, certified by their count; residuals at most {largest}."
+    residual = getattr(record, "residual", ())  # a projection has none
+    largest = f"; residuals at most {captions.number(residual.max())}" if len(residual) else ""
+    return f"{words}, certified by their count{largest}."
 
 
 def shape(ax, modes, lattice, mode):
@@ -55,9 +51,7 @@ def shape(ax, modes, lattice, mode):
     wall to wall, or arrows. The lowest mode is number 0; the record has its `vector`. Returns the
     image, the line, or arrows or balls.
     """
-    values = modes.vector[mode]
-    if lattice.group == "network":
-        values = lattice.built.displacements(values)
+    values = lattice.built.displacements(modes.vector[mode])
     drawn, _, plane = balls.motion(ax, lattice, values)
     omega = rf"$\omega_i$ = {modes.omega[mode] / lattice.omega_mx:.4f} $\omega_{{mx}}$"
     taking_part = f"$P_i$ = {modes.participation[mode]:.3g} balls"
@@ -132,21 +126,21 @@ def over(results, labels):
     x = [result.modes.omega / result.medium.omega_mx for result in results]
     for each in x:
         style.check_any(each, "modes")
-    several = list(enumerate(zip(results, labels, strict=True)))
+    several = [(r.modes, r.medium, label) for r, label in zip(results, labels, strict=True)]
 
     def points(ax):
-        for number, (result, label) in several:
-            look = {"markersize": 3, "markeredgewidth": 0.5, "fillstyle": "none"}
+        look = {"markersize": 3, "markeredgewidth": 0.5, "fillstyle": "none"}
+        for number, (modes, medium, label) in enumerate(several):
             look |= {"marker": together.MARKS[number], "color": style.COLOURS[number]}
-            participation(ax, result.modes, result.medium, label=label, **look)
+            participation(ax, modes, medium, label=label, **look)
         ax.set_ylabel("participation ratio $P_i$ (balls)")
 
     def outlines(ax):
         most = bin_edges(max(x, key=len))
         edges = np.histogram_bin_edges(np.concatenate(x), len(most) - 1)
-        for number, (result, label) in several:
+        for number, (modes, medium, label) in enumerate(several):
             look = {"edgecolor": style.COLOURS[number], "linestyle": together.LINES[number]}
-            density(ax, result.modes, result.medium, edges, label=label, **look)
+            density(ax, modes, medium, edges, label=label, **look)
 
     made = {"participation": points}
     if min(map(len, x)) >= MANY:

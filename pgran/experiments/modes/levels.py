@@ -52,20 +52,14 @@ def spacing_ratio(values, window=None):
     if any(s.ndim != 1 or not np.all(np.isfinite(s)) for s in spectra):
         raise InputError("values: every spectrum must be an array of finite numbers")
     ratios = [_ratios(s[(s >= low) & (s <= high)]) for s in spectra]
-    if sum(r.size >= RATIOS_IN_PART for r in ratios) >= FEWEST_SAMPLES:
+    long = [r for r in ratios if len(r) >= RATIOS_IN_PART]
+    if len(long) >= FEWEST_SAMPLES:
         parts = [r for r in ratios if len(r)]
     else:
-        parts = [
-            part
-            for r in ratios
-            if len(r) >= RATIOS_IN_PART
-            for part in np.array_split(r, min(len(r) // RATIOS_IN_PART, MOST))
-        ]
+        parts = [p for r in long for p in np.array_split(r, min(len(r) // RATIOS_IN_PART, MOST))]
     if len(parts) < FEWEST:
-        raise InputError(
-            f"values: {sum(map(len, ratios))} ratios of spacings are too few; "
-            f"{FEWEST * RATIOS_IN_PART} are needed"
-        )
+        few = f"{sum(map(len, ratios))} ratios of spacings are too few"
+        raise InputError(f"values: {few}; {FEWEST * RATIOS_IN_PART} are needed")
     # the mean of all ratios, its error by how far the sums of the parts are from their shares of it
     sums, counts = np.array([r.sum() for r in parts]), np.array([len(r) for r in parts])
     mean, number = sums.sum() / counts.sum(), len(parts)

@@ -147,12 +147,9 @@ def run(lattice, options, crew):
 def summary(result):
     """Yield in words what a run found."""
     lattice, projection = result.medium, result.projection
-    nm = projection.count_found
-    yield (
-        f"{counted(len(projection.omega), 'frequency')} on {counted(nm, 'mode')} in "
-        f"{projection.solve_seconds:.2f} s, with "
-        f"{counted(projection.factorizations, 'factorization')}"
-    )
+    nm, number = projection.count_found, counted(len(projection.omega), "frequency")
+    factored = counted(projection.factorizations, "factorization")
+    yield f"{number} on {counted(nm, 'mode')} in {projection.solve_seconds:.2f} s, with {factored}"
     yield certificate(projection)
     omega, modes, unit = projection.omega, projection.mode_omega, lattice.omega_mx
     inside = (omega > 0.1 * unit) & (omega < 0.9 * unit) & (projection.converged_reason > 0)
@@ -163,13 +160,9 @@ def summary(result):
             yield f"the dominant mode follows the drive with slope {slope:.3f} (.1 to .9 omega_mx)"
 
 
-SCENE = Scene(
-    options=(
-        *SWEEP,
-        *(option for option in options_of(find_modes) if option.name != "output_fields"),
-        *(driven.STEADY["error_tolerance"], driven.STEADY["refresh_iterations"]),
-    ),
-    run=run,
-    summary=summary,
-    check=check,
+OPTIONS = (
+    *SWEEP,
+    *options_of(find_modes, without=[find_modes.declared["shapes"]]),
+    *(driven.STEADY["error_tolerance"], driven.STEADY["refresh_iterations"]),
 )
+SCENE = Scene(OPTIONS, run, summary, check)

@@ -61,27 +61,20 @@ def summary(result):
                 "network leaves these positions at a rate of |omega|"
             )
         yield f"residuals at most {modes.residual.max():.1e} of |K|"
-        yield (
-            f"participation from {modes.participation.min():.3g} to "
-            f"{modes.participation.max():.3g} balls"
-        )
+        few, many = modes.participation.min(), modes.participation.max()
+        yield f"participation from {few:.3g} to {many:.3g} balls"
         yield from spacings([modes.omega], result.medium.omega_mx)
 
 
 def certificate(record):
     """Return in words whether all modes were found."""
+    found, expected = record.count_found, record.count_expected
     if record.count_certified:
-        return f"all {record.count_expected} modes found, certified by their count"
-    if record.count_found != record.count_expected:
-        return Caution(
-            f"NOT ALL MODES: {record.count_found} found where there are {record.count_expected}"
-        )
-    return Caution(
-        f"NOT CERTIFIED: the residuals of some of the {record.count_found} modes are above "
-        f"{RESIDUAL:g}"
-    )
+        return f"all {expected} modes found, certified by their count"
+    if found != expected:
+        return Caution(f"NOT ALL MODES: {found} found where there are {expected}")
+    inaccurate = f"the residuals of some of the {found} modes are above {RESIDUAL:g}"
+    return Caution(f"NOT CERTIFIED: {inaccurate}")
 
 
-SCENE = Scene(
-    options=(*options_of(find_modes), density.DENSITY), run=run, summary=summary, check=check
-)
+SCENE = Scene((*options_of(find_modes), density.DENSITY), run, summary, check)

@@ -22,9 +22,7 @@ def figures(result, **_):
         panels = [partial(flux, record=found, medium=medium, at=n) for n in chosen]
         text = "wedges: power, from the broad end to the point; width: square root"
         yield "flux", maps.page(found, medium, 0, panels, "power lost at a ball", text)
-    caption = (
-        "Share of the bonds whose logarithmic derivative $|d\\,\\ln|A| / d\\,\\ln k|$ is larger."
-    )
+    caption = r"Share of the bonds whose logarithmic derivative $|d\,\ln|A| / d\,\ln k|$ is larger."
     figure = style.single(partial(distribution, record=found, medium=medium), caption)
     maps.note_failed(figure, found)
     yield "distribution", figure

@@ -61,14 +61,9 @@ def _norm(matrices):
 
 def _inverses(P):
     """Return the inverse of each matrix, and which ones have one."""
-    possible = np.ones(len(P), dtype=bool)
     try:
-        return np.linalg.inv(P), possible
+        return np.linalg.inv(P), np.ones(len(P), dtype=bool)
     except np.linalg.LinAlgError:  # NumPy gives up all if one is singular
-        inverses = np.zeros_like(P)
-        for number, matrix in enumerate(P):
-            try:
-                inverses[number] = np.linalg.inv(matrix)
-            except np.linalg.LinAlgError:
-                possible[number] = False
+        inverses, possible = np.zeros_like(P), np.linalg.slogdet(P)[0] != 0
+        inverses[possible] = np.linalg.inv(P[possible])
         return inverses, possible

@@ -27,10 +27,10 @@ QUARTER = 0.25  # of the amplitude: what the heater of the experiment changed
 
 def check(values):
     """Raise where options contradict each other."""
-    if values["heat_factor"] is not None and values["heat_overlap"] is not None:
+    ways = [name for name in ("heat_factor", "heat_overlap") if values[name] is not None]
+    if len(ways) == 2:
         raise InputError("-heat_factor, -heat_overlap: a ball is warmed in one of these ways")
-    warmed = values["heat_factor"] is not None or values["heat_overlap"] is not None
-    if values["heat_balls"] is not None and not warmed:
+    if values["heat_balls"] is not None and not ways:
         raise InputError("-heat_balls: by how much? -heat_factor or -heat_overlap says")
 
 

@@ -44,16 +44,15 @@ class Map:
         self.detector = int(np.ravel_multi_index(tuple(detector), shape))
         self.view = View(network, self.detector)
         self.free = self.view.seen & (network.held == 0)
-        segments, self.numbers = self.view.lines(network.bond)
-        self.segments = segments
-        self.clear = len(segments) <= CLEAR
+        self.segments, self.numbers = self.view.lines(network.bond)
+        self.clear = len(self.segments) <= CLEAR
 
     @cached_property
     def extent(self):
         """Width and height of what is seen."""
         if self.lattice:
-            nx, ny = (*self.medium.shape, 1)[:2]
-            return (nx + 1, ny + 1 if len(self.medium.shape) > 1 else 1)
+            nx, *across = self.medium.shape
+            return (nx + 1, across[0] + 1 if across else 1)
         return self.view.extent
 
     def points(self, ax):

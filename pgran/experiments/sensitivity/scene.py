@@ -43,9 +43,8 @@ def summary(result):
         f"{record.solve_seconds:.2f} s: derivatives by {what} {bonds} bonds, by masses and beta"
     )
     if record.failures:
-        yield Caution(
-            f"{record.failures} of {nw} frequencies failed or missed the accuracy asked for"
-        )
+        failed = f"{record.failures} of {nw} frequencies"
+        yield Caution(f"{failed} failed or missed the accuracy asked for")
     for d, ball in enumerate(ball_names(record.detector) if good.any() else []):
         slopes = record.log_amplitude[good, d]
         at, bond = np.unravel_index(np.argmax(np.abs(slopes)), slopes.shape)
@@ -233,10 +232,5 @@ def run(lattice, options, crew):
     return records if records[0] else None
 
 
-SCENE = Scene(
-    options=(*driven.DETECTORS, *SWEEP, *options_of(sensitivity, heat.heat, without=[HERTZ])),
-    run=run,
-    summary=summary,
-    check=check,
-    shares_lattice=True,
-)
+OPTIONS = (*driven.DETECTORS, *SWEEP, *options_of(sensitivity, heat.heat, without=[HERTZ]))
+SCENE = Scene(OPTIONS, run, summary, check, shares_lattice=True)

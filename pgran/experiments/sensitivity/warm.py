@@ -62,9 +62,8 @@ def changes(medium, contacts, growth):
     # springs stand block by block, one of each for every contact
     grown = growth.reshape(-1, medium.bonds)
     blocks = np.flatnonzero(np.any(grown, axis=1) | (np.arange(len(grown)) == 0))
-    springs = np.concatenate(
-        [np.where(contacts >= 0, contacts + b * medium.bonds, -1) for b in blocks], axis=1
-    )
+    springs = [np.where(contacts >= 0, contacts + b * medium.bonds, -1) for b in blocks]
+    springs = np.concatenate(springs, axis=1)
     return _changed(springs, np.where(springs >= 0, growth[springs], 0.0))
 
 
