@@ -126,9 +126,7 @@ class Condensation:
             following = {}
             for boxes in levels[-1]:
                 for offset, kind in boxes.cut:
-                    if kind not in following:
-                        following[kind] = _boxes(*kind)
-                    part = following[kind]
+                    part = following[kind] = following.get(kind) or _boxes(*kind)
                     boxes.parts.append((part, sum(map(len, part.origins)), offset))
                     part.origins.append(boxes.origins + offset)
             for part in following.values():

@@ -21,7 +21,8 @@ def figures(result, **_):
         yield from maps.pages("sensitivity", derivatives, found, medium, "derivative", _words)
         panels = [partial(flux, record=found, medium=medium, at=n) for n in chosen]
         text = "wedges: power, from the broad end to the point; width: square root"
-        yield "flux", maps.page(found, medium, 0, panels, "power lost at a ball", text)
+        seen = Map(medium, found.detector[0])
+        yield "flux", maps.page(seen, found, panels, "power lost at a ball", text)
     caption = r"Share of the bonds whose logarithmic derivative $|d\,\ln|A| / d\,\ln k|$ is larger."
     figure = style.single(partial(distribution, record=found, medium=medium), caption)
     maps.note_failed(figure, found)
@@ -55,9 +56,9 @@ def derivatives(ax, record, medium, at, d=0):
     return drawn
 
 
-def _words(record, medium, at, d):
+def _words(seen, record, at, d):
     """Return what the map of a detector shows, in words."""
-    return Map(medium, record.detector[d]).words(record.on_bonds(at, d), "|A| grows with k")
+    return seen.words(record.on_bonds(at, d), "|A| grows with k")
 
 
 def flux(ax, record, medium, at):

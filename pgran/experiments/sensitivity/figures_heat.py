@@ -21,11 +21,10 @@ def figures(result, **_):
     heat, medium = result.heat, result.medium
     if not maps.few(heat):
         return
-    if medium.has_places:
-        if heat.warmed is not None:
-            yield from maps.pages("warmed", warm, heat, medium, "change of |A|", _warmth)
-        if heat.cut is not None:
-            yield from maps.pages("cut", cut, heat, medium, "change in dB", _words)
+    if medium.has_places and heat.warmed is not None:
+        yield from maps.pages("warmed", warm, heat, medium, "change of |A|", _warmth)
+    if medium.has_places and heat.cut is not None:
+        yield from maps.pages("cut", cut, heat, medium, "change in dB", _words)
     several = bool(np.count_nonzero(heat.converged_reason > 0) > maps.MOST)
     panels = [distribution] + [over_frequency] * several
     draws = [partial(panel, heat=heat, medium=medium) for panel in panels]
@@ -79,13 +78,12 @@ def cut(ax, record, medium, at, d=0):
     return drawn
 
 
-def _words(record, medium, at, d):
+def _words(seen, record, at, d):
     """Return what the map of the bonds cut shows, in words."""
-    seen, values = Map(medium, record.detector[d]), decibels(record, at, d)
-    return f"each bond cut alone; {seen.words(values, '|A| grows', 'mean')}"
+    return f"each bond cut alone; {seen.words(decibels(record, at, d), '|A| grows', 'mean')}"
 
 
-def _warmth(record, *_):
+def _warmth(_, record, *__):
     """Return what the map of warm balls shows, in words."""
     how = f"bonds {record.factor:g} times as stiff"
     if not np.isfinite(record.factor):

@@ -42,6 +42,7 @@ class Map:
             network = replace(network, radius=np.full(len(network.held), 0.5))
         shape = medium.shape if self.lattice else (len(network.held),)
         self.detector = int(np.ravel_multi_index(tuple(detector), shape))
+        (self.name,) = style.ball_names([detector])
         self.view = View(network, self.detector)
         self.free = self.view.seen & (network.held == 0)
         self.segments, self.numbers = self.view.lines(network.bond)
@@ -204,24 +205,23 @@ def pages(name, draw, record, medium, what, words):
     """Yield the name and the page of maps of each detector that has its own.
 
     A panel is `draw(ax, record, medium, at, d)`, its colours are of `what`, and
-    `words(record, medium, at, d)` says what is drawn.
+    `words(seen, record, at, d)` says what is drawn in a Map.
     """
     at, sites = few(record), record.detector.tolist()
     if len(sites) > MOST:
         log.warning("maps are drawn of the first %d of %d detectors", MOST, len(sites))
     for d, site in enumerate(sites[:MOST]):
+        seen = Map(medium, site)
         panels = [partial(draw, record=record, medium=medium, at=n, d=d) for n in at]
         end = "_".join(["", *map(str, site)]) if len(sites) > 1 else ""
-        yield name + end, page(record, medium, d, panels, what, words(record, medium, at[0], d))
+        yield name + end, page(seen, record, panels, what, words(seen, record, at[0], d))
 
 
-def page(record, medium, d, panels, what, text):
+def page(seen, record, panels, what, text):
     """Return the figure of some maps, with what they show and what failed said above."""
-    seen = Map(medium, record.detector[d])
     figure = balls.page(seen.extent, panels, what)
-    name = style.ball_names(record.detector[d : d + 1])[0]
     held = "driven wall: blue" if seen.lattice else "balls at rest: dark; driven: blue"
-    where = "; ".join(filter(None, [seen.view.plane, f"circle: {name}", held]))
+    where = "; ".join(filter(None, [seen.view.plane, f"circle: {seen.name}", held]))
     style.above(figure, where, text)
     note_failed(figure, record)
     figure.caption = f"Map of the {what}: {text}; {where}."

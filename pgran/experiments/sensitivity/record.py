@@ -8,7 +8,8 @@ from pgran.store.fields import BOUND, DETECTOR, Frequencies
 from pgran.store.record import Record, array
 
 WHERE = "omega", "detector_number"
-OF_BOND = "1", *WHERE, "bond_number"
+AT_BOND, AT_BALL = (*WHERE, "bond_number"), (*WHERE, "ball_number")
+COMPLEX, NUMBERS = {"dtype": complex, "row": True}, {"dtype": int, "row": True}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -30,24 +31,22 @@ class Sensitivity(Frequencies, Record):
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, convention exp(+i omega t)",
-        "1", *WHERE, dtype=complex, row=True,
+        "1", *WHERE, **COMPLEX
     )  # fmt: skip
     error_bound: np.ndarray = array(BOUND, "1", *WHERE, row=True)
     by_stiffness: np.ndarray = array(
-        "derivative of the displacement by each bond constant", "1/k", *OF_BOND[1:], dtype=complex,
-        row=True,
-    )  # fmt: skip
-    by_stiffness_bound: np.ndarray = array("bound of its error", "1/k", *OF_BOND[1:], row=True)
-    log_amplitude: np.ndarray = array("d ln|A| / d ln k of each bond", *OF_BOND)
-    log_phase: np.ndarray = array("d phase / d ln k of each bond", "rad", *OF_BOND[1:])
-    log_bound: np.ndarray = array("bound of the error of both", *OF_BOND)
+        "derivative of the displacement by each bond constant", "1/k", *AT_BOND, **COMPLEX
+    )
+    by_stiffness_bound: np.ndarray = array("bound of its error", "1/k", *AT_BOND, row=True)
+    log_amplitude: np.ndarray = array("d ln|A| / d ln k of each bond", "1", *AT_BOND)
+    log_phase: np.ndarray = array("d phase / d ln k of each bond", "rad", *AT_BOND)
+    log_bound: np.ndarray = array("bound of the error of both", "1", *AT_BOND)
     by_mass: np.ndarray = array(
-        "derivative of the displacement by each ball's mass", "1/m", *WHERE, "ball_number",
-        dtype=complex, row=True,
-    )  # fmt: skip
-    by_mass_bound: np.ndarray = array("bound of its error", "1/m", *WHERE, "ball_number", row=True)
+        "derivative of the displacement by each ball's mass", "1/m", *AT_BALL, **COMPLEX
+    )
+    by_mass_bound: np.ndarray = array("bound of its error", "1/m", *AT_BALL, row=True)
     by_damping: np.ndarray = array(
-        "derivative of the displacement by beta", "1/sqrt(k m)", *WHERE, dtype=complex, row=True
+        "derivative of the displacement by beta", "1/sqrt(k m)", *WHERE, **COMPLEX
     )
     by_damping_bound: np.ndarray = array("bound of its error", "1/sqrt(k m)", *WHERE, row=True)
     flux: np.ndarray = array(
@@ -57,32 +56,27 @@ class Sensitivity(Frequencies, Record):
     loss: np.ndarray = array(
         "mean power that each bond's dashpot takes", "k sqrt(k/m)", "omega", "every_bond", row=True
     )
-    iterations: np.ndarray = array(
-        "Krylov iterations, adjoints included", "1", "omega", dtype=int, row=True
-    )
-    converged_reason: np.ndarray = array(
-        "positive: as accurate as asked", "1", "omega", dtype=int, row=True
-    )
+    iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega", **NUMBERS)
+    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", **NUMBERS)
     bond: np.ndarray | None = array(
-        "numbers of the bonds that are kept", *OF_BOND, dtype=int, optional=True, row=True
+        "numbers of the bonds that are kept", "1", *AT_BOND, optional=True, **NUMBERS
     )
     ball: np.ndarray | None = array(
-        "numbers of the balls that are kept", "1", *WHERE, "ball_number", dtype=int, optional=True,
-        row=True,
-    )  # fmt: skip
+        "numbers of the balls that are kept", "1", *AT_BALL, optional=True, **NUMBERS
+    )
     by_tangential: np.ndarray | None = array(
-        "derivative by each contact's tangential stiffness", "1/k", *OF_BOND[1:], dtype=complex,
-        optional=True, row=True,
+        "derivative by each contact's tangential stiffness", "1/k", *AT_BOND,
+        optional=True, **COMPLEX
     )  # fmt: skip
     by_tangential_bound: np.ndarray | None = array(
-        "bound of its error", "1/k", *OF_BOND[1:], optional=True, row=True
+        "bound of its error", "1/k", *AT_BOND, optional=True, row=True
     )
     by_force: np.ndarray | None = array(
-        "derivative by each contact's force, as pre-stress", "1/force", *OF_BOND[1:],
-        dtype=complex, optional=True, row=True,
+        "derivative by each contact's force, as pre-stress", "1/force", *AT_BOND,
+        optional=True, **COMPLEX
     )  # fmt: skip
     by_force_bound: np.ndarray | None = array(
-        "bound of its error", "1/force", *OF_BOND[1:], optional=True, row=True
+        "bound of its error", "1/force", *AT_BOND, optional=True, row=True
     )
 
     def on_bonds(self, number, d):
@@ -114,17 +108,15 @@ class Heat(Frequencies, Record):
     omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
-        "amplitude at the detectors before any change", "1", *WHERE, dtype=complex, row=True
+        "amplitude at the detectors before any change", "1", *WHERE, **COMPLEX
     )
     error_bound: np.ndarray = array(BOUND, "1", *WHERE, row=True)
     ball: np.ndarray = array(
         "numbers of the balls that are warmed, in C order, of a network as there", "1", dtype=int
     )
-    converged_reason: np.ndarray = array(
-        "positive: as accurate as asked", "1", "omega", dtype=int, row=True
-    )
+    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", **NUMBERS)
     warmed: np.ndarray | None = array(
-        "amplitude with each ball warm", "1", *WHERE, "ball", dtype=complex, optional=True, row=True
+        "amplitude with each ball warm", "1", *WHERE, "ball", optional=True, **COMPLEX
     )
     warmed_bound: np.ndarray | None = array(BOUND, "1", *WHERE, "ball", optional=True, row=True)
     heard: np.ndarray | None = array(
@@ -132,7 +124,6 @@ class Heat(Frequencies, Record):
         optional=True,
     )  # fmt: skip
     cut: np.ndarray | None = array(
-        "amplitude with each bond cut", "1", *WHERE, "every_bond", dtype=complex, optional=True,
-        row=True,
-    )  # fmt: skip
+        "amplitude with each bond cut", "1", *WHERE, "every_bond", optional=True, **COMPLEX
+    )
     cut_bound: np.ndarray | None = array(BOUND, "1", *WHERE, "every_bond", optional=True, row=True)
