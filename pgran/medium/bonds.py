@@ -157,13 +157,18 @@ class ElasticBonds:
         return self.stiffest / self.damping if self.damping else math.inf
 
     @property
-    def stiffness_norm(self):
-        """No less than |K|_2: |K|_inf, twice its largest diagonal entry."""
+    def diagonal(self):
+        """The diagonal of K, an entry a ball: the sum of its bonds."""
         diagonal = 0.0
         for axis, k in enumerate(self.stiffness):
             k = np.moveaxis(k, axis, 0)
             diagonal = diagonal + np.moveaxis(k[1:] + k[:-1], 0, axis)
-        return 2 * float(np.max(diagonal))
+        return diagonal
+
+    @property
+    def stiffness_norm(self):
+        """No less than |K|_2: |K|_inf, twice its largest diagonal entry."""
+        return 2 * float(np.max(self.diagonal))
 
     @property
     def rounding(self):

@@ -53,11 +53,10 @@ def read_modes(lattice, modes):
 
 
 def mode_bounds(lattice, omega, residual):
-    """Return bounds of the errors of modes' frequencies, by their residuals and these' roundings.
+    """Return bounds of the errors of modes' frequencies, by their residuals, in units of |K|.
 
     K is symmetric, so a residual |K f - lambda f| of a unit vector is no smaller than the distance
-    of lambda = m omega^2 from an eigenvalue. Residuals are in units of |K|, as in
-    `pgran.results.Modes`.
+    of lambda = m omega^2 from an eigenvalue.
     """
     missed = (residual + lattice.rounding) * lattice.stiffness_norm / lattice.mass
     # |omega - omega'| (omega + omega') = |omega^2 - omega'^2| <= missed
@@ -73,11 +72,7 @@ def relative_bounds(numbers):
 
 
 def relative_errors(numbers, reference):
-    """Return the relative error of each number, at least the bound of the reference's own error.
-
-    A smaller difference from the reference says nothing; so an error is too large rather than too
-    small.
-    """
+    """Return the relative error of each number, at least the bound of the reference's own error."""
     difference = np.abs(numbers["value"] - reference["value"])
     return np.maximum(difference, reference["bound"]) / reference["size"]
 

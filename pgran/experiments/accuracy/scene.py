@@ -89,10 +89,7 @@ def summary(result):
 
 
 def read_configurations(options):
-    """Return the configurations that the options ask for, from the files of the solvers.
-
-    Raises a FileError or an InputError if one cannot be read, or holds what is no solver's.
-    """
+    """Return the configurations that the options ask for, from the files of the solvers."""
     of, paths = options.accuracy_of, options.accuracy_solvers
     own = {option.name: option for option in EXPERIMENTS[of].SCENE.options}
     own = {name: option for name, option in own.items() if name in CHOICES}

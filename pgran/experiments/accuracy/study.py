@@ -76,10 +76,7 @@ class Reference(Task):
         yield work
 
     def collect(self, rows, seconds):
-        """Return the numbers; those are good whose relative bounds are small enough.
-
-        Raises a PgranError if none is.
-        """
+        """Return the numbers; those are good whose relative bounds are small enough."""
         reference, allowed = rows.copy(), self.study.certified
         reference["good"] = relative_bounds(reference) <= allowed
         good = np.count_nonzero(reference["good"])
@@ -157,10 +154,7 @@ class Comparison(Task):
             log.warning(line)
 
     def _judged(self, result, seconds):
-        """Return a run's row; a run that did not work has no result.
-
-        Numbers that failed count as failures, and in no error.
-        """
+        """Return a run's row; numbers that failed, or have no result, are in no error."""
         numbers = np.zeros(len(self.reference), ENTRY)
         if result is not None:
             numbers = self.study.read(result)

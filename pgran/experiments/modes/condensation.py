@@ -72,11 +72,7 @@ class Condensation:
         self.norm = lattice.stiffness_norm or 1.0
         self._bonds = [k.ravel() for k in lattice.stiffness]
         self._strides = [_strides(k.shape) for k in lattice.stiffness]
-        sums = 0.0
-        for axis, k in enumerate(lattice.stiffness):
-            k = np.moveaxis(k, axis, 0)
-            sums = sums + np.moveaxis(k[1:] + k[:-1], 0, axis)  # of the bonds on both sides
-        self._diagonal = sums.ravel()
+        self._diagonal = lattice.diagonal.ravel()
         self._levels = self._dissect()
         for level in self._levels:
             for boxes in level:

@@ -20,18 +20,15 @@ CAPTIONS = {
 
 
 def figures(result, **_):
-    """Yield what a projection is made for.
-
-    A few driving frequencies: the coefficients at one. A sweep: the dominant mode. A sweep on a
-    handful of modes: these.
-    """
+    """Yield what a projection is made for."""
     projection = result.projection
     style.check_any(projection.mode_omega, "modes")
-    sweep, many = len(projection.omega) > style.HANDFUL, len(projection.mode_omega) > style.HANDFUL
-    if not sweep:
+    if len(projection.omega) <= style.HANDFUL:  # no sweep
         name, draw = "onefreq", coefficients
+    elif len(projection.mode_omega) > style.HANDFUL:
+        name, draw = "maxci", dominant
     else:
-        name, draw = ("maxci", dominant) if many else ("cifreq", single_modes)
+        name, draw = "cifreq", single_modes
     panel = partial(draw, projection=projection, lattice=result.medium)
     figure = style.single(panel, CAPTIONS[name])
     style.note_missing(figure, projection)

@@ -69,11 +69,6 @@ class ModeSolver(Owner):
         self.norm = self.K.norm(PETSc.NormType.INFINITY) or 1.0
         self._eps = None
 
-    @staticmethod
-    def whole():
-        """Return whether the EPS finds all modes at once, without slices."""
-        return _eps_type() == "lapack"
-
     def solve(self, low, high, count):
         """Return the modes with low < lambda < high, `count` of them, as far as they are found.
 
@@ -137,7 +132,7 @@ class ModeSolver(Owner):
         eps.setOptionsPrefix("normal_")
         eps.setOperators(self.K)
         eps.setProblemType(SLEPc.EPS.ProblemType.HEP)
-        eps.setType(_eps_type())
+        eps.setType(eps_type())
         eps.setTolerances(1e-13, 200)
         if eps.getType() == "lapack":
             eps.getDS().setMethod(2)  # divide and conquer; the default QR is five times as slow
@@ -253,6 +248,6 @@ def _defects(modes, count):
     return abs(count - len(values)), residual.max(initial=0.0)
 
 
-def _eps_type():
-    """Return the type of EPS that the options ask for."""
+def eps_type():
+    """Return the type of EPS that the options ask for; `lapack` finds all modes at once."""
     return PETSc.Options("normal_").getString("eps_type", "krylovschur")

@@ -32,10 +32,7 @@ def check(values, given):
 
 
 def which_modes(options, balls, omegas):
-    """Return which modes to project on, as `find_modes` takes it; nothing: all.
-
-    Of a large lattice only modes near the drives are wanted, unless options say others.
-    """
+    """Return which modes `find_modes` is to find: of a large lattice those near the drives."""
     if options.modes_omega_min is not None:
         return {"interval": (options.modes_omega_min, options.modes_omega_max)}
     count = options.modes_count or (NEAR if balls > ALL_MODES else None)

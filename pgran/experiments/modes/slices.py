@@ -12,7 +12,7 @@ import numpy as np
 
 from pgran.driven.counting import ModeCounter
 from pgran.errors import PgranError
-from pgran.experiments.modes.normal import ModeSolver
+from pgran.experiments.modes.normal import ModeSolver, eps_type
 from pgran.run.agreement import agreeing
 
 SLICE = 60  # modes that are computed together; measured for 40 x 40 and 100 x 100
@@ -60,7 +60,7 @@ def find_slices(operators, crew, interval=None, targets=None, count=None):
                     return around(counter, omega, mass, count, reach)
 
                 intervals = _united(shared(world, wanted, nearest_to))
-        if ModeSolver.whole():
+        if eps_type() == "lapack":  # which needs no slices
             return _between(intervals)
         if not crew.dry:
             return [piece for ends in intervals for piece in cut(counter, ends, world)]
@@ -106,10 +106,10 @@ def around(counter, omega, mass, wanted, reach=None):
         first, last = omega - reach, omega + reach  # below 0: unstable
         lowest, highest = mass * first * abs(first), mass * last**2
         margin = np.clip(CLOSE * (highest - lowest) / counter.norm, MARGIN, WIDE)
-        ends = end(counter, lowest, -1, margin), end(counter, highest, 1, margin)
-        inside = ends[1].below - ends[0].below
+        low, high = end(counter, lowest, -1, margin), end(counter, highest, 1, margin)
+        inside = high.below - low.below
         if inside >= wanted:
-            best, long = ends, reach
+            best, long = (low, high), reach
         else:
             short = reach
         if wanted <= inside <= few or long - short <= max(MARGIN * top, CLOSE * reach):

@@ -34,11 +34,6 @@ def check(values):
         raise InputError("-heat_balls: by how much? -heat_factor or -heat_overlap says")
 
 
-def is_wanted(options):
-    """Return whether the options of a run warm balls or cut bonds."""
-    return options.heat_cut or (options.heat_factor, options.heat_overlap) != (None, None)
-
-
 def summary(record):
     """Return in words what heating or cutting does."""
     good = record.converged_reason > 0

@@ -154,10 +154,9 @@ class Map:
     def flow(self, ax, values, lost):
         """Draw what flows through bonds, from the first ball to the second where it is positive.
 
-        A wedge a bond, broad where it comes from, its width as the root of what flows. Of more
-        bonds than are clear a wedge a square cell, for the sum of the vectors along the bonds.
-        Returns the balls, which have what is lost there as colours from 0 to 1. The values of all
-        bonds, and what is lost at all balls, are in units of the largest.
+        A wedge a bond, broad where it comes from, its width as the root of what flows; where bonds
+        are too many, a wedge a square cell, for the sum of the vectors along them. Returns the
+        balls, coloured by what is lost there. Both are in units of the largest.
         """
         self.frame(ax)
         look = {"cmap": LOST, "clim": (0.0, 1.0), "zorder": 0.4}

@@ -227,7 +227,7 @@ def run(lattice, options, crew):
     """Return the sensitivity, and what heating does if asked for; see `Scene`."""
     places = lattice, driving_frequencies(options, lattice), options.detectors
     records = [call(sensitivity, options, crew, *places)]
-    if heat.is_wanted(options):
+    if options.heat_cut or (options.heat_factor, options.heat_overlap) != (None, None):
         records.append(call(heat.heat, options, crew, *places))
     return records if records[0] else None
 
