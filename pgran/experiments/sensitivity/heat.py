@@ -4,9 +4,8 @@ import numpy as np
 
 from pgran.driven import drive as driven
 from pgran.errors import InputError
-from pgran.experiments.sensitivity import warm as warming
+from pgran.experiments.sensitivity import finite
 from pgran.experiments.sensitivity.adjoint import MISSED, AdjointSweep
-from pgran.experiments.sensitivity.finite import changed_amplitudes
 from pgran.experiments.sensitivity.record import Heat
 from pgran.medium.base import medium
 from pgran.medium.law import HERTZ
@@ -139,11 +138,11 @@ class HeatSweep(AdjointSweep):
             if self.overlap is None:
                 growth = (self.factor - 1) * lattice.springs.elastic
             else:
-                growth = warming.grown_by_overlap(lattice, self.overlap, hertz)
-            self.balls, contacts = free[warm], warming.contacts_of(lattice, warm)
-            groups["warmed"], self.delta = warming.changes(lattice, contacts, growth)
+                growth = finite.grown_by_overlap(lattice, self.overlap, hertz)
+            self.balls, contacts = free[warm], finite.contacts_of(lattice, warm)
+            groups["warmed"], self.delta = finite.changes(lattice, contacts, growth)
         if cut:
-            groups["cut"], _ = warming.cuts(lattice, 1j)
+            groups["cut"], _ = finite.cuts(lattice, 1j)
         self.groups = {name: springs for name, springs in groups.items() if len(springs)}
         missing = {"warmed", "cut"} - self.groups.keys()
         balls = (len(self.balls),)
@@ -174,10 +173,10 @@ class HeatSweep(AdjointSweep):
                 stretched = flexibility.stretched(fields, errors)
                 matrices = flexibility.matrices(columns)
                 if name == "cut":  # the dashpots of a bond, too, so that it depends on s
-                    _, delta = warming.cuts(self.scaled, solver.operators.s)
+                    _, delta = finite.cuts(self.scaled, solver.operators.s)
                 else:
                     delta = self.delta / self.unit
-                after = changed_amplitudes(before, stretched, matrices, delta)
+                after = finite.changed_amplitudes(before, stretched, matrices, delta)
                 point[name], point[f"{name}_bound"] = after
 
     def _fields(self, point, solver):

@@ -8,7 +8,7 @@ from pgran.experiments.sensitivity.adjoint import MISSED, AdjointSweep
 from pgran.experiments.sensitivity.gradient import energy_flux, gradient
 from pgran.experiments.sensitivity.record import Sensitivity
 from pgran.medium.base import medium
-from pgran.medium.bonds import bond_places
+from pgran.medium.bonds import bond_ends
 from pgran.medium.law import HERTZ
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Caution, Scene
@@ -63,12 +63,10 @@ def joins(medium, number):
     """Return in words what a bond joins, by its number."""
     if medium.group == "network":
         return "balls {} and {}".format(*medium.bond[number].tolist())
-    (axis,), (upper,) = bond_places(medium.shape, np.array([number]))
-    lower = upper - (np.arange(len(upper)) == axis)
-    inside = lower[axis] >= 0, upper[axis] < medium.shape[axis]
-    ends = zip((lower, upper), inside, strict=True)
-    ends = [site_name(site) if there else "the wall" for site, there in ends]
-    return f"{ends[0]} to {ends[1]}"
+    shape, numbers = medium.shape, np.arange(medium.free_balls)
+    ends = bond_ends(numbers.reshape(shape))[number]  # -1 for a wall
+    names = [site_name(np.unravel_index(n, shape)) if n >= 0 else "the wall" for n in ends]
+    return " to ".join(names)
 
 
 @in_parallel("sensitivity", shares_lattice=True, lattice=medium, omegas=checked_frequencies)
