@@ -27,16 +27,17 @@ QUANTILES = (0.5, 0.1, 0.9)
 class Samples(Task):
     """The experiment `of` on each sample, a seed a unit.
 
-    `solve(seed, group)`, collective over the group, returns the medium of a sample and the
-    experiment's records on its first rank. All media are as large as the `first`. `all_modes`: an
-    interval has none above omega_mx to count.
+    Collective over a group of ranks, `draw(seed, group)` returns the medium of a sample, as large
+    as the `first`, and `experiment(medium, number, crew)` its records on the first rank.
+    `all_modes`: an interval has none above omega_mx to count.
     """
 
     items = "samples"
 
-    def __init__(self, of, seeds, solve, first, keep, omegas=None, detectors=None, all_modes=False):
+    def __init__(self, of, seeds, draw, experiment, first, keep, omegas, detectors, all_modes):
         """Find what is read of a sample, and make the row that it travels in."""
-        self.of, self.units, self.solve, self.curves = of, list(seeds), solve, keep == "curves"
+        self.of, self.units, self.curves = of, list(seeds), keep == "curves"
+        self.draw, self.experiment = draw, experiment
         self.omegas = None if omegas is None else np.asarray(omegas, dtype=float)
         self.sites = None if detectors is None else first.sites(detectors)
         self.sampled = sampled_of(of)
@@ -56,21 +57,23 @@ class Samples(Task):
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`; a sample that cannot be computed is no good, which is said."""
+        from pgran.run.crew import AgreeingCrew
 
         def work(seed):
             rows = np.zeros(1, self.row)
             for name in self.sampled:
                 rows[name] = np.nan
             try:
-                solved = self.solve(seed, group)
+                medium = self.draw(seed, group)
+                with AgreeingCrew(group, group.size) as crew:
+                    records = self.experiment(medium, seed - self.units[0], crew)
             except Exception as error:  # which all ranks of the group meet alike
                 if type(error) is not PgranError and (not is_petsc(error) or is_bad_input(error)):
                     raise
                 if group.rank == 0:
                     log.warning("sample of seed %d is left out: %s", seed, error)
                 return rows
-            if solved is not None:
-                medium, *records = solved
+            if records:
                 groups = {record.group: record for record in records}
                 for name, sampled in self.sampled.items():
                     if sampled.group in groups:  # too short a relaxation has no spectrum

@@ -168,8 +168,7 @@ def ensemble(
             raise InputError(f"ensemble: many samples have no {sorted(refused)[0]} of their own")
         if listed and len(lattice) != samples:
             raise InputError(f"ensemble: {samples} samples are asked for, {len(lattice)} given")
-        sample = _maker(lattice)
-        first = sample(seeds[0])
+        first = _sample(lattice, seeds[0])
         asked["lattice"] = first.fingerprint
         choices = function.check(first, **experiment).arguments
         choices = {name: choices[name] for name in choices.keys() - {"lattice", "solver"}}
@@ -178,8 +177,8 @@ def ensemble(
     if of == "response":
         choices |= {"resolve": 0.0, "keep_models": False}
 
-    def another(seed, group):
-        medium = sample(seed)
+    def draw(seed, group):
+        medium = _sample(lattice, seed)
         if (type(medium), medium.shape) != (type(first), first.shape):
             raise InputError(f"ensemble: the sample of seed {seed} is of another size")
         return medium
@@ -192,60 +191,34 @@ def ensemble(
         return record and [record]
 
     with agreeing(crew.world):
-        task = Samples(of, seeds, _solver(seeds, another, one), first, keep, *places, all_modes)
+        task = Samples(of, seeds, draw, one, first, keep, *places, all_modes)
     return carry_out(task, crew, progress)
 
 
-def _solver(seeds, sample, experiment):
-    """Return what makes and solves the sample of a seed on a group of ranks: see `Samples`.
-
-    `sample(seed, group)` makes the medium, `experiment(medium, number, crew)` its records.
-    """
-
-    def solve(seed, group):
-        from pgran.run.crew import AgreeingCrew
-
-        medium = sample(seed, group)
-        with AgreeingCrew(group, group.size) as crew:
-            records = experiment(medium, seed - seeds[0], crew)
-        return records and [medium, *records]
-
-    return solve
-
-
-def _maker(lattice):
-    """Return a function of the seed from the keyword `lattice` of `ensemble`."""
+def _sample(lattice, seed):
+    """Return the sample of a seed from the keyword `lattice` of `ensemble`."""
+    if isinstance(lattice, dict):
+        if "seed" in lattice:
+            raise InputError("ensemble: seed says which samples, not lattice")
+        return Lattice.random(seed=seed, **lattice)
     if isinstance(lattice, (list, tuple)):
-        return lambda number: medium(_loaded(lattice[number]))
-    if callable(lattice):
-        return lambda seed: medium(_called(lattice, seed))
-    if not isinstance(lattice, dict):
+        sample = lattice[seed]
+        if isinstance(sample, (str, os.PathLike)):
+            from pgran.medium.network_file import load
+
+            sample = load(sample)
+        return medium(getattr(sample, "medium", sample))
+    if not callable(lattice):
         raise InputError(
             "ensemble: lattice is what pgran.Lattice.random takes, as a dict, a function of the "
             f"seed, or a list of samples, not {shown(lattice)}"
         )
-    if "seed" in lattice:
-        raise InputError("ensemble: seed says which samples, not lattice")
-    return lambda seed: Lattice.random(seed=seed, **lattice)
-
-
-def _loaded(sample):
-    """Return a sample, that of its file or of its result."""
-    from pgran.medium.network_file import load
-
-    if isinstance(sample, (str, os.PathLike)):
-        sample = load(sample)
-    return getattr(sample, "medium", sample)
-
-
-def _called(function, seed):
-    """Return what a function of the user's makes of a seed."""
     try:
-        return function(seed)
+        sample = lattice(seed)
     except Exception as error:
-        raise InputError(
-            f"ensemble: lattice({seed}) fails: {type(error).__name__}: {error}"
-        ) from error
+        reason = f"{type(error).__name__}: {error}"
+        raise InputError(f"ensemble: lattice({seed}) fails: {reason}") from error
+    return medium(sample)
 
 
 def summary(result):
@@ -283,7 +256,7 @@ def run(lattice, options, crew):
     if windows is not None:
         windows = noise.windows_of(windows, omegas)
 
-    def sample(seed, group):
+    def draw(seed, group):
         return make_lattice(options.changed(bonds_seed=seed), group)
 
     def one(medium, number, crew):
@@ -293,9 +266,8 @@ def run(lattice, options, crew):
         return scene.run(medium, options.changed(**changed), crew)
 
     all_modes = of == "modes" and options.modes_omega_min is None
-    solve = _solver(seeds, sample, one)
     places = omegas, options.detectors
-    task = Samples(of, seeds, solve, lattice, options.ensemble_keep, *places, all_modes)
+    task = Samples(of, seeds, draw, one, lattice, options.ensemble_keep, *places, all_modes)
     record = carry_out(task, crew, options.output_progress)
     if record is None or record.displacement is None or crew.dry:
         return record and [record]
