@@ -112,11 +112,8 @@ def test_samples_that_are_not_finite_are_left_out_aloud(caplog, amplitude, deriv
 @pytest.mark.parametrize(
     ("measure", "arguments", "message"),
     [
-        ("intensity", (DEPTH[1:], GOOD, GOOD), "^amplitude: shape"),
-        ("intensity", (DEPTH, GOOD[0], GOOD[0]), "^amplitude: shape"),
         ("intensity", (DEPTH, GOOD[:7], GOOD[:7]), "^amplitude: 7 samples .* 8 are needed"),
         ("intensity", (DEPTH * np.nan, GOOD, GOOD), "^depth: .* finite"),
-        ("intensity", (DEPTH, GOOD, GOOD[1:]), "^derivative: shape"),
         ("intensity", (DEPTH, 0 * GOOD, GOOD), "^amplitude: it vanishes"),
         (
             "log_amplitude",

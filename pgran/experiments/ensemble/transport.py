@@ -25,23 +25,13 @@ class Profiles:
     `depth` are those of the detectors, shape (nd,); `amplitude` and `derivative` are A and
     dA/domega, shape (samples, nw, nd). Samples that are not finite everywhere are left out, aloud.
     Means have the shape (nw, nx), of frequencies and of `depths`, ascending; detectors of one depth
-    are averaged in each sample. An InputError says what does not fit, or is too little.
+    are averaged in each sample. An InputError says what is too little.
     """
 
     def __init__(self, depth, amplitude, derivative):
         """Check, leave out, and find which detectors are of one depth."""
         depth, amplitude = np.asarray(depth, dtype=float), np.asarray(amplitude, dtype=complex)
         derivative = np.asarray(derivative, dtype=complex)
-        if amplitude.shape != derivative.shape:
-            raise InputError(
-                f"derivative: shape {derivative.shape} is not that of the amplitudes, "
-                f"{amplitude.shape}"
-            )
-        if amplitude.ndim != 3 or depth.shape != amplitude.shape[2:] or amplitude.size == 0:
-            raise InputError(
-                f"amplitude: shape {amplitude.shape} is not samples by frequencies by "
-                f"{depth.size} detectors"
-            )
         if not np.all(np.isfinite(depth)):
             raise InputError("depth: every one must be finite")
         kept = finite_samples(np.where(np.isfinite(derivative), amplitude, math.nan))
@@ -97,9 +87,7 @@ class Profiles:
         floor = 1e-12 * np.maximum(variance.max(axis=1, keepdims=True), np.finfo(float).tiny)
         weights = 1 / np.maximum(variance, floor)
         # least squares: slope = sum w (x - <x>) y / sum w (x - <x>)^2, <x> = sum w x / sum w
-        middle = np.sum(weights * depths, axis=1, keepdims=True) / weights.sum(
-            axis=1, keepdims=True
-        )
+        middle = np.average(np.broadcast_to(depths, weights.shape), 1, weights, keepdims=True)
         along = weights * (depths - middle)
         rate = mean_of(-np.sum(along * levels, axis=2) / np.sum(along * (depths - middle), axis=1))
         with np.errstate(all="ignore"):
@@ -143,10 +131,8 @@ class Profiles:
     def _check_depths(self):
         """Raise unless a straight line through the depths tells something."""
         if len(self.depths) < FEWEST_DEPTHS:
-            raise InputError(
-                f"depth: {len(self.depths)} depths are too few for a line; {FEWEST_DEPTHS} are "
-                "needed"
-            )
+            few = f"{len(self.depths)} depths are too few for a line"
+            raise InputError(f"depth: {few}; {FEWEST_DEPTHS} are needed")
 
 
 @called_right
