@@ -6,7 +6,6 @@ several correlation widths (`pgran.store.estimate.jackknife`).
 
 import logging
 import math
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -28,7 +27,6 @@ MOST_POINTS = 1 << 15  # of a curve that is resampled
 SPLINE_POINTS = 8  # between two of a curve, to look for its maxima
 
 
-@dataclass(frozen=True, eq=False)
 class NoisyCurves:
     """Response curves of one detector in a window of frequencies (low, high), checked.
 
@@ -39,24 +37,18 @@ class NoisyCurves:
     little is left.
     """
 
-    omega: np.ndarray
-    amplitude: np.ndarray
-    window: tuple | None = None
-    incoherent: bool = False
-
-    def __post_init__(self):
+    def __init__(self, omega, amplitude, window=None, incoherent=False):
         """Keep what lies in the window and is finite."""
-        omega = np.asarray(self.omega, dtype=float)
-        amplitude = np.atleast_2d(np.asarray(self.amplitude, dtype=complex))
-        low, high = (omega[0], omega[-1]) if self.window is None else self.window
+        low, high = omega[[0, -1]] if window is None else window
+        amplitude = np.atleast_2d(amplitude)
         inside = (low * (1 - 1e-9) <= omega) & (omega <= high * (1 + 1e-9))
         omega, amplitude = omega[inside], amplitude[:, inside]
         if not np.all(np.isfinite(amplitude)):
             omega, amplitude = _finite(omega, amplitude)
         if len(omega) < 3:
             raise InputError(f"window: {len(omega)} amplitudes lie in it, 3 are needed")
-        if 1 < len(amplitude) < FEWEST_SAMPLES or (self.incoherent and len(amplitude) == 1):
-            alone = "" if self.incoherent else ", or one curve at a time"
+        if 1 < len(amplitude) < FEWEST_SAMPLES or (incoherent and len(amplitude) == 1):
+            alone = "" if incoherent else ", or one curve at a time"
             raise InputError(
                 f"amplitude: {len(amplitude)} samples are too few for means over samples; "
                 f"{FEWEST_SAMPLES} are needed{alone}"
@@ -65,14 +57,8 @@ class NoisyCurves:
             raise InputError(
                 "amplitude: it vanishes, or its square does, in the whole window or in all samples"
             )
-        object.__setattr__(self, "omega", omega)
-        object.__setattr__(self, "amplitude", amplitude)
-        object.__setattr__(self, "window", (float(low), float(high)))
-
-    @property
-    def samples(self):
-        """How many samples there are."""
-        return len(self.amplitude)
+        self.omega, self.amplitude, self.incoherent = omega, amplitude, incoherent
+        self.samples = len(amplitude)
 
     @cached_property
     def weights(self):

@@ -2,6 +2,7 @@
 
 import math
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -228,9 +229,8 @@ def summary(result):
             f"the shortest attenuation length is {length:.3g} +- {error} "
             f"spacings{si.say('m', length)}, at omega = {omega:.4g}{si.say('Hz', omega)}"
         )
-    for low, high, growth, error in zip(
-        found.edge[:-1], found.edge[1:], found.delay_growth, found.delay_growth_error, strict=True
-    ):
+    growths = zip(found.delay_growth, found.delay_growth_error, strict=True)
+    for (low, high), (growth, error) in zip(pairwise(found.edge), growths, strict=True):
         yield (
             f"from {low:.3g} to {high:.3g}{si.say('Hz', low, high)} the group delay grows by "
             f"{growth:.3g} +- {two_digits(error)} a spacing"
