@@ -17,7 +17,7 @@ from pgran.errors import FileError
 from pgran.medium.network_file import write_network
 from pgran.store import file as store
 
-OPENING = "pgran: response of a 6 x 5 lattice, uniform bonds on [0, 0.25], seed 1993, beta 0.003, "
+OPENING = "pgran: response of a 6 x 5 lattice, bonds uniform on [0, 0.25], seed 1993, beta 0.003, "
 
 
 def assert_one_line(done, code, *parts):
@@ -73,24 +73,25 @@ SMALL = "-lattice_shape 4,3"
     ("words", "said"),
     [
         (f"response {SMALL} -detectors 2,1 -bonds_law constant -sweep_omega .3 -lattice_damping .1",
-         "response of a 4 x 3 lattice, constant bonds 0.25, seed 1993, beta 0.1, omega_mx 1, "),
+         "response of a 4 x 3 lattice, bonds all 0.25, seed 1993, beta 0.1, omega_mx 1, "),
         (f"modes {SMALL} -bonds_law bimodal -bonds_kmax 1",
-         "modes of a 4 x 3 lattice, bimodal bonds 0 and 1, 0.5 of them the latter, seed 1993, "
+         "modes of a 4 x 3 lattice, bonds 1 with probability 0.5, else 0, seed 1993, "
          "omega_mx 2, "),
         (f"modes {SMALL} -bonds_law loguniform -bonds_kmin .1",
-         "modes of a 4 x 3 lattice, loguniform bonds on [0.1, 0.25], seed 1993, omega_mx 1, "),
+         "modes of a 4 x 3 lattice, bonds log-uniform on [0.1, 0.25], seed 1993, omega_mx 1, "),
         (f"modes {SMALL} -bonds_law hertz -bonds_force 2 -bonds_hertz 4 -bonds_kmax .25",
-         "modes of a 4 x 3 lattice, Hertzian bonds, mean force 2, c 4, seed 1993, omega_mx 1, "),
+         "modes of a 4 x 3 lattice, bonds by Hertz's law with c = 4, of exponential "
+         "forces of mean 2, seed 1993, omega_mx 1, "),
         ("modes -network_file a.h5", "modes of the network a.h5, 2 free balls, 3 contacts, "
          "scalar displacements, omega_mx 1, "),
         (f"ensemble -ensemble_of modes {SMALL} -ensemble_samples 3 -bonds_seed 7",
-         "ensemble of modes of 3 lattices of 4 x 3, uniform bonds on [0, 0.25], seeds 7 to 9, "
+         "ensemble of modes of 3 lattices of 4 x 3, bonds uniform on [0, 0.25], seeds 7 to 9, "
          "omega_mx 1, "),
         (f"ensemble {SMALL} -detectors 2,1 -ensemble_samples 3 -sweep_points 2",
-         "ensemble of response of 3 lattices of 4 x 3, uniform bonds on [0, 0.25], "
+         "ensemble of response of 3 lattices of 4 x 3, bonds uniform on [0, 0.25], "
          f"seeds 1993 to 1995, {BETA}"),
         (f"sensitivity {SMALL} -detectors 2,1 -sweep_omega .3 -heat_factor 2",
-         f"sensitivity of a 4 x 3 lattice, uniform bonds on [0, 0.25], seed 1993, {BETA}"),
+         f"sensitivity of a 4 x 3 lattice, bonds uniform on [0, 0.25], seed 1993, {BETA}"),
         ("continuum -sweep_points 3", "continuum of a homogeneous box of 1 x 1, beta 0.003, "),
     ],
 )  # fmt: skip

@@ -1,5 +1,6 @@
 """The first line of a run: what it solves."""
 
+from pgran.medium.law import DEFAULTS, IN_WORDS
 from pgran.store.estimate import counted
 from pgran.store.si import SI
 
@@ -9,20 +10,18 @@ def opening(options, ranks, lattice=None):
 
     The lattice is that of the run, of an ensemble its first sample; None where there is none.
     """
-    scene, of, samples = options.scene, None, None
-    if scene in ("ensemble", "accuracy"):
-        of = options.ensemble_of if scene == "ensemble" else options.accuracy_of
-    if scene == "ensemble":
-        samples = options.ensemble_samples
+    of = getattr(options, f"{options.scene}_of", None)
     if lattice is None:
         size = " x ".join(f"{length:g}" for length in options.continuum_size)
         facts = [f"a homogeneous box of {size}", f"beta {options.continuum_damping:g}"]
-    elif options.network_file is not None:
-        facts = [*_network(options, lattice), *_constants(options, lattice, of or scene)]
     else:
-        facts = [*_lattice(options, lattice, samples), *_constants(options, lattice, of or scene)]
+        facts = [*(_lattice if options.network_file is None else _network)(options, lattice)]
+        if (of or options.scene) != "modes":
+            facts.append(f"beta {lattice.damping:g}")
+        unit = SI.of(options).say("Hz", lattice.omega_mx)
+        facts.append(f"omega_mx {lattice.omega_mx:.6g}{unit}")
     facts.append(counted(ranks, "rank"))
-    return f"{scene} of {f'{of} of ' if of else ''}{', '.join(facts)}"
+    return f"{options.scene} of {f'{of} of ' if of else ''}{', '.join(facts)}"
 
 
 def _network(options, network):
@@ -34,28 +33,20 @@ def _network(options, network):
     yield moves[network.displacement] + where
 
 
-def _lattice(options, lattice, samples):
+def _lattice(options, lattice):
     """Return the facts of a lattice, or of many."""
-    size = " x ".join(map(str, lattice.shape))
-    yield f"a {size} lattice" if samples is None else f"{samples} lattices of {size}"
-    law = options.bonds_law
-    if law == "file":
-        yield f"bonds of {options.bonds_file}"
-        return
-    between = f"{options.bonds_kmin:g} and {options.bonds_kmax:g}" if law == "bimodal" else ""
-    if law in ("uniform", "loguniform"):
-        between = f"[{options.bonds_kmin:g}, {options.bonds_kmax:g}]"
-    yield {
-        "constant": f"constant bonds {lattice.kmax:g}",
-        "bimodal": f"bimodal bonds {between}, {options.bonds_fraction:g} of them the latter",
-        "hertz": f"Hertzian bonds, mean force {options.bonds_force:g}, c {options.bonds_hertz:g}",
-    }.get(law, f"{law} bonds on {between}")
-    first = options.bonds_seed
-    yield f"seed {first}" if samples is None else f"seeds {first} to {first + samples - 1}"
-
-
-def _constants(options, lattice, experiment):
-    """Return damping, which modes have not, and the unit of frequency."""
-    if experiment != "modes":
-        yield f"beta {lattice.damping:g}"
-    yield f"omega_mx {lattice.omega_mx:.6g}{SI.of(options).say('Hz', lattice.omega_mx)}"
+    size, first = " x ".join(map(str, lattice.shape)), options.bonds_seed
+    values = {name: getattr(options, f"bonds_{name}") for name in (*DEFAULTS, "file")}
+    values |= {name: f"{value:g}" for name, value in values.items() if isinstance(value, float)}
+    bonds = "bonds " + IN_WORDS[options.bonds_law].format(**values).replace("$", "")
+    if options.scene == "ensemble":
+        samples = options.ensemble_samples
+        yield from (
+            f"{samples} lattices of {size}",
+            bonds,
+            f"seeds {first} to {first + samples - 1}",
+        )
+    else:
+        yield from (f"a {size} lattice", bonds)
+        if options.bonds_law != "file":
+            yield f"seed {first}"

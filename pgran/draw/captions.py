@@ -8,19 +8,11 @@ import numpy as np
 
 from pgran import catalogue
 from pgran.draw import marks, style
+from pgran.medium.law import IN_WORDS
 
 SAMPLES = "bonds", "network"  # figures that show what was computed on
 NAMED = 6  # detectors
 AXES = {1: "chain", 2: "square lattice", 3: "cubic lattice"}
-LAWS = {
-    "uniform": "uniform on [{kmin}, {kmax}]",
-    "constant": "all {kmax}",
-    "loguniform": "log-uniform on [{kmin}, {kmax}]",
-    "bimodal": "{kmax} with probability {fraction}, else {kmin}",
-    "hertz": "by Hertz's law, $k = 3/2\\,c^{{2/3}} F^{{1/3}}$ with $c$ = {hertz}, of exponential "
-    "forces of mean {force}",
-    "file": "read from {file}",
-}
 
 
 def number(value, digits=2):
@@ -61,7 +53,7 @@ def sample(result, si):
         facts[0] += f", displacements: {medium.displacement}"
     else:
         count = r" \times ".join(map(str, medium.shape))
-        law = LAWS.get(bonds.get("law"), "")
+        law = IN_WORDS.get(bonds.get("law"), "")
         facts = [f"{AXES[len(medium.shape)]} of ${count}$ balls of mass {number(medium.mass)} "
                  "between walls, one of which is driven"]  # fmt: skip
         facts += [f"bonds {law.format(**bonds)}"] * bool(law)

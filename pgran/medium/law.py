@@ -68,6 +68,15 @@ LAWS = {
     "bimodal": (_bimodal, ("kmin", "kmax", "fraction")),
     "hertz": (_hertz, ("force", "hertz")),
 }
+# A law in words, of parameters in words; formulas between dollars.
+IN_WORDS = {
+    "uniform": "uniform on [{kmin}, {kmax}]",
+    "constant": "all {kmax}",
+    "loguniform": "log-uniform on [{kmin}, {kmax}]",
+    "bimodal": "{kmax} with probability {fraction}, else {kmin}",
+    "hertz": "by Hertz's law with $c$ = {hertz}, of exponential forces of mean {force}",
+    "file": "read from {file}",
+}
 DEFAULTS = {"kmin": 0.0, "kmax": 0.25, "fraction": 0.5, "force": 1.0, "hertz": 1.0}
 HERTZ = Option(
     "bonds_hertz", REAL, DEFAULTS["hertz"], "hertz: c in F = c h^(3/2)",
