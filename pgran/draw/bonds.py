@@ -44,7 +44,7 @@ def bonds(ax, lattice, detectors):
     ball the mean constant of all its bonds. Returns what a colour bar is of.
     """
     axes, (nx, ny) = len(lattice.shape), (*lattice.shape, 1)[:2]
-    stiffness = [getattr(lattice, f"stiffness_{name}") for name in "xyz"[:axes]]
+    stiffness = lattice.stiffness
     plane, kmax = tuple(detectors[0][2:]), lattice.mass * lattice.omega_mx**2 / (2 * axes)
     stiffest = max(np.max(k) for k in stiffness)
     fits = 0.5 * kmax <= stiffest <= 2 * kmax or stiffest == 0

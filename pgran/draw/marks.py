@@ -11,22 +11,10 @@ RUG = 1.0  # points on paper that modes are apart at least to be marked one by o
 def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
     """Draw curves with gaps where points are not good; return them, masked there.
 
-    A good point that stands alone is a dot, upper limits are triangles that point down. Where
-    nothing is good the axis of `y` is hidden.
-
-    Parameters
-    ----------
-    ax : matplotlib.axes.Axes
-    x : numpy.ndarray, shape (n,)
-    y : numpy.ndarray, shape (n,) or (n, curves)
-    good : numpy.ndarray of bool, shape of `y`
-    labels : sequence of str, shape (curves,), optional
-    limit : numpy.ndarray, shape of `y`, optional
-        Upper limits; NaN: none.
-    dots : bool, optional
-        Mark every good point by a dot. By default those of at most `style.FEW`.
-    **line
-        For `Axes.plot`.
+    Of points `x`, shape (n,), `y` has the shape (n,) or (n, curves), so have `good` and `limit`,
+    upper limits or NaN, which are triangles that point down. A good point that stands alone is a
+    dot, as are all with `dots`, by default those of at most `style.FEW`. Where nothing is good the
+    axis of `y` is hidden. `line` is for `Axes.plot`.
     """
     y, good = np.reshape(y, (len(x), -1)), np.reshape(good, (len(x), -1))
     shades, drawn = style.colours(y.shape[1]), []

@@ -1,11 +1,8 @@
 """The figures of a result; matplotlib is imported when they are made.
 
-The module of a group of the result, `pgran.figures.response` say, has a function for each kind of
-panel, `panel(ax, record, medium)`: it draws a record of that group into axes of the user's, with
-labels for a legend, and returns what it drew. Its `figures(result, **over)` yields the names and
-the pages that `pgran plot` saves; `over` is what another result of the same lattice adds, `modes`
-or `response`. `together` lays results of one scene over each other, `style.applied()` is their
-style. The `caption` of a page says what it shows, of which sample, and how exactly.
+The `figures(result, **over)` of a group's module, `pgran.figures.response` say, yields names and
+pages; `over` is what another result of the same lattice adds, `modes` or `response`. Its panels,
+`panel(ax, record, medium)`, draw into axes of the user's and return what they drew.
 """
 
 import contextlib
@@ -21,11 +18,8 @@ from pgran.store.si import SI
 def make(result, si=None, width=None, **over):
     """Return all figures of a result by their names. See `pgran.plot`."""
     groups = [group for group in sorted(catalogue.FIGURES) if hasattr(result, group)]
-    if not groups:
-        raise FileError(f"nothing to draw in this result (scene {result.scene})")
-    _check_unit(result)
     made = {}
-    with _style(width):
+    with _style([result], width):
         for group in groups:
             made |= dict(catalogue.figures(group).figures(result, **over))
         if not made:
@@ -35,9 +29,7 @@ def make(result, si=None, width=None, **over):
 
 def compare(results, labels, si=None, width=None):
     """Return figures of results of one scene over each other. See `pgran.plot`."""
-    for result in results:
-        _check_unit(result)
-    with _style(width):
+    with _style(results, width):
         from pgran.draw import together
 
         return _finished(dict(together.figures(results, labels)), results, si or SI())
@@ -57,19 +49,15 @@ def _finished(made, results, si):
 
 def add_measured(made, results, data, label):
     """Draw what was measured into figures of responses; see `together`."""
-    with _style():
+    with _style(results):
         return catalogue.figures("response").add_measured(made, results, data, label)
 
 
-def _check_unit(result):
-    """Raise a FileError unless there is a unit of frequency, where one is needed."""
-    if hasattr(result, "medium") and not result.medium.omega_mx > 0:
-        raise FileError("nothing to draw in this result: without stiff bonds omega_mx is 0")
-
-
 @contextlib.contextmanager
-def _style(width=None):
-    """Make the figures' style hold for a while."""
+def _style(results, width=None):
+    """Make the figures' style hold for a while; raise a FileError without a unit of frequency."""
+    if any(hasattr(each, "medium") and not each.medium.omega_mx > 0 for each in results):
+        raise FileError("nothing to draw in this result: without stiff bonds omega_mx is 0")
     try:
         from pgran.draw import style
     except ImportError as error:

@@ -7,15 +7,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.ticker import (
-    FixedLocator,
-    FuncFormatter,
-    Locator,
-    LogLocator,
-    MaxNLocator,
-    NullFormatter,
-    NullLocator,
-)
+from matplotlib import ticker
 
 from pgran.draw import style
 from pgran.store.si import prefix_of
@@ -76,7 +68,7 @@ def frequencies(ax, x, quantity=FREQUENCY, within=(0.0, np.inf)):
 def round_ticks(figure):
     """Return what makes ticks, as many whatever the layout is: that depends on them."""
     narrow = figure.get_figwidth() < 1.5 * style.COLUMN
-    return MaxNLocator(6 if narrow else 10, steps=[1, 2, 2.5, 5, 10])
+    return ticker.MaxNLocator(6 if narrow else 10, steps=[1, 2, 2.5, 5, 10])
 
 
 def symmetric(ax, values, threshold):
@@ -93,7 +85,7 @@ def symmetric_ticks(threshold, largest):
     return [*-powers, 0.0, *powers]
 
 
-class Ticks(Locator):
+class Ticks(ticker.Locator):
     """Ticks where `base` has them for the numbers of an axis times `factor`."""
 
     def __init__(self, base, factor):
@@ -118,7 +110,7 @@ class Ticks(Locator):
 def in_si(figure, medium, si):
     """Give the axes of a figure SI units where these are known; axes of a quantity are alike."""
     shown = {}
-    for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
+    for axis in [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]:
         quantity = getattr(axis, "quantity", None)
         if quantity and quantity.unit and si.factor(quantity.unit) is not None:
             shown.setdefault(quantity, []).append(axis)
@@ -134,21 +126,21 @@ def in_si(figure, medium, si):
 
 def convert(axis, factor):
     """Put ticks at round numbers of the axis times `factor`, and those numbers beside them."""
-    kind, minor = axis.get_scale(), NullLocator()
+    kind, minor = axis.get_scale(), ticker.NullLocator()
     if kind == "log":
         low, high = sorted(axis.get_view_interval())
         narrow = high < 100 * low  # may hold a single power of ten
-        major = LogLocator(subs=(1, 2, 5) if narrow else (1,))
-        minor = LogLocator(subs=range(2, 10))
+        major = ticker.LogLocator(subs=(1, 2, 5) if narrow else (1,))
+        minor = ticker.LogLocator(subs=range(2, 10))
     elif kind == "symlog":
         ends = axis.get_transform().linthresh, np.abs(axis.get_view_interval()).max()
-        major = FixedLocator(symmetric_ticks(*(factor * end for end in ends)))
+        major = ticker.FixedLocator(symmetric_ticks(*(factor * end for end in ends)))
     else:
         major = round_ticks(axis.figure)
     axis.set_major_locator(Ticks(major, factor))
     axis.set_minor_locator(Ticks(minor, factor))
-    axis.set_minor_formatter(NullFormatter())
-    axis.set_major_formatter(FuncFormatter(lambda x, _: _written(x * factor)))
+    axis.set_minor_formatter(ticker.NullFormatter())
+    axis.set_major_formatter(ticker.FuncFormatter(lambda x, _: _written(x * factor)))
 
 
 def _written(number):

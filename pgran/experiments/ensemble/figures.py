@@ -8,12 +8,7 @@ import numpy as np
 from pgran.draw import scales, style
 from pgran.draw.scales import Quantity
 from pgran.experiments.ensemble.record import measures
-from pgran.experiments.modes.figures import (
-    bin_edges,
-    density_axes,
-    density_of,
-    participation_axes,
-)
+from pgran.experiments.modes import figures as modes
 
 # Numbers of a sample, by their names in the record, which declares how they are called.
 NUMBERS = {name: Quantity(*measure.quantity) for name, measure in measures().items()}
@@ -198,13 +193,13 @@ def _bins(values):
 def density(ax, found, lattice):
     """Draw the density of modes a sample, with its standard error; return the outline."""
     x = found.mode_omega[found.good > 0] / lattice.omega_mx
-    edges = bin_edges(x)
-    each = np.array([density_of(row, edges, lattice) for row in x])
+    edges = modes.bin_edges(x)
+    each = np.array([modes.density_of(row, edges, lattice) for row in x])
     mean, error = each.mean(axis=0), each.std(axis=0, ddof=1) / math.sqrt(len(x))
     shade = {"fill": True, "color": "#999999", "label": "its standard error"}
     ax.stairs(mean + error, edges, baseline=mean - error, **shade)
     outline = ax.stairs(mean, edges, color="black", label=f"mean of {len(x)} samples")
-    density_axes(ax, edges)
+    modes.density_axes(ax, edges)
     return outline
 
 
@@ -214,7 +209,7 @@ def participation(ax, found, lattice):
     Returns the median.
     """
     x, values = known(found, "mode_omega") / lattice.omega_mx, known(found, "participation")
-    edges = bin_edges(x)
+    edges = modes.bin_edges(x)
     bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
     low, middle, high = np.full((3, len(edges) - 1), np.nan)
     for n in np.unique(bins):
@@ -222,5 +217,5 @@ def participation(ax, found, lattice):
     shade = {"fill": True, "color": BAND, "label": "10 to 90 % of the modes"}
     ax.stairs(high, edges, baseline=low, **shade)
     median = ax.stairs(middle, edges, baseline=None, color="black", label="median")
-    participation_axes(ax, edges, lattice)
+    modes.participation_axes(ax, edges, lattice)
     return median
