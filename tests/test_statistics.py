@@ -219,12 +219,6 @@ def test_curves_that_cannot_be_measured(arguments, message):
             (OMEGA, MANY * (np.arange(600) > 0) ** np.eye(80)[0][:, None]),
             "^amplitude: one vanishes",
         ),
-        (
-            lambda curves: intensity.correlation(curves, [2.0]),
-            (OMEGA, FIELDS),
-            "^shifts: .* half of the window",
-        ),
-        (lambda curves: intensity.histogram(curves, [1, 1]), (OMEGA, FIELDS), "^edges: "),
     ],
 )
 def test_measures_that_there_are_not(measure, arguments, message):

@@ -101,9 +101,8 @@ def check(values, given):
         )
     if values["statistics_windows"] is not None:
         if (kind, values["ensemble_keep"]) != ("response", "curves"):
-            raise InputError(
-                "-statistics_windows: needs -ensemble_of response and -ensemble_keep curves"
-            )
+            needed = "-ensemble_of response and -ensemble_keep curves"
+            raise InputError(f"-statistics_windows: needs {needed}")
         noise.windows_of(values["statistics_windows"])
 
 

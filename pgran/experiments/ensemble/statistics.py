@@ -28,20 +28,17 @@ def windows_of(values, omegas=None):
 
     Raises InputError unless they are such, and within the sweep if it is given.
     """
-    ends = numbers("-statistics_windows", values).ravel()
+    name = "-statistics_windows"
+    ends = numbers(name, values).ravel()
     if not ends.size or ends.size % 2:
-        raise InputError(
-            f"-statistics_windows: a window has two ends, so {ends.size} numbers make none"
-        )
+        raise InputError(f"{name}: a window has two ends, so {ends.size} numbers make none")
     windows = ends.reshape(-1, 2)
     for low, high in windows:
         if not low < high:
-            raise InputError(f"-statistics_windows: {low:g} is not below {high:g}")
+            raise InputError(f"{name}: {low:g} is not below {high:g}")
         if omegas is not None and not omegas[0] <= low < high <= omegas[-1]:
-            raise InputError(
-                f"-statistics_windows: {low:g} to {high:g} is not within the sweep, "
-                f"{omegas[0]:g} to {omegas[-1]:g}"
-            )
+            sweep = f"the sweep, {omegas[0]:g} to {omegas[-1]:g}"
+            raise InputError(f"{name}: {low:g} to {high:g} is not within {sweep}")
     return windows
 
 
@@ -70,9 +67,7 @@ def statistics(ensemble, windows):
         If the ensemble has no curves, or a window lies outside the sweep, or samples are too few.
     """
     if not isinstance(ensemble, Ensemble) or ensemble.displacement is None:
-        raise InputError(
-            "statistics: this ensemble has no curves; -ensemble_keep curves keeps them"
-        )
+        raise InputError("statistics: no curves; -ensemble_keep curves keeps them")
     windows = windows_of(windows, ensemble.omega)
     A = ensemble.displacement[ensemble.good > 0]
     detectors, missing = range(A.shape[2]), {}
@@ -108,14 +103,9 @@ def _of_place(omega, A, window, detector, missing):
     stride = -(-(len(omega) - 1) // (2 * SHIFTS))
     shifts = stride * (omega[1] - omega[0]) * np.arange(SHIFTS)
     both = [_measure(curves, shifts, where, missing) for curves in (whole, incoherent)]
-    estimates = {name: _stacked([part[name] for part in both]) for name in both[0]}
     coherent = whole.estimate(_coherent_part, whole.amplitude)
-    return {"shift": shifts} | with_errors(coherent_part=coherent, **estimates)
-
-
-def _stacked(estimates):
-    """Return estimates as one, along a new first axis."""
-    return Estimate(*(np.array([getattr(e, n) for e in estimates]) for n in ("value", "error")))
+    fields = {name: np.array([part[name] for part in both]) for name in both[0]}
+    return {"shift": shifts} | with_errors(coherent_part=coherent) | fields
 
 
 def _coherent_part(A, weights):
@@ -124,7 +114,7 @@ def _coherent_part(A, weights):
 
 
 def _measure(curves, shifts, where, missing):
-    """Return the estimates of some curves by name; NaN where there is none, see `_of_place`."""
+    """Return measures of some curves and errors by name; NaN for what is `missing`."""
     omega = curves.uniform.omega
     known = np.flatnonzero(shifts < omega[len(omega) // 2] - omega[0])
     measures = {name: ((), partial(getattr(intensity, name), curves)) for name in MEASURED}
@@ -140,7 +130,7 @@ def _measure(curves, shifts, where, missing):
     beyond, found = (0, len(shifts) - len(known)), estimates["correlation"]
     pad = partial(np.pad, pad_width=beyond, constant_values=np.nan)
     estimates["correlation"] = Estimate(pad(found.value), pad(found.error))
-    return estimates
+    return with_errors(**estimates)
 
 
 def summary(found):

@@ -38,9 +38,8 @@ class Profiles:
         kept = finite_samples(np.where(np.isfinite(derivative), amplitude, math.nan))
         self.samples = np.count_nonzero(kept)
         if self.samples < FEWEST_SAMPLES:
-            raise InputError(
-                f"amplitude: {self.samples} samples are too few; {FEWEST_SAMPLES} are needed"
-            )
+            few = f"{self.samples} samples are too few"
+            raise InputError(f"amplitude: {few}; {FEWEST_SAMPLES} are needed")
         self.amplitude, self.derivative = amplitude[kept], derivative[kept]
         self.depths, place = np.unique(depth, return_inverse=True)
         # one column a depth: 1/n at each of its n detectors, so that numbers @ share are the means
@@ -55,10 +54,8 @@ class Profiles:
         size = np.abs(self.amplitude)
         if np.any(size == 0):
             sample, frequency, detector = np.argwhere(size == 0)[0]
-            raise InputError(
-                f"amplitude: that of sample {sample}, frequency {frequency}, detector {detector} "
-                "vanishes and has no logarithm"
-            )
+            where = f"sample {sample}, frequency {frequency}, detector {detector}"
+            raise InputError(f"amplitude: that of {where} vanishes and has no logarithm")
         return np.log(size) @ self.share
 
     def log_amplitude(self):
