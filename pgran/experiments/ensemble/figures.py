@@ -31,9 +31,9 @@ ROWS, NARROWEST = 5, 3.0  # of curves, before there is another column; inches of
 
 def figures(result, **_):
     """Yield what there is: bands of curves, densities of modes, and histograms of numbers."""
-    found, lattice = result.ensemble, result.medium
+    found = result.ensemble
     style.check_any(found.seed[found.good > 0], "sample that is as accurate as asked")
-    for name, figure in _pages(found, lattice):
+    for name, figure in _pages(found, result.medium):
         if found.left_out:
             style.note(figure, f"{found.left_out} of {len(found.seed)} samples are left out")
         yield name, figure
@@ -56,9 +56,9 @@ def _pages(found, lattice):
         if shown:
             draws = [partial(histogram, found=found, name=name, detector=d) for d in shown]
             figure = style.stack(draws, [""], height=2.0)
+            what = f"{quantity.name} {quantity.own}".strip()
             figure.caption = (
-                f"Histogram over samples: {quantity.name} {quantity.own}".strip()
-                + "; line and band: mean and its standard error."
+                f"Histogram over samples: {what}; line and band: mean and its standard error."
             )
             if any(withheld(found, name, d) for d in shown):
                 figure.caption += " Withheld: samples in which it is not certain."

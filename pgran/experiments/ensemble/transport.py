@@ -31,8 +31,6 @@ class Profiles:
 
     def __init__(self, depth, amplitude, derivative):
         """Check, leave out, and find which detectors are of one depth."""
-        depth, amplitude = np.asarray(depth, dtype=float), np.asarray(amplitude, dtype=complex)
-        derivative = np.asarray(derivative, dtype=complex)
         if not np.all(np.isfinite(depth)):
             raise InputError("depth: every one must be finite")
         kept = finite_samples(np.where(np.isfinite(derivative), amplitude, math.nan))
@@ -170,7 +168,8 @@ def transport(medium, ensemble):
     displacement = ensemble.displacement[good]
     # dA/domega along the circle |A| alone: d arg A / domega is minus the delay
     turned = -1j * np.nan_to_num(ensemble.sample_delay[good]) * displacement
-    profiles = Profiles(medium.depths(ensemble.detector), displacement, turned)
+    depth = np.asarray(medium.depths(ensemble.detector), dtype=float)
+    profiles = Profiles(depth, displacement, turned)
     rate, length = profiles.attenuation()
     edges, over = _bands(omega, first, medium.omega_mx)
     return Transport(
