@@ -122,7 +122,7 @@ def test_the_options_make_that_lattice(capsys, dimensions):
     facts = {"mass": options.lattice_mass, "damping": options.lattice_damping}
     lattice = pgran.Lattice.random((4,) * dimensions, seed=1, kmax=options.bonds_kmax, **facts)
     assert lattice.omega_mx == pytest.approx(1.0, rel=1e-15)
-    scale = replace(BEAD, dimensions=dimensions)
+    scale = Scale(BEAD.material, BEAD.diameter, BEAD.force, dimensions)
     beta = hertz.damping_of_restitution(scale.stiffness, scale.mass, 0.9)
     assert lattice.damping / lattice.kmax == pytest.approx(
         beta * scale.omega_mx / scale.stiffness, rel=1e-13
@@ -183,7 +183,7 @@ def test_long_waves_where_bonds_are_random(dimensions, size, samples):
         lowest = eigh(K.reshape(lattice.balls, -1), eigvals_only=True, subset_by_index=(0, 0))
         found.append(lowest[0] / (dimensions * (2 * np.sin(np.pi / 2 / (size + 1))) ** 2))
     assert np.mean(found) == pytest.approx(hertz.effective_stiffness(dimensions), rel=0.05)
-    scale = replace(BEAD, dimensions=dimensions)
+    scale = Scale(BEAD.material, BEAD.diameter, BEAD.force, dimensions)
     ratio = (scale.random_velocity / scale.velocity) ** 2
     assert ratio == pytest.approx(hertz.effective_stiffness(dimensions), rel=1e-12)
 

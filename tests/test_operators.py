@@ -81,7 +81,7 @@ def test_pattern_and_symmetry_do_not_change(comm):
             assert operators.S.isHermitianKnown() == (True, False)
             for matrix in (operators.K, operators.C, operators.S):
                 assert matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] == entries
-            operators.change_bonds(np.array([14, 3]), np.full(len(operators.layout.ends), 0.1))
+            operators.set_stiffness(np.full(len(operators.layout.ends), 0.1), np.array([14, 3]))
 
 
 @pytest.mark.parametrize("law", ["uniform", "wide"])
@@ -95,7 +95,7 @@ def test_changed_bonds_leave_nothing_behind(comm, shape, law):
         for changed in changes:
             changed = np.array(changed, dtype=int)
             constants[changed] = 10.0 ** rng.uniform(-6, 0, len(changed))
-            operators.change_bonds(changed, constants)
+            operators.set_stiffness(constants, changed)
             operators.combine(0.1 + 0.6j)
             with Operators(Lattice(bond_arrays(shape, constants)), comm) as anew:
                 anew.combine(0.1 + 0.6j)

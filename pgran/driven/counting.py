@@ -26,17 +26,9 @@ class ModeCounter(Owner):
     """Counts the eigenvalues below a shift of K, or C, of a lattice or network.
 
     Each rank counts on a copy of its own, because PETSc's own factorization, the only one that
-    gives the inertia of complex matrices everywhere, is serial. Where it would take long, SciPy's
-    SuperLU does it unless options choose.
-
-    Attributes
-    ----------
-    norm : float
-        |K|_inf, which no eigenvalue exceeds; 1 if K is zero.
-    order : int
-        How many eigenvalues there are.
-    costly : bool
-        Whether a count takes longer than a search for some modes: where factors fill.
+    gives the inertia of complex matrices everywhere, is serial. Where it would take long, `costly`
+    beside a search for some modes, SciPy's SuperLU does it unless options choose. No eigenvalue
+    exceeds `norm`, |K|_inf, 1 if K is zero; there are `order` of them.
     """
 
     owns = ("_pc", "_shifted", "_x", "_rhs", "_residual")

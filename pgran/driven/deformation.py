@@ -9,23 +9,12 @@ from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 
 
 def march(G, delta):
-    """Change one bond after the other; return how each then deforms the lattice.
+    """Change one bond after the other; return T (s, s) and c (s,): how each deforms the lattice.
 
-    This is the inverse, column by column, of the factor L^T in the L D L^T factorization of
+    G (s, s) is b^T S0^-1 b' of the bonds before any change, `delta` (s,) by how much each changes.
+    S^-1 b_t = S0^-1 B T[:, t] once the bonds before t have changed; c is delta / (1 + delta b^T
+    S^-1 b). T is the inverse, column by column, of the factor L^T in the L D L^T factorization of
     diag(1/delta) + G, whose leading blocks are the networks after each step.
-
-    Parameters
-    ----------
-    G : numpy.ndarray, shape (s, s)
-        b^T S0^-1 b' of the changing bonds before any change.
-    delta : numpy.ndarray, shape (s,)
-        By how much each changes.
-
-    Returns
-    -------
-    T, c : numpy.ndarray, shapes (s, s) and (s,)
-        S^-1 b_t = S0^-1 B T[:, t] once the bonds before t have changed; delta / (1 + delta b^T S^-1
-        b).
     """
     steps = len(delta)
     T, (c, row) = np.eye(steps, dtype=complex), np.zeros((2, steps), dtype=complex)
@@ -47,17 +36,9 @@ class Deformation:
     and what rounding adds to b^T x in units of |x|_2; `sizes` are no less than |x0|_2, and than the
     norms of Y's columns.
 
-    Attributes
-    ----------
-    start : numpy.ndarray, shape (s,)
-        b^T x0 of each bond, a moving wall counted.
-    coefficients, coefficient_sizes : numpy.ndarray, shape (s, s)
-        a (gamma of the amplitudes, eta of an adjoint) for each bond after each step; its magnitude.
-    stretch : numpy.ndarray, shape (s, s)
-        t = b^T x = b^T x0 + G a.
-    missed, missed_sizes : numpy.ndarray, shape (s, s)
-        a + Delta t (h of the amplitudes, g of an adjoint), which is zero but for the errors of the
-        algebra, and its magnitude.
+    Of each bond after each step, (s, s), `coefficients` are a (gamma of the amplitudes, eta of an
+    adjoint), `stretch` is t = b^T x = b^T x0 + G a, a moving wall counted, and `missed` is
+    a + Delta t (h of the amplitudes, g of an adjoint), zero but for the errors of the algebra.
     """
 
     def __init__(self, T, c, G, delta, start, rows, sizes, wall=0.0):

@@ -40,9 +40,8 @@ class Operators(Owner):
         self.f_stiffness, self.M, self._inertia = (self.layout.like.duplicate() for _ in range(3))
         self.M.set(self.mass)
         self.constants, self.softest = lattice.constants, None
-        constants = self.constants
-        self.K = self._assemble(constants)
-        self.f_stiffness.setArray(self.layout.driving(constants))
+        self.K = self._assemble(self.constants)
+        self.f_stiffness.setArray(self.layout.driving(self.constants))
         self.C = self.f_damping = None
         if self.damping > 0:
             damped = self.layout.damped
@@ -115,25 +114,19 @@ class Operators(Owner):
         for entries, rows, mine in self.layout.own_entries(bonds):
             columns[rows, mine] = entries
 
-    def set_stiffness(self, constants):
-        """Replace all bond constants in K and in the drive; S waits for `combine`. Collective."""
-        self.constants, self.softest = constants, None
-        self.forget("sizes")
-        self.K.setValuesCSR(*self.layout.csr(constants))
-        self.K.assemble()
-        self.f_stiffness.setArray(self.layout.driving(constants))
+    def set_stiffness(self, constants, bonds=None):
+        """Set all constants in K and in the drive; only some `bonds` differ, if these are given.
 
-    def change_bonds(self, bonds, constants):
-        """Set some bond constants anew, in K and in the drive; S waits for `combine`.
-
-        Collective; `constants` are those of all bonds after the change. K's rows are summed up
-        anew.
+        Collective. S waits for `combine`; K's rows are summed up anew.
         """
         self.constants, self.softest = constants, None
         self.forget("sizes")
-        self.layout.change(self.K, bonds, constants)
+        if bonds is None:
+            self.K.setValuesCSR(*self.layout.csr(constants))
+        else:
+            self.layout.change(self.K, bonds, constants)
         self.K.assemble()
-        if self.layout.drive[bonds].any():
+        if bonds is None or self.layout.drive[bonds].any():
             self.f_stiffness.setArray(self.layout.driving(constants))
 
     def _assemble(self, constants, csr=None):

@@ -64,15 +64,10 @@ def fit_phase(x, phase, line_error, low, high):
 
     The line is that of least squares along the curve, whose points may lie closer here than there.
     What it misses is correlated over the width of a resonance; so the standard error is that of
-    `BLOCKS` parts of the window taken as independent.
+    `BLOCKS` parts of the window, `low` to `high`, taken as independent.
 
-    Parameters
-    ----------
-    x, phase, line_error : numpy.ndarray, shape (n,)
-        Frequencies in units of omega_mx; the phase unwrapped, NaN where unknown; how far the curve
-        leaves the straight line from the point before.
-    low, high : float
-        The window.
+    `x` (n,) are frequencies in units of omega_mx, `phase` is unwrapped, NaN where unknown, and
+    `line_error` is how far the curve leaves the straight line from the point before.
     """
     if not len(x) or x[0] > low * (1 + 1e-9) or x[-1] < high * (1 - 1e-9):
         why = f"the sweep does not cover the window of the fit, {low:g} to {high:g} omega_mx"

@@ -37,19 +37,11 @@ SAFETY = 0.3  # aim at this part of what the tolerance allows
 class SteadySolver(Owner):
     """Solves for one s after the other; destroy with `destroy` or `with`. Collective.
 
-    Parameters
-    ----------
-    operators : pgran.driven.operators.Operators
-    sites : array_like of int, shape (nd, dim)
-        The detectors; none where only the whole field is wanted.
-    error_tolerance, error_floor : float
-        Relative accuracy asked of each amplitude; a bound below this part of the wall's is enough.
-    refresh_iterations : int
-        Factor anew after an s that took more iterations; 0 decides by price.
-    whole_field, whole_adjoints : bool
-        Ask the same accuracy of the field, in the 2-norm; reduce the adjoints' residuals as far.
-    derivatives : bool
-        Derivatives along omega are wanted as well.
+    `sites` (nd, dim) are the detectors, none where only the field is wanted. Each amplitude is to
+    have the relative `error_tolerance`, or a bound below `error_floor` of the wall's amplitude;
+    with `whole_field` the field the same in the 2-norm, with `whole_adjoints` the adjoints small
+    residuals, too. `refresh_iterations` is the limit of `ReusePolicy`; with `derivatives` those
+    along omega are computed as well.
     """
 
     owns = ("_krylov", "_judge", "_correction", "primal", "_units", "adjoints")
@@ -242,10 +234,8 @@ class SteadySolver(Owner):
         """Return how many iterations all systems are expected to take if nothing is factored."""
         if not self._earlier:
             return math.inf
-        medium = self.operators.lattice
-        return len(self._systems) * expected_iterations(
-            self._earlier[-1], s, medium.axes, medium.mass, medium.damping
-        )
+        parameters = self.operators.axes, self.operators.mass, self.operators.damping
+        return len(self._systems) * expected_iterations(self._earlier[-1], s, *parameters)
 
     def _factor(self):
         """Set up the preconditioner for the present S; return whether that works."""

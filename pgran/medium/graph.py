@@ -55,14 +55,12 @@ class Graph:
         from scipy.sparse import identity
         from scipy.sparse.linalg import splu
 
-        scale = self.laplacian.diagonal().max()
-        for raised in (0.0, scale):
-            matrix = self.laplacian + raised * identity(self.laplacian.shape[0], format="csc")
-            try:
-                return splu(matrix, permc_spec="MMD_AT_PLUS_A", **SYMMETRIC)
-            except RuntimeError:  # singular
-                continue
-        raise AssertionError("a matrix of a dominant diagonal is not singular")
+        L = self.laplacian
+        try:
+            return splu(L, "MMD_AT_PLUS_A", **SYMMETRIC)
+        except RuntimeError:  # singular
+            raised = L + L.diagonal().max() * identity(L.shape[0], format="csc")
+            return splu(raised, "MMD_AT_PLUS_A", **SYMMETRIC)
 
     def _bound(self, factors, rounding):
         """Return `smallest`; rounding moves (L x)_i by at most `rounding` of its magnitudes' sum.

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 from pgran.errors import InputError
-from pgran.medium.units import einstein_frequency
+from pgran.medium.units import check_size, einstein_frequency
 
 # In Hertz's law k ~ F^(1/3): where k is drawn uniformly from [0, kmax], the mean force is a quarter
 # of the strongest.
@@ -27,9 +27,7 @@ class Material:
     def __post_init__(self):
         """Raise InputError if no solid has these numbers."""
         for name in ("modulus", "density"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"{name}: must be positive and finite, not {value}")
+            check_size(name, getattr(self, name), positive=True)
         if not -1 < self.poisson <= 0.5:
             raise InputError(f"poisson: must lie above -1 and up to 0.5, not {self.poisson}")
 
@@ -114,72 +112,35 @@ def effective_stiffness(dimensions):
     return x
 
 
-@dataclass(frozen=True)
 class Scale:
     """The units of a lattice of so many dimensions whose strongest contacts are under a force.
 
-    In the program's units the mass of a ball, omega_mx and the spacing are 1.
+    In the program's units the mass of a ball, omega_mx and the spacing are 1, and the stiffness is
+    `kmax`. Raises InputError if numbers do not fit into doubles.
     """
 
-    material: Material
-    diameter: float
-    force: float
-    dimensions: int = 2
-
-    def __post_init__(self):
-        """Raise InputError if numbers do not fit into doubles."""
+    def __init__(self, material, diameter, force, dimensions=2):
+        """Compute what follows."""
+        self.material, self.diameter = material, diameter
+        self.force, self.dimensions = force, dimensions
+        self.kmax = 1 / (2 * dimensions)
         try:
-            numbers = [self.mass, self.overlap, self.stiffness, self.omega_mx, self.velocity]
+            self.mass = ball_mass(material, diameter)
+            self.constant = contact_constant(material, diameter)
+            self.overlap = (force / self.constant) ** (2 / 3)  # h: how far two balls approach
+            self.stiffness = 1.5 * force / self.overlap  # k = dF/dh (paper: hertz, basespr)
+            self.omega_mx = einstein_frequency(dimensions, self.stiffness, self.mass)
+            # of long waves along an axis, all bonds kmax; then uniform on [0, kmax]
+            self.velocity = diameter * math.sqrt(self.stiffness / self.mass)
+            self.random_velocity = self.velocity * math.sqrt(effective_stiffness(dimensions))
+            # the radius of a contact over that of a ball: sqrt(R* h) / R
+            self.contact_radius = math.sqrt(self.overlap / diameter)
+            numbers = self.mass, self.overlap, self.stiffness, self.omega_mx, self.velocity
             fits = all(0 < value < math.inf for value in numbers)
         except (OverflowError, ZeroDivisionError):
             fits = False
         if not fits:
             raise InputError("diameter, material and load: too far apart to compute with")
-
-    @property
-    def mass(self):
-        """The mass of a ball."""
-        return ball_mass(self.material, self.diameter)
-
-    @property
-    def constant(self):
-        """The c of the contact law."""
-        return contact_constant(self.material, self.diameter)
-
-    @property
-    def overlap(self):
-        """By how much two balls approach each other: h = (F/c)^(2/3) (paper: hertz)."""
-        return (self.force / self.constant) ** (2 / 3)
-
-    @property
-    def stiffness(self):
-        """The stiffness kmax of a contact: k = dF/dh = 3/2 F/h (paper: basespr)."""
-        return 1.5 * self.force / self.overlap
-
-    @property
-    def omega_mx(self):
-        """The unit of frequency, angular: see `einstein_frequency`."""
-        return einstein_frequency(self.dimensions, self.stiffness, self.mass)
-
-    @property
-    def velocity(self):
-        """The speed of long waves along an axis where all bonds are kmax: d sqrt(k/m)."""
-        return self.diameter * math.sqrt(self.stiffness / self.mass)
-
-    @property
-    def random_velocity(self):
-        """The speed of long waves where bonds are uniform on [0, kmax]."""
-        return self.velocity * math.sqrt(effective_stiffness(self.dimensions))
-
-    @property
-    def kmax(self):
-        """The stiffness in the program's units, 1 / (2 dimensions): omega_mx is 1."""
-        return 1 / (2 * self.dimensions)
-
-    @property
-    def contact_radius(self):
-        """The radius of a contact over that of a ball: sqrt(R* h) / R = sqrt(h/d)."""
-        return math.sqrt(self.overlap / self.diameter)
 
     def own_damping(self, damping):
         """Return a damping in the program's units, of mass times frequency."""

@@ -7,12 +7,11 @@ Elementary functions are evaluated in extended precision and rounded once, becau
 exp and log differ in the last bit between processors and NumPy versions.
 """
 
-import math
-
 import numpy as np
 
 from pgran.arguments import called_right, choice, shown
 from pgran.errors import InputError, PgranError
+from pgran.medium.units import check_size
 from pgran.run.numbers import number, numbers
 from pgran.run.options import REAL, Option
 
@@ -113,12 +112,7 @@ class BondLaw:
                 )
         values = {key: number(f"bonds_{key}", own.get(key, DEFAULTS[key])) for key in names}
         for key, value in values.items():
-            positive = key not in ("kmin", "fraction")
-            if not math.isfinite(value) or value < 0 or (positive and value == 0):
-                raise InputError(
-                    f"bonds_{key}: must be {'positive' if positive else '0 or more'} "
-                    f"and finite, not {value}"
-                )
+            check_size(f"bonds_{key}", value, positive=key not in ("kmin", "fraction"))
         if "kmin" in names and values["kmin"] > values["kmax"]:
             raise InputError(f"bonds_kmin: {values['kmin']} is above bonds_kmax, {values['kmax']}")
         if name == "loguniform" and values["kmin"] == 0:
@@ -171,9 +165,8 @@ def check_law(law):
     if law is None:
         return None
     if not callable(law):
-        raise InputError(
-            f"law: {shown(law)} is no function of numbers between 0 and 1; pgran.BondLaw makes one"
-        )
+        hint = "pgran.BondLaw makes one"
+        raise InputError(f"law: {shown(law)} is no function of numbers between 0 and 1; {hint}")
     whole = drawn(law, TRIED)
     parts = np.concatenate([drawn(law, TRIED[:3]), drawn(law, TRIED[3:])])
     if not np.allclose(whole, parts, rtol=1e-12, atol=0):

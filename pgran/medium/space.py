@@ -77,28 +77,23 @@ def mesh(result):
 def as_network(medium):
     """Return the record of a network as it is, of a lattice as one of scalar displacements.
 
-    Where a bond of the lattice ends at a wall there is a held ball; bonds and free balls keep their
-    order.
+    Where a bond of the lattice ends at a wall there is a held ball of no mass; bonds and free balls
+    keep their order.
     """
-    return medium if medium.group == "network" else _with_walls(medium)
-
-
-def _with_walls(lattice):
-    """Return a lattice as a network with a held ball of no mass where a bond ends."""
-    built, count = lattice.built, lattice.free_balls
-    bond, driven = bond_ends(np.arange(count).reshape(lattice.shape)), driven_bonds(lattice.shape)
+    if medium.group == "network":
+        return medium
+    built, count, shape = medium.built, medium.free_balls, medium.shape
+    bond, driven = bond_ends(np.arange(count).reshape(shape)), driven_bonds(shape)
     axis, _ = built.bond_places(np.arange(built.bonds))
-    sites = np.indices(lattice.shape).reshape(len(lattice.shape), -1).T
+    sites = np.indices(shape).reshape(len(shape), -1).T
     wall, end = np.nonzero(bond < 0)
-    beside = (
-        sites[bond[wall, 1 - end]]
-        + np.where(end, 1, -1)[:, None] * np.eye(len(lattice.shape), dtype=int)[axis[wall]]
-    )
+    outward = np.where(end, 1, -1)[:, None] * np.eye(len(shape), dtype=int)[axis[wall]]
+    beside = sites[bond[wall, 1 - end]] + outward
     bond[wall, end] = count + np.arange(len(wall))
     held = np.append(np.zeros(count, dtype=int), np.where(driven[wall] & (end == 1), 2, 1))
-    mass = np.append(np.full(count, lattice.mass), np.zeros(len(wall)))
+    mass = np.append(np.full(count, medium.mass), np.zeros(len(wall)))
     position = np.concatenate([sites, beside]).astype(float)
-    network = Network(bond, built.constants, held, mass, lattice.damping, position=position)
+    network = Network(bond, built.constants, held, mass, medium.damping, position=position)
     return NetworkRecord.of(network)
 
 

@@ -8,17 +8,21 @@ from pgran.errors import InputError
 log = logging.getLogger("pgran")
 
 
+def check_size(name, value, positive=False):
+    """Raise InputError unless a number is finite, and positive or not negative."""
+    if not math.isfinite(value) or value < 0 or (positive and value == 0):
+        least = "positive" if positive else "0 or more"
+        raise InputError(f"{name}: must be {least} and finite, not {value}")
+
+
 def check_magnitudes(axes, mass, damping, stiffest, kmax):
     """Raise InputError where mass, damping and stiffness make no vibrations.
 
     `stiffest` is the largest constant, `kmax` that which sets the unit of frequency.
     """
-    if not (math.isfinite(kmax) and kmax >= 0):
-        raise InputError(f"bonds_kmax: must be 0 or more and finite, not {kmax}")
-    if not (math.isfinite(mass) and mass > 0):
-        raise InputError(f"lattice_mass: must be positive and finite, not {mass}")
-    if not (math.isfinite(damping) and damping >= 0):
-        raise InputError(f"lattice_damping: must be 0 or more and finite, not {damping}")
+    check_size("bonds_kmax", kmax)
+    check_size("lattice_mass", mass, positive=True)
+    check_size("lattice_damping", damping)
     if not math.isfinite(4 * axes * max(kmax, stiffest) / mass):
         raise InputError(
             "lattice_mass, bonds: the frequencies, up to sqrt(4 d kmax / m), are too large to "

@@ -72,5 +72,5 @@ class ChangingBonds:
     def apply(self, changes):
         """Carry out the changes of the next steps. Collective."""
         self.constants[changes.bond] = changes.stiffness  # of several of one bond the last holds
-        self.operators.change_bonds(changes.bond, self.constants)
+        self.operators.set_stiffness(self.constants, changes.bond)
         self.step += len(changes)
