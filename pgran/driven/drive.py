@@ -78,14 +78,13 @@ def _say_unprovable(lattice, world):
         return
     from pgran.driven.certify import smallest_damping
 
-    if not on_root(world, lambda: smallest_damping(lattice.in_own_unit()[0]) > 0):
-        motion = "balls turn" if lattice.turns else "some motions are"
-        if world.rank == 0:
-            log.warning(
-                "damped = normal: %s undamped, so that no error bound can be proven, and every "
-                "amplitude will be marked as not accurate; with damped = all they have bounds",
-                motion,
-            )
+    certain = on_root(world, lambda: smallest_damping(lattice.in_own_unit()[0]) > 0)
+    if not certain and world.rank == 0:
+        log.warning(
+            "damped = normal: %s undamped, so that no error bound can be proven, and every "
+            "amplitude will be marked as not accurate; with damped = all they have bounds",
+            "balls turn" if lattice.turns else "some motions are",
+        )
 
 
 def reached_accuracy(record, good):

@@ -55,7 +55,7 @@ class LatticeLayout(Layout):
     """The balls of a lattice on a DMDA; InputError if so many ranks cannot share it. Collective."""
 
     owns = ("like", "da")
-    laplacian = True  # K and C have no positive entries beside their diagonals
+    laplacian = True
 
     def __init__(self, lattice, comm):
         """Number the balls, and find the bonds of each."""

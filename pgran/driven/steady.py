@@ -240,11 +240,12 @@ class SteadySolver(Owner):
     def _factor(self):
         """Set up the preconditioner for the present S; return whether that works."""
         self.factorizations += 1
-        works = self._krylov.factor()
-        if works and not self._policy.price:
+        if not self._krylov.factor():
+            return False
+        self._works = True
+        if not self._policy.price:
             self._policy.price = factor_price(self._krylov.pc, self.operators.balls)
-        self._works |= works
-        return works
+        return True
 
     def _guess(self, s, fresh):
         """Start from one application of a fresh preconditioner, else from the last states."""

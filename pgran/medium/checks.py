@@ -38,8 +38,7 @@ def checked_values(network):
     choice("network: displacement", network.displacement, KINDS)
     check(float, (None,), balls, "position")
     if network.displacement != "scalar" and network.normal is None:
-        normal, distance = _normals(values.get("position"), values["bond"], balls)
-        values["normal"] = normal
+        values["normal"], distance = _normals(values.get("position"), values["bond"], balls)
         if network.distance is None:
             values["distance"] = distance
     check(float, (None,), contacts, "normal")
@@ -62,16 +61,14 @@ def _normals(position, bond, balls):
 
 
 def checked_array(name, value, dtype, rest, count=None):
-    """Return an array of finite numbers as a copy that nobody can change, or raise InputError.
+    """Return an array of finite numbers, ints or floats, as a copy that nobody can change.
 
-    Its type is `int`, which rounds nothing, or `float`; its shape is (count, *rest), any count
-    unless given, where a length of None is any. Messages call it by its `name`.
+    Raises InputError unless its shape is (count, *rest), where None is any length.
     """
     array = np.array(numbers(f"network: {name}", value, whole=dtype is int))
     wanted = (count if count is not None else len(array) if array.ndim else 0, *rest)
-    if array.ndim != len(wanted) or any(
-        n not in (None, m) for n, m in zip(wanted, array.shape, strict=True)
-    ):
+    lengths = zip(wanted, array.shape, strict=False)
+    if array.ndim != len(wanted) or any(n not in (None, m) for n, m in lengths):
         raise InputError(f"network: {name}: shape {array.shape} is not {wanted}")
     if not np.all(np.isfinite(array)):
         raise InputError(f"network: {name}: every number must be finite")
@@ -111,9 +108,8 @@ def check_network(network):
         raise InputError("network: rotations need radii")
     if network.turns and not np.all(network.radius[held == FREE] > 0):
         raise InputError("network: radii must be positive")
-    axes = network.axes
-    components = ("drive", *AXES[: axes if axes > 1 else 0])
-    choice("-detectors_component", network.component, components)
+    components = AXES[: network.axes] if network.axes > 1 else ""
+    choice("-detectors_component", network.component, ("drive", *components))
 
 
 def unit_direction(direction, axes):

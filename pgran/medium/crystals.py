@@ -108,8 +108,8 @@ def random_geometric(
 
     if count < 1 or dimension not in (1, 2, 3):
         raise InputError("random_geometric: points in 1 to 3 dimensions are needed")
-    box = np.where(np.broadcast_to(periodic, (dimension,)), count ** (1 / dimension), 0.0)
     edge = count ** (1 / dimension)
+    box = np.where(np.broadcast_to(periodic, (dimension,)), edge, 0.0)
     if radius is None:
         # a ball of this radius in d dimensions holds so many of one point a unit volume
         ball = math.pi ** (dimension / 2) / math.gamma(dimension / 2 + 1)
@@ -128,22 +128,11 @@ def random_geometric(
     if others["displacement"] == "rotations":
         others.setdefault("radius", np.full(count, radius / 2))
     stiffness = _drawn(stiffness, len(bond), seed)
-    return without_floating(_moving(in_box(position, bond, stiffness, held, box, **others)))[0]
-
-
-def in_box(position, bond, stiffness, held, box, **others):
-    """Return a network whose normals and distances are those of nearest images in a periodic box.
-
-    `box` holds its edges, 0 along axes that are not periodic.
-    """
-    position, bond = np.asarray(position, dtype=float), np.asarray(bond, dtype=int)
-    periods = np.where(np.asarray(box) > 0, box, np.inf)
-    away, _ = nearest_images(position[bond[:, 1]] - position[bond[:, 0]], periods)
+    away = position[bond[:, 1]] - position[bond[:, 0]]
+    away, _ = nearest_images(away, np.where(box > 0, box, np.inf))
     distance = np.linalg.norm(away, axis=1)
-    if not np.all(distance > 0):
-        raise InputError(f"network: the balls {bond[np.argmin(distance)]} are at the same place")
     geometry = {"position": position, "normal": away / distance[:, None], "distance": distance}
-    return Network(bond, stiffness, held, **(geometry | others))
+    return without_floating(_moving(Network(bond, stiffness, held, **(geometry | others))))[0]
 
 
 def diluted(network, missing, seed=1993):

@@ -225,17 +225,17 @@ class Lattice(ElasticBonds, Medium):
         misshapen = indices.ndim > 1 and indices.shape[1:] != (axes,)
         if indices.size == 0 or indices.size % axes or misshapen:
             size = " x ".join(map(str, indices.shape)) or "1"
+            each = f"{axes} {'index' if axes == 1 else 'indices'}"
             raise InputError(
-                f"{name}: a ball of this lattice has {axes} "
-                f"{'index' if axes == 1 else 'indices'}, so {size} numbers name no balls"
+                f"{name}: a ball of this lattice has {each}, so {size} numbers name no balls"
             )
         sites = indices.reshape(-1, axes)
-        for site in sites:
-            if np.any(site < 0) or np.any(site >= shape):
-                raise InputError(
-                    f"{name}: ball {tuple(site.tolist())} is outside the lattice of "
-                    f"{' x '.join(map(str, shape))} balls (indices count from 0)"
-                )
+        outside = sites[np.any((sites < 0) | (sites >= shape), axis=1)]
+        if len(outside):
+            raise InputError(
+                f"{name}: ball {tuple(outside[0].tolist())} is outside the lattice of "
+                f"{' x '.join(map(str, shape))} balls (indices count from 0)"
+            )
         return sites
 
     def readings(self, sites):

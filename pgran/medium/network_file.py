@@ -47,7 +47,6 @@ ATTRIBUTES = {
     "displacement": str, "damped": str, "damping": float, "kmax": float, "median_mass": float,
     "direction": np.ndarray,
 }  # fmt: skip
-NOT_READ = ("id",)
 CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
 
 
@@ -106,21 +105,18 @@ def members_of(file):
     for name in ("bond", "stiffness"):
         if name not in datasets:
             file.refuse(f"network/{name}", "is missing")
-    values = {
-        name: file.array(f"network/{name}", DATASETS[name][0])
-        for name in datasets
-        if name not in (*NOT_READ, *ATTRIBUTES)
-    }
+    arrays = [name for name in datasets if name in DATASETS and name != "id"]
+    values = {name: file.array(f"network/{name}", DATASETS[name][0]) for name in arrays}
     for name, kind in ATTRIBUTES.items():
         if name in datasets:
             file.refuse(f"network/{name}", "is an attribute, not a dataset")
         if name in attributes:
             values[name] = _plain(file, name, attributes[name], kind)
-    balls = next((len(values[name]) for name in ("held", "mass", "position") if name in values
-                  and values[name].ndim), None)  # fmt: skip
-    if balls is None:
+    of_balls = [values[name] for name in ("held", "mass", "position") if name in values]
+    counts = [len(array) for array in of_balls if array.ndim]
+    if not counts:
         file.refuse("network", "does not say how many balls there are: it needs position or mass")
-    values.setdefault("held", np.full(balls, FREE))
+    values.setdefault("held", np.full(counts[0], FREE))
     if "mass" in values:
         values["masses"] = values.pop("mass")
     vectors = {"normal", "position"} & values.keys()

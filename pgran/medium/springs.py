@@ -46,16 +46,14 @@ class Springs:
     @cached_property
     def B(self):  # noqa: N802
         """The rows of B, sparse, shape (springs, unknowns)."""
-        return self._sparse(self.values)
+        return sparse_rows(self.columns, self.values, self.unknowns)
 
     @cached_property
     def D(self):  # noqa: N802
         """B with the entries of each contact's first ball turned around, like B."""
         half = self.columns.shape[1] // 2
-        return self._sparse(self.values * np.repeat([-1.0, 1.0], half))
-
-    def _sparse(self, values):
-        return sparse_rows(self.columns, values, self.unknowns)
+        turned = self.values * np.repeat([-1.0, 1.0], half)
+        return sparse_rows(self.columns, turned, self.unknowns)
 
     @cached_property
     def lengths(self):
@@ -87,12 +85,8 @@ class Elastic:
 
         What is driven moves by `wall`, shape (n,).
         """
-        springs = self.springs
-        yield (
-            (self.B @ fields.T).T + wall[:, None] * springs.drive,
-            springs.constants,
-            springs.damped,
-        )
+        longer = (self.B @ fields.T).T + wall[:, None] * self.springs.drive
+        yield longer, self.springs.constants, self.springs.damped
 
     @cached_property
     def semidefinite(self):
@@ -113,11 +107,8 @@ class Elastic:
     @cached_property
     def drive_norms(self):
         """|f|_2 of what the springs at driven balls do, and of their dashpots for beta = 1."""
-        springs = self.springs
-        return tuple(
-            float(np.linalg.norm(self.B.T @ (k * springs.drive)))
-            for k in (springs.constants, springs.damped)
-        )
+        both = self.springs.constants, self.springs.damped
+        return tuple(float(np.linalg.norm(self.B.T @ (k * self.springs.drive))) for k in both)
 
     @cached_property
     def _pulls(self):
