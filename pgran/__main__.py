@@ -9,14 +9,15 @@ import sys
 import time
 import traceback
 import warnings
+from pathlib import Path
 
 import pgran
 from pgran import errors
-from pgran.command import meant
 from pgran.command.run import name_rank
 from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
 from pgran.run import launch, streams
 from pgran.run.agreement import met_by_all
+from pgran.run.options import nearest
 
 log = logging.getLogger("pgran")
 
@@ -69,7 +70,10 @@ def main(words):
         print(f"pgran {pgran.__version__}")
         return errors.DONE
     if words[0] not in COMMANDS:
-        raise InputError(f"{words[0]}: no such command; {meant.command(words[0], COMMANDS)}")
+        file = {".opts": f"run {words[0]}", ".h5": f"plot {words[0]}"}.get(Path(words[0]).suffix)
+        near = file or nearest(words[0], [*COMMANDS, "--help", "--version"])
+        hint = f"did you mean pgran {near}?" if near else "pgran --help lists them"
+        raise InputError(f"{words[0]}: no such command; {hint}")
     if sys.version_info < (3, 11) and words[0] != "doctor":
         raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
     module, function = COMMANDS[words[0]]
@@ -86,7 +90,10 @@ def console(command=None):
     handler.setFormatter(streams.Messages("pgran"))
     log.addHandler(handler)
     log.setLevel(logging.INFO)
-    warnings.showwarning = tell_warning
+    # in one line, without the place in a library's source
+    warnings.showwarning = lambda message, category, *where: log.warning(
+        "%s: %s", category.__name__, " ".join(str(message).split())
+    )
     try:
         try:
             code = (command or main)(sys.argv[1:])
@@ -97,11 +104,6 @@ def console(command=None):
     except BaseException as error:
         end_all_ranks(error)
     sys.exit(code)
-
-
-def tell_warning(message, category, *where):
-    """Log a warning of a library in one line, without the place in its source."""
-    log.warning("%s: %s", category.__name__, " ".join(str(message).split()))
 
 
 def end_all_ranks(error):

@@ -99,11 +99,11 @@ def test_time_is_that_of_the_units_of_one_group(world, monkeypatch, units):
         task = Counting(units, clock)
         with task.open(crew.group) as work:
             crew.share(task, work, delivered.__setitem__)
-        (trial,) = crew.trials
+        ((work_of_all, seconds),) = crew.trials
         assert crew.spent < 3.0  # however many there are
-    assert trial.seconds == pytest.approx(math.ceil(units / world.size), abs=0.5)
+    assert seconds == pytest.approx(math.ceil(units / world.size), abs=0.5)
     if world.rank == 0:
-        assert trial.work == f"{10 * units} items, about {10 * units} factorizations"
+        assert work_of_all == f"{10 * units} items, about {10 * units} factorizations"
         assert sorted(delivered) == list(range(units))
         assert all(len(rows) == 10 for rows in delivered.values())
 

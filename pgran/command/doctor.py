@@ -78,12 +78,11 @@ def mpi():
         MPI = launch.start()
     except RuntimeError as error:  # mpi4py without an MPI library
         raise ImportError(error) from None
-    name, ranks, started = launch.library(MPI), MPI.COMM_WORLD.size, launch.size()
+    name, ranks = launch.library(MPI), MPI.COMM_WORLD.size
     yield True, f"mpi4py with {name}, {ranks} rank{'s' if ranks > 1 else ''} here", ""
     cure = "put the mpirun of the MPI that mpi4py was built with first on PATH"
-    if started > ranks == 1:
-        text = f"mpirun started {started} ranks that do not know of each other: it belongs to "
-        yield False, f"{text}another MPI than mpi4py ({name})", cure
+    if launch.strangers(MPI):
+        yield False, launch.strangers(MPI), cure
     launcher = shutil.which("mpirun")
     if launcher is None:
         yield None, "mpirun is not on PATH", "without it pgran runs on one rank only"

@@ -10,7 +10,6 @@ from pgran.arguments import called_right, shown
 from pgran.command.words import Parser
 from pgran.errors import DONE, FileError, InputError, PgranError
 from pgran.medium.record import as_result
-from pgran.run import launch
 from pgran.store.paths import whole
 from pgran.store.table import tables
 
@@ -59,30 +58,31 @@ def export(result, output):
     write = {".vtu": _write_mesh, ".csv": _write_tables}.get(output.suffix.lower())
     if write is None:
         raise FileError(f"{output}: an export's name ends in one of {', '.join(ENDINGS)}")
-    loaded = as_result(pgran.load(result) if isinstance(result, (str, os.PathLike)) else result)
-    if not hasattr(loaded, "scene"):
-        raise InputError(f"export: a result or its path is needed, not {shown(result)}")
-    return write(loaded, output)
+    return write(result_of(result), output)
+
+
+def result_of(given):
+    """Return the result that a user hands in, its path, or a lattice or network by itself."""
+    result = as_result(pgran.load(given) if isinstance(given, (str, os.PathLike)) else given)
+    if not hasattr(result, "scene"):
+        raise InputError(f"a result or its path is needed, not {shown(result)}")
+    return result
 
 
 def run(words):
     """Write a result for other programs, in space or as tables."""
-    parser = Parser(
-        "export",
-        run.__doc__,
+    examples = (
         "pgran export results/modes.h5 results/modes.vtu",
         "pgran export results/response.h5 results/response.csv",
     )
-    parser.add_argument("result", metavar="RESULT", help="HDF5 file that pgran run has written")
-    parser.add_argument(
-        "output",
-        metavar="TO",
-        help="file to write; NAME.vtu: balls, contacts and displacements, for ParaView and others; "
-        "NAME.csv: a row a frequency, time or mode, and what else there is in files beside it",
+    target = (
+        "file to write; NAME.vtu: balls, contacts and displacements, for ParaView and others; "
+        "NAME.csv: a row a frequency, time or mode, and what else there is in files beside it"
     )
-    options = parser.parse_intermixed_args(words)
-    if launch.rank() > 0:
-        return DONE
+    parser = Parser("export", run.__doc__, *examples)
+    parser.add_argument("result", metavar="RESULT", help="HDF5 file that pgran run has written")
+    parser.add_argument("output", metavar="TO", help=target)
+    options = parser.read(words)
     for path in export(options.result, options.output):
         print(path)
     return DONE

@@ -9,7 +9,6 @@ import dataclasses
 import math
 import shutil
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +22,7 @@ from pgran.store.estimate import counted
 from pgran.store.record import Record
 
 WARNING = "warning"  # begins a line that tells of what is wrong; such lines come first
+GOLDEN = 0.6180339887498949
 LAUNCH = 0.3  # seconds that mpirun and the interpreter take to start and to end
 FILE_BYTES = 20_000  # of HDF5 itself: names, attributes, tables of datasets
 # Trials of a task go on for so many seconds; whole units are tried if one takes no longer than
@@ -37,18 +37,11 @@ FILLED = 0.75
 ENTRY_BYTES, NONZERO_BYTES, NETWORK_BYTES, VECTOR_BYTES, UNEVEN = 28, 90, 250, 400, 1.3
 
 
-@dataclass(frozen=True)
-class Trial:
-    """What the trial of a task says of the whole: its size in words, and the seconds it takes."""
-
-    work: str
-    seconds: float
-
-
 class Rehearsal(Crew):
-    """A crew that tries a few units of each task, its `trials`, and delivers zeros for all others.
+    """A crew that tries a few units of each task, and delivers zeros for all others.
 
-    `spent` are the seconds that the trials themselves took.
+    `trials` are, of each task, its size in words and the seconds that all of it takes; `spent` are
+    the seconds that the trials themselves took.
     """
 
     dry = True
@@ -71,7 +64,8 @@ class Rehearsal(Crew):
     def _try(self, task, work):
         """Time some units; return the rows of those that were done whole. Collective."""
         done, seconds, rows, factorizations, whole = {}, [], [], [], False
-        for position, unit in _spread(task.units):
+        # units from all over the task first
+        for position, unit in sorted(enumerate(task.units), key=lambda pair: pair[0] * GOLDEN % 1):
             part = unit if whole else task.sample(unit)
             self.world.Barrier()
             started = time.perf_counter()
@@ -95,20 +89,14 @@ class Rehearsal(Crew):
             work_in_words += f", about {max(1, round(count / tried * total))} factorizations"
         mine = total * math.ceil(len(task.units) / self.groups) / len(task.units)
         expected = seconds[0] + sum(seconds[later]) / tried * max(0.0, mine - rows[0])
-        self.trials.append(Trial(work_in_words, expected))
+        self.trials.append((work_in_words, expected))
         return done
 
 
-def _spread(units):
-    """Return pairs (position, unit), those from all over the task first."""
-    golden = 0.6180339887498949
-    return sorted(enumerate(units), key=lambda pair: pair[0] * golden % 1)
-
-
 def forecast(scene, options, world, started):
-    """Return the lines that say what a run will need, on rank 0; none on the others.
+    """Return the lines that say what a run will need, on rank 0; none on the others. Collective.
 
-    Collective. Nothing is written. `started` is when the program started, by `time.perf_counter`.
+    `started` is when the program started, by `time.perf_counter`.
     """
     lattice = make_lattice(options, world) if scene.on_medium else None
     lines = [f"run       {opening(options, world.size, lattice)}"]
@@ -120,12 +108,11 @@ def forecast(scene, options, world, started):
         needed = _machine_total(world, lattice_memory(lattice, ranks, factored))
         free = free_memory()
         if any(world.allgather(free and needed > TRIED * free)):  # on one machine of several
-            lines.insert(
-                0,
+            warning = (
                 f"{WARNING}   matrices and factors take about {in_bytes(needed)} of memory on this "
-                f"machine, where {in_bytes(free or 0)} are free: nothing was tried",
+                f"machine, where {in_bytes(free or 0)} are free: nothing was tried"
             )
-            return lines if world.rank == 0 else []
+            return [warning, *lines] if world.rank == 0 else []
     crews = []
 
     def rehearse(ranks, _=None):
@@ -139,8 +126,8 @@ def forecast(scene, options, world, started):
         return []
     trials = [trial for crew in crews for trial in crew.trials]
     seconds = time.perf_counter() - started - sum(crew.spent for crew in crews) + LAUNCH
-    seconds += sum(trial.seconds for trial in trials)
-    lines.append(f"work      {'; '.join(trial.work for trial in trials)}")
+    seconds += sum(expected for _, expected in trials)
+    lines.append(f"work      {'; '.join(work for work, _ in trials)}")
     lines += report(options, memory, together, seconds, stored_bytes(records))
     return sorted(lines, key=lambda line: not line.startswith(WARNING))
 

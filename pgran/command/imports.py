@@ -18,7 +18,6 @@ from pgran.foreign.tables import read_table
 from pgran.medium.checks import KINDS
 from pgran.medium.network_file import check_output, write_network
 from pgran.medium.springs import FREE
-from pgran.run import launch
 from pgran.store.estimate import counted
 
 log = logging.getLogger("pgran")
@@ -32,9 +31,7 @@ snapshots the last one is taken. A CONDITION compares a coordinate or another co
 
 def run(words):
     """Make a network from files of another program, and say what became of them, on rank 0."""
-    options = _parser().parse_intermixed_args(words)
-    if launch.rank() > 0:
-        return DONE
+    options = _parser().read(words)
     _check(options)
     check_output(options.output, options.overwrite)
     with np.errstate(all="ignore"):  # of absurd numbers in a file: what comes of them is checked

@@ -7,14 +7,12 @@ import re
 import shlex
 import shutil
 import textwrap
-from functools import partial
 from pathlib import Path
 
 from pgran.command.resolve import SCENE_OPTION, SCENES, options_of
 from pgran.command.words import WIDTH, Parser
 from pgran.errors import DONE, FileError, InputError
 from pgran.run import keys as solver_keys
-from pgran.run import launch
 from pgran.run.options import text_of
 
 FILES = Path(__file__).parents[1] / "options"
@@ -35,47 +33,39 @@ def list_options(words):
     examples = "pgran options", "pgran options response", "pgran options --copy options"
     parser = Parser("options", list_options.__doc__, *examples)
     parser.add_argument("scene", metavar="SCENE", nargs="?", help=", ".join(SCENES))
-    parser.add_argument(
-        "--copy", metavar="DIR", type=Path, help="copy the options files of pgran into a folder"
-    )
-    asked = parser.parse_args(words)
+    copies = "copy the options files of pgran into a folder"
+    parser.add_argument("--copy", metavar="DIR", type=Path, help=copies)
+    asked = parser.read(words)
     if asked.copy is not None:
-        if launch.rank() == 0:
-            copy_files(asked.copy)
-            print(f"to run one of them: pgran run {shlex.quote(str(asked.copy / 'response.opts'))}")
-        return DONE
-    scene = asked.scene
-    if scene is not None and scene not in SCENES:
-        raise InputError(f"options: there is no scene {scene}; there are {', '.join(SCENES)}")
-    if launch.rank() == 0:
-        print(describe_options(scene), end="")
+        copy_files(asked.copy)
+        print(f"to run one of them: pgran run {shlex.quote(str(asked.copy / 'response.opts'))}")
+    elif asked.scene in (None, *SCENES):
+        print(describe_options(asked.scene), end="")
+    else:
+        raise InputError(f"options: there is no scene {asked.scene}; there are {', '.join(SCENES)}")
     return DONE
 
 
 def copy_files(folder):
-    """Copy the options files, and what they need, into a folder, which is made if it is missing.
-
-    Files that name others name those in the folder.
-    """
+    """Copy the options files, and what they name, into a folder, whose files they name then."""
     if "," in str(folder):  # which ends a name in a list
         raise InputError(f"--copy {folder}: there is a comma in it")
     sources = [path for path in sorted(FILES.rglob("*")) if path.is_file()]
     targets = [folder / path.relative_to(FILES) for path in sources]
     for target in filter(Path.exists, targets):
         raise FileError(f"{target}: exists already; nothing was copied")
+
+    def named_there(line):
+        return line[1] + shlex.quote(line[2].replace("options/", f"{folder}/"))
+
     try:
         for source, target in zip(sources, targets, strict=True):
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, target)
             if target.suffix == ".opts":
-                target.write_text(NAMED.sub(partial(_named_in, folder), source.read_text("utf-8")))
+                target.write_text(NAMED.sub(named_there, source.read_text("utf-8")))
     except OSError as error:
         raise FileError(f"{folder}: cannot be written: {error.strerror}") from None
-
-
-def _named_in(folder, line):
-    """Return a line of an options file, a comment or not, with the names of files in a folder."""
-    return line[1] + shlex.quote(line[2].replace("options/", f"{folder}/"))
 
 
 def describe_options(scene=None):
@@ -123,9 +113,9 @@ def heading_of(name):
 
 
 def users_of(option, scene=None):
-    """Return in words who uses an option, if not all do.
+    """Return in words which scenes use an option, or which experiments that a scene repeats.
 
-    Of all scenes those that have it; of a scene that repeats an experiment the experiments.
+    Nothing where all do.
     """
     of = options_of(scene).get(f"{scene}_of") if scene else None
     if scene and of is None:

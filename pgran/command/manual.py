@@ -6,7 +6,6 @@ from pathlib import Path
 
 from pgran.command.words import Parser
 from pgran.errors import DONE, InputError
-from pgran.run import launch
 from pgran.run.options import nearest
 
 PAGES = Path(__file__).parents[1] / "manual"
@@ -18,9 +17,7 @@ def run(words):
     """Show a page of the manual, in a pager on a terminal; without a topic list the topics."""
     parser = Parser("manual", run.__doc__, "pgran manual", "pgran manual accuracy")
     parser.add_argument("topic", metavar="TOPIC", nargs="?", help="a page; pgran manual lists them")
-    topic = parser.parse_args(words).topic
-    if launch.rank() > 0:
-        return DONE
+    topic = parser.read(words).topic
     if topic is None:
         print("pgran manual TOPIC shows one of these:\n")
         print("".join(f"  {name:<12} {line}\n" for name, line in topics().items()), end="")
@@ -31,9 +28,8 @@ def run(words):
 
 def cite(words):
     """Say how to cite pgran, the paper whose model it computes, and the libraries it stands on."""
-    Parser("cite", cite.__doc__, "pgran cite").parse_args(words)
-    if launch.rank() == 0:
-        print((PAGES / "CITATION").read_text(encoding="utf-8"), end="")
+    Parser("cite", cite.__doc__, "pgran cite").read(words)
+    print((PAGES / "CITATION").read_text(encoding="utf-8"), end="")
     return DONE
 
 

@@ -4,13 +4,11 @@ import logging
 import os
 from pathlib import Path
 
-import pgran
-from pgran import arguments
 from pgran.arguments import called_right
+from pgran.command.export import result_of
 from pgran.command.words import Parser, positive
 from pgran.draw import pages as figures
 from pgran.errors import DONE, FileError, InputError
-from pgran.medium.record import as_result
 from pgran.run.numbers import number, numbers
 from pgran.run.options import options_in
 from pgran.store.columns import read_measured
@@ -71,14 +69,12 @@ def plot(
     PgranError
         If there is no matplotlib.
     """
-    results, names = [], []
-    for each in result if isinstance(result, (list, tuple)) else [result]:
-        is_path = isinstance(each, (str, os.PathLike))
-        results.append(as_result(pgran.load(each) if is_path else each))
-        names.append(Path(each).name if is_path else str(len(results)))
-        if not hasattr(results[-1], "scene"):
-            needed = "a result is needed, what pgran.load returns or its path"
-            raise InputError(f"{needed}, not {arguments.shown(results[-1])}")
+    given = result if isinstance(result, (list, tuple)) else [result]
+    results = [result_of(each) for each in given]
+    names = [
+        Path(each).name if isinstance(each, (str, os.PathLike)) else str(place)
+        for place, each in enumerate(given, 1)
+    ]
     modes = None if modes is None else numbers("modes", modes)
     width = None if width is None else number("-width", width)
     if len(results) > 1 and not (modes is None and response is None):
@@ -155,7 +151,7 @@ def run(words):
     paths, over = [Path(each) for each in options.result], {}
     if len(set(map(os.path.realpath, paths))) < len(paths):
         raise InputError("plot: the same result is given twice")
-    results = [as_result(pgran.load(each)) for each in options.result]
+    results = [result_of(path) for path in paths]
     if len({str(result.scene) for result in results}) > 1:
         number, name, record = _pair(*results)
         paths, results = [paths[number]], [results[number]]

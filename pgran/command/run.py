@@ -16,6 +16,7 @@ from pgran import errors
 from pgran.errors import FileError, InputError, PgranError
 from pgran.run import blas, launch, streams
 from pgran.run.agreement import on_root
+from pgran.run.options import nearest
 
 log = logging.getLogger("pgran")
 
@@ -45,10 +46,7 @@ exit codes:
 
 
 def run(words):
-    """Run the experiment of an options file, and return the exit code.
-
-    Collective over all ranks.
-    """
+    """Run the experiment of an options file, and return the exit code. Collective."""
     if {"-h", "--help", "-help"} & set(words):
         _help(words[0]).print_help()
         return errors.DONE
@@ -57,7 +55,6 @@ def run(words):
     signal.pthread_sigmask(signal.SIG_BLOCK, launch.SIGNALS)
     faulthandler.enable()  # a crash in a library names the line that called it
 
-    from pgran.command import meant
     from pgran.command.resolve import SCENES, resolve
     from pgran.run.reading import check_word, read_environment, read_words
 
@@ -68,7 +65,7 @@ def run(words):
     path, *rest = words
     check_word(path)
     environment = world.bcast(read_environment())  # each rank's own is not to be read by PETSc
-    given = environment + on_root(world, lambda: meant.read(path)) + read_words(rest)
+    given = environment + on_root(world, lambda: _read_or_hint(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
     if options.output_log:
         _start_log(options, words, world)
@@ -84,8 +81,21 @@ def run(words):
             log.info("%s", stopped)
         return errors.STOPPED
     except KeyboardInterrupt:
-        said = "interrupted; what is finished is kept, and the same command goes on"
-        raise KeyboardInterrupt(said) from None
+        text = "interrupted; what is finished is kept, and the same command goes on"
+        raise KeyboardInterrupt(text) from None
+
+
+def _read_or_hint(path):
+    """Return what an options file gives; where there is none, name one that is called alike."""
+    from pgran.run.reading import read_file
+
+    try:
+        return read_file(path)
+    except FileError as error:
+        folders = [] if Path(path).exists() else (Path(path).parent, Path("options"))
+        files = {each.stem: each for folder in folders for each in folder.glob("*.opts")}
+        near = nearest(Path(path).stem, sorted(files))
+        raise FileError(f"{error}; did you mean {files[near]}?" if near else error) from None
 
 
 def _help(path):
@@ -136,11 +146,14 @@ def _compute(scene, options, words, world, started):
 
         def crew(ranks, lattice=None):
             journal.medium = "" if lattice is None else lattice.bonds_sha256
-            said = opening(options, world.size, lattice)
+            text = opening(options, world.size, lattice)
 
             def begins():
-                _check_unchanged(asked, options.identity())
-                log.info("%s", said)
+                for name, now in options.identity().items():
+                    if asked[name] != now:
+                        why = "has changed since the run started; start it again"
+                        raise FileError(f"-{name} {now}: {why}")
+                log.info("%s", text)
 
             return Crew(world, ranks, journal, begins)
 
@@ -161,8 +174,8 @@ def _compute(scene, options, words, world, started):
                     log.log(level, "%s", line)
             except Exception as error:  # no reason to fail: the result is there
                 log.warning("no summary: %s: %s", type(error).__name__, error)
-            shown = shlex.quote(output)
-            log.info("written after %.1f s; to draw it: pgran plot %s", seconds, shown)
+            draw = f"pgran plot {shlex.quote(output)}"
+            log.info("written after %.1f s; to draw it: %s", seconds, draw)
             return failures
 
         return errors.INACCURATE if on_root(world, finish) else errors.DONE
@@ -179,34 +192,22 @@ def _run_identity(asked):
     return versions | {f"-{name}": text for name, text in asked.items()}
 
 
-def _check_unchanged(before, now):
-    """Raise a FileError where a file held something else before it was read."""
-    for name, text in now.items():
-        if before[name] != text:
-            raise FileError(f"-{name} {text}: has changed since the run started; start it again")
-
-
 def start_mpi():
-    """Start MPI and the log, and return all ranks; refuse ranks that do not know of each other.
-
-    Collective.
-    """
+    """Start MPI, and return all ranks, which must know of each other. Collective."""
     MPI = launch.start()
     world = MPI.COMM_WORLD
     if world.rank > 0:
         log.setLevel(logging.WARNING)
         name_rank(world)
-    if world.size == 1 and launch.size() > 1:
-        raise InputError(
-            f"mpirun started {launch.size()} ranks that do not know of each other: it belongs to "
-            f"another MPI than mpi4py ({launch.library(MPI)})"
-        )
+    if strangers := launch.strangers(MPI):
+        raise InputError(strangers)
     return world
 
 
 def _start_log(options, words, world):
     """Let messages go to the log file of the options, too. Collective."""
     from pgran.run import logfile
+    from pgran.store.estimate import counted
 
     path = options.output_log
     if Path(path).absolute() == Path(options.output_file).absolute():
@@ -216,23 +217,17 @@ def _start_log(options, words, world):
         handler = logfile.LogFile(path, world.rank)
         log.addHandler(handler)
         if world.rank == 0:
-            command = shlex.join(["pgran", "run", *words])
-            text = f"{command} on {world.size} rank{'s' if world.size > 1 else ''}"
+            text = f"{shlex.join(['pgran', 'run', *words])} on {counted(world.size, 'rank')}"
             handler.handle(logging.makeLogRecord({"msg": text, "levelno": logging.INFO}))
 
 
 def start_petsc(options):
-    """Hand the solver keys to PETSc, which reads no file and no environment of its own.
-
-    Collective.
-    """
+    """Hand the solver keys to PETSc, which reads nothing of its own accord. Collective."""
     try:
         import petsc4py
     except ImportError:
-        raise PgranError(
-            "petsc4py cannot be imported: bash jobs/setup.sh makes .venv with it; "
-            "pgran doctor says more"
-        ) from None
+        cure = "bash jobs/setup.sh makes .venv with it; pgran doctor says more"
+        raise PgranError(f"petsc4py cannot be imported: {cure}") from None
     words = [word for key, text in options.solver.items() for word in (f"-{key}", text) if word]
     petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler", *words])
     importlib.import_module("pgran.run.petsc")  # where a PETSc that is no use is refused

@@ -6,7 +6,6 @@ import math
 from pgran.command.words import Parser, positive
 from pgran.errors import DONE, InputError
 from pgran.medium import hertz
-from pgran.run import launch
 
 log = logging.getLogger("pgran")
 
@@ -20,14 +19,11 @@ stiffness is uniform on [0, kmax]."""
 
 def run(words):
     """Print a table of units, and the words of an options file."""
-    options = _parser().parse_args(words)
-    if launch.rank() > 0:
-        return DONE
+    options = _parser().read(words)
     try:
         material = _material(options)
-        scale = hertz.Scale(
-            material, options.diameter, _force(options, material), options.dimensions
-        )
+        force = _force(options, material)
+        scale = hertz.Scale(material, options.diameter, force, options.dimensions)
         damping = _damping(options, scale)
         if damping is not None and not math.isfinite(scale.own_damping(damping)):
             raise OverflowError
@@ -35,10 +31,8 @@ def run(words):
     except (OverflowError, ZeroDivisionError):
         raise InputError("units: these numbers are too far apart to compute with") from None
     if scale.contact_radius > hertz.LARGE:
-        log.warning(
-            "contacts have %.2g of the balls' radius: Hertz's law is for smaller ones",
-            scale.contact_radius,
-        )
+        text = "contacts have %.2g of the balls' radius: Hertz's law is for smaller ones"
+        log.warning(text, scale.contact_radius)
     for name, si, own in rows:
         print(f"{name:<37}{si:<22}{own}".rstrip())
     print(f"\n{line}")
@@ -55,31 +49,21 @@ def _parser():
     )
     add = parser.add_argument
     add("--diameter", type=positive, required=True, metavar="M", help="of a ball, in m")
-    add(
-        "--material",
-        type=str.lower,
-        choices=hertz.MATERIALS,
-        help="its modulus, Poisson's ratio and density",
-    )
+    named = "its modulus, Poisson's ratio and density"
+    add("--material", type=str.lower, choices=hertz.MATERIALS, help=named)
     add("--modulus", type=positive, metavar="PA", help="Young's modulus, in Pa")
     add("--poisson", type=float, metavar="NU", help="Poisson's ratio")
     add("--density", type=positive, metavar="RHO", help="in kg/m^3")
-    load = parser.add_mutually_exclusive_group(required=True)
-    load.add_argument(
-        "--load", type=positive, metavar="N", help="force of the strongest contacts, in N"
-    )
-    load.add_argument(
-        "--pressure", type=positive, metavar="PA", help="on the bed, in Pa: 4 x the mean force"
-    )
-    load.add_argument(
-        "--omega_mx", type=positive, metavar="RAD/S", help="measured: the load that makes it so"
-    )
+    load = parser.add_mutually_exclusive_group(required=True).add_argument
+    load("--load", type=positive, metavar="N", help="force of the strongest contacts, in N")
+    load("--pressure", type=positive, metavar="PA", help="on the bed, in Pa: 4 x the mean force")
+    load("--omega_mx", type=positive, metavar="RAD/S", help="measured: the load that makes it so")
     add("--fraction", type=positive, default=0.64, help="of the volume filled by balls (.64)")
     add("--contacts", type=positive, default=6.0, help="of a ball, on the mean (6)")
     add("--dimensions", type=int, choices=(1, 2, 3), default=2, help="of the lattice (2)")
-    loss = parser.add_mutually_exclusive_group()
-    loss.add_argument("--quality", type=positive, metavar="Q", help="quality factor at --frequency")
-    loss.add_argument("--restitution", type=positive, metavar="E", help="of two balls, up to 1")
+    loss = parser.add_mutually_exclusive_group().add_argument
+    loss("--quality", type=positive, metavar="Q", help="quality factor at --frequency")
+    loss("--restitution", type=positive, metavar="E", help="of two balls, up to 1")
     add("--frequency", type=positive, metavar="HZ", help="at which --quality holds, in Hz")
     return parser
 
@@ -87,8 +71,7 @@ def _parser():
 def _material(options):
     """Return the material, the numbers given in place of its own."""
     base = hertz.MATERIALS.get(options.material)
-    names = ("modulus", "poisson", "density")
-    values = {name: getattr(options, name) for name in names}
+    values = {name: getattr(options, name) for name in ("modulus", "poisson", "density")}
     values = {k: getattr(base, k, None) if v is None else v for k, v in values.items()}
     lacks = [f"--{name}" for name, value in values.items() if value is None]
     if lacks:
@@ -103,10 +86,8 @@ def _force(options, material):
     if options.load:
         return options.load
     if options.pressure:
-        filled = options.fraction, options.contacts
-        return hertz.STRONGEST * hertz.force_of_pressure(
-            options.pressure, options.diameter, *filled
-        )
+        bed = options.pressure, options.diameter, options.fraction, options.contacts
+        return hertz.STRONGEST * hertz.force_of_pressure(*bed)
     mass = hertz.ball_mass(material, options.diameter)
     stiffness = mass * options.omega_mx**2 / (2 * options.dimensions)
     constant = hertz.contact_constant(material, options.diameter)
@@ -123,9 +104,7 @@ def _damping(options, scale):
     if options.restitution is None:
         return None
     if options.restitution > 1:
-        raise InputError(
-            f"--restitution {options.restitution:g}: two balls part at most as fast: 1"
-        )
+        raise InputError(f"--restitution {options.restitution:g}: two balls part at most as fast")
     return hertz.damping_of_restitution(scale.stiffness, scale.mass, options.restitution)
 
 

@@ -3,9 +3,11 @@
 import argparse
 import contextlib
 import math
+import re
+import sys
 import textwrap
 
-from pgran.errors import InputError
+from pgran.errors import DONE, InputError
 from pgran.run import launch
 
 WIDTH = 80
@@ -29,9 +31,15 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message):
         """Raise an InputError."""
-        if message.startswith("argument "):
-            message = message[len("argument ") :]
+        message = re.sub("^argument ", "", message)
         raise InputError(f"{self.command}: {message}; see {self.prog} --help")
+
+    def read(self, words):
+        """Return what words in any order say; on ranks after the first the command ends here."""
+        options = self.parse_intermixed_args(words)
+        if launch.rank() > 0:
+            sys.exit(DONE)
+        return options
 
     def print_help(self, file=None):
         """Print it on one rank."""

@@ -43,6 +43,16 @@ def library(MPI):
     return " ".join(first.replace("Version:", "").split())
 
 
+def strangers(MPI):
+    """Return in words that ranks do not know of each other; nothing if they do."""
+    if MPI.COMM_WORLD.size > 1 or size() == 1:
+        return ""
+    return (
+        f"mpirun started {size()} ranks that do not know of each other: it belongs to another MPI "
+        f"than mpi4py ({library(MPI)})"
+    )
+
+
 def _first(names, otherwise):
     """Return the first of these variables that holds a number."""
     numbers = (os.environ[name] for name in names if name in os.environ)
