@@ -151,7 +151,7 @@ def run(words):
     paths, over = [Path(each) for each in options.result], {}
     if len(set(map(os.path.realpath, paths))) < len(paths):
         raise InputError("plot: the same result is given twice")
-    results = [result_of(path) for path in paths]
+    results = [result_of(each) for each in options.result]
     if len({str(result.scene) for result in results}) > 1:
         number, name, record = _pair(*results)
         paths, results = [paths[number]], [results[number]]

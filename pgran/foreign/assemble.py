@@ -38,11 +38,7 @@ class Imported:
 
 
 def assemble(contacts, options):
-    """Return the network of contacts: what touches, is not cut, and hangs together.
-
-    `options` are those of `pgran import`. An InputError or a FileError says what is wrong with them
-    or with the contacts.
-    """
+    """Return the network of contacts, as options say: what touches and hangs together uncut."""
     balls = contacts.balls
     kind = options.displacement or ("vector" if balls.axes else "scalar")
     if kind != "scalar" and not balls.axes:
@@ -61,8 +57,11 @@ def assemble(contacts, options):
         raise InputError("no contact is left that a free ball has: see --rest, --drive, --cut")
     if options.drive and not np.any(held[kept.balls] == DRIVEN):
         raise InputError(f"--drive {options.drive}: none of these balls touches a free one")
-    if balls.axes:
-        _check_images(contacts, rows)
+    if balls.axes:  # balls that are half a period apart can touch twice
+        half, lengths = balls.periods.min() / 2, contacts.lengths
+        for row in rows[lengths[rows] >= half][:1]:
+            why = f"these balls are {lengths[row]:.6g} apart, and half a period is {half:.6g}"
+            contacts.table.refuse(row, f"{why}: the box is too small to tell their images apart")
 
     number = np.cumsum(kept.balls) - 1  # of a ball, once others are left out
     bond, held = number[contacts.bond[rows]], held[kept.balls]
@@ -113,22 +112,10 @@ def _first_of_each(contacts, stiffness, touch):
     one, other = stiffness[order[:-1]], stiffness[order[1:]]
     differ = np.zeros(len(low), dtype=bool)
     differ[order[1:]] = again & ~(np.abs(one - other) <= SAME * np.abs(one))
-    why = "these balls touch twice, with different stiffness"
-    contacts.table.refuse_any(differ, lambda row: why)
+    contacts.table.refuse_any(differ, "these balls touch twice, with different stiffness")
     first = np.ones(len(low), dtype=bool)
     first[order[1:][again]] = False
     return first
-
-
-def _check_images(contacts, rows):
-    """Refuse contacts that are as long as half a period: these balls can touch twice."""
-    half, lengths = contacts.balls.periods.min() / 2, contacts.lengths
-    for row in rows[lengths[rows] >= half][:1]:
-        contacts.table.refuse(
-            row,
-            f"these balls are {lengths[row]:.6g} apart, and half a period is {half:.6g}: the box "
-            "is too small to tell their images apart",
-        )
 
 
 def _crossing(contacts, cut):

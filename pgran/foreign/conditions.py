@@ -23,8 +23,7 @@ def choose(condition, ids, column):
     """Return which balls of some ids a condition chooses, shape (N,).
 
     `column` returns the numbers, shape (N,), of a column by its name. `and` binds closer than `or`;
-    `min` and `max` are those of the column. An InputError says where a condition cannot be
-    understood, or chooses no ball.
+    `min` and `max` are those of the column.
     """
     if LIST.fullmatch(condition):
         chosen = _listed(condition, ids)

@@ -67,7 +67,7 @@ class Balls:
 
 
 def read_balls(table):
-    """Return the balls in a table; raise a FileError where it is wrong."""
+    """Return the balls in a table."""
     ids = table.integers("id")
     _, first = np.unique(ids, return_index=True)
     again = ~np.isin(np.arange(len(ids)), first)
@@ -87,8 +87,8 @@ def read_balls(table):
         mass = np.ones(len(ids))
     if "held" in table:
         held = table.integers("held")
-        kinds = "held must be 0 (free), 1 (at rest) or 2 (driven)"
-        table.refuse_any(~np.isin(held, (0, 1, 2)), lambda row: kinds)
+        wrong = ~np.isin(held, (0, 1, 2))
+        table.refuse_any(wrong, "held must be 0 (free), 1 (at rest) or 2 (driven)")
     return Balls(table, ids, position, periods, mass, radius, held)
 
 
@@ -114,7 +114,7 @@ def _positions(table):
         away = (position - low)[:, inside]
         position[:, inside] = low[inside] + np.mod(away, periods[inside])
     endless = ~np.isfinite(position).all(axis=1)
-    table.refuse_any(endless, lambda row: "the position is too large a number")
+    table.refuse_any(endless, "the position is too large a number")
     if len(axes) == 3 and len(position) > 1 and np.ptp(position[:, 2]) == 0:  # a plane
         position, periods = position[:, :2], periods[:2]
     return position, periods
@@ -209,17 +209,15 @@ class Contacts:
         """Return the stiffness of contacts, 0 where balls do not touch, shape (nb,).
 
         The law is `hertz`, `harmonic` or a column, that of the role `stiffness` where it is None. c
-        is that of F = c h^(3/2), used instead of overlaps.
+        is that of F = c h^(3/2), used instead of overlaps. By a column, two balls apart without a
+        force do not touch.
         """
-        return self._by_law(law, c) if law in LAWS else self._by_column(law)
-
-    def _by_column(self, law):
-        """Return the stiffness in a column; two balls apart without a force do not touch."""
+        if law in LAWS:
+            return self._by_law(law, c)
         name = law or self.roles.get("stiffness")
         if name is None or name not in self.table:
-            there = ", ".join([*self.table.columns][:30])
             lacks = "is needed" if law is None else f"{law}: there is no such column"
-            raise InputError(f"--law {lacks}; it is hertz, harmonic, or one of {there}")
+            raise InputError(f"--law {lacks}; it is hertz, harmonic, or one of {self.table}")
         apart = np.zeros(len(self.bond), dtype=bool)
         if self.force is not None and self.overlap is not None:
             apart = (self.force == 0) & (self.overlap <= 0)
@@ -248,11 +246,13 @@ class Contacts:
         return stiffness
 
 
-def rows_of(table, name, balls):
-    """Return the rows of the balls whose ids a column holds."""
-    ids, order = table.integers(name), np.argsort(balls.id)
-    # the row of the ball that each id would have in a sorted list, which it is only if it is there
-    rows = order[np.searchsorted(balls.id[order], ids).clip(max=len(order) - 1)]
-    unknown = balls.id[rows] != ids
-    table.refuse_any(unknown, lambda row: f"no ball {ids[row]} in {balls.table.path}")
-    return rows
+def bonds_of(table, one, other, balls):
+    """Return the rows of the balls whose ids two columns hold, shape (nb, 2)."""
+    bonds, order = [], np.argsort(balls.id)
+    for ids in map(table.integers, (one, other)):
+        # the row that each id would have in a sorted list, which is its ball's only if it is there
+        rows = order[np.searchsorted(balls.id[order], ids).clip(max=len(order) - 1)]
+        unknown = balls.id[rows] != ids
+        table.refuse_any(unknown, lambda row, ids=ids: f"no ball {ids[row]} in {balls.table.path}")
+        bonds.append(rows)
+    return np.stack(bonds, axis=1)

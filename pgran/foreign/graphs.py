@@ -21,7 +21,7 @@ def read_graph(path):
     """Return the tables of the nodes and of the edges of a GraphML file, and the nodes' names.
 
     The columns `id` and `id1`, `id2` are the names where these are all integers, else numbers from
-    0 in the order of the file. NetworkX reads it, which raises a PgranError where it is missing.
+    0 in the order of the file.
     """
     open_regular(path).close()
     if os.path.getsize(path) > LARGEST_GRAPH:
@@ -29,8 +29,8 @@ def read_graph(path):
     try:
         import networkx
     except ImportError:
-        raise PgranError("GraphML is read by NetworkX, which is not here: pip install networkx, or "
-                         "give balls and contacts as CSV") from None  # fmt: skip
+        cure = "pip install networkx, or give balls and contacts as CSV"
+        raise PgranError(f"GraphML is read by NetworkX, which is not here: {cure}") from None
     try:
         graph = networkx.read_graphml(path)
         nodes, edges = list(graph.nodes(data=True)), list(graph.edges(data=True))

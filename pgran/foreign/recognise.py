@@ -11,7 +11,7 @@ import itertools
 import numpy as np
 
 from pgran.errors import FileError, InputError
-from pgran.foreign.contacts import AXES, PRINTED, ROLES, Contacts, rows_of
+from pgran.foreign.contacts import AXES, PRINTED, ROLES, Contacts, bonds_of
 
 LARGE = 0.9  # the part of a column that must hold ids of balls if it is to be one of ids
 NAMED = "--columns id1,id2,distance,force names them"
@@ -33,9 +33,8 @@ def read_contacts(table, balls, columns=None):
     unnamed = not columns and table.step is not None
     if unnamed and not {"id1", "id2"} <= roles.keys():
         roles |= _roles_of_balls(table, balls)
-    rows = [rows_of(table, roles.get(role, role), balls) for role in ("id1", "id2")]
-    bond = np.stack(rows, axis=1)
-    table.refuse_any(bond[:, 0] == bond[:, 1], lambda row: "a ball touches itself")
+    bond = bonds_of(table, roles.get("id1", "id1"), roles.get("id2", "id2"), balls)
+    table.refuse_any(bond[:, 0] == bond[:, 1], "a ball touches itself")
     contacts = Contacts(table, balls, bond, roles)
     if unnamed and balls.axes:
         _recognise(contacts)
@@ -52,7 +51,7 @@ def _renamed(table, columns):
         if source.isascii() and source.isdigit() and 0 < int(source[:9]) <= len(names):
             source = names[int(source) - 1]
         if source not in names or (name in renamed and name != "_"):
-            raise InputError(f"--columns {word}: the file has the columns {', '.join(names[:30])}")
+            raise InputError(f"--columns {word}: the file has the columns {table}")
         renamed[name] = table.columns[source]
     renamed.pop("_", None)
     return dataclasses.replace(table, columns=renamed | table.columns)
@@ -71,7 +70,7 @@ def _roles_of_balls(table, balls):
         right = known[a] & known[b] & (table.columns[a] != table.columns[b])
         if np.mean(right) >= LARGE:
             some = table.of_rows(right)
-            bond = np.stack([rows_of(some, name, balls) for name in (a, b)], axis=1)
+            bond = bonds_of(some, a, b, balls)
             contacts = Contacts(some, balls, bond, {"id1": a, "id2": b})
             recognised = (
                 _columns_like(contacts, contacts.lengths),
@@ -115,14 +114,6 @@ def _without_role(contacts):
     return {name: v for name, v in contacts.table.columns.items() if name not in taken}
 
 
-def _touching(contacts):
-    """Return which balls surely touch, and which surely do not; None where radii are unknown."""
-    if contacts.overlap is None:
-        return None
-    limit = contacts.balls.tolerance
-    return contacts.overlap > limit, contacts.overlap < -limit
-
-
 def _alike(one, other):
     """Return whether two columns of forces are the same but for what was not printed."""
     return bool(np.all(np.abs(one - other) <= PRINTED * np.abs(other).max()))
@@ -139,9 +130,10 @@ def _columns_like_force(contacts):
 
     Overlaps are as well: they are returned if nothing else is found.
     """
-    if (touching := _touching(contacts)) is None:
+    if contacts.overlap is None:  # radii are unknown
         return []
-    (surely, never), along = touching, contacts.force  # by its components
+    limit, along = contacts.balls.tolerance, contacts.force  # by its components
+    surely, never = contacts.overlap > limit, contacts.overlap < -limit
     forces = [
         name
         for name, values in _without_role(contacts).items()
@@ -161,8 +153,9 @@ def _columns_like_components(contacts):
     It has one sign along the normal, where it is the largest, and is 0 where no balls touch. They
     are returned by the names of the components; none if there is no such force.
     """
-    if (touching := _touching(contacts)) is None:
+    if contacts.overlap is None:
         return {}
+    never = contacts.overlap < -contacts.balls.tolerance
     force, normal = contacts.column("force"), contacts.normal
     axes, columns = contacts.balls.axes, _without_role(contacts)
     for first in range(len(columns) - axes + 1):
@@ -175,7 +168,7 @@ def _columns_like_components(contacts):
             np.any(along > 0)
             and np.all(along >= 0)
             and np.all(across <= along)
-            and np.all(vectors[touching[1]] == 0)
+            and np.all(vectors[never] == 0)
             and (force is None or _alike(along, force))
         ):
             return dict(zip((f"f{x}" for x in AXES), names, strict=False))

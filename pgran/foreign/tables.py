@@ -56,9 +56,9 @@ class Table:
         raise FileError(f"{self.path}{between}{place}: {why}")
 
     def refuse_any(self, wrong, why):
-        """Raise a FileError about the first row that is wrong, if one is: `why(row)` says why."""
+        """Raise a FileError about the first row that is wrong, if one is: `why`, or `why(row)`."""
         for row in np.flatnonzero(wrong)[:1]:
-            self.refuse(row, why(row))
+            self.refuse(row, why(row) if callable(why) else why)
 
     def of_rows(self, chosen):
         """Return the table of some rows, chosen by truth, shape (rows,)."""
@@ -89,10 +89,7 @@ class Table:
 
 
 def read_table(path):
-    """Return the table in a dump, its last snapshot, or in a CSV file with a header.
-
-    A FileError, with the number of the line, says where it is no such file, or is cut.
-    """
+    """Return the table in a dump, its last snapshot, or in a CSV file with a header."""
     with open_regular(path) as stream:
         lines = Lines(path, stream)
         first = lines.next_content()
