@@ -118,9 +118,8 @@ def _write_mesh(result, output):
     try:
         import meshio
     except ImportError as error:
-        raise PgranError(
-            f"{output.suffix} needs meshio, which cannot be imported ({error}): pip install meshio"
-        ) from None
+        why = f"needs meshio, which cannot be imported ({error}): pip install meshio"
+        raise PgranError(f"{output.suffix} {why}") from None
     from pgran.medium.space import mesh
 
     if not hasattr(result, "medium"):
@@ -128,9 +127,8 @@ def _write_mesh(result, output):
     if not result.medium.has_places:
         raise FileError("the network has no positions: there is nothing to write in space")
     points, lines, of_points, of_lines = mesh(result)
-    cells = [("line", lines)]
-    held = {name: [values] for name, values in of_lines.items()}
+    cell_data = {name: [values] for name, values in of_lines.items()}
+    made = meshio.Mesh(points, [("line", lines)], point_data=of_points, cell_data=cell_data)
     with whole(output) as stream:
-        made = meshio.Mesh(points, cells, point_data=of_points, cell_data=held)
         made.write(stream.name, file_format="vtu")
     return [output]

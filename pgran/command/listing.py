@@ -32,18 +32,24 @@ def list_options(words):
     """List every option of one scene, or of all: type, unit, range, default, meaning."""
     examples = "pgran options", "pgran options response", "pgran options --copy options"
     parser = Parser("options", list_options.__doc__, *examples)
-    parser.add_argument("scene", metavar="SCENE", nargs="?", help=", ".join(SCENES))
+    scenes = ", ".join(SCENES)
+    parser.add_argument("scene", metavar="SCENE", nargs="?", type=_scene, help=scenes)
     copies = "copy the options files of pgran into a folder"
     parser.add_argument("--copy", metavar="DIR", type=Path, help=copies)
     asked = parser.read(words)
     if asked.copy is not None:
         copy_files(asked.copy)
         print(f"to run one of them: pgran run {shlex.quote(str(asked.copy / 'response.opts'))}")
-    elif asked.scene in (None, *SCENES):
-        print(describe_options(asked.scene), end="")
     else:
-        raise InputError(f"options: there is no scene {asked.scene}; there are {', '.join(SCENES)}")
+        print(describe_options(asked.scene), end="")
     return DONE
+
+
+def _scene(name):
+    """Return the name of a scene, if it is one."""
+    if name not in SCENES:
+        raise InputError(f"options: there is no scene {name}; there are {', '.join(SCENES)}")
+    return name
 
 
 def copy_files(folder):
@@ -137,9 +143,8 @@ def _row(key, default, unit, facts):
 def _filled(text, indent, later=None):
     """Return a text in lines of at most 80 characters, whole words, maybe of a later indent."""
     margin, others = " " * indent, " " * (indent if later is None else later)
-    return textwrap.wrap(
-        text, WIDTH, initial_indent=margin, subsequent_indent=others, break_on_hyphens=False
-    )
+    indents = {"initial_indent": margin, "subsequent_indent": others}
+    return textwrap.wrap(text, WIDTH, **indents, break_on_hyphens=False)
 
 
 def tables():

@@ -42,8 +42,7 @@ def options_of(scene):
 def resolve(given, output_file=None):
     """Return the Options that keys mean, a sequence of `Given`, later ones winning.
 
-    `output_file` is where the result goes unless the options say. Raises InputError for an unknown
-    key, one that the scene does not use, a wrong type or an impossible value.
+    `output_file` is where the result goes unless the options say.
     """
     last = {item.key.lower(): item for item in given}
     if "scene" not in last:
@@ -73,33 +72,22 @@ def _check_foreign(key, item, scene):
     if solver_keys.is_listed(key):  # and no option's name: no other experiment is loaded for it
         solver_keys.check_in_file(key, item)
         return
-    users = [name for name in SCENES if key in options_of(name)]
-    if users:
-        raise InputError(
-            f"-{key}{item.where}: scene {scene} does not use it, but "
-            f"{' and '.join(filter(None, [', '.join(users[:-1]), users[-1]]))} "
-            f"{'do' if len(users) > 1 else 'does'}"
-        )
+    *others, last = [name for name in SCENES if key in options_of(name)] or [None]
+    if last:
+        do = f"{', '.join(others)} and {last} do" if others else f"{last} does"
+        raise InputError(f"-{key}{item.where}: scene {scene} does not use it, but {do}")
     if solver_keys.is_solver_key(key) or solver_keys.is_petsc_key(key):
         solver_keys.check_in_file(key, item)
         return
-    near = nearest(key, ["scene", *options_of(scene)])
     if key in ("n", "np"):
         raise InputError(f"-{key}{item.where}: ranks are started by mpirun -n N pgran run ...")
-    if key == "o":
-        near = "output_file"
+    near = "output_file" if key == "o" else nearest(key, ["scene", *options_of(scene)])
     if key.startswith(("ksp_", "pc_")):
         near = f"steady_{key}"
     elif key.startswith(("eps_", "st_")):
         near = f"normal_{key}"
     hint = f"; did you mean -{near}?" if near else ""
     raise InputError(f"-{key}{item.where}: unknown option{hint} (pgran options {scene} lists all)")
-
-
-def _contents(path):
-    """Return the beginning of a checksum of a file."""
-    with open_regular(path) as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()[:16]
 
 
 class Options:
@@ -123,10 +111,7 @@ class Options:
         return Options(self.scene, self._declared, self._values | values, self.solver)
 
     def text(self):
-        """Return an options file that reproduces the run.
-
-        Without what was meant for this run alone: to replace a result, to be dry.
-        """
+        """Return an options file that reproduces the run, whether or not that was a dry one."""
         lines = [f"-scene {self.scene}"]
         for option, value in self._known():
             if option.name not in ("output_overwrite", "dry_run"):
@@ -136,18 +121,19 @@ class Options:
         return "\n".join(lines) + "\n"
 
     def identity(self):
-        """Return what decides the run's numbers, {option: text}; how it is carried out does not.
+        """Return what decides the run's numbers, {option: text}, the contents of files, too."""
 
-        The files that it names are read: what they hold counts. Raises FileError if one cannot be.
-        """
-        found = {option.name: text_of(v) for option, v in self._known() if option not in RUN}
+        def contents(path):
+            with open_regular(path) as stream:
+                return f"{path} holds {hashlib.file_digest(stream, 'sha256').hexdigest()[:16]}"
+
+        texts = {option.name: text_of(v) for option, v in self._known() if option not in RUN}
         for option, value in self._known():
             if option.kind in (FILE, FILES):
                 paths = value if isinstance(value, tuple) else (value,)
-                held = ", ".join(f"{path} holds {_contents(path)}" for path in paths)
-                found[option.name] += f" ({held})"
+                texts[option.name] += f" ({', '.join(map(contents, paths))})"
         solver = {key: text for key, text in self.solver.items() if solver_keys.is_solver_key(key)}
-        return {"scene": self.scene} | found | solver
+        return {"scene": self.scene} | texts | solver
 
     def _known(self):
         """Return pairs of the options that have a value, and it."""
