@@ -46,13 +46,8 @@ def test_endless_numbers_are_told_of_by_their_type():
 
 
 def test_numbers_come_as_they_like():
-    for value in (
-        [8, 10],
-        (8.0, 10.0),
-        np.array([8, 10], np.uint8),
-        np.float32([8, 10]),
-        range(8, 11, 2),
-    ):
+    pair = [8, 10]
+    for value in (pair, (8.0, 10.0), np.uint8(pair), np.float32(pair), range(8, 11, 2)):
         assert numbers("x", value).tolist() == [8.0, 10.0]
         assert numbers("x", value, whole=True).dtype == np.int64
     assert number("x", np.float64(0.5)) == 0.5
@@ -67,6 +62,10 @@ def test_numbers_come_as_they_like():
     [
         (lambda: pgran.sweep(LATTICE), "sweep: missing .* 'omegas'; it takes lattice, omegas, det"),
         (lambda: pgran.sweep(LATTICE, OMEGAS, [2, 1], tol=1), "'tol'; it takes .*error_t"),
+        (lambda: pgran.sweep(LATTICE, [], [2, 1]), "frequencies must"),
+        (lambda: pgran.sweep(LATTICE, [-1.0, 1.0], [2, 1]), "frequencies must"),
+        (lambda: pgran.sweep(LATTICE, [np.nan], [2, 1]), "frequencies must"),
+        (lambda: pgran.sweep(LATTICE, [[0.1, 0.2]], [2, 1]), "frequencies must"),
         (lambda: pgran.project(LATTICE, OMEGAS, which={"nearest": 3}), "which: a dict of"),
         (lambda: pgran.find_modes(LATTICE, targets=[0.5]), "belong together"),
         (lambda: pgran.sweep(LATTICE.stiffness, OMEGAS, [2, 1]), "lattice: a pgran.Lattice or"),
@@ -100,10 +99,10 @@ def test_calls_that_misfit_say_what_would_do(call, said):
         call()
 
 
-@pytest.mark.parametrize("path", [None, 3, True, ["a.h5"], "a\0b"])
-def test_what_is_no_path_is_no_file(path):
-    with pytest.raises(pgran.PgranError, match="no name of a file"):
-        pgran.load(path)
+def test_what_is_no_path_is_no_file():
+    for path in (None, 3, True, ["a.h5"], "a\0b"):
+        with pytest.raises(pgran.PgranError, match="no name of a file"):
+            pgran.load(path)
 
 
 @pytest.mark.parametrize(
@@ -111,6 +110,7 @@ def test_what_is_no_path_is_no_file(path):
     [
         (LATTICE, [(2.9, 2.0)]), (LATTICE, [(True, True)]), (LATTICE, (2 + 0j, 1)), (LATTICE, None),
         (LATTICE, [(2, 1, 3), (4, 0, 1)]), (LATTICE, [[[2, 1]]]),
+        (LATTICE, [(5, 0)]), (LATTICE, [3]), (LATTICE, []), (LATTICE, [(1, -1)]),
         (NETWORK, [1.9]), (NETWORK, [True]), (NETWORK, [(1, 1)]),
     ],
 )  # fmt: skip

@@ -21,11 +21,7 @@ from pgran.store.record import Result
 
 
 def result_of(record, medium=None):
-    records = {r.group: r for r in (medium and record_of(medium), record) if r}
-    return SimpleNamespace(
-        scene=record.group, records=records, **records,
-        **({"medium": record_of(medium)} if medium else {}),
-    )  # fmt: skip
+    return Result([record_of(medium), record] if medium else [record], scene=record.group)
 
 
 def packing(displacement="vector", **others):

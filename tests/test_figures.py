@@ -1,6 +1,5 @@
 """Figures of responses and of lattices, read off the axes, and the command that saves figures."""
 
-import resource
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,6 +12,7 @@ from figure_reading import curves, draw, gaps, labels, legend, lines, marks, not
 from figure_results import SWEEP, UNIT, count_modes, find_modes, listen, respond, result_of
 from matplotlib.figure import Figure
 from matplotlib.markers import TICKUP
+from result_samples import no_room_beyond
 from samples import random_lattice
 
 import pgran
@@ -231,21 +231,15 @@ def test_modes_are_marked_in_a_response(files, capsys, caplog, monkeypatch, word
 @pytest.mark.parametrize("room", [0, 2000])
 def test_no_room_for_a_figure(tmp_path, ending, room):
     """One error, no file of no bytes, and what was there stays, the caption, too."""
-    figure, limits = Figure(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    figure = Figure()
     figure.subplots().plot(np.random.default_rng(1).random(400))
     path = tmp_path / f"a-phase.{ending}"
     path.write_bytes(b"earlier")
     figure.caption = "long" * 1000
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
-    try:
-        for save, to in (
-            (figures.save, tmp_path / f"a.{ending}"),
-            (figures.save_captions, [tmp_path / "a-phase.txt"]),
-        ):
-            with pytest.raises(FileError, match=r"a-phase.*: cannot be written: "):
-                save({"phase": figure}, to)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with no_room_beyond(room, path.name):
+        figures.save({"phase": figure}, tmp_path / f"a.{ending}")
+    with no_room_beyond(room, r"a-phase\.txt"):
+        figures.save_captions({"phase": figure}, [tmp_path / "a-phase.txt"])
     assert path.read_bytes() == b"earlier"
     assert [*tmp_path.iterdir()] == [path]
 

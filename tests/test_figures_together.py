@@ -211,9 +211,7 @@ def test_signals_over_each_other():
 
 
 def test_results_that_are_not_laid_over_each_other():
-    with pytest.raises(
-        FileError, match="scene continuum are not laid over each other, but of resp"
-    ):
+    with pytest.raises(FileError, match="scene continuum are not laid over each other, but of r"):
         figures.compare([respond_box(), respond_box()], ["a", "b"])
     result = respond([0.5])
     with pytest.raises(FileError, match="7 results: at most 6 are told apart"):
@@ -249,13 +247,11 @@ def test_what_was_measured_lies_over_a_response(written, damped, text, caplog):
             assert legend(made[name]).count(r"measured\$.csv") == 1
 
 
-def test_without_phases_the_phase_is_left_alone(written, damped):
-    made = pgran.plot(damped[0], measured=written("0.4 2\n", "a.csv"))
-    assert not lines(made["phase"].axes[0], marker="o")
-
-
 def test_measurements_that_fit_no_figure(written, damped):
+    """Without phases that of phases is left alone."""
     path = written("0.4 2\n", "a.csv")
+    made = pgran.plot(damped[0], measured=path)
+    assert not lines(made["phase"].axes[0], marker="o")
     with pytest.raises(FileError, match=r"a\.csv: .* laid over responses only"):
         pgran.plot(find_modes(), measured=path)
     other = respond(X, lattice=random_lattice((4, 3), seed=5, mass=1.0))

@@ -5,22 +5,18 @@ import os
 import h5py
 import pytest
 from mpi4py import MPI
-from result_samples import ATTRIBUTES, KINDS, make
+from result_samples import ATTRIBUTES, KINDS, make, stored
 
 from pgran.store import file as store
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="one rank writes")
 
 
-def write(path):
-    store.write(path, ATTRIBUTES, [make(kind) for kind in KINDS])
-
-
 @pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
 def test_who_may_read_it_is_for_the_users_mask_to_say(tmp_path, mask):
     before = os.umask(mask)
     try:
-        write(tmp_path / "a.h5")
+        store.write(tmp_path / "a.h5", ATTRIBUTES, [make(KINDS[0])])
     finally:
         os.umask(before)
     assert (tmp_path / "a.h5").stat().st_mode & 0o777 == 0o666 & ~mask
@@ -28,8 +24,7 @@ def test_who_may_read_it_is_for_the_users_mask_to_say(tmp_path, mask):
 
 def test_every_axis_has_one_coordinate_of_its_length(tmp_path):
     """By HDF5's own dimension scales, each within the group or above it."""
-    write(tmp_path / "a.h5")
-    seen = []
+    path, seen = stored(tmp_path / "a.h5"), []
 
     def check(name, data):
         if isinstance(data, h5py.Dataset):
@@ -43,6 +38,6 @@ def test_every_axis_has_one_coordinate_of_its_length(tmp_path):
             assert data.attrs["units"], name
             assert data.attrs["long_name"], name
 
-    with h5py.File(tmp_path / "a.h5") as file:
+    with h5py.File(path) as file:
         file.visititems(check)
     assert len(seen) > 100

@@ -112,7 +112,7 @@ def test_time_is_that_of_the_units_of_one_group(world, monkeypatch, units):
     ("name", "words", "work"),
     [
         ("modes", "", "4.. modes"),
-        ("modes_density", "-lattice_shape 40,40", "60 frequencies"),
+        ("modes_density", "-lattice_shape 16,15", "60 frequencies"),
         ("response", "-sweep_points 60 -output_fields", "60 frequencies, about 60 factorizations"),
         ("relaxation", "-relax_steps 2000", "2001 states, about 3. factorizations"),
         ("projection_three_modes", "-sweep_points 9", ". modes; 9 frequencies, about .*"),

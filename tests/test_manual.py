@@ -202,21 +202,6 @@ def test_a_page_is_shown(call):
     assert all(f"  {name} " in listed for name in manual.topics())
 
 
-@pytest.mark.parametrize(
-    ("topic", "said"),
-    [
-        ("acuracy", "there is no topic acuracy; see accuracy"),
-        ("LAMMPS", "see networks"),
-        ("zzz", "pgran manual lists the topics"),
-    ],
-)
-def test_no_such_page(call, topic, said):
-    done = call("manual", topic)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert len(done.stderr.splitlines()) == 1
-    assert said in done.stderr
-
-
 def test_a_pager_on_a_terminal_only(start, clean_environment):
     pager = {"PAGER": "sed s/^/paged:/", "TERM": "xterm"}
     plain = start("manual", "curve", MANPAGER="", **pager)

@@ -87,6 +87,7 @@ def test_default_is_possible(option):
 
 
 def test_flags():
+    """Words for yes and no, in any case."""
     for word in ("", "true", "YES", "1", "on", "no", "0", "Off"):
         wanted = word not in ("no", "0", "Off")
         assert options(f"-scene response -output_fields {word}").output_fields is wanted
@@ -124,11 +125,9 @@ def test_unknown_keys_suggest_the_nearest(key, meant):
     assert message == f"-{key}: unknown option{hint} (pgran options response lists all)"
 
 
-def test_ranks_are_no_option():
-    assert "mpirun -n N" in refusal("-scene response -n 2", "n")
-
-
 def test_missing_and_wrong_scene():
+    """Nor are ranks an option."""
+    assert "mpirun -n N" in refusal("-scene response -n 2", "n")
     assert "-scene is missing" in refusal("-lattice_shape 3,3", "scene")
     assert "did you mean response?" in refusal("-scene respons", "scene")
     with pytest.raises(AttributeError, match="scene response has no option -relax_steps"):

@@ -86,7 +86,7 @@ def test_the_networks_are_those_of_the_dumps(name, tmp_path):
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "options").glob("packing_*")), ids=lambda p: p.stem)
-def test_experiments_on_packings_listen_to_free_balls(path, monkeypatch):
+def test_experiments_on_packings_listen_to_free_balls(path, monkeypatch, here):
     monkeypatch.chdir(ROOT)
     options = resolve(read_file(path))
     network = read_network(options.network_file)
