@@ -29,6 +29,7 @@ def test_an_alternative(call, place, path, lines):
     keys = set(re.findall(r"^-(\w+)", text, re.MULTILINE))
     if "network_file" in keys:
         keys -= {"detectors"}
+        text += "-modes_target .3\n-modes_count 3\n" * ("-scene modes\n" in text)
     few = {key: value for key, value in SMALL.items() if key in keys}
     text = "".join(f"{line}\n" for line in text.splitlines() if line[1:].split(" ")[0] not in few)
     text += "".join(f"-{key} {value}\n" for key, value in few.items())
