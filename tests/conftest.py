@@ -41,14 +41,11 @@ from pgran.run.petsc import holding
 from pgran.store import careful as hdf5
 
 WORLD = MPI.COMM_WORLD
-# Files that know nothing of ranks, and run on one only.
+# Files that know nothing of ranks, and run on one only, as those of figures do.
 ALIKE = {
-    "arguments", "blas", "columns", "continuum", "ensemble_refused", "export", "figures",
-    "figures_captions", "figures_ensemble", "figures_heat", "figures_networks", "figures_print",
-    "figures_pulse",
-    "figures_scenes", "figures_sensitivity", "figures_together", "graph", "heat_bounds", "hertz",
-    "import", "import_refused", "jobs", "levels", "manual", "memory", "network_files", "options",
-    "output", "packings", "paper", "reference", "si", "spectrum", "statistics", "transport",
+    "arguments", "blas", "columns", "continuum", "export", "graph", "hertz", "import",
+    "import_refused", "jobs", "levels", "manual", "memory", "network_files", "options", "output",
+    "packings", "paper", "reference", "si", "spectrum", "statistics", "transport",
     "unit_of_frequency",
 }  # fmt: skip
 SECONDS_PER_TEST = 120  # the slowest takes about ten
@@ -102,7 +99,8 @@ def pytest_sessionstart(session):
 def pytest_collection_modifyitems(config, items):
     """Select on one rank alone what would do the same on each."""
     if WORLD.size > 1:
-        alike = [item for item in items if item.path.stem.removeprefix("test_") in ALIKE]
+        name = lambda item: item.path.stem.removeprefix("test_")  # noqa: E731
+        alike = [each for each in items if name(each) in ALIKE or name(each).startswith("figures")]
         config.hook.pytest_deselected(items=alike)
         items[:] = [item for item in items if item not in alike]
 
