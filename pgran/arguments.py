@@ -40,8 +40,8 @@ def bound(function, arguments, choices):
         return signature.bind(*arguments, **choices)
     except TypeError as error:
         name = function.__qualname__.removesuffix(".__init__")
-        names = [name for name in signature.parameters if name not in ("self", "cls", "crew")]
-        raise InputError(f"{name}: {error}; it takes {', '.join(names)}") from None
+        takes = ", ".join(n for n in signature.parameters if n not in ("self", "cls", "crew"))
+        raise InputError(f"{name}: {error}; it takes {takes}") from None
 
 
 def called_right(function):

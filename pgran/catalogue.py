@@ -8,18 +8,15 @@ from typing import NamedTuple
 
 
 class Home(NamedTuple):
-    """Where an experiment lives, below `pgran.experiments`.
+    """Where an experiment lives, below `pgran.experiments`; its records are in `record`."""
 
-    Attributes
-    ----------
-    scene : str
-        The module of its SCENE.
-    groups : dict of str: str or None
-        Of each group of its results the module that draws it; the records are in `record`.
-    """
+    scene: str  # the module of its SCENE
+    groups: dict  # of each group of its results the module that draws it, or None
 
-    scene: str
-    groups: dict
+    @property
+    def folder(self):
+        """Its package."""
+        return f"pgran.experiments.{self.scene.partition('.')[0]}"
 
 
 EXPERIMENTS = {
@@ -44,17 +41,12 @@ EXPERIMENTS = {
 }
 
 
-def _folder(home):
-    """Return the package of an experiment."""
-    return f"pgran.experiments.{home.scene.partition('.')[0]}"
-
-
 # Where records and figures of each group are; the medium, whose axes the others share, comes first.
 RECORDS = dict.fromkeys(("lattice", "network"), "pgran.medium.record") | {
-    group: f"{_folder(home)}.record" for home in EXPERIMENTS.values() for group in home.groups
+    group: f"{home.folder}.record" for home in EXPERIMENTS.values() for group in home.groups
 }
 FIGURES = {"network": "pgran.draw.network"} | {
-    group: f"{_folder(home)}.{module}"
+    group: f"{home.folder}.{module}"
     for home in EXPERIMENTS.values()
     for group, module in home.groups.items()
     if module

@@ -3,7 +3,7 @@
 import pytest
 from mpi4py import MPI
 
-from pgran.run import progress
+from pgran.run import task
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="rank 0's own affair")
 
@@ -11,8 +11,8 @@ pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="rank 0's own af
 def test_time_left_by_the_pace_of_now(monkeypatch, capsys):
     """What an earlier run had finished arrives at once, and says nothing about the pace."""
     now = 0.0
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now)
-    with progress.Progress(1000, "steps", "lines") as counter:
+    monkeypatch.setattr(task.time, "monotonic", lambda: now)
+    with task.Progress(1000, "steps", "lines") as counter:
         for seconds, count in [(1, 500), *[(1, 1)] * 30, (100, 0)]:  # nothing done says nothing
             now += seconds
             counter.advance(count)
@@ -23,4 +23,4 @@ def test_time_left_by_the_pace_of_now(monkeypatch, capsys):
 
 def test_durations():
     for seconds, words in ((119, "119 s"), (600, "10 min"), (7200, "2 h"), (2e5, "2 days")):
-        assert progress._duration(seconds) == words
+        assert task._duration(seconds) == words

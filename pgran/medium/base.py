@@ -7,7 +7,7 @@ import numpy as np
 from pgran.arguments import shown
 from pgran.errors import InputError
 from pgran.medium.units import einstein_frequency
-from pgran.run.fingerprints import Distinct
+from pgran.run.numbers import Distinct
 
 
 class Medium(Distinct):

@@ -27,11 +27,10 @@ SWEEP = (
 def check_sweep(values, given):
     """Raise where the options of a sweep contradict each other."""
     alternatives(("sweep_omega",), ("sweep_min", "sweep_max", "sweep_points"), values, given)
-    omega = values["sweep_omega"]
-    if omega is None:
+    if values["sweep_omega"] is None:
         check_ends("sweep", values)
-    elif list(omega) != sorted(set(omega)):
-        raise InputError("-sweep_omega: the frequencies must increase")
+    else:
+        checked_frequencies(values["sweep_omega"])
 
 
 def driving_frequencies(options, lattice=None):

@@ -1,4 +1,8 @@
-"""What Python hands in as numbers and arrays, as plain ones."""
+"""What Python hands in as numbers and arrays: as plain ones, and told apart by checksums."""
+
+import dataclasses
+import functools
+import hashlib
 
 import numpy as np
 
@@ -12,26 +16,25 @@ def numbers(name, value, whole=False):
     Whole numbers may come as floats; the array may be the one that was given. Raises InputError,
     which calls them `name`, if they are complex, truth values, texts or masked.
     """
+    kind, called = (np.int64, "whole") if whole else (float, "real")
     try:
-        array = None if _has_truth_values(value) else np.asarray(value)
+        array = np.asarray(None if _has_truth_values(value) else value)
     except Exception:  # rows of several lengths, or whatever an object's own conversion raises
-        array = None
-    if array is None or array.dtype.kind not in "iuf" or np.ma.is_masked(value):
-        needed = "whole" if whole else "real"
-        raise InputError(f"{name}: {needed} numbers are needed, not {shown(value)}")
-    with np.errstate(all="ignore"):
-        found = array.astype(np.int64 if whole else float, copy=False)
-    if whole and not np.array_equal(found, array):
-        raise InputError(f"{name}: whole numbers are needed, not {shown(value)}")
-    return found
+        array = np.asarray(None)
+    if array.dtype.kind in "iuf" and not np.ma.is_masked(value):
+        with np.errstate(all="ignore"):
+            converted = array.astype(kind, copy=False)
+        if not whole or np.array_equal(converted, array):
+            return converted
+    raise InputError(f"{name}: {called} numbers are needed, not {shown(value)}")
 
 
 def number(name, value):
     """Return one real number as a float; raise an InputError if it is anything else."""
-    found = numbers(name, value)
-    if found.ndim:
+    array = numbers(name, value)
+    if array.ndim:
         raise InputError(f"{name}: one number is needed, not {shown(value)}")
-    return float(found)
+    return float(array)
 
 
 def _has_truth_values(value):
@@ -39,3 +42,49 @@ def _has_truth_values(value):
     if isinstance(value, (list, tuple)):
         return any(map(_has_truth_values, value))
     return isinstance(value, (bool, np.bool_))
+
+
+class Distinct:
+    """A dataclass whose objects are equal if all that they are made of is, bit by bit."""
+
+    @functools.cached_property
+    def fingerprint(self):
+        """Checksum of all fields."""
+        fields = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+        return fingerprint([type(self).__name__, fields])
+
+    def __eq__(self, other):
+        """Return whether another object is of the same kind and made of the same."""
+        return type(other) is type(self) and self.fingerprint == other.fingerprint
+
+    def __hash__(self):
+        """Return a number that equal objects share."""
+        return hash(self.fingerprint)
+
+
+def fingerprint(value):
+    """Return a checksum of plain values, arrays and what holds them; of functions their names."""
+    digest = hashlib.sha256()
+    try:
+        _feed(digest, value)
+    except Exception:  # lists within themselves, endless numbers: refused where they are checked
+        return shown(type(value))
+    return digest.hexdigest()
+
+
+def _feed(digest, value):
+    if isinstance(value, np.ndarray):
+        digest.update(f"{value.dtype.str} {value.shape}".encode())
+        digest.update(np.ascontiguousarray(value))
+    elif isinstance(value, Distinct):
+        digest.update(value.fingerprint.encode())
+    elif isinstance(value, dict):
+        _feed(digest, sorted(value.items(), key=lambda item: str(item[0])))
+    elif isinstance(value, (list, tuple)):
+        digest.update(f"{type(value).__name__} of {len(value)}".encode())
+        for item in value:
+            _feed(digest, item)
+    else:
+        plain = isinstance(value, (int, float, complex, str, bytes, np.generic, type(None)))
+        text = repr(value) if plain else getattr(value, "__qualname__", type(value).__qualname__)
+        digest.update(f"{text};".encode(errors="backslashreplace"))

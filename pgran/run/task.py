@@ -1,19 +1,21 @@
-"""One way to run a scene: a task is cut into units of work, and one driver carries them out."""
+"""One way to run a scene: a task is cut into units of work, and one driver carries them out.
 
+It shows on the standard error of rank 0 how far it is, and the time that is left.
+"""
+
+import sys
 import time
 
 import numpy as np
 
 from pgran.run.agreement import on_root
-from pgran.run.progress import Progress
 
 
 class Task:
-    """A computation cut into units, whose results do not depend on which ranks do which of them.
+    """A computation cut into `units`, whose results do not depend on which ranks do which of them.
 
-    `units` are shared out; how many ranks there are has no influence on them. `row`, a NumPy dtype,
-    is what the results of a unit travel in and the journal keeps: a row an item, as a rule. `items`
-    is what an item is, in the plural.
+    `row`, a NumPy dtype, is what the results of a unit travel in and the journal keeps: a row an
+    item, as a rule. `items` is what an item is, in the plural.
     """
 
     def open(self, group):
@@ -36,9 +38,9 @@ class Task:
         return unit
 
     def collect(self, rows, seconds):
-        """Return the record of all rows, an array of `row` in the order of the units, on rank 0.
+        """Return the record of all rows, in the order of the units, on rank 0; `seconds` it took.
 
-        `seconds` is what the task took. Without a record of its own these are the rows.
+        Without a record of its own these are the rows.
         """
         return rows
 
@@ -69,3 +71,54 @@ def _joined(parts, row):
         rows[start : start + len(part)] = part
         start += len(part)
     return rows
+
+
+class Progress:
+    """Counts finished items: by a `bar`, `lines`, `none`, or `auto`, which is a bar on a terminal."""
+
+    seconds_between_lines = 10.0
+
+    def __init__(self, total, what, style="auto"):
+        """Start the clock."""
+        self.total, self.what, self.done = total, what, 0
+        self.last_time, self.last_done, self.bar = time.monotonic(), 0, None
+        if style == "auto":
+            style = "bar" if sys.stderr.isatty() else "lines"
+        self.lines = style == "lines"
+        if style == "bar":
+            try:
+                from tqdm import tqdm
+
+                self.bar = tqdm(total=total, unit=f" {what}", leave=False)
+            except ImportError:
+                self.lines = True
+
+    def __enter__(self):
+        """Return the counter."""
+        return self
+
+    def __exit__(self, *error):
+        """Remove the bar."""
+        if self.bar is not None:
+            self.bar.close()
+
+    def advance(self, count):
+        """Note that `count` more items are done."""
+        self.done += count
+        if self.bar is not None:
+            self.bar.update(count)
+        now = time.monotonic()
+        if self.lines and count and now - self.last_time >= self.seconds_between_lines:
+            # by the pace since the last line: what an earlier run had finished came at once
+            left = (now - self.last_time) * (self.total - self.done) / (self.done - self.last_done)
+            self.last_time, self.last_done = now, self.done
+            text = f"{self.done} of {self.total} {self.what}, about {_duration(left)} left"
+            print(f"pgran: {text}", file=sys.stderr, flush=True)
+
+
+def _duration(seconds):
+    """Return a time in the largest unit that suits it."""
+    for size, unit in ((86400, "days"), (3600, "h"), (60, "min")):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"

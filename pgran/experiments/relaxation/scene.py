@@ -17,11 +17,11 @@ from pgran.medium.law import TRIED, check_law, drawn, make_law
 from pgran.medium.units import check_frequency
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Scene
-from pgran.run.fingerprints import fingerprint
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, call, option, options_of
 from pgran.run.machine import check_memory
+from pgran.run.numbers import fingerprint
 from pgran.run.options import REAL, Option, check_ends
 from pgran.run.task import Task, carry_out
 from pgran.store.estimate import counted
