@@ -30,10 +30,8 @@ class Crew:
     def __init__(self, world, ranks_per_lattice, journal=None, begins=None):
         """Split the world."""
         if world.size % ranks_per_lattice:
-            raise InputError(
-                f"-ranks_per_lattice {ranks_per_lattice}: {world.size} ranks cannot be cut into "
-                "groups of that size"
-            )
+            groups = f"{world.size} ranks cannot be cut into groups of that size"
+            raise InputError(f"-ranks_per_lattice {ranks_per_lattice}: {groups}")
         self.world, self.journal, self._begins = world, journal, begins
         self.groups = world.size // ranks_per_lattice
         self.number = world.rank // ranks_per_lattice
@@ -130,12 +128,10 @@ class AgreeingCrew(Crew):
     @contextlib.contextmanager
     def open(self, task):
         """See `Crew`."""
+        alone = self.group.size == 1
         with contextlib.ExitStack() as opened:
-            if self.group.size > 1:
+            with agreeing(self.world) if alone else contextlib.nullcontext():
                 work = opened.enter_context(task.open(self.group))
-            else:
-                with agreeing(self.world):
-                    work = opened.enter_context(task.open(self.group))
             yield work
 
     def share(self, task, work, deliver):

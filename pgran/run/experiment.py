@@ -23,9 +23,7 @@ class Scene:
     run: Callable
     summary: Callable
     check: Callable = lambda values, given: None
-    on_medium: bool = (
-        True  # whether it is on a lattice or another network, for which it needs PETSc
-    )
+    on_medium: bool = True  # whether it is on a lattice or another network, which takes PETSc
     draws: Callable = lambda values: False  # whether it draws bond constants itself, by the law
     shares_lattice: bool = False  # whether several ranks may share a lattice
     whole: bool = False  # whether all ranks work on each unit together

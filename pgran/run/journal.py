@@ -20,9 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pgran.errors import FileError, InputError, PgranError, StoppedError, is_bad_input, reason_of
+from pgran.errors import FileError, InputError, PgranError, StoppedError, is_bad_input
 from pgran.run.agreement import on_root
 from pgran.run.launch import SIGNALS
+from pgran.store.paths import writing
 
 log = logging.getLogger("pgran")
 
@@ -104,7 +105,7 @@ class Journal:
 
     def _sync(self):
         """Make sure that what was written is on the disk, on rank 0."""
-        with self._writing():
+        with writing(self.path):
             os.fsync(self._file.fileno())
         self._synced = time.monotonic()
 
@@ -142,7 +143,7 @@ class Journal:
                 )
             log.info("%s: another run; discarded as -output_overwrite asks", self.path)
         self._kept.clear()
-        with self._writing():
+        with writing(self.path):
             self._file.truncate(0)
             self._file.write(MAGIC)
         self._append(IDENTITY, json.dumps(identity).encode())
@@ -210,7 +211,7 @@ class Journal:
         start = file.seek(0, os.SEEK_END)
         head = RECORD.pack(*place, len(payload), 0)[:-4]
         record = head + struct.pack("<I", zlib.crc32(payload, zlib.crc32(head))) + payload
-        with self._writing():
+        with writing(self.path):
             try:
                 if file.write(record) < len(record):
                     raise OSError("no room for a whole record")
@@ -218,11 +219,3 @@ class Journal:
                 file.truncate(start)
                 raise
         self._kept[place] = start + RECORD.size, len(payload)
-
-    @contextlib.contextmanager
-    def _writing(self):
-        """Turn an OSError into a FileError that names the journal."""
-        try:
-            yield
-        except OSError as error:
-            raise FileError(f"{self.path}: cannot be written: {reason_of(error)}") from None

@@ -8,6 +8,7 @@ import contextlib
 import functools
 import inspect
 import re
+from types import SimpleNamespace
 
 from pgran.arguments import shown
 from pgran.errors import InputError
@@ -217,20 +218,14 @@ def check_pivot_shifts(keys):
                 )
 
 
-class SolverKeys:
-    """Declares the keyword `solver` of a function: keys that PETSc's solvers get meanwhile."""
-
-    default = None
-    check = staticmethod(lambda solver: solver_keys_of(solver))
-
-
 def with_solver(function):
     """Let a function take `solver`, a dict of keys for PETSc's and SLEPc's solvers.
 
     They hold while it runs. Collective, as the function.
     """
     signature = inspect.signature(function)
-    solver = inspect.Parameter("solver", inspect.Parameter.KEYWORD_ONLY, default=SolverKeys())
+    declared = SimpleNamespace(default=None, check=solver_keys_of)  # as an option is declared
+    solver = inspect.Parameter("solver", inspect.Parameter.KEYWORD_ONLY, default=declared)
     # by kind, because **keywords come last
     parameters = sorted([*signature.parameters.values(), solver], key=lambda p: p.kind)
 
@@ -244,13 +239,7 @@ def with_solver(function):
 
 
 def solver_keys_of(solver):
-    """Return the keys of a dict for solvers, as texts.
-
-    Raises
-    ------
-    InputError
-        For a key that belongs to no solver, or pivots that PETSc might shift for ever.
-    """
+    """Return the keys of a dict for solvers, as texts; raise an InputError if it has others."""
     if not isinstance(solver, dict):
         raise InputError(f"solver: a dict of keys is needed, not {shown(solver)}")
     keys = {}

@@ -8,7 +8,6 @@ The body sees plain values, checked as the command line checks them; `help` show
 """
 
 import dataclasses
-import functools
 import inspect
 import textwrap
 from collections.abc import Callable
@@ -37,15 +36,13 @@ PROGRESS = dataclasses.replace(
     next(option for option in RUN if option.name == "output_progress"), default="none"
 )
 # What functions take besides keywords that are options, unless their docstrings say it themselves.
+SOLVER = """Keys of PETSc's and SLEPc's solvers, {"steady_ksp_type": "gmres"}."""
 SHARED = {
     "lattice": ("pgran.Lattice or pgran.Network", ""),
     "omegas": ("array_like of float, shape (nw,)", "Driving frequencies, angular, increasing."),
     "detectors": ("array_like of int", "Ball indices, flat or one row a detector."),
     "crew": ("pgran.run.crew.Crew, optional", "All ranks unless given."),
-    "solver": (
-        "dict, optional",
-        'Keys of PETSc\'s and SLEPc\'s solvers, {"steady_ksp_type": "gmres"}.',
-    ),
+    "solver": ("dict, optional", SOLVER),
 }
 
 
@@ -78,61 +75,44 @@ class Window:
         """Both defaults, None where there are none."""
         return None if self.low.default is None else (self.low.default, self.high.default)
 
-    @property
-    def meaning(self):
-        """What the window is."""
-        return self.low.meaning
-
     def check(self, value):
         """Return a window that was handed in, two numbers; raise an InputError if it is none."""
-        ends = numbers(f"-{self.low.name}, -{self.high.name}", value)
+        names = [end.name for end in self.options]
+        keys = ", ".join(f"-{name}" for name in names)
+        ends = numbers(keys, value)
         if ends.shape != (2,):
-            raise InputError(
-                f"-{self.low.name}, -{self.high.name}: a window has two ends, not {ends.size}"
-            )
-        low, high = ends.tolist()
-        self.low.check(low)
-        self.high.check(high)
-        check_ends(self.low.name.removesuffix("_min"), {self.low.name: low, self.high.name: high})
+            raise InputError(f"{keys}: a window has two ends, not {ends.size}")
+        low, high = (end.check(x) for end, x in zip(self.options, ends.tolist(), strict=True))
+        check_ends(names[0].removesuffix("_min"), dict(zip(names, (low, high), strict=True)))
         return low, high
 
     def of_run(self, options, world):
         """Return the window that the options of a run say."""
-        ends = getattr(options, self.low.name, None), getattr(options, self.high.name, None)
-        return None if ends[0] is None else ends
+        low, high = (end.of_run(options, world) for end in self.options)
+        return None if low is None else (low, high)
 
 
 @dataclasses.dataclass(frozen=True)
 class Columns:
     """A keyword of numbers, which an option reads from a file."""
 
-    option: Option
+    options: tuple  # the one that names the file
     read: Callable
     default = None
 
-    @property
-    def options(self):
-        """The one that names the file."""
-        return (self.option,)
-
-    @property
-    def meaning(self):
-        """What the numbers are."""
-        return self.option.meaning
-
     def check(self, value):
         """Return numbers that were handed in as an array."""
-        return numbers(f"-{self.option.name}", value)
+        return numbers(f"-{self.options[0].name}", value)
 
     def of_run(self, options, world):
         """Return the numbers in the file that the options of a run name. Collective."""
-        path = getattr(options, self.option.name, None)
-        return path and on_root(world, functools.partial(self.read, path))
+        path = self.options[0].of_run(options, world)
+        return path and on_root(world, lambda: self.read(path))
 
 
 def columns(key, meaning, read):
     """Declare a keyword of numbers; its option `key` names a file, of which `read` gets them."""
-    return Columns(option(None, meaning, key=key, kind=FILE), read)
+    return Columns((option(None, meaning, key=key, kind=FILE),), read)
 
 
 def declarations(function, prefix):
@@ -175,18 +155,16 @@ def described(docstring, signature, declared):
     for name in signature.parameters:
         if f"\n    {name} :" in head or name not in SHARED.keys() | declared.keys():
             continue
-        kind, meaning = SHARED.get(name, ("", ""))
-        if name not in SHARED:
-            kind, meaning = _kind(declared[name]), f"{declared[name].meaning}."
+        kind, meaning = SHARED.get(name) or _described(declared[name])
         lines.append(f"    {name} : {kind}")
         lines += textwrap.wrap(meaning, 92, initial_indent=" " * 8, subsequent_indent=" " * 8)
     return "\n".join([head.rstrip(), *lines, ""]) + mark + rest
 
 
-def _kind(declared):
-    """Return the type, range, unit and default of a keyword in words."""
+def _described(declared):
+    """Return the type, range, unit and default of a keyword in words, and what it means."""
     first = declared.options[0]
     default = "none" if declared.default is None else text_of(declared.default)
     kind = first.kind.name if isinstance(declared, Option) else "array_like of real"
     facts = [f"{kind} {first.range()}".strip(), first.unit, f"default {default}"]
-    return ", ".join(filter(None, facts))
+    return ", ".join(filter(None, facts)), f"{first.meaning}."

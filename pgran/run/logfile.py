@@ -7,11 +7,11 @@ with one call each, so that messages do not mix.
 import logging
 import re
 import sys
-import tempfile
 import time
 from pathlib import Path
 
 from pgran.errors import FileError
+from pgran.store.paths import try_beside, writing
 
 STAMP = "%Y-%m-%dT%H:%M:%S%z"
 OURS = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4} pgran[ :]")
@@ -20,21 +20,15 @@ OURS = re.compile(rb"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4} pgran[ :]")
 def check(path, make=True):
     """Raise a FileError unless a log can be appended to `path`; make its folder if asked to."""
     path = Path(path)
-    if path.is_dir():
-        raise FileError(f"{path}: is a folder")
-    try:
-        if path.exists():
-            with open(path, "rb+") as stream:
-                beginning = stream.read(100)
-            if beginning and not OURS.match(beginning):
-                raise FileError(f"{path}: exists already and is no log of pgran")
-            return
-        if make:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=next(p for p in path.parents if p.exists())):
-            pass
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error.strerror or error}") from None
+    with writing(path):
+        if path.is_dir():
+            raise FileError(f"{path}: is a folder")
+        if not path.exists():
+            return try_beside(path, make)
+        with open(path, "rb+") as stream:
+            beginning = stream.read(100)
+        if beginning and not OURS.match(beginning):
+            raise FileError(f"{path}: exists already and is no log of pgran")
 
 
 class LogFile(logging.FileHandler):
@@ -46,10 +40,8 @@ class LogFile(logging.FileHandler):
     def __init__(self, path, rank):
         """Open the file."""
         self.speaker = f"pgran (rank {rank})" if rank else "pgran"
-        try:
+        with writing(path):
             super().__init__(path, encoding="utf-8", errors="replace")
-        except OSError as error:
-            raise FileError(f"{path}: cannot be written: {error.strerror}") from None
 
     def format(self, record):
         """Return the lines of a message."""

@@ -94,13 +94,7 @@ class Option:
     choices: tuple = ()
 
     def read(self, text, where=""):
-        """Return the value that `text` means.
-
-        Raises
-        ------
-        InputError
-            If it is of the wrong type or out of range.
-        """
+        """Return the value that `text` means; raise an InputError if it is not possible."""
         try:
             value = self.kind.read(text.strip())
         except (ValueError, KeyError):
@@ -153,10 +147,8 @@ class Option:
     def _wrong_type(self, text, where=""):
         meant = _meant(text.strip())
         hint = f"; did you mean {meant}?" if meant else ""
-        return InputError(
-            f"{f'-{self.name} {text}'.rstrip()}{where}: needs a value of the type "
-            f"`{self.kind.name}`{hint}"
-        )
+        key = f"-{self.name} {text}".rstrip()
+        return InputError(f"{key}{where}: needs a value of the type `{self.kind.name}`{hint}")
 
 
 def nearest(word, words):
@@ -187,10 +179,9 @@ RUN = (
 
 def options_in(text):
     """Return {name: text} of what `Options.text` has written, but how a run was carried out."""
-    lines = [line.lstrip("-").partition(" ") for line in text.splitlines()]
-    how = {option.name for option in RUN}
-    told = {name: value for name, _, value in lines if name and not name.startswith("output_")}
-    return {name: value for name, value in told.items() if name not in how}
+    how = ("output_", *(option.name for option in RUN))
+    lines = [line.lstrip("-").partition(" ") for line in text.splitlines() if line]
+    return {name: value for name, _, value in lines if not name.startswith(how)}
 
 
 def alternatives(some, others, values, given):

@@ -74,7 +74,7 @@ def _joined(parts, row):
 
 
 class Progress:
-    """Counts finished items: by a `bar`, `lines`, `none`, or `auto`, which is a bar on a terminal."""
+    """Shows how many items are done: `bar`, `lines`, `none`, or `auto`, a bar on a terminal."""
 
     seconds_between_lines = 10.0
 

@@ -17,7 +17,7 @@ import numpy as np
 from pgran.catalogue import RECORDS, record_kind
 from pgran.errors import FileError
 from pgran.store import careful as hdf5
-from pgran.store.paths import whole
+from pgran.store.paths import try_beside, whole, writing
 from pgran.store.record import MisfitError, Result, axes_of, dimensions_of, in_part, plain_value
 from pgran.store.seal import AT_END, has_seal, seal_of
 
@@ -30,29 +30,18 @@ def check_output(path, overwrite, make=True):
 
     A result that is there may be replaced if `overwrite` says so, nothing else ever.
     """
-    path = Path(path)
-    try:
+    with writing(path):
         _check_place(path, overwrite)
-        if make:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        folder = next(p for p in path.parents if p.exists())
-        trial = folder / f".{path.name}.{os.getpid()}.trial"  # a name no shorter than any needed
-        trial.touch()
-        trial.unlink()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileError(f"{path}: cannot be written: {reason}") from None
+        try_beside(Path(path), make)
 
 
 def _check_place(path, overwrite):
     """Raise a FileError if what is at a path must stay."""
-    if os.path.lexists(path):
-        if not is_result(path):
-            why = "exists and is no result of pgran: move it away yourself, or"
-            raise FileError(f"{path}: {why} -output_file takes another")
-        if not overwrite:
+    if os.path.lexists(path) and not (is_result(path) and overwrite):
+        why = "exists and is no result of pgran: move it away yourself, or"
+        if is_result(path):
             why = "exists already; -output_overwrite replaces it,"
-            raise FileError(f"{path}: {why} -output_file takes another")
+        raise FileError(f"{path}: {why} -output_file takes another")
 
 
 def write(path, attributes, records, overwrite=True):
@@ -61,7 +50,6 @@ def write(path, attributes, records, overwrite=True):
     To the attributes, what the run says of itself, `format`, `format_version` and `created` are
     added. A result that is there by then may be replaced if `overwrite` says so.
     """
-    path = Path(path)
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     own = {"format": FORMAT, "format_version": FORMAT_VERSION, "created": now}
     # by the one run that holds the journal: what it has left when it was killed is its own

@@ -24,6 +24,26 @@ def open_regular(path):
 
 
 @contextlib.contextmanager
+def writing(path):
+    """Turn what goes wrong meanwhile into a FileError: that `path` cannot be written."""
+    try:
+        yield
+    except (OSError, ValueError) as error:  # a name with a zero byte
+        why = getattr(error, "strerror", None) or error
+        raise FileError(f"{path}: cannot be written: {why}") from None
+
+
+def try_beside(path, make):
+    """Raise an OSError unless a file can be made beside `path`; make its folder if asked to."""
+    if make:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    folder = next(p for p in path.parents if p.exists())
+    trial = folder / f".{path.name}.{os.getpid()}.trial"  # a name no shorter than any needed
+    trial.touch()
+    trial.unlink()
+
+
+@contextlib.contextmanager
 def whole(path, check=lambda: None, kind=open, owner=None):
     """Open a file for bytes that takes the place of `path` once it is whole.
 
@@ -36,17 +56,15 @@ def whole(path, check=lambda: None, kind=open, owner=None):
     owner = f"{os.getpid()}." if owner is None else owner
     temporary = path.with_name(f".{path.name}.{owner}part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.unlink(missing_ok=True)
-        with kind(temporary, "xb+") as stream:
-            yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
-        check()
-        os.replace(temporary, path)
-    except (OSError, ValueError) as error:  # a name with a zero byte
-        why = getattr(error, "strerror", None) or error
-        raise FileError(f"{path}: cannot be written: {why}") from None
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary.unlink(missing_ok=True)
+            with kind(temporary, "xb+") as stream:
+                yield stream
+                stream.flush()
+                os.fsync(stream.fileno())
+            check()
+            os.replace(temporary, path)
     finally:
         with contextlib.suppress(OSError, ValueError):
             temporary.unlink(missing_ok=True)
