@@ -39,13 +39,10 @@ class Journal:
 
     Collective. Rank 0 holds the file; every rank takes note of signals. `path` is the result's. An
     earlier journal goes on if its identity, texts by the names that users know, is the same. If it
-    is another an InputError names the difference, or it is discarded where `overwrite` says so. A
-    FileError says that another run is writing the same result, or that the file cannot be written.
-
-    `medium` is the checksum of what is computed on: units of another medium are none of this run.
+    is another an InputError names the difference, or it is discarded where `overwrite` says so.
     """
 
-    medium = ""
+    medium = ""  # checksum of what is computed on: units of another medium are none of this run
 
     def __init__(self, comm, path, identity, overwrite=False):
         """Open the journal, find what it holds, and listen to signals."""

@@ -15,26 +15,11 @@ from collections.abc import Callable
 from pgran.errors import InputError
 from pgran.run.agreement import on_root
 from pgran.run.numbers import numbers
-from pgran.run.options import (
-    FILE,
-    FLAG,
-    INTEGER,
-    INTEGERS,
-    REAL,
-    REALS,
-    RUN,
-    TEXT,
-    Option,
-    check_ends,
-    text_of,
-)
+from pgran.run.options import FILE, KINDS, RUN, Option, check_ends, text_of
 
-KINDS = {bool: FLAG, int: INTEGER, float: REAL, str: TEXT}
-LISTS = {int: INTEGERS, float: REALS}
-# Where no bar is wanted unless somebody asks for it: in Python.
-PROGRESS = dataclasses.replace(
-    next(option for option in RUN if option.name == "output_progress"), default="none"
-)
+# In Python no bar is wanted unless somebody asks for it.
+PROGRESS = next(option for option in RUN if option.name == "output_progress")
+PROGRESS = dataclasses.replace(PROGRESS, default="none")
 # What functions take besides keywords that are options, unless their docstrings say it themselves.
 SOLVER = """Keys of PETSc's and SLEPc's solvers, {"steady_ksp_type": "gmres"}."""
 SHARED = {
@@ -49,12 +34,11 @@ SHARED = {
 def option(default, meaning, unit="", *, key="", kind=None, **limits):
     """Declare a keyword and its option; its type is that of the default, or the `kind`.
 
-    The option's name is that of the experiment and the keyword, unless there is a `key`. Limits are
-    `low`, `above`, `high`, `choices`, as `pgran.run.options.Option` has them.
+    Its name is that of the experiment and the keyword, or the `key`; for limits see `Option`.
     """
     if kind is None:
         several = isinstance(default, tuple)
-        kind = LISTS[type(default[0])] if several else KINDS[type(default)]
+        kind = KINDS[(type(default[0]),) if several else type(default)]
     return Option(key, kind, default, meaning, unit, **limits)
 
 
@@ -136,10 +120,7 @@ def options_of(*functions, without=()):
 
 
 def call(function, options, crew, *arguments, **keywords):
-    """Call a function with what the options of a run say of its keywords. Collective.
-
-    Keywords whose option is None, or no option of this run, are left to their defaults.
-    """
+    """Call a function with what a run's options say of its keywords, if anything. Collective."""
     for name, declared in function.declared.items():
         if name not in keywords and hasattr(declared, "of_run"):
             value = declared.of_run(options, crew.world)

@@ -47,6 +47,8 @@ INTEGERS, REALS = _several(INTEGER), _several(REAL)
 # Names of files that a run reads: what these hold is part of what the run is.
 FILE = Kind("file", TEXT.read)
 FILES = _several(FILE)
+# Of a default, or of a tuple of them.
+KINDS = {bool: FLAG, int: INTEGER, float: REAL, str: TEXT, (int,): INTEGERS, (float,): REALS}
 
 
 def text_of(value):

@@ -26,25 +26,23 @@ log = logging.getLogger("pgran")
 
 @contextlib.contextmanager
 def holding(keys):
-    """Let solver keys, without their dash, hold for the objects that are made meanwhile.
+    """Let solver keys, the same on every rank, hold meanwhile; one whose text is None is hidden."""
+    before = PETSc.Options().getAll()
+    _set(keys)
+    try:
+        yield
+    finally:
+        _set({key: before.get(key) for key in keys})
 
-    Not collective, but every rank must hold the same. A key whose text is None is hidden.
-    """
+
+def _set(keys):
+    """Put keys into the database, or take away those whose text is None."""
     database = PETSc.Options()
-    before = database.getAll()
     for key, text in keys.items():
         if text is None:
             database.delValue(key)
         else:
             database.setValue(key, text)
-    try:
-        yield
-    finally:
-        for key in keys:
-            if key in before:
-                database.setValue(key, before[key])
-            else:
-                database.delValue(key)
 
 
 def unused(keys):

@@ -1,8 +1,7 @@
 """Options files and command lines, read key by key.
 
-Options files have PETSc's syntax (`-key value`, `#` starts a comment) but are read and checked
-here, before PETSc starts: an unknown key, a wrong type or an impossible value is an error that
-names the key.
+Options files have PETSc's syntax (`-key value`, `#` starts a comment) but are read here, before
+PETSc starts, so that what is wrong is an error that names the key and the line.
 """
 
 import os
@@ -107,10 +106,7 @@ def _hint(word, items=()):
 
 
 def read_solver(path, own):
-    """Return what the options file of a solver sets: values of options, and keys for PETSc.
-
-    `own` are the options by name that it may set besides keys of PETSc's solvers.
-    """
+    """Return what the options file of a solver sets: of the `own` options, and keys for PETSc."""
     values, keys = {}, {}
     for item in read_file(path):
         key = item.key.lower()

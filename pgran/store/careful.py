@@ -42,10 +42,7 @@ def opened(path):
 
 
 class CarefulFile:
-    """An HDF5 file from which only what lies in it is read, and no more than it holds.
-
-    Its methods refuse what is missing, lies elsewhere, is too large or of another type.
-    """
+    """An HDF5 file; refuses what is missing, lies elsewhere, is too large or of another type."""
 
     def __init__(self, file, path):
         """Keep the file."""

@@ -49,12 +49,9 @@ def _lines(path):
         if os.path.getsize(path) > LONGEST_FILE:
             raise FileError(f"{path}: a file of numbers has at most {LONGEST_FILE} bytes")
         lines = Lines(path, stream)
+        blanks = str.maketrans(",;", "  ")
         return [
-            (
-                f"{path}:{lines.number}",
-                line.replace(",", " ").replace(";", " ").split(),
-                repr(line[:60]),
-            )
+            (f"{path}:{lines.number}", line.translate(blanks).split(), repr(line[:60]))
             for line in iter(lines.next_content, None)
         ]
 

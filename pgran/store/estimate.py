@@ -49,23 +49,17 @@ def jackknife_samples(measure, samples):
 
 
 def mean_of(numbers):
-    """Return the mean of independent numbers along the first axis, and its standard error.
-
-    Both are NaN where there are no numbers, the error where there is only one.
-    """
+    """Return the mean of independent numbers along the first axis, and its standard error."""
     numbers = np.asarray(numbers, dtype=float)
     count = len(numbers)
     nothing = np.full(numbers.shape[1:], math.nan)[()]
-    value = numbers.mean(axis=0) if count else nothing
+    value = numbers.mean(axis=0) if count else nothing  # NaN of no numbers, the error of one
     error = numbers.std(axis=0, ddof=1) / math.sqrt(count) if count > 1 else nothing
     return Estimate(value, error)
 
 
 def two_digits(error):
-    """Return an error with two digits, as it stands after +-: 13, 0.0023, 2600.
-
-    Only numbers below 1e-4 or from 1e6 on have an exponent.
-    """
+    """Return an error with two digits, as it stands after +-: 13, 0.0023, 2600, 1.2e-05."""
     return f"{float(f'{error:.2g}'):g}"
 
 

@@ -26,17 +26,14 @@ CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with
 
 
 def check_output(path, overwrite, make=True):
-    """Raise a FileError unless a result can be written; make its folder if asked to.
-
-    A result that is there may be replaced if `overwrite` says so, nothing else ever.
-    """
+    """Raise a FileError unless a result can be written; make its folder if asked to."""
     with writing(path):
         _check_place(path, overwrite)
         try_beside(Path(path), make)
 
 
 def _check_place(path, overwrite):
-    """Raise a FileError if what is at a path must stay."""
+    """Raise a FileError if what is at a path must stay: all but a result to `overwrite`."""
     if os.path.lexists(path) and not (is_result(path) and overwrite):
         why = "exists and is no result of pgran: move it away yourself, or"
         if is_result(path):
@@ -47,8 +44,7 @@ def _check_place(path, overwrite):
 def write(path, attributes, records, overwrite=True):
     """Write a result whole, or leave what was there as it was and raise a FileError.
 
-    To the attributes, what the run says of itself, `format`, `format_version` and `created` are
-    added. A result that is there by then may be replaced if `overwrite` says so.
+    `attributes` are what the run says of itself.
     """
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     own = {"format": FORMAT, "format_version": FORMAT_VERSION, "created": now}
@@ -101,15 +97,14 @@ def _write_record(parent, record):
             continue
         if "part" in item.metadata:
             _write_record(group, value)
-            continue
-        if "axes" not in item.metadata:
+        elif "axes" not in item.metadata:
             (group.file if "of_run" in item.metadata else group).attrs[item.name] = _stored(value)
-            continue
-        data = group.create_dataset(item.name, data=_stored(value))
-        data.attrs["units"] = item.metadata["units"]
-        data.attrs["long_name"] = item.metadata["long_name"]
-        if item.metadata["dtype"] is bool:
-            data.attrs["dtype"] = "bool"  # as xarray writes and reads it
+        else:
+            data = group.create_dataset(item.name, data=_stored(value))
+            data.attrs["units"] = item.metadata["units"]
+            data.attrs["long_name"] = item.metadata["long_name"]
+            if item.metadata["dtype"] is bool:
+                data.attrs["dtype"] = "bool"  # as xarray writes and reads it
     for item in dataclasses.fields(record):
         if "axes" in item.metadata and item.name in group:
             data = group[item.name]
@@ -157,9 +152,8 @@ def read_result(path):
         facts = file.attributes("/")
         version = facts.get("format_version")
         if version not in range(1, FORMAT_VERSION + 1):
-            raise FileError(
-                f"{path}: format version {version}; this pgran reads 1 to {FORMAT_VERSION}"
-            )
+            versions = f"format version {version}; this pgran reads 1 to {FORMAT_VERSION}"
+            raise FileError(f"{path}: {versions}")
         records, axes = [], {}
         for group in file.members("/", RECORDS):
             try:

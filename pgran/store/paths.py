@@ -47,10 +47,9 @@ def try_beside(path, make):
 def whole(path, check=lambda: None, kind=open, owner=None):
     """Open a file for bytes that takes the place of `path` once it is whole.
 
-    Where anything fails, what was there stays as it was. The folder is made if it is missing; what
-    stands in the way of the new file, beside `path`, is removed, and a link is not followed.
-    `check` raises, just before, where what is at `path` by then must stay; `kind` opens the new
-    file by its path and a mode; `owner` is a part of its name, by default this process's number.
+    Where anything fails, what was there stays as it was. The folder is made if it is missing, and a
+    link is not followed. `check` raises, just before, where what is at `path` by then must stay;
+    `kind` opens the new file; `owner` is a part of its name, by default this process's number.
     """
     path = Path(path)
     owner = f"{os.getpid()}." if owner is None else owner

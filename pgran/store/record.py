@@ -145,8 +145,7 @@ class Record:
             if value is None or not {"axes", "along"} & set(item.metadata):
                 continue
             names = axes_of(item, lengths.get("axis", 0))
-            known = zip(names, value.shape, strict=False)
-            shape = tuple(lengths.setdefault(name, size) for name, size in known)
+            shape = tuple(map(lengths.setdefault, names, value.shape))
             if value.ndim != len(names) or value.shape != shape:
                 declared = ", ".join(f"{n}: {lengths.get(n, 'any')}" for n in names)
                 raise MisfitError(f"{item.name}: shape {value.shape} is not ({declared})")

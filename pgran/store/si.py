@@ -23,8 +23,7 @@ SMALLEST, LARGEST = 1e-99, 1e99  # units whose powers, times frequencies, are nu
 class SI:
     """The program's units of length and time, in m and s; None: not known.
 
-    The unit of length of a lattice is the spacing, that of time sqrt(m/k) in whatever units m and k
-    have. Raises InputError unless numbers can be converted.
+    The unit of length of a lattice is the spacing, that of time sqrt(m/k) in the units of m and k.
     """
 
     length: float | None = None
@@ -34,9 +33,8 @@ class SI:
         """Refuse what is no unit, or overflows."""
         for name, value in (("length", self.length), ("time", self.time)):
             if value is not None and not SMALLEST <= value <= LARGEST:
-                raise InputError(
-                    f"-units_{name}: a unit lies between {SMALLEST:g} and {LARGEST:g}, not {value}"
-                )
+                limits = f"{SMALLEST:g} and {LARGEST:g}"
+                raise InputError(f"-units_{name}: a unit lies between {limits}, not {value}")
 
     @classmethod
     def of(cls, result):
@@ -47,9 +45,9 @@ class SI:
         """Return what a number is to be multiplied with to be in a key of QUANTITIES, or None."""
         *powers, factor = QUANTITIES[unit]
         for power, own in zip(powers, (self.length, self.time), strict=True):
+            if power and own is None:
+                return None
             if power:
-                if own is None:
-                    return None
                 factor *= own**power
         return factor
 

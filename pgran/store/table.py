@@ -14,11 +14,10 @@ IN_SPACE = "balls", "bonds_"  # what arrays along these hold is a picture, no ta
 def tables(result):
     """Return the tables of a result: columns by their names.
 
-    Of each record but the lattice's or the network's all arrays along the same axes
-    make a table: a row for each place along them, first what is there (`omega`, or a number from
-    0), then the arrays, of each detector a column: `amplitude_8_10`, `amplitude_17`. The tables
-    have the names of what tells them apart, the group and the axes; the first, of the scene's own
-    record if it has one, has the name "". A FileError says if there is none.
+    Of each record but the medium's all arrays along the same axes make a table: a row for each
+    place along them, first what is there (`omega`, or a number from 0), then the arrays, of each
+    detector a column: `amplitude_8_10`, `amplitude_17`. Group and axes name the tables but the
+    first, "", of the scene's own record if it has one. A FileError says if there is none.
     """
     records, scene = result.records, str(result.scene)
     own = {scene: records[scene]} if scene in records else {}
@@ -36,17 +35,15 @@ def tables(result):
 
 def _of_record(record):
     """Return the tables of a record by their axes."""
-    fields = [item for item in dataclasses.fields(record) if "axes" in item.metadata]
-    along = {item.name: item.metadata["axes"] for item in fields}
+    fields = dataclasses.fields(record)
+    along = {item.name: item.metadata["axes"] for item in fields if "axes" in item.metadata}
     coordinates = {name for name, axes in along.items() if not axes}
     used = {axis for axes in along.values() for axis in axes}
     of_axes = {}
     for name, axes in along.items():
-        values = getattr(record, name)
-        if values is None or name in used or axes == ("detector_number", "axis"):
-            continue
-        axes = axes or (name,)
-        if any(axis.startswith(IN_SPACE) for axis in axes):
+        values, axes = getattr(record, name), axes or (name,)
+        in_space = any(axis.startswith(IN_SPACE) for axis in axes)
+        if values is None or name in used or in_space or axes == ASIDE:
             continue
         # displacement (omega, detector_number): a row each omega, a column each detector
         rows = tuple(axis for axis in axes if axis not in ASIDE)
@@ -56,8 +53,8 @@ def _of_record(record):
                 getattr(record, axis) if axis in coordinates else np.arange(values.shape[n])
                 for axis, n in zip(rows, at, strict=True)
             ]
-            every = np.meshgrid(*places, indexing="ij")
-            of_axes[rows] = {axis: all_.ravel() for axis, all_ in zip(rows, every, strict=True)}
+            grids = np.meshgrid(*places, indexing="ij")
+            of_axes[rows] = dict(zip(rows, map(np.ravel, grids), strict=True))
         if name not in coordinates:
             of_axes[rows] |= _columns(record, name, values, axes, at)
     filled = {rows: columns for rows, columns in of_axes.items() if len(columns[rows[0]])}
