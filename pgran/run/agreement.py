@@ -54,11 +54,10 @@ def agreeing(comm):
 
 
 def agree(comm, failure, asked=None):
-    """Raise an error on every rank if `failure`, what one has met, is not None on some rank.
+    """Raise on every rank what the first of those has met whose `failure` is not None. Collective.
 
-    Collective. A PgranError of the kind that the first of these ranks has met, or that says what
-    PETSc did; what no one has foreseen is raised as it is where it was met. Raises an InputError
-    if what is `asked` differs.
+    What no one has foreseen is raised as it is where it was met, elsewhere as a PgranError. Raises
+    an InputError if what is `asked` differs.
     """
     failures, everyone = zip(*comm.allgather((_described(failure), asked)), strict=True)
     _raise(next(filter(None, failures), None), failure)

@@ -15,22 +15,15 @@ PREFIXES, SUFFIXES = ("openblas_", "scipy_openblas_"), ("", "64_")
 
 
 def take_one_thread():
-    """Let linear algebra take one thread, unless the environment says how many.
-
-    A library that is loaded later reads the environment; one that is there already is told.
-    """
+    """Let linear algebra take one thread, unless the environment says how many."""
     if not any(name in os.environ for name in CHOICES):
-        os.environ["OMP_NUM_THREADS"] = "1"
+        os.environ["OMP_NUM_THREADS"] = "1"  # which a library that is loaded later reads
         if "numpy" in sys.modules:
             ask("set_num_threads", 1)
 
 
 def kernels():
-    """Return for which processors the kernels that run here were written.
-
-    OpenBLAS chooses them by the processor it finds, or as OPENBLAS_CORETYPE says. Last bits differ
-    between them.
-    """
+    """Return for which processors the kernels that run here were written; last bits differ."""
     names = {name.decode() for name in ask("get_corename", restype=ctypes.c_char_p)}
     return ", ".join(sorted(names)) or "unknown"
 

@@ -21,11 +21,10 @@ class Crew:
 
     `group` is the communicator of this rank's group, which is `number` of `groups`. The journal, if
     there is one, keeps finished units and says when to stop. `begins`, if any, is called on rank 0
-    when all input has been read and checked, before the work. In a dry run, `dry`, units are only
-    tried. An InputError says that the ranks cannot be cut into groups of that size.
+    when all input has been read and checked, before the work.
     """
 
-    dry = False
+    dry = False  # whether units are only tried
 
     def __init__(self, world, ranks_per_lattice, journal=None, begins=None):
         """Split the world."""
@@ -60,8 +59,7 @@ class Crew:
     def share(self, task, work, deliver):
         """Call `work` for every unit on one group, and `deliver` with its rows on rank 0.
 
-        Collective. The task is the same on every rank. `work` takes a unit, collectively on a
-        group, and returns its rows on the first rank of the group at least. `deliver` takes the
+        Collective. `work` is so on a group, whose first rank's rows count. `deliver` takes the
         position of a unit and its rows, as they arrive, or at once where the journal holds them. A
         StoppedError on every rank says that a signal asked to stop.
         """
@@ -81,11 +79,7 @@ class Crew:
             self._agree_to_stop()
 
     def _takes(self, turn):
-        """Return whether a unit is this group's.
-
-        The groups take turns, each round in the opposite order, which shares out evenly what is
-        sorted by size.
-        """
+        """Return whether a unit is this group's: evenly shared out, too, where sorted by size."""
         # turn   0 1 2 3 4 5 6 7 8
         # group  0 1 2 2 1 0 0 1 2
         cycle, place = divmod(turn, self.groups)

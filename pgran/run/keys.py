@@ -190,13 +190,13 @@ def is_listed(key):
 
 def check_in_file(key, item):
     """Raise where a file sets a key of PETSc's that it may not; the command line may set all."""
-    if item.where and not any(
-        keys.fullmatch(key) and values.fullmatch(item.text) for keys, values in _in_files()
-    ):
+    listed = [values for keys, values in _in_files() if keys.fullmatch(key)]
+    if item.where and not any(values.fullmatch(item.text) for values in listed):
+        setting = f"-{key} {item.text}".rstrip()
         raise InputError(
-            f"-{key} {item.text}".rstrip() + f"{item.where}: not on the list of solvers, numbers "
-            "and flags that a file may set (others could load code, start a program or write a "
-            "file); give it on the command line if you mean it"
+            f"{setting}{item.where}: not on the list of solvers, numbers and flags that a file may "
+            "set (others could load code, start a program or write a file); give it on the command "
+            "line if you mean it"
         )
 
 
@@ -219,10 +219,7 @@ def check_pivot_shifts(keys):
 
 
 def with_solver(function):
-    """Let a function take `solver`, a dict of keys for PETSc's and SLEPc's solvers.
-
-    They hold while it runs. Collective, as the function.
-    """
+    """Let a function take `solver`, a dict of keys that hold for solvers while it runs."""
     signature = inspect.signature(function)
     declared = SimpleNamespace(default=None, check=solver_keys_of)  # as an option is declared
     solver = inspect.Parameter("solver", inspect.Parameter.KEYWORD_ONLY, default=declared)

@@ -32,10 +32,7 @@ def check(path, make=True):
 
 
 class LogFile(logging.FileHandler):
-    """Appends messages to a file, a stamp before each line; all ranks but 0 are named there.
-
-    Whoever cannot open it raises a FileError; what cannot be written later ends no run.
-    """
+    """Appends messages to a file, a stamp before each line; what cannot be written ends no run."""
 
     def __init__(self, path, rank):
         """Open the file."""

@@ -13,10 +13,7 @@ def total_memory():
 
 
 def check_memory(key, size):
-    """Raise an InputError where arrays, and one copy, exceed this machine's memory.
-
-    One rank must hold all of them; `key` is the option that asks for them.
-    """
+    """Raise an InputError where arrays that one rank holds, and one copy, exceed the memory."""
     if 2 * size > total_memory():
         raise InputError(
             f"-{key}: too much: the arrays of this run alone take {2 * size / 1e9:.3g} GB, and "
@@ -30,10 +27,7 @@ def most_resident():
 
 
 def free_memory():
-    """Return the memory that programs may still take here, None if unknown.
-
-    What the system has available, or less where a container has a limit of its own.
-    """
+    """Return the memory that programs may still take here, in a container too; None if unknown."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
         facts = dict(line.split(":") for line in lines)

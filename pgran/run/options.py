@@ -187,10 +187,10 @@ def options_in(text):
 
 
 def alternatives(some, others, values, given):
-    """Let one of two ways to say the same stand: what was given, and of both the winning source.
+    """Let one of two ways to say the same stand: the one given, or given by the winning source.
 
-    `some` options stand only where given; without any, `others` have their defaults. The values of
-    the way that does not stand become None. Raises InputError if both are given at the same place.
+    Without any, `others` have their defaults. The values of the way that does not stand become
+    None. Raises InputError if both are given at the same place.
     """
     first, second = (
         max((given[k].rank for k in keys if k in given), default=-1) for keys in (some, others)

@@ -13,10 +13,7 @@ from pgran.errors import FileError
 
 
 class Stream(io.FileIO):
-    """A standard stream that breaks once: a closed pipe quietly, anything else with a FileError.
-
-    Standard error breaks quietly always: no run ends because nobody hears of it.
-    """
+    """A standard stream that breaks once: quietly, but for standard output on a full device."""
 
     broken = False
 

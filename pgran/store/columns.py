@@ -15,8 +15,7 @@ MEASURED = ("omega", "amplitude", "phase")
 def read_columns(path):
     """Return the numbers in a file of one or two columns, shape (n, 1) or (n, 2).
 
-    Blanks, commas or semicolons part them; `#` begins a comment. A FileError names the line of what
-    is no finite number.
+    A FileError names the line of what is no finite number.
     """
     rows = _numbers(path, _lines(path), (1, 2), "one, or a time and one")
     return np.array([row for _, row in rows])

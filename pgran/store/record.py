@@ -164,15 +164,13 @@ class Record:
             ) from None
         variables, attributes = {}, {}
         for item in dataclasses.fields(self):
-            value = getattr(self, item.name)
-            if "part" in item.metadata:
-                continue
-            if "axes" not in item.metadata:
-                attributes[item.name] = value
-            elif value is not None:
+            value, declared = getattr(self, item.name), item.metadata
+            if "axes" in declared and value is not None:
                 names = axes_of(item, dimensions_of(item, value))
-                said = {key: item.metadata[key] for key in ("units", "long_name")}
-                variables[item.name] = xarray.Variable(names, value, said)
+                meaning = {key: declared[key] for key in ("units", "long_name")}
+                variables[item.name] = xarray.Variable(names, value, meaning)
+            elif not {"axes", "part"} & set(declared):
+                attributes[item.name] = value
         return xarray.Dataset(variables, attrs=attributes)
 
     def __repr__(self):
@@ -225,5 +223,5 @@ class Result:
 
     def __repr__(self):
         """Name the scene, the status and the records."""
-        said = [f"{name}={self.attributes.get(name)!r}" for name in ("scene", "status")]
-        return f"Result({', '.join([*said, *self.records])})"
+        told = [f"{name}={self.attributes.get(name)!r}" for name in ("scene", "status")]
+        return f"Result({', '.join([*told, *self.records])})"
