@@ -236,3 +236,34 @@ class RandomNetwork:
     sites: np.ndarray
     solver: str
     tolerance: float
+
+
+def small_network(seed):
+    """A random network of fewer balls."""
+    return random_network(seed, balls=7)
+
+
+def unstable_network(seed):
+    """Return a random network with springs of negative constants, over twelve decades."""
+    case, rng = random_network(seed), np.random.default_rng([18, seed])
+    stiffness = np.abs(case.network.stiffness)
+    weak = rng.integers(0, len(stiffness), rng.integers(1, 3))
+    stiffness[weak] *= -(10 ** rng.uniform(-12, 0, len(weak)))
+    network = dataclasses.replace(case.network, stiffness=stiffness, damping=0.0, kmax=None)
+    return dataclasses.replace(case, network=network)
+
+
+def exact_network_force(network, s):
+    """The force on the driven balls, along their motion, of S with no ball left out."""
+    whole = NetworkReference(dataclasses.replace(network, held=0 * network.held))
+    width, s = whole.axes + whole.turns, mpmath.mpmathify(complex(s))
+    spring = whole.K + s * mpf(network.damping) * whole.C
+    motion = np.full((len(network.held), width), mpf(0))
+    motion[network.held == 2, : whole.axes] = [mpf(float(x)) for x in network.direction]
+    motion, free = motion.ravel(), np.repeat(network.held == 0, width)
+    S = spring[np.ix_(free, free)].astype(object)
+    S[np.diag_indices_from(S)] += s * s * whole.M[free]
+    u = eliminated(S, -(spring @ motion)[free])
+    moved = motion + 0
+    moved[free] = u
+    return motion @ spring @ moved

@@ -19,9 +19,12 @@ from pgran.command.resolve import SCENES
 from pgran.driven.operators import Operators
 from pgran.driven.steady import SteadySolver
 from pgran.experiments.pulse.scene import pulse
+from pgran.experiments.pulse.wall import SHAPES as PULSES
+from pgran.experiments.relaxation.scene import relax
 from pgran.experiments.response.scene import sweep
 from pgran.medium import sample
 from pgran.medium.lattice import Lattice
+from pgran.medium.law import BondLaw
 from pgran.run.crew import Crew
 from pgran.store.record import Record
 
@@ -118,6 +121,15 @@ def listened(lattice, sites, comm, ranks=1, **choices):
     choices = {"width": WIDTH, "time": TIME, "points": POINTS, "method": "laplace"} | choices
     with Crew(comm, ranks) as crew:
         return comm.bcast(pulse(lattice, sites, crew, **choices))
+
+
+UNIFORM = BondLaw("uniform")
+
+
+def relaxed(lattice, sites, comm=MPI.COMM_SELF, ranks=1, law=UNIFORM, omega=0.5, **choices):
+    """A relaxation, on every rank of `comm`; so many of them share a lattice."""
+    with Crew(comm, ranks) as crew:
+        return comm.bcast(relax(lattice, law, omega, sites, crew, **choices))
 
 
 def assert_same(found, expected, but=("solve_seconds",)):
@@ -245,3 +257,93 @@ def random_case(seed):
         (1e-20, 0.0)[rng.integers(2)],
         60 + math.ceil(1.1 * orders),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A lattice, its detectors, how a pulse is sent, a curve or a relaxation computed.
+
+    `count` are the frequencies or steps to look at, `steps` those of a relaxation, `omegas` what a
+    curve is asked for.
+    """
+
+    seed: int
+    lattice: Lattice
+    sites: np.ndarray
+    choices: dict
+    count: int = 0
+    steps: int = 0
+    omegas: np.ndarray | None = None
+
+
+CURVE_LAWS = {
+    "uniform": lambda rng, size: rng.uniform(0, 1, size),
+    "zeros": lambda rng, size: rng.choice([0.0, 1.0], size, p=[0.15, 0.85]),
+    "wide": lambda rng, size: 10 ** rng.uniform(-3, 0, size),
+    "constant": lambda rng, size: np.ones(size),
+    "weak": lambda rng, size: rng.uniform(0.8, 1, size),
+}
+
+
+def random_curve(seed, points=False):
+    """The curve of a lattice of 20 to 400 balls along 1 to 3 axes, beta from 1e-4 to 1."""
+    rng = np.random.default_rng([29, seed])
+    fewest, least = (2, -9) if points else (20, -4)
+    axes, balls = rng.integers(1, 4), fewest * (400 / fewest) ** rng.uniform()
+    stretch = np.exp(rng.uniform(-0.3, 0.3, axes))
+    shape = tuple(np.ceil(stretch * balls ** (1 / axes)).astype(int).tolist())
+    law = list(CURVE_LAWS.values())[rng.integers(len(CURVE_LAWS))]
+    bonds = bond_arrays(shape, lambda size: law(rng, size))
+    lattice = Lattice(bonds, 1.0, 10 ** rng.uniform(least, 0), kmax=1.0)
+    sites = np.array([rng.integers(shape) for _ in range(rng.integers(1, 4))])
+    asked = rng.integers(40, 2000) if points else 40
+    omegas = np.sort(lattice.omega_mx * rng.uniform(0.02, 1.5, asked))
+    choices = {"method": "curve", "resolve": 1e-2, "keep_models": True}
+    choices = {"method": "points"} if points else choices
+    return Run(seed, lattice, sites, choices, 2000, omegas=omegas)
+
+
+def random_points(seed):
+    """Frequencies solved one by one, of 2 to 400 balls, beta down to 1e-9: are lines straight?"""
+    return random_curve(seed, points=True)
+
+
+RELAXATION_LAWS = (
+    UNIFORM,
+    BondLaw("bimodal", kmin=0.0, fraction=0.7),
+    BondLaw("loguniform", kmin=1e-6),
+)
+
+
+def random_relaxation(seed):
+    """A short relaxation of a lattice along 1 to 3 axes, beta from 1e-6 to 1, by any method."""
+    rng = np.random.default_rng([33, seed])
+    shape = [(30,), (1,), (5, 6), (1, 5), (6, 1), (3, 4, 3)][rng.integers(6)]
+    laws = ("uniform", "bimodal", "wide")
+    lattice = random_lattice(shape, seed, 10 ** rng.uniform(-6, 0), law=laws[rng.integers(3)])
+    sites = np.stack([rng.integers(0, n, 2) for n in shape], axis=1)
+    choices = {
+        "law": RELAXATION_LAWS[rng.integers(3)], "omega": 10 ** rng.uniform(-1, 0.2),
+        "method": ("window", "direct", "krylov")[rng.integers(3)], "seed": int(rng.integers(99)),
+        "window": int(rng.integers(2, 50)), "error_tolerance": 10 ** rng.uniform(-10, -1),
+    }  # fmt: skip
+    return Run(seed, lattice, sites, choices, 8, int(rng.integers(1, 120)))
+
+
+def long_relaxation(seed):
+    """One of 18 relaxations of 10^5 steps, of three lattices, three beta and two laws."""
+    place, damping, law = np.unravel_index(seed, (3, 3, 2))
+    shape, site = (((30,), [14]), ((7, 6), [3, 2]), ((4, 3, 4), [1, 1, 2]))[place]
+    law = RELAXATION_LAWS[law]
+    lattice = Lattice.random(shape, 5, law, damping=(1e-4, 1e-2, 1.0)[damping])
+    return Run(seed, lattice, np.array([site]), {"law": law, "omega": 0.6}, 200, 100_000)
+
+
+def random_pulse(seed):
+    """A pulse of any shape along 1 to 3 axes, with any damping or none."""
+    rng = np.random.default_rng([32, seed])
+    shape = [(6, 5), (12,), (3, 2, 3), (4, 4), (1, 3)][rng.integers(5)]
+    damping = 0.0 if rng.random() < 0.3 else 10 ** rng.uniform(-3, 0)
+    lattice = random_lattice(shape, seed, damping)
+    sites = np.array([[rng.integers(n) for n in shape]])
+    return Run(seed, lattice, sites, {"shape": PULSES[seed % len(PULSES)]})

@@ -1,5 +1,6 @@
 """What a signal depends on: small media, pgran's answers for them, and those to all digits."""
 
+import dataclasses
 import functools
 
 import mpmath
@@ -7,8 +8,8 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from mpmath import mp, mpf
-from network_samples import NetworkReference, as_network, exactly
-from samples import assert_same
+from network_samples import NetworkReference, as_network, exactly, random_network
+from samples import SOLVERS, assert_same, bond_arrays
 
 from pgran.errors import InputError
 from pgran.experiments.sensitivity.heat import heat
@@ -196,3 +197,58 @@ def missed(found, exact, bound):
         known = zip(errors[finite], bound[finite], strict=True)
         wrong[finite] = [not e <= mpf(float(b)) for e, b in known]
         return wrong, errors.astype(float)
+
+
+@dataclasses.dataclass(frozen=True)
+class SensitivityCase:
+    """What is driven, where and how, how it is solved, and how it is heated."""
+
+    seed: int
+    medium: object
+    omegas: np.ndarray
+    sites: np.ndarray
+    solver: str
+    tolerance: float
+    by: dict
+
+
+def random_sensitivity(seed):
+    """A lattice or a network in units of 1e-6 to 1e6, with any damping or none, also resonant."""
+    rng = np.random.default_rng([23, seed])
+    shapes = (1,), (2,), (7,), (1, 4), (4, 1), (3, 4), (2, 2, 2), (1, 2, 3)
+    unit = 10 ** rng.uniform(-6, 6)
+    if rng.random() < 0.5:
+        shape, law = shapes[rng.integers(len(shapes))], rng.integers(4)
+        draw = [
+            lambda size: rng.uniform(0, 1, size), lambda size: 10 ** rng.uniform(-6, 0, size),
+            lambda size: rng.choice([0.0, 1.0], size, p=[0.3, 0.7]), np.ones
+        ][law]  # fmt: skip
+        stiffness = bond_arrays(shape, lambda size: unit * draw(size))
+        if not any(k.any() for k in stiffness):
+            stiffness[0].fill(unit)
+        damping = 0.0 if rng.random() < 0.3 else unit * 10 ** rng.uniform(-6, 1)
+        medium = Lattice(stiffness, unit * 10 ** rng.uniform(-2, 2), damping, kmax=unit)
+        omegas = list(medium.omega_mx * 10 ** rng.uniform(-2, 0.4, 2))
+        sites = np.stack([rng.integers(0, n, 2) for n in shape], axis=1)
+        if rng.random() < 0.3:
+            squares = Exact(medium).eigenvalues() / medium.mass
+            omegas += [np.sqrt(x) for x in rng.choice(squares, 1) if x > 0]
+    else:
+        case = random_network(1000 + seed, balls=7)
+        medium, sites = case.network, case.sites
+        names = "stiffness", "masses", "damping", "force", "tangential", "kmax"
+        scaled = {n: unit * getattr(medium, n) for n in names if getattr(medium, n) is not None}
+        if rng.random() < 0.1 and "force" in scaled:
+            scaled["force"] = 0 * scaled["force"]
+        if rng.random() < 0.1 and "tangential" in scaled:
+            scaled["tangential"] = 0 * scaled["tangential"]
+        medium = dataclasses.replace(medium, **scaled)
+        omegas = [s.imag for s in case.points if s.real == 0 and s.imag > 0][:3]
+    by = {"factor": rng.choice([0.0, 1e-3, 1.1, 2.0, 1e3])}
+    force, constants = getattr(medium, "force", None), medium.springs.elastic[: medium.bonds]
+    possible = np.all(constants >= 0) and (force is None or np.all((force > 0) | (constants == 0)))
+    if possible and rng.random() < 0.5:
+        by = {"overlap": 10 ** rng.uniform(-6, 0), "hertz": unit * 10 ** rng.uniform(-1, 1)}
+    solver = "default" if rng.random() < 0.4 else list(SOLVERS)[rng.integers(len(SOLVERS))]
+    tolerance = 10 ** rng.uniform(-10, -1)
+    return SensitivityCase(seed, medium, np.unique(omegas), sites, solver, tolerance, by)

@@ -31,7 +31,7 @@ def norm_of_inverse(lattice, s):
 def test_bounds_hold_for_any_s(solver, limit, solver_options):
     """No bound is exceeded and nothing wrong passes, by good and poor solvers, fresh or stale.
 
-    test_random_sweeps.py has harder lattices, on the imaginary axis.
+    test_guarantees.py has harder lattices, on the imaginary axis.
     """
     solver_options(SOLVERS[solver])
     rng, choices = np.random.default_rng(1), {"refresh_iterations": limit, "whole_field": True}

@@ -17,12 +17,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from campaigns import abuse, changes, estimates, faults, fuzz, networks, stability
+from campaigns import abuse, changes, estimates, faults, fuzz, stability
 from mpi4py import MPI
 
 import pgran
 from pgran.command.resolve import SCENES
-from pgran.experiments.modes import density
 from pgran.run.journal import Journal
 from pgran.store.estimate import Estimate
 
@@ -31,11 +30,7 @@ FOLDER = Path(__file__).parent / "campaigns"
 # by those of jobs/.
 SHORT = {
     "comparison": "400 9,11",
-    "curves": "--samples 1 --frequencies 9",
-    "networks": "1 2",
-    "random_sweeps": "1 2",
-    "relaxation": "8",
-    "sensitivity": "1 2",
+    "guarantees": "sweeps 1 2",
     "slopes": "1 1",
 }
 CALLED = {"abuse", "changes", "estimates", "faults", "fuzz", "inject", "stability"}
@@ -122,19 +117,6 @@ def test_no_file_does_harm(tmp_path):
     assert len(found) == 2
     assert all(int(refused) > 0 < int(accepted) for refused, accepted in found)
     assert not (tmp_path / "results").exists()
-
-
-def test_counts_of_unstable_networks(monkeypatch, capsys):
-    """None is certified and wrong; one that is wrong is noticed."""
-    campaign = networks.unstable_network, networks.count_faults
-    networks.carry_out(*campaign, 0, 15)
-    found = re.findall(r"(\d+) counts, (\d+) certified", said := capsys.readouterr().out)
-    assert said.count("\n") == 1, said
-    assert 20 < int(found[0][0]) == int(found[0][1])
-    sure = density.count_below
-    monkeypatch.setattr(density, "count_below", lambda *given: (sure(*given)[0] + 1, 0.0))
-    networks.carry_out(*campaign, 3, 12)
-    assert {"WRONG", "UNSTABLE"} <= set(capsys.readouterr().out.split())
 
 
 @pytest.mark.filterwarnings("ignore:.*fork")  # the child does not wait for MPI's threads

@@ -5,11 +5,10 @@ tests/campaigns/comparison.py takes long sweeps.
 
 import numpy as np
 import pytest
-from campaigns.relaxation import relaxed
 from mpi4py import MPI
 from mpmath import mp
 from reference import exact_amplitudes
-from samples import random_lattice, reference_of, steady, swept
+from samples import random_lattice, reference_of, relaxed, steady, swept
 
 from pgran.experiments.response.scene import summary
 from pgran.medium.record import LatticeRecord

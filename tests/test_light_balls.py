@@ -9,11 +9,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from campaigns.sensitivity import Case, faults
+from guarantees import sensitivity_faults
 from mpmath import mp
 from network_samples import NetworkReference
 from samples import listened, swept
 from scipy.integrate import solve_ivp
+from sensitivity_samples import SensitivityCase
 
 import pgran
 from pgran.experiments.response.models import SmallSystems, evaluate
@@ -98,8 +99,7 @@ def test_bounds_of_a_model_are_in_units_of_what_a_detector_reads(comm, factor):
 def test_derivatives_and_changes_of_light_balls(comm, mass):
     """Sensitivities, a warm ball, cut contacts, each amplitude, against elimination."""
     network, seen = light_chain(mass, 4, 0.02 * mass), Counter()
-    case = Case(
-        0, network, np.array([0.8, 1.7]), np.array([2, 4]), "default", 1e-2, {"factor": 2.0}
-    )
-    assert list(faults(case, seen, comm)) == []
+    omegas, sites = np.array([0.8, 1.7]), np.array([2, 4])
+    case = SensitivityCase(0, network, omegas, sites, "default", 1e-2, {"factor": 2.0})
+    assert list(sensitivity_faults(case, seen, comm)) == []
     assert comm.rank or (seen["good"] == 2 and seen["by_stiffness bounded"] > 0)

@@ -1,18 +1,15 @@
 """Any network: its matrices and modes against lattices, energies and elimination."""
 
 import itertools
-from collections import Counter
 
 import mpmath
 import numpy as np
 import pytest
-from campaigns.networks import driven_faults, faults
 from mpmath import mp, mpf
-from network_samples import NetworkReference, as_network, random_network
+from network_samples import NetworkReference, as_network
 from samples import random_lattice, steady
 
 from pgran.command.resolve import SCENES
-from pgran.driven import judge as judging
 from pgran.driven.certify import smallest_damping
 from pgran.errors import InputError
 from pgran.experiments.modes.scene import find_modes
@@ -173,34 +170,6 @@ def test_zero_and_unstable_modes_whatever_the_unit_of_frequency(kmax):
 
 
 # Driven networks
-
-
-def test_random_networks(world):
-    """No bound is broken, nothing wrong passes, and modes are counted right."""
-    seen = Counter()
-    for seed in range(world.rank, 24, world.size):
-        assert list(faults(random_network(seed), seen)) == []
-    assert 0.4 * world.allreduce(seen["amplitudes"]) < world.allreduce(seen["good"])
-    for seed in range(100, 106):
-        case = random_network(seed)
-        with mp.workdps(50):
-            assert list(driven_faults(case, NetworkReference(case.network), seen, world)) == []
-
-
-def test_the_campaign_notices_what_is_wrong(monkeypatch):
-    case, seen = random_network(0), Counter()
-    assert list(faults(case, seen)) == []
-    assess = judging.Judge.assess
-
-    def wrong(*arguments):
-        state = assess(*arguments)
-        state.displacement[:] *= 1 + 1e-9
-        state.error_bound[:] *= 1e-9
-        return state
-
-    monkeypatch.setattr(judging.Judge, "assess", wrong)
-    assert all(said.startswith("BROKEN") for said in faults(case, seen))
-    assert list(faults(case, seen))
 
 
 def test_errors_along_a_diagonal_do_not_cancel():

@@ -10,7 +10,6 @@ from samples import (
     POINTS,
     TIME,
     WIDTH,
-    Naive,
     assert_same,
     listened,
     random_lattice,
@@ -23,35 +22,8 @@ from pgran.errors import InputError
 from pgran.experiments.pulse import scene as pulse
 from pgran.experiments.pulse.laplace import Line, largest_amplitudes, limits_of
 from pgran.experiments.pulse.signals import arrivals
-from pgran.experiments.pulse.wall import SHAPES, Pulse
+from pgran.experiments.pulse.wall import Pulse
 from pgran.medium.lattice import Lattice
-
-KINDS = [
-    ((6, 5), 0.003, (2, 2)),
-    ((12,), 0.0, (3,)),
-    ((3, 2, 3), 0.1, (1, 1, 1)),
-    ((4, 4), 0.5, (2, 1)),
-]
-
-
-@pytest.mark.parametrize(("size", "damping", "site"), KINDS)
-@pytest.mark.parametrize("shape", SHAPES)
-def test_signals_against_an_integrator(world, size, damping, site, shape):
-    """DOP853 on dense matrices: displacements and velocities within their bounds."""
-    lattice = random_lattice(size, 5, damping)
-    found = listened(lattice, site, world, shape=shape)
-    naive = Naive(lattice, Pulse(shape, 0.6, WIDTH), found.time)
-    u, v = (moved[:, *site] for moved in (naive.u, naive.v))
-    assert np.all(np.abs(found.displacement[:, 0] - u) <= found.error_bound[:, 0] + 1e-9)
-    assert np.all(np.abs(found.velocity[:, 0] - v) <= found.velocity_bound[:, 0] + 1e-9)
-    assert found.failures == 0
-    assert found.error_bound.max() <= 1e-4 * np.abs(u).max()
-    stepped = listened(lattice, site, world, shape=shape, method="integrate")
-    assert stepped.failures == 0
-    assert stepped.error_bound is None
-    for name, right, estimate in (("displacement", u, "error"), ("velocity", v, "velocity")):
-        wrong = np.abs(getattr(stepped, name)[:, 0] - right)
-        assert wrong.max() <= getattr(stepped, f"{estimate}_estimate").max() + 1e-9
 
 
 def test_nothing_arrives_before_the_front(world):

@@ -5,17 +5,25 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from campaigns.sensitivity import derivative_faults, faults, random_case
+from guarantees import derivative_faults
 from mpmath import mp, mpf
 from network_samples import as_network, exactly
 from samples import random_lattice
-from sensitivity_samples import STALE, Exact, assert_same_on_ranks, derived, number, packing
+from sensitivity_samples import (
+    STALE,
+    Exact,
+    assert_same_on_ranks,
+    derived,
+    number,
+    packing,
+    random_sensitivity,
+)
 
 from pgran.driven import sweep as sweeping
 from pgran.medium.lattice import Lattice
 from pgran.medium.network import Network
 
-CASE = random_case(0)  # what is asked of a medium; its tolerance and frequencies are replaced
+CASE = random_sensitivity(0)  # its tolerance and frequencies are replaced
 DERIVATIVES = "by_stiffness", "by_mass", "by_damping", "by_tangential", "by_force"
 
 
@@ -242,10 +250,3 @@ def test_inexact_factors(monkeypatch, solver_options, solver):
             states = exact.states(1j * omega, [4])
             assert not list(derivative_faults(case, found, n, exact, states, Counter()))
     assert "ilu" in solver or np.all(found.converged_reason > 0)
-
-
-def test_random_cases():
-    """The campaign in short, on one rank."""
-    seen = Counter()
-    assert [fault for seed in range(8) for fault in faults(random_case(seed), seen)] == []
-    assert min(seen["good"], seen["logarithms"], seen["warmed"], seen["cut"]) > 5

@@ -1,14 +1,13 @@
 """The force that drives the wall: its value and bound, its power, its limits, its units."""
 
 import dataclasses
-import math
 
 import mpmath
 import numpy as np
 import pytest
 from mpi4py import MPI
 from mpmath import mp, mpf
-from network_samples import NetworkReference, eliminated, random_network
+from network_samples import exact_network_force
 from petsc4py import PETSc
 from reference import DRIVEN, bonds, refined_field
 from samples import assert_same, bond_arrays, random_lattice, steady, swept, uniform_lattice
@@ -35,22 +34,6 @@ def exact_force(lattice, omega):
         for axis, index, one, other in bonds(lattice.shape)
         if other is DRIVEN
     )
-
-
-def exact_network_force(network, s):
-    """The force on the driven balls, along their motion, of S with no ball left out."""
-    whole = NetworkReference(dataclasses.replace(network, held=0 * network.held))
-    width, s = whole.axes + whole.turns, exact(s)
-    spring = whole.K + s * mpf(network.damping) * whole.C
-    motion = np.full((len(network.held), width), mpf(0))
-    motion[network.held == 2, : whole.axes] = [mpf(float(x)) for x in network.direction]
-    motion, free = motion.ravel(), np.repeat(network.held == 0, width)
-    S = spring[np.ix_(free, free)].astype(object)
-    S[np.diag_indices_from(S)] += s * s * whole.M[free]
-    u = eliminated(S, -(spring @ motion)[free])
-    moved = motion + 0
-    moved[free] = u
-    return motion @ spring @ moved
 
 
 def crystal(displacement, **others):
@@ -111,24 +94,6 @@ def test_forces_are_within_their_bounds(world, method, kind):
     assert np.array_equal(response.omega, omegas)
     for error, bound, size in force_errors(medium, response):
         assert error <= bound <= 1e-4 * size
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_forces_of_random_networks(seed):
-    """Parts that dangle, double contacts, negative constants, no damping: the bound holds."""
-    case = random_network(seed, balls=7)
-    network = case.network
-    with (
-        mp.workdps(DIGITS),
-        steady(network, case.sites, MPI.COMM_SELF, case.tolerance, derivatives=True) as (_, solver),
-    ):
-        for s in case.points:
-            state = solver.solve(s)
-            if not math.isfinite(state.reaction_bound):
-                continue
-            force = exact(network.pull(s)) - exact(state.reaction)
-            bound = state.reaction_bound + network.pull_rounding(abs(s))
-            assert abs(force - exact_network_force(network, s)) <= bound
 
 
 def test_the_error_is_of_second_order(solver_options):

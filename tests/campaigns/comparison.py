@@ -8,12 +8,13 @@ tests/test_comparison.py has the short ones.
 """
 
 import sys
+from collections import Counter
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
-from campaigns.random_sweeps import points, report
+from guarantees import sweep_faults
 from reference import refined_field
 from samples import Case
 
@@ -29,11 +30,12 @@ def refined(stiffness, mass, damping, omega, sites):
 def main(stride, *shapes):
     """Compare, and print what is false."""
     for text in shapes or ("31", "100", "40,40", "60,60"):
-        shape = tuple(map(int, text.split(",")))
-        lattice = Lattice.random(shape)
+        shape, seen = tuple(map(int, text.split(","))), Counter()
         site, omegas = np.array([(8, 10)[: len(shape)]]), np.linspace(0.01, 1.3, 1291)
-        case = Case(1993, lattice, omegas, site, "default", 1e-4, 1e-20, 60)
-        report(str(shape), points(case, refined, int(stride) if len(shape) > 1 else 1))
+        case = Case(1993, Lattice.random(shape), omegas, site, "default", 1e-4, 1e-20, 60)
+        for fault in sweep_faults(case, seen, refined, int(stride) if len(shape) > 1 else 1):
+            print(fault)
+        print(f"{shape}:", ", ".join(f"{n} {what}" for what, n in seen.items()), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,72 @@
+"""A few random cases of all that is guaranteed, and that each fault is noticed."""
+
+from collections import Counter
+from dataclasses import replace
+
+import guarantees
+import numpy as np
+import pytest
+from guarantees import GUARANTEES, carry_out
+
+from pgran.driven import judge
+from pgran.experiments.modes import density
+
+
+@pytest.mark.parametrize("name", GUARANTEES)
+def test_random_cases(world, name):
+    """On each rank others: nothing is false, and enough is good."""
+    guarantee, seen = GUARANTEES[name], Counter()
+    mine = range(world.rank, guarantee.few, world.size)
+    assert list(carry_out(name, mine, seen, guarantee.changed)) == []
+    seen = sum(world.allgather(seen), Counter())
+    for part, whole in guarantee.most:
+        assert 2 * seen[part] > seen[whole] > 0, seen
+
+
+@pytest.mark.parametrize("name", [name for name in GUARANTEES if GUARANTEES[name].shared])
+def test_random_cases_that_ranks_share(world, name):
+    guarantee = GUARANTEES[name]
+    for seed in guarantee.shared:
+        assert list(guarantee.faults(guarantee.case(seed), Counter(), world)) == []
+
+
+def too_small(state):
+    """Bounds and numbers as they must not be."""
+    state.displacement[:] *= 1 + 1e-9
+    state.error_bound[:] *= 1e-9
+    return state
+
+
+def straight(run):
+    """A response all of whose lines are said to be exact."""
+    return replace(run, line_error=np.zeros_like(run.line_error))
+
+
+SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt
+    "sweeps": (judge.Judge, "assess", too_small),
+    "frequencies alone": (
+        guarantees, "response_of",
+        lambda run: replace(run, displacement=run.displacement * (1 + 1e-15 * len(run.omega))),
+    ),
+    "networks": (judge.Judge, "assess", too_small),
+    "forces": (guarantees, "exact_network_force", lambda force: 1.01 * force),
+    "curves": (guarantees, "swept", lambda run: straight(replace(run, models=None))),
+    "points": (guarantees, "swept", straight),
+    "relaxations": (guarantees, "relaxed", too_small),
+    "long relaxations": (guarantees, "relaxed", too_small),
+    "pulses": (
+        guarantees, "listened", lambda run: replace(run, displacement=1.01 * run.displacement)
+    ),
+    "derivatives": (judge.Judge, "assess", too_small),
+    "modes": (guarantees, "find_modes", lambda modes: replace(modes, omega=modes.omega[1:])),
+    "counts": (density, "count_below", lambda found: (found[0] + 1, 0.0)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", GUARANTEES)
+def test_what_is_wrong_is_noticed(monkeypatch, name):
+    place, attribute, spoil = SPOILT[name]
+    right = getattr(place, attribute)
+    monkeypatch.setattr(place, attribute, lambda *given, **by: spoil(right(*given, **by)))
+    fault = next(carry_out(name, range(3, 6), Counter(), GUARANTEES[name].changed))
+    assert not fault.startswith("RAISED")
