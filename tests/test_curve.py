@@ -245,7 +245,7 @@ def damped_media():
         lattice = random_lattice(shape, 3, 0.05)
         reference = reference_of(lattice)
         yield lattice, (reference.K, reference.damping * reference.C, np.ones(lattice.balls))
-    for seed in range(60):
+    for seed in range(30):
         network = network_samples.random_network(seed).network
         if network.relaxation_rate < 1e3 and network.balls:
             naive = network_samples.NetworkReference(network)

@@ -14,7 +14,7 @@ from pgran.experiments.ensemble import statistics as noise
 from pgran.experiments.ensemble.noise import NoisyCurves
 from pgran.experiments.ensemble.record import Ensemble
 
-GAMMA, SAMPLES = 0.02, 300
+GAMMA, SAMPLES = 0.02, 150
 
 
 def ensemble_of(omega, A, good=None):

@@ -29,13 +29,14 @@ def said(response, lattice=LATTICE):
 
 
 def test_paper_against_the_reference(world, response):
-    """Every 40th frequency: 1 part in 10000, the bound holds, down to 1e-11; the field alike."""
+    """Every 60th frequency: 1 part in 10000, the bound holds, down to 1e-11; the field alike."""
     assert response.failures == 0
     assert response.amplitude.min() < 1e-9
     assert np.array_equal(response.omega, PAPER)
     assert response.detector.tolist() == [[8, 10]]
-    for index in range(0, len(PAPER), 40)[world.rank :: world.size]:
-        exact = reference_of(LATTICE).field(PAPER[index])
+    reference = reference_of(LATTICE)
+    for index in range(0, len(PAPER), 60)[world.rank :: world.size]:
+        exact = reference.field(PAPER[index])
         (amplitude,), (bound,) = response.displacement[index], response.error_bound[index]
         assert abs(amplitude - exact[8, 10]) <= min(bound, 1e-4 * abs(exact[8, 10]))
         assert np.linalg.norm(response.field[index] - exact) <= 1e-4 * np.linalg.norm(exact)
@@ -260,8 +261,7 @@ def test_points_too_close_for_a_slope_but_roundings():
 
 def test_the_slope_falls_like_one_over_the_root_of_damping(world):
     """Absorbing diffusion, and no wave at a speed of its own: that would not mind the damping."""
-    damping = np.array([0.001, 0.003, 0.01, 0.03])
-    slopes = []
+    damping, slopes = np.array([0.001, 0.005, 0.03]), []
     for beta in damping:
         lattice = Lattice.random((20, 20), damping=beta)
         found = swept(lattice, np.linspace(0.29, 1.01, 300), (8, 10), world, method="curve")

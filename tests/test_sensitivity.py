@@ -23,7 +23,7 @@ from pgran.driven import sweep as sweeping
 from pgran.medium.lattice import Lattice
 from pgran.medium.network import Network
 
-CASE = random_sensitivity(0)  # its tolerance and frequencies are replaced
+CASE = random_sensitivity(0)  # of another tolerance and frequencies
 DERIVATIVES = "by_stiffness", "by_mass", "by_damping", "by_tangential", "by_force"
 
 
