@@ -1,6 +1,7 @@
 """The graph of a network: order of elimination, what that costs, and what is certain by it."""
 
 import dataclasses
+import functools
 import pickle
 
 import numpy as np
@@ -69,6 +70,7 @@ def fill(matrix, order):
     return total
 
 
+@functools.cache
 def costly():
     """Networks whose factors fill, of one kind each."""
     periodic = makers.crystal("fcc", (3, 3, 3), periodic=True)  # of equal eigenvalues
@@ -147,14 +149,14 @@ def test_counts_are_right_or_none(name, options, solver_options):
         assert (counter._factor == counter._by_petsc) == bool(options)
         pivots = operators.K.getDiagonal().getArray().real[:3]  # the first of them is zero there
         near = [0.0, 1e-15, -1e-13, 1e-11, -1e-9, 1e-6]
-        beside = [x + part * counter.norm for x in rng.choice(values, 6) for part in near]
-        for shift in [*rng.uniform(values[0], values[-1], 20), *pivots, 0.0, *beside]:
+        beside = [x + part * counter.norm for x in rng.choice(values, 3) for part in near]
+        for shift in [*rng.uniform(values[0], values[-1], 10), *pivots, 0.0, *beside]:
             for clearance in (1e-12 * counter.norm, 1e-9 * counter.norm):
                 count, edge = counter.below(shift, clearance), clearance + 1e-14 * counter.norm
                 low, high = (np.count_nonzero(values < shift + side * edge) for side in (-1, 1))
                 assert count is None or low <= count <= high
                 sure += count is not None
-    assert sure >= 40
+    assert sure >= 21
 
 
 @pytest.mark.parametrize("name", costly())
