@@ -427,7 +427,8 @@ def count_faults(case, seen):
     near *= 1 + rng.choice([0, 1e-12, -1e-9, 1e-6], 2)
     omegas = np.concatenate([top * 10 ** rng.uniform(-6, 0.1, 3), near])
     omegas = np.unique(np.append(omegas, 0.0))[case.seed % 2 :]
-    found = count_modes(network, omegas)
+    with Crew(MPI.COMM_SELF, 1) as crew:
+        found = count_modes(network, omegas, crew)
     limits = found.omega - found.margin
     limits *= network.mass * np.abs(limits)
     seen["networks"] += 1
