@@ -45,7 +45,7 @@ def test_errors_are_logged(start, shared_path):
     assert last == "pgran (rank 2): error: RuntimeError: planted"
 
 
-def test_a_log_is_refused_before_any_work(call, place, shared_path):
+def test_a_log_is_refused_before_any_work(call, place, shared_path, world):
     place("notes.txt", "2020-01-01 shopping")
     for path, code, message in (
         ("notes.txt", 4, "notes.txt: exists already and is no log"),
@@ -57,6 +57,7 @@ def test_a_log_is_refused_before_any_work(call, place, shared_path):
         assert done.returncode == code
         assert message in done.stderr
     logfile.check(shared_path / "new" / "a.log", make=False)
+    world.Barrier()  # each rank tries with a file of its own
     assert sorted(path.name for path in shared_path.iterdir()) == ["a.opts", "notes.txt"]
     with pytest.raises(FileError, match=r"aa\.log: cannot be written: File name too long"):
         logfile.check(shared_path / f"{'a' * 250}.log")
