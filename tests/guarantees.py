@@ -451,8 +451,8 @@ def count_faults(case, seen):
 class Guarantee:
     """A case from a seed, the faults of a case, and what the tests try of it.
 
-    They try `few` seeds, of cases `changed`; each pair in `most` tells of what was seen which is
-    more than half of which. `shared` are the seeds of cases that all ranks solve together.
+    They try `few` seeds, of cases `changed`; `most` tells of what was seen which is at least which
+    part of which. `shared` are the seeds of cases that all ranks solve together.
     """
 
     case: Callable
@@ -463,25 +463,29 @@ class Guarantee:
     shared: range = range(0)
 
 
-GOOD = (("good", "amplitudes"),)
+def good(part, of="amplitudes"):
+    """Return that so large a part is good."""
+    return (("good", part, of),)
+
+
 GUARANTEES = {
-    "sweeps": Guarantee(random_case, sweep_faults, 60, GOOD),
-    "frequencies alone": Guarantee(random_case, dependence_faults, 20, (("good", "frequencies"),)),
-    "networks": Guarantee(random_network, network_faults, 24, GOOD, shared=range(100, 106)),
-    "forces": Guarantee(small_network, force_faults, 30, (("bounded", "forces"),)),
-    "curves": Guarantee(random_curve, curve_faults, 1, (("accurate", "points"),), {"count": 9}),
+    "sweeps": Guarantee(random_case, sweep_faults, 60, good(0.6)),
+    "frequencies alone": Guarantee(random_case, dependence_faults, 20, good(0.5, "frequencies")),
+    "networks": Guarantee(random_network, network_faults, 24, good(0.5), shared=range(100, 106)),
+    "forces": Guarantee(small_network, force_faults, 30, (("bounded", 0.5, "forces"),)),
+    "curves": Guarantee(random_curve, curve_faults, 1, (("accurate", 1, "points"),), {"count": 9}),
     "points": Guarantee(random_points, curve_faults, 1, (), {"count": 9}),
-    "relaxations": Guarantee(random_relaxation, relaxation_faults, 12, GOOD),
+    "relaxations": Guarantee(random_relaxation, relaxation_faults, 12, good(0.9)),
     "long relaxations": Guarantee(
-        long_relaxation, relaxation_faults, 18, GOOD, {"steps": 8, "count": 1}
+        long_relaxation, relaxation_faults, 18, good(1), {"steps": 8, "count": 1}
     ),
-    "pulses": Guarantee(random_pulse, pulse_faults, 8, (("bounded", "numbers"),)),
+    "pulses": Guarantee(random_pulse, pulse_faults, 8, (("bounded", 1, "numbers"),)),
     "derivatives": Guarantee(
         random_sensitivity, sensitivity_faults, 8,
-        (("good", "points"), ("warmed bounded", "warmed"), ("cut bounded", "cut")),
+        (*good(0.5, "points"), ("warmed bounded", 0.5, "warmed"), ("cut bounded", 0.5, "cut")),
     ),
-    "modes": Guarantee(random_network, mode_faults, 24, (("certified", "networks"),)),
-    "counts": Guarantee(unstable_network, count_faults, 15, (("certified", "counts"),)),
+    "modes": Guarantee(random_network, mode_faults, 24, (("certified", 1, "networks"),)),
+    "counts": Guarantee(unstable_network, count_faults, 15, (("certified", 1, "counts"),)),
 }  # fmt: skip
 
 
