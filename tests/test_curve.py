@@ -8,7 +8,7 @@ import mpmath
 import network_samples
 import numpy as np
 import pytest
-from guarantees import curve_faults
+from amplitude_faults import curve_faults
 from mpi4py import MPI
 from petsc4py import PETSc
 from reference import exact_amplitudes, uniform_amplitude

@@ -3,7 +3,8 @@
 from collections import Counter
 from dataclasses import replace
 
-import guarantees
+import amplitude_faults
+import mode_faults
 import numpy as np
 import pytest
 from guarantees import GUARANTEES, carry_out
@@ -40,25 +41,25 @@ def too_small(state):
 SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt
     "sweeps": (judge.Judge, "assess", too_small),
     "frequencies alone": (
-        guarantees, "response_of",
+        amplitude_faults, "response_of",
         lambda run: replace(run, displacement=run.displacement * (1 + 1e-15 * len(run.omega))),
     ),
     "networks": (judge.Judge, "assess", too_small),
-    "forces": (guarantees, "exact_network_force", lambda force: 1.01 * force),
+    "forces": (amplitude_faults, "exact_network_force", lambda force: 1.01 * force),
     "curves": (
-        guarantees, "swept", lambda run: replace(run, displacement=1.02 * run.displacement)
+        amplitude_faults, "swept", lambda run: replace(run, displacement=1.02 * run.displacement)
     ),
     "points": (
-        guarantees, "swept",
+        amplitude_faults, "swept",
         lambda run: replace(run, line_error=np.zeros_like(run.line_error)),
     ),
-    "relaxations": (guarantees, "relaxed", too_small),
-    "long relaxations": (guarantees, "relaxed", too_small),
+    "relaxations": (amplitude_faults, "relaxed", too_small),
+    "long relaxations": (amplitude_faults, "relaxed", too_small),
     "pulses": (
-        guarantees, "listened", lambda run: replace(run, displacement=1.01 * run.displacement)
+        amplitude_faults, "listened", lambda run: replace(run, displacement=1.01 * run.displacement)
     ),
     "derivatives": (judge.Judge, "assess", too_small),
-    "modes": (guarantees, "find_modes", lambda modes: replace(modes, omega=modes.omega[1:])),
+    "modes": (mode_faults, "find_modes", lambda modes: replace(modes, omega=modes.omega[1:])),
     "counts": (density, "count_below", lambda found: (found[0] + 1, 0.0)),
 }  # fmt: skip
 

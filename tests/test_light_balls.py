@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from guarantees import sensitivity_faults
+from change_faults import sensitivity_faults
 from mpmath import mp
 from network_samples import NetworkReference
 from samples import listened, swept

@@ -5,7 +5,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from guarantees import derivative_faults
+from change_faults import derivative_faults
 from mpmath import mp, mpf
 from network_samples import as_network, exactly
 from samples import random_lattice

@@ -14,7 +14,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
-from guarantees import sweep_faults
+from amplitude_faults import sweep_faults
 from reference import refined_field
 from samples import Case
 
@@ -35,7 +35,7 @@ def main(stride, *shapes):
         case = Case(1993, Lattice.random(shape), omegas, site, "default", 1e-4, 1e-20, 60)
         for fault in sweep_faults(case, seen, refined, int(stride) if len(shape) > 1 else 1):
             print(fault)
-        print(f"{shape}:", ", ".join(f"{n} {what}" for what, n in seen.items()), flush=True)
+        print(f"{shape}:", ", ".join(f"{n:.7g} {what}" for what, n in seen.items()), flush=True)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ def main(name, first, last):
     for fault in carry_out(name, range(int(first), int(last)), seen):
         print(fault, flush=True)
         faults += 1
-    print(f"{name} {first} to {last}:", ", ".join(f"{n} {what}" for what, n in seen.items()))
+    print(f"{name} {first} to {last}:", ", ".join(f"{n:.7g} {what}" for what, n in seen.items()))
     return faults
 
 

@@ -1,0 +1,68 @@
+"""What is false of modes and of their numbers, of random networks."""
+
+import numpy as np
+from mpi4py import MPI
+from mpmath import mp
+from network_samples import (
+    NetworkReference,
+)
+
+from pgran.experiments.modes.density import count_modes
+from pgran.experiments.modes.scene import find_modes
+from pgran.run.crew import Crew
+
+ROUNDING = 1e-13  # of |K|: how well dense eigenvalues are known
+
+
+def mode_faults(case, seen):
+    """Modes that are missing or elsewhere, without being said to be."""
+    with mp.workdps(50):
+        eigenvalues = NetworkReference(case.network).eigenvalues()
+    norm = np.abs(eigenvalues).max()
+    with Crew(MPI.COMM_SELF, 1) as crew:
+        modes = find_modes(case.network, crew)
+    unstable = bool(np.any(eigenvalues < -1e-9 * norm))
+    seen["networks"] += 1
+    seen["unstable"] += unstable
+    seen["certified"] += modes.count_certified
+    if modes.count_certified and len(modes.omega) != len(eigenvalues):
+        yield f"MODES case {case.seed}: {len(modes.omega)} of {len(eigenvalues)}, {unstable=}"
+    elif modes.count_certified:
+        found = case.network.mass * np.sign(modes.omega) * modes.omega**2
+        if not np.allclose(found, eigenvalues, rtol=0, atol=1e-11 * norm):
+            yield f"MODES case {case.seed}: elsewhere by {np.abs(found - eigenvalues).max():.1e}"
+    else:
+        yield f"NOT CERTIFIED case {case.seed}: {len(modes.omega)} of {modes.count_expected}"
+
+
+def count_faults(case, seen):
+    """Yield certified counts of modes that are wrong; count what was `seen`.
+
+    At 0, at random, and on and next to modes; at every other network not at 0.
+    """
+    network, rng = case.network, np.random.default_rng([19, case.seed])
+    with mp.workdps(50):
+        eigenvalues = NetworkReference(network).eigenvalues()
+    norm = np.abs(eigenvalues).max()
+    top, rounding = np.sqrt(norm / network.mass), ROUNDING * norm
+    if eigenvalues[0] > -10 * rounding:
+        return
+    near = np.sqrt(np.abs(rng.choice(eigenvalues, 2)) / network.mass)
+    near *= 1 + rng.choice([0, 1e-12, -1e-9, 1e-6], 2)
+    omegas = np.concatenate([top * 10 ** rng.uniform(-6, 0.1, 3), near])
+    omegas = np.unique(np.append(omegas, 0.0))[case.seed % 2 :]
+    with Crew(MPI.COMM_SELF, 1) as crew:
+        found = count_modes(network, omegas, crew)
+    limits = found.omega - found.margin
+    limits *= network.mass * np.abs(limits)
+    seen["networks"] += 1
+    for omega, limit, count, sure in zip(omegas, limits, found.count, found.certified, strict=True):
+        low, high = (np.count_nonzero(eigenvalues < limit + x) for x in (-rounding, rounding))
+        seen["counts"] += 1
+        seen["certified"] += sure
+        seen["moved"] += bool(limit < network.mass * omega**2 - rounding)
+        if sure and not low <= count <= high:
+            yield f"WRONG case {case.seed}, {omega=:.6g}: {count} modes, not {low} to {high}"
+    low, high = (np.count_nonzero(eigenvalues < x) for x in (-1e-5 * norm, rounding))
+    if not low <= found.unstable <= high:
+        yield f"UNSTABLE case {case.seed}: {found.unstable} modes, not {low} to {high}"
