@@ -142,7 +142,7 @@ def eliminated(S, f):
 
 def as_network(lattice, **others):
     """A lattice as a network of the same bonds in the same order, and two balls for its walls."""
-    balls = lattice.balls
+    balls = lattice.size
     ends = bond_ends(np.arange(balls).reshape(lattice.shape))
     ends[driven_bonds(lattice.shape), 1] = balls + 1
     ends[ends < 0] = balls

@@ -63,7 +63,7 @@ def test_an_eigenvalue_just_beyond_what_a_count_excludes(damping, digits):
         for _ in range(5):  # the first guess of the distance depends a little on the frequency
             s = 1j * math.sqrt(eigenvalue + distance)
             solver.solve(s)
-            distance = 1.02 * 10**-digits * solver.bounds.scale / operators.balls
+            distance = 1.02 * 10**-digits * solver.bounds.scale / operators.size
         exact = norm_of_inverse(lattice, s)
         assert exact <= solver.bounds.inverse_norm <= 1.5 * exact
 

@@ -220,7 +220,7 @@ def test_no_pole_is_nearer_than_damping_allows():
     """Of a pole as near as that, halfway between neighbours, the cubic shows that part."""
     tested = 0
     for medium, reference in damped_media():
-        rate, n = medium.relaxation_rate, medium.balls
+        rate, n = medium.relaxation_rate, medium.size
         K, C, M = (matrix.astype(float) for matrix in reference)
         system = np.block([[np.zeros((n, n)), np.eye(n)], [-K / M[:, None], -C / M[:, None]]])
         poles = np.linalg.eigvals(system)
@@ -244,10 +244,10 @@ def damped_media():
     for shape in ((9,), (5, 4), (3, 2, 3)):
         lattice = random_lattice(shape, 3, 0.05)
         reference = reference_of(lattice)
-        yield lattice, (reference.K, reference.damping * reference.C, np.ones(lattice.balls))
+        yield lattice, (reference.K, reference.damping * reference.C, np.ones(lattice.size))
     for seed in range(30):
         network = network_samples.random_network(seed).network
-        if network.relaxation_rate < 1e3 and network.balls:
+        if network.relaxation_rate < 1e3 and network.size:
             naive = network_samples.NetworkReference(network)
             yield network, (naive.K, naive.C * float(network.damping), naive.M)
 

@@ -70,7 +70,7 @@ def test_networks(seed):
     """Of any kind, with zero modes and unstable ones."""
     network = random_network(seed).network
     network = dataclasses.replace(network, damping=0.0)
-    squares = np.linalg.eigvalsh(network.restoring_forces(np.eye(network.balls))) / network.mass
+    squares = np.linalg.eigvalsh(network.restoring_forces(np.eye(network.size))) / network.mass
     top = np.sqrt(max(squares[-1], 1e-12))
     found = pgran.count_modes(network, top * np.array([0.0, 0.1, 0.35, 0.8, 1.5]))
     assert found.balls == len(network.free)

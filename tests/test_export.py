@@ -103,7 +103,7 @@ def test_the_exported_response_of_a_lattice_obeys_newtons_law(tmp_path, shape):
     i, j = lines.T
     assert np.linalg.norm(points[i] - points[j], axis=1) == pytest.approx(1)
     free, driven = balls["held"] == 0, balls["held"] == 2
-    assert np.count_nonzero(free) == lattice.balls
+    assert np.count_nonzero(free) == lattice.size
     assert np.array_equal(driven, points[:, 0] == shape[0])
     assert not balls["mass"][~free].any()
     for number, omega in enumerate(omegas, 1):

@@ -184,7 +184,7 @@ def test_modes_of_a_sample():
     counts, edges, _ = ensemble.density(ax, found, MEDIUM).get_data()
     assert np.sum(counts * np.diff(edges)) == pytest.approx(1)
     each = [np.histogram(row / UNIT, edges)[0] / np.diff(edges) for row in found.mode_omega]
-    error = np.std(each, axis=0, ddof=1) / np.sqrt(12) / FIRST.balls
+    error = np.std(each, axis=0, ddof=1) / np.sqrt(12) / FIRST.size
     top, _, bottom = ax.patches[0].get_data()
     np.testing.assert_allclose(top - bottom, 2 * error, atol=1e-9)
     median = ensemble.participation(Figure().subplots(), found, MEDIUM)

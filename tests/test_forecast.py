@@ -52,12 +52,12 @@ def test_entries_and_nonzeros_of_a_network(axes, kind):
         solver.solve(0.5j)
         found = solver.factor.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
     assert found / 1.3 < network.graph.entries < found * 1.3
-    K = network.restoring_forces(np.eye(network.balls))
+    K = network.restoring_forces(np.eye(network.size))
     blocks = K.reshape(len(network.free), network.components, len(network.free), -1)
     met = np.count_nonzero(np.any(blocks, axis=(1, 3)))
     assert network.graph.nonzeros == met * network.components**2
     if axes == 3:
-        ball = np.arange(network.balls)
+        ball = np.arange(network.size)
         held = np.where(ball > 0, 0, 2)
         chain = Network(np.stack([ball[:-1], ball[1:]], axis=1), np.ones(len(ball) - 1), held)
         needed = [forecast.lattice_memory(each, 1) for each in (network, chain)]

@@ -57,7 +57,7 @@ def damping_matrix(network):
 
 def eigenvalues(network):
     """Those of K, dense."""
-    return np.linalg.eigvalsh(network.restoring_forces(np.eye(network.balls)))
+    return np.linalg.eigvalsh(network.restoring_forces(np.eye(network.size)))
 
 
 def fill(matrix, order):

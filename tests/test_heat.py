@@ -43,7 +43,7 @@ def touching(medium, ball):
     """Which contacts of a medium touch a ball."""
     ends = getattr(medium, "bond", None)
     if ends is None:
-        ends = bond_ends(np.arange(medium.balls).reshape(medium.shape))
+        ends = bond_ends(np.arange(medium.size).reshape(medium.shape))
     return np.any(ends == ball, axis=1)
 
 

@@ -179,8 +179,8 @@ def test_long_waves_where_bonds_are_random(dimensions, size, samples):
     shape, found = (size,) * dimensions, []
     for seed in range(samples):
         lattice = pgran.Lattice.random(shape, seed, kmax=1.0)
-        K = lattice.restoring_forces(np.eye(lattice.balls).reshape(-1, *shape))
-        lowest = eigh(K.reshape(lattice.balls, -1), eigvals_only=True, subset_by_index=(0, 0))
+        K = lattice.restoring_forces(np.eye(lattice.size).reshape(-1, *shape))
+        lowest = eigh(K.reshape(lattice.size, -1), eigvals_only=True, subset_by_index=(0, 0))
         found.append(lowest[0] / (dimensions * (2 * np.sin(np.pi / 2 / (size + 1))) ** 2))
     assert np.mean(found) == pytest.approx(hertz.effective_stiffness(dimensions), rel=0.05)
     scale = Scale(BEAD.material, BEAD.diameter, BEAD.force, dimensions)

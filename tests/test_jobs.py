@@ -48,8 +48,8 @@ if name == "spheres":
     words = ["--law", "hertz", "--rest", "type==3", "--drive", "type==4"]
 imports.run([f"{name}.atoms", f"{name}.contacts", "-o", sys.argv[-1] + "_lmp.h5", *words])
 network = read_network(sys.argv[-1] + "_lmp.h5")
-K = network.restoring_forces(np.eye(network.balls)) / network.mass
-axes, balls = network.axes, network.balls // network.axes
+K = network.restoring_forces(np.eye(network.size)) / network.mass
+axes, balls = network.axes, network.size // network.axes
 whole = np.zeros((balls, 3, balls, 3))
 whole[:, :axes, :, :axes] = K.reshape(balls, axes, balls, axes)
 whole.tofile(sys.argv[-1])

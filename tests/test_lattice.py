@@ -20,14 +20,14 @@ def test_shapes_counts_and_numbers(shape):
     """Bonds are numbered axis after axis, each in C order; -1 is the number of a wall."""
     lattice = random_lattice(shape)
     assert lattice.shape == shape
-    assert lattice.balls == math.prod(shape)
+    assert lattice.size == math.prod(shape)
     table = list(bonds(shape))
     assert bond_count(shape) == len(table) == lattice.constants.size
     assert [k.shape for k in lattice.stiffness] == [bond_shape(shape, a) for a in range(len(shape))]
     assert lattice.constants.tolist() == [lattice.stiffness[axis][i] for axis, i, *_ in table]
     number = {ball: n for n, ball in enumerate(balls(shape))}
     ends = [[number.get(end, -1) for end in row[2:]] for row in table]
-    assert bond_ends(np.arange(lattice.balls).reshape(shape)).tolist() == ends
+    assert bond_ends(np.arange(lattice.size).reshape(shape)).tolist() == ends
     assert driven_bonds(shape).tolist() == [above == "driven" for *_, above in table]
     axes, places = bond_places(shape, np.arange(len(table)))
     assert list(zip(axes, map(tuple, places), strict=True)) == [row[:2] for row in table]

@@ -127,7 +127,7 @@ def test_modal_widths_of_networks(seed):
     reference = NetworkReference(network)
     K, C = (reference.weighted(X).astype(float) for X in (reference.K, reference.C))
     values, _, expected = widths_by(K, C, network)
-    modes = np.linalg.eigh(network.restoring_forces(np.eye(network.balls)))[1].T
+    modes = np.linalg.eigh(network.restoring_forces(np.eye(network.size)))[1].T
     widths = levels.modal_widths(network, modes)
     size = network.damping * np.abs(C).sum(axis=1).max() / network.mass
     assert abs(widths.sum() - expected.sum()) <= 1e-9 * size

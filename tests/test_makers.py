@@ -76,7 +76,7 @@ def test_phonon_bands(world, name):
     expected = bands(springs, wavenumbers(shape, zones, edges), unknowns) * 0.7 / 1.3
     assert modes.count_certified
     assert np.allclose(modes.omega**2, expected, rtol=0, atol=1e-12 * expected[-1])
-    floppy = network.balls - len(network.bond)  # Maxwell's count, no more than the zero modes
+    floppy = network.size - len(network.bond)  # Maxwell's count, no more than the zero modes
     assert np.count_nonzero(modes.omega < 1e-6) >= floppy
     assert floppy > 0 or name != "honeycomb"
 
@@ -156,7 +156,7 @@ def test_dilution_removes_contacts_and_what_floats():
 
     assert places(more) < places(some) < places(network)
     for sample in (some, more):
-        assert without_floating(sample)[0].balls == sample.balls
+        assert without_floating(sample)[0].size == sample.size
         with Operators(sample, MPI.COMM_SELF) as operators:
             assert smallest_damping(operators.lattice) > 0
     with pytest.raises(InputError):

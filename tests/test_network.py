@@ -113,8 +113,8 @@ def test_stiffness_is_the_second_derivative_of_the_energy(axes, power):
         signs = list(itertools.product((1, -1), repeat=2))
         H = [[float(sum(a * b * energy((p, a), (q, b)) for a, b in signs) / (4 * step**2))
               for p in range(4 * axes)] for q in range(4 * axes)]  # fmt: skip
-    found = network.restoring_forces(np.eye(network.balls))
-    assert network.balls == 4 * axes
+    found = network.restoring_forces(np.eye(network.size))
+    assert network.size == 4 * axes
     expected = np.array(H) * np.outer(network.weights, network.weights)
     assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
 
@@ -143,7 +143,7 @@ def test_modes_of_masses_over_six_decades(world):
 def test_modes_of_unstable_networks_have_negative_frequencies(world):
     """A force that buckles a chain makes K indefinite; all modes are counted, and said."""
     chain = makers.square((9, 1), 1.0, force=np.full(8, 0.4))
-    eigenvalues = np.linalg.eigvalsh(chain.restoring_forces(np.eye(chain.balls)))
+    eigenvalues = np.linalg.eigvalsh(chain.restoring_forces(np.eye(chain.size)))
     assert np.count_nonzero(eigenvalues < -1e-3) == 7
     modes = find_modes(chain)
     assert modes.count_certified

@@ -47,7 +47,7 @@ def check(lattice, modes, interval=(0.0, np.inf)):
     values = values[(values >= low - 1e-13 * scale) & (values <= high + 1e-13 * scale)]
     assert modes.count_expected == len(values) == len(modes.omega)
     assert modes.count_certified
-    F = modes.vector.reshape(-1, lattice.balls)
+    F = modes.vector.reshape(-1, lattice.size)
     assert F.dtype == float
     squares = lattice.mass * modes.omega**2
     np.testing.assert_allclose(squares, values, rtol=0, atol=1e-13 * scale)

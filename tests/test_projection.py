@@ -21,7 +21,7 @@ def projected(lattice, comm, which=None, omegas=OMEGAS, **choices):
     with Crew(comm, 1) as crew:
         found = comm.bcast(project(lattice, omegas, crew, which, **choices))
         modes = comm.bcast(find_modes(lattice, crew, **(which or {}), shapes=True))
-    return found, modes.vector.reshape(len(modes.omega), lattice.balls)
+    return found, modes.vector.reshape(len(modes.omega), lattice.size)
 
 
 @pytest.mark.parametrize("damping", [0.003, 0.03, 0.0])
@@ -32,7 +32,7 @@ def test_every_mode_obeys_its_equation(shape, damping, world):
     found, F = projected(lattice, world, error_tolerance=1e-8)
     reference = reference_of(lattice)
     assert found.failures == 0
-    assert found.count_expected == lattice.balls
+    assert found.count_expected == lattice.size
     for omega, c in zip(OMEGAS, found.coefficient, strict=True):
         A, exact, (_, f) = F.T @ c, reference.solve(omega), reference.system(omega)
         assert np.linalg.norm(A - exact) <= 1e-8 * np.linalg.norm(exact)
@@ -79,7 +79,7 @@ def test_part_of_the_modes_is_part_of_the_projection(which, world):
     none, _ = projected(lattice, world, {"interval": (7.0, 8.0)})
     assert none.coefficient.shape == (len(OMEGAS), 0)
     assert np.all(none.dominant == -1)
-    assert len(part.mode_omega) == part.count_expected < lattice.balls
+    assert len(part.mode_omega) == part.count_expected < lattice.size
     place = np.argmin(np.abs(whole.mode_omega - part.mode_omega[:, None]), axis=1)
     assert np.abs(part.mode_omega - whole.mode_omega[place]).max() < 1e-12
     expected = whole.coefficient[:, place]

@@ -171,7 +171,7 @@ def test_the_force_on_the_other_wall_is_the_same_from_both_sides(world, size):
 def test_what_a_network_costs_follows_its_graph():
     """In space a factor fills, which it does not along a chain of as many unknowns."""
     box = makers.random_geometric(4000, 3, 10.0, displacement="scalar")
-    ball = np.arange(box.balls)
+    ball = np.arange(box.size)
     bond = np.stack([ball[:-1], ball[1:]], axis=1)
     chain = pgran.Network(bond, np.ones(len(bond)), np.where(ball > 0, 0, 2))
     asked = {"highest": 3.0, "time": [600.0], "tolerance": 1e-4}

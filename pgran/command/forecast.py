@@ -102,7 +102,7 @@ def forecast(scene, options, world, started):
     lines = [f"run       {opening(options, world.size, lattice)}"]
     if lattice is not None:
         balls = " x ".join(map(str, lattice.shape)) if lattice.is_grid else lattice.free_balls
-        lines.append(f"unknowns  {lattice.balls} ({balls} balls, {lattice.bonds} bonds)")
+        lines.append(f"unknowns  {lattice.size} ({balls} balls, {lattice.bonds} bonds)")
         factored = options.solver.get("steady_pc_type", "lu") in ("lu", "cholesky")
         ranks = ranks_per_lattice(scene, options, lattice, world)
         needed = _machine_total(world, lattice_memory(lattice, ranks, factored))
@@ -186,7 +186,7 @@ def lattice_memory(lattice, ranks, factored=True):
     else:
         entries, each = lattice.graph.entries, NETWORK_BYTES
     matrix = each * lattice.nonzeros
-    shared = matrix + VECTOR_BYTES * lattice.balls + ENTRY_BYTES * entries * factored
+    shared = matrix + VECTOR_BYTES * lattice.size + ENTRY_BYTES * entries * factored
     return 3 * 8 * lattice.bonds + shared * (1 if ranks == 1 else UNEVEN / ranks)
 
 

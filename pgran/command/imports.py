@@ -180,7 +180,7 @@ def _rigidity(network):
     if network.displacement == "scalar":
         return text
     springs = len(network.bond) * (1 if network.tangential is None else network.axes)
-    unknowns = network.balls
+    unknowns = network.size
     more = "more" if springs >= unknowns else "fewer"
     text += f"; {springs} springs for {unknowns} unknowns, {abs(springs - unknowns)} {more} than " \
         "isostatic"  # fmt: skip

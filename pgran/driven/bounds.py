@@ -57,7 +57,7 @@ class ErrorBounds(Owner):
         self._always = self.proven = self._alone or operators.damping > 0
         self.unit = operators.rounding
         # What a 2-norm may miss because the squares of small numbers are lost.
-        self.lost = 2 * math.sqrt(2 * operators.balls * SMALLEST_NORMAL)
+        self.lost = 2 * math.sqrt(2 * operators.size * SMALLEST_NORMAL)
         self._product, self._work = operators.f.duplicate(), operators.f.duplicate()
 
     @cached_property
@@ -68,7 +68,7 @@ class ErrorBounds(Owner):
     @cached_property
     def _signs(self):
         """A random sign for each ball. Collective when first asked for."""
-        signs = np.where(unit_numbers(0, 0, self.operators.balls) < 0.5, -1.0, 1.0)
+        signs = np.where(unit_numbers(0, 0, self.operators.size) < 0.5, -1.0, 1.0)
         return self.operators.layout.vector(signs.reshape(self.operators.shape))
 
     def stability(self, s):
@@ -135,7 +135,7 @@ class ErrorBounds(Owner):
         eigenvalues as far, or rounding S moves amplitudes by more than the tolerance.
         """
         least = max(EPSILON / tolerance, 10 * self.unit) * self.scale + 10 * spread
-        delta = 0.1 * self.scale / self.operators.balls
+        delta = 0.1 * self.scale / self.operators.size
         while 0 < least <= delta < math.inf:  # S may be zero
             if self._counter.below(shift, delta) is not None:
                 # Each count is of a matrix nearer to K - shift than delta / 10; K is rounded, too.
@@ -190,9 +190,9 @@ class ErrorBounds(Owner):
         """
         z = np.abs(adjoint.solution.getArray(readonly=True))
         sums = self.unit * self._total(z @ terms)
-        product = (self.operators.balls + 2) * EPSILON * residual * adjoint.solution.norm()
+        product = (self.operators.size + 2) * EPSILON * residual * adjoint.solution.norm()
         # What a product loses; what residuals lose, times z, `product` holds by their own `lost`.
-        lost = 16 * self.operators.balls * SMALLEST_NORMAL
+        lost = 16 * self.operators.size * SMALLEST_NORMAL
         return 1.01 * (sums + product) + 4 * EPSILON * abs(value) + lost
 
     def amplitude(self, residual, terms, adjoint, value):
@@ -208,8 +208,8 @@ class ErrorBounds(Owner):
         """
         theory = residual * residual * self.inverse_norm
         force, rounded = primal.rhs.norm(), 2 * (residual - primal.norm)
-        rounded += (self.operators.balls + 8) * EPSILON * (force + residual)
-        lost = 32 * self.operators.balls * SMALLEST_NORMAL
+        rounded += (self.operators.size + 8) * EPSILON * (force + residual)
+        lost = 32 * self.operators.size * SMALLEST_NORMAL
         return 1.01 * (theory + primal.solution.norm() * rounded) + 4 * EPSILON * abs(value) + lost
 
     def _total(self, number):

@@ -198,7 +198,7 @@ class Judge(Owner):
             q, z = bounds.adjoint_residual(adjoint), adjoint.solution.norm()
             derivative[d] = 1j * adjoint.solution.tDot(bent)
             theory = inverse * (q * g + slope * r * (z + q * inverse))
-            sums = z * (rounding + (operators.balls + 8) * EPSILON * g)
+            sums = z * (rounding + (operators.size + 8) * EPSILON * g)
             bound[d] = 1.01 * (theory + sums)
         return replace(state, derivative=derivative, derivative_bound=bound, **reaction)
 

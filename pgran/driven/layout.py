@@ -157,7 +157,7 @@ class NetworkLayout(Layout):
         springs = network.springs
         self.drive, self.damped = springs.drive, springs.damped
         if comm.size == 1:  # PETSc's factorizations take the unknowns as they are numbered
-            parts, width = np.zeros(network.balls, dtype=int), network.components
+            parts, width = np.zeros(network.size, dtype=int), network.components
             order = (network.graph.order[:, None] * width + np.arange(width)).ravel()
         else:
             parts = partition(network, comm.size)
@@ -176,7 +176,7 @@ class NetworkLayout(Layout):
         # The nonzero (p, q) is the sum of B[s, p] B[s, q] k[s] over the springs s: a matrix, of a
         # row for each nonzero and these products at the columns s, times the constants. Zeros
         # keep the diagonal in the pattern.
-        width, count = self.ends.shape[1], self.network.balls
+        width, count = self.ends.shape[1], self.network.size
         own = np.arange(self.first, self.last)
         keys, products, springs = [own * count + own], [np.zeros(len(own))], [0 * own]
         for a in range(width):

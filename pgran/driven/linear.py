@@ -267,9 +267,9 @@ def expected_iterations(before, s, axes, mass, damping):
     return math.log(1e-6) / (2 * math.log(moved / width))
 
 
-def factor_price(pc, balls):
+def factor_price(pc, size):
     """Return what a factorization costs in Krylov iterations, from its size. Collective."""
     if pc.getType() not in FACTORIZATIONS:
         return 0.0
     info = pc.getFactorMatrix().getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)
-    return FACTOR_PRICE.get(pc.getFactorSolverType(), 0.2) * info["nz_used"] / balls
+    return FACTOR_PRICE.get(pc.getFactorSolverType(), 0.2) * info["nz_used"] / size

@@ -32,7 +32,7 @@ class Operators(Owner):
     def __init__(self, lattice, comm):
         """Assemble K, and C where there is damping."""
         self.lattice, self.comm = lattice, comm
-        self.shape, self.balls = lattice.shape, lattice.balls
+        self.shape, self.size = lattice.shape, lattice.size
         self.mass, self.damping, self.axes = lattice.mass, lattice.damping, lattice.axes
         self.rounding = lattice.rounding
         self.layout = layout_of(lattice, comm)

@@ -244,7 +244,7 @@ class SteadySolver(Owner):
             return False
         self._works = True
         if not self._policy.price:
-            self._policy.price = factor_price(self._krylov.pc, self.operators.balls)
+            self._policy.price = factor_price(self._krylov.pc, self.operators.size)
         return True
 
     def _guess(self, s, fresh):

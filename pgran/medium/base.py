@@ -18,7 +18,7 @@ class Medium(Distinct):
     @property
     def free_balls(self):
         """How many balls are free."""
-        return self.balls // self.components  # `balls` are unknowns
+        return self.size // self.components
 
     @property
     def omega_mx(self):

@@ -99,7 +99,7 @@ class Connected:
     def elimination(self):
         """See `Elimination`."""
         work = self.graph.work
-        small, quick = work <= PETSC_WORK * max(self.balls, 200), work <= QUICK_WORK
+        small, quick = work <= PETSC_WORK * max(self.size, 200), work <= QUICK_WORK
         seconds = 1e-3 + 3.3e-7 * self.nonzeros + 1.3e-9 * work
         return Elimination(True, "natural", small, quick, not small, seconds)
 

@@ -149,7 +149,7 @@ class Lattice(ElasticBonds, Medium):
         return len(self.stiffness)
 
     @property
-    def balls(self):
+    def size(self):
         """How many balls there are."""
         return math.prod(self.shape)
 
@@ -161,21 +161,21 @@ class Lattice(ElasticBonds, Medium):
     @property
     def is_large(self):
         """Whether all ranks should share it."""
-        return self.balls > LARGE[self.axes]
+        return self.size > LARGE[self.axes]
 
     @property
     def elimination(self):
         """See `Elimination`."""
-        ordering = "qmd" if self.balls <= MINIMUM_DEGREE[self.axes] else None
+        ordering = "qmd" if self.size <= MINIMUM_DEGREE[self.axes] else None
         constant, power = SECONDS[self.axes]
-        seconds = 3e-4 + constant * self.balls**power
-        small = self.balls <= PETSC_FACTORS[self.axes]
+        seconds = 3e-4 + constant * self.size**power
+        small = self.size <= PETSC_FACTORS[self.axes]
         return Elimination(False, ordering, small, False, False, seconds)
 
     @property
     def nonzeros(self):
         """How many nonzeros a row for each ball has in all, walls counted."""
-        return (2 * self.axes + 1) * self.balls
+        return (2 * self.axes + 1) * self.size
 
     @property
     def least_damping(self):
@@ -190,11 +190,11 @@ class Lattice(ElasticBonds, Medium):
     @cached_property
     def springs(self):
         """See `springs.Springs`."""
-        ends = bond_ends(np.arange(self.balls).reshape(self.shape))
+        ends = bond_ends(np.arange(self.size).reshape(self.shape))
         drive = driven_bonds(self.shape).astype(float)
         constants, ones = self.constants, np.ones_like(drive)
         return Springs(
-            self.balls, ("normal",), ends, SIGNS[None], drive, drive, constants, ones, constants
+            self.size, ("normal",), ends, SIGNS[None], drive, drive, constants, ones, constants
         )
 
     @property
@@ -253,7 +253,7 @@ class Lattice(ElasticBonds, Medium):
     @property
     def ball_numbers(self):
         """The numbers of all balls, in C order."""
-        return np.arange(self.balls)
+        return np.arange(self.size)
 
     def numbers_of(self, sites):
         """Return the numbers of balls given by their indices, (count, dim)."""

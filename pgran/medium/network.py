@@ -138,7 +138,7 @@ class Network(Elastic, Connected, Medium):
         return (self.components * len(self.free),)
 
     @property
-    def balls(self):
+    def size(self):
         """How many unknowns there are."""
         return self.shape[0]
 

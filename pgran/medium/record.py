@@ -143,7 +143,7 @@ class NetworkRecord(Record):
         """Return the record of a `network.Network`."""
         same = [item.name for item in fields(cls) if item.name not in ("mass", "unknowns")]
         values = {name: getattr(network, name) for name in same}
-        return cls(mass=network.masses, unknowns=network.balls, **values)
+        return cls(mass=network.masses, unknowns=network.size, **values)
 
 
 def record_of(lattice):

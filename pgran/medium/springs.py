@@ -133,8 +133,8 @@ class Elastic:
     @cached_property
     def damping_norm(self):
         """No less than |C|_2."""
-        size = abs(self.B)
-        return 1.01 * float((size.T @ (self.springs.damped * (size @ np.ones(self.balls)))).max())
+        B = abs(self.B)
+        return 1.01 * float((B.T @ (self.springs.damped * (B @ np.ones(self.size)))).max())
 
     @cached_property
     def relaxation_rate(self):
@@ -147,9 +147,9 @@ class Elastic:
     @cached_property
     def stiffness_norm(self):
         """No less than |K|_2: the largest sum of magnitudes in a row."""
-        size = abs(self.B)
-        sums = np.abs(self.springs.constants) * np.asarray(size.sum(axis=1)).ravel()
-        return float((size.T @ sums).max())
+        B = abs(self.B)
+        sums = np.abs(self.springs.constants) * np.asarray(B.sum(axis=1)).ravel()
+        return float((B.T @ sums).max())
 
     @cached_property
     def rounding(self):
@@ -166,7 +166,7 @@ def springs_of(network):
     """Return the springs of a `network.Network`."""
     balls, components = len(network.held), network.components
     unknown = np.full((balls + 1, components), -1)
-    unknown[network.free] = np.arange(network.balls).reshape(-1, components)
+    unknown[network.free] = np.arange(network.size).reshape(-1, components)
     i, j = network.bond.T
     columns = np.concatenate([unknown[i], unknown[j]], axis=1)
     moving = np.zeros((balls, components))
@@ -181,7 +181,7 @@ def springs_of(network):
         return np.einsum("sw,sw->s", values, np.tile(moving, (len(rows), 1)))
 
     return Springs(
-        network.balls,
+        network.size,
         blocks,
         np.tile(columns, (len(rows), 1)),
         values * np.tile(weights, (len(rows), 1)),

@@ -68,7 +68,7 @@ class Condensation:
 
     def __init__(self, lattice):
         """Cut the lattice, and find the modes of the smallest boxes."""
-        self.shape, self.order = lattice.shape, lattice.balls
+        self.shape, self.order = lattice.shape, lattice.size
         self.norm = lattice.stiffness_norm or 1.0
         self._bonds = [k.ravel() for k in lattice.stiffness]
         self._strides = [_strides(k.shape) for k in lattice.stiffness]

@@ -108,7 +108,7 @@ class ModeSolver(Owner):
         values = []
         if eps.getWhichEigenpairs() == SLEPc.EPS.Which.TARGET_MAGNITUDE:
             eps.setTarget(value)
-            eps.setDimensions(min(count, self.lattice.balls))
+            eps.setDimensions(min(count, self.lattice.size))
             eps.setTolerances(ROUGHLY, 20)
             self._start(eps, 0)
             with contextlib.suppress(PETSc.Error), plain_errors():
@@ -140,7 +140,7 @@ class ModeSolver(Owner):
             eps.setWhichEigenpairs(SLEPc.EPS.Which.ALL)
         else:
             eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
-            if first and self.lattice.balls >= ETA_BALLS:
+            if first and self.lattice.size >= ETA_BALLS:
                 eps.getBV().setOrthogonalization(eta=ETA)
             self._invert(eps.getST())
         eps.setFromOptions()
@@ -156,7 +156,7 @@ class ModeSolver(Owner):
             return
         pc.setFactorOrdering("natural")  # unknowns are numbered in the order of elimination
         own_slices = PETSc.Options("normal_").getBool("eps_all", False)
-        if self.lattice.graph.work > PETSC_SOLVES * self.lattice.balls and not own_slices:
+        if self.lattice.graph.work > PETSC_SOLVES * self.lattice.size and not own_slices:
             pc.setType("lu")  # MUMPS has no LDL^T of Hermitian matrices
             pc.setFactorSolverType("mumps")
 
@@ -188,7 +188,7 @@ class ModeSolver(Owner):
         finally:
             for vector in seen:
                 vector.destroy()
-        return np.array(inside, dtype=complex).reshape(-1, self.lattice.balls)
+        return np.array(inside, dtype=complex).reshape(-1, self.lattice.size)
 
     def _aim(self, eps, low, high, missing, seen, fraction):
         """Tell the EPS where to search, and for how many modes."""
@@ -207,7 +207,7 @@ class ModeSolver(Owner):
             eps.setInterval(low - margin, high + margin)
         elif eps.getType() != "lapack":
             eps.setTarget(low + fraction * width)
-            room = self.lattice.balls - seen
+            room = self.lattice.size - seen
             eps.setDimensions(missing, min(room, missing + missing // 3 + 12))
 
     def _start(self, eps, seen):
@@ -216,7 +216,7 @@ class ModeSolver(Owner):
         Another search needs another one: what the last one left out is orthogonal to its own.
         """
         vector = self.K.createVecLeft()
-        numbers = np.random.Generator(np.random.Philox(seen)).standard_normal(self.lattice.balls)
+        numbers = np.random.Generator(np.random.Philox(seen)).standard_normal(self.lattice.size)
         vector.setArray(numbers)
         eps.setInitialSpace(vector)
         vector.destroy()

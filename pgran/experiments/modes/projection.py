@@ -136,7 +136,7 @@ def _on_all_ranks(vectors, world):
 def run(lattice, options, crew):
     """Return the projection; see `pgran.run.experiment.Scene`."""
     omegas = driving_frequencies(options, lattice)
-    which = which_modes(options, lattice.balls, omegas)
+    which = which_modes(options, lattice.size, omegas)
     projection = call(project, options, crew, lattice, omegas, which=which)
     return projection and [projection]
 

@@ -112,7 +112,7 @@ class Integrator(Owner):
         places = np.arange(2 * len(columns)) + np.repeat(np.arange(1, own + 1), 2 * counts)
         J_columns[places] = np.stack([2 * columns, 2 * columns + 1], axis=1).ravel()
         values[places] = np.stack([k, c], axis=1).ravel() / -operators.mass
-        size = (2 * own, 2 * operators.balls)
+        size = (2 * own, 2 * operators.size)
         return PETSc.Mat().createAIJ((size, size), csr=(rows, J_columns, values), comm=self.comm)
 
     def run(self, time, tolerance, number=0, keep_at=(), begin=None):

@@ -141,7 +141,7 @@ class Steps(Task):
         self.sites = lattice.sites(detectors)
         # Measured: the factorization's price a step falls like 1/s, that of the algebra grows
         # like s^2.
-        self.window = march.window or (64 if lattice.balls < 5000 else 128)
+        self.window = march.window or (64 if lattice.size < 5000 else 128)
         self.scaled, self.unit = lattice.in_own_unit()
         check_frequency(self.scaled, march.omega)
         # A row is one state of one trajectory: its arrays have the axis of detectors alone.

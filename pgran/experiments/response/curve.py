@@ -33,7 +33,7 @@ def interval_length(lattice, omega):
     """
     unit = lattice.omega_mx
     overlapping = lattice.damping / lattice.mass * (1 + 3 * np.asarray(omega) / unit)
-    return np.maximum(overlapping, 5 * unit / lattice.balls)
+    return np.maximum(overlapping, 5 * unit / lattice.size)
 
 
 def expected_intervals(lattice, low, high):
@@ -87,7 +87,7 @@ class IntervalSweep(Task):
     def __init__(self, lattice, omegas, sites, tolerance):
         """Cut the sweep where equal parts of the intervals are expected to end."""
         self.lattice, self.sites, self.tolerance = lattice, sites, tolerance
-        self.row = model_dtype(min(2 * MOMENTS, lattice.balls), len(sites), lattice.balls)
+        self.row = model_dtype(min(2 * MOMENTS, lattice.size), len(sites), lattice.size)
         self.frequencies, self.counts = expected_intervals(lattice, omegas[0], omegas[-1])
         total = self.counts[-1]
         check_memory("sweep_method", int(total) * self.row.itemsize)

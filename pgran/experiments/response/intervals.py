@@ -49,9 +49,9 @@ class IntervalModels(Owner):
         self.operators, self.comm = operators, operators.comm
         self.tolerance, self.length = tolerance, length
         self.factorizations, self._works = 0, False
-        self.width = min(2 * MOMENTS, operators.balls)
+        self.width = min(2 * MOMENTS, operators.size)
         systems = 1 + len(sites)
-        self.dtype = model_dtype(self.width, len(sites), operators.balls)
+        self.dtype = model_dtype(self.width, len(sites), operators.size)
         self._rhs, self._solution, self._image = (self._block(systems) for _ in range(3))
         self._columns, self._products = (self._block((systems + 1) * self.width) for _ in range(2))
         self._read(sites)
@@ -98,7 +98,7 @@ class IntervalModels(Owner):
         """Return what bounds the errors of all models."""
         operators, rounding = self.operators, self.operators.rounding
         # a path through the sums of `products`, over the ranks, and of the small algebra
-        terms = 2 * SUMMED + operators.balls / SUMMED + 2 * self.comm.size + 3 * self.width + 16
+        terms = 2 * SUMMED + operators.size / SUMMED + 2 * self.comm.size + 3 * self.width + 16
         drive, damped = 1.01 * np.sqrt(self._total(squares(self._loads[0])))
         return ModelLimits(
             stability=operators.damping * smallest_damping(operators.lattice),

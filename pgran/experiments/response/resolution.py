@@ -54,7 +54,7 @@ def line_errors(medium, omega, amplitude, derivative, modelled, tolerance):
     hides = np.where(modelled, 1.0, hidden_part(omega, medium.relaxation_rate) / SHARE)
     with np.errstate(invalid="ignore"):
         doubtful = (seen <= LOOSEST) & (seen * hides[:, None] > tolerance)
-    if doubtful.any() and medium.balls <= DENSE:
+    if doubtful.any() and medium.size <= DENSE:
         clear = ~is_near_mode(omega, *normal_frequencies(medium))
         hides[clear & ~modelled] = 1 / SHARE
     with np.errstate(invalid="ignore"):  # 0 times infinity
@@ -95,8 +95,8 @@ def normal_frequencies(medium):
 
     Ascending arrays, apart by what rounding may do. An unstable mode stands at 0.
     """
-    units = np.eye(medium.balls).reshape(-1, *medium.shape)
-    values = np.linalg.eigvalsh(medium.restoring_forces(units).reshape(-1, medium.balls))
+    units = np.eye(medium.size).reshape(-1, *medium.shape)
+    values = np.linalg.eigvalsh(medium.restoring_forces(units).reshape(-1, medium.size))
     error = 4 * len(values) * EPSILON * medium.stiffness_norm
     return tuple(np.sqrt(np.maximum(values + e, 0.0) / medium.mass) for e in (-error, error))
 

@@ -116,7 +116,7 @@ class GradientSweep(AdjointSweep):
             name: np.flatnonzero(np.isin(springs.blocks, blocks)) for name, blocks in kinds.items()
         }
         missing = {f"by_{name}" for name in {"tangential", "force"} - kinds.keys()}
-        bonds, balls = lattice.bonds, lattice.balls // lattice.components
+        bonds, balls = lattice.bonds, lattice.size // lattice.components
         if most:
             bonds, balls = min(most, bonds), min(most, balls)
         else:
