@@ -2,7 +2,8 @@
 
 PETSc numbers unknowns so that each rank has a range. A layout knows those numbers, gathers fields,
 and turns constants of the springs into the nonzeros of B^T diag(k) B in this rank's rows, of one
-pattern always. A DMDA is the layout of a lattice, ranges of a partition that of any other network.
+pattern always. A DMDA shares out a lattice, ranges of a partition any other network; one rank alone
+numbers unknowns in the order of elimination.
 """
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from pgran.driven.owner import Owner
 from pgran.errors import InputError
 from pgran.medium.bonds import SIGNS, bond_ends, driven_bonds
+from pgran.medium.dissection import dissected
 from pgran.run.petsc import PETSc
 
 
@@ -71,16 +73,24 @@ class LatticeLayout(Layout):
             ) from error
         self.like = self.da.createGlobalVec()
         self.first, self.last = self.like.getOwnershipRange()
-        numbers = self._numbers(np.indices(self.shape).reshape(len(self.shape), -1).T)
-        self.ends, self.entries = bond_ends(numbers.reshape(self.shape)), SIGNS[None]
+        self._number = self._numbered(lattice)
+        self.ends, self.entries = bond_ends(self._number), SIGNS[None]
         self.drive = driven_bonds(self.shape).astype(float)
         self.damped = np.ones(len(self.ends))
         self._find_rows()
 
+    def _numbered(self, lattice):
+        """Return PETSc's numbers of all balls: on one rank in the order of elimination."""
+        if self.comm.size == 1 and lattice.elimination.numbered:
+            number = np.empty(lattice.size, dtype=PETSc.IntType)
+            number[dissected(self.shape)] = np.arange(lattice.size)
+            return number.reshape(self.shape)
+        natural = np.arange(lattice.size, dtype=PETSc.IntType).reshape(self.shape, order="F")
+        return self.da.getAO().app2petsc(natural.ravel()).reshape(self.shape)
+
     def _numbers(self, sites):
         """Return PETSc's numbers of balls given by their indices, shape (count, dim)."""
-        natural = np.ravel_multi_index(np.asarray(sites).T, self.shape, order="F")
-        return self.da.getAO().app2petsc(np.array(natural, dtype=PETSc.IntType))
+        return self._number[tuple(np.asarray(sites).T)]
 
     def readings(self, sites):
         """Return the unknowns that detectors read, and their weights, shape (nd, 1). Collective."""
@@ -88,23 +98,19 @@ class LatticeLayout(Layout):
 
     def vector(self, field):
         """Return an array over the lattice, the same on every rank, as a vector. Collective."""
-        x = self.da.createGlobalVec()
-        own = tuple(slice(start, stop) for start, stop in self.da.getRanges())
-        x.setArray(field[own].ravel(order="F"))
+        x, values = self.like.duplicate(), np.empty(field.size, dtype=PETSc.ScalarType)
+        values[self._number] = field
+        x.setArray(values[self.first : self.last])
         return x
 
     def field(self, x):
         """Return a vector as an array over the lattice on rank 0, else None. Collective."""
-        natural = self.da.createNaturalVec()
-        self.da.globalToNatural(x, natural)
-        values = on_rank_0(natural)
-        natural.destroy()
-        return values.reshape(self.shape, order="F") if self.comm.rank == 0 else None
+        values = on_rank_0(x)
+        return values[self._number] if self.comm.rank == 0 else None
 
     def fields(self, rows):
         """Return rows over all unknowns, of one rank alone, as arrays over the lattice."""
-        shape = self.shape  # PETSc numbers the balls with the first axis fastest
-        return rows.reshape(-1, *shape[::-1]).transpose(0, *range(len(shape), 0, -1))
+        return rows[:, self._number]
 
     def _find_rows(self):
         """Find the bonds of each of this rank's balls, and its row's columns: itself, the others.

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from pgran.driven.owner import Owner
 from pgran.run.petsc import PETSc
 
-FACTORIZATIONS = ("lu", "cholesky")
+FACTORIZATIONS, INCOMPLETE = ("lu", "cholesky"), ("ilu", "icc")
 # What a factorization costs in Krylov iterations, for each entry of the factor and ball; measured.
 FACTOR_PRICE = {"petsc": 0.4, "mumps": 0.075}
 LEAST_NORM = 1e-300  # a residual of which is none
@@ -150,9 +150,12 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
     pc.setType("cholesky")
     if factor_package(operators.lattice, operators.comm.size) != "petsc":
         pc.setFactorSolverType("mumps")
-    elif operators.lattice.elimination.ordering:
+    else:
         pc.setFactorOrdering(operators.lattice.elimination.ordering)
     ksp.setFromOptions()
+    if pc.getType() in INCOMPLETE:  # these miss less in a narrow band than by dissection
+        pc.setFactorOrdering("rcm")
+        pc.setFromOptions()
     accept_small_pivots(pc)
     analyse_by_pattern(pc, operators.lattice)
     if ksp.getType() != "preonly":

@@ -42,7 +42,7 @@ class Elimination(NamedTuple):
     """How the matrices of a medium are factored best."""
 
     numbered: bool  # one rank numbers the unknowns in the order of elimination
-    ordering: str | None  # PETSc's name of the order for S; None: nested dissection, its default
+    ordering: str  # PETSc's name of the order for S
     small: bool  # PETSc factors faster than MUMPS, whose solves are dearer, too
     quick: bool  # the order that MUMPS finds quickest is as good as any
     costly: bool  # a factorization takes longer than a search for some modes

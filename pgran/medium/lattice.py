@@ -34,10 +34,10 @@ from pgran.run.machine import check_memory
 from pgran.run.numbers import number, numbers
 
 # By axes, up to how many balls: one rank has the lattice; PETSc factors it faster than MUMPS; the
-# ordering by minimum degree leaves less work than nested dissection.
+# order of minimum degree suits lattices better that are `LONG` times as long as wide, or more.
 LARGE = {1: 10**7, 2: 100_000, 3: 20_000}
 PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
-MINIMUM_DEGREE = {1: 10**7, 2: 2500, 3: 0}
+MINIMUM_DEGREE, LONG = {1: 10**7, 2: 2500, 3: 0}, 4
 # Seconds of a factorization: the first times a power of the balls, that of nested dissection.
 SECONDS = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}
 
@@ -166,11 +166,13 @@ class Lattice(ElasticBonds, Medium):
     @property
     def elimination(self):
         """See `Elimination`."""
-        ordering = "qmd" if self.size <= MINIMUM_DEGREE[self.axes] else None
+        is_long = self.axes == 1 or max(self.shape) > LONG * min(self.shape)
+        by_degree = is_long and self.size <= MINIMUM_DEGREE[self.axes]
         constant, power = SECONDS[self.axes]
         seconds = 3e-4 + constant * self.size**power
         small = self.size <= PETSC_FACTORS[self.axes]
-        return Elimination(False, ordering, small, False, False, seconds)
+        ordering = "qmd" if by_degree else "natural"
+        return Elimination(not by_degree, ordering, small, False, False, seconds)
 
     @property
     def nonzeros(self):

@@ -155,6 +155,8 @@ class ModeSolver(Owner):
         if not self.lattice.elimination.numbered:
             return
         pc.setFactorOrdering("natural")  # unknowns are numbered in the order of elimination
+        if self.lattice.is_grid:
+            return
         own_slices = PETSc.Options("normal_").getBool("eps_all", False)
         if self.lattice.graph.work > PETSC_SOLVES * self.lattice.size and not own_slices:
             pc.setType("lu")  # MUMPS has no LDL^T of Hermitian matrices
