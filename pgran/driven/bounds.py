@@ -92,17 +92,14 @@ class ErrorBounds(Owner):
         spread = size * operators.damping  # |s beta C| is at most this
         spread *= operators.lattice.damping_norm if spread else 0.0
         if operators.layout.laplacian:
-            operators.K.getDiagonal(self._work)
-            # A Laplacian's diagonal holds the sum of its row's other magnitudes.
-            self._weights = 2 * self._work.getArray(readonly=True).real + spread
+            sums, largest = operators.row_sums
+            self._weights, largest = sums + spread, largest + spread
             self._force = np.abs(operators.f.getArray(readonly=True))
         else:
-            self._combine_sizes(size)
-        largest = float(self._weights.max(initial=0.0))
-        if not self._alone:
-            largest = operators.comm.allreduce(largest, MPI.MAX)
+            largest = self._combine_sizes(size)
         self.scale = 1.01 * (largest + inertia)
-        self._weights += 2 * s.real * size * operators.mass  # as `rounding` uses them
+        if s.real:
+            self._weights += 2 * s.real * size * operators.mass  # as `rounding` uses them
         self._imaginary = s.imag / (size + s.real) if s else 0.0
         stability = self.stability(s) if self.proven else math.nan
         if self._alone and s.real == 0:
@@ -115,7 +112,10 @@ class ErrorBounds(Owner):
         return self.operators.K.duplicate()
 
     def _combine_sizes(self, size):
-        """Combine the magnitudes of S and f for an |s|; `_weights` are the sums of S's rows."""
+        """Combine the magnitudes of S and f for an |s|; return the largest sum of a row of S.
+
+        Collective. `_weights` are the sums of this rank's rows.
+        """
         (K, drive, *damping), beta = self.operators.sizes, self.operators.damping
         K.copy(self._sizes, structure=SAME)
         drive.copy(self._work)
@@ -127,6 +127,8 @@ class ErrorBounds(Owner):
         self._work.set(1.0)
         self._sizes.mult(self._work, self._product)
         self._weights = self._product.getArray().real.copy()
+        largest = float(self._weights.max(initial=0.0))
+        return largest if self._alone else self.operators.comm.allreduce(largest, MPI.MAX)
 
     def _distance(self, shift, spread, tolerance):
         """Return how far all eigenvalues of K are from a shift, at least; 0 if it is no use.
@@ -195,10 +197,13 @@ class ErrorBounds(Owner):
         lost = 16 * self.operators.size * SMALLEST_NORMAL
         return 1.01 * (sums + product) + 4 * EPSILON * abs(value) + lost
 
-    def amplitude(self, residual, terms, adjoint, value):
-        """Return the bound of a corrected amplitude, from what `evaluation` takes. Collective."""
+    def amplitude(self, residual, missed, terms, adjoint, value):
+        """Return the bound of a corrected amplitude, from what `evaluation` takes. Collective.
+
+        `missed` is the `adjoint_residual`.
+        """
         # The last digits cover the rounding of this very formula.
-        theory = 1.01 * residual * self.adjoint_residual(adjoint) * self.inverse_norm
+        theory = 1.01 * residual * missed * self.inverse_norm
         return theory + self.evaluation(residual, terms, adjoint, value)
 
     def reaction(self, residual, primal, value):

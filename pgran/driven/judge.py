@@ -1,8 +1,8 @@
 """How good a solution is: its bounds, and whether they meet what is asked."""
 
 import math
-from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,7 @@ BACKWARD_ERROR, ROUNDING_TRIED = 1e-12, 10.0
 GOOD = int(PETSc.KSP.ConvergedReason.CONVERGED_ATOL)  # where no KSP had to iterate
 
 
-@dataclass(frozen=True)
-class SteadyState:
+class SteadyState(NamedTuple):
     """The lattice driven at one s = sigma + i omega; NaN is unknown, or was not asked for."""
 
     s: complex
@@ -51,7 +50,7 @@ class Detectors(Owner):
 
     def __init__(self, operators, sites):
         """Make what copies the entries to every rank."""
-        self._like = operators.f_stiffness
+        self._like, self._alone = operators.f_stiffness, operators.comm.size == 1
         self._numbers, self._weights = operators.layout.readings(sites)
         numbers = self._numbers.ravel()
         self._readings = PETSc.Vec().createSeq(len(numbers), comm=PETSc.COMM_SELF)
@@ -65,17 +64,19 @@ class Detectors(Owner):
 
     def read(self, x):
         """Return what is read of a vector, on every rank. Collective."""
-        return np.sum(self._weights * self._entries(x), axis=1)
+        return (self._weights * self._entries(x)).sum(axis=1)
 
     def read_errors(self, v):
         """Return bounds of what is read of a vector whose entries are no larger than v's.
 
         Collective. Errors need not cancel where the readings of v do.
         """
-        return np.sum(np.abs(self._weights * self._entries(v)), axis=1)
+        return np.abs(self._weights * self._entries(v)).sum(axis=1)
 
     def _entries(self, x):
         """Return the entries that are read, shape (nd, axes). Collective."""
+        if self._alone:
+            return x.getArray(readonly=True)[self._numbers]
         self._scatter.scatter(x, self._readings)
         return self._readings.getArray().reshape(self._weights.shape)
 
@@ -92,18 +93,19 @@ class Detectors(Owner):
 class Judge(Owner):
     """Bounds the errors of solutions and judges them, for a `steady.SteadySolver`. Collective."""
 
-    owns = ("bounds", "detectors", "_comparison", "_work")
+    owns = ("bounds", "detectors", "_comparison", "_bent")
 
     def __init__(self, operators, sites, tolerance, floor, whole_field):
         """Make what reads and what bounds by norms."""
         self.operators, self.detectors = operators, Detectors(operators, sites)
         self.tolerance, self.floor, self.whole_field = tolerance, floor, whole_field
         self.bounds = ErrorBounds(operators)
+        self._missed = np.zeros(len(self.detectors))  # bounds of the adjoints' last residuals
 
     @cached_property
-    def _work(self):
-        """Two vectors for `with_derivatives`. Collective when first asked for."""
-        return [self.operators.f.duplicate() for _ in range(2)]
+    def _bent(self):
+        """A vector for `with_derivatives`. Collective when first asked for."""
+        return self.operators.f.duplicate()
 
     @cached_property
     def _comparison(self):
@@ -134,12 +136,13 @@ class Judge(Owner):
             residual = self._residual = bounds.primal_residual(primal, terms)
             for d, adjoint in enumerate(adjoints):
                 displacement[d] += adjoint.solution.tDot(primal.residual)
-                bound[d] = bounds.amplitude(residual, terms, adjoint, displacement[d])
-            good = np.all(is_accurate(bound, displacement, self.tolerance))
+                missed = self._missed[d] = bounds.adjoint_residual(adjoint)
+                bound[d] = bounds.amplitude(residual, missed, terms, adjoint, displacement[d])
+            good = is_accurate(bound, displacement, self.tolerance).all()
             if self.whole_field:
                 field_bound = 1.01 * residual * bounds.inverse_norm
                 good = good and is_accurate(field_bound, size, self.tolerance)
-        reason = _reason(good and np.all(np.isfinite(displacement)), krylov.reason)
+        reason = _reason(good and np.isfinite(displacement).all(), krylov.reason)
         return SteadyState(
             s, displacement, bound, backward_error, krylov.iterations, reason, field_bound
         )
@@ -163,7 +166,7 @@ class Judge(Owner):
         if self.whole_field:
             good = good and is_accurate(field_bound, primal.solution.norm(), self.tolerance)
         reason = _reason(good, krylov.reason)
-        return replace(state, error_bound=bound, field_bound=field_bound, converged_reason=reason)
+        return state._replace(error_bound=bound, field_bound=field_bound, converged_reason=reason)
 
     def with_derivatives(self, state, systems):
         """Return a state with the derivatives dA_d/domega, the reaction f^T A, and their bounds.
@@ -176,18 +179,17 @@ class Judge(Owner):
         reaction = self._reaction(state, systems[0])
         if not self.bounds.proven or not math.isfinite(state.backward_error):
             unknown = np.full(state.displacement.shape, math.nan)
-            return replace(state, derivative=unknown + 0j, derivative_bound=unknown, **reaction)
+            return state._replace(derivative=unknown + 0j, derivative_bound=unknown, **reaction)
         bounds, operators, (primal, *adjoints) = self.bounds, self.operators, systems
-        s, (bent, inertia) = state.s, self._work
-        inertia.pointwiseMult(operators.M, primal.solution)
-        bent.set(0.0)
-        force = 0.0
-        if operators.C is not None:
+        s, bent, force = state.s, self._bent, 0.0
+        if operators.C is None:
+            bent.set(0.0)
+        else:
             operators.C.mult(primal.solution, bent)
             bent.aypx(-1.0, operators.f_damping)
             bent.scale(operators.damping)
             force = operators.damping * operators.f_damping.norm()
-        bent.axpy(-2 * s, inertia)
+        bent.axpy(-2 * s * operators.mass, primal.solution)
         slope = 2 * abs(s) * operators.mass
         slope += operators.damping and operators.lattice.damping_norm * operators.damping
         rounding = bounds.unit * (force + slope * primal.solution.norm())
@@ -195,12 +197,12 @@ class Judge(Owner):
         derivative, bound = np.empty(len(adjoints), complex), np.empty(len(adjoints))
         inverse = bounds.inverse_norm
         for d, adjoint in enumerate(adjoints):
-            q, z = bounds.adjoint_residual(adjoint), adjoint.solution.norm()
+            q, z = self._missed[d], adjoint.solution.norm()
             derivative[d] = 1j * adjoint.solution.tDot(bent)
             theory = inverse * (q * g + slope * r * (z + q * inverse))
             sums = z * (rounding + (operators.size + 8) * EPSILON * g)
             bound[d] = 1.01 * (theory + sums)
-        return replace(state, derivative=derivative, derivative_bound=bound, **reaction)
+        return state._replace(derivative=derivative, derivative_bound=bound, **reaction)
 
     def _reaction(self, state, primal):
         """Return f^T A = A~^T (f + r) + r^T S^-1 r and its bound, by name: A is its own adjoint."""

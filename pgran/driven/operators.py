@@ -59,6 +59,17 @@ class Operators(Owner):
         return self.f_stiffness.duplicate()
 
     @cached_property
+    def row_sums(self):
+        """Of a Laplacian K the sums of magnitudes in this rank's rows, and the largest of all rows.
+
+        Collective when first asked for. The diagonal holds the sum of its row's other magnitudes.
+        """
+        diagonal = self.K.getDiagonal()
+        sums = 2 * diagonal.getArray(readonly=True).real
+        diagonal.destroy()
+        return sums, self.comm.allreduce(float(sums.max(initial=0.0)), MPI.MAX)
+
+    @cached_property
     def sizes(self):
         """K, f_stiffness, C and f_damping with the magnitudes of all springs' parts summed up.
 
@@ -85,9 +96,7 @@ class Operators(Owner):
         if self.C is not None:
             self.S.axpy(s * self.damping, self.C, structure=SAME)
             self.f.axpy(s * self.damping, self.f_damping)
-        self.M.copy(self._inertia)
-        for _ in range(2):  # s^2 alone could underflow
-            self._inertia.scale(s)
+        self._inertia.set(self.mass * s * s)  # in this order: s^2 alone could underflow
         self.S.setDiagonal(self._inertia, addv=PETSc.InsertMode.ADD_VALUES)  # faster than a shift
         # Complex symmetric, not Hermitian: what an LDL^T factorization needs to know.
         self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
@@ -121,6 +130,7 @@ class Operators(Owner):
         """
         self.constants, self.softest = constants, None
         self.forget("sizes")
+        vars(self).pop("row_sums", None)
         if bonds is None:
             self.K.setValuesCSR(*self.layout.csr(constants))
         else:

@@ -1,7 +1,6 @@
 """Driven steady states over a sweep of frequencies; a scene says what it keeps of each."""
 
 import contextlib
-import dataclasses
 
 import numpy as np
 
@@ -48,7 +47,7 @@ class FrequencySweep(Task):
         from pgran.driven.operators import Operators
         from pgran.driven.steady import SteadySolver
 
-        same = [f.name for f in dataclasses.fields(SteadyState) if f.name in self.row.names]
+        same = [name for name in SteadyState._fields if name in self.row.names]
         with (
             Operators(self.scaled, group) as operators,
             SteadySolver(operators, self.sites, **self.choices) as solver,
@@ -58,13 +57,14 @@ class FrequencySweep(Task):
             def work(unit):
                 solver.restart()
                 points = np.zeros(len(unit), self.row)
-                for point, index in zip(points, unit, strict=True):
+                columns = [(points[name], name) for name in same]
+                for n, index in enumerate(unit):
                     before = solver.factorizations
                     state = solver.solve(complex(self.sigma, self.omegas[index]))
-                    point["factorizations"] = solver.factorizations - before
-                    for name in same:
-                        point[name] = getattr(state, name)
-                    self.keep(point, solver)
+                    for column, name in columns:
+                        column[n] = getattr(state, name)
+                    points["factorizations"][n] = solver.factorizations - before
+                    self.keep(points[n], solver)
                 self.complete(points)
                 return points
 

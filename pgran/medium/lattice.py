@@ -179,7 +179,7 @@ class Lattice(ElasticBonds, Medium):
         """How many nonzeros a row for each ball has in all, walls counted."""
         return (2 * self.axes + 1) * self.size
 
-    @property
+    @cached_property
     def least_damping(self):
         """The smallest eigenvalue of C, the Laplacian of the uniform lattice with walls."""
         return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in self.shape)
