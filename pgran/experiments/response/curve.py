@@ -91,8 +91,9 @@ class IntervalSweep(Task):
         self.frequencies, self.counts = expected_intervals(lattice, omegas[0], omegas[-1])
         total = self.counts[-1]
         check_memory("sweep_method", int(total) * self.row.itemsize)
-        # an even number, and some at least, so that few ranks have equal shares
-        units = max(2 * round(total / (2 * UNIT)), min(4, int(total / 8)))
+        # An even number, and some at least, so that few ranks have equal shares: towards the ends
+        # of a sweep, where the curve is smooth, intervals are longer than is expected.
+        units = max(2 * round(total / (2 * UNIT)), min(6, int(total / 8)))
         units = min(max(units, 1), MAX_UNITS)
         ends = np.interp(np.linspace(0, total, units + 1), self.counts, self.frequencies)
         ends[[0, -1]] = omegas[[0, -1]]

@@ -242,8 +242,8 @@ class IntervalModels(Owner):
         X = X[..., : self.width]
         K, C = self._applied([*X, np.abs(X[0])], (self.operators.K, self.operators.C))
         W = np.concatenate([self._loads, K[:-1], 1j * C[:-1], -self._mass * X], axis=-1)
-        into["own"] = self._total(X.swapaxes(1, 2) @ W)
-        into["triangle"] = self._triangle(X, W)
+        into["own"], across = self._across(X, W)
+        into["triangle"] = self._triangle(X, W, across)
         into["cross"] = self._total(products(X[1:], W[0]))
         into["reading"] = self._total(self._loads[1:, :, 0].real @ X[0])
         # |S| |X| at the highest frequency
@@ -260,19 +260,25 @@ class IntervalModels(Owner):
         into["sizes"], into["drive_sizes"] = self._total(Z @ sizes), self._total(Z @ drive)
         return model
 
-    def _triangle(self, X, W):
-        """Return R of W = Q R, Q being X and columns of what W has beside X.
+    def _across(self, X, W):
+        """Return X^T W and X^H W, by half the multiplications of both: X is a sum of two parts."""
+        parts = np.stack([X.real, X.imag]).swapaxes(2, 3)
+        real, imaginary = self._total((parts @ W.view(float)).view(complex))
+        return real + 1j * imaginary, real - 1j * imaginary
+
+    def _triangle(self, X, W, inside):
+        """Return R of W = Q R, Q being X and columns of what W has beside X; `inside` is X^H W.
 
         M X has nothing beside it, all balls having one mass. Not finite if Q R misses W.
         """
-        across, p = X.conj().swapaxes(1, 2), X.shape[-1]
-        inside = self._total(across @ W)
+        p = X.shape[-1]
         beside = W[..., :-p] - X @ inside[..., :-p]
         Q, R = tall_qr(beside, self.comm)
         missed = self._total(squares(beside - Q @ R))
         good = np.all(missed <= qr_rounding(p) ** 2 * squares(R))
         # both parts of Q are orthonormal, and orthogonal to each other but for this
-        overlap = np.sqrt(squares(self._total(across @ Q)).sum(axis=-1))
+        overlap = self._total(X.conj().swapaxes(1, 2) @ Q)
+        overlap = np.sqrt(squares(overlap).sum(axis=-1))
         # W = [X, Q] [inside; R, 0]
         R = np.pad(R, [(0, 0), (0, 0), (0, p)])
         R = np.concatenate([inside, R], axis=1) * np.sqrt(1 + overlap)[:, None, None]
