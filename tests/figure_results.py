@@ -1,6 +1,5 @@
 """Results to draw, of small lattices."""
 
-import copy
 import functools
 import pickle
 from types import SimpleNamespace
@@ -32,8 +31,8 @@ def computed_once(make):
     def copied(*words, **choices):
         key = pickle.dumps((words, choices))
         if key not in results_of:
-            results_of[key] = make(*words, **choices)
-        return copy.deepcopy(results_of[key])
+            results_of[key] = pickle.dumps(make(*words, **choices))
+        return pickle.loads(results_of[key])
 
     return copied
 
