@@ -105,7 +105,7 @@ def test_the_floor_of_few_samples_is_no_coherent_part():
             assert np.mean(np.isfinite(shown)) < 0.02
             flat = found_of("response", "curves")
             flat = replace(flat, coherent=0 * flat.coherent)
-            made = figures.make(result_of(flat))["amplitude"]
+            made = page_of(result_of(flat), "amplitude")
             assert not [n for ax in made.axes for n in labels(ax) if n.startswith("coherent")]
             assert "single samples" in made.caption
 
@@ -174,7 +174,7 @@ def test_histograms_count_every_sample_that_has_the_number(of, name, d):
     unit = re.search(r"\(\$.*\$\)", ax.get_xlabel())
     assert not unit or title.endswith(unit[0].strip("()"))
     assert ax.get_ylabel() == "samples (11; 1 withheld)"
-    assert "Withheld: samples" in figures.make(result_of(found))[name].caption
+    assert "Withheld: samples" in page_of(result_of(found), name).caption
 
 
 def test_modes_of_a_sample():

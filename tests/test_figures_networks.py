@@ -74,7 +74,7 @@ def sweep(net, heard):
 def test_contacts_are_lines_as_wide_as_their_force_and_stubs_at_the_ends_of_the_box():
     net = strip()
     ax = draw(network.contacts, record_of(net), list(net.free[:2]))
-    (drawn,) = (c for c in of_kind(ax, LineCollection))
+    (drawn,) = of_kind(ax, LineCollection)
     segments, widths = np.array(drawn.get_segments()), np.array(drawn.get_linewidths())
     ends = net.position[net.bond]
     wraps = np.abs(ends[:, 1, 1] - ends[:, 0, 1]) > HEIGHT / 2

@@ -73,7 +73,7 @@ SCENES = {
     "few modes": (lambda: find_modes((2, 1)), "shapes participation"),
     "density": (count_modes, "staircase density"),
     "one frequency": (lambda: project([0.6], (6, 5)), "onefreq"),
-    "few frequencies": (lambda: project([0.5, 0.6, 0.7]), "onefreq"),
+    "few frequencies": (lambda: project([0.5, 0.6, 0.7], (2, 1)), "onefreq"),
     "dominant": (lambda: project(FINE, (6, 5)), "maxci"),
     "single modes": (lambda: project(FINE, (3, 1)), "cifreq"),
     "relaxation": (relax, "timeres"),
@@ -85,6 +85,7 @@ SCENES = {
                            "shapes participation density network"),
     "ensemble": (ensemble, "amplitude delay velocity intensity transport"),
     "accuracy": (lambda: compare([1e-3, 1e-5, 1e-4, 1e-6]), "front"),
+    "one configuration": (lambda: compare([1e-3]), "front"),
     "equally accurate": (lambda: compare([1e-9, 2e-9, 1.5e-9]), "front"),
 }  # fmt: skip
 BESIDE = ("response", "modes of a network")  # those of several panels beside each other
