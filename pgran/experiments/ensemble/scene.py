@@ -1,6 +1,5 @@
 """Scene `ensemble`: one experiment on many samples, and what holds over them."""
 
-import inspect
 import logging
 import os
 
@@ -10,6 +9,7 @@ from pgran.arguments import shown
 from pgran.errors import InputError
 from pgran.experiments.ensemble import statistics as noise
 from pgran.experiments.ensemble import transport
+from pgran.experiments.ensemble.record import Ensemble
 from pgran.experiments.ensemble.sampling import Samples, in_words
 from pgran.experiments.modes import scene as modes
 from pgran.experiments.pulse import scene as pulse
@@ -22,7 +22,6 @@ from pgran.medium.lattice import Lattice
 from pgran.medium.sample import LATTICE, make_lattice
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Caution, Scene
-from pgran.run.frequencies import driving_frequencies
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS
@@ -76,18 +75,10 @@ NOT_TAKEN = {
 
 
 def check(values, given):
-    """Raise unless the options are those of the experiment; unset all others."""
+    """Raise where options contradict each other."""
     kind = values["ensemble_of"]
-    experiment, _ = EXPERIMENTS[kind]
-    used = {option.name for option in (*experiment.options, *ENSEMBLE)}
-    for name in [option.name for option in SCENE.options if option.name not in used]:
-        if name in given:
-            raise InputError(f"-{name}{given[name].where}: -ensemble_of {kind} does not use it")
-        values[name] = None
-    if values["ranks_per_lattice"] > 1 and not experiment.shares_lattice:
-        raise InputError("-ranks_per_lattice: of modes, each lattice has one rank only")
     values |= LEFT_OUT
-    experiment.check(values, given)
+    EXPERIMENTS[kind][0].check(values, given)
     check_kept(kind, values["ensemble_keep"])
     if values["network_file"] is not None or values["bonds_law"] == "file":
         raise InputError(
@@ -123,10 +114,8 @@ def seeds_of(first, samples):
 @with_solver
 def ensemble(
     of, samples, crew=None, *, lattice, seed=SEED, keep=KEEP, progress=PROGRESS, **experiment
-):
+) -> Ensemble:
     """Repeat an experiment on many samples.
-
-    Collective. Ranks share out the samples.
 
         found = pgran.ensemble(
             "response", 100, lattice={"shape": (20, 20)}, omegas=omegas, detectors=[(8, 10)]
@@ -146,17 +135,6 @@ def ensemble(
     **experiment
         What the repeated function takes besides the lattice. A relaxation's changes are those of
         the seeds 1, 2, ..., one a sample.
-
-    Returns
-    -------
-    pgran.results.Ensemble or None
-        With a crew of the caller's None on all ranks but rank 0.
-
-    Raises
-    ------
-    InputError
-        If a value is impossible, the experiment lacks one or does not know it, or the function of
-        the seed fails.
     """
     check_kept(of, keep)
     _, function = EXPERIMENTS[of]
@@ -249,8 +227,8 @@ def run(lattice, options, crew):
     scene, function = EXPERIMENTS[of]
     seeds = seeds_of(options.bonds_seed, options.ensemble_samples)
     seeds_of(options.relax_seed or 0, options.ensemble_samples)
-    swept = "omegas" in inspect.signature(function).parameters
-    omegas = driving_frequencies(options, lattice) if swept else None
+    swept = function.declared.get("omegas")
+    omegas = swept and swept.of_run(options, crew.world, lattice)
     windows = options.statistics_windows
     if windows is not None:
         windows = noise.windows_of(windows, omegas)
