@@ -47,6 +47,11 @@ SITES = (
 DETECTORS = Asked(SITES, lambda options, *others: options.detectors)
 
 
+def steady(*values):
+    """Return keywords of `SteadySolver`, values in the order of STEADY."""
+    return dict(zip(STEADY, values, strict=True))
+
+
 def check_driven(lattice, world, lowest, in_time=False):
     """Raise where a drive has no bounded answer; warn where steady states could not last.
 

@@ -91,11 +91,7 @@ def relax(
     omega : float
         Driving frequency, angular.
     """
-    steady = {
-        "error_tolerance": error_tolerance,
-        "error_floor": error_floor,
-        "refresh_iterations": refresh_iterations,
-    }
+    steady = driven.steady(error_tolerance, error_floor, refresh_iterations)
     with agreeing(crew.world) as asked:
         march = March(omega, steps, trajectories, seed, method, window)
         task = Steps(lattice, law, detectors, march, steady)

@@ -116,11 +116,7 @@ def sweep(
 ) -> Response:  # fmt: skip
     """Solve the driven steady state over a sweep of frequencies (paper: ampeq, freqres)."""
     started = time.perf_counter()
-    steady = {
-        "error_tolerance": error_tolerance,
-        "error_floor": error_floor,
-        "refresh_iterations": refresh_iterations,
-    }
+    steady = driven.steady(error_tolerance, error_floor, refresh_iterations)
     with agreeing(crew.world):
         task = ResponseSweep(lattice, omegas, detectors, fields, steady)
         method = choose_method(method, task.scaled, task.omegas, resolve, fields)
