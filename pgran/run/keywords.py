@@ -118,17 +118,24 @@ def options_of(*functions, without=()):
     return tuple({option.name: option for option in found}.values())
 
 
+def asked_of(function, options, world, *medium, without=()):
+    """Return what a run's options say, if anything, of what a function declares. Collective."""
+    asked = {}
+    for name, declared in function.declared.items():
+        if name not in without and hasattr(declared, "of_run"):
+            value = declared.of_run(options, world, *medium)
+            if value is not None or declared.default is None:
+                asked[name] = value
+    return asked
+
+
 def call(function, options, crew, *arguments, **keywords):
     """Call a function with what a run's options say of what it declares, if anything.
 
     Collective. Of the other arguments the medium, if there is one, comes first.
     """
-    for name, declared in function.declared.items():
-        if name not in keywords and hasattr(declared, "of_run"):
-            value = declared.of_run(options, crew.world, *arguments[:1])
-            if value is not None or declared.default is None:
-                keywords[name] = value
-    return function(*arguments, crew=crew, **keywords)
+    asked = asked_of(function, options, crew.world, *arguments[:1], without=keywords)
+    return function(*arguments, crew=crew, **asked | keywords)
 
 
 def run_of(function):

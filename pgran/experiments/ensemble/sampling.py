@@ -28,21 +28,22 @@ class Samples(Task):
 
     Collective over a group of ranks, `draw(seed, group)` returns the medium of a sample, as large
     as the `first`, and `experiment(medium, number, crew)` its records on the first rank.
-    `all_modes`: an interval has none above omega_mx to count.
+    `choices` are the experiment's keywords.
     """
 
     items = "samples"
 
-    def __init__(self, of, seeds, draw, experiment, first, keep, omegas, detectors, all_modes):
+    def __init__(self, of, seeds, draw, experiment, first, keep, choices):
         """Find what is read of a sample, and make the row that it travels in."""
         self.of, self.units, self.curves = of, list(seeds), keep == "curves"
         self.draw, self.experiment = draw, experiment
+        omegas, detectors = choices.get("omegas"), choices.get("detectors")
         self.omegas = None if omegas is None else np.asarray(omegas, dtype=float)
         self.sites = None if detectors is None else first.sites(detectors)
         self.sampled = sampled_of(of)
         for name in () if self.curves else SPECTRA:
             self.sampled.pop(name, None)
-        if not all_modes:
+        if choices.get("interval") is not None:  # there may be others above omega_mx
             self.sampled.pop("above", None)
         lengths = {
             "omega": () if omegas is None else self.omegas.shape,

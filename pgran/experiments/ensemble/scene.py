@@ -24,7 +24,7 @@ from pgran.run.agreement import agreeing
 from pgran.run.experiment import Caution, Scene
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS
+from pgran.run.keywords import PROGRESS, asked_of
 from pgran.run.options import INTEGER, REALS, TEXT, Option
 from pgran.run.task import carry_out
 
@@ -137,7 +137,7 @@ def ensemble(
         the seeds 1, 2, ..., one a sample.
     """
     check_kept(of, keep)
-    _, function = EXPERIMENTS[of]
+    function = EXPERIMENTS[of][1]
     listed = isinstance(lattice, (list, tuple))
     seeds = seeds_of(0 if listed else seed, samples)
     with agreeing(crew.world) as asked:
@@ -149,10 +149,6 @@ def ensemble(
         asked["lattice"] = first.fingerprint
         choices = function.check(first, **experiment).arguments
         choices = {name: choices[name] for name in choices.keys() - {"lattice", "solver"}}
-    all_modes = of == "modes" and "interval" not in choices
-    places = choices.get("omegas"), choices.get("detectors")
-    if of == "response":
-        choices |= {"resolve": 0.0, "keep_models": False}
 
     def draw(seed, group):
         medium = _sample(lattice, seed)
@@ -160,15 +156,29 @@ def ensemble(
             raise InputError(f"ensemble: the sample of seed {seed} is of another size")
         return medium
 
+    return repeated(of, seeds, draw, first, keep, choices, crew, progress)
+
+
+def repeated(of, seeds, draw, first, keep, choices, crew, progress, changes=1, fit=None):
+    """Return the Ensemble of an experiment with these keywords, on samples as `Samples` has them.
+
+    Collective. Of a relaxation the first sample's changes have the seed `changes`, and exponents
+    are fitted in the window `fit`.
+    """
+    function = EXPERIMENTS[of][1]
+    if of == "response":
+        choices |= {"resolve": 0.0, "keep_models": False}
+
     def one(medium, number, crew):
-        own = {"seed": 1 + number} if of == "relaxation" else {}
+        # of one seed for all samples these would become the same network
+        own = {"seed": changes + number} if of == "relaxation" else {}
         record = function(medium, crew=crew, **choices, **own)
         if record and of == "relaxation":
-            return fluctuations.measured(record, fluctuations.FIT, medium.bonds)
+            return fluctuations.measured(record, fit or fluctuations.FIT, medium.bonds)
         return record and [record]
 
     with agreeing(crew.world):
-        task = Samples(of, seeds, draw, one, first, keep, *places, all_modes)
+        task = Samples(of, seeds, draw, one, first, keep, choices)
     return carry_out(task, crew, progress)
 
 
@@ -223,29 +233,19 @@ def summary(result):
 
 def run(lattice, options, crew):
     """Return the ensemble, its noise and transport; see `pgran.run.experiment.Scene`."""
-    of = options.ensemble_of
-    scene, function = EXPERIMENTS[of]
+    of, windows = options.ensemble_of, options.statistics_windows
     seeds = seeds_of(options.bonds_seed, options.ensemble_samples)
     seeds_of(options.relax_seed or 0, options.ensemble_samples)
-    swept = function.declared.get("omegas")
-    omegas = swept and swept.of_run(options, crew.world, lattice)
-    windows = options.statistics_windows
+    choices = asked_of(EXPERIMENTS[of][1], options, crew.world, lattice, without=NOT_TAKEN)
     if windows is not None:
-        windows = noise.windows_of(windows, omegas)
+        windows = noise.windows_of(windows, choices["omegas"])
 
     def draw(seed, group):
         return make_lattice(options.changed(bonds_seed=seed), group)
 
-    def one(medium, number, crew):
-        changed = {"output_progress": "none"}
-        if of == "relaxation":  # else all samples would become the same network
-            changed["relax_seed"] = options.relax_seed + number
-        return scene.run(medium, options.changed(**changed), crew)
-
-    all_modes = of == "modes" and options.modes_omega_min is None
-    places = omegas, options.detectors
-    task = Samples(of, seeds, draw, one, lattice, options.ensemble_keep, *places, all_modes)
-    record = carry_out(task, crew, options.output_progress)
+    how = lattice, options.ensemble_keep, choices, crew, options.output_progress
+    fit = options.spectrum_fit_min, options.spectrum_fit_max
+    record = repeated(of, seeds, draw, *how, options.relax_seed, fit)
     if record is None or record.displacement is None or crew.dry:
         return record and [record]
     records = [record]

@@ -40,6 +40,10 @@ def check(values, given):
     if values["bonds_law"] == "file":
         raise InputError("-bonds_law file: a relaxation needs a law to draw new constants from")
     check_ends("spectrum_fit", values)
+    if values.get("spectrum_fit_min") is not None:  # a study of accuracy has no such window
+        from pgran.experiments.relaxation.spectrum import check_window
+
+        check_window(values["spectrum_fit_min"], values["spectrum_fit_max"])
 
 
 def summary(result):
@@ -216,10 +220,7 @@ class Steps(Task):
 
 def run(lattice, options, crew):
     """Return the relaxation, its spectrum and memory; see `pgran.run.experiment.Scene`."""
-    from pgran.experiments.relaxation.spectrum import check_window
-
     window = options.spectrum_fit_min, options.spectrum_fit_max
-    check_window(*window)  # before any work; too short a series only has no spectrum
     relaxation = call(relax, options, crew, lattice)
     if relaxation is None or crew.dry:
         return relaxation and [relaxation]
