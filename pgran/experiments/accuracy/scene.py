@@ -142,13 +142,5 @@ DECIDED = (
     "output_fields", "output_models",
 )  # fmt: skip
 REPEATED = options_of(response.sweep, relaxation.relax, pulse.pulse, modes.find_modes)
-OPTIONS = (*STUDY, *REPEATED)
-SCENE = Scene(
-    tuple(option for option in OPTIONS if option.name not in DECIDED),
-    run,
-    summary,
-    check,
-    draws=lambda values: EXPERIMENTS[values["accuracy_of"]].SCENE.draws(values),
-    shares_lattice=True,
-    whole=True,
-)
+OPTIONS = tuple(option for option in (*STUDY, *REPEATED) if option.name not in DECIDED)
+SCENE = Scene(OPTIONS, run, summary, check, shares_lattice=True, whole=True)

@@ -265,11 +265,4 @@ def _options():
     return tuple({o.name: o for o in every if o.name not in LEFT_OUT}.values())
 
 
-SCENE = Scene(
-    options=_options(),
-    run=run,
-    summary=summary,
-    check=check,
-    draws=lambda values: EXPERIMENTS[values["ensemble_of"]][0].draws(values),
-    shares_lattice=True,
-)
+SCENE = Scene(_options(), run, summary, check, shares_lattice=True)

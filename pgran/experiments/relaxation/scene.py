@@ -227,11 +227,5 @@ def run(lattice, options, crew):
     return fluctuations.measured(relaxation, window, lattice.bonds)
 
 
-SCENE = Scene(
-    options=(*options_of(relax), *fluctuations.SPECTRUM),
-    run=run,
-    summary=summary,
-    check=check,
-    draws=lambda values: True,
-    shares_lattice=True,
-)
+OPTIONS = (*options_of(relax), *fluctuations.SPECTRUM)
+SCENE = Scene(OPTIONS, run, summary, check, draws=True, shares_lattice=True)
