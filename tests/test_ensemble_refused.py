@@ -19,7 +19,7 @@ WRONG = {
     "-output_models": "-output_models: scene ensemble does not use it",
     "-ensemble_samples 1": "1 is not >= 2",
     "-ensemble_of heat": "choose response, modes",
-    "-ensemble_of modes -ranks_per_lattice 2": "each lattice has one rank only",
+    "-ensemble_of modes -ranks_per_lattice 2": "scene modes has one rank for each lattice",
     "-ensemble_of pulse -ensemble_keep curves": "of response and modes only, not of pulse",
     "-ensemble_of modes -modes_target .5 -modes_count 3": "-modes_target: scene ensemble does not",
     "-ensemble_of modes -modes_density 9": "-modes_density: scene ensemble does not",
