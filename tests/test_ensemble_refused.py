@@ -8,6 +8,8 @@ from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.run.reading import read_words
 
+pytestmark = pytest.mark.usefixtures("world")  # what all ranks call alike
+
 WRONG = {
     "-ensemble_of modes -detectors 2,2": "-detectors: -ensemble_of modes does not use it",
     "-ensemble_of pulse -sweep_points 9": "-sweep_points: -ensemble_of pulse does not use it",
