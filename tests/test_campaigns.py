@@ -193,9 +193,7 @@ def test_every_extreme_case_says_what_must_come_out():
         assert set() < stability.musts(path) <= {"accurate", "marked", "refused"}, path
 
 
-@pytest.mark.parametrize(
-    "name", ["continuum_resonance", "modes_interval_ends", "overflow", "resonance_undamped"]
-)
+@pytest.mark.parametrize("name", ["modes_interval_ends", "overflow", "resonance_undamped"])
 def test_an_extreme_case_comes_out_as_it_must(name):
     path = stability.FILES[name]
     assert stability.judge(path, stability.start(path))[2] == []
