@@ -20,6 +20,8 @@ from pgran.run.crew import Crew
 from pgran.run.reading import read_words
 from pgran.store import file as store
 
+pytestmark = pytest.mark.usefixtures("world")  # what all ranks call alike
+
 LATTICE = random_lattice((6, 5))
 PACKING = Path(__file__).parents[1] / "options" / "packings" / "discs.h5"
 OMEGAS, LAW = [0.2, 0.5, 0.8], BondLaw("uniform")
