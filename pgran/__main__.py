@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pgran
 from pgran import errors
+from pgran.arguments import saying_once
 from pgran.command.run import name_rank
 from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
 from pgran.run import launch, streams
@@ -78,7 +79,7 @@ def main(words):
         raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
     module, function = COMMANDS[words[0]]
     command = getattr(importlib.import_module(f"pgran.command.{module}"), function)
-    with streams.saying_once():
+    with saying_once():
         return command(words[1:])
 
 

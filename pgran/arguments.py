@@ -1,7 +1,12 @@
-"""What Python hands in: calls that fit, texts and whole numbers, and how a value is shown."""
+"""What Python hands in: calls that fit, texts and whole numbers, and how a value is shown.
 
+And what a call says: each warning once.
+"""
+
+import contextlib
 import functools
 import inspect
+import logging
 import operator
 import reprlib
 
@@ -44,8 +49,29 @@ def bound(function, arguments, choices):
         raise InputError(f"{name}: {error}; it takes {takes}") from None
 
 
+@contextlib.contextmanager
+def saying_once():
+    """Let each warning be said once, however often it is met meanwhile."""
+    log, texts = logging.getLogger("pgran"), set()
+
+    def is_new(record):
+        text = record.getMessage()
+        new = text not in texts
+        texts.add(text)
+        return new or record.levelno < logging.WARNING
+
+    log.addFilter(is_new)
+    try:
+        yield
+    finally:
+        log.removeFilter(is_new)
+
+
 def called_right(function):
-    """Let calls of a function, or of a class, that do not fit raise an InputError."""
+    """Let calls of a function, or of a class, that do not fit raise an InputError.
+
+    Meanwhile each warning is said once.
+    """
     if isinstance(function, type):
         function.__init__ = called_right(function.__init__)
         return function
@@ -53,7 +79,8 @@ def called_right(function):
     @functools.wraps(function)
     def called(*arguments, **choices):
         try:
-            return function(*arguments, **choices)
+            with saying_once():
+                return function(*arguments, **choices)
         except TypeError:
             bound(function, arguments, choices)
             raise

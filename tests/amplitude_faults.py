@@ -49,7 +49,7 @@ def amplitude_faults(what, values, exact, bounds, good, tolerance, floor, seen):
         seen["bounded"] += math.isfinite(bound)
         seen["good"] += good
         seen["below 1e-100"] += bool(abs(x) < 1e-100)
-        if good and x:
+        if good and abs(x) > floor:
             relative = float(error / abs(x))
             seen["(largest relative error)"] = max(seen["(largest relative error)"], relative)
         if good and error > 1e-13 * abs(x) > 0:

@@ -41,13 +41,9 @@ from pgran.run.petsc import holding
 from pgran.store import careful as hdf5
 
 WORLD = MPI.COMM_WORLD
-# Files that know nothing of ranks, and run on one only, as those of figures do.
-ALIKE = {
-    "arguments", "blas", "columns", "continuum", "export", "graph", "hertz", "import",
-    "import_refused", "jobs", "levels", "manual", "memory", "network_files", "options", "output",
-    "packings", "paper", "reference", "si", "spectrum", "statistics", "transport",
-    "unit_of_frequency",
-}  # fmt: skip
+RANKS = {"world", "comm", "shared_path"}  # the fixtures of a test that has to do with ranks
+# Files that use these and have not, as those of figures.
+ALIKE = {"blas", "import", "import_refused", "jobs", "manual", "network_files", "paper", "si"}
 SECONDS_PER_TEST = 120  # the slowest takes about ten
 SECONDS_FOR_OTHERS = 15  # that a rank whose test has failed waits for the others to finish theirs
 
@@ -97,12 +93,16 @@ def pytest_sessionstart(session):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Select on one rank alone what would do the same on each."""
+    """Leave to the run on one rank what would do the same on each of several."""
     if WORLD.size > 1:
-        name = lambda item: item.path.stem.removeprefix("test_")  # noqa: E731
-        alike = [each for each in items if name(each) in ALIKE or name(each).startswith("figures")]
-        config.hook.pytest_deselected(items=alike)
-        items[:] = [item for item in items if item not in alike]
+        shared = [item for item in items if _has_to_do_with_ranks(item)]
+        config.hook.pytest_deselected(items=[item for item in items if item not in shared])
+        items[:] = shared
+
+
+def _has_to_do_with_ranks(item):
+    name = item.path.stem.removeprefix("test_")
+    return name not in ALIKE and not name.startswith("figures") and RANKS & {*item.fixturenames}
 
 
 def pytest_collection_finish(session):

@@ -7,7 +7,8 @@ pytest.importorskip("matplotlib")
 
 from matplotlib.figure import Figure
 
-from pgran.draw import pages
+from pgran import catalogue
+from pgran.draw import pages, style
 
 
 def draw(panel, *shown, **wanted):
@@ -15,6 +16,13 @@ def draw(panel, *shown, **wanted):
     ax = Figure().subplots()
     panel(ax, *shown, **wanted)
     return ax
+
+
+def page_of(result, name, **over):
+    """One page of a result, as `pages.make` makes it, without those after it and its letters."""
+    with style.applied():
+        pages_of = catalogue.figures(result.scene).figures(result, **over)
+        return next(figure for found, figure in pages_of if found == name)
 
 
 def lines(ax, **wanted):
@@ -48,9 +56,15 @@ def note(figure):
     return figure._suptitle.get_text() if figure._suptitle else ""
 
 
+def lay_out(figure):
+    """Place the panels of a page as they are when it is drawn: texts with errors fail, too."""
+    with style.applied():
+        figure.get_layout_engine().execute(figure)
+
+
 def legend(figure):
     """What the legend of a page lists, which lies above its panels, whole and within the page."""
-    figure.draw_without_rendering()
+    lay_out(figure)
     (shown,) = (ax.get_legend() for ax in figure.axes if ax.get_legend())
     box = shown.get_window_extent()
     assert all(ax.bbox.y1 <= box.y0 for ax in figure.panels if ax.get_legend())

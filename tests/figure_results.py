@@ -1,6 +1,5 @@
 """Results to draw, of small lattices."""
 
-import copy
 import functools
 import pickle
 from types import SimpleNamespace
@@ -32,8 +31,8 @@ def computed_once(make):
     def copied(*words, **choices):
         key = pickle.dumps((words, choices))
         if key not in results_of:
-            results_of[key] = make(*words, **choices)
-        return copy.deepcopy(results_of[key])
+            results_of[key] = pickle.dumps(make(*words, **choices))
+        return pickle.loads(results_of[key])
 
     return copied
 
@@ -86,8 +85,7 @@ def ensemble():
     """Responses, with what they say of transport and of noise."""
     lattice = {"shape": (6, 3), "mass": 0.25, "damping": 0.05}
     omegas = UNIT * np.linspace(0.2, 1.2, 201)
-    line = [(4, 1), (3, 1), (2, 1), (0, 1)]
-    drawn = {"omegas": omegas, "detectors": line}
+    drawn = {"omegas": omegas, "detectors": [(4, 1), (2, 1), (0, 1)]}
     found = pgran.ensemble("response", 10, lattice=lattice, keep="curves", **drawn)
     first = pgran.Lattice.random(**lattice)
     result = result_of(found, first)

@@ -85,12 +85,7 @@ def row_of_balls(place, **columns):
     """Eight balls in a row, a distance of 1 apart, and their contacts in order, without names."""
     ball, flags = np.arange(1, 9), "ff ff ff"
     balls = {"id": ball, "x": ball * 1.0, "y": np.zeros(8)} | columns
-    contacts = {
-        "p": ball[:-1],
-        "q": ball[1:],
-        "r": np.ones(7, dtype=int),
-        "s": 0.02 + ball[:-1] / 1e3,
-    }
+    contacts = {"p": ball[:-1], "q": ball[1:], "r": np.ones(7, int), "s": 0.02 + ball[:-1] / 1e3}
     place("a.atoms", dump("ATOMS", balls, flags=flags))
     place("a.contacts", dump("ENTRIES", contacts, flags=flags))
 

@@ -66,14 +66,9 @@ def lorentzians(rng, samples, omega, gamma, overlap):
 
 
 class BondSums:
-    """Sums over products of k bonds, whose variances W_k by order are known exactly.
+    """Sums over products of k bonds of M, whose variances W_k by order are known exactly.
 
-    Parameters
-    ----------
-    bonds : int
-        M.
-    weights : dict
-        Of each order k the weight of the products of k bonds in a row, 1 to k, k + 1 to 2k, ...
+    Bonds 1 to k, k + 1 to 2k, ... make the products of the order k, which has one of the `weights`.
     """
 
     def __init__(self, bonds, weights):

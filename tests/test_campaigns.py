@@ -68,7 +68,8 @@ def test_a_campaign_in_short(name, monkeypatch, capsys):
 
 def test_faults_do_no_harm(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    failed = faults.carry_out(faults.plant, [7, 10]) + faults.carry_out(faults.stop, [7])
+    # all three of one scene, whose run that nothing disturbs serves them all
+    failed = faults.carry_out(faults.plant, [43, 94]) + faults.carry_out(faults.stop, [67])
     said = capsys.readouterr().out
     assert failed == 0, said
     assert "1 kill, 1 result" in said
@@ -77,7 +78,7 @@ def test_faults_do_no_harm(tmp_path, monkeypatch, capsys):
 
 def test_a_file_that_changes_does_no_harm(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert faults.carry_out(changes.change, [0]) == 0, capsys.readouterr().out
+    assert faults.carry_out(changes.change, [13]) == 0, capsys.readouterr().out
     assert "network_file, " in capsys.readouterr().out
 
 
@@ -109,11 +110,11 @@ def test_no_file_does_harm(tmp_path):
     tests = str(Path(__file__).parent)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([tests, str(fuzz.FOLDER)])}
     done = subprocess.run(
-        [sys.executable, "-m", "campaigns.fuzz", "20"],
+        [sys.executable, "-m", "campaigns.fuzz", "10"],
         cwd=tmp_path, env=environment, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    found = re.findall(r"20 cases, seed 1: (\d+) refused, (\d+) accepted", done.stdout)
+    found = re.findall(r"10 cases, seed 1: (\d+) refused, (\d+) accepted", done.stdout)
     assert len(found) == 2
     assert all(int(refused) > 0 < int(accepted) for refused, accepted in found)
     assert not (tmp_path / "results").exists()
@@ -192,9 +193,7 @@ def test_every_extreme_case_says_what_must_come_out():
         assert set() < stability.musts(path) <= {"accurate", "marked", "refused"}, path
 
 
-@pytest.mark.parametrize(
-    "name", ["continuum_resonance", "modes_interval_ends", "overflow", "resonance_undamped"]
-)
+@pytest.mark.parametrize("name", ["modes_interval_ends", "overflow", "resonance_undamped"])
 def test_an_extreme_case_comes_out_as_it_must(name):
     path = stability.FILES[name]
     assert stability.judge(path, stability.start(path))[2] == []

@@ -13,36 +13,45 @@ def test_columns_of_a_file(written):
 
 
 @pytest.mark.parametrize(
-    ("read", "text", "said"),
+    "text",
     [
-        (
-            read_columns,
-            "0\n1\n\n# end\n2 three\n",
-            "a.txt:5: '2 three' is no number; begin comments with #",
-        ),
-        (read_columns, "0 0\n1\n", "a.txt:2: 1 numbers; each line has one, or a time and one"),
-        (read_columns, "0 0 0\n", "a.txt:1: 3 numbers"),
-        (read_columns, "0\nnan\n1\n", "a.txt:2: 'nan' is not finite; fill the gap"),
-        (read_columns, "0,1\n1,1e999", "a.txt:2: '1,1e999' is not finite"),
-        (read_columns, "# nothing\n\n", "a.txt: holds no numbers"),
-        (
-            read_measured,
-            "omega,amplitude\n1,2\n3\n",
-            "a.txt:3: 1 numbers; each line has omega, amplitude and",
-        ),
-        (read_measured, "1 2\n1 2 3\n", "a.txt:2: 3 numbers"),
-        (read_measured, "1\n2\n", "a.txt:1: 1 numbers"),
-        (read_measured, "omega amplitude\n1 2 3\n", "a.txt:2: 3 numbers"),
-        (read_measured, "f,A\n1,2\n", "a.txt:1: a header names omega, amplitude and maybe phase"),
-        (read_measured, "omega amplitude omega\n1 2 1\n", "a.txt:1: a header names"),
-        (read_measured, "omega amplitude\n", "a.txt: holds no numbers"),
-        (read_measured, "", "a.txt: holds no numbers"),
-        (read_measured, "1 2\n2 x\n", "a.txt:2: '2 x' is no number"),
-        (read_measured, "1 2\n2 inf\n", "a.txt:2: '2 inf' is not finite"),
-        (read_measured, "1 2\n0 1\n", "a.txt:2: omega 0 is not > 0"),
-        (read_measured, "amplitude omega\n1 2\n-3 1\n", "a.txt:3: amplitude -3 is not > 0"),
+        "0.4 2.0 -1\n0.8 0.5 -2\n",
+        "\ufeffomega,amplitude,phase\n0.4,2,-1\n0.8,.5,-2\n",
+        "# of 1992\n'Phase';'Omega';'Amplitude'\n-1;.4;2 # first\n\n-2;.8;5e-1\n",
     ],
 )
+def test_measurements(written, text):
+    columns = {name: column.tolist() for name, column in read_measured(written(text)).items()}
+    assert columns == {"omega": [0.4, 0.8], "amplitude": [2, 0.5], "phase": [-1, -2]}
+
+
+COLUMNS = {  # text -> what is said of it
+    "0\n1\n\n# end\n2 three\n": "a.txt:5: '2 three' is no number; begin comments with #",
+    "0 0\n1\n": "a.txt:2: 1 numbers; each line has one, or a time and one",
+    "0 0 0\n": "a.txt:1: 3 numbers",
+    "0\nnan\n1\n": "a.txt:2: 'nan' is not finite; fill the gap",
+    "0,1\n1,1e999": "a.txt:2: '1,1e999' is not finite",
+    "# nothing\n\n": "a.txt: holds no numbers",
+}
+MEASURED = {
+    "omega,amplitude\n1,2\n3\n": "a.txt:3: 1 numbers; each line has omega, amplitude and",
+    "1 2\n1 2 3\n": "a.txt:2: 3 numbers",
+    "1\n2\n": "a.txt:1: 1 numbers",
+    "omega amplitude\n1 2 3\n": "a.txt:2: 3 numbers",
+    "f,A\n1,2\n": "a.txt:1: a header names omega, amplitude and maybe phase",
+    "omega amplitude omega\n1 2 1\n": "a.txt:1: a header names",
+    "omega amplitude\n": "a.txt: holds no numbers",
+    "": "a.txt: holds no numbers",
+    "1 2\n2 x\n": "a.txt:2: '2 x' is no number",
+    "1 2\n2 inf\n": "a.txt:2: '2 inf' is not finite",
+    "1 2\n0 1\n": "a.txt:2: omega 0 is not > 0",
+    "amplitude omega\n1 2\n-3 1\n": "a.txt:3: amplitude -3 is not > 0",
+}
+REFUSED = [(read, *case) for read, cases in ((read_columns, COLUMNS), (read_measured, MEASURED))
+           for case in cases.items()]  # fmt: skip
+
+
+@pytest.mark.parametrize(("read", "text", "said"), REFUSED)
 def test_files_that_are_refused(written, read, text, said):
     with pytest.raises(FileError) as refused:
         read(written(text, "a.txt"))

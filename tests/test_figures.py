@@ -8,8 +8,28 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from figure_reading import curves, draw, gaps, labels, legend, lines, marks, note, saving
-from figure_results import SWEEP, UNIT, count_modes, find_modes, listen, respond, result_of
+from figure_reading import (
+    curves,
+    draw,
+    gaps,
+    labels,
+    legend,
+    lines,
+    marks,
+    note,
+    page_of,
+    saving,
+)
+from figure_results import (
+    SWEEP,
+    UNIT,
+    count_modes,
+    find_modes,
+    listen,
+    project,
+    respond,
+    result_of,
+)
 from matplotlib.figure import Figure
 from matplotlib.markers import TICKUP
 from result_samples import no_room_beyond
@@ -30,7 +50,7 @@ from pgran.store.estimate import two_digits
 def test_the_regimes_hold_every_point_of_every_detector():
     result = respond(detectors=[(1, 1), (3, 0)])
     result.response.at_floor[[70, 71], 1] = 1
-    figure = figures.make(result, modes=UNIT * np.array([0.1, 0.5, 7.0]))["amplitude"]
+    figure = page_of(result, "amplitude", modes=UNIT * np.array([0.1, 0.5, 7.0]))
     panels = figure.axes
     assert [ax.get_yscale() for ax in panels] == ["log"] * 3
     assert [ax.get_xlim() for ax in panels] == [(0.005, 0.3), (0.3, 1.0), (1.0, 1.3)]
@@ -62,7 +82,7 @@ def test_the_force_of_the_wall_and_its_power():
     result = respond()
     shown = result.response
     shown.force_bound[[100, 101]] = np.abs(shown.force[[100, 101]]) * [0.02, np.nan]
-    panels = figures.make(result, modes=UNIT * np.array([0.1]))["wall"].axes
+    panels = page_of(result, "wall", modes=UNIT * np.array([0.1])).axes
     assert [marks(ax, TICKUP) for ax in panels] == [pytest.approx([0.1])] * 3
     assert [gaps(curves(ax)[0])[0] for ax in panels[:2]] == [100] * 2
     assert 101 in gaps(curves(panels[2])[0])
@@ -145,12 +165,12 @@ def test_a_large_lattice_is_an_image_of_means(shape):
 @pytest.mark.parametrize(
     ("ending", "begin", "make", "names"),
     [
-        ("PNG", b"\x89PNG", lambda: respond([0.5]), ["amplitude", "phase", "wall", "bonds"]),
+        ("PNG", b"\x89PNG", lambda: project([0.5]), ["onefreq"]),
         ("pdf", b"%PDF", count_modes, ["staircase", "density"]),
     ],
 )
 def test_plot_saves_one_file_a_figure(tmp_path, ending, begin, make, names):
-    pgran.plot(make(), tmp_path / "new" / f"my.run.{ending}", modes=[0.9])
+    pgran.plot(make(), tmp_path / "new" / f"my.run.{ending}")
     for name in names:
         assert (tmp_path / "new" / f"my.run-{name}.{ending}").read_bytes().startswith(begin)
 
@@ -158,9 +178,9 @@ def test_plot_saves_one_file_a_figure(tmp_path, ending, begin, make, names):
 @pytest.mark.parametrize("name", ["figure", "figure.h5", "figure.pgf", "file/a.png"])
 def test_names_that_no_figure_can_have(tmp_path, name):
     (tmp_path / "file").touch()
-    refused = r"a-amplitude\.png: cannot be written" if "file" in name else r"one of .*, \.png"
+    refused = r"a-onefreq\.png: cannot be written" if "file" in name else r"one of .*, \.png"
     with pytest.raises(FileError, match=refused):
-        pgran.plot(respond([0.5]), tmp_path / name)
+        pgran.plot(project([0.5]), tmp_path / name)
 
 
 def test_nothing_to_draw():
@@ -214,16 +234,27 @@ def files(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("words", "name"),
-    [("doubtful.h5 response.h5", "response"), ("response.h5 -o b.pdf modes.h5", "b")],
+    ("words", "written"),
+    [
+        ("doubtful.h5 response.h5", "response.png"),
+        ("response.h5 -o b.pdf modes.h5", "b.pdf"),
+        ("pulse.h5 response.h5", "pulse.png"),
+        ("response.h5 pulse.h5", "pulse.png"),
+    ],
 )
-def test_modes_are_marked_in_a_response(files, capsys, caplog, monkeypatch, words, name):
+def test_results_that_belong_together(files, capsys, caplog, monkeypatch, words, written):
+    """In either order: modes are marked in a response, which is laid over spectra of a pulse."""
     saved = saving(monkeypatch)
     with caplog.at_level("WARNING", logger="pgran"):
         assert plot(words.split()) == errors.DONE
-    assert capsys.readouterr().out.startswith(f"{name}.p")
-    modes_at = files["modes.h5"].modes.omega / UNIT
-    assert marks(saved[0]["phase"].axes[0], TICKUP) == pytest.approx(modes_at[modes_at < 1.3])
+    assert capsys.readouterr().out == f"{written}\n"
+    if "pulse" in words:
+        (steady,) = lines(saved[0]["spectrum"].axes[0], linewidth=2.5)
+        amplitude = files["response.h5"].response.amplitude[:, 0]
+        assert np.array_equal(steady.get_ydata(orig=True).data, amplitude)
+    else:
+        x = files["modes.h5"].modes.omega / UNIT
+        assert marks(saved[0]["phase"].axes[0], TICKUP) == pytest.approx(x[x < 1.3])
     assert ("missing or inaccurate" in caplog.text) == ("doubtful" in words)
 
 
@@ -242,18 +273,6 @@ def test_no_room_for_a_figure(tmp_path, ending, room):
         figures.save_captions({"phase": figure}, [tmp_path / "a-phase.txt"])
     assert path.read_bytes() == b"earlier"
     assert [*tmp_path.iterdir()] == [path]
-
-
-@pytest.mark.parametrize("words", ["pulse.h5 response.h5", "response.h5 pulse.h5"])
-def test_a_response_is_laid_over_a_pulse(files, capsys, monkeypatch, words):
-    saved = saving(monkeypatch)
-    assert plot(words.split()) == errors.DONE
-    assert capsys.readouterr().out == "pulse.png\n"
-    alone = pgran.plot(files["pulse.h5"], response=files["response.h5"].response)
-    for made in (*saved, alone):
-        (steady,) = lines(made["spectrum"].axes[0], linewidth=2.5)
-        amplitude = files["response.h5"].response.amplitude[:, 0]
-        assert np.array_equal(steady.get_ydata(orig=True).data, amplitude)
 
 
 def test_two_results_that_are_no_pair(files):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from figure_results import ensemble, find_modes, listen, relax, respond, result_of
+from figure_results import LATTICE, ensemble, find_modes, listen, relax, respond, result_of
 from samples import random_lattice
 
 import pgran
@@ -19,59 +19,62 @@ from pgran.store.si import SI
 
 def test_captions_say_the_numbers_of_the_record():
     result = respond(detectors=[(1, 1)])
-    result.response.converged_reason[7] = -3
-    result.response.at_floor[9] = 1
-    result.response.error_bound[[7, 9]] = 1.0
-    result.response.phase_slope[:], result.response.phase_intercept[:] = -31.25, 0.0
-    result.options = "-scene response\n-bonds_law uniform\n-bonds_kmin 0.0\n-bonds_kmax 0.25\n"
-    result.options += "-bonds_seed 1993\n-output_file results/a.h5"
-    made = figures.make(result)
     shown = result.response
+    shown.converged_reason[7] = -3
+    shown.at_floor[9] = 1
+    shown.error_bound[[7, 9]] = 1.0
+    shown.phase_slope[:], shown.phase_intercept[:] = -31.25, 0.0
+    result.options = "-bonds_law uniform\n-bonds_kmin 0.0\n-bonds_kmax 0.25\n-bonds_seed 1993"
     good = ~np.isin(np.arange(260), [7, 9])
-    largest = (shown.error_bound / shown.amplitude)[good].max()
+    largest = captions.number((shown.error_bound / shown.amplitude)[good].max())
+    made = figures.make(result)
+    everywhere = [r"$4 \times 3$ balls", "of mass 0.25", "uniform on [0, 0.25]; seed 1993",
+                  r"$\beta$ = 0.003", r"$\omega_{mx}$ = 2", "heard at ball (1, 1)"]  # fmt: skip
+    of_curves = [largest, "1 amplitudes are upper limits", "1 of 260 amplitudes missed"]
     for name, figure in made.items():
-        for part in (r"$4 \times 3$ balls", "of mass 0.25", "uniform on [0, 0.25]; seed 1993",
-                     r"$\beta$ = 0.003", r"$\omega_{mx}$ = 2"):  # fmt: skip
-            assert part in figure.caption, (name, part)
-        for part in (captions.number(largest), "1 amplitudes are upper limits",
-                     "1 of 260 amplitudes missed"):  # fmt: skip
-            assert (part in figure.caption) == (name != "bonds"), (name, part)
-        assert "heard at ball (1, 1)" in figure.caption
+        said = [part in figure.caption for part in everywhere + of_curves]
+        assert said == [True] * 6 + [name != "bonds"] * 3, name
         assert ("Dotted line" in figure.caption) == (name not in ("amplitude", "bonds"))
     assert f"{shown.phase_slope[0]:.4g}" in made["phase"].caption
-    told = figures.make(result, SI(time=1e-5))["phase"].caption
-    assert SI(time=1e-5).say("Hz", result.medium.omega_mx) in told
     assert "low frequencies" in made["amplitude"].caption
+    si = SI(time=1e-5)
+    assert si.say("Hz", result.medium.omega_mx) in figures.make(result, si)["phase"].caption
     del result.options
-    assert result.medium.bonds_sha256[:12] in figures.make(result)["phase"].caption
-    found = find_modes()
-    found.modes.residual[:] = 3e-14
-    for words, more in (("12 of 12 normal modes, certified", {}),
-                        ("residuals at most $3\\times10^{-14}$", {}),
-                        ("not certified", {"count_certified": False})):  # fmt: skip
-        assert words in captions.bound(result_of(replace(found.modes, **more)))
-    lattice = random_lattice((4, 3))
-    depends = result_of(pgran.sensitivity(lattice, [0.5, 1.1], [(1, 1)]), lattice)
-    record = depends.sensitivity
-    largest = captions.number(record.log_bound[record.converged_reason > 0].max())
-    said = captions.bound(depends)
-    assert rf"of every derivative $d\,\ln|A| / d\,\ln k$: at most {largest} (proven)" in said
-    unknown = result_of(replace(record, log_bound=np.full_like(record.log_bound, np.inf)))
-    assert "derivative" not in captions.bound(unknown)
-    sent = listen()
-    assert "(proven)" in captions.bound(sent)
-    undamped = respond(lattice=random_lattice((4, 3), damping=0.0))
-    assert "(certified)" in captions.bound(undamped)
+    assert result.medium.bonds_sha256[:12] in captions.sample(result, SI())
+
+
+def modes(**changed):
+    return result_of(replace(find_modes().modes, residual=np.full(12, 3e-14), **changed))
+
+
+def depends(bound):
+    found = pgran.sensitivity(LATTICE, [0.5, 1.1], [(1, 1)])
+    return result_of(replace(found, log_bound=np.full_like(found.log_bound, bound)))
+
+
+def test_captions_say_how_large_errors_are():
+    slope = r"of every derivative $d\,\ln|A| / d\,\ln k$: at most "
+    for result, said in (
+        (modes(), "12 of 12 normal modes, certified"),
+        (modes(), r"residuals at most $3\times10^{-14}$"),
+        (modes(count_certified=False), "not certified"),
+        (depends(2.5e-9), slope + r"$2.5\times10^{-9}$ (proven)"),
+        (listen(), "(proven)"),
+        (respond(lattice=random_lattice((4, 3), damping=0.0)), "(certified)"),
+    ):
+        assert said in captions.bound(result)
+    assert "derivative" not in captions.bound(depends(np.inf))
+    assert captions.number(0.003) == "0.003"
+
+
+def test_captions_of_networks():
     net = crystal("triangular", (4, 3), periodic=(False, True))
     shown = result_of(pgran.find_modes(net), net)
     shown.options = "-network_file mine.h5"
     made = figures.make(shown)
     assert "dots" not in made["network"].caption  # nobody listens
-    caption = made["participation"].caption
     for part in ("(file mine.h5)", f"{len(net.bond)} contacts", "displacements: vector"):
-        assert part in caption
-    assert captions.number(0.003) == "0.003"
-    assert captions.number(4.13e-5) == r"$4.1\times10^{-5}$"
+        assert part in made["participation"].caption
 
 
 @pytest.mark.parametrize(

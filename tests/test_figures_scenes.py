@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from figure_reading import curves, draw, gaps, labels, lines, marks, note
+from figure_reading import curves, draw, gaps, labels, lines, marks, note, page_of
 from figure_results import (
     SWEEP,
     UNIT,
     compare,
     count_modes,
     find_modes,
-    listen,
     project,
     relax,
     respond,
@@ -33,36 +32,6 @@ from pgran.experiments.relaxation.spectrum import power_spectrum
 from pgran.experiments.response import figures as response
 
 FINE = np.linspace(0.1, 1.1, 401)
-
-
-def bare_signals():
-    unknown = dict.fromkeys(["energy", "dissipated", "field_time", "field"])
-    return result_of(replace(listen().pulse, **unknown))
-
-
-@pytest.mark.parametrize(
-    ("make", "expected"),
-    [
-        (respond_box, ["exactpl"]),
-        (lambda: find_modes((6, 5)), ["shapes", "participation", "density"]),
-        (lambda: find_modes((2, 1)), ["shapes", "participation"]),
-        (count_modes, ["staircase", "density"]),
-        (lambda: project(FINE), ["maxci"]),
-        (lambda: project([0.6], (2, 1)), ["onefreq"]),
-        (lambda: project([0.5, 0.6, 0.7]), ["onefreq"]),
-        (lambda: project(FINE, (3, 1)), ["cifreq"]),
-        (relax, ["timeres"]),
-        (lambda: compare([1e-3]), ["front"]),
-        (listen, ["signals", "field", "energy", "spectrum", "bonds"]),
-        (bare_signals, ["signals", "spectrum", "bonds"]),
-    ],
-)
-def test_what_is_shown_depends_on_what_there_is(make, expected):
-    made = figures.make(make())
-    assert list(made) == expected
-    for figure in made.values():
-        figure.draw_without_rendering()
-        assert "NOT" not in note(figure)
 
 
 def test_results_with_nothing_to_draw():
@@ -178,7 +147,7 @@ def test_the_modes_chosen():
 def test_a_mode_is_an_image_symmetric_about_0_or_a_line_from_wall_to_wall(shape):
     result = find_modes(shape)
     shown, x = result.modes, result.modes.omega / result.lattice.omega_mx
-    panels = figures.make(result)["shapes"].panels
+    panels = page_of(result, "shapes").panels
     for mode, ax in zip(modes.pick(x, shown.participation), panels, strict=True):
         vector, title = shown.vector[mode], ax.get_title(loc="left")
         largest = np.unravel_index(np.abs(vector).argmax(), shape)

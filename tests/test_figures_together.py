@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from figure_reading import curves, labels, legend, lines, note, saving
+from figure_reading import curves, labels, lay_out, legend, lines, note, saving
 from figure_results import UNIT, find_modes, listen, relax, respond, respond_box, result_of
 from samples import random_lattice
 
@@ -45,6 +45,12 @@ def damped():
         lattice = random_lattice((4, 3), seed=5, mass=0.25, damping=beta)
         made.append(with_options(respond(X, lattice=lattice), f"-lattice_damping {beta}"))
     return made
+
+
+@pytest.fixture(scope="module")
+def compared(damped):
+    """Their figures over each other."""
+    return pgran.plot(damped)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +107,7 @@ def test_what_a_result_says_of_its_options_is_read_back():
     assert found == plain
 
 
-def test_results_of_other_units_say_so(damped):
+def test_results_of_other_units_say_so(damped, compared):
     """Each curve is in units of its own omega_mx, which its label has."""
     lattice = random_lattice((4, 3), seed=5, mass=0.25)
     other = with_options(respond(X, lattice=replace(lattice, kmax=0.49)), "-bonds_seed 7")
@@ -110,12 +116,12 @@ def test_results_of_other_units_say_so(damped):
         assert label.endswith(rf", $\omega_{{mx}}$ = {result.medium.omega_mx:.6g}")
     for figure in made.values():
         assert "units of its own" in figure.caption
-    assert all("units of its own" not in figure.caption for figure in pgran.plot(damped).values())
+    assert all("units of its own" not in figure.caption for figure in compared.values())
 
 
-def test_responses_over_each_other(damped):
+def test_responses_over_each_other(damped, compared):
     """Each curve has the numbers of its result, and colour, line style and label of its own."""
-    made = pgran.plot(damped)
+    made = compared
     assert list(made) == ["amplitude", "phase"]
     expected = [f"-lattice_damping {beta}" for beta in BETAS]
     for result, label in zip(damped, expected, strict=True):
@@ -145,7 +151,7 @@ def test_of_several_detectors_colours_are_balls_and_styles_are_results():
     assert len(set(styles)) == 4
     assert len({colour for colour, _ in styles}) == len({style for _, style in styles}) == 2
     assert labels(made["amplitude"].axes[0])[1:3] == [r"one \$, ball (3, 0)", "two, ball (1, 1)"]
-    made["amplitude"].draw_without_rendering()  # a $ of a file's name begins no formula
+    lay_out(made["amplitude"])  # a $ of a file's name begins no formula
 
 
 def test_sweeps_of_different_ranges():
@@ -225,26 +231,17 @@ def test_results_that_are_not_laid_over_each_other():
         figures.compare([find_modes(interval=(50.0, 51.0))] * 2, ["a", "b"])
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "0.4 2.0 -1\n0.8 0.5 -2\n8.0 1e-3 -3\n",
-        "\ufeffomega,amplitude,phase\n0.4,2,-1\n0.8,.5,-2\n8,1e-3,-3\n",
-        "# of 1992\n'Phase';'Omega';'Amplitude'\n-1;.4;2 # first\n\n-2;.8;5e-1\n-3;8;.001\n",
-    ],
-)
-def test_what_was_measured_lies_over_a_response(written, damped, text, caplog):
-    path = written(text, "measured$.csv")
-    for shown in (damped[0], damped):
-        caplog.clear()
-        with caplog.at_level("WARNING", logger="pgran"):
-            made = pgran.plot(shown, measured=path)
-        assert "1 frequencies are beyond the sweep" in caplog.text
-        for name, values in (("amplitude", [2.0, 0.5]), ("phase", [-1.0, -2.0])):
-            dots = [line for ax in made[name].axes for line in lines(ax, marker="o")]
-            assert np.concatenate([d.get_xdata() for d in dots]) == pytest.approx([0.2, 0.4])
-            assert np.concatenate([d.get_ydata() for d in dots]).tolist() == values
-            assert legend(made[name]).count(r"measured\$.csv") == 1
+@pytest.mark.parametrize("several", [False, True])
+def test_what_was_measured_lies_over_a_response(written, damped, several, caplog):
+    path = written("0.4 2.0 -1\n0.8 0.5 -2\n8.0 1e-3 -3\n", "measured$.csv")
+    with caplog.at_level("WARNING", logger="pgran"):
+        made = pgran.plot(damped if several else damped[0], measured=path)
+    assert "1 frequencies are beyond the sweep" in caplog.text
+    for name, values in (("amplitude", [2.0, 0.5]), ("phase", [-1.0, -2.0])):
+        dots = [line for ax in made[name].axes for line in lines(ax, marker="o")]
+        assert np.concatenate([d.get_xdata() for d in dots]) == pytest.approx([0.2, 0.4])
+        assert np.concatenate([d.get_ydata() for d in dots]).tolist() == values
+        assert legend(made[name]).count(r"measured\$.csv") == 1
 
 
 def test_measurements_that_fit_no_figure(written, damped):

@@ -4,12 +4,9 @@ import os
 
 import h5py
 import pytest
-from mpi4py import MPI
 from result_samples import ATTRIBUTES, KINDS, make, stored
 
 from pgran.store import file as store
-
-pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="one rank writes")
 
 
 @pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])

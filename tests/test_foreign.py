@@ -9,7 +9,6 @@ import h5py
 import numpy as np
 import pytest
 from campaigns import fuzz
-from mpi4py import MPI
 from samples import bond_arrays, random_lattice
 
 from pgran import load
@@ -19,7 +18,6 @@ from pgran.medium.record import LatticeRecord
 from pgran.store import careful as hdf5
 from pgran.store import file as store
 
-serial = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts programs: serial run only")
 NAMES = ("stiffness_x", "stiffness_y", "stiffness_z")
 
 
@@ -53,7 +51,6 @@ def refusal(path, member=None, read=read_bonds):
     return message
 
 
-@serial
 def test_bonds_of_a_result_that_was_touched(path):
     """Tried by another process."""
     lattice = random_lattice((30, 40))
@@ -151,7 +148,6 @@ def test_data_add_up(path, here):
 # What the library may die of happens to another process
 
 
-@serial
 def test_a_chunk_that_becomes_too_large(path):
     """8 MB of bonds in a single gzip chunk of 1 GB, which has to be decompressed whole."""
     press = zlib.compressobj(9, wbits=-15)
@@ -167,7 +163,6 @@ def test_a_chunk_that_becomes_too_large(path):
     assert "damaged" in refusal(path)
 
 
-@serial
 @pytest.mark.parametrize(
     ("program", "said"),
     [
@@ -190,7 +185,6 @@ def test_a_process_that_fails(path, monkeypatch, program, said):
     assert said in refusal(write(path, **good()))
 
 
-@serial
 def test_limits_of_the_process(path):
     write(path, **good())
     program = (

@@ -15,7 +15,6 @@ from sensitivity_samples import (
     packing,
 )
 
-from pgran.command.resolve import resolve
 from pgran.driven import steady
 from pgran.driven import sweep as sweeping
 from pgran.driven.linear import ReusePolicy
@@ -26,7 +25,6 @@ from pgran.medium.bonds import bond_ends
 from pgran.medium.lattice import Lattice
 from pgran.medium.network import Network
 from pgran.run.petsc import holding
-from pgran.run.reading import read_words
 
 OMEGAS = np.array([0.15, 0.6, 1.0])
 MEDIA = {
@@ -217,21 +215,6 @@ REFUSING = {
     "no force": dataclasses.replace(NETWORK, force=0 * NETWORK.force),
     "negative": dataclasses.replace(NETWORK, stiffness=NEGATIVE),
 }
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("-heat_factor 2 -heat_overlap .1", "-heat_factor, -heat_overlap: .* one of these ways"),
-        ("-heat_balls 1,1 -heat_cut", "-heat_balls: by how much"),
-        ("-heat_factor -1", "-heat_factor -1"),
-        ("-sensitivity_most -1", "-sensitivity_most -1"),
-    ],
-)
-def test_options_that_contradict_each_other(words, said):
-    with pytest.raises(InputError, match=said) as caught:
-        resolve(read_words(f"-scene sensitivity {words}".split()))
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

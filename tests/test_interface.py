@@ -1,5 +1,7 @@
 """The Python interface, in a script and under mpirun, with the messages of the command line."""
 
+import inspect
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +10,7 @@ import pytest
 from samples import random_lattice
 
 import pgran
+import pgran.results
 from pgran.command.resolve import resolve
 from pgran.experiments.response import scene as response
 from pgran.medium.law import BondLaw
@@ -16,6 +19,8 @@ from pgran.medium.record import record_of
 from pgran.run.crew import Crew
 from pgran.run.reading import read_words
 from pgran.store import file as store
+
+pytestmark = pytest.mark.usefixtures("world")  # what all ranks call alike
 
 LATTICE = random_lattice((6, 5))
 PACKING = Path(__file__).parents[1] / "options" / "packings" / "discs.h5"
@@ -178,3 +183,19 @@ def test_names():
     assert all(getattr(pgran, name).__doc__ for name in pgran.__all__)
     with pytest.raises(AttributeError, match="nothing"):
         pgran.nothing  # noqa: B018
+
+
+def test_help_of_a_function_has_each_thing_once():
+    """Its parameters in words, what it returns, what it raises, and that it is collective."""
+    collective = [getattr(pgran, name) for name in pgran.__all__]
+    collective = [function for function in collective if hasattr(function, "declared")]
+    assert len(collective) >= 10
+    for function in collective:
+        text = function.__doc__
+        names = inspect.signature(function).parameters.keys() - {"experiment"}
+        told = [f"\n{name} :" for name in names]
+        told += ["\nParameters\n---", "\nReturns\n---", "\nRaises\n---", "\nCollective"]
+        assert {part: text.count(part) for part in told} == dict.fromkeys(told, 1), function
+        kind = re.search(r"\npgran\.results\.(\w+) or None\n", text)[1]
+        assert issubclass(getattr(pgran.results, kind), pgran.store.record.Record)
+    assert "omega : real > 0, angular, default 0.6\n    burst, ricker:" in pgran.pulse.__doc__

@@ -13,13 +13,14 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from small import copy_options
+from small import copy_options, made_small
 
 import pgran
 from pgran.__main__ import COMMANDS
 from pgran.command import manual
 from pgran.command.listing import tables
 from pgran.command.resolve import SCENES, options_of, resolve
+from pgran.draw import pages
 from pgran.run import keys as solver_keys
 from pgran.run.reading import read_file, read_words
 from pgran.store.record import Record
@@ -67,9 +68,13 @@ def small(tmp_path_factory):
 
 
 @pytest.fixture
-def scratch(small, call, here, tmp_path):
-    """Return what carries out commands, and what brings the results that lines read."""
+def scratch(small, call, here, tmp_path, monkeypatch):
+    """Return what carries out commands, and what brings the results that lines read.
+
+    Figures are made, but not saved, which takes most of the time.
+    """
     (tmp_path / "options").symlink_to(small / "options")
+    monkeypatch.setattr(pages, "save", lambda made, path: [Path(path)])
 
     def run(*words):
         done = call(*words)
@@ -105,7 +110,7 @@ def test_snippets_run(scratch, page):
         pytest.importorskip("xarray")
     names = {}
     for block in (block for block in PYTHON if block.page == page):
-        code = compile(block.lines, block.name, "exec")
+        code = compile(made_small(block.lines), block.name, "exec")
         scratch.prepare(block.lines)
         if not block.slow:
             exec(code, names)
@@ -175,7 +180,15 @@ def test_all_options_are_listed():
     assert TEXT[FOLDER / "options.md"].endswith("\n".join(["", *tables(), ""]))
 
 
-@pytest.mark.parametrize("kind", Record.__subclasses__(), ids=lambda kind: kind.__name__)
+def kinds(kind=Record):
+    """Yield all records that have a group of their own."""
+    if kind.group:
+        yield kind
+    for each in kind.__subclasses__():
+        yield from kinds(each)
+
+
+@pytest.mark.parametrize("kind", [*kinds()], ids=lambda kind: kind.__name__)
 def test_all_that_results_hold_is_named(kind):
     page = TEXT[FOLDER / "results.md"]
     group = f"/{kind.within}/{kind.group}" if kind.within else f"/{kind.group}"
@@ -210,14 +223,15 @@ def test_a_page_is_shown(call):
         assert said in done.stderr
 
 
-def test_a_pager_on_a_terminal_only(start, clean_environment):
-    pager = {"PAGER": "sed s/^/paged:/", "TERM": "xterm"}
-    plain = start("manual", "curve", MANPAGER="", **pager)
-    assert plain.stdout.startswith("# The curve")
+def test_a_pager_on_a_terminal_only(call, clean_environment, monkeypatch):
+    pager = {"PAGER": "sed s/^/paged:/", "TERM": "xterm", "MANPAGER": ""}
+    for name, value in pager.items():
+        monkeypatch.setenv(name, value)
+    assert call("manual", "curve").stdout.startswith("# The curve")
     master, slave = pty.openpty()
     shown = subprocess.Popen(
         [sys.executable, "-m", "pgran", "manual", "curve"], stdin=slave, stdout=slave,
-        env=clean_environment | pager | {"PYTHONPATH": str(ROOT), "MANPAGER": ""},
+        env=clean_environment | pager | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     os.close(slave)
     said = b""

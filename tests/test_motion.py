@@ -130,19 +130,6 @@ def test_what_is_refused_says_what_to_change(world, said):
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("-pulse_shape ricker -pulse_width 3", "pulse_width.* no part of a ricker"),
-        ("-pulse_shape gauss -pulse_omega 1", "pulse_omega.* no part of a gauss"),
-        ("-pulse_file a.txt -pulse_shape gauss", "pulse_shape.* contradicts -pulse_file"),
-    ],
-)
-def test_what_does_not_go_together_is_refused(words, message):
-    with pytest.raises(InputError, match=message):
-        resolve(read_words(f"-scene pulse {words}".split()))
-
-
 def test_a_shape_on_the_command_line_replaces_the_one_of_a_file():
     shipped = Path(__file__).parents[1] / "options" / "pulse.opts"
     given = read_file(shipped) + read_words(["-pulse_shape", "gauss"])

@@ -8,12 +8,10 @@ from network_samples import as_network
 from samples import random_lattice
 
 import pgran
-from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.medium.network import Network
 from pgran.medium.network_file import DATASETS, read_network, write_network
 from pgran.run.crew import Crew
-from pgran.run.reading import read_words
 
 SIZE, BALL = (6, 5), (2, 3)
 OMEGAS = np.linspace(0.1, 1.1, 9)
@@ -134,13 +132,6 @@ def test_options_of_a_network(world, shared_path, call, place):
     place("n.opts", f"-scene response -network_file {path} -detectors 9 -sweep_omega .3,.5")
     ended = call("run", "n.opts", "-output_file", "out.h5", "-output_progress", "none")
     assert ended.returncode == 0, ended.stderr
-    for words, said in (
-        (f"-network_file {path} -lattice_shape 3,3", "contradicts"),
-        ("-network_damping .1", "belongs to -network_file"),
-        ("-detectors_component x", "balls of a lattice have one displacement"),
-    ):
-        with pytest.raises(InputError, match=said):
-            resolve(read_words(f"-scene response {words}".split()))
 
 
 def test_what_no_drive_reaches_is_refused(world):

@@ -1,4 +1,7 @@
-"""Options: what each may be, what several may be together, how they are written and listed."""
+"""Options: what each may be, how they are written and listed.
+
+tests/test_contradictions.py has what they cannot be together.
+"""
 
 import re
 
@@ -176,37 +179,6 @@ def test_counting_modes_instead_of_computing_them(written):
     assert kept == (9, None, None, False)
     later = read_words(["-modes_target", ".5", "-modes_count", "3"])
     assert resolve(read_file(written("-scene modes -modes_density 9")) + later).modes_count == 3
-
-
-@pytest.mark.parametrize(
-    ("text", "key"),
-    [
-        ("-lattice_damping -1", "lattice_damping -1"), ("-sweep_min -.5", "sweep_min -.5"),
-        ("-lattice_shape 2,2,2,2", "lattice_shape"), ("-phase_fit_min 1", "phase_fit_min"),
-        ("-sweep_min 1 -sweep_max 1", "sweep_min"), ("-sweep_omega 1,1", "sweep_omega"),
-        ("-sweep_omega 1,2 -sweep_points 3", "sweep_points"),
-        ("-bonds_law file", "bonds_file"), ("-bonds_file x.h5", "bonds_law"),
-        ("-bonds_law file -bonds_file x.h5 -bonds_kmin 1", "bonds_kmin"),
-        ("-scene relaxation -spectrum_fit_min .3", "spectrum_fit_min"),
-        ("-scene relaxation -bonds_law file -bonds_file a.h5", "bonds_law"),
-        ("-scene modes -modes_omega_min .5 -modes_omega_max .4", "modes_omega_min"),
-        ("-scene modes -modes_omega_min .5", "modes_omega_max"),
-        ("-scene modes -modes_target .5", "modes_count"),
-        ("-scene modes -modes_count 3", "modes_target"),
-        ("-scene modes -modes_omega_min 0 -modes_omega_max 1 -modes_count 3", "modes_count"),
-        ("-scene modes -modes_density 1", "modes_density 1"),
-        ("-scene modes -modes_density 9 -modes_target .5 -modes_count 3", "modes_target"),
-        ("-scene modes -modes_density 9 -modes_omega_min .5", "modes_omega_max"),
-        ("-scene modes -output_fields -modes_density 9", "output_fields"),
-        ("-scene ensemble -ensemble_of modes -modes_density 9", "modes_density"),
-        ("-scene ensemble -bonds_law hertz -sweep_unit omega_mx", "bonds_kmax says which"),
-        ("-scene continuum -sweep_unit omega_mx", "sweep_unit"),
-        *[(f"-scene {scene} -ranks_per_lattice 2", "ranks_per_lattice")
-          for scene in ("modes", "projection", "continuum")],
-    ],
-)  # fmt: skip
-def test_contradictions(text, key):
-    refusal(f"-scene response {text}", key)
 
 
 def test_a_list_of_frequencies_is_solved_for_where_a_file_makes_a_curve_of_its_grid(written):

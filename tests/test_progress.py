@@ -1,11 +1,6 @@
 """Progress: how much is done, and the time that is left."""
 
-import pytest
-from mpi4py import MPI
-
 from pgran.run import task
-
-pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="rank 0's own affair")
 
 
 def test_time_left_by_the_pace_of_now(monkeypatch, capsys):

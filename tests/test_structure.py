@@ -2,13 +2,16 @@
 
 import ast
 import graphlib
+import importlib
 from pathlib import Path
 
+import pgran.figures.response as panels
 import pytest
+from pgran.figures.pulse import seismogram
 
-import pgran.figures
 import pgran.results
 from pgran import catalogue
+from pgran.results import Response
 
 HOUSE = Path(__file__).parents[1] / "pgran"
 TOP = "errors arguments catalogue"  # files beside the folders; the catalogue is a table of names
@@ -17,8 +20,8 @@ BELOW = {  # of each folder and file at the top: what it may import
     "figures": "catalogue", "store": TOP, "run": f"{TOP} store", "medium": f"{TOP} store run",
     "driven": f"{TOP} store run medium", "draw": f"{TOP} store run medium",
     "foreign": f"{TOP} store run medium", "experiments": f"{TOP} store run medium driven draw",
-    "command": f"{TOP} store run medium draw foreign", "__main__": "errors run store command",
-    "__init__": "run",
+    "command": f"{TOP} store run medium draw foreign",
+    "__main__": "errors arguments run store command", "__init__": "run",
 }  # fmt: skip
 REPEATING = {"ensemble", "accuracy"}  # experiments that know others, because they repeat them
 
@@ -79,6 +82,11 @@ def test_public_names_of_records_and_panels():
     for group, module in catalogue.FIGURES.items():
         assert getattr(pgran.figures, group).__name__ == module
     assert pgran.figures.style.applied
+    assert panels is catalogue.figures("response") is pgran.figures.response
+    assert seismogram is catalogue.figures("pulse").seismogram
+    assert Response is catalogue.record_kind("response")
+    with pytest.raises(ImportError, match="nothing"):
+        importlib.import_module("pgran.figures.nothing")
     for module in (pgran.results, pgran.figures):
         with pytest.raises(AttributeError, match="no attribute 'nothing'"):
             module.nothing  # noqa: B018

@@ -59,12 +59,28 @@ def resolve(given, output_file=None):
             _check_foreign(key, item, scene)
             solver[key] = item.text
     solver_keys.check_pivot_shifts(solver)
-    if not SCENES[scene].shares_lattice and values["ranks_per_lattice"] > 1:
-        raise InputError(f"-ranks_per_lattice: scene {scene} has one rank for each lattice only")
+    of = values.get(f"{scene}_of", scene)  # the experiment that is repeated
+    if not SCENES[of].shares_lattice and values["ranks_per_lattice"] > 1:
+        raise InputError(f"-ranks_per_lattice: scene {of} has one rank for each lattice only")
     if SCENES[scene].on_medium:
-        check_lattice(values, last, SCENES[scene].draws(values))
+        check_lattice(values, last, SCENES[of].draws)
+    if of != scene:
+        _check_repeated(scene, of, values, last)
     SCENES[scene].check(values, last)
     return Options(scene, options.values(), values, solver)
+
+
+def _check_repeated(scene, of, values, given):
+    """Raise where options are given of other experiments than the one that is repeated; unset them.
+
+    Options that no experiment has which the scene could repeat are its own.
+    """
+    possible = options_of(scene)[f"{scene}_of"].choices
+    others = {name for each in possible for name in options_of(each)} - options_of(of).keys()
+    for name in [name for name in values if name in others]:
+        if name in given:
+            raise InputError(f"-{name}{given[name].where}: -{scene}_of {of} does not use it")
+        values[name] = None
 
 
 def _check_foreign(key, item, scene):

@@ -8,6 +8,7 @@ from pgran.errors import InputError
 from pgran.medium.units import warn_above_modes
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Caution
+from pgran.run.keywords import Asked
 from pgran.run.options import INTEGER, INTEGERS, REAL, TEXT, Option
 
 log = logging.getLogger("pgran")
@@ -32,7 +33,7 @@ STEADY = {
 }  # fmt: skip
 
 
-DETECTORS = (
+SITES = (
     Option(
         "detectors", INTEGERS, (8, 10), "ball indices from 0, flat: 8,10 or 8,10,3,4",
         low=0, high=2**63 - 1
@@ -43,6 +44,12 @@ DETECTORS = (
         choices=("drive", "x", "y", "z")
     ),
 )  # fmt: skip
+DETECTORS = Asked(SITES, lambda options, *others: options.detectors)
+
+
+def steady(*values):
+    """Return keywords of `SteadySolver`, values in the order of STEADY."""
+    return dict(zip(STEADY, values, strict=True))
 
 
 def check_driven(lattice, world, lowest, in_time=False):

@@ -16,7 +16,7 @@ class Scene:
     collective. `summary` takes the `pgran.store.record.Result` and returns in words, line by line,
     what a run found. `check` takes the values of the options and what was given: it raises an
     InputError where values that are possible one by one contradict each other, and unsets what an
-    alternative replaces. `draws` takes the values, too.
+    alternative replaces.
     """
 
     options: tuple  # besides those of the medium and of every run
@@ -24,6 +24,6 @@ class Scene:
     summary: Callable
     check: Callable = lambda values, given: None
     on_medium: bool = True  # whether it is on a lattice or another network, which takes PETSc
-    draws: Callable = lambda values: False  # whether it draws bond constants itself, by the law
+    draws: bool = False  # whether it draws bond constants itself, by the law
     shares_lattice: bool = False  # whether several ranks may share a lattice
     whole: bool = False  # whether all ranks work on each unit together

@@ -3,11 +3,12 @@
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.run.keywords import Asked
 from pgran.run.machine import check_memory
 from pgran.run.numbers import numbers
 from pgran.run.options import INTEGER, REAL, REALS, TEXT, Option, alternatives, check_ends
 
-FREQUENCIES = (
+GRID = (
     Option("sweep_min", REAL, 0.01, "lowest driving frequency", "angular", above=0),
     Option("sweep_max", REAL, 1.3, "highest driving frequency", "angular", above=0),
     Option("sweep_points", INTEGER, 1291, "frequencies of the linear grid", low=1),
@@ -15,12 +16,9 @@ FREQUENCIES = (
         "sweep_omega", REALS, None, "driving frequencies, instead of a grid", "angular", above=0
     ),
 )
-SWEEP = (
-    *FREQUENCIES,
-    Option(
-        "sweep_unit", TEXT, "absolute", "what the frequencies of a sweep are given in",
-        choices=("absolute", "omega_mx")
-    ),
+UNIT = Option(
+    "sweep_unit", TEXT, "absolute", "what the frequencies of a sweep are given in",
+    choices=("absolute", "omega_mx")
 )  # fmt: skip
 
 
@@ -58,3 +56,11 @@ def checked_frequencies(omegas):
     if np.any(np.diff(omegas) <= 0):
         raise InputError("-sweep_omega: the frequencies must increase")
     return omegas
+
+
+def _of_run(options, world, lattice=None):
+    return driving_frequencies(options, lattice)
+
+
+FREQUENCIES = Asked(GRID, _of_run, checked_frequencies)
+SWEEP = Asked((*GRID, UNIT), _of_run, checked_frequencies)

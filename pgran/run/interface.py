@@ -3,38 +3,37 @@
 import functools
 import inspect
 
-from pgran.arguments import bound
+from pgran.arguments import bound, saying_once
 from pgran.errors import InputError
 from pgran.run import launch
 from pgran.run.agreement import agreeing
 from pgran.run.keywords import declarations, described
 from pgran.run.numbers import fingerprint
-from pgran.run.streams import saying_once
 
 
-def in_parallel(prefix="", shares_lattice=False, **checks):
+def in_parallel(prefix="", shares_lattice=False, **arguments):
     """Let a function do without a crew: it gets all ranks, and what it returns goes to all.
 
     With a crew of the caller's its record stays on rank 0. What is handed in is checked here,
     before any work, and reaches the function as plain values: by the options that its keywords
-    declare, whose names begin with `prefix`, and by `checks`, which return other arguments plain or
-    raise an InputError; None may stay where it is the default. Without a crew the ranks agree on
-    what one of them finds wrong, and that all ask for the same; all share the function's lattice if
-    it is large and `shares_lattice` says so.
+    declare, whose names begin with `prefix`, and by `arguments`, declarations of others or what
+    returns them plain or raises an InputError; None may stay where it is the default. Without a
+    crew the ranks agree on what one of them finds wrong, and that all ask for the same; all share
+    the function's lattice if it is large and `shares_lattice` says so.
     """
 
     def decorate(function):
-        declared, signature = declarations(function, prefix), inspect.signature(function)
-        checking = {name: keyword.check for name, keyword in declared.items()} | checks
+        declared, signature = declarations(function, prefix, arguments), inspect.signature(function)
+        checking = {name: getattr(a, "check", a) for name, a in (declared | arguments).items()}
         plain = {
-            name: p.replace(default=declared[name].default) if name in declared else p
+            name: p.replace(default=p.default.default) if hasattr(p.default, "check") else p
             for name, p in signature.parameters.items()
         }
         signature = signature.replace(parameters=plain.values())
 
-        def check(*arguments, **choices):
+        def check(*values, **choices):
             """Return the arguments of a call, checked."""
-            call = bound(wrapped, arguments, choices)
+            call = bound(wrapped, values, choices)
             for name, value in call.arguments.items():
                 if name in checking and (value is not None or plain[name].default is not None):
                     call.arguments[name] = checking[name](value)
@@ -46,14 +45,14 @@ def in_parallel(prefix="", shares_lattice=False, **checks):
             return function(*call.args, **call.kwargs)
 
         @functools.wraps(function)
-        def wrapped(*arguments, **choices):
+        def wrapped(*values, **choices):
             world = launch.start().COMM_WORLD
             from pgran.run.crew import AgreeingCrew, Crew
 
-            if any(isinstance(value, Crew) for value in (*arguments, *choices.values())):
-                return carry_out(check(*arguments, **choices))
+            if any(isinstance(value, Crew) for value in (*values, *choices.values())):
+                return carry_out(check(*values, **choices))
             with agreeing(world) as asked:
-                call = check(*arguments, **choices)
+                call = check(*values, **choices)
                 if call.arguments.get("crew") is not None:
                     raise InputError(f"{function.__name__}: crew is no pgran.run.crew.Crew")
                 if world.size > 1:
@@ -65,7 +64,7 @@ def in_parallel(prefix="", shares_lattice=False, **checks):
             return world.bcast(record)
 
         wrapped.__signature__, wrapped.check, wrapped.declared = signature, check, declared
-        wrapped.__doc__ = described(function.__doc__, signature, declared)
+        wrapped.__doc__ = described(function, declared)
         return wrapped
 
     return decorate

@@ -1,7 +1,7 @@
 """What an experiment is asked, declared once: the default of a keyword is its option.
 
-    @in_parallel("pulse", lattice=medium)
-    def pulse(lattice, detectors, *, omega=option(0.6, "its centre", "angular", above=0)):
+    @in_parallel("pulse", lattice=medium, detectors=DETECTORS)
+    def pulse(lattice, detectors, *, omega=option(0.6, "centre", "angular", above=0)) -> Signals:
 
 declares the keyword `omega` and the option `-pulse_omega`: type, default, unit, range and meaning.
 The body sees plain values, checked as the command line checks them; `help` shows all of it.
@@ -9,13 +9,13 @@ The body sees plain values, checked as the command line checks them; `help` show
 
 import dataclasses
 import inspect
+import re
 import textwrap
 from collections.abc import Callable
 
 from pgran.errors import InputError
-from pgran.run.agreement import on_root
 from pgran.run.numbers import numbers
-from pgran.run.options import FILE, KINDS, RUN, Option, check_ends, text_of
+from pgran.run.options import KINDS, RUN, Option, check_ends, text_of
 
 # In Python no bar is wanted unless somebody asks for it.
 PROGRESS = next(option for option in RUN if option.name == "output_progress")
@@ -29,6 +29,14 @@ SHARED = {
     "crew": ("pgran.run.crew.Crew, optional", "All ranks unless given."),
     "solver": ("dict, optional", SOLVER),
 }
+# Sections of a docstring, and what those of all functions that are collective have in common.
+SECTION = re.compile(r"\n\n(Parameters|Returns|Raises)\n-+\n")
+COLLECTIVE = "Collective: all ranks call it, and share out the work."
+RETURNS = """pgran.results.{} or None
+    With a crew of the caller's None on all ranks but rank 0."""
+RAISES = """InputError
+    If a value is impossible, such as a detector outside of the lattice."""
+INDENTED = {"initial_indent": 4 * " ", "subsequent_indent": 4 * " "}
 
 
 def option(default, meaning, unit="", *, key="", kind=None, **limits):
@@ -70,38 +78,29 @@ class Window:
         check_ends(names[0].removesuffix("_min"), dict(zip(names, (low, high), strict=True)))
         return low, high
 
-    def of_run(self, options, world):
+    def of_run(self, options, *others):
         """Return the window that the options of a run say."""
-        low, high = (end.of_run(options, world) for end in self.options)
+        low, high = (end.of_run(options) for end in self.options)
         return None if low is None else (low, high)
 
 
 @dataclasses.dataclass(frozen=True)
-class Columns:
-    """A keyword of numbers, which an option reads from a file."""
+class Asked:
+    """What options ask in other words than Python: frequencies by a grid, numbers by a file's name.
 
-    options: tuple  # the one that names the file
-    read: Callable
+    `of_run(options, world, medium)` makes it of the options of a run, and is collective; `check`
+    makes it of what is handed in.
+    """
+
+    options: tuple
+    of_run: Callable
+    check: Callable = lambda value: value
     default = None
 
-    def check(self, value):
-        """Return numbers that were handed in as an array."""
-        return numbers(f"-{self.options[0].name}", value)
 
-    def of_run(self, options, world):
-        """Return the numbers in the file that the options of a run name. Collective."""
-        path = self.options[0].of_run(options, world)
-        return path and on_root(world, lambda: self.read(path))
-
-
-def columns(key, meaning, read):
-    """Declare a keyword of numbers; its option `key` names a file, of which `read` gets them."""
-    return Columns((option(None, meaning, key=key, kind=FILE),), read)
-
-
-def declarations(function, prefix):
-    """Return what the defaults of a function declare, by its keywords."""
-    declared = {}
+def declarations(function, prefix, arguments):
+    """Return what `arguments`, and the defaults of a function, declare, by their names."""
+    declared = {name: asked for name, asked in arguments.items() if hasattr(asked, "check")}
     for name, parameter in inspect.signature(function).parameters.items():
         default = parameter.default
         if isinstance(default, Option) and not default.name:
@@ -119,27 +118,56 @@ def options_of(*functions, without=()):
     return tuple({option.name: option for option in found}.values())
 
 
-def call(function, options, crew, *arguments, **keywords):
-    """Call a function with what a run's options say of its keywords, if anything. Collective."""
+def asked_of(function, options, world, *medium, without=()):
+    """Return what a run's options say, if anything, of what a function declares. Collective."""
+    asked = {}
     for name, declared in function.declared.items():
-        if name not in keywords and hasattr(declared, "of_run"):
-            value = declared.of_run(options, crew.world)
-            if value is not None:
-                keywords[name] = value
-    return function(*arguments, crew=crew, **keywords)
+        if name not in without and hasattr(declared, "of_run"):
+            value = declared.of_run(options, world, *medium)
+            if value is not None or declared.default is None:
+                asked[name] = value
+    return asked
 
 
-def described(docstring, signature, declared):
-    """Return a docstring with the parameters that it does not describe itself."""
-    head, mark, rest = docstring.partition("\n    Returns\n")
-    lines = [] if "    Parameters\n" in head else ["", "    Parameters", "    ----------"]
+def call(function, options, crew, *arguments, **keywords):
+    """Call a function with what a run's options say of what it declares, if anything.
+
+    Collective. Of the other arguments the medium, if there is one, comes first.
+    """
+    asked = asked_of(function, options, crew.world, *arguments[:1], without=keywords)
+    return function(*arguments, crew=crew, **asked | keywords)
+
+
+def run_of(function):
+    """Return the `run` of a scene that is one call of a function."""
+
+    def run(medium, options, crew):
+        record = call(function, options, crew, *([] if medium is None else [medium]))
+        return record and [record]
+
+    return run
+
+
+def described(function, declared):
+    """Return the docstring of a collective function, with what it has in common with others.
+
+    That are parameters that it does not describe itself, what it returns by its annotation, what it
+    raises, and that it is collective.
+    """
+    head, *parts = SECTION.split(inspect.cleandoc(function.__doc__))
+    own = dict(zip(parts[::2], parts[1::2], strict=True))
+    lines, signature = own.pop("Parameters", "").splitlines(), inspect.signature(function)
+    told = {line.partition(" :")[0] for line in lines}
     for name in signature.parameters:
-        if f"\n    {name} :" in head or name not in SHARED.keys() | declared.keys():
-            continue
-        kind, meaning = SHARED.get(name) or _described(declared[name])
-        lines.append(f"    {name} : {kind}")
-        lines += textwrap.wrap(meaning, 92, initial_indent=" " * 8, subsequent_indent=" " * 8)
-    return "\n".join([head.rstrip(), *lines, ""]) + mark + rest
+        if name in (SHARED.keys() | declared.keys()) - told:
+            kind, meaning = SHARED.get(name) or _described(declared[name])
+            lines += [f"{name} : {kind}", *textwrap.wrap(meaning, 92, **INDENTED)]
+    record = getattr(signature.return_annotation, "__name__", None)
+    sections = {"Parameters": "\n".join(lines), "Returns": RETURNS.format(record), "Raises": RAISES}
+    texts = [head.strip()] if "Collective" in head else [head.strip(), COLLECTIVE]
+    for name, text in (sections | own).items():
+        texts.append(f"{name}\n{'-' * len(name)}\n{text.strip()}")
+    return "\n\n".join(texts)
 
 
 def _described(declared):

@@ -126,7 +126,7 @@ class Option:
         """The options of a keyword that this declares; see `pgran.run.keywords`."""
         return (self,)
 
-    def of_run(self, options, world):
+    def of_run(self, options, *others):
         """Return the value that the options of a run say, None if they do not have this one."""
         return getattr(options, self.name, None)
 

@@ -1,9 +1,8 @@
 """Standard output and standard error, which may be closed, a closed pipe, or a full device.
 
-And how messages look there, each warning once.
+And how messages look there.
 """
 
-import contextlib
 import io
 import logging
 import os
@@ -41,24 +40,6 @@ class Messages(logging.Formatter):
         """Return the line of a message."""
         warns = "warning: " if record.levelno == logging.WARNING else ""
         return f"{self.name}: {warns}{record.getMessage()}"
-
-
-@contextlib.contextmanager
-def saying_once():
-    """Let each warning be said once, however often it is met meanwhile."""
-    log, texts = logging.getLogger("pgran"), set()
-
-    def is_new(record):
-        text = record.getMessage()
-        new = text not in texts
-        texts.add(text)
-        return new or record.levelno < logging.WARNING
-
-    log.addFilter(is_new)
-    try:
-        yield
-    finally:
-        log.removeFilter(is_new)
 
 
 def guard():

@@ -3,6 +3,7 @@
 It shows on the standard error of rank 0 how far it is, and the time that is left.
 """
 
+import contextlib
 import sys
 import time
 
@@ -22,8 +23,9 @@ class Task:
         """Return a context whose value works on one unit and returns its rows.
 
         Collective over `group`, the ranks that work on a unit together; the first one's rows count.
+        A task that needs nothing for its units has a method `work(unit, group)` instead.
         """
-        raise NotImplementedError
+        return contextlib.nullcontext(lambda unit: self.work(unit, group))
 
     def length(self, unit):
         """Return how many items a unit has."""

@@ -58,6 +58,12 @@ def mean_of(numbers):
     return Estimate(value, error)
 
 
+def with_errors(**estimates):
+    """Return the fields of a record that estimates are: `length`, and its error `length_error`."""
+    errors = {f"{name}_error": estimate.error for name, estimate in estimates.items()}
+    return {name: estimate.value for name, estimate in estimates.items()} | errors
+
+
 def two_digits(error):
     """Return an error with two digits, as it stands after +-: 13, 0.0023, 2600, 1.2e-05."""
     return f"{float(f'{error:.2g}'):g}"

@@ -1,6 +1,10 @@
 """What records of several experiments hold."""
 
+from dataclasses import dataclass
+
 import numpy as np
+
+from pgran.store.record import Record, array
 
 DETECTOR = "indices of the detecting balls"
 PHASE = "phase, unwrapped along omega; without damping 0 or pi"
@@ -8,8 +12,16 @@ BOUND = "bound of the error of the displacement; NaN: none is known"
 FLOOR = "1: the bound is below error_floor, but not small against the amplitude"
 
 
-class Frequencies:
-    """What records with a `converged_reason` for each frequency have in common."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Frequencies(Record):
+    """What is computed at driving frequencies, of which those with a positive reason are good."""
+
+    factorizations: int
+    solve_seconds: float
+    omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
+    converged_reason: np.ndarray = array(
+        "positive: as accurate as asked", "1", "omega", dtype=int, row=True
+    )
 
     @property
     def failures(self):

@@ -40,6 +40,13 @@ def array(long_name, units, *axes, dtype=float, since=1, optional=False, row=Fal
     )
 
 
+def error_of(measured, meaning="its standard error"):
+    """Declare the error of an array that is declared, or a bound of it."""
+    facts = measured.metadata
+    same = {name: facts[name] for name in ("since", "optional", "row")}
+    return array(meaning, facts["units"], *facts["axes"], **same)
+
+
 def row_of(kind, without=(), **lengths):
     """Return the fields of a row that ranks send: a record's arrays without their first axis.
 

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pgran.driven import drive as driven
 from pgran.errors import InputError
 from pgran.experiments.accuracy.errors import read_modes, read_pulse, read_relaxation, read_response
 from pgran.experiments.accuracy.study import Comparison, Configuration, Reference, Study
@@ -13,11 +12,9 @@ from pgran.experiments.modes import scene as modes
 from pgran.experiments.pulse import scene as pulse
 from pgran.experiments.relaxation import scene as relaxation
 from pgran.experiments.response import scene as response
-from pgran.medium.law import make_law
 from pgran.medium.sample import ranks_per_lattice
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Scene
-from pgran.run.frequencies import SWEEP, driving_frequencies
 from pgran.run.keywords import call, options_of
 from pgran.run.options import FILES, INTEGER, REALS, TEXT, Option
 from pgran.run.reading import read_solver
@@ -52,20 +49,10 @@ MODES_REFERENCE = 1e-6  # how well a mode must be known to be compared with
 
 
 def check(values, given):
-    """Raise unless the options of a study are those of its experiment; unset all others."""
+    """Raise where options contradict each other."""
     if values["accuracy_solvers"] is None:
         raise InputError("-accuracy_solvers is missing: options files of the solvers to compare")
-    experiment = EXPERIMENTS[values["accuracy_of"]].SCENE
-    used = {option.name for option in (*experiment.options, *STUDY)}
-    for name in [option.name for option in SCENE.options if option.name not in used]:
-        if name in given:
-            raise InputError(
-                f"-{name}{given[name].where}: -accuracy_of {values['accuracy_of']} does not use it"
-            )
-        values[name] = None
-    if values["ranks_per_lattice"] > 1 and not experiment.shares_lattice:
-        raise InputError("-ranks_per_lattice: of modes, each lattice has one rank only")
-    experiment.check(values, given)
+    EXPERIMENTS[values["accuracy_of"]].SCENE.check(values, given)
 
 
 def summary(result):
@@ -114,23 +101,21 @@ def make_study(options, lattice, world):
     of, smallest = options.accuracy_of, 0.1 * min(options.accuracy_tolerances)
     exact, certified = {"error_tolerance": min(REFERENCE, smallest)}, smallest
     if of == "modes":
-        function, places, fixed = modes.find_modes, (lattice,), {}
-        read, exact, certified = partial(read_modes, lattice), {}, MODES_REFERENCE
+        function, fixed, read = modes.find_modes, {}, partial(read_modes, lattice)
+        exact, certified = {}, MODES_REFERENCE
     elif of == "response":
-        places = lattice, driving_frequencies(options, lattice), options.detectors
         function, fixed, read = response.sweep, {"resolve": 0.0, "error_floor": 0.0}, read_response
         exact["method"] = "points"
     elif of == "pulse":
-        function, places, read = pulse.pulse, (lattice, options.detectors), read_pulse
-        fixed = {"wall": function.declared["wall"].of_run(options, world)}  # read once
+        function, read = pulse.pulse, read_pulse
+        fixed = {"wall": pulse.WALL.of_run(options, world, lattice)}  # read once
         exact["method"] = "laplace"
     else:
-        places = lattice, make_law(options), options.relax_omega, options.detectors
         function, fixed, read = relaxation.relax, {"error_floor": 0.0}, read_relaxation
         exact["method"] = "direct"
 
     def solve(crew, **choices):
-        return call(function, options, crew, *places, progress="none", **fixed | choices)
+        return call(function, options, crew, lattice, progress="none", **fixed | choices)
 
     return Study(of, solve, read, exact, certified)
 
@@ -157,13 +142,5 @@ DECIDED = (
     "output_fields", "output_models",
 )  # fmt: skip
 REPEATED = options_of(response.sweep, relaxation.relax, pulse.pulse, modes.find_modes)
-OPTIONS = (*STUDY, *driven.DETECTORS, *SWEEP, relaxation.OMEGA, *REPEATED)
-SCENE = Scene(
-    tuple(option for option in OPTIONS if option.name not in DECIDED),
-    run,
-    summary,
-    check,
-    draws=lambda values: EXPERIMENTS[values["accuracy_of"]].SCENE.draws(values),
-    shares_lattice=True,
-    whole=True,
-)
+OPTIONS = tuple(option for option in (*STUDY, *REPEATED) if option.name not in DECIDED)
+SCENE = Scene(OPTIONS, run, summary, check, shares_lattice=True, whole=True)

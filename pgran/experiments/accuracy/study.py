@@ -1,6 +1,5 @@
 """An accuracy study: a certified reference, and runs that are timed and compared with it."""
 
-import contextlib
 import logging
 import time
 from collections.abc import Callable
@@ -65,15 +64,10 @@ class Reference(Task):
         """Plan one run."""
         self.study, self.workers, self.units = study, workers, [[study.exact]]
 
-    @contextlib.contextmanager
-    def open(self, group):
+    def work(self, unit, group):
         """See `Task`."""
-
-        def work(unit):
-            result = self.study.solve(self.workers, **unit[0])
-            return self.study.read(result) if result else None
-
-        yield work
+        result = self.study.solve(self.workers, **unit[0])
+        return self.study.read(result) if result else None
 
     def collect(self, rows, seconds):
         """Return the numbers; those are good whose relative bounds are small enough."""
@@ -110,25 +104,20 @@ class Comparison(Task):
         self.units = [[configuration] for _ in range(repeats) for configuration in configurations]
         self._broken, self._warned = set(), set()
 
-    @contextlib.contextmanager
-    def open(self, group):
+    def work(self, unit, group):
         """See `Task`."""
-
-        def work(unit):
-            (configuration,) = unit
-            result, seconds = None, np.nan
-            if configuration.label not in self._broken:
-                try:
-                    result, seconds = self._timed(configuration)
-                except Exception as error:  # on all ranks alike
-                    if not is_foreseen(error):
-                        raise
-                    self._broken.add(configuration.label)
-                    reason = str(error).splitlines()[-1]
-                    self._warn(f"{configuration.solver} does not work: {reason}")
-            return self._judged(result, seconds) if group.rank == 0 else None
-
-        yield work
+        (configuration,) = unit
+        result, seconds = None, np.nan
+        if configuration.label not in self._broken:
+            try:
+                result, seconds = self._timed(configuration)
+            except Exception as error:  # on all ranks alike
+                if not is_foreseen(error):
+                    raise
+                self._broken.add(configuration.label)
+                reason = str(error).splitlines()[-1]
+                self._warn(f"{configuration.solver} does not work: {reason}")
+        return self._judged(result, seconds) if group.rank == 0 else None
 
     def _timed(self, configuration):
         """Return the result of a run, and how long the slowest rank took. Collective."""

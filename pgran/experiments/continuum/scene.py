@@ -1,16 +1,14 @@
 """Scene `continuum`: the exact response of the homogeneous box, without PETSc."""
 
-import contextlib
-
 import numpy as np
 
 from pgran.errors import InputError
 from pgran.experiments.continuum.record import ContinuumResponse
 from pgran.experiments.continuum.series import Continuum
 from pgran.run.experiment import Scene
-from pgran.run.frequencies import FREQUENCIES, check_sweep, checked_frequencies, driving_frequencies
+from pgran.run.frequencies import FREQUENCIES, check_sweep
 from pgran.run.interface import in_parallel
-from pgran.run.keywords import PROGRESS, call, option, options_of
+from pgran.run.keywords import PROGRESS, option, options_of, run_of
 from pgran.run.task import Task, carry_out
 from pgran.store.record import columns_of, row_of
 
@@ -31,7 +29,7 @@ def summary(result):
     yield f"{len(omega)} frequencies, {driven} driven resonances up to {omega[-1]:g}"
 
 
-@in_parallel("continuum", omegas=checked_frequencies)
+@in_parallel("continuum", omegas=FREQUENCIES)
 def continuum(
     omegas,
     point=option((0.47, 0.52), "where the amplitude is taken", "length"),
@@ -42,16 +40,8 @@ def continuum(
     stiffness=option(1.0, "K0", **POSITIVE),
     damping=option(0.003, "beta", low=0, high=1e100),
     progress=PROGRESS,
-):
-    """Evaluate the exact response of the homogeneous box over a sweep (paper: axysol, exactpl).
-
-    Collective.
-
-    Returns
-    -------
-    pgran.results.ContinuumResponse or None
-        With a crew of the caller's None on all ranks but rank 0.
-    """
+) -> ContinuumResponse:
+    """Evaluate the exact response of the homogeneous box over a sweep (paper: axysol, exactpl)."""
     box = Continuum(size, mass, stiffness, damping)
     return carry_out(Series(box, omegas, point), crew, progress)
 
@@ -69,16 +59,11 @@ class Series(Task):
         numbers = range(len(omegas))
         self.units = [numbers[i : i + LONGEST_UNIT] for i in numbers[::LONGEST_UNIT]]
 
-    @contextlib.contextmanager
-    def open(self, group):
+    def work(self, unit, group):
         """See `Task`."""
-
-        def work(unit):
-            rows = np.zeros(len(unit), self.row)
-            rows["displacement"] = self.box.response(self.omegas[unit], self.point)
-            return rows
-
-        yield work
+        rows = np.zeros(len(unit), self.row)
+        rows["displacement"] = self.box.response(self.omegas[unit], self.point)
+        return rows
 
     def collect(self, rows, seconds):
         """See `Task`."""
@@ -96,10 +81,4 @@ class Series(Task):
         )
 
 
-def run(medium, options, crew):
-    """Return the response of the box; see `pgran.run.experiment.Scene`."""
-    response = call(continuum, options, crew, driving_frequencies(options))
-    return response and [response]
-
-
-SCENE = Scene((*options_of(continuum), *FREQUENCIES), run, summary, check, on_medium=False)
+SCENE = Scene(options_of(continuum), run_of(continuum), summary, check, on_medium=False)

@@ -14,7 +14,7 @@ import numpy as np
 
 from pgran.catalogue import EXPERIMENTS
 from pgran.store.fields import DETECTOR
-from pgran.store.record import Record, array, attribute
+from pgran.store.record import Record, array, attribute, error_of
 
 Array = np.ndarray | None  # what not every ensemble has
 CURVE = "omega", "detector_number"
@@ -177,18 +177,6 @@ def sampled_of(of=None):
 def measures():
     """Return what is told and drawn of samples: `Sampled` by name."""
     return {name: sampled for name, sampled in sampled_of().items() if sampled.words}
-
-
-def error_of(measured):
-    """Declare the standard error of an array that is declared."""
-    facts = measured.metadata
-    return array("its standard error", facts["units"], *facts["axes"], since=facts["since"])
-
-
-def with_errors(**estimates):
-    """Return the fields of a record that estimates are: `length`, and its error `length_error`."""
-    errors = {f"{name}_error": estimate.error for name, estimate in estimates.items()}
-    return {name: estimate.value for name, estimate in estimates.items()} | errors
 
 
 PLACE = "window", "detector_number"

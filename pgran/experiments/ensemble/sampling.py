@@ -1,6 +1,5 @@
 """One experiment on many samples: the task that repeats it, bands, and measures in words."""
 
-import contextlib
 import logging
 import math
 
@@ -29,21 +28,22 @@ class Samples(Task):
 
     Collective over a group of ranks, `draw(seed, group)` returns the medium of a sample, as large
     as the `first`, and `experiment(medium, number, crew)` its records on the first rank.
-    `all_modes`: an interval has none above omega_mx to count.
+    `choices` are the experiment's keywords.
     """
 
     items = "samples"
 
-    def __init__(self, of, seeds, draw, experiment, first, keep, omegas, detectors, all_modes):
+    def __init__(self, of, seeds, draw, experiment, first, keep, choices):
         """Find what is read of a sample, and make the row that it travels in."""
         self.of, self.units, self.curves = of, list(seeds), keep == "curves"
         self.draw, self.experiment = draw, experiment
+        omegas, detectors = choices.get("omegas"), choices.get("detectors")
         self.omegas = None if omegas is None else np.asarray(omegas, dtype=float)
         self.sites = None if detectors is None else first.sites(detectors)
         self.sampled = sampled_of(of)
         for name in () if self.curves else SPECTRA:
             self.sampled.pop(name, None)
-        if not all_modes:
+        if choices.get("interval") is not None:  # there may be others above omega_mx
             self.sampled.pop("above", None)
         lengths = {
             "omega": () if omegas is None else self.omegas.shape,
@@ -54,34 +54,30 @@ class Samples(Task):
         self.row = np.dtype(row_of(Ensemble, others, **lengths))
         check_memory("ensemble_samples", len(self.units) * self.row.itemsize)
 
-    @contextlib.contextmanager
-    def open(self, group):
+    def work(self, unit, group):
         """See `Task`; a sample that cannot be computed is no good, which is said."""
         from pgran.run.crew import AgreeingCrew
 
-        def work(seed):
-            rows = np.zeros(1, self.row)
-            for name in self.sampled:
-                rows[name] = np.nan
-            try:
-                medium = self.draw(seed, group)
-                with AgreeingCrew(group, group.size) as crew:
-                    records = self.experiment(medium, seed - self.units[0], crew)
-            except Exception as error:  # which all ranks of the group meet alike
-                if type(error) is not PgranError and (not is_petsc(error) or is_bad_input(error)):
-                    raise
-                if group.rank == 0:
-                    log.warning("sample of seed %d is left out: %s", seed, error)
-                return rows
-            if records:
-                groups = {record.group: record for record in records}
-                for name, sampled in self.sampled.items():
-                    if sampled.group in groups:  # too short a relaxation has no spectrum
-                        rows[name][0] = sampled.read(groups[sampled.group], medium)
-                rows["good"] = not any(record.failures for record in records)
+        rows = np.zeros(1, self.row)
+        for name in self.sampled:
+            rows[name] = np.nan
+        try:
+            medium = self.draw(unit, group)
+            with AgreeingCrew(group, group.size) as crew:
+                records = self.experiment(medium, unit - self.units[0], crew)
+        except Exception as error:  # which all ranks of the group meet alike
+            if type(error) is not PgranError and (not is_petsc(error) or is_bad_input(error)):
+                raise
+            if group.rank == 0:
+                log.warning("sample of seed %d is left out: %s", unit, error)
             return rows
-
-        yield work
+        if records:
+            groups = {record.group: record for record in records}
+            for name, sampled in self.sampled.items():
+                if sampled.group in groups:  # too short a relaxation has no spectrum
+                    rows[name][0] = sampled.read(groups[sampled.group], medium)
+            rows["good"] = not any(record.failures for record in records)
+        return rows
 
     def length(self, unit):
         """See `Task`."""

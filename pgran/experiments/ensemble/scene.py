@@ -1,6 +1,5 @@
 """Scene `ensemble`: one experiment on many samples, and what holds over them."""
 
-import inspect
 import logging
 import os
 
@@ -10,6 +9,7 @@ from pgran.arguments import shown
 from pgran.errors import InputError
 from pgran.experiments.ensemble import statistics as noise
 from pgran.experiments.ensemble import transport
+from pgran.experiments.ensemble.record import Ensemble
 from pgran.experiments.ensemble.sampling import Samples, in_words
 from pgran.experiments.modes import scene as modes
 from pgran.experiments.pulse import scene as pulse
@@ -22,10 +22,9 @@ from pgran.medium.lattice import Lattice
 from pgran.medium.sample import LATTICE, make_lattice
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Caution, Scene
-from pgran.run.frequencies import driving_frequencies
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS
+from pgran.run.keywords import PROGRESS, asked_of
 from pgran.run.options import INTEGER, REALS, TEXT, Option
 from pgran.run.task import carry_out
 
@@ -76,18 +75,10 @@ NOT_TAKEN = {
 
 
 def check(values, given):
-    """Raise unless the options are those of the experiment; unset all others."""
+    """Raise where options contradict each other."""
     kind = values["ensemble_of"]
-    experiment, _ = EXPERIMENTS[kind]
-    used = {option.name for option in (*experiment.options, *ENSEMBLE)}
-    for name in [option.name for option in SCENE.options if option.name not in used]:
-        if name in given:
-            raise InputError(f"-{name}{given[name].where}: -ensemble_of {kind} does not use it")
-        values[name] = None
-    if values["ranks_per_lattice"] > 1 and not experiment.shares_lattice:
-        raise InputError("-ranks_per_lattice: of modes, each lattice has one rank only")
     values |= LEFT_OUT
-    experiment.check(values, given)
+    EXPERIMENTS[kind][0].check(values, given)
     check_kept(kind, values["ensemble_keep"])
     if values["network_file"] is not None or values["bonds_law"] == "file":
         raise InputError(
@@ -123,10 +114,8 @@ def seeds_of(first, samples):
 @with_solver
 def ensemble(
     of, samples, crew=None, *, lattice, seed=SEED, keep=KEEP, progress=PROGRESS, **experiment
-):
+) -> Ensemble:
     """Repeat an experiment on many samples.
-
-    Collective. Ranks share out the samples.
 
         found = pgran.ensemble(
             "response", 100, lattice={"shape": (20, 20)}, omegas=omegas, detectors=[(8, 10)]
@@ -146,20 +135,9 @@ def ensemble(
     **experiment
         What the repeated function takes besides the lattice. A relaxation's changes are those of
         the seeds 1, 2, ..., one a sample.
-
-    Returns
-    -------
-    pgran.results.Ensemble or None
-        With a crew of the caller's None on all ranks but rank 0.
-
-    Raises
-    ------
-    InputError
-        If a value is impossible, the experiment lacks one or does not know it, or the function of
-        the seed fails.
     """
     check_kept(of, keep)
-    _, function = EXPERIMENTS[of]
+    function = EXPERIMENTS[of][1]
     listed = isinstance(lattice, (list, tuple))
     seeds = seeds_of(0 if listed else seed, samples)
     with agreeing(crew.world) as asked:
@@ -171,10 +149,6 @@ def ensemble(
         asked["lattice"] = first.fingerprint
         choices = function.check(first, **experiment).arguments
         choices = {name: choices[name] for name in choices.keys() - {"lattice", "solver"}}
-    all_modes = of == "modes" and "interval" not in choices
-    places = choices.get("omegas"), choices.get("detectors")
-    if of == "response":
-        choices |= {"resolve": 0.0, "keep_models": False}
 
     def draw(seed, group):
         medium = _sample(lattice, seed)
@@ -182,15 +156,29 @@ def ensemble(
             raise InputError(f"ensemble: the sample of seed {seed} is of another size")
         return medium
 
+    return repeated(of, seeds, draw, first, keep, choices, crew, progress)
+
+
+def repeated(of, seeds, draw, first, keep, choices, crew, progress, changes=1, fit=None):
+    """Return the Ensemble of an experiment with these keywords, on samples as `Samples` has them.
+
+    Collective. Of a relaxation the first sample's changes have the seed `changes`, and exponents
+    are fitted in the window `fit`.
+    """
+    function = EXPERIMENTS[of][1]
+    if of == "response":
+        choices |= {"resolve": 0.0, "keep_models": False}
+
     def one(medium, number, crew):
-        own = {"seed": 1 + number} if of == "relaxation" else {}
+        # of one seed for all samples these would become the same network
+        own = {"seed": changes + number} if of == "relaxation" else {}
         record = function(medium, crew=crew, **choices, **own)
         if record and of == "relaxation":
-            return fluctuations.measured(record, fluctuations.FIT, medium.bonds)
+            return fluctuations.measured(record, fit or fluctuations.FIT, medium.bonds)
         return record and [record]
 
     with agreeing(crew.world):
-        task = Samples(of, seeds, draw, one, first, keep, *places, all_modes)
+        task = Samples(of, seeds, draw, one, first, keep, choices)
     return carry_out(task, crew, progress)
 
 
@@ -245,29 +233,19 @@ def summary(result):
 
 def run(lattice, options, crew):
     """Return the ensemble, its noise and transport; see `pgran.run.experiment.Scene`."""
-    of = options.ensemble_of
-    scene, function = EXPERIMENTS[of]
+    of, windows = options.ensemble_of, options.statistics_windows
     seeds = seeds_of(options.bonds_seed, options.ensemble_samples)
     seeds_of(options.relax_seed or 0, options.ensemble_samples)
-    swept = "omegas" in inspect.signature(function).parameters
-    omegas = driving_frequencies(options, lattice) if swept else None
-    windows = options.statistics_windows
+    choices = asked_of(EXPERIMENTS[of][1], options, crew.world, lattice, without=NOT_TAKEN)
     if windows is not None:
-        windows = noise.windows_of(windows, omegas)
+        windows = noise.windows_of(windows, choices["omegas"])
 
     def draw(seed, group):
         return make_lattice(options.changed(bonds_seed=seed), group)
 
-    def one(medium, number, crew):
-        changed = {"output_progress": "none"}
-        if of == "relaxation":  # else all samples would become the same network
-            changed["relax_seed"] = options.relax_seed + number
-        return scene.run(medium, options.changed(**changed), crew)
-
-    all_modes = of == "modes" and options.modes_omega_min is None
-    places = omegas, options.detectors
-    task = Samples(of, seeds, draw, one, lattice, options.ensemble_keep, *places, all_modes)
-    record = carry_out(task, crew, options.output_progress)
+    how = lattice, options.ensemble_keep, choices, crew, options.output_progress
+    fit = options.spectrum_fit_min, options.spectrum_fit_max
+    record = repeated(of, seeds, draw, *how, options.relax_seed, fit)
     if record is None or record.displacement is None or crew.dry:
         return record and [record]
     records = [record]
@@ -287,11 +265,4 @@ def _options():
     return tuple({o.name: o for o in every if o.name not in LEFT_OUT}.values())
 
 
-SCENE = Scene(
-    options=_options(),
-    run=run,
-    summary=summary,
-    check=check,
-    draws=lambda values: EXPERIMENTS[values["ensemble_of"]][0].draws(values),
-    shares_lattice=True,
-)
+SCENE = Scene(_options(), run, summary, check, shares_lattice=True)

@@ -9,10 +9,9 @@ from pgran.arguments import called_right
 from pgran.errors import InputError
 from pgran.experiments.ensemble import intensity
 from pgran.experiments.ensemble.noise import MAXIMA_SPACING, NoisyCurves
-from pgran.experiments.ensemble.record import Ensemble, NoiseStatistics, with_errors
+from pgran.experiments.ensemble.record import Ensemble, NoiseStatistics
 from pgran.run.numbers import numbers
-from pgran.run.streams import saying_once
-from pgran.store.estimate import Estimate, two_digits
+from pgran.store.estimate import Estimate, two_digits, with_errors
 from pgran.store.fields import ball_names
 
 log = logging.getLogger("pgran")
@@ -43,7 +42,6 @@ def windows_of(values, omegas=None):
 
 
 @called_right
-@saying_once()
 def statistics(ensemble, windows):
     """Measure the noise of an ensemble's responses (paper: freqres, "noisy").
 

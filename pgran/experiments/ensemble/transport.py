@@ -9,11 +9,11 @@ import numpy as np
 from pgran.arguments import called_right
 from pgran.errors import InputError
 from pgran.experiments.ensemble.noise import finite_samples
-from pgran.experiments.ensemble.record import Ensemble, Transport, with_errors
+from pgran.experiments.ensemble.record import Ensemble, Transport
 from pgran.experiments.modes.levels import REGIMES, first_mode
 from pgran.medium.base import medium as medium_of
-from pgran.run.streams import saying_once
-from pgran.store.estimate import FEWEST_SAMPLES, Estimate, jackknife_samples, mean_of, two_digits
+from pgran.store import estimate
+from pgran.store.estimate import FEWEST_SAMPLES, Estimate, jackknife_samples, mean_of
 from pgran.store.si import SI
 
 FEWEST_DEPTHS = 3  # of a straight line
@@ -45,28 +45,23 @@ class Profiles:
         self.intensities = np.abs(self.amplitude) ** 2 @ self.share
         if not np.all(self.intensities.any(axis=0)):
             raise InputError("amplitude: it vanishes in all samples")
+        if len(self.depths) < FEWEST_DEPTHS:
+            few = f"{len(self.depths)} depths are too few for a line"
+            raise InputError(f"depth: {few}; {FEWEST_DEPTHS} are needed")
 
     @cached_property
     def levels(self):
-        """ln|A| of each sample, shape (samples, nw, nx)."""
+        """ln|A| of each sample, shape (samples, nw, nx), whose mean is the typical amplitude.
+
+        It averages itself where <|A|^2> is ruled by few samples (Sheng, Introduction to Wave
+        Scattering, Localization and Mesoscopic Phenomena, 2006, ch. 8).
+        """
         size = np.abs(self.amplitude)
         if np.any(size == 0):
             sample, frequency, detector = np.argwhere(size == 0)[0]
             where = f"sample {sample}, frequency {frequency}, detector {detector}"
             raise InputError(f"amplitude: that of {where} vanishes and has no logarithm")
         return np.log(size) @ self.share
-
-    def log_amplitude(self):
-        """Return <ln|A|>, the typical amplitude.
-
-        It averages itself where <|A|^2> is ruled by few samples (Sheng, Introduction to Wave
-        Scattering, Localization and Mesoscopic Phenomena, 2006, ch. 8).
-        """
-        return mean_of(self.levels)
-
-    def intensity(self):
-        """Return <|A|^2>."""
-        return mean_of(self.intensities)
 
     def attenuation(self):
         """Return 1 / length and length of the line <ln|A|> = a - depth / length, by frequency.
@@ -77,7 +72,6 @@ class Profiles:
         straight: not next to the walls, and not below the first mode, where walls alone make it.
         The length is NaN where <ln|A|> does not fall by `FALLS` errors at least.
         """
-        self._check_depths()
         depths, levels = self.depths, self.levels
         variance = levels.var(axis=0)
         floor = 1e-12 * np.maximum(variance.max(axis=1, keepdims=True), np.finfo(float).tiny)
@@ -110,7 +104,6 @@ class Profiles:
         The slope of the straight line through `delay`, all depths alike, with the error over
         samples. What stands and rings between walls has none; what propagates has.
         """
-        self._check_depths()
         measure, away = self._delay(over), self.depths - self.depths.mean()
         return jackknife_samples(lambda some: measure(some) @ away / np.sum(away**2), self.samples)
 
@@ -124,15 +117,8 @@ class Profiles:
 
         return measure
 
-    def _check_depths(self):
-        """Raise unless a straight line through the depths tells something."""
-        if len(self.depths) < FEWEST_DEPTHS:
-            few = f"{len(self.depths)} depths are too few for a line"
-            raise InputError(f"depth: {few}; {FEWEST_DEPTHS} are needed")
-
 
 @called_right
-@saying_once()
 def transport(medium, ensemble):
     """Return what an ensemble's responses say of transport.
 
@@ -178,9 +164,9 @@ def transport(medium, ensemble):
         depth=profiles.depths,
         omega=omega,
         edge=edges,
-        **with_errors(
-            ln_amplitude=profiles.log_amplitude(),
-            intensity=profiles.intensity(),
+        **estimate.with_errors(
+            ln_amplitude=mean_of(profiles.levels),
+            intensity=mean_of(profiles.intensities),
             rate=rate,
             length=Estimate(*(np.where(waves, x, np.nan) for x in (length.value, length.error))),
             group_delay=profiles.delay(),
@@ -218,7 +204,7 @@ def summary(result):
     else:
         shortest = np.flatnonzero(known)[np.argmin(found.length[known])]
         length, omega = found.length[shortest], found.omega[shortest]
-        error = two_digits(found.length_error[shortest])
+        error = estimate.two_digits(found.length_error[shortest])
         yield (
             f"amplitudes fall with depth at {np.count_nonzero(known)} of "
             f"{np.count_nonzero(waves)} frequencies above the first mode, {found.first_mode:.4g}; "
@@ -229,5 +215,5 @@ def summary(result):
     for (low, high), (growth, error) in zip(pairwise(found.edge), growths, strict=True):
         yield (
             f"from {low:.3g} to {high:.3g}{si.say('Hz', low, high)} the group delay grows by "
-            f"{growth:.3g} +- {two_digits(error)} a spacing"
+            f"{growth:.3g} +- {estimate.two_digits(error)} a spacing"
         )

@@ -158,7 +158,7 @@ def summary(result):
 
 
 OPTIONS = (
-    *SWEEP,
+    *SWEEP.options,
     *options_of(find_modes, without=[find_modes.declared["shapes"]]),
     *(driven.STEADY["error_tolerance"], driven.STEADY["refresh_iterations"]),
 )

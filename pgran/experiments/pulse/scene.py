@@ -1,6 +1,7 @@
 """Scene `pulse`: the wall moves as it likes, and balls are listened to in time."""
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -8,15 +9,17 @@ from pgran.driven import drive as driven
 from pgran.errors import InputError
 from pgran.experiments.pulse.integration import integrate
 from pgran.experiments.pulse.laplace import PulseLine
+from pgran.experiments.pulse.record import Signals
 from pgran.experiments.pulse.signals import Recording
 from pgran.experiments.pulse.wall import SHAPES, Pulse, Samples
 from pgran.medium.base import medium
-from pgran.run.agreement import agreeing
+from pgran.run.agreement import agreeing, on_root
 from pgran.run.experiment import Caution, Scene
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, call, columns, option, options_of
-from pgran.run.options import alternatives
+from pgran.run.keywords import PROGRESS, Asked, option, options_of, run_of
+from pgran.run.numbers import numbers
+from pgran.run.options import FILE, alternatives
 from pgran.run.task import carry_out
 from pgran.store.columns import read_columns
 from pgran.store.estimate import counted, two_digits
@@ -83,7 +86,21 @@ def _summary_of_ball(signals, si, d, ball):
     yield line
 
 
-@in_parallel("pulse", shares_lattice=True, lattice=medium)
+def _motion_of_run(options, world, lattice):
+    """Return the numbers in the file that the options of a run name. Collective."""
+    return options.pulse_file and on_root(world, lambda: read_columns(options.pulse_file))
+
+
+MOTION = option(
+    None,
+    "how the wall moves, instead of a shape: a column of displacements at the times that are "
+    "recorded, or two columns, equal distances of time and displacements",
+    key="pulse_file", kind=FILE,
+)  # fmt: skip
+WALL = Asked((MOTION,), _motion_of_run, partial(numbers, "-pulse_file"))
+
+
+@in_parallel("pulse", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS)
 @with_solver
 def pulse(
     lattice,
@@ -101,12 +118,7 @@ def pulse(
         20.0, "standard deviation of the bell; a ricker's follows from omega", "1/frequency",
         above=0,
     ),
-    wall=columns(
-        "pulse_file",
-        "how the wall moves, instead of a shape: a column of displacements at the times that are "
-        "recorded, or two columns, equal distances of time and displacements",
-        read_columns,
-    ),
+    wall=WALL,
     time=option(600.0, "how long is listened", "1/frequency", above=0),
     points=option(1201, "times at which signals are recorded", low=2),
     method=option(
@@ -120,21 +132,8 @@ def pulse(
     ),
     error_tolerance=driven.STEADY["error_tolerance"],
     progress=PROGRESS,
-):  # fmt: skip
-    """Send a pulse through the lattice, and return what balls do.
-
-    Collective.
-
-    Returns
-    -------
-    pgran.results.Signals or None
-        With a crew of the caller's None on all ranks but rank 0.
-
-    Raises
-    ------
-    InputError
-        If a detector lies outside the lattice, or a value is impossible.
-    """
+) -> Signals:  # fmt: skip
+    """Send a pulse through the lattice, and return what balls do."""
     with agreeing(crew.world):
         sent = Pulse(shape, omega, width) if wall is None else samples_of(wall, time / (points - 1))
         recording = Recording(lattice, detectors, sent, time, points, error_tolerance, fields)
@@ -209,16 +208,4 @@ def predicted_seconds(recording, points):
     return points * lattice.elimination.seconds, steps
 
 
-def run(lattice, options, crew):
-    """Return the signals; see `pgran.run.experiment.Scene`."""
-    signals = call(pulse, options, crew, lattice, options.detectors)
-    return signals and [signals]
-
-
-SCENE = Scene(
-    options=(*driven.DETECTORS, *options_of(pulse)),
-    run=run,
-    summary=summary,
-    check=check,
-    shares_lattice=True,
-)
+SCENE = Scene(options_of(pulse), run_of(pulse), summary, check, shares_lattice=True)

@@ -36,22 +36,17 @@ def bells(x, width, carrier, count):
     return np.array(derivatives)
 
 
-class Motion:
-    """A motion of the wall, with its `shape`, `omega`, `width`, and how far it extends.
-
-    It is below 1e-26 before the time `begin`, as is what is left of it after `rest`; below 2e-8
-    before `start`, from which on its work counts, and at rest again to 2e-8 after `end`; `centre`
-    is its middle. Its spectrum is above a hundredth of its largest up to the omega `band`, above
-    2e-8 up to `reach`; above `highest` |U(s)| is below 1e-40 of its largest on any line.
-    """
-
-
-class Pulse(Motion):
-    """A bell of standard deviation `width`, of height 1, or made of one.
+class Pulse:
+    """A motion of the wall: a bell of standard deviation `width`, of height 1, or made of one.
 
     Its shape is `gauss`, the bell; `ricker`, its second derivative turned over, its spectrum
     largest at `omega`, from which its width follows; `burst`, the bell times cos(omega t); or
     `step`, its integral, from 0 to 1.
+
+    Any motion is below 1e-26 before the time `begin`, as is what is left of it after `rest`; below
+    2e-8 before `start`, from which on its work counts, and at rest again to 2e-8 after `end`;
+    `centre` is its middle. Its spectrum is above a hundredth of its largest up to the omega `band`,
+    above 2e-8 up to `reach`; above `highest` |U(s)| is below 1e-40 of its largest on any line.
     """
 
     start = 0.0
@@ -112,8 +107,8 @@ class Pulse(Motion):
         return moved * np.ones_like(t), turned * np.ones_like(t)
 
 
-class Samples(Motion):
-    """Numbers at equal times, `width` apart, and between: a bell at each, as wide as the spacing.
+class Samples:
+    """A motion of numbers at equal times, `width` apart, a bell as wide as the spacing at each.
 
     Before the first number, at time 0, the wall is at rest at 0; after the last one it stays. In
     between this is as smooth a curve as there is: a constant has ripples of 5e-9.

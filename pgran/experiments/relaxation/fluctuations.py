@@ -8,7 +8,7 @@ from pgran.errors import InputError
 from pgran.experiments.relaxation import memory
 from pgran.experiments.relaxation.record import Memory
 from pgran.run.options import REAL, Option
-from pgran.store.estimate import two_digits
+from pgran.store.estimate import two_digits, with_errors
 
 log = logging.getLogger("pgran")
 
@@ -57,15 +57,13 @@ def _memory_of(relaxation, bonds):
     lags = np.unique(np.append(0, np.geomspace(1, longest, LAGS).astype(int)))
     order = memory.mean_order(series)
     lowest, highest = memory.bounds(lags, bonds, min(max(order.value, 1.0), bonds))
-    estimates = {
-        "order": order,
-        "increment": memory.increment_correlation(series),
-        "successive": memory.successive_correlation(series),
-        "correlation": memory.autocorrelation(series, lags),
-    }
-    values = {name: estimate.value for name, estimate in estimates.items()}
-    errors = {f"{name}_error": estimate.error for name, estimate in estimates.items()}
-    return Memory(bonds=bonds, lag=lags, lowest=lowest, highest=highest, **values, **errors)
+    estimates = with_errors(
+        order=order,
+        increment=memory.increment_correlation(series),
+        successive=memory.successive_correlation(series),
+        correlation=memory.autocorrelation(series, lags),
+    )
+    return Memory(bonds=bonds, lag=lags, lowest=lowest, highest=highest, **estimates)
 
 
 def summary(result):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.store.fields import BOUND, DETECTOR, FLOOR
-from pgran.store.record import Record, array
+from pgran.store.record import Record, array, error_of
 
 STATES = "trajectory", "state", "detector_number"  # axes
 
@@ -97,6 +97,6 @@ class Memory(Record):
     successive_error: float
     lag: np.ndarray = array("steps in between", "steps", dtype=int)
     correlation: np.ndarray = array("autocorrelation of B", "1", "lag")
-    correlation_error: np.ndarray = array("its standard error", "1", "lag")
+    correlation_error: np.ndarray = error_of(correlation)
     lowest: np.ndarray = array("(1 - kbar/M)^t, which it is not below", "1", "lag")
     highest: np.ndarray = array("(1 - 1/M)^t, which it is not above", "1", "lag")

@@ -19,7 +19,7 @@ from pgran.run.agreement import agreeing
 from pgran.run.experiment import Scene
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, call, option, options_of
+from pgran.run.keywords import PROGRESS, Asked, call, option, options_of
 from pgran.run.machine import check_memory
 from pgran.run.numbers import fingerprint
 from pgran.run.options import REAL, Option, check_ends
@@ -28,6 +28,8 @@ from pgran.store.estimate import counted
 from pgran.store.record import columns_of, row_of
 
 OMEGA = Option("relax_omega", REAL, 0.6, "driving frequency", "angular", above=0)
+# None draws from the network's own constants.
+LAW = Asked((), lambda options, *others: options.bonds_law and make_law(options), check_law)
 STEPS_IN_UNIT = 512  # what a group of ranks solves at a stretch, in whole windows
 
 
@@ -38,6 +40,10 @@ def check(values, given):
     if values["bonds_law"] == "file":
         raise InputError("-bonds_law file: a relaxation needs a law to draw new constants from")
     check_ends("spectrum_fit", values)
+    if values.get("spectrum_fit_min") is not None:  # a study of accuracy has no such window
+        from pgran.experiments.relaxation.spectrum import check_window
+
+        check_window(values["spectrum_fit_min"], values["spectrum_fit_max"])
 
 
 def summary(result):
@@ -53,7 +59,9 @@ def summary(result):
     yield from fluctuations.summary(result)
 
 
-@in_parallel("relax", shares_lattice=True, lattice=medium, law=check_law, omega=OMEGA.check)
+@in_parallel(
+    "relax", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, law=LAW, omega=OMEGA
+)
 @with_solver
 def relax(
     lattice,
@@ -76,10 +84,8 @@ def relax(
     error_floor=driven.STEADY["error_floor"],
     refresh_iterations=driven.STEADY["refresh_iterations"],
     progress=PROGRESS,
-):
+) -> Relaxation:
     """Redraw one bond a step and solve the steady state each time (paper: section 5, timeres).
-
-    Collective.
 
     Parameters
     ----------
@@ -88,22 +94,8 @@ def relax(
         same always and on all ranks; None draws from those that there are.
     omega : float
         Driving frequency, angular.
-
-    Returns
-    -------
-    pgran.results.Relaxation or None
-        With a crew of the caller's None on all ranks but rank 0.
-
-    Raises
-    ------
-    InputError
-        If a detector lies outside the lattice, a value is impossible, or a law's constants are.
     """
-    steady = {
-        "error_tolerance": error_tolerance,
-        "error_floor": error_floor,
-        "refresh_iterations": refresh_iterations,
-    }
+    steady = driven.steady(error_tolerance, error_floor, refresh_iterations)
     with agreeing(crew.world) as asked:
         march = March(omega, steps, trajectories, seed, method, window)
         task = Steps(lattice, law, detectors, march, steady)
@@ -228,22 +220,12 @@ class Steps(Task):
 
 def run(lattice, options, crew):
     """Return the relaxation, its spectrum and memory; see `pgran.run.experiment.Scene`."""
-    from pgran.experiments.relaxation.spectrum import check_window
-
     window = options.spectrum_fit_min, options.spectrum_fit_max
-    check_window(*window)  # before any work; too short a series only has no spectrum
-    law = make_law(options) if options.bonds_law else None
-    relaxation = call(relax, options, crew, lattice, law, options.relax_omega, options.detectors)
+    relaxation = call(relax, options, crew, lattice)
     if relaxation is None or crew.dry:
         return relaxation and [relaxation]
     return fluctuations.measured(relaxation, window, lattice.bonds)
 
 
-SCENE = Scene(
-    options=(*driven.DETECTORS, OMEGA, *options_of(relax), *fluctuations.SPECTRUM),
-    run=run,
-    summary=summary,
-    check=check,
-    draws=lambda values: True,
-    shares_lattice=True,
-)
+OPTIONS = (*options_of(relax), *fluctuations.SPECTRUM)
+SCENE = Scene(OPTIONS, run, summary, check, draws=True, shares_lattice=True)

@@ -138,16 +138,11 @@ class CurvePoints(Task):
         self.row = point_dtype(models["reading"].shape[1])
         self.units = np.flatnonzero(models["proven"]).tolist()
 
-    @contextlib.contextmanager
-    def open(self, group):
-        """See `Task`."""
-        yield self.points
-
     def length(self, unit):
         """See `Task`."""
         return 1
 
-    def points(self, unit):
+    def work(self, unit, group):
         """Return the points of one interval, without its upper end if another one follows."""
         model = self.models[unit]
         low, high = model["low"], model["high"]

@@ -98,7 +98,7 @@ def proven_models(models, limits):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Response(Frequencies, Record):
+class Response(Frequencies):
     """The frequency response of single balls (paper: freqres, phaseres).
 
     `nw` frequencies, `nd` detectors. A point whose `converged_reason` is not positive failed or
@@ -108,8 +108,6 @@ class Response(Frequencies, Record):
     """
 
     group = "response"
-    factorizations: int
-    solve_seconds: float
     method: str = attribute(since=3)
     resolve: float = attribute(since=3)
     phase_slope: np.ndarray = attribute_array("detector_number")
@@ -177,9 +175,6 @@ class Response(Frequencies, Record):
     at_floor: np.ndarray = array(FLOOR, "1", "omega", "detector_number", dtype=np.int8, since=2)
     iterations: np.ndarray = array(
         "Krylov iterations, adjoints included", "1", "omega", dtype=int, row=True
-    )
-    converged_reason: np.ndarray = array(
-        "positive: as accurate as asked", "1", "omega", dtype=int, row=True
     )
     field: np.ndarray | None = array(
         "amplitudes of all balls relative to the driven wall",

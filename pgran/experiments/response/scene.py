@@ -8,14 +8,14 @@ from pgran.driven import drive as driven
 from pgran.driven.phase import and_more
 from pgran.experiments.response.curve import choose_method, solve_curve
 from pgran.experiments.response.points import ResponseSweep, phase_lines
-from pgran.experiments.response.record import LINES
+from pgran.experiments.response.record import LINES, Response
 from pgran.medium.base import medium
 from pgran.run.agreement import agreeing, on_root
 from pgran.run.experiment import Caution, Scene
-from pgran.run.frequencies import SWEEP, check_sweep, checked_frequencies, driving_frequencies
+from pgran.run.frequencies import SWEEP, check_sweep
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, Window, call, option, options_of
+from pgran.run.keywords import PROGRESS, Window, option, options_of, run_of
 from pgran.run.options import FLAG, REAL, check_ends
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted, two_digits
@@ -79,7 +79,7 @@ def unresolved(response, damped):
         )
 
 
-@in_parallel("sweep", shares_lattice=True, lattice=medium, omegas=checked_frequencies)
+@in_parallel("sweep", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, omegas=SWEEP)
 @with_solver
 def sweep(
     lattice,
@@ -113,27 +113,10 @@ def sweep(
         key="output_models", kind=FLAG,
     ),
     progress=PROGRESS,
-):  # fmt: skip
-    """Solve the driven steady state over a sweep of frequencies (paper: ampeq, freqres).
-
-    Collective.
-
-    Returns
-    -------
-    pgran.results.Response or None
-        With a crew of the caller's None on all ranks but rank 0.
-
-    Raises
-    ------
-    InputError
-        If a detector lies outside the lattice, or a value is impossible.
-    """
+) -> Response:  # fmt: skip
+    """Solve the driven steady state over a sweep of frequencies (paper: ampeq, freqres)."""
     started = time.perf_counter()
-    steady = {
-        "error_tolerance": error_tolerance,
-        "error_floor": error_floor,
-        "refresh_iterations": refresh_iterations,
-    }
+    steady = driven.steady(error_tolerance, error_floor, refresh_iterations)
     with agreeing(crew.world):
         task = ResponseSweep(lattice, omegas, detectors, fields, steady)
         method = choose_method(method, task.scaled, task.omegas, resolve, fields)
@@ -152,17 +135,4 @@ def sweep(
     return on_root(crew.world, respond, keep=True)
 
 
-def run(lattice, options, crew):
-    """Return the response; see `pgran.run.experiment.Scene`."""
-    omegas = driving_frequencies(options, lattice)
-    response = call(sweep, options, crew, lattice, omegas, options.detectors)
-    return response and [response]
-
-
-SCENE = Scene(
-    options=(*driven.DETECTORS, *SWEEP, *options_of(sweep)),
-    run=run,
-    summary=summary,
-    check=check,
-    shares_lattice=True,
-)
+SCENE = Scene(options_of(sweep), run_of(sweep), summary, check, shares_lattice=True)

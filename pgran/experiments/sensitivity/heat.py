@@ -12,7 +12,7 @@ from pgran.medium.law import HERTZ
 from pgran.medium.rounding import EPSILON
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Caution
-from pgran.run.frequencies import checked_frequencies
+from pgran.run.frequencies import SWEEP
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, option
@@ -61,7 +61,7 @@ def summary(record):
 
 
 @in_parallel(
-    "heat", shares_lattice=True, lattice=medium, omegas=checked_frequencies,
+    "heat", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, omegas=SWEEP,
     balls=lambda balls: balls,  # rows or flat, which the lattice checks
 )  # fmt: skip
 @with_solver
@@ -88,16 +88,11 @@ def heat(
     cut=option(False, "cut bonds one at a time, dashpots too"),
     error_tolerance=driven.STEADY["error_tolerance"],
     progress=PROGRESS,
-):  # fmt: skip
+) -> Heat:  # fmt: skip
     """Return the amplitudes after each ball is warmed, or each bond is cut, one at a time.
 
-    Collective. Not an expansion: see `finite`. Each unknown at the springs that change takes one
+    Not an expansion: see `finite`. Each unknown at the springs that change takes one
     solve with the factorization of its frequency. Tangential springs become as much stiffer.
-
-    Returns
-    -------
-    pgran.results.Heat or None
-        With a crew of the caller's None on all ranks but rank 0.
     """
     check({"heat_factor": factor, "heat_overlap": overlap, "heat_balls": balls})
     if factor is None and overlap is None and not cut:

@@ -5,15 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.store.fields import BOUND, DETECTOR, Frequencies
-from pgran.store.record import Record, array
+from pgran.store.record import array, error_of
 
+ITS_BOUND = "bound of its error"
 WHERE = "omega", "detector_number"
 AT_BOND, AT_BALL = (*WHERE, "bond_number"), (*WHERE, "ball_number")
 COMPLEX, NUMBERS = {"dtype": complex, "row": True}, {"dtype": int, "row": True}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sensitivity(Frequencies, Record):
+class Sensitivity(Frequencies):
     """What the amplitude at each detector depends on, and the power through every bond.
 
     Bonds are numbered axis after axis, each array in C order, the contacts of a network as there;
@@ -24,31 +25,28 @@ class Sensitivity(Frequencies, Record):
     """
 
     group = "sensitivity"
-    factorizations: int
-    solve_seconds: float
     most: int
-    omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors relative to the driven wall, convention exp(+i omega t)",
         "1", *WHERE, **COMPLEX
     )  # fmt: skip
-    error_bound: np.ndarray = array(BOUND, "1", *WHERE, row=True)
+    error_bound: np.ndarray = error_of(displacement, BOUND)
     by_stiffness: np.ndarray = array(
         "derivative of the displacement by each bond constant", "1/k", *AT_BOND, **COMPLEX
     )
-    by_stiffness_bound: np.ndarray = array("bound of its error", "1/k", *AT_BOND, row=True)
+    by_stiffness_bound: np.ndarray = error_of(by_stiffness, ITS_BOUND)
     log_amplitude: np.ndarray = array("d ln|A| / d ln k of each bond", "1", *AT_BOND)
     log_phase: np.ndarray = array("d phase / d ln k of each bond", "rad", *AT_BOND)
     log_bound: np.ndarray = array("bound of the error of both", "1", *AT_BOND)
     by_mass: np.ndarray = array(
         "derivative of the displacement by each ball's mass", "1/m", *AT_BALL, **COMPLEX
     )
-    by_mass_bound: np.ndarray = array("bound of its error", "1/m", *AT_BALL, row=True)
+    by_mass_bound: np.ndarray = error_of(by_mass, ITS_BOUND)
     by_damping: np.ndarray = array(
         "derivative of the displacement by beta", "1/sqrt(k m)", *WHERE, **COMPLEX
     )
-    by_damping_bound: np.ndarray = array("bound of its error", "1/sqrt(k m)", *WHERE, row=True)
+    by_damping_bound: np.ndarray = error_of(by_damping, ITS_BOUND)
     flux: np.ndarray = array(
         "mean power through each bond, from its first ball to its second", "k sqrt(k/m)",
         "omega", "every_bond", row=True,
@@ -57,7 +55,6 @@ class Sensitivity(Frequencies, Record):
         "mean power that each bond's dashpot takes", "k sqrt(k/m)", "omega", "every_bond", row=True
     )
     iterations: np.ndarray = array("Krylov iterations, adjoints included", "1", "omega", **NUMBERS)
-    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", **NUMBERS)
     bond: np.ndarray | None = array(
         "numbers of the bonds that are kept", "1", *AT_BOND, optional=True, **NUMBERS
     )
@@ -68,16 +65,12 @@ class Sensitivity(Frequencies, Record):
         "derivative by each contact's tangential stiffness", "1/k", *AT_BOND,
         optional=True, **COMPLEX
     )  # fmt: skip
-    by_tangential_bound: np.ndarray | None = array(
-        "bound of its error", "1/k", *AT_BOND, optional=True, row=True
-    )
+    by_tangential_bound: np.ndarray | None = error_of(by_tangential, ITS_BOUND)
     by_force: np.ndarray | None = array(
         "derivative by each contact's force, as pre-stress", "1/force", *AT_BOND,
         optional=True, **COMPLEX
     )  # fmt: skip
-    by_force_bound: np.ndarray | None = array(
-        "bound of its error", "1/force", *AT_BOND, optional=True, row=True
-    )
+    by_force_bound: np.ndarray | None = error_of(by_force, ITS_BOUND)
 
     def on_bonds(self, number, d):
         """Return d ln|A| / d ln k of all bonds, NaN of those that are not kept, shape (bonds,).
@@ -92,7 +85,7 @@ class Sensitivity(Frequencies, Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Heat(Frequencies, Record):
+class Heat(Frequencies):
     """Amplitudes after each ball is warmed, or each bond is cut, one at a time.
 
     A warm ball's bonds are `factor` times as stiff, or overlap by `overlap` more (NaN: not so). A
@@ -103,22 +96,18 @@ class Heat(Frequencies, Record):
     group = "heat"
     factor: float
     overlap: float
-    factorizations: int
-    solve_seconds: float
-    omega: np.ndarray = array("driving frequency, angular", "sqrt(k/m)")
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
         "amplitude at the detectors before any change", "1", *WHERE, **COMPLEX
     )
-    error_bound: np.ndarray = array(BOUND, "1", *WHERE, row=True)
+    error_bound: np.ndarray = error_of(displacement, BOUND)
     ball: np.ndarray = array(
         "numbers of the balls that are warmed, in C order, of a network as there", "1", dtype=int
     )
-    converged_reason: np.ndarray = array("positive: as accurate as asked", "1", "omega", **NUMBERS)
     warmed: np.ndarray | None = array(
         "amplitude with each ball warm", "1", *WHERE, "ball", optional=True, **COMPLEX
     )
-    warmed_bound: np.ndarray | None = array(BOUND, "1", *WHERE, "ball", optional=True, row=True)
+    warmed_bound: np.ndarray | None = error_of(warmed, BOUND)
     heard: np.ndarray | None = array(
         "share of the balls whose warming changes the amplitude by a quarter or more", "1", *WHERE,
         optional=True,
@@ -126,4 +115,4 @@ class Heat(Frequencies, Record):
     cut: np.ndarray | None = array(
         "amplitude with each bond cut", "1", *WHERE, "every_bond", optional=True, **COMPLEX
     )
-    cut_bound: np.ndarray | None = array(BOUND, "1", *WHERE, "every_bond", optional=True, row=True)
+    cut_bound: np.ndarray | None = error_of(cut, BOUND)

@@ -12,7 +12,7 @@ from pgran.medium.bonds import bond_ends
 from pgran.medium.law import HERTZ
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Caution, Scene
-from pgran.run.frequencies import SWEEP, check_sweep, checked_frequencies, driving_frequencies
+from pgran.run.frequencies import SWEEP, check_sweep
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, call, option, options_of
@@ -69,7 +69,9 @@ def joins(medium, number):
     return " to ".join(names)
 
 
-@in_parallel("sensitivity", shares_lattice=True, lattice=medium, omegas=checked_frequencies)
+@in_parallel(
+    "sensitivity", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, omegas=SWEEP
+)
 @with_solver
 def sensitivity(
     lattice,
@@ -82,16 +84,11 @@ def sensitivity(
     ),
     error_tolerance=driven.STEADY["error_tolerance"],
     progress=PROGRESS,
-):
+) -> Sensitivity:
     """Differentiate amplitudes by all bond constants, masses and beta, at each frequency.
 
-    Collective. See `gradient`. The accuracy is asked of derivatives by bonds and masses, too,
-    relative to the largest.
-
-    Returns
-    -------
-    pgran.results.Sensitivity or None
-        With a crew of the caller's None on all ranks but rank 0.
+    See `gradient`. The accuracy is asked of derivatives by bonds and masses, too, relative to the
+    largest.
     """
     with agreeing(crew.world):
         task = GradientSweep(lattice, omegas, detectors, most, error_tolerance)
@@ -223,12 +220,11 @@ class GradientSweep(AdjointSweep):
 
 def run(lattice, options, crew):
     """Return the sensitivity, and what heating does if asked for; see `Scene`."""
-    places = lattice, driving_frequencies(options, lattice), options.detectors
-    records = [call(sensitivity, options, crew, *places)]
+    records = [call(sensitivity, options, crew, lattice)]
     if options.heat_cut or (options.heat_factor, options.heat_overlap) != (None, None):
-        records.append(call(heat.heat, options, crew, *places))
+        records.append(call(heat.heat, options, crew, lattice))
     return records if records[0] else None
 
 
-OPTIONS = (*driven.DETECTORS, *SWEEP, *options_of(sensitivity, heat.heat, without=[HERTZ]))
+OPTIONS = options_of(sensitivity, heat.heat, without=[HERTZ])
 SCENE = Scene(OPTIONS, run, summary, check, shares_lattice=True)

@@ -1,0 +1,88 @@
+"""Options that cannot be, alone or together: each is refused in a line that names it."""
+
+import re
+
+import pytest
+
+from pgran.command.resolve import resolve
+from pgran.errors import InputError
+from pgran.run.reading import read_words
+
+REFUSED = {  # of each scene, words and what is said of them
+    "response": {
+        "-lattice_damping -1": "-lattice_damping -1",
+        "-sweep_min -.5": "-sweep_min -.5",
+        "-lattice_shape 2,2,2,2": "-lattice_shape",
+        "-phase_fit_min 1": "-phase_fit_min",
+        "-sweep_min 1 -sweep_max 1": "-sweep_min",
+        "-sweep_omega 1,1": "-sweep_omega",
+        "-sweep_omega 1,2 -sweep_points 3": "-sweep_points",
+        "-bonds_law file": "-bonds_file",
+        "-bonds_file x.h5": "-bonds_law",
+        "-bonds_law file -bonds_file x.h5 -bonds_kmin 1": "-bonds_kmin",
+        "-network_file a.h5 -lattice_shape 3,3": "contradicts",
+        "-network_damping .1": "belongs to -network_file",
+        "-detectors_component x": "balls of a lattice have one displacement",
+    },
+    "relaxation": {
+        "-spectrum_fit_min .3": "-spectrum_fit_min",
+        "-bonds_law file -bonds_file a.h5": "-bonds_law",
+    },
+    "modes": {
+        "-modes_omega_min .5 -modes_omega_max .4": "-modes_omega_min",
+        "-modes_omega_min .5": "-modes_omega_max",
+        "-modes_target .5": "-modes_count",
+        "-modes_count 3": "-modes_target",
+        "-modes_omega_min 0 -modes_omega_max 1 -modes_count 3": "-modes_count",
+        "-modes_density 1": "-modes_density 1",
+        "-modes_density 9 -modes_target .5 -modes_count 3": "-modes_target",
+        "-modes_density 9 -modes_omega_min .5": "-modes_omega_max",
+        "-output_fields -modes_density 9": "-output_fields",
+        "-ranks_per_lattice 2": "-ranks_per_lattice",
+    },
+    "projection": {"-ranks_per_lattice 2": "-ranks_per_lattice"},
+    "continuum": {
+        "-ranks_per_lattice 2": "-ranks_per_lattice",
+        "-sweep_unit omega_mx": "-sweep_unit",
+    },
+    "pulse": {
+        "-pulse_shape ricker -pulse_width 3": "pulse_width.* no part of a ricker",
+        "-pulse_shape gauss -pulse_omega 1": "pulse_omega.* no part of a gauss",
+        "-pulse_file a.txt -pulse_shape gauss": "pulse_shape.* contradicts -pulse_file",
+    },
+    "sensitivity": {
+        "-heat_factor 2 -heat_overlap .1": "-heat_factor, -heat_overlap: .* one of these ways",
+        "-heat_balls 1,1 -heat_cut": "-heat_balls: by how much",
+        "-heat_factor -1": "-heat_factor -1",
+        "-sensitivity_most -1": "-sensitivity_most -1",
+    },
+    "ensemble": {
+        "-ensemble_of modes -detectors 2,2": "-detectors: -ensemble_of modes does not use it",
+        "-ensemble_of pulse -sweep_points 9": "-sweep_points: -ensemble_of pulse does not use it",
+        "-bonds_law hertz -sweep_unit omega_mx": "differs between samples .* -bonds_kmax says",
+        "-network_file a.h5": "a file holds one only",
+        "-bonds_law file -bonds_file a.h5": "a file holds one only",
+        "-output_fields": "-output_fields: scene ensemble does not use it",
+        "-sweep_resolve .1": "-sweep_resolve: scene ensemble does not use it",
+        "-output_models": "-output_models: scene ensemble does not use it",
+        "-ensemble_samples 1": "1 is not >= 2",
+        "-ensemble_of heat": "choose response, modes",
+        "-ensemble_of modes -ranks_per_lattice 2": "scene modes has one rank for each lattice",
+        "-ensemble_of pulse -ensemble_keep curves": "of response and modes only, not of pulse",
+        "-ensemble_of modes -modes_target .5 -modes_count 3": "-modes_target: scene ensemble does",
+        "-ensemble_of modes -modes_density 9": "-modes_density: scene ensemble does not",
+        "-statistics_windows .4,.5": "needs -ensemble_of response and -ensemble_keep curves",
+        "-ensemble_keep curves -statistics_windows .4,.5,.6": "so 3 numbers make none",
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("scene", "words", "said"),
+    [(scene, words, said) for scene in REFUSED for words, said in REFUSED[scene].items()],
+)
+def test_refused(scene, words, said):
+    with pytest.raises(InputError) as caught:
+        resolve(read_words(["-scene", scene, *words.split()]))
+    assert re.search(said, str(caught.value))
+    assert "\n" not in str(caught.value)
