@@ -36,7 +36,7 @@ from pgran.run.numbers import number, numbers
 # By axes, up to how many balls: one rank has the lattice; PETSc factors it faster than MUMPS; the
 # order of minimum degree suits lattices better that are `LONG` times as long as wide, or more.
 LARGE = {1: 10**7, 2: 100_000, 3: 20_000}
-PETSC_FACTORS = {1: 10**7, 2: 50_000, 3: 4_000}
+PETSC_FACTORS = {1: 10**7, 2: 200_000, 3: 8_000}
 MINIMUM_DEGREE, LONG = {1: 10**7, 2: 2500, 3: 0}, 4
 # Seconds of a factorization: the first times a power of the balls, that of nested dissection.
 SECONDS = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}
