@@ -19,11 +19,101 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgran.errors import InputError, PgranError
+from pgran.experiments.modes.shapes import with_fixed_sign
 from pgran.medium.rounding import EPSILON
+from pgran.run.machine import check_memory, total_memory
 
+LARGEST = 30_000  # unknowns: more, and LAPACK counts its numbers beyond 2^31
+DOUBLES = 4  # n^2 of them are held at a time; LAPACK's divide and conquer takes 3
+# Seconds of the whole spectrum, n^3 times WHOLE; of an EPS for each mode, n times EACH and entries
+# of the factor times SOLVED, and for its counts multiplications of a factorization times COUNTED.
+# Measured on networks in two and three dimensions, with rotations too: a ratio alone matters.
+WHOLE, EACH, SOLVED, COUNTED = 4.8e-10, 5e-7, 7e-8, 2.5e-8
 LOOSE = 0.02  # |X^T X - 1|: with more than that LAPACK has failed
 BLOCK = 256  # columns that are checked at a time
 MARGIN = 1.01  # covers the rounding of the bounds themselves
+
+
+def method_of(method, medium, interval=None, targets=None, count=None):
+    """Return `eps` or `dense`, which finds the modes that `find_modes` is asked for.
+
+    By `auto` that is what is faster for a network; who sets keys for an EPS has one.
+    """
+    if method != "auto":
+        return method
+    from pgran.run.petsc import PETSc
+
+    fits = medium.size <= LARGEST and 2 * memory(medium.size) <= total_memory()
+    if medium.is_grid or not fits or PETSc.Options("normal_").getAll():
+        return "eps"
+    modes = medium.size
+    if targets is not None:
+        modes = min(modes, len(targets) * count)
+    elif interval is not None:  # as if modes were spread evenly
+        top = math.sqrt(medium.stiffness_norm / medium.mass) or 1.0
+        low, high = np.clip(np.divide(interval, top), 0.0, 1.0)
+        modes *= high - low
+    return "dense" if is_faster(medium, modes) else "eps"
+
+
+def is_faster(network, modes):
+    """Return whether the whole spectrum of a network comes faster than so many modes by an EPS."""
+    whole = WHOLE * network.size**3
+    eps = EACH * modes * network.size
+    if whole <= eps:  # however little the factors fill
+        return True
+    return whole <= eps + SOLVED * modes * network.graph.entries + COUNTED * network.graph.work
+
+
+def memory(size):
+    """Return how many bytes a whole spectrum of so many unknowns takes."""
+    return 8 * DOUBLES * size**2
+
+
+def check_size(size):
+    """Raise an InputError where a whole spectrum is too large for LAPACK, or for the memory."""
+    if size > LARGEST:
+        raise InputError(
+            f"-modes_method dense: LAPACK computes whole spectra of up to {LARGEST} unknowns, and "
+            f"there are {size}; -modes_method eps"
+        )
+    check_memory("modes_method", memory(size))
+
+
+class DenseSolver:
+    """Finds all modes of a medium at once, and proves that they are all.
+
+    The `radius` of the last ones bounds by how much the rounding of K's entries, too, moves each
+    eigenvalue.
+    """
+
+    radius = math.inf
+
+    def __init__(self, medium):
+        """Sum K up."""
+        import scipy.linalg  # noqa: F401 (here: a dry run times what comes later)
+
+        self.medium, self.K = medium, stiffness_matrix(medium)
+        self._rounding = medium.rounding * medium.stiffness_norm
+
+    def solve(self, low, high, count):
+        """Return all modes as `normal.ModeSolver` does; fewer are those of the first unknowns.
+
+        Raises PgranError if LAPACK fails.
+        """
+        K = self.K[:count, :count]
+        try:
+            found = whole_spectrum(K)
+        except (np.linalg.LinAlgError, MemoryError) as error:
+            reason = str(error) or type(error).__name__
+            raise PgranError(f"LAPACK computes no spectrum: {reason}; -modes_method eps") from error
+        self.radius = found.radius + self._rounding
+        vectors = found.vectors.T
+        if count < self.medium.size:
+            vectors = np.pad(vectors, ((0, 0), (0, self.medium.size - count)))
+        vectors = with_fixed_sign(vectors.reshape(count, *self.medium.shape))
+        return found.values, vectors, found.residuals / (abs(K).sum(axis=1).max() or 1.0)
 
 
 class Spectrum(NamedTuple):
@@ -50,7 +140,8 @@ def whole_spectrum(K):
     import scipy.linalg  # here: SciPy takes its time
 
     dense = K.toarray(order="F")
-    values, vectors = scipy.linalg.eigh(dense, driver="evd", overwrite_a=True, check_finite=False)
+    driver = "evd" if len(dense) > 1 else "evr"  # SciPy 1.10 gives evd too little room for one
+    values, vectors = scipy.linalg.eigh(dense, driver=driver, overwrite_a=True, check_finite=False)
     return Spectrum(values, vectors, *enclosure(K, values, vectors))
 
 
