@@ -100,7 +100,7 @@ def find_modes(
     scaled, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
     check_frequency(scaled, max(targets or interval or (0.0,)))
     wanted = {"interval": interval, "targets": targets, "count": count}
-    method = on_root(crew.world, lambda: dense.method_of(method, lattice, **wanted))
+    method = on_root(crew.world, lambda: dense.method_of(method, scaled, **wanted))
     with contextlib.ExitStack() as held:
         if method == "dense":
             task = Whole(scaled, shapes, **wanted)
