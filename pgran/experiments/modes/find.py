@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import math
 import time
+from functools import partial
 
 import numpy as np
 
@@ -81,14 +82,15 @@ def find_modes(
     -------
     pgran.results.Modes or None
         With a crew of the caller's None on all ranks but rank 0. `count_certified` is False if
-        modes are missing.
+        modes are missing; with an `omega_bound` it is proven, else it rests on counts.
 
     Raises
     ------
     InputError
-        If the interval or the targets are too high to compute with.
+        If the interval or the targets are too high to compute with, or a whole spectrum does not
+        fit into the memory.
     PgranError
-        If the modes cannot be counted.
+        If the modes cannot be counted, or LAPACK fails.
     """
     if interval is not None and targets is not None:
         raise InputError("-modes_target: contradicts an interval; give one of them")
@@ -103,29 +105,32 @@ def find_modes(
     method = on_root(crew.world, lambda: dense.method_of(method, scaled, **wanted))
     with contextlib.ExitStack() as held:
         if method == "dense":
-            task = Whole(scaled, shapes, **wanted)
+            task = Whole(scaled, shapes, targets, count, interval)
         else:
             from mpi4py import MPI
 
             from pgran.driven.operators import Operators
+            from pgran.experiments.modes.normal import ModeSolver
             from pgran.experiments.modes.slices import find_slices
 
             operators = held.enter_context(Operators(scaled, MPI.COMM_SELF))
             slices = find_slices(operators, crew, **wanted)
-            task = Slices(operators, slices, shapes, **wanted)
+            solver = partial(ModeSolver, operators)
+            task = Slices(scaled, solver, slices, shapes, targets, count)
         modes = carry_out(task, crew, progress)
     seconds = time.perf_counter() - started  # counts included
     return modes and dataclasses.replace(modes, solve_seconds=seconds)
 
 
-class Search(Task):
+class Slices(Task):
     """The modes of slices of the spectrum; `solver` returns, for a `with`, what finds them."""
 
     items = "modes"
 
-    def __init__(self, lattice, slices, shapes, targets, count):
+    def __init__(self, lattice, solver, slices, shapes, targets, count):
         """Say what a mode travels in."""
-        self.lattice, self.targets, self.count = lattice, targets, count
+        self.lattice, self.solver = lattice, solver
+        self.targets, self.count = targets, count
         self.units = list(enumerate(slices))
         without = () if shapes else ("vector",)
         columns = row_of(Modes, without, balls=lattice.shape)
@@ -204,38 +209,20 @@ class Search(Task):
         return np.sign(values) * np.sqrt(np.abs(values) / self.lattice.mass)
 
 
-class Slices(Search):
-    """Modes by an EPS, those of each slice certified by their count, on this rank's K."""
-
-    def __init__(self, operators, slices, shapes, interval, **nearest):
-        """Keep K; the slices are those of the interval."""
-        super().__init__(operators.lattice, slices, shapes, **nearest)
-        self.operators = operators
-
-    def solver(self):
-        """See `Search`."""
-        from pgran.experiments.modes.normal import ModeSolver
-
-        return ModeSolver(self.operators)
-
-
-class Whole(Search):
+class Whole(Slices):
     """All modes by LAPACK on one rank, proven: one slice holds the whole spectrum.
 
     Those of an interval are the ones that may lie in it, by their bounds.
     """
 
-    def __init__(self, lattice, shapes, interval, **nearest):
+    def __init__(self, lattice, shapes, targets, count, interval):
         """Refuse what does not fit into the memory."""
         dense.check_size(lattice.size)
         self.interval = interval
         whole = Slice(-math.inf, math.inf, lattice.size)
-        super().__init__(lattice, [whole], shapes, **nearest)
+        solver = lambda: contextlib.nullcontext(dense.DenseSolver(lattice))  # noqa: E731
+        super().__init__(lattice, solver, [whole], shapes, targets, count)
         self.untried = dense.memory(lattice.size) if self.sample(self.units[0])[1] != whole else 0
-
-    def solver(self):
-        """See `Search`."""
-        return contextlib.nullcontext(dense.DenseSolver(self.lattice))
 
     def length(self, unit):
         """See `Task`; a part of a spectrum is as long as its part of the work."""
@@ -254,7 +241,7 @@ class Whole(Search):
         return rows
 
     def wanted(self, omega, bound):
-        """See `Search`."""
+        """See `Slices`."""
         if self.interval is None:
             return super().wanted(omega, bound)
         low, high = self.interval
