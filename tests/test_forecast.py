@@ -139,9 +139,9 @@ def test_whole_spectra_are_foreseen_by_smaller_ones(world, monkeypatch):
     monkeypatch.setattr(forecast, "most_resident", lambda: 10**6)
     tried, solve = [], dense.DenseSolver.solve
 
-    def noted(self, low, high, count):
+    def noted(self, count):
         tried.append(count)
-        return solve(self, low, high, count)
+        return solve(self, count)
 
     monkeypatch.setattr(dense.DenseSolver, "solve", noted)
     with forecast.Rehearsal(world, 1) as crew:

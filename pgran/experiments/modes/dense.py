@@ -71,48 +71,49 @@ def memory(size):
     return 8 * DOUBLES * size**2
 
 
-def check_size(size):
-    """Raise an InputError where a whole spectrum is too large for LAPACK, or for the memory."""
-    if size > LARGEST:
-        raise InputError(
-            f"-modes_method dense: LAPACK computes whole spectra of up to {LARGEST} unknowns, and "
-            f"there are {size}; -modes_method eps"
-        )
-    check_memory("modes_method", memory(size))
+class Part(NamedTuple):
+    """The first unknowns of a medium, `count` of them; all but in a dry run."""
+
+    count: int
 
 
 class DenseSolver:
     """Finds all modes of a medium at once, and proves that they are all.
 
-    The `radius` of the last ones bounds by how much the rounding of K's entries, too, moves each
-    eigenvalue.
+    Each eigenvalue of the last ones is known to within the `radius`, rounding of K's entries
+    included. Raises an InputError where there are too many for LAPACK, or for the memory.
     """
 
     radius = math.inf
 
-    def __init__(self, medium):
-        """Sum K up."""
+    def __init__(self, lattice):
+        """Refuse what is too large."""
+        if lattice.size > LARGEST:
+            raise InputError(
+                f"-modes_method dense: LAPACK computes whole spectra of up to {LARGEST} unknowns, "
+                f"and there are {lattice.size}; -modes_method eps"
+            )
+        check_memory("modes_method", memory(lattice.size))
         import scipy.linalg  # noqa: F401 (here: a dry run times what comes later)
 
-        self.medium, self.K = medium, stiffness_matrix(medium)
-        self._rounding = medium.rounding * medium.stiffness_norm
+        self.lattice = lattice
 
-    def solve(self, low, high, count):
-        """Return all modes as `normal.ModeSolver` does; fewer are those of the first unknowns.
+    def solve(self, count):
+        """Return the modes of the first unknowns as `normal.ModeSolver` does.
 
         Raises PgranError if LAPACK fails.
         """
-        K = self.K[:count, :count]
+        K = stiffness_matrix(self.lattice)[:count, :count]
         try:
             found = whole_spectrum(K)
         except (np.linalg.LinAlgError, MemoryError) as error:
             reason = str(error) or type(error).__name__
             raise PgranError(f"LAPACK computes no spectrum: {reason}; -modes_method eps") from error
-        self.radius = found.radius + self._rounding
+        self.radius = found.radius + self.lattice.rounding * self.lattice.stiffness_norm
         vectors = found.vectors.T
-        if count < self.medium.size:
-            vectors = np.pad(vectors, ((0, 0), (0, self.medium.size - count)))
-        vectors = with_fixed_sign(vectors.reshape(count, *self.medium.shape))
+        if count < self.lattice.size:
+            vectors = np.pad(vectors, ((0, 0), (0, self.lattice.size - count)))
+        vectors = with_fixed_sign(vectors.reshape(count, *self.lattice.shape))
         return found.values, vectors, found.residuals / (abs(K).sum(axis=1).max() or 1.0)
 
 

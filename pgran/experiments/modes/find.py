@@ -4,14 +4,13 @@ import contextlib
 import dataclasses
 import math
 import time
-from functools import partial
 
 import numpy as np
 
 from pgran.errors import InputError
 from pgran.experiments.modes import dense
 from pgran.experiments.modes.record import Modes
-from pgran.experiments.modes.shapes import RESIDUAL, Slice, participation
+from pgran.experiments.modes.shapes import RESIDUAL, participation
 from pgran.medium.base import medium
 from pgran.medium.rounding import EPSILON
 from pgran.medium.units import check_frequency, einstein_frequency, warn_above_modes
@@ -105,7 +104,7 @@ def find_modes(
     method = on_root(crew.world, lambda: dense.method_of(method, scaled, **wanted))
     with contextlib.ExitStack() as held:
         if method == "dense":
-            task = Whole(scaled, shapes, targets, count, interval)
+            task = Whole(dense.DenseSolver(scaled), shapes, targets, count, interval)
         else:
             from mpi4py import MPI
 
@@ -115,25 +114,25 @@ def find_modes(
 
             operators = held.enter_context(Operators(scaled, MPI.COMM_SELF))
             slices = find_slices(operators, crew, **wanted)
-            solver = partial(ModeSolver, operators)
-            task = Slices(scaled, solver, slices, shapes, targets, count)
+            solver = held.enter_context(ModeSolver(operators))
+            task = Slices(solver, slices, shapes, targets, count)
         modes = carry_out(task, crew, progress)
     seconds = time.perf_counter() - started  # counts included
     return modes and dataclasses.replace(modes, solve_seconds=seconds)
 
 
 class Slices(Task):
-    """The modes of slices of the spectrum; `solver` returns, for a `with`, what finds them."""
+    """The modes of slices of the spectrum, which the `solver` finds."""
 
     items = "modes"
 
-    def __init__(self, lattice, solver, slices, shapes, targets, count):
+    def __init__(self, solver, slices, shapes, targets, count):
         """Say what a mode travels in."""
-        self.lattice, self.solver = lattice, solver
+        self.solver, self.lattice = solver, solver.lattice
         self.targets, self.count = targets, count
         self.units = list(enumerate(slices))
         without = () if shapes else ("vector",)
-        columns = row_of(Modes, without, balls=lattice.shape)
+        columns = row_of(Modes, without, balls=self.lattice.shape)
         self.row = np.dtype([("slice", int), ("value", float), ("radius", float), *columns])
         self.expected = sum(piece.count for _, piece in self.units)
         check_memory("output_fields", self.expected * self.row.itemsize)
@@ -141,22 +140,21 @@ class Slices(Task):
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`."""
-        with self.solver() as solver:
+        yield self._work
 
-            def work(unit):
-                number, piece = unit
-                values, vectors, residual = solver.solve(*piece)
-                rows = np.zeros(len(values), self.row)
-                rows["slice"] = number
-                rows["value"] = values
-                rows["radius"] = solver.radius
-                rows["residual"] = residual
-                rows["participation"] = participation(self.lattice, vectors)
-                if "vector" in self.row.names:
-                    rows["vector"] = vectors
-                return rows
-
-            yield work
+    def _work(self, unit):
+        """Return the rows of a slice's modes."""
+        number, piece = unit
+        values, vectors, residual = self.solver.solve(*piece)
+        rows = np.zeros(len(values), self.row)
+        rows["slice"] = number
+        rows["value"] = values
+        rows["radius"] = self.solver.radius
+        rows["residual"] = residual
+        rows["participation"] = participation(self.lattice, vectors)
+        if "vector" in self.row.names:
+            rows["vector"] = vectors
+        return rows
 
     def length(self, unit):
         """See `Task`."""
@@ -215,14 +213,11 @@ class Whole(Slices):
     Those of an interval are the ones that may lie in it, by their bounds.
     """
 
-    def __init__(self, lattice, shapes, targets, count, interval):
-        """Refuse what does not fit into the memory."""
-        dense.check_size(lattice.size)
-        self.interval = interval
-        whole = Slice(-math.inf, math.inf, lattice.size)
-        solver = lambda: contextlib.nullcontext(dense.DenseSolver(lattice))  # noqa: E731
-        super().__init__(lattice, solver, [whole], shapes, targets, count)
-        self.untried = dense.memory(lattice.size) if self.sample(self.units[0])[1] != whole else 0
+    def __init__(self, solver, shapes, targets, count, interval):
+        """Say how much memory a dry run does not take."""
+        self.interval, size = interval, solver.lattice.size
+        super().__init__(solver, [dense.Part(size)], shapes, targets, count)
+        self.untried = dense.memory(size) * (size > TRIED)
 
     def length(self, unit):
         """See `Task`; a part of a spectrum is as long as its part of the work."""
@@ -232,7 +227,7 @@ class Whole(Slices):
     def sample(self, unit):
         """See `Task`: the spectrum of the first unknowns."""
         number, piece = unit
-        return number, piece._replace(count=min(piece.count, TRIED))
+        return number, dense.Part(min(piece.count, TRIED))
 
     def blank(self, unit):
         """See `Task`; modes are spread evenly, for what an interval stores of them."""

@@ -1,19 +1,10 @@
 """Normal modes as arrays over the balls: Rayleigh-Ritz, residuals, participation."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 RESIDUAL = 1e-12  # of |K|: what a mode must meet
-
-
-class Slice(NamedTuple):
-    """The modes between two cuts: their shifts, and how many modes there are."""
-
-    low: float
-    high: float
-    count: int
 
 
 def rayleigh_ritz(lattice, vectors):

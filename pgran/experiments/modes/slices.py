@@ -13,7 +13,6 @@ import numpy as np
 from pgran.driven.counting import ModeCounter
 from pgran.errors import PgranError
 from pgran.experiments.modes.normal import ModeSolver, eps_type
-from pgran.experiments.modes.shapes import Slice
 from pgran.run.agreement import agreeing
 
 SLICE = 60  # modes that are computed together; measured for 40 x 40 and 100 x 100
@@ -29,6 +28,14 @@ class Cut(NamedTuple):
 
     shift: float
     below: int
+
+
+class Slice(NamedTuple):
+    """The modes between two cuts: their shifts, and how many modes there are."""
+
+    low: float
+    high: float
+    count: int
 
 
 def find_slices(operators, crew, interval=None, targets=None, count=None):
