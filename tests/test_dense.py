@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg
 from mpi4py import MPI
 from network_samples import as_network, random_network, unstable_network
-from samples import random_lattice, uniform_lattice
+from samples import assert_same, random_lattice, uniform_lattice
 from scipy.sparse import csr_matrix
 
 import pgran
@@ -18,8 +18,10 @@ from pgran.experiments.modes import dense
 from pgran.experiments.modes.dense import enclosure, stiffness_matrix, whole_spectrum
 from pgran.experiments.modes.scene import certificate
 from pgran.medium.crystals import random_geometric
+from pgran.medium.record import record_of
 from pgran.run import machine
 from pgran.run.crew import Crew
+from pgran.store import file as store
 
 
 def exact_eigenvalues(K, digits=60):
@@ -265,6 +267,17 @@ def test_wrong_spectra_are_not_certified(fault, monkeypatch):
     assert "NOT CERTIFIED" in certificate(modes)
     assert np.all(modes.omega_bound > 1e-10)
     assert np.isinf(modes.omega_bound).all() == (fault != "misplaced")
+
+
+def test_files_have_bounds_where_there_are(tmp_path):
+    """Those of modes by counts have none, as files of earlier versions."""
+    lattice, found = random_lattice((4, 3)), {}
+    for method in ("dense", "eps"):
+        found[method] = pgran.find_modes(lattice, method=method)
+        path, run = tmp_path / f"{method}.h5", {"scene": "modes", "bonds_sha256": ""}
+        store.write(path, run, [record_of(lattice), found[method]])
+        assert_same(pgran.load(path).modes, found[method])
+    assert found["eps"].omega_bound is None
 
 
 def test_a_network_of_one_unknown():
