@@ -131,7 +131,7 @@ def test_each_omega_lies_within_its_bound(name):
     assert np.abs(vectors @ vectors.T - np.eye(medium.size)).max() <= 1e-12
 
 
-def both(medium, world, **which):
+def both(medium, **which):
     """The modes by `dense` and by `eps`, with shapes, on all ranks."""
     return [pgran.find_modes(medium, method=m, shapes=True, **which) for m in ("dense", "eps")]
 
@@ -155,7 +155,7 @@ def test_dense_modes_are_those_of_slices(kind, which, world):
         "vectors": lambda: random_geometric(60, 2, displacement="vector"),
         "unstable": lambda: unstable_network(5).network,
     }[kind]()
-    whole, sliced = both(medium, world, **WHICH[which])
+    whole, sliced = both(medium, **WHICH[which])
     assert whole.count_certified
     assert sliced.count_certified
     assert whole.count_expected == sliced.count_expected == len(whole.omega)
@@ -179,7 +179,7 @@ def test_an_interval_from_one_mode_to_another_has_both():
     omega = pgran.find_modes(lattice).omega
     for first, last in ((1, 17), (2, 2), (5, 11)):
         low, high = omega[first] - (first == last) * 1e-9, omega[last] + (first == last) * 1e-9
-        ours, theirs = both(lattice, None, interval=(low, high))
+        ours, theirs = both(lattice, interval=(low, high))
         assert len(ours.omega) == len(theirs.omega)
 
 
@@ -237,7 +237,7 @@ def test_keys_of_an_eps_go_unused_beside_dense(caplog, world):
 
 
 @pytest.mark.parametrize("error", [np.linalg.LinAlgError("no convergence"), MemoryError()])
-def test_what_lapack_meets_is_raised_on_all_ranks(error, monkeypatch):
+def test_what_lapack_meets_is_raised_on_all_ranks(error, monkeypatch, world):
     def fails(*arguments, **choices):
         raise error
 
@@ -247,7 +247,7 @@ def test_what_lapack_meets_is_raised_on_all_ranks(error, monkeypatch):
 
 
 @pytest.mark.parametrize("fault", ["doubled", "not finite", "misplaced"])
-def test_wrong_spectra_are_not_certified(fault, monkeypatch):
+def test_wrong_spectra_are_not_certified(fault, monkeypatch, world):
     eigh = scipy.linalg.eigh
 
     def spoilt(*arguments, **choices):
