@@ -3,12 +3,14 @@
 Started by jobs/benchmark.sh on 2 ranks. While one rank measures, the other waits.
 """
 
+import dataclasses
 import inspect
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
+from pathlib import Path
 
 import mpi4py.MPI  # noqa: F401 (first: PETSc may have no MPI library of its own)
 import petsc4py
@@ -27,9 +29,12 @@ from pgran.driven.steady import SteadySolver  # noqa: E402
 from pgran.errors import InputError  # noqa: E402
 from pgran.experiments.relaxation.changes import draw_changes  # noqa: E402
 from pgran.medium.crystals import random_geometric  # noqa: E402
+from pgran.medium.graph import part  # noqa: E402
+from pgran.medium.network_file import read_network  # noqa: E402
 from pgran.run.crew import Crew  # noqa: E402
 
 WORLD, ALONE = MPI.COMM_WORLD, MPI.COMM_SELF
+PACKINGS = Path(__file__).parents[1] / "options" / "packings"
 UNIFORM = pgran.BondLaw("uniform")
 
 
@@ -90,6 +95,11 @@ def of_modes(peer, own):
     return max(np.min(np.abs(own.omega - omega)) / omega for omega in peer)
 
 
+def of_spectra(peer, own):
+    """Return the difference of all omega^2, some of which may be 0, relative to the largest."""
+    return np.max(np.abs(np.sign(own.omega) * own.omega**2 - peer)) / peer[-1]
+
+
 def of_near_modes(peer, own):
     """Return the same of the nearer half: of the others the peer may have found other ones."""
     return of_modes(peer[: len(peer) // 2], own)
@@ -147,11 +157,31 @@ def bound(side, low, high, count):
     return Pair(without, own, apart, 2 * (count / 1000,), "ms", (ALONE,))
 
 
-def all_modes(side):
-    """Compare all modes with NumPy's eigh."""
-    lattice, site = lattice_of(side)
-    own = by_pgran(pgran.find_modes, lattice, shapes=True)
-    return Pair(lambda: Peer(lattice, site).all_modes(), own, of_modes)
+def whole_spectrum(medium, site, method):
+    """Compare all modes and their shapes with NumPy's eigh."""
+    own = by_pgran(pgran.find_modes, medium, shapes=True, method=method)
+    return Pair(lambda: Peer(medium, site).all_modes(), own, of_spectra)
+
+
+def all_modes(side, method):
+    """Compare all modes of a lattice."""
+    return whole_spectrum(*lattice_of(side), method)
+
+
+def packing_modes(name, turning, balls=None):
+    """Compare all modes of a packing that comes with pgran, or of its first free balls."""
+    network = read_network(PACKINGS / f"{name}.h5")
+    if turning:
+        shear = 0.8 * network.stiffness
+        network = dataclasses.replace(network, displacement="rotations", tangential=shear)
+    if balls:
+        network = part(network, network.free[:balls])
+    return whole_spectrum(network, (int(network.free[0]),), "dense")
+
+
+def random_modes(balls):
+    """Compare all modes of random spheres with vectors."""
+    return whole_spectrum(*network_of(balls, 3, "vector"), "dense")
 
 
 def modes(side, interval):
@@ -224,8 +254,14 @@ ROWS = {  # named as in README.md
     f"200 x 200, a curve from .3 to .6 {ONE_BY_ONE}": (curve, 200, 0.3, 0.6, 1376, 16),
     "20 x 20, a frequency with its bound (peer: pgran without)": (bound, 20, 0.01, 1.3, 323),
     "200 x 200, a frequency with its bound (peer: pgran without)": (bound, 200, 0.05, 0.5, 4),
-    "all modes of 20 x 20, certified": (all_modes, 20),
-    "all modes of 40 x 40, certified": (all_modes, 40),
+    "all modes of 20 x 20, certified": (all_modes, 20, "eps"),
+    "all modes of 40 x 40, certified": (all_modes, 40, "eps"),
+    "all modes of 20 x 20, proven": (all_modes, 20, "dense"),
+    "all modes of 40 x 40, proven": (all_modes, 40, "dense"),
+    "all modes of 343 discs, 686 unknowns, proven": (packing_modes, "discs", False),
+    "all modes of 252 spheres, 756 unknowns, proven": (packing_modes, "spheres", False),
+    "all modes of 252 spheres that turn, 1512 unknowns, proven": (packing_modes, "spheres", True),
+    "all modes of 1000 spheres, 2370 unknowns, proven": (random_modes, 1000),
     "210 modes of 100 x 100, certified": (modes, 100, (0.5, 0.518)),
     "relaxation, 20 x 20, a step": (relaxation, 20, "window", 20_000, 500),
     "relaxation, 20 x 20, a step by krylov": (relaxation, 20, "krylov", 2000, 500),
@@ -254,6 +290,8 @@ SMALL = {  # what makes each row a trial of itself
     curve: {"side": 6, "low": 0.3, "high": 0.4, "count": 40, "part": 1},
     bound: {"side": 6, "count": 6},
     all_modes: {"side": 6},
+    packing_modes: {"balls": 100},
+    random_modes: {"balls": 100},
     modes: {"side": 10, "interval": (0.4, 0.8)},
     relaxation: {"side": 6, "taken": 8, "steps": 4},
     network_states: {"balls": 100},

@@ -53,9 +53,9 @@ class Peer:
         return np.array(amplitudes)
 
     def all_modes(self):
-        """Return the frequencies of all modes, found with their shapes."""
+        """Return omega^2 of all modes, found with their shapes."""
         squares, _ = np.linalg.eigh(self.K.toarray())
-        return np.sqrt(squares / self.medium.mass)
+        return squares / self.medium.mass
 
     def modes_near(self, omega, count):
         """Return the frequencies of the modes nearest to one, in this order, by eigsh on a splu."""

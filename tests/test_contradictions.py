@@ -36,6 +36,7 @@ REFUSED = {  # of each scene, words and what is said of them
         "-modes_omega_min 0 -modes_omega_max 1 -modes_count 3": "-modes_count",
         "-modes_density 1": "-modes_density 1",
         "-modes_density 9 -modes_target .5 -modes_count 3": "-modes_target",
+        "-modes_density 9 -modes_method dense": "-modes_method",
         "-modes_density 9 -modes_omega_min .5": "-modes_omega_max",
         "-output_fields -modes_density 9": "-output_fields",
         "-ranks_per_lattice 2": "-ranks_per_lattice",

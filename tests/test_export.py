@@ -180,7 +180,8 @@ def test_tables_of_scenes(tmp_path, medium):
     modes = pgran.find_modes(net)
     assert export(result_of(modes, net), path) == [path]
     names = assert_columns(path, {"participation": modes.participation})
-    assert names == ("omega", "residual", "participation")
+    proven = ("omega_bound",) * (medium == "network")
+    assert names == ("omega", "residual", "participation", *proven)
 
 
 def test_tables_of_several_axes(tmp_path):

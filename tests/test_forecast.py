@@ -15,6 +15,7 @@ from samples import random_lattice, run_scene, steady
 from pgran.command import forecast
 from pgran.command.resolve import SCENES, resolve
 from pgran.errors import InputError
+from pgran.experiments.modes import dense, find
 from pgran.medium import crystals as makers
 from pgran.medium.network import Network
 from pgran.run import machine
@@ -112,6 +113,7 @@ def test_time_is_that_of_the_units_of_one_group(world, monkeypatch, units):
     ("name", "words", "work"),
     [
         ("modes", "", "4.. modes"),
+        ("packing_modes", "", "686 modes"),
         ("modes_density", "-lattice_shape 16,15", "60 frequencies"),
         ("response", "-sweep_points 60 -output_fields", "60 frequencies, about 60 factorizations"),
         ("relaxation", "-relax_steps 2000", "2001 states, about 3. factorizations"),
@@ -129,6 +131,32 @@ def test_work_and_disk_are_those_of_the_run(world, monkeypatch, name, words, wor
         value, unit = lines["disk"].split()[1:3]
         size = forecast.stored_bytes(records)
         assert float(value) * {"kB": 1e3, "MB": 1e6}[unit] == pytest.approx(size, rel=0.1)
+
+
+def test_whole_spectra_are_foreseen_by_smaller_ones(world, monkeypatch):
+    """Work grows like n^3, and memory that no trial takes is told of."""
+    monkeypatch.setattr(find, "TRIED", 100)
+    monkeypatch.setattr(forecast, "most_resident", lambda: 10**6)
+    tried, solve = [], dense.DenseSolver.solve
+
+    def noted(self, count):
+        tried.append(count)
+        return solve(self, count)
+
+    monkeypatch.setattr(dense.DenseSolver, "solve", noted)
+    with forecast.Rehearsal(world, 1) as crew:
+        find.find_modes(random_lattice((20, 20)), crew, method="dense")
+        find.find_modes(random_lattice((8, 8)), crew, method="dense")
+        some = find.find_modes(random_lattice((20, 20)), crew, method="dense", interval=(0.2, 0.7))
+    if world.rank == 0:
+        assert tried == [100, 64, 100]
+        assert 100 < len(some.omega) < 300  # as if modes were spread evenly
+        assert crew.untried == dense.memory(400)
+        (work, long), (_, short), _ = crew.trials
+        assert work == "400 modes"
+        assert 3 * short < long < 64 * crew.spent
+    options = chosen("modes", "-modes_method", "dense")
+    assert foreseen(world, options)["memory"].split()[1] in ("6.1", "1")
 
 
 @pytest.mark.parametrize(

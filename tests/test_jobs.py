@@ -148,7 +148,7 @@ def test_a_rank_that_fails_ends_the_benchmark(project):
     """Instead of leaving the other one waiting."""
     script = project.path / "jobs" / "benchmark.py"
     planted = (
-        "def all_modes(side):\n"
+        "def all_modes(side, method):\n"
         "    if WORLD.rank == 1:\n"
         "        raise RuntimeError('planted')\n"
         "    return Pair(dict, lambda comm: comm.Barrier(), dict)\n\n\n"

@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
+import pgran
 from pgran.command import imports
 from pgran.command.resolve import resolve
 from pgran.medium.network_file import read_network
@@ -83,6 +84,35 @@ def test_the_networks_are_those_of_the_dumps(name, tmp_path):
             assert np.array_equal(array, shipped["network"][part])
         for part, value in shipped["network"].attrs.items():
             assert np.array_equal(made["network"].attrs[part], value)
+
+
+@pytest.mark.parametrize("name", ["discs", "spheres"])
+def test_all_modes_of_the_packings(name):
+    """Those of K summed contact by contact from the dumps; no mode is missing, which is proven."""
+    dumps, network = Dumps(name), read_network(PACKINGS / f"{name}.h5")
+    axes, count = AXES[name], len(dumps.radius)
+    along = np.einsum("ci,cj->cij", dumps.normal, dumps.normal)
+    if name == "discs":
+        stiffness = np.where(dumps.overlap > 0, 1.0, 0.0)
+    else:
+        one, other = dumps.radius[dumps.bond].T
+        stiffness = 1.5 * np.sqrt(one * other / (one + other) * dumps.overlap)
+    shear = (dumps.force / dumps.distance)[:, None, None]
+    blocks = stiffness[:, None, None] * along - shear * (np.eye(axes) - along)
+    K = np.zeros((count, count, axes, axes))
+    i, j = dumps.bond.T
+    for here, there, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+        np.add.at(K, (here, there), sign * blocks)
+    with h5py.File(PACKINGS / f"{name}.h5") as file:
+        balls = file["network/id"][()] - 1
+    free = balls[network.free]
+    K = K[np.ix_(free, free)].transpose(0, 2, 1, 3).reshape(2 * [len(free) * axes])
+    weights = np.repeat(1 / np.sqrt(network.masses[network.free]), axes)
+    squares = np.linalg.eigvalsh(weights[:, None] * K * weights)
+    modes = pgran.find_modes(network)
+    assert modes.count_certified
+    assert modes.omega_bound.max() < 1e-10
+    np.testing.assert_allclose(modes.omega**2, squares, rtol=0, atol=1e-9 * squares[-1])
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "options").glob("packing_*")), ids=lambda p: p.stem)

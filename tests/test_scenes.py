@@ -88,6 +88,7 @@ CHANGES = {
     "modes_omega_max": (".5", INTERVAL),
     "modes_target": (".5", NEAREST),
     "modes_count": ("4", NEAREST),
+    "modes_method": "dense",
     "modes_density": ("7", "-modes_density 8"),
     "sensitivity_most": "7",
     "heat_factor": ("1.1", "-heat_factor 1.01"),

@@ -41,7 +41,7 @@ class Rehearsal(Crew):
     """A crew that tries a few units of each task, and delivers zeros for all others.
 
     `trials` are, of each task, its size in words and the seconds that all of it takes; `spent` are
-    the seconds that the trials themselves took.
+    the seconds that the trials themselves took, `untried` the most bytes that none of them took.
     """
 
     dry = True
@@ -49,7 +49,7 @@ class Rehearsal(Crew):
     def __init__(self, world, ranks_per_lattice):
         """Split the world."""
         super().__init__(world, ranks_per_lattice)
-        self.trials, self.spent = [], 0.0
+        self.trials, self.spent, self.untried = [], 0.0, 0
 
     def share(self, task, work, deliver):
         """Try some units, from all over the task; see `Crew.share`. Collective."""
@@ -60,6 +60,8 @@ class Rehearsal(Crew):
                 rows = tried.get(position)
                 deliver(position, task.blank(unit) if rows is None else rows)
         self.spent += time.perf_counter() - began
+        if self.world.rank == 0:
+            self.untried = max(self.untried, task.untried)
 
     def _try(self, task, work):
         """Time some units; return the rows of those that were done whole. Collective."""
@@ -120,7 +122,8 @@ def forecast(scene, options, world, started):
         return crews[-1]
 
     records = run_scene(scene, options, world, rehearse)
-    memory = np.array(world.allgather(most_resident()))
+    untried = max(crew.untried for crew in crews)
+    memory = np.array(world.allgather(most_resident() + untried))
     together = _machine_total(world, memory[world.rank])
     if world.rank > 0:
         return []

@@ -16,8 +16,11 @@ class Task:
     """A computation cut into `units`, whose results do not depend on which ranks do which of them.
 
     `row`, a NumPy dtype, is what the results of a unit travel in and the journal keeps: a row an
-    item, as a rule. `items` is what an item is, in the plural.
+    item, as a rule. `items` is what an item is, in the plural. `untried` are the bytes that a unit
+    takes at rank 0 beyond what a dry run tries of it.
     """
+
+    untried = 0
 
     def open(self, group):
         """Return a context whose value works on one unit and returns its rows.

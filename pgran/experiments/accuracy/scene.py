@@ -40,6 +40,7 @@ STUDY = (
 CHOICES = {
     "steady_refresh_iterations": "refresh_iterations",
     "sweep_method": "method",
+    "modes_method": "method",
     "pulse_method": "method",
     "relax_method": "method",
     "relax_window": "window",

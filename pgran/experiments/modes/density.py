@@ -37,7 +37,8 @@ def check(values, given):
     """Let counts stand for modes, or the other way round, whichever is asked for later."""
     if values.get("modes_density") is None:  # an accuracy study has no such option
         return
-    alternatives(("modes_density",), ("modes_target", "modes_count"), values, given)
+    chosen = "modes_target", "modes_count", "modes_method"
+    alternatives(("modes_density",), chosen, values, given)
     if values["modes_density"] is not None and values["output_fields"]:
         fields = given["output_fields"]
         if fields.rank >= given["modes_density"].rank:

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 
 from pgran.draw import balls, captions, scales, style, together
+from pgran.experiments.modes.record import exactness
 
 CAPTIONS = {
     "shapes": "Shapes of normal modes; $P_i$: how many balls take part.",
@@ -41,7 +42,7 @@ def errors(record, _):
         return f"{words} were found; they are not certified."
     residual = getattr(record, "residual", ())  # a projection has none
     largest = f"; residuals at most {captions.number(residual.max())}" if len(residual) else ""
-    return f"{words}, certified by their count{largest}."
+    return f"{words}, {exactness(record, captions.number)}{largest}."
 
 
 def shape(ax, modes, lattice, mode):

@@ -1,16 +1,20 @@
-"""Normal modes: all, of an interval, or nearest to targets, certified by their number."""
+"""Normal modes: all, of an interval, or nearest to targets; proven, or certified by a count."""
 
 import contextlib
 import dataclasses
+import math
 import time
 
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.experiments.modes import dense
 from pgran.experiments.modes.record import Modes
 from pgran.experiments.modes.shapes import RESIDUAL, participation
 from pgran.medium.base import medium
+from pgran.medium.rounding import EPSILON
 from pgran.medium.units import check_frequency, einstein_frequency, warn_above_modes
+from pgran.run.agreement import on_root
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, Window, option
@@ -22,6 +26,8 @@ from pgran.store.record import columns_of, row_of
 # A frequency smaller than this part of what the stiffest bonds make is a zero mode's, but for
 # rounding; omega_mx may be any number that the user gives.
 ZERO = 1e-6
+MARGIN = 1.01  # covers the rounding of bounds
+TRIED = 600  # unknowns of a whole spectrum that a dry run computes
 
 
 @in_parallel("modes", lattice=medium)
@@ -49,13 +55,20 @@ def find_modes(
         "how many nearest modes; a projection without target: nearest to each driving frequency",
         kind=INTEGER, low=1,
     ),
+    method=option(
+        "auto",
+        "eps, slices of the spectrum by SLEPc, certified by counts; dense, the whole spectrum by "
+        "LAPACK, proven by residuals; auto, of lattices eps, of networks what is faster",
+        choices=("auto", "eps", "dense"),
+    ),
     shapes=option(False, "store the shapes of the modes", key="output_fields"),
     progress=PROGRESS,
 ):  # fmt: skip
     """Find the normal modes K f = m omega^2 f, all unless an interval or targets are given.
 
-    Collective. The spectrum is cut into slices by counts, which every rank makes, and the slices
-    are shared out over the ranks; no slice depends on the number of ranks.
+    Collective. By `eps` the spectrum is cut into slices by counts, which every rank makes, and the
+    slices are shared out over the ranks; no slice depends on the number of ranks. By `dense` rank 0
+    computes the whole spectrum, and all other modes are left out.
 
     Parameters
     ----------
@@ -68,14 +81,15 @@ def find_modes(
     -------
     pgran.results.Modes or None
         With a crew of the caller's None on all ranks but rank 0. `count_certified` is False if
-        modes are missing.
+        modes are missing; with an `omega_bound` it is proven, else it rests on counts.
 
     Raises
     ------
     InputError
-        If the interval or the targets are too high to compute with.
+        If the interval or the targets are too high to compute with, or a whole spectrum does not
+        fit into the memory.
     PgranError
-        If the modes cannot be counted.
+        If the modes cannot be counted, or LAPACK fails.
     """
     if interval is not None and targets is not None:
         raise InputError("-modes_target: contradicts an interval; give one of them")
@@ -84,89 +98,147 @@ def find_modes(
     started = time.perf_counter()
     if interval is not None:
         warn_above_modes(lattice, crew.world, interval[0])
-    lattice, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
-    check_frequency(lattice, max(targets or interval or (0.0,)))
-    from mpi4py import MPI
+    scaled, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
+    check_frequency(scaled, max(targets or interval or (0.0,)))
+    wanted = {"interval": interval, "targets": targets, "count": count}
+    method = on_root(crew.world, lambda: dense.method_of(method, scaled, **wanted))
+    with contextlib.ExitStack() as held:
+        if method == "dense":
+            task = Whole(dense.DenseSolver(scaled), shapes, targets, count, interval)
+        else:
+            from mpi4py import MPI
 
-    from pgran.driven.operators import Operators
-    from pgran.experiments.modes.slices import find_slices
+            from pgran.driven.operators import Operators
+            from pgran.experiments.modes.normal import ModeSolver
+            from pgran.experiments.modes.slices import find_slices
 
-    with Operators(lattice, MPI.COMM_SELF) as operators:
-        slices = find_slices(operators, crew, interval, targets, count)
-        modes = carry_out(Slices(operators, slices, shapes, targets, count), crew, progress)
+            operators = held.enter_context(Operators(scaled, MPI.COMM_SELF))
+            slices = find_slices(operators, crew, **wanted)
+            solver = held.enter_context(ModeSolver(operators))
+            task = Slices(solver, slices, shapes, targets, count)
+        modes = carry_out(task, crew, progress)
     seconds = time.perf_counter() - started  # counts included
     return modes and dataclasses.replace(modes, solve_seconds=seconds)
 
 
 class Slices(Task):
-    """The modes of slices of the spectrum, each certified by its count, on this rank's K."""
+    """The modes of slices of the spectrum, which the `solver` finds."""
 
     items = "modes"
 
-    def __init__(self, operators, slices, shapes, targets, count):
+    def __init__(self, solver, slices, shapes, targets, count):
         """Say what a mode travels in."""
-        self.operators, self.lattice = operators, operators.lattice
+        self.solver, self.lattice = solver, solver.lattice
         self.targets, self.count = targets, count
         self.units = list(enumerate(slices))
         without = () if shapes else ("vector",)
         columns = row_of(Modes, without, balls=self.lattice.shape)
-        self.row = np.dtype([("slice", int), ("value", float), *columns])
-        self.expected = sum(map(self.length, self.units))
+        self.row = np.dtype([("slice", int), ("value", float), ("radius", float), *columns])
+        self.expected = sum(piece.count for _, piece in self.units)
         check_memory("output_fields", self.expected * self.row.itemsize)
 
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`."""
-        from pgran.experiments.modes.normal import ModeSolver
+        yield self._work
 
-        with ModeSolver(self.operators) as solver:
-
-            def work(unit):
-                number, piece = unit
-                values, vectors, residual = solver.solve(*piece)
-                rows = np.zeros(len(values), self.row)
-                rows["slice"] = number
-                rows["value"] = values
-                rows["residual"] = residual
-                rows["participation"] = participation(self.lattice, vectors)
-                if "vector" in self.row.names:
-                    rows["vector"] = vectors
-                return rows
-
-            yield work
+    def _work(self, unit):
+        """Return the rows of a slice's modes."""
+        number, piece = unit
+        values, vectors, residual = self.solver.solve(*piece)
+        rows = np.zeros(len(values), self.row)
+        rows["slice"] = number
+        rows["value"] = values
+        rows["radius"] = self.solver.radius
+        rows["residual"] = residual
+        rows["participation"] = participation(self.lattice, vectors)
+        if "vector" in self.row.names:
+            rows["vector"] = vectors
+        return rows
 
     def length(self, unit):
         """See `Task`."""
         return unit[1].count
 
     def collect(self, rows, seconds):
-        """See `Task`; modes that no target asks for are left out."""
-        sizes = [self.length(unit) for unit in self.units]
+        """See `Task`; modes that are not asked for are left out."""
+        sizes = [piece.count for _, piece in self.units]
         complete = np.array_equal(np.bincount(rows["slice"], minlength=len(sizes)), sizes)
         accurate = bool(np.all(rows["residual"] <= RESIDUAL))
+        missing = self.expected - len(rows)
         rows = rows[np.argsort(rows["value"], kind="stable")]
-        omega, missing = self._omega(rows["value"]), self.expected - len(rows)
-        if self.targets is not None:
-            wanted = np.zeros(len(rows), dtype=bool)
-            for target in self.targets:
-                wanted[np.argsort(np.abs(omega - target), kind="stable")[: self.count]] = True
+        omega, bound = self._omega(rows["value"]), None
+        radius = rows["radius"][0] if len(rows) else math.nan
+        if not math.isnan(radius):
+            low, high = (self._root(rows["value"] + side * radius) for side in (-1, 1))
+            rounding = 4 * EPSILON * np.abs(omega)
+            bound = MARGIN * np.maximum(high - omega, omega - low) + rounding
+        wanted = self.wanted(omega, bound)
+        if not np.all(wanted):
             rows, omega = rows[wanted], omega[wanted]
+            bound = bound if bound is None else bound[wanted]
         return Modes(
             count_expected=len(rows) + missing,
-            count_certified=complete and accurate,
+            count_certified=complete and accurate and not math.isinf(radius),
             solve_seconds=seconds,
             omega=omega,
+            omega_bound=bound,
             **columns_of(Modes, rows),
         )
+
+    def wanted(self, omega, bound):
+        """Return which modes are asked for, of those that are found."""
+        wanted = np.full(len(omega), self.targets is None)
+        for target in self.targets or ():
+            wanted[np.argsort(np.abs(omega - target), kind="stable")[: self.count]] = True
+        return wanted
 
     def _omega(self, values):
         """Return sqrt(lambda / m), of unstable modes -sqrt(-lambda / m).
 
         Zero modes come out as rounding, of either sign: only what is below that is unstable.
         """
-        squares = values / self.lattice.mass
+        omega = self._root(values)
         stiff = einstein_frequency(self.lattice.axes, self.lattice.stiffest, self.lattice.mass)
-        unstable = squares < -((ZERO * stiff) ** 2)
-        omega = np.sqrt(np.maximum(squares, 0.0))
-        omega[unstable] = -np.sqrt(-squares[unstable])
-        return omega
+        return np.where(omega < -ZERO * stiff, omega, np.maximum(omega, 0.0))
+
+    def _root(self, values):
+        """Return sqrt(lambda / m) with the sign of lambda."""
+        return np.sign(values) * np.sqrt(np.abs(values) / self.lattice.mass)
+
+
+class Whole(Slices):
+    """All modes by LAPACK on one rank, proven: one slice holds the whole spectrum.
+
+    Those of an interval are the ones that may lie in it, by their bounds.
+    """
+
+    def __init__(self, solver, shapes, targets, count, interval):
+        """Say how much memory a dry run does not take."""
+        self.interval, size = interval, solver.lattice.size
+        super().__init__(solver, [dense.Part(size)], shapes, targets, count)
+        self.untried = dense.memory(size) * (size > TRIED)
+
+    def length(self, unit):
+        """See `Task`; a part of a spectrum is as long as its part of the work."""
+        n, part = self.lattice.size, unit[1].count
+        return n if part == n else n * (part / n) ** 3
+
+    def sample(self, unit):
+        """See `Task`: the spectrum of the first unknowns."""
+        number, piece = unit
+        return number, dense.Part(min(piece.count, TRIED))
+
+    def blank(self, unit):
+        """See `Task`; modes are spread evenly, for what an interval stores of them."""
+        rows = super().blank(unit)
+        rows["value"] = self.lattice.stiffness_norm * np.linspace(0.0, 1.0, len(rows)) ** 2
+        return rows
+
+    def wanted(self, omega, bound):
+        """See `Slices`."""
+        if self.interval is None:
+            return super().wanted(omega, bound)
+        low, high = self.interval
+        # from 0 on means from the lowest, unstable ones too
+        return ((omega + bound >= low) | (low == 0)) & (omega - bound <= high)

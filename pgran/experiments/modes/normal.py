@@ -60,6 +60,7 @@ class ModeSolver(Owner):
     """Finds the modes of slices of the spectrum of K, which is this rank's alone."""
 
     owns = ("_eps",)
+    radius = np.nan  # within which eigenvalues lie for certain: none is known
 
     def __init__(self, operators):
         """Keep what the slices share."""

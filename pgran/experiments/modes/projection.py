@@ -56,6 +56,7 @@ def project(
     crew=None,
     which=None,
     *,
+    method=find_modes.declared["method"],
     error_tolerance=driven.STEADY["error_tolerance"],
     error_floor=driven.STEADY["error_floor"],
     refresh_iterations=driven.STEADY["refresh_iterations"],
@@ -79,7 +80,9 @@ def project(
     scaled, _ = lattice.in_own_unit()
     check_frequency(scaled, omegas[-1])  # before any work
     driven.check_driven(lattice, crew.world, omegas[0])
-    modes = find_modes(lattice, crew, **(which or {}), shapes=True, progress=progress)
+    modes = find_modes(
+        lattice, crew, **(which or {}), method=method, shapes=True, progress=progress
+    )
     choices = {
         "error_tolerance": error_tolerance,
         "error_floor": error_floor,
@@ -119,6 +122,7 @@ class ProjectedSweep(FrequencySweep):
             solve_seconds=self.modes.solve_seconds + seconds,
             omega=self.omegas,
             mode_omega=self.modes.omega,
+            mode_omega_bound=self.modes.omega_bound,
             dominant=size.argmax(axis=1) if size.shape[1] else np.full(len(rows), -1),
             error_bound=rows["field_bound"],
             **columns,

@@ -64,6 +64,18 @@ class Density(Record):
         return (sides.prod() * waves**2 - 2 * sides.sum() * waves) / (4 * math.pi)
 
 
+def exactness(record, number="{:.1e}".format):
+    """Return in words how sure it is that a record's modes, its own or those it is on, are all."""
+    bounds = [getattr(record, name, None) for name in ("omega_bound", "mode_omega_bound")]
+    proven = next((bound for bound in bounds if bound is not None), None)
+    if proven is None:
+        return "certified by their count"
+    if not len(proven):
+        return "proven by their residuals"
+    typical, most = number(np.median(proven)), number(proven.max())
+    return f"proven by their residuals, omega to {typical} (median; at most {most})"
+
+
 def _missing(record):
     """Return how many modes are missing or too many, at least 1 unless they are certified."""
     return 0 if record.count_certified else max(1, abs(record.count_expected - record.count_found))
@@ -74,7 +86,9 @@ class Modes(Record):
     """Normal modes K f = m omega^2 f (paper: modepic), `nm` of them.
 
     `count_expected` says how many there are, `count_certified` whether all of these were found,
-    each with a residual of rounding size.
+    each with a residual of rounding size: certified by counts, or, where there is an `omega_bound`,
+    proven. Modes that are unstable, omega^2 < 0, have the negative omega -sqrt(-omega^2), and it is
+    this number that the bound is of; `inf` proves nothing.
     """
 
     group = "modes"
@@ -86,6 +100,10 @@ class Modes(Record):
     participation: np.ndarray = array(
         "how many balls take part, 1 / sum f^4", "1", "omega", row=True
     )
+    omega_bound: np.ndarray | None = array(
+        "bound of the error of omega, proven for all modes together: none is missing",
+        "sqrt(k/m)", "omega", optional=True,
+    )  # fmt: skip
     vector: np.ndarray | None = array(
         "shape of the mode, orthonormal, its largest entry positive",
         "1", "omega", "balls", optional=True, row=True,
@@ -130,6 +148,10 @@ class Projection(Frequencies, Record):
     converged_reason: np.ndarray = array(
         "positive: as accurate as asked", "1", "omega", dtype=int, row=True
     )
+    mode_omega_bound: np.ndarray | None = array(
+        "bound of the error of mode_omega, as `omega_bound` of modes",
+        "sqrt(k/m)", "mode_omega", optional=True,
+    )  # fmt: skip
 
     @property
     def count_found(self):

@@ -6,6 +6,7 @@ from pgran.errors import InputError
 from pgran.experiments.modes import density
 from pgran.experiments.modes.find import find_modes
 from pgran.experiments.modes.levels import spacings
+from pgran.experiments.modes.record import exactness
 from pgran.experiments.modes.shapes import RESIDUAL
 from pgran.run.experiment import Caution, Scene
 from pgran.run.keywords import call, options_of
@@ -70,11 +71,13 @@ def certificate(record):
     """Return in words whether all modes were found."""
     found, expected = record.count_found, record.count_expected
     if record.count_certified:
-        return f"all {expected} modes found, certified by their count"
+        return f"all {expected} modes found, {exactness(record)}"
     if found != expected:
         return Caution(f"NOT ALL MODES: {found} found where there are {expected}")
-    inaccurate = f"the residuals of some of the {found} modes are above {RESIDUAL:g}"
-    return Caution(f"NOT CERTIFIED: {inaccurate}")
+    return Caution(
+        f"NOT CERTIFIED: some of the {found} modes have residuals above {RESIDUAL:g}, or are not "
+        "orthogonal"
+    )
 
 
 SCENE = Scene((*options_of(find_modes), density.DENSITY), run, summary, check)

@@ -1,0 +1,175 @@
+"""Whole spectra by LAPACK, complete by proof: each eigenvalue is there once, within a radius.
+
+Theorem. Let K be symmetric, X square, W = diag(w), R = K X - X W and |X^T X - 1|_2 <= delta < 1.
+Then, both sorted, |lambda_j(K) - w_j| <= |R|_2 / sqrt(1 - delta) for every j.
+
+Proof. With the singular value decomposition X = U S V^T, A = U^T K U and D = V^T W V,
+
+    A S - S D = U^T R V.
+
+Let x be a unit eigenvector of A - D whose eigenvalue mu is the largest in magnitude. The symmetric
+part of A S - S D is ((A - D) S + S (A - D)) / 2, so that |R|_2 >= |x^T (A S - S D) x| =
+|mu| x^T S x >= |mu| sqrt(1 - delta), and |lambda_j(A) - lambda_j(D)| <= |A - D|_2 = |mu| by Weyl.
+
+So no mode is missing, and none is twice, whatever LAPACK has done; what it returns is only checked.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pgran.errors import InputError, PgranError
+from pgran.experiments.modes.shapes import with_fixed_sign
+from pgran.medium.rounding import EPSILON
+from pgran.run.machine import check_memory, total_memory
+
+LARGEST = 30_000  # unknowns: more, and LAPACK counts its numbers beyond 2^31
+DOUBLES = 4  # n^2 of them are held at a time; LAPACK's divide and conquer takes 3
+# Seconds of the whole spectrum, n^3 times WHOLE; of an EPS for each mode, n times EACH and entries
+# of the factor times SOLVED, and for its counts multiplications of a factorization times COUNTED.
+# Measured on networks in two and three dimensions, with rotations too: a ratio alone matters.
+WHOLE, EACH, SOLVED, COUNTED = 4.8e-10, 5e-7, 7e-8, 2.5e-8
+LOOSE = 0.02  # |X^T X - 1|: with more than that LAPACK has failed
+BLOCK = 256  # columns that are checked at a time
+MARGIN = 1.01  # covers the rounding of the bounds themselves
+
+
+def method_of(method, medium, interval=None, targets=None, count=None):
+    """Return `eps` or `dense`, which finds the modes that `find_modes` is asked for.
+
+    By `auto` that is what is faster for a network; who sets keys for an EPS has one.
+    """
+    if method != "auto":
+        return method
+    from pgran.run.petsc import PETSc
+
+    fits = medium.size <= LARGEST and 2 * memory(medium.size) <= total_memory()
+    if medium.is_grid or not fits or PETSc.Options("normal_").getAll():
+        return "eps"
+    modes = medium.size
+    if targets is not None:
+        modes = min(modes, len(targets) * count)
+    elif interval is not None:  # as if modes were spread evenly
+        top = math.sqrt(medium.stiffness_norm / medium.mass) or 1.0
+        low, high = np.clip(np.divide(interval, top), 0.0, 1.0)
+        modes *= high - low
+    return "dense" if is_faster(medium, modes) else "eps"
+
+
+def is_faster(network, modes):
+    """Return whether the whole spectrum of a network comes faster than so many modes by an EPS."""
+    whole = WHOLE * network.size**3
+    eps = EACH * modes * network.size
+    if whole <= eps:  # however little the factors fill
+        return True
+    return whole <= eps + SOLVED * modes * network.graph.entries + COUNTED * network.graph.work
+
+
+def memory(size):
+    """Return how many bytes a whole spectrum of so many unknowns takes."""
+    return 8 * DOUBLES * size**2
+
+
+class Part(NamedTuple):
+    """The first unknowns of a medium, `count` of them; all but in a dry run."""
+
+    count: int
+
+
+class DenseSolver:
+    """Finds all modes of a medium at once, and proves that they are all.
+
+    Each eigenvalue of the last ones is known to within the `radius`, rounding of K's entries
+    included. Raises an InputError where there are too many for LAPACK, or for the memory.
+    """
+
+    radius = math.inf
+
+    def __init__(self, lattice):
+        """Refuse what is too large."""
+        if lattice.size > LARGEST:
+            raise InputError(
+                f"-modes_method dense: LAPACK computes whole spectra of up to {LARGEST} unknowns, "
+                f"and there are {lattice.size}; -modes_method eps"
+            )
+        check_memory("modes_method", memory(lattice.size))
+        import scipy.linalg  # noqa: F401 (here: a dry run times what comes later)
+
+        self.lattice = lattice
+
+    def solve(self, count):
+        """Return the modes of the first unknowns as `normal.ModeSolver` does.
+
+        Raises PgranError if LAPACK fails.
+        """
+        K = stiffness_matrix(self.lattice)[:count, :count]
+        try:
+            found = whole_spectrum(K)
+        except (np.linalg.LinAlgError, MemoryError) as error:
+            reason = str(error) or type(error).__name__
+            raise PgranError(f"LAPACK computes no spectrum: {reason}; -modes_method eps") from error
+        self.radius = found.radius + self.lattice.rounding * self.lattice.stiffness_norm
+        vectors = found.vectors.T
+        if count < self.lattice.size:
+            vectors = np.pad(vectors, ((0, 0), (0, self.lattice.size - count)))
+        vectors = with_fixed_sign(vectors.reshape(count, *self.lattice.shape))
+        return found.values, vectors, found.residuals / (abs(K).sum(axis=1).max() or 1.0)
+
+
+class Spectrum(NamedTuple):
+    """All eigenvalues of K, ascending, shape (n,), with eigenvectors as columns, shape (n, n).
+
+    The j-th eigenvalue lies within `radius` of the j-th value; infinite where nothing is proven.
+    """
+
+    values: np.ndarray
+    vectors: np.ndarray
+    residuals: np.ndarray  # |K x - w x|_2 of each
+    radius: float
+
+
+def stiffness_matrix(medium):
+    """Return K, sparse, exactly symmetric as it is stored."""
+    springs = medium.springs
+    K = springs.B.T @ springs.B.multiply(springs.constants[:, None])
+    return (0.5 * (K + K.T)).tocsr()  # products of sparse matrices are symmetric but for rounding
+
+
+def whole_spectrum(K):
+    """Return all eigenvalues and eigenvectors of a symmetric sparse matrix as a `Spectrum`."""
+    import scipy.linalg  # here: SciPy takes its time
+
+    dense = K.toarray(order="F")
+    driver = "evd" if len(dense) > 1 else "evr"  # SciPy 1.10 gives evd too little room for one
+    values, vectors = scipy.linalg.eigh(dense, driver=driver, overwrite_a=True, check_finite=False)
+    return Spectrum(values, vectors, *enclosure(K, values, vectors))
+
+
+def enclosure(K, values, vectors):
+    """Return |K x - w x|_2 of each column, and the radius of the theorem.
+
+    Norms are bounded by Frobenius norms. A product of m terms is wrong by at most m u times that of
+    the magnitudes (u the unit roundoff): with |X|_F = sqrt(n) to a percent, R gains
+    (m + 3) u (|K| + max |w|) |X|_F, m the most nonzeros of a row, and X^T X gains
+    (n + 2) u |X|_F^2.
+    """
+    n, unit = len(values), EPSILON / 2
+    residuals, gram = np.empty(n), 0.0
+    for start in range(0, n, BLOCK):
+        own = slice(start, start + BLOCK)
+        x = vectors[:, own]
+        residuals[own] = np.linalg.norm(K @ x - values[own] * x, axis=0)
+        # The columns up to these: of the symmetric X^T X - 1 the part above its diagonal blocks
+        # counts twice, the blocks themselves once.
+        product = vectors[:, : start + x.shape[1]].T @ x
+        above, diagonal = product[:start], product[start:]
+        gram += 2 * np.vdot(above, above) + np.linalg.norm(diagonal - np.eye(len(diagonal))) ** 2
+    size = MARGIN * math.sqrt(n)
+    delta = MARGIN * (math.sqrt(gram) + (n + 2) * unit * size**2)
+    if not delta < LOOSE:  # NaN too
+        return residuals, math.inf
+    largest = float(abs(K).sum(axis=1).max()) + float(np.abs(values).max(initial=0.0))
+    terms = int(np.diff(K.indptr).max(initial=0)) + 3
+    rest = MARGIN * (np.linalg.norm(residuals) + terms * unit * largest * size)
+    return residuals, float(MARGIN * rest / math.sqrt(1 - delta))
