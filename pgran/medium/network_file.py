@@ -45,7 +45,7 @@ DATASETS = {
 }
 ATTRIBUTES = {
     "displacement": str, "damped": str, "damping": float, "kmax": float, "median_mass": float,
-    "direction": np.ndarray,
+    "direction": np.ndarray, "power": float, "box": np.ndarray, "gravity": np.ndarray,
 }  # fmt: skip
 CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
 
