@@ -12,8 +12,6 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.medium.packing import nearest_images
 
-POWERS = {"harmonic": 1.0, "hertz": 1.5}
-
 
 @dataclass(frozen=True)
 class ContactLaw:
@@ -35,28 +33,6 @@ class ContactLaw:
         touching = overlap > 0
         height = np.where(touching, overlap, 1.0)
         return np.where(touching, self.power * constants * height ** (self.power - 1), 0.0)
-
-
-def law_of(network):
-    """Return the law that the contacts of a network obey, by their forces and radii.
-
-    Raises InputError where it does not know them.
-    """
-    if network.power is None or network.force is None:
-        raise InputError(
-            "the network does not know its contact law and forces: pgran pack makes networks that "
-            "do, and so does pgran import with --law hertz or harmonic and --prestress"
-        )
-    if network.radius is None or network.position is None:
-        raise InputError("balls under a contact law need positions and radii (pgran import)")
-    overlap = network.overlap
-    if not np.any(overlap > 0):
-        raise InputError("no contact of the network bears a force: there is nothing to balance")
-    pressed = overlap > 0
-    first, second = network.radius[network.bond[pressed]].T
-    law = ContactLaw(network.power)
-    ratio = network.force[pressed] / law.force(law.constants(first, second), overlap[pressed])
-    return ContactLaw(network.power, float(np.median(ratio)))
 
 
 def near_pairs(position, radius, box, reach):
