@@ -9,6 +9,7 @@ from pgran.medium.springs import FREE
 
 POWERS = {"harmonic": 1.0, "hertz": 1.5}  # of the overlap: F = c h^power
 
+
 def hertz(force, overlap):
     """Return k = dF/dh = 3/2 F / h of Hertz's law F = c h^(3/2)."""
     return 1.5 * force / overlap
