@@ -9,7 +9,8 @@ import pytest
 
 import pgran
 from pgran.balance.contacts import ContactLaw, loose_balls, near_pairs
-from pgran.balance.equilibrium import Balls, Motion, NotBalancedError, at_rest, listed, newton
+from pgran.balance.equilibrium import NotBalancedError, at_rest, newton
+from pgran.balance.motion import Balls, Motion, listed
 from pgran.balance.networks import balls_of, changed_contacts, grown
 from pgran.errors import InputError
 from pgran.medium.network_file import read_network

@@ -14,8 +14,9 @@ import numpy as np
 
 from pgran.arguments import called_right, choice, whole_number
 from pgran.balance.contacts import ContactLaw, loose_balls
-from pgran.balance.equilibrium import Balls, NotBalancedError, Rest, at_rest, listed
+from pgran.balance.equilibrium import NotBalancedError, Rest, at_rest
 from pgran.balance.fire import fire
+from pgran.balance.motion import Balls, listed
 from pgran.balance.networks import network_of
 from pgran.errors import InputError
 from pgran.medium.packing import POWERS
