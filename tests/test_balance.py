@@ -22,12 +22,10 @@ INFINITE = np.full(2, np.inf)
 def left_over(network):
     """The largest total force on a free ball, in mean forces, ball by ball."""
     pull = np.zeros(network.axes) if network.gravity is None else network.gravity
-    worst = 0.0
+    repulsion, worst = network.force[:, None] * network.normal, 0.0
     for ball in network.free:
-        total = network.masses[ball] * pull
-        for (i, j), n, f in zip(network.bond, network.normal, network.force, strict=True):
-            total = total + f * n * ((j == ball) - float(i == ball))
-        worst = max(worst, np.linalg.norm(total))
+        sign = (network.bond[:, 1] == ball) - 1.0 * (network.bond[:, 0] == ball)
+        worst = max(worst, np.linalg.norm(network.masses[ball] * pull + sign @ repulsion))
     return worst / network.force.mean()
 
 
@@ -85,15 +83,11 @@ def test_pairs_are_those_of_all_images():
     box = np.array([6.0, np.inf, 7.0])
     position, radius = rng.uniform(-9, 9, (60, 3)), rng.uniform(0.3, 0.7, 60)
     pairs, away = near_pairs(position, radius, box, 0.2)
-    wanted = set()
-    for i in range(60):
-        for j in range(i):
-            images = [
-                position[j] - position[i] + [6 * a, 0, 7 * b]
-                for a in range(-4, 5) for b in range(-4, 5)
-            ]  # fmt: skip
-            if min(map(np.linalg.norm, images)) < radius[i] + radius[j] + 0.2:
-                wanted.add((j, i))
+    images = np.array([[6 * a, 0, 7 * b] for a in range(-4, 5) for b in range(-4, 5)])
+    between = position[None] - position[:, None]
+    nearest = np.linalg.norm(between[:, :, None] + images, axis=3).min(axis=2)
+    near = np.triu(nearest < radius[:, None] + radius + 0.2, 1)
+    wanted = set(map(tuple, np.argwhere(near)))
     assert set(map(tuple, np.sort(pairs, axis=1))) == wanted
     assert np.all(np.linalg.norm(away, axis=1) < radius[pairs].sum(axis=1) + 0.2)
     with pytest.raises(InputError, match="more balls"):
