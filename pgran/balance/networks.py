@@ -8,7 +8,8 @@ import numpy as np
 
 from pgran.arguments import called_right
 from pgran.balance.contacts import ContactLaw
-from pgran.balance.equilibrium import Balls, Contacts, at_rest
+from pgran.balance.equilibrium import at_rest
+from pgran.balance.motion import Balls, Contacts
 from pgran.errors import InputError
 from pgran.medium.network import Network
 from pgran.medium.rounding import EPSILON

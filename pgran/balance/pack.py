@@ -14,13 +14,14 @@ import numpy as np
 
 from pgran.arguments import called_right, choice, whole_number
 from pgran.balance.contacts import ContactLaw, loose_balls
-from pgran.balance.equilibrium import Balls, NotBalancedError, Rest, at_rest, listed
+from pgran.balance.equilibrium import NotBalancedError, Rest, at_rest
 from pgran.balance.fire import fire
+from pgran.balance.motion import Balls, listed
 from pgran.balance.networks import network_of
 from pgran.errors import InputError
 from pgran.medium.packing import POWERS
 from pgran.medium.springs import AT_REST, DRIVEN
-from pgran.run.numbers import number
+from pgran.run.numbers import number, numbers
 
 DENSITY = {2: 0.9, 3: 0.7}  # of random positions: the part of the box that balls fill
 FIRST = {1.0: 1e-2}  # the pressure where a descent begins, of laws by their power
@@ -231,6 +232,15 @@ def pack(
     PgranError
         If no rest is found.
     """
+    chosen = {"pressure": pressure, "gravity": gravity, "seed": seed, "sizes": sizes}
+    return packed_network(balls, dimension, law, shape=shape, walls=walls, **chosen)[0]
+
+
+def packed_network(
+    balls, dimension=2, law="harmonic", *, pressure=None, gravity=None, seed=1993,
+    sizes="bidisperse", shape=None, walls=None,
+):  # fmt: skip
+    """Return the network of `pack`, and the `Packed` that it was made of."""
     balls, seed = whole_number("pack: balls", balls), whole_number("pack: seed", seed)
     dimension = whole_number("pack: dimension", dimension)
     if dimension not in DENSITY:
@@ -246,15 +256,19 @@ def pack(
     power = POWERS[law] if isinstance(law, str) and law in POWERS else number("pack: law", law)
     if not 1 <= power <= 4:
         raise InputError(f"pack: law: harmonic, hertz, or a power from 1 to 4, not {law}")
+    if shape is not None:
+        sides = numbers("pack: shape", shape)
+        if sides.shape != (dimension,) or not np.all(sides > 0) or gravity is not None:
+            raise InputError(f"pack: shape: {dimension} positive ratios, of a box under a pressure")
     axes = "xyz"[:dimension]
-    choice("pack: walls", walls or "x", axes if gravity is None else axes[:-1])
+    choice("pack: walls", "x" if walls is None else walls, axes if gravity is None else axes[:-1])
     rng = np.random.default_rng(seed)
     diameter, rule = diameters(balls, sizes, rng), ContactLaw(power)
     if gravity is None:
         packed = under_pressure(diameter, dimension, rule, push, rng, shape)
     else:
         packed = under_gravity(diameter, dimension, rule, push, rng)
-    return _network(packed, axes, walls, gravity)
+    return _network(packed, axes, walls, gravity), packed
 
 
 def _network(packed, axes, walls, gravity):
