@@ -3,7 +3,6 @@
 import contextlib
 import math
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,17 +14,6 @@ from pgran.run.task import Task
 from pgran.store.estimate import counted
 
 LARGE = 0.3  # of the mean overlap: growth beyond which packings rearrange
-
-
-class Expanded(NamedTuple):
-    """What becomes of balls, ball after ball, by the names of `Heat`'s arrays."""
-
-    warmed: np.ndarray
-    warmed_bound: np.ndarray
-    opened: np.ndarray
-    closed: np.ndarray
-    balance: np.ndarray
-    outcome: np.ndarray
 
 
 class ExpansionTask(Task):
@@ -92,13 +80,13 @@ class ExpansionTask(Task):
         return amplitudes, bounds
 
     def collect(self, rows, seconds):
-        """See `Task`."""
+        """Return what becomes of the balls, by the names of `Heat`'s arrays; see `Task`."""
         turned = {name: np.moveaxis(rows[name], 0, -1).copy() for name in self.row.names}
         turned["outcome"] = np.array(OUTCOMES)[turned["outcome"]]
-        return Expanded(**turned)
+        return turned
 
 
-def summary(heat):
+def told_of_growth(heat):
     """Return in words by how much balls have grown, and what packings did."""
     if heat.growth is None:
         return

@@ -86,7 +86,10 @@ def _words(seen, record, at, d):
 def _warmth(_, record, *__):
     """Return what the map of warm balls shows, in words."""
     how = f"bonds {record.factor:g} times as stiff"
-    if not np.isfinite(record.factor):
+    if record.growth is not None:
+        rest = "all at a new rest" if record.relaxed else "neighbours frozen"
+        how = f"radii larger by up to {np.abs(record.growth).max():.3g}, {rest}"
+    elif not np.isfinite(record.factor):
         how = f"overlaps larger by {record.overlap:g}"
     return f"each ball warmed alone, {how}; red: |A| grows; blue, with a bar: it falls"
 

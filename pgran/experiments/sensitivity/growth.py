@@ -8,6 +8,7 @@ then depends on how it was grown. NumPy and SciPy only.
 """
 
 import dataclasses
+import logging
 import math
 from typing import NamedTuple
 
@@ -19,8 +20,10 @@ from pgran.balance.networks import balls_of, changed_contacts, grown, network_of
 from pgran.experiments.sensitivity.radii import check, with_vectors
 from pgran.medium.network import Network
 
+log = logging.getLogger("pgran")
 OUTCOMES = "smooth", "opened or closed", "rearranged", "not balanced"
 SMOOTH, CHANGED, REARRANGED, LOST = range(len(OUTCOMES))
+UNBALANCED = 1e-3  # of the mean force: what is said of a network
 RETURNED = 1e-6  # of the mean overlap: how far overlaps may be from where they were
 
 
@@ -49,6 +52,17 @@ class Packing:
         pushes = network.force[:, None] * packing.normal
         load = -total_forces(network.bond, pushes, len(network.held))
         self.balls = dataclasses.replace(balls, load=load)
+        left = np.linalg.norm((load - balls.load)[network.free], axis=1)
+        self.unbalanced = float(left.max() / network.force.mean())
+
+    def warn(self):
+        """Warn where the network is no packing at rest under its contact law alone."""
+        if self.unbalanced > UNBALANCED:
+            log.warning(
+                "the forces of the network leave %.1e of the mean one unbalanced, which is taken "
+                "as a load that stays while balls grow; pgran.equilibrate finds a rest without it",
+                self.unbalanced,
+            )
 
     def grown(self, ball, growth):
         """Return the packing at rest after a ball's radius has grown by so much."""

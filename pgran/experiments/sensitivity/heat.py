@@ -6,8 +6,9 @@ import numpy as np
 
 from pgran.driven import drive as driven
 from pgran.errors import InputError
-from pgran.experiments.sensitivity import expansion, finite
+from pgran.experiments.sensitivity import finite
 from pgran.experiments.sensitivity.adjoint import MISSED, AdjointSweep
+from pgran.experiments.sensitivity.expansion import ExpansionTask, told_of_growth
 from pgran.experiments.sensitivity.radii import Radii, with_vectors
 from pgran.experiments.sensitivity.record import Heat
 from pgran.experiments.sensitivity.warmth import WAYS, Warmth, check_options, relaxes
@@ -33,7 +34,7 @@ def summary(record):
     good = record.converged_reason > 0
     if failed := np.count_nonzero(~good):
         yield Caution(f"{failed} of {len(good)} frequencies of the heater failed")
-    yield from expansion.summary(record)
+    yield from told_of_growth(record)
     for d, ball in enumerate(ball_names(record.detector)):
         for name, what in (("warmed", "warm ball"), ("cut", "cut bond")):
             after = getattr(record, name)
@@ -125,11 +126,13 @@ def heat(
         task = HeatSweep(lattice, omegas, detectors, warmth, relaxing, balls, cut, error_tolerance)
         expanding = task.expanding() if relaxing else None
     driven.check_driven(lattice, crew.world, omegas[0])
+    if relaxing and crew.world.rank == 0:
+        expanding.packing.warn()
     record = carry_out(task, crew, progress)
     if expanding is not None:
         expanded = carry_out(expanding, crew, progress)
         if record is not None:
-            record = dataclasses.replace(record, **expanded._asdict())
+            record = dataclasses.replace(record, **expanded)
             record = dataclasses.replace(record, heard=heard(record))
     return record
 
@@ -189,7 +192,7 @@ class HeatSweep(AdjointSweep):
         """Return the task that computes the amplitudes of relaxed packings."""
         growth = self.warmth.growth(self.lattice)[self.balls]
         where = self.lattice, self.omegas, self.sites, self.balls, growth
-        return expansion.ExpansionTask(*where, self.choices["error_tolerance"])
+        return ExpansionTask(*where, self.choices["error_tolerance"])
 
     def prepare(self, operators):
         """See `FrequencySweep`."""

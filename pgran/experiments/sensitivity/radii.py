@@ -32,9 +32,9 @@ import dataclasses
 
 import numpy as np
 
+from pgran.balance.equilibrium import factored
 from pgran.balance.networks import law_of
 from pgran.errors import InputError
-from pgran.medium.graph import SYMMETRIC
 from pgran.medium.network import Network
 from pgran.medium.rounding import EPSILON
 from pgran.medium.springs import DRIVEN, sparse_rows
@@ -175,8 +175,6 @@ class Static:
 
     def __init__(self, packing, least, pushes):
         """Factor K in mass-weighted unknowns."""
-        from scipy.sparse.linalg import splu  # here: SciPy takes its time
-
         springs = packing.springs
         self.normal, self.least = packing.normal, least
         self.B, self.constants = springs.B, springs.constants
@@ -184,10 +182,7 @@ class Static:
         self.apart = _differences(packing, packing.axes)
         K = self.B.T @ self.B.multiply(self.constants[:, None]).tocsr()
         self.K = (0.5 * (K + K.T)).tocsc()
-        try:
-            self.factors = splu(self.K, "MMD_AT_PLUS_A", **SYMMETRIC)
-        except RuntimeError:  # singular: some ball moves freely
-            self.factors = None
+        self.factors = factored(self.K)  # None where some ball moves freely
         self.reach = np.full(pushes.shape[0], np.inf)
         if self.factors is not None and least > 0:
             loads = (pushes @ self.B[: packing.bonds]).tocsr()

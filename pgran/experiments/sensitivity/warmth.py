@@ -41,11 +41,15 @@ class Warmth(NamedTuple):
 
     def growth(self, network):
         """Return by how much the radius of each ball grows if it is warm."""
-        if self.radius is not None:
-            return np.full(len(network.held), self.radius)
-        if network.radius is None:
+        if network.radius is None and self.kelvin is not None:
             raise InputError("-heat_kelvin: balls expand by parts of radii, which are not known")
-        return self.expansion * self.kelvin * network.radius
+        if self.radius is None:
+            growth = self.expansion * self.kelvin * network.radius
+        else:
+            growth = np.full(len(network.held), self.radius)
+        if network.radius is not None and np.any(network.radius + growth <= 0):
+            raise InputError("-heat_radius, -heat_kelvin: a ball would have no radius left")
+        return growth
 
     def changes(self, medium, warm):
         """Return springs of groups and their changes, of some free balls by their places."""
