@@ -61,6 +61,16 @@ def test_walls_hold_both_ends():
     assert response.error_bound[0, 0] <= 1e-4 * abs(response.displacement[0, 0])
 
 
+def test_a_heap_between_walls_stands_on_a_floor_at_rest():
+    """The floor's balls are the last; the free ones' weight is on it and on the walls."""
+    network, packed = packed_network(60, gravity=1e-4, walls="x", seed=1)
+    floor = packed.rest.balls.held
+    assert floor[-1]
+    assert np.all(network.held[floor] == 1)
+    assert {*network.held[~floor]} == {0, 1, 2}
+    assert np.median(network.position[floor, 1]) < network.position[~floor, 1].min()
+
+
 def test_bad_packings_are_refused():
     refused = {
         "give a pressure": [{}, {"pressure": 1, "gravity": 1}],

@@ -279,8 +279,9 @@ def _network(packed, axes, walls, gravity):
     position[:, periodic] %= box[periodic]
     if walls is not None:
         axis, thickness = axes.index(walls), 2 * balls.radius.max()
-        held[position[:, axis] < thickness] = AT_REST
-        held[position[:, axis] > box[axis] - thickness] = DRIVEN
+        along = np.where(balls.held, np.nan, position[:, axis])  # a floor stays at rest
+        held[along < thickness] = AT_REST
+        held[along > box[axis] - thickness] = DRIVEN
         box[axis] = np.inf
         contacts = contacts.of(np.any(held[contacts.pairs] == 0, axis=1))
     balls = dataclasses.replace(balls, position=position, box=box)
