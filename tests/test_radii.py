@@ -22,7 +22,7 @@ from pgran.run.experiment import Caution
 
 CASES = {  # file, what is otherwise, detector, a ball that grows, steps in mean overlaps
     "hertz": ("spheres", {}, 78, 100, (1e-3, 1e-4, 1e-5)),
-    "normal": ("spheres", {"damped": "normal"}, 78, 200, (1e-4, 1e-5)),
+    "normal": ("spheres", {"damped": "normal"}, 78, 100, (1e-3, 1e-4)),
     "scalar": ("spheres", {"displacement": "scalar"}, 78, 100, (1e-3, 1e-4)),
     "harmonic": ("discs", {}, 150, 30, (1e-3,)),
 }
@@ -265,6 +265,8 @@ def test_heat_of_a_packing():
     error = np.abs(found.by_radius[0] - values)
     assert np.all(error <= found.by_radius_bound[0] + bounds)
     assert found.by_radius_bound.max() <= 1e-3 * np.abs(values).max()
+    still = heated(net, [s.imag], [detector], radius=size, balls=[200, 100], relax=False)
+    assert np.array_equal(found.frozen, still.warmed)
     assert np.allclose(found.growth_overlap, 1e-3, rtol=1e-12)
     touching = np.any(net.bond == 100, axis=1)
     assert np.isclose(found.growth_least[0], size / bodies.h[touching].min(), rtol=1e-12)

@@ -162,7 +162,7 @@ def check_solver(lattice, crew):
 
 
 class HeatSweep(AdjointSweep):
-    """The amplitudes after all changes, frequency by frequency; `relaxing`: but of warm balls."""
+    """The amplitudes after all changes, frequency by frequency; none but `relaxing` balls move."""
 
     def __init__(
         self, lattice, omegas, detectors, warmth, relaxing, balls, cut, error_tolerance
@@ -176,12 +176,11 @@ class HeatSweep(AdjointSweep):
             if balls is not None:
                 warm = np.unique(lattice.numbers_of(lattice.sites(balls, "-heat_balls")))
             self.balls = free[warm]
-            if not relaxing:
-                groups["warmed"], self.delta = warmth.changes(lattice, warm)
+            groups["frozen" if relaxing else "warmed"], self.delta = warmth.changes(lattice, warm)
         if cut:
             groups["cut"], _ = finite.cuts(lattice, 1j)
         self.groups = {name: springs for name, springs in groups.items() if len(springs)}
-        missing = {"warmed", "cut", "by_radius"} - self.groups.keys()
+        missing = {"warmed", "frozen", "cut", "by_radius"} - self.groups.keys()
         # by all radii where the contact law is known
         self.differentiated = warmth.grows and relaxes(lattice, None)
         missing -= {"by_radius"} if self.differentiated else set()

@@ -149,6 +149,11 @@ class Heat(Frequencies, Record):
         "bound of its error; infinite where no stable packing is certain", "1/length", *AT_BALL,
         optional=True, row=True,
     )  # fmt: skip
+    frozen: np.ndarray | None = array(
+        "amplitude with each ball warm whose neighbours do not move, where packings relax", "1",
+        *WHERE, "ball", optional=True, **COMPLEX
+    )  # fmt: skip
+    frozen_bound: np.ndarray | None = array(BOUND, "1", *WHERE, "ball", optional=True, row=True)
     outcome: np.ndarray | None = array(
         "what the packing did: smooth, opened or closed, rearranged, not balanced", "1", "ball",
         dtype=str, optional=True,
