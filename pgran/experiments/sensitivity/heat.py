@@ -102,11 +102,11 @@ def heat(
 ):  # fmt: skip
     """Return the amplitudes after each ball is warmed, or each bond is cut, one at a time.
 
-    Collective. Not an expansion. Where neighbours stay as they are, each unknown at the springs
-    that change takes one solve with the factorization of its frequency: see `finite`; tangential
-    springs become as much stiffer. Where the packing relaxes, its steady states are solved anew:
-    see `growth`. Where radii grow and the network knows its contact law, there are derivatives by
-    all radii, too: see `radii`.
+    Collective. Exact, however large changes are. Where neighbours stay as they are, each unknown at
+    the springs that change takes one solve with the factorization of its frequency: see `finite`;
+    tangential springs become as much stiffer. Where the packing relaxes, its steady states are
+    solved anew: see `growth`. Where radii grow and the network knows its contact law, there are
+    derivatives by all radii, too: see `radii`.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def check_solver(lattice, crew):
 
 
 class HeatSweep(AdjointSweep):
-    """The amplitudes after all changes, frequency by frequency; none but `relaxing` balls move."""
+    """The amplitudes after changes that leave all other balls in place, frequency by frequency."""
 
     def __init__(
         self, lattice, omegas, detectors, warmth, relaxing, balls, cut, error_tolerance

@@ -77,7 +77,7 @@ class Radii:
     def __init__(self, network, relax=True, least=0.0):
         """Factor the stiffness of the packing."""
         check(network)
-        self.network, self.relax, self.least = network, relax, least
+        self.network, self.relax = network, relax
         packing = with_vectors(network)
         self.normal, self.distance = packing.normal, packing.distance
         i, j = network.bond.T
@@ -88,13 +88,11 @@ class Radii:
         moving[network.held == DRIVEN] = network.direction
         self.drive = moving[j] - moving[i]
         self.apart = _differences(network, network.axes)
-        self.lengths = np.sqrt(np.bincount(*_squares(self.apart), self.apart.shape[0]))
-        self.lengths = self.lengths[:: network.axes]
-        count = len(network.bond)
+        squares = np.asarray(self.apart.power(2).sum(axis=1)).ravel()
+        self.lengths = np.sqrt(squares[:: network.axes])
         ends = [sparse_rows(end[:, None], np.ones(1), len(network.held)).T for end in (i, j)]
         self.ends = [end.tocsr()[network.free] for end in ends]
-        # terms of a sum over the contacts of a ball
-        self.terms = 8 + int(np.bincount(network.bond.ravel(), minlength=count).max())
+        self.terms = 8 + int(np.bincount(network.bond.ravel()).max())  # of a sum at a ball
         if relax:
             pushes = [network.stiffness + network.force * x for x in self.curvature]
             pairs = zip(self.ends, pushes, strict=True)
@@ -233,9 +231,3 @@ def _differences(network, axes):
     columns = np.where(ends >= 0, ends * axes + along, -1)
     weights = network.weights[:: network.components]
     return sparse_rows(columns, np.array([-1.0, 1.0]) * weights[ends], axes * len(network.free))
-
-
-def _squares(matrix):
-    """Return the row of each entry of a sparse matrix, and its square."""
-    matrix = matrix.tocoo()
-    return matrix.row, matrix.data**2
