@@ -226,8 +226,8 @@ def test_work_of_one_ball_on_another_and_back():
 # Exact changes
 
 
-def test_what_a_packing_does():
-    """One returns when the ball shrinks again, the other does not."""
+def test_what_a_packing_does(monkeypatch):
+    """One returns when the ball shrinks again, others do not, or fall apart."""
     net, _ = medium("hertz")
     packing, size = Packing(net), 0.3 * net.overlap.mean()
     grown = [packing.grown(ball, size) for ball in (184, 285)]
@@ -237,6 +237,15 @@ def test_what_a_packing_does():
     back = packing.grown(184, 0.0)
     assert OUTCOMES[back.outcome] == "smooth"
     assert np.allclose(back.network.overlap, net.overlap, rtol=1e-9, atol=0)
+    grow = growth.grown
+
+    def falls_apart(balls, contacts, radius):
+        if radius[184] < balls.radius[184]:
+            raise NotBalancedError("no rest")
+        return grow(balls, contacts, radius)
+
+    monkeypatch.setattr(growth, "grown", falls_apart)
+    assert OUTCOMES[packing.grown(184, size).outcome] == "rearranged"
 
 
 def test_forces_that_do_not_balance_are_a_load(caplog):

@@ -66,23 +66,26 @@ class Packing:
 
     def grown(self, ball, growth):
         """Return the packing at rest after a ball's radius has grown by so much."""
-        before = self.balls.radius
-        radius = before.copy()
+        radius = self.balls.radius.copy()
         radius[ball] += growth
         try:
             rest = grown(self.balls, self.contacts, radius)
-            network = network_of(rest, self.network)
-            opened, closed = changed_contacts(self.network, network)
-            outcome = SMOOTH
-            if opened or closed:
-                back = network_of(grown(rest.balls, rest.contacts, before), self.network)
-                outcome = CHANGED if self._is(back) else REARRANGED
         except NotBalancedError:
             return Grown(None, LOST)
+        network = network_of(rest, self.network)
+        opened, closed = changed_contacts(self.network, network)
+        outcome = SMOOTH
+        if opened or closed:
+            outcome = CHANGED if self._is_reached_from(rest) else REARRANGED
         return Grown(network, outcome, opened, closed, rest.residual)
 
-    def _is(self, network):
-        """Return whether the same balls as in the packing touch, and overlap as much."""
+    def _is_reached_from(self, rest):
+        """Return whether balls shrink back to where they were: who touches, and overlaps."""
+        try:
+            back = grown(rest.balls, rest.contacts, self.balls.radius)
+        except NotBalancedError:
+            return False
+        network = network_of(back, self.network)
         if any(changed_contacts(self.network, network)):
             return False
         here, there = _sorted_overlaps(self.network), _sorted_overlaps(network)
