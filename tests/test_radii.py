@@ -5,7 +5,8 @@ import functools
 
 import numpy as np
 import pytest
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, diags, identity
+from scipy.sparse.linalg import splu
 from sensitivity_samples import assert_same_on_ranks, heated, packing
 from small import OPTIONS
 
@@ -35,97 +36,65 @@ def medium(name):
     return read_network(OPTIONS / "packings" / f"{file}.h5", **others), detector
 
 
-class Bodies:
-    """A packing in dense matrices, as a reference: its rest, none of whose contacts opens."""
+def pushes(network):
+    """The sum of all forces on each free ball."""
+    total, each = np.zeros(network.position.shape), network.force[:, None] * network.normal
+    for end, sign in zip(network.bond.T, (-1, 1), strict=True):
+        np.add.at(total, end, sign * each)
+    return total[network.free]
 
-    def __init__(self, network):
-        """Take overlaps by forces."""
-        self.net, (self.i, self.j) = network, network.bond.T
-        self.free = network.held == 0
-        self.away = network.normal * network.distance[:, None]
-        self.h = network.power * network.force / network.stiffness
 
-    def total(self, vectors):
-        total = np.zeros((len(self.free), vectors.shape[1]), vectors.dtype)
-        np.add.at(total, self.j, vectors)
-        np.add.at(total, self.i, -vectors)
-        return total
+def stiffness(network, s=0.0):
+    """K + s C of mass-weighted unknowns."""
+    springs = network.springs
+    return (springs.B.T @ diags(springs.constants + s * network.damping * springs.damped)
+            @ springs.B).tocsc()  # fmt: skip
 
-    def curvature(self, radius):
-        one, other = radius[self.i], radius[self.j]
-        return (one * other / (one + other)) ** (self.net.power - 1)
 
-    def matrix(self, blocks):
-        """The sum over contacts of blocks (contacts, c, c), shape (balls, c, balls, c)."""
-        balls, width = len(self.free), blocks.shape[1]
-        K = np.zeros((balls, balls, width, width), blocks.dtype)
-        for one, other, sign in ((0, 0, 1), (1, 1, 1), (0, 1, -1), (1, 0, -1)):
-            ends = self.net.bond.T
-            np.add.at(K, (ends[one], ends[other]), sign * blocks)
-        return K.transpose(0, 2, 1, 3)
+def rest(net, ball, size):
+    """The network after a ball has grown, none of whose contacts opens, by Newton's method."""
+    (i, j), radius, away = net.bond.T, net.radius.copy(), net.normal * net.distance[:, None]
+    radius[ball] += size
+    bent = [(r[i] * r[j] / (r[i] + r[j])) ** (net.power - 1) for r in (net.radius, radius)]
+    c = net.force / net.overlap**net.power * bent[1] / bent[0]
+    gap = net.overlap + size * np.any(net.bond == ball, axis=1)
+    now, u = net, np.zeros(net.position.shape)
+    for _ in range(9):
+        moved = u[j] - u[i]
+        d = np.linalg.norm(away + moved, axis=1)
+        h = gap - np.sum((2 * away + moved) * moved, axis=1) / (d + net.distance)
+        assert h.min() > 0
+        F, n = c * h**net.power, (away + moved) / d[:, None]
+        now = dataclasses.replace(net, force=F, stiffness=net.power * F / h, normal=n, distance=d)
+        left = pushes(now) - pushes(net)
+        if np.abs(left).max() < 1e-14 * F.mean():
+            break
+        solid = dataclasses.replace(now, displacement="vector", direction=None)
+        weights = solid.weights.reshape(left.shape)
+        u[net.free] += weights * splu(stiffness(solid)).solve((weights * left).ravel()).reshape(
+            left.shape
+        )
+    return now
 
-    def solved(self, K, f):
-        """The solution for the free balls, zero for the others."""
-        width, x = K.shape[1], np.zeros(f.shape, np.result_type(K, f))
-        inner = K[self.free][:, :, self.free].reshape(self.free.sum() * width, -1)
-        x[self.free] = np.linalg.solve(inner, f[self.free].ravel()).reshape(-1, width)
-        return x
 
-    def elastic(self, n, d, k, F):
-        """The stiffness of contacts, pre-stress in it."""
-        across = np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]
-        return k[:, None, None] * (np.eye(n.shape[1]) - across) - (F / d)[:, None, None] * across
-
-    def rest(self, ball, size):
-        """Normals, distances, stiffnesses and forces after a ball has grown, by Newton's method."""
-        net, radius = self.net, self.net.radius.copy()
-        radius[ball] += size
-        c = net.force / self.h**net.power * self.curvature(radius) / self.curvature(net.radius)
-        gap = self.h + size * np.any(net.bond == ball, axis=1)
-        load, u = self.total(net.force[:, None] * net.normal), np.zeros((len(self.free), 3))
-        u = u[:, : self.away.shape[1]]
-        for _ in range(9):
-            moved = u[self.j] - u[self.i]
-            d = np.linalg.norm(self.away + moved, axis=1)
-            h = gap - np.sum((2 * self.away + moved) * moved, axis=1) / (d + net.distance)
-            assert h.min() > 0
-            n, F = (self.away + moved) / d[:, None], c * h**net.power
-            k = net.power * F / h
-            left = self.total(F[:, None] * n) - load
-            if np.abs(left[self.free]).max() < 1e-14 * F.mean():
-                break
-            u = u + self.solved(self.matrix(self.elastic(n, d, k, F)), left)
-        return n, d, k, F
-
-    def fields(self, s, detector, contacts):
-        """Amplitudes and adjoint of all balls, what is driven not in them, and the amplitude."""
-        net, (n, d, k, F) = self.net, contacts
-        if net.displacement == "scalar":
-            blocks = (k + s * net.damping)[:, None, None]
-        else:
-            normal = n[:, :, None] * n[:, None, :]
-            dashpots = np.eye(n.shape[1]) if net.damped == "all" else normal
-            blocks = self.elastic(n, d, k, F) + s * net.damping * dashpots
-        S = self.matrix(blocks + 0j)
-        inertia = np.arange(len(self.free))
-        for axis in range(S.shape[1]):
-            S[inertia, axis, inertia, axis] += s * s * net.masses
-        driven = (net.held == 2)[:, None] * net.direction
-        reading = np.zeros(driven.shape)
-        reading[detector] = net.direction
-        A = self.solved(S, -np.einsum("pcqd,qd->pc", S * ~self.free[:, None], driven))
-        return A, self.solved(S, reading + 0j), np.sum(reading * A)
+def states(network, s, detector):
+    """Amplitudes and adjoint of all unknowns, and what the detector reads."""
+    springs = network.springs
+    kappa = springs.constants + s * network.damping * springs.damped
+    S = splu(stiffness(network, s) + s * s * network.mass * identity(network.size, format="csc"))
+    (place,), (reading,) = network.readings(network.sites(detector))
+    unit = np.zeros(network.size, complex)
+    unit[place] = reading
+    A = S.solve(-springs.B.T @ (kappa * springs.drive))
+    return A, S.solve(unit), unit @ A
 
 
 @functools.cache
 def derived(name):
     """The derivatives by all radii of a case with exact fields: Radii, its arguments, values."""
     net, detector = medium(name)
-    s, bodies = 0.4j * net.omega_mx, Bodies(net)
-    contacts = net.normal, net.distance, net.stiffness, net.force
-    A, z, _ = bodies.fields(s, detector, contacts)
-    fields = np.stack([x[net.free].ravel() / net.weights for x in (A, z)])
-    radii = Radii(net, least=1e-3)
+    s, radii = 0.4j * net.omega_mx, Radii(net, least=1e-3)
+    fields = np.stack(states(net, s, [detector])[:2])
     return radii, (s, fields), radii.derivatives(s, fields, np.zeros(2))
 
 
@@ -133,9 +102,9 @@ def derived(name):
 def central(name, ball, part):
     """The derivative by a ball's radius, by differences of two rests."""
     net, detector = medium(name)
-    s, bodies = 0.4j * net.omega_mx, Bodies(net)
-    size = part * bodies.h.mean()
-    ends = [bodies.fields(s, detector, bodies.rest(ball, x))[-1] for x in (size, -size)]
+    size = part * net.overlap.mean()
+    networks = [rest(net, ball, x) for x in (size, -size)]
+    ends = [states(network, 0.4j * net.omega_mx, [detector])[-1] for network in networks]
     return (ends[0] - ends[1]) / (2 * size)
 
 
@@ -261,12 +230,11 @@ def test_forces_that_do_not_balance_are_a_load(caplog):
 def test_heat_of_a_packing():
     """Amplitudes are those of the packing at rest; `heat` differentiates as is tested above."""
     net, detector = medium("hertz")
-    s, bodies = 0.4j * net.omega_mx, Bodies(net)
-    size = 1e-3 * bodies.h.mean()
+    s, size = 0.4j * net.omega_mx, 1e-3 * net.overlap.mean()
     found = heated(net, [s.imag], [detector], radius=size, balls=[200, 100])
     assert found.ball.tolist() == [100, 200]
     assert found.outcome.tolist() == ["smooth", "smooth"]
-    right = [bodies.fields(s, detector, bodies.rest(b, size))[-1] for b in found.ball]
+    right = [states(rest(net, ball, size), s, [detector])[-1] for ball in found.ball]
     errors = np.abs(found.warmed[0, 0] - right)
     assert np.all(errors <= found.warmed_bound[0, 0] + 1e-11 * np.abs(right))
     assert np.all(found.warmed_bound <= 1e-6 * np.abs(found.warmed))
@@ -278,14 +246,14 @@ def test_heat_of_a_packing():
     assert np.array_equal(found.frozen, still.warmed)
     assert np.allclose(found.growth_overlap, 1e-3, rtol=1e-12)
     touching = np.any(net.bond == 100, axis=1)
-    assert np.isclose(found.growth_least[0], size / bodies.h[touching].min(), rtol=1e-12)
+    assert np.isclose(found.growth_least[0], size / net.overlap[touching].min(), rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["hertz", "scalar"])
 def test_heat_with_neighbours_frozen(name):
     """A little growth is the derivative; of kelvins it is a part of each radius."""
     net, detector = medium(name)
-    by = {"kelvin": 1e-5 * Bodies(net).h.mean(), "expansion": 0.1, "relax": False}
+    by = {"kelvin": 1e-5 * net.overlap.mean(), "expansion": 0.1, "relax": False}
     found = heated(net, [0.4 * net.omega_mx], [detector], **by)
     assert np.allclose(found.growth, 0.1 * found.kelvin * net.radius[net.free], rtol=1e-13)
     slopes = (found.warmed - found.displacement[..., None]) / found.growth
