@@ -33,6 +33,7 @@ pgran: sound in a granular material, a lattice of balls and random springs
   pgran verify RESULT                 say whether it is as it was written
 
   pgran import ATOMS CONTACTS -o TO   make a network of another program's balls
+  pgran pack --balls N -o TO          make a packing in mechanical equilibrium
   pgran units --diameter M ...        say what the numbers are in SI units
 
   pgran options [SCENE]               list every option
@@ -54,6 +55,7 @@ COMMANDS = {
     "doctor": ("doctor", "examine"),
     "verify": ("verify", "verify"),
     "import": ("imports", "run"),
+    "pack": ("pack", "run"),
     "units": ("units", "run"),
     "manual": ("manual", "run"),
     "cite": ("manual", "cite"),

@@ -26,6 +26,7 @@ from network_samples import (
     small_network,
     unstable_network,
 )
+from packing_faults import packing_faults, random_packing
 from samples import (
     long_relaxation,
     random_case,
@@ -75,6 +76,7 @@ GUARANTEES = {
         (*good(0.5, "points"), ("warmed bounded", 0.5, "warmed"), ("cut bounded", 0.5, "cut")),
     ),
     "modes": Guarantee(random_network, mode_faults, 24, (("certified", 1, "networks"),)),
+    "packings": Guarantee(random_packing, packing_faults, 4),
     "counts": Guarantee(unstable_network, count_faults, 15, (("certified", 1, "counts"),)),
 }  # fmt: skip
 

@@ -53,6 +53,8 @@ REFUSED = {  # of each scene, words and what is said of them
     },
     "sensitivity": {
         "-heat_factor 2 -heat_overlap .1": "-heat_factor, -heat_overlap: .* one of these ways",
+        "-heat_radius .1 -heat_kelvin 1": "-heat_radius, -heat_kelvin: a ball is warmed in one",
+        "-heat_factor 2 -heat_relax true": "-heat_relax: of balls that grow",
         "-heat_balls 1,1 -heat_cut": "-heat_balls: by how much",
         "-heat_factor -1": "-heat_factor -1",
         "-sensitivity_most -1": "-sensitivity_most -1",

@@ -1,12 +1,15 @@
 """Figures of warm balls and cut bonds, read off the axes."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 from figure_reading import curves, draw, gaps, lines, note
 from map_samples import LATTICE, bond_lines, discs, heated, joined, result_of, title
+from small import OPTIONS
 
+import pgran
 from pgran.draw import pages as figures
 from pgran.experiments.sensitivity import figures_heat as heat
 from pgran.experiments.sensitivity import maps
@@ -72,3 +75,30 @@ def test_changes_over_frequency():
     assert largest.get_ydata().compressed() == pytest.approx(moved.max(axis=1)[good])
     (cross,) = lines(ax, marker="x")
     assert cross.get_xdata() == pytest.approx(warm.omega[3:4] / LATTICE.omega_mx)
+
+
+def test_balls_that_grow_in_a_packing():
+    """Maps with neighbours at a new rest and frozen; changes by the nearest image's distance."""
+    discs_of = replace(pgran.load(OPTIONS / "packings" / "discs.h5"), power=1.5)
+    balls = discs_of.free[::30]
+    growth = {"radius": 0.05 * discs_of.overlap.mean(), "balls": balls}
+    found = pgran.heat(discs_of, [0.3, 0.5], [balls[0]], **growth)
+    medium = record_of(discs_of)
+    for name in ("warmed", "frozen"):
+        colours = discs(draw(heat.warm, found, medium, 1, name=name)).get_array().compressed()
+        part = np.abs(getattr(found, name)[1, 0]) / np.abs(found.displacement[1, 0]) - 1
+        assert colours == pytest.approx(part / np.abs(part).max(), abs=1e-6)
+    ax = draw(heat.over_distance, found, medium)
+    points, median = ax.get_lines()[:2]
+    away = discs_of.position[balls] - discs_of.position[balls[0]]
+    images = away + np.array([[0, n * discs_of.box[1]] for n in (-1, 0, 1)])[:, None]
+    distance = np.linalg.norm(images, axis=2).min(axis=0)
+    assert points.get_xdata() == pytest.approx(np.tile(distance, 2))
+    moved = 100 * np.abs(found.warmed / found.displacement[..., None] - 1)[:, 0]
+    assert points.get_ydata() == pytest.approx(moved.ravel())
+    groups = np.array_split(np.argsort(distance), 8)
+    assert median.get_ydata() == pytest.approx([np.median(moved[:, group]) for group in groups])
+    made = figures.make(result_of(found, discs_of))
+    assert {"warmed", "frozen", "changes"} <= made.keys()
+    assert "neighbours frozen" in note(made["frozen"])
+    assert "all at a new rest" in note(made["warmed"])

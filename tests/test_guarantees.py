@@ -6,6 +6,7 @@ from dataclasses import replace
 import amplitude_faults
 import mode_faults
 import numpy as np
+import packing_faults
 import pytest
 from guarantees import GUARANTEES, carry_out
 
@@ -59,6 +60,10 @@ SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt
         amplitude_faults, "listened", lambda run: replace(run, displacement=1.01 * run.displacement)
     ),
     "derivatives": (judge.Judge, "assess", too_small),
+    "packings": (
+        packing_faults, "packed_network",
+        lambda made: (replace(made[0], force=(1 + 1e-10) * made[0].force), made[1]),
+    ),
     "modes": (mode_faults, "find_modes", lambda modes: replace(modes, omega=modes.omega[1:])),
     "counts": (density, "count_below", lambda found: (found[0] + 1, 0.0)),
 }  # fmt: skip

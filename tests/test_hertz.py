@@ -156,6 +156,14 @@ def test_the_table(capsys):
     assert "pgran units" in USAGE
 
 
+def test_a_ball_that_grows_between_neighbours_that_stay(capsys):
+    """Its overlaps are larger by dR, k = (3/2) c h^(1/2)."""
+    out = say(capsys, f"{GIVEN} --growth 1e-7")
+    assert value(out, "dR/h") == pytest.approx(1e-7 / BEAD.overlap, rel=1e-3)
+    slope = 1.5 * BEAD.constant * math.sqrt(BEAD.overlap + 1e-7)
+    assert value(out, "dk/k") == pytest.approx(slope / BEAD.stiffness - 1, rel=1e-3)
+
+
 def test_loads_by_pressure_and_by_a_measured_frequency(capsys):
     out = say(capsys, f"--diameter 5e-3 --material steel --omega_mx {BEAD.omega_mx!r}")
     assert value(out, "omega_mx") == pytest.approx(BEAD.omega_mx, rel=1e-3)

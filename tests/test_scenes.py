@@ -98,10 +98,11 @@ CHANGES = {
     "ensemble_samples": "4",
     "ensemble_keep": "measures",
 }
-# test_command_line.py, test_motion.py, test_network.py, test_ensemble.py
+# test_command_line.py, test_motion.py, test_network.py, test_ensemble.py, test_radii.py
 SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "detectors_component"),
     *("ensemble_of", "statistics_windows"),
+    *("heat_radius", "heat_kelvin", "heat_expansion", "heat_relax"),
 }
 # Normal modes are those without damping.
 IDLE = {"modes": ["lattice_damping"], "ensemble modes": ["lattice_damping"]}

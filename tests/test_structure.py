@@ -19,8 +19,9 @@ BELOW = {  # of each folder and file at the top: what it may import
     "errors": "", "arguments": "errors", "catalogue": "", "results": "catalogue",
     "figures": "catalogue", "store": TOP, "run": f"{TOP} store", "medium": f"{TOP} store run",
     "driven": f"{TOP} store run medium", "draw": f"{TOP} store run medium",
-    "foreign": f"{TOP} store run medium", "experiments": f"{TOP} store run medium driven draw",
-    "command": f"{TOP} store run medium draw foreign",
+    "balance": f"{TOP} run medium", "foreign": f"{TOP} store run medium",
+    "experiments": f"{TOP} store run medium balance driven draw",
+    "command": f"{TOP} store run medium balance draw foreign",
     "__main__": "errors arguments run store command", "__init__": "run",
 }  # fmt: skip
 REPEATING = {"ensemble", "accuracy"}  # experiments that know others, because they repeat them

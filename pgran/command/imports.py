@@ -156,11 +156,16 @@ def _summary(network, made, contacts, options):
         yield f"forces {stress}; the largest unbalanced one on a free ball is " \
             f"{made.unbalanced:.2g} of the mean contact force"  # fmt: skip
     yield _rigidity(network)
-    ball = _middle(network)
+    yield next_step(network, options.output)
+    ball = middle(network)
     name = members["id"][ball]
     name = name.decode() if isinstance(name, bytes) else name
-    yield f"next: pgran run FILE -network_file {options.output} -detectors {ball}"
     yield f"(ball {ball}, of the id {name}, is free and in the middle; /network/id has all ids)"
+
+
+def next_step(network, path):
+    """Return the command line that computes with a network, heard at a ball in its middle."""
+    return f"next: pgran run FILE -network_file {path} -detectors {middle(network)}"
 
 
 def _words(direction):
@@ -189,7 +194,7 @@ def _rigidity(network):
     return text + (few if loose else "")
 
 
-def _middle(network):
+def middle(network):
     """Return the free ball that is nearest to the middle of the packing, or of the list."""
     if network.position is None:
         return int(network.free[len(network.free) // 2])

@@ -27,7 +27,7 @@ def run(words):
         damping = _damping(options, scale)
         if damping is not None and not math.isfinite(scale.own_damping(damping)):
             raise OverflowError
-        rows, line = table(scale, damping), option_words(scale, damping)
+        rows, line = table(scale, damping, options.growth), option_words(scale, damping)
     except (OverflowError, ZeroDivisionError):
         raise InputError("units: these numbers are too far apart to compute with") from None
     if scale.contact_radius > hertz.LARGE:
@@ -46,6 +46,7 @@ def _parser():
         DESCRIPTION,
         "pgran units --diameter 5e-3 --material glass --load 1.6e-3 --restitution .9",
         "pgran units --diameter 1e-3 --material steel --pressure 1e5",
+        "pgran units --diameter 5e-3 --material glass --load 1.6e-3 --growth 1e-7",
     )
     add = parser.add_argument
     add("--diameter", type=positive, required=True, metavar="M", help="of a ball, in m")
@@ -64,6 +65,7 @@ def _parser():
     loss = parser.add_mutually_exclusive_group().add_argument
     loss("--quality", type=positive, metavar="Q", help="quality factor at --frequency")
     loss("--restitution", type=positive, metavar="E", help="of two balls, up to 1")
+    add("--growth", type=positive, metavar="M", help="of the radius of one ball, in m")
     add("--frequency", type=positive, metavar="HZ", help="at which --quality holds, in Hz")
     return parser
 
@@ -108,7 +110,7 @@ def _damping(options, scale):
     return hertz.damping_of_restitution(scale.stiffness, scale.mass, options.restitution)
 
 
-def table(scale, damping=None):
+def table(scale, damping=None, growth=None):
     """Return rows of a quantity, its value in SI units, as damping is, and in the program's."""
     material, omega = scale.material, scale.omega_mx
     weights = scale.force / (scale.mass * GRAVITY)
@@ -140,6 +142,13 @@ def table(scale, damping=None):
             ("damping beta", f"{damping:.4g} kg/s", f"{scale.own_damping(damping):.4g}"),
             ("quality factor at omega_mx", f"{quality:.4g}", ""),
             ("restitution of two balls", f"{restitution:.4g}", ""),
+        ]
+    if growth is not None:
+        part = growth / scale.overlap  # with its neighbours where they are; k goes like sqrt(h)
+        rows += [
+            ("growth dR of a ball", f"{growth:.4g} m", f"{growth / scale.diameter:.3g}"),
+            ("dR/h of its contacts", f"{part:.4g}", ""),
+            ("dk/k, its neighbours held", f"{math.sqrt(1 + part) - 1:.4g}", ""),
         ]
     return rows
 

@@ -24,8 +24,14 @@ def smallest_damping(lattice):
     cache = vars(lattice)
     if "smallest_damping" not in cache:
         with NetworkLayout(lattice, MPI.COMM_SELF) as layout:
-            cache["smallest_damping"] = _certified_damping(lattice, *layout.csr(layout.damped))
+            cache["smallest_damping"] = _certified(lattice, *layout.csr(layout.damped))
     return cache["smallest_damping"]
+
+
+def least_stiffness(network):
+    """Return a number that no eigenvalue of K is below; 0 if none above 0 is certain."""
+    with NetworkLayout(network, MPI.COMM_SELF) as layout:
+        return _certified(network, *layout.csr(network.constants))
 
 
 def smallest_stiffness(operators):
@@ -66,32 +72,34 @@ def _counter(network, pointer, columns, values):
     matrix.destroy()
 
 
-def _certified_damping(network, pointer, columns, values):
-    """Return what `smallest_damping` does, for a C that is no Laplacian.
+def _certified(network, pointer, columns, values):
+    """Return a number that no eigenvalue of a matrix of a network is below; 0 if none is certain.
 
     Inverse iteration estimates the smallest eigenvalue. By Sylvester's law none is below a part of
-    the estimate if the factorization of C less that part has no negative pivot.
+    the estimate if the factorization of the matrix less that part has no negative pivot.
     """
     from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 
-    C = csc_matrix((values.real.copy(), columns, pointer))  # symmetric: rows are columns
+    matrix = csc_matrix((values.real.copy(), columns, pointer))  # symmetric: rows are columns
     try:
-        factors = splu(C)
+        factors = splu(matrix)
     except RuntimeError:  # singular
         return 0.0
-    x = np.random.Generator(np.random.Philox(1)).standard_normal(C.shape[0])
+    x = np.random.Generator(np.random.Philox(1)).standard_normal(matrix.shape[0])
     for _ in range(STEPS):
         x = factors.solve(x)
         size = np.linalg.norm(x)
         if not 0 < size < np.inf:
             return 0.0
         x /= size
-    estimate = x @ (C @ x)
+    estimate = x @ (matrix @ x)
+    if not estimate > 0:
+        return 0.0
     with _counter(network, pointer, columns, values) as counter:
         for part in PARTS:
             shift, clearance = part * estimate, 0.05 * part * estimate
             if counter.below(shift, clearance) == 0:
-                # the count is of a matrix nearer to C - shift than a tenth of the clearance
+                # the count is of one nearer to the shifted matrix than a tenth of the clearance
                 return 0.99 * (shift - clearance)
     return 0.0

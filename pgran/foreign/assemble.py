@@ -98,6 +98,11 @@ def assemble(contacts, options):
             members["tangential"] = shear[rows]
             attributes["kmax"] = max(attributes["kmax"], float(np.abs(shear[touch]).max()))
         attributes["direction"] = _components(options.direction, balls.axes)
+    if options.law in packing.POWERS and "force" in members and np.all(force[rows] > 0):
+        attributes["power"] = packing.POWERS[options.law]
+    if balls.axes:
+        cut = np.isin(list(AXES[: balls.axes]), list(options.cut or ""))
+        attributes["box"] = np.where(np.isfinite(balls.periods) & ~cut, balls.periods, 0.0)
     left_out = (~touch, touch & ~once, across & once)
     return Imported(members, attributes, kept, *map(np.count_nonzero, left_out), ratio)
 

@@ -44,6 +44,12 @@ def checked_values(network):
     check(float, (None,), contacts, "normal")
     check(float, (), contacts, "stiffness", "distance", "force", "tangential")
     check(float, (), balls, "masses", "radius")
+    if network.power is not None:
+        values["power"] = number("network: power", network.power)
+    if values.get("position") is not None:
+        check(float, (), values["position"].shape[1], "box", "gravity")
+    elif network.box is not None or network.gravity is not None:
+        raise InputError("network: a box or gravity is that of balls with positions")
     return values
 
 
@@ -104,6 +110,13 @@ def check_network(network):
     distance = network.distance
     if network.force is not None and (distance is None or not np.all(distance > 0)):
         raise InputError("network: forces need positive distances")
+    if network.power is not None:
+        if not network.power >= 1:
+            raise InputError("network: power: of a contact law F = c h^power it is 1 or more")
+        if network.force is not None and np.any(network.stiffness <= 0):
+            raise InputError("network: a contact under a law has a positive stiffness")
+    if network.box is not None and np.any(network.box < 0):
+        raise InputError("network: box: periods are positive, 0 where there is none")
     if network.turns and network.radius is None:
         raise InputError("network: rotations need radii")
     if network.turns and not np.all(network.radius[held == FREE] > 0):

@@ -56,6 +56,13 @@ class Network(Elastic, Connected, Medium):
         Of the drive; along x unless given.
     damped : str
         `all` of the relative velocity at a contact, or its `normal` part.
+    power : float, optional
+        Of the contact law F = c h^power of the overlap h: 1 harmonic, 3/2 Hertz. With forces it
+        says how far balls overlap, h = power F / k.
+    box : array_like of float, shape (d,), optional
+        Periods along each axis, 0 where there is none.
+    gravity : array_like of float, shape (d,), optional
+        The acceleration that forces of contacts balance, if one does.
     component : str
         What of a displacement is read: `drive`, `x`, `y` or `z`.
     kmax : float, optional
@@ -84,6 +91,9 @@ class Network(Elastic, Connected, Medium):
     radius: np.ndarray | None = None
     direction: np.ndarray | None = None
     damped: str = "all"
+    power: float | None = None
+    box: np.ndarray | None = None
+    gravity: np.ndarray | None = None
     component: str = "drive"
     kmax: float | None = None
     median_mass: float | None = None
@@ -126,6 +136,16 @@ class Network(Elastic, Connected, Medium):
     def components(self):
         """How many unknowns a free ball has."""
         return self.axes + self.turns
+
+    @property
+    def overlap(self):
+        """How far the balls of each contact overlap under its force, by its law; None if unknown.
+
+        By F and k: positions, large numbers beside it, cannot hold it.
+        """
+        if self.power is None or self.force is None:
+            return None
+        return self.power * self.force / self.stiffness
 
     @cached_property
     def free(self):

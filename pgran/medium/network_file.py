@@ -45,7 +45,7 @@ DATASETS = {
 }
 ATTRIBUTES = {
     "displacement": str, "damped": str, "damping": float, "kmax": float, "median_mass": float,
-    "direction": np.ndarray,
+    "direction": np.ndarray, "power": float, "box": np.ndarray, "gravity": np.ndarray,
 }  # fmt: skip
 CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
 
@@ -76,6 +76,16 @@ def write_network(path, members, attributes, overwrite=False):
         stream.write(memory.getbuffer())
 
 
+def parts_of(network):
+    """Return the members and the attributes of a network, as `write_network` takes them."""
+    members = {name: getattr(network, name) for name in DATASETS if hasattr(network, name)}
+    attributes = {name: getattr(network, name) for name in ATTRIBUTES}
+    attributes = {name: value for name, value in attributes.items() if value is not None}
+    if network.displacement == "scalar":
+        del attributes["direction"]
+    return members | {"mass": network.masses}, attributes
+
+
 def check_output(path, overwrite):
     """Raise a FileError unless a network can be written there."""
     try:
@@ -87,7 +97,7 @@ def check_output(path, overwrite):
     with contextlib.suppress(FileError), hdf5.opened(path) as file:
         ours = str(file.attributes("/").get("format")) == FORMAT
     if not ours:
-        raise FileError(f"{path}: exists and is no network of pgran import: move it away yourself")
+        raise FileError(f"{path}: exists and is no network of pgran's: move it away yourself")
     if not overwrite:
         raise FileError(f"{path}: exists already; --overwrite replaces it")
 

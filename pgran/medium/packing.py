@@ -7,6 +7,8 @@ import numpy as np
 from pgran.medium.graph import anchored
 from pgran.medium.springs import FREE
 
+POWERS = {"harmonic": 1.0, "hertz": 1.5}  # of the overlap: F = c h^power
+
 
 def hertz(force, overlap):
     """Return k = dF/dh = 3/2 F / h of Hertz's law F = c h^(3/2)."""

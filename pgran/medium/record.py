@@ -107,6 +107,10 @@ class NetworkRecord(Record):
         "constants of tangential springs", "k", "contact", optional=True
     )
 
+    power: float | None = attribute(optional=True)
+    box: np.ndarray | None = attribute_array("coordinate", optional=True)
+    gravity: np.ndarray | None = attribute_array("coordinate", optional=True)
+
     length = "lengths"
 
     @property

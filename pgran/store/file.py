@@ -185,7 +185,7 @@ def _read_record(file, group, kind, facts):
             values[name] = None if lacks else file.array(f"{group}/{name}", meta["dtype"])
         elif name in source:
             values[name] = plain_value(item, source[name])
-        elif newer:
+        elif newer or meta.get("optional"):
             values[name] = None
         else:
             file.refuse(f"{group}/{name}", "is missing")

@@ -9,6 +9,7 @@ along x. An array without axes is a coordinate itself.
 import contextlib
 import dataclasses
 import reprlib
+from types import UnionType
 from typing import get_args
 
 import numpy as np
@@ -67,14 +68,17 @@ def columns_of(kind, rows):
     return {name: rows[name].copy() for name in names if name in rows.dtype.names}
 
 
-def attribute_array(*along, since=1):
+def attribute_array(*along, since=1, optional=False):
     """Declare a short array of real numbers: an attribute of its group."""
-    return dataclasses.field(metadata={"along": along, "dtype": float, "since": since})
+    return attribute(since, optional, along=along, dtype=float)
 
 
-def attribute(since):
-    """Declare a plain value that files have since some version of their format."""
-    return dataclasses.field(metadata={"since": since})
+def attribute(since=1, optional=False, **said):
+    """Declare a plain value that files have since some version of their format, or may have."""
+    return dataclasses.field(
+        metadata=said | {"since": since, "optional": optional},
+        default=None if optional else dataclasses.MISSING,
+    )
 
 
 def part(kind):
@@ -102,15 +106,18 @@ def dimensions_of(item, value):
 
 def plain_value(item, value):
     """Return an attribute of a file as its field's type, or raise a MisfitError."""
-    many = item.type not in (int, float, bool, str)
-    dtype = item.metadata.get("dtype") or (*get_args(item.type), item.type)[0]
+    declared = item.type
+    if isinstance(declared, UnionType):  # or None
+        declared = get_args(declared)[0]
+    many = declared not in (int, float, bool, str)
+    dtype = item.metadata.get("dtype") or (*get_args(declared), declared)[0]
     kinds, called = KINDS[np.dtype(dtype).kind]
     found = np.asarray(value)
     if found.ndim != many or found.dtype.kind not in kinds:
         wanted = f"a list of {called}s" if many else f"a single {called}"
         raise MisfitError(f"{item.name}: {reprlib.repr(value)} is not {wanted}")
     found = found.astype(dtype)
-    if item.type is np.ndarray:
+    if declared is np.ndarray:
         return found
     return tuple(found.tolist()) if many else found.item()
 

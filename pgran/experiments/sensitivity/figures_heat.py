@@ -7,13 +7,19 @@ import numpy as np
 from pgran.draw import balls, captions, marks, scales, style
 from pgran.experiments.sensitivity import maps
 from pgran.experiments.sensitivity.maps import Map
+from pgran.medium.packing import nearest_images
 
 QUARTER = 25.0  # %, what the heater of the experiment changed
 CHANGE = r"change $|A' - A|\,/\,|A|$ (%)"
-CAPTIONS = (
-    "Share of balls warmed, or bonds cut, that change the amplitude by more, at all frequencies.",
-    "Median and largest change against the driving frequency.",
-)
+CAPTIONS = {
+    "distribution": "Share of balls warmed, or bonds cut, that change the amplitude by more, at "
+    "all frequencies.",
+    "over_frequency": "Median and largest change against the driving frequency.",
+    "over_distance": "Change against the distance of the warm ball from the detector, at all "
+    "frequencies; lines: medians of as many balls each.",
+}
+LINES = "-", "--", ":"  # of what is changed
+GROUPS = 8  # of balls by their distance
 
 
 def figures(result, **_):
@@ -23,12 +29,16 @@ def figures(result, **_):
         return
     if medium.has_places and heat.warmed is not None:
         yield from maps.pages("warmed", warm, heat, medium, "change of |A|", _warmth)
+    if medium.has_places and heat.frozen is not None:
+        frozen = partial(warm, name="frozen")
+        yield from maps.pages("frozen", frozen, heat, medium, "change of |A|", _frozen)
     if medium.has_places and heat.cut is not None:
         yield from maps.pages("cut", cut, heat, medium, "change in dB", _words)
     several = bool(np.count_nonzero(heat.converged_reason > 0) > maps.MOST)
-    panels = [distribution] + [over_frequency] * several
+    apart = heat.growth is not None and heat.warmed is not None and medium.has_places
+    panels = [distribution] + [over_frequency] * several + [over_distance] * apart
     draws = [partial(panel, heat=heat, medium=medium) for panel in panels]
-    figure = style.stack(draws, CAPTIONS[: len(draws)])
+    figure = style.stack(draws, [CAPTIONS[panel.__name__] for panel in panels])
     maps.note_failed(figure, heat)
     yield "changes", figure
 
@@ -51,15 +61,16 @@ def change(heat, name):
     return np.where(known, grown, np.nan), np.where(known, moved, np.nan)
 
 
-def warm(ax, record, medium, at, d=0):
+def warm(ax, record, medium, at, d=0, name="warmed"):
     """Draw by how much each ball, warm, changes |A|, in units of the largest change that is seen.
 
-    Grey: balls that were not warmed. The record has `warmed`, the medium positions; `at` and `d`
-    are the numbers of the frequency and of the detector. Returns the balls.
+    Grey: balls that were not warmed. The record has `warmed`, or what else has this `name`, the
+    medium positions; `at` and `d` are the numbers of the frequency and of the detector. Returns the
+    balls.
     """
     seen = Map(medium, record.detector[d])
     values = np.full(len(seen.network.held), np.nan)
-    values[record.ball] = change(record, "warmed")[0][at, d]
+    values[record.ball] = change(record, name)[0][at, d]
     unit = balls.scale_of(np.nan_to_num(values[seen.free]))
     drawn = seen.discs(ax, values / unit)
     maps.title(ax, record, medium, at, f"{100 * unit:.3g} %", balls.beyond(drawn))
@@ -86,9 +97,17 @@ def _words(seen, record, at, d):
 def _warmth(_, record, *__):
     """Return what the map of warm balls shows, in words."""
     how = f"bonds {record.factor:g} times as stiff"
-    if not np.isfinite(record.factor):
+    if record.growth is not None:
+        rest = "all at a new rest" if record.relaxed else "neighbours frozen"
+        how = f"radii larger by up to {np.abs(record.growth).max():.3g}, {rest}"
+    elif not np.isfinite(record.factor):
         how = f"overlaps larger by {record.overlap:g}"
     return f"each ball warmed alone, {how}; red: |A| grows; blue, with a bar: it falls"
+
+
+def _frozen(*_):
+    """Return what the map of warm balls between frozen neighbours shows, in words."""
+    return "each ball grown alone, neighbours frozen; red: |A| grows; blue, with a bar: it falls"
 
 
 def decibels(heat, at, d):
@@ -98,7 +117,8 @@ def decibels(heat, at, d):
 
 def changes(heat):
     """Yield what is changed, the changes in %, shape (nw, nd, count)."""
-    for name, label in (("warmed", "ball warmed"), ("cut", "bond cut")):
+    labels = {"warmed": "ball warmed", "frozen": "neighbours frozen", "cut": "bond cut"}
+    for name, label in labels.items():
         if getattr(heat, name) is not None:
             yield label, 100 * change(heat, name)[1]
 
@@ -115,7 +135,7 @@ def distribution(ax, heat, medium=None):
             quarter = np.count_nonzero(size >= QUARTER) / max(len(size), 1)
             words = f"{name}, " * (len(heat.detector) > 1)
             words += f"{label}: {100 * quarter:.2g} % of cases above"
-            look = {"linestyle": "-" if n == 0 else "--", "label": words}
+            look = {"linestyle": LINES[n], "label": words}
             drawn += ax.plot(size, share, color=style.colours(len(heat.detector))[d], **look)
     ax.axvline(QUARTER, color=style.UNRESOLVED, linestyle=":", label="a quarter")
     ax.set(xlabel=CHANGE, ylabel="share of cases with more")
@@ -127,7 +147,7 @@ def over_frequency(ax, heat, medium):
     """Draw median and largest change over the driving frequency; return the curves."""
     x, drawn = heat.omega / medium.omega_mx, []
     shades = style.colours(len(heat.detector))
-    looks = ("-", "full"), ("--", "none")
+    looks = zip(LINES, ("full", "none", "left"), strict=True)
     for (line, fill), (label, moved) in zip(looks, changes(heat), strict=False):
         known = np.isfinite(moved)
         good = known.any(axis=-1)
@@ -146,4 +166,25 @@ def over_frequency(ax, heat, medium):
     ax.set(yscale="log", ylabel=CHANGE)
     scales.frequencies(ax, x)
     marks.failed(ax, x[heat.converged_reason <= 0])
+    return drawn
+
+
+def over_distance(ax, heat, medium):
+    """Draw changes over the distance of balls and detector, and medians; return these curves."""
+    position, box = medium.position, getattr(medium, "box", None)
+    periods = np.full(position.shape[1], np.inf) if box is None else np.where(box > 0, box, np.inf)
+    moved, drawn = 100 * change(heat, "warmed")[1], []
+    names, shades = style.ball_names(heat.detector), style.colours(len(heat.detector))
+    for d, (name, shade) in enumerate(zip(names, shades, strict=True)):
+        away, _ = nearest_images(position[heat.ball] - position[heat.detector[d, 0]], periods)
+        distance = np.linalg.norm(away, axis=1)
+        look = {"color": shade, "linestyle": "none", "marker": ".", "markersize": 2, "alpha": 0.4}
+        ax.plot(np.tile(distance, len(moved)), moved[:, d].ravel(), rasterized=True, **look)
+        groups = np.array_split(np.argsort(distance), min(GROUPS, len(distance)))
+        middle = [np.median(distance[group]) for group in groups]
+        known = [moved[:, d, group] for group in groups]
+        median = [np.median(y[np.isfinite(y)]) if np.isfinite(y).any() else np.nan for y in known]
+        drawn += ax.plot(middle, median, color=shade, marker="o", markersize=3, label=name)
+    ax.axhline(QUARTER, color=style.UNRESOLVED, linestyle=":")
+    ax.set(yscale="log", xlabel="distance of the warm ball from the detector", ylabel=CHANGE)
     return drawn

@@ -97,8 +97,9 @@ def grown_by_overlap(medium, overlap, hertz):
     """Return how far the constants of all springs grow with the overlaps, shape (springs,).
 
     A contact that opens has no stiffness left; tangential springs grow by the same part. `overlap`
-    is dh; `hertz` is c, unless a network knows the forces, from which c follows contact by contact.
-    Raises an InputError where Hertz's law gives no such contact.
+    is dh, one for all contacts or one each; `hertz` is c, unless a network knows the forces, from
+    which c follows contact by contact, or its contact law as well. Raises an InputError where the
+    law gives no such contact.
     """
     elastic = medium.springs.elastic.reshape(-1, medium.bonds)
     k, squared = elastic[0], 2.25 * hertz**2
@@ -113,23 +114,29 @@ def grown_by_overlap(medium, overlap, hertz):
     if force is not None:
         # (9/4) c^2 = k^2 / h, h = (3/2) F / k
         squared = np.divide(k**3, 1.5 * force, out=np.zeros_like(k), where=force > 0)
-    growth = np.sqrt(np.maximum(k * k + squared * overlap, 0.0)) - k
+    if force is not None and medium.power is not None:
+        nearer = np.maximum(1 + overlap / medium.overlap, 0.0)  # in units of the overlap
+        growth = np.where(nearer > 0, k * nearer ** (medium.power - 1), 0.0) - k
+    else:
+        growth = np.sqrt(np.maximum(k * k + squared * overlap, 0.0)) - k
     part = np.divide(growth, k, out=np.zeros_like(k), where=k != 0)
     return np.concatenate([growth, (elastic[1:] * part).ravel()])
 
 
-def changes(medium, contacts, growth):
+def changes(medium, contacts, growth, case=0):
     """Return the springs of groups of contacts, and how far their constants change.
 
-    `growth` is that of each spring's constant. Contacts have the shape (count, c), springs and
-    changes (count, r); -1 fills up, and stands for springs that do not change.
+    `growth` (cases, springs) is that of each spring's constant, `case` which one a contact of a
+    group is. Contacts have the shape (count, c), springs and changes (count, r); -1 fills up, and
+    stands for springs that do not change.
     """
     # springs stand block by block, one of each for every contact
-    grown = growth.reshape(-1, medium.bonds)
+    grown = growth.any(axis=0).reshape(-1, medium.bonds)
     blocks = np.flatnonzero(np.any(grown, axis=1) | (np.arange(len(grown)) == 0))
     springs = [np.where(contacts >= 0, contacts + b * medium.bonds, -1) for b in blocks]
     springs = np.concatenate(springs, axis=1)
-    return _changed(springs, np.where(springs >= 0, growth[springs], 0.0))
+    case = np.tile(np.broadcast_to(case, contacts.shape), (1, len(blocks)))
+    return _changed(springs, np.where(springs >= 0, growth[case, springs], 0.0))
 
 
 def cuts(medium, s):

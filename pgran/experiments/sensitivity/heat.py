@@ -1,12 +1,17 @@
 """What a warm ball, or a cut bond, does to a signal: exact amplitudes, one change at a time."""
 
+import dataclasses
+
 import numpy as np
 
 from pgran.driven import drive as driven
 from pgran.errors import InputError
 from pgran.experiments.sensitivity import finite
 from pgran.experiments.sensitivity.adjoint import MISSED, AdjointSweep
+from pgran.experiments.sensitivity.expansion import ExpansionTask, told_of_growth
+from pgran.experiments.sensitivity.radii import Radii, with_vectors
 from pgran.experiments.sensitivity.record import Heat
+from pgran.experiments.sensitivity.warmth import WAYS, Warmth, check_options, relaxes
 from pgran.medium.base import medium
 from pgran.medium.law import HERTZ
 from pgran.medium.rounding import EPSILON
@@ -16,7 +21,7 @@ from pgran.run.frequencies import SWEEP
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, option
-from pgran.run.options import INTEGERS, REAL
+from pgran.run.options import FLAG, INTEGERS, REAL
 from pgran.run.task import carry_out
 from pgran.store.fields import ball_names
 from pgran.store.record import columns_of
@@ -24,20 +29,12 @@ from pgran.store.record import columns_of
 QUARTER = 0.25  # of the amplitude: what the heater of the experiment changed
 
 
-def check(values):
-    """Raise where options contradict each other."""
-    ways = [name for name in ("heat_factor", "heat_overlap") if values[name] is not None]
-    if len(ways) == 2:
-        raise InputError("-heat_factor, -heat_overlap: a ball is warmed in one of these ways")
-    if values["heat_balls"] is not None and not ways:
-        raise InputError("-heat_balls: by how much? -heat_factor or -heat_overlap says")
-
-
 def summary(record):
     """Return in words what heating or cutting does."""
     good = record.converged_reason > 0
-    if record.failures:
-        yield Caution(f"{record.failures} of {len(good)} frequencies of the heater failed")
+    if failed := np.count_nonzero(~good):
+        yield Caution(f"{failed} of {len(good)} frequencies of the heater failed")
+    yield from told_of_growth(record)
     for d, ball in enumerate(ball_names(record.detector)):
         for name, what in (("warmed", "warm ball"), ("cut", "cut bond")):
             after = getattr(record, name)
@@ -80,6 +77,20 @@ def heat(
         "warm balls one at a time: their contacts overlap by so much more, by Hertz's law "
         "(-bonds_hertz, or a network's forces)", "length", kind=REAL,
     ),
+    radius=option(
+        None, "warm balls of a network one at a time: their radii grow by so much", "length",
+        kind=REAL,
+    ),
+    kelvin=option(
+        None, "warm balls of a network one at a time by so much: their radii expand", "K",
+        kind=REAL,
+    ),
+    expansion=option(9e-6, "by which part of itself a radius grows, of glass unless given", "1/K"),
+    relax=option(
+        None,
+        "the packing finds its rest anew around a ball that grows (true, unless the network does "
+        "not know its contact law), or neighbours are frozen", kind=FLAG,
+    ),
     hertz=HERTZ,
     balls=option(
         None, "balls to warm, flat: 8,10 or 8,10,3,4; all unless given", kind=INTEGERS, low=0,
@@ -91,18 +102,45 @@ def heat(
 ) -> Heat:  # fmt: skip
     """Return the amplitudes after each ball is warmed, or each bond is cut, one at a time.
 
-    Not an expansion: see `finite`. Each unknown at the springs that change takes one
-    solve with the factorization of its frequency. Tangential springs become as much stiffer.
+    Exact, however large changes are. Where neighbours stay as they are, each unknown at the springs
+    that change takes one solve with the factorization of its frequency: see `finite`; tangential
+    springs become as much stiffer. Where the packing relaxes, its steady states are solved anew:
+    see `growth`. Where radii grow and the network knows its contact law, there are derivatives by
+    all radii, too: see `radii`.
     """
-    check({"heat_factor": factor, "heat_overlap": overlap, "heat_balls": balls})
-    if factor is None and overlap is None and not cut:
-        raise InputError("heat: give a factor or an overlap, or cut=True")
+    given = factor, overlap, radius, kelvin, balls, relax
+    check_options(dict(zip((*WAYS, "heat_balls", "heat_relax"), given, strict=True)))
+    warmth = Warmth(factor, overlap, radius, kelvin, expansion, hertz)
+    if all(way is None for way in warmth[:4]) and not cut:
+        raise InputError(
+            "heat: give a factor or an overlap, or cut=True, or of a packing radius or kelvin"
+        )
     with agreeing(crew.world):
         check_solver(lattice, crew)
-        law = factor, overlap, hertz
-        task = HeatSweep(lattice, omegas, detectors, law, balls, cut, error_tolerance)
+        relaxing = warmth.grows and relaxes(lattice, relax)
+        task = HeatSweep(lattice, omegas, detectors, warmth, relaxing, balls, cut, error_tolerance)
+        expanding = task.expanding() if relaxing else None
     driven.check_driven(lattice, crew.world, omegas[0])
-    return carry_out(task, crew, progress)
+    if relaxing and crew.world.rank == 0:
+        expanding.packing.warn()
+    record = carry_out(task, crew, progress)
+    if expanding is not None:
+        expanded = carry_out(expanding, crew, progress)
+        if record is not None:
+            record = dataclasses.replace(record, **expanded)
+            record = dataclasses.replace(record, heard=heard(record))
+    return record
+
+
+def heard(record):
+    """Return the shares of balls that change amplitudes by a quarter or more, for certain."""
+    before, bound = record.displacement[..., None], record.error_bound[..., None]
+    with np.errstate(invalid="ignore"):
+        moved = np.abs(record.warmed - before) - record.warmed_bound - bound
+        # by a quarter of what the amplitude may be at most
+        share = np.mean(moved >= QUARTER * (np.abs(before) + bound), axis=-1)
+    share[record.converged_reason <= 0] = np.nan
+    return share
 
 
 def check_solver(lattice, crew):
@@ -119,51 +157,72 @@ def check_solver(lattice, crew):
 
 
 class HeatSweep(AdjointSweep):
-    """The amplitudes after all changes, frequency by frequency; `law`: factor, overlap, hertz."""
+    """The amplitudes after changes that leave all other balls in place, frequency by frequency."""
 
-    def __init__(self, lattice, omegas, detectors, law, balls, cut, error_tolerance):
+    def __init__(
+        self, lattice, omegas, detectors, warmth, relaxing, balls, cut, error_tolerance
+    ):  # fmt: skip
         """Find the springs that change."""
         sites, free = lattice.sites(detectors), lattice.ball_numbers
-        self.factor, self.overlap, hertz = law
+        self.warmth, self.relaxing = warmth, relaxing
         self.balls, groups = free[:0], {}  # groups[kind][n]: the springs that change n changes
-        if self.factor is not None or self.overlap is not None:
+        if any(way is not None for way in warmth[:4]):
             warm = np.arange(len(free))
             if balls is not None:
                 warm = np.unique(lattice.numbers_of(lattice.sites(balls, "-heat_balls")))
-            if self.overlap is None:
-                growth = (self.factor - 1) * lattice.springs.elastic
-            else:
-                growth = finite.grown_by_overlap(lattice, self.overlap, hertz)
-            self.balls, contacts = free[warm], finite.contacts_of(lattice, warm)
-            groups["warmed"], self.delta = finite.changes(lattice, contacts, growth)
+            self.balls = free[warm]
+            groups["frozen" if relaxing else "warmed"], self.delta = warmth.changes(lattice, warm)
         if cut:
             groups["cut"], _ = finite.cuts(lattice, 1j)
         self.groups = {name: springs for name, springs in groups.items() if len(springs)}
-        missing = {"warmed", "cut"} - self.groups.keys()
-        balls = (len(self.balls),)
-        super().__init__(lattice, omegas, sites, error_tolerance, Heat, missing, ball=balls)
+        missing = {"warmed", "frozen", "cut", "by_radius"} - self.groups.keys()
+        # by all radii where the contact law is known
+        self.differentiated = warmth.grows and relaxes(lattice, None)
+        missing -= {"by_radius"} if self.differentiated else set()
+        lengths = {"ball": (len(self.balls),), "ball_number": (len(free),)}
+        super().__init__(lattice, omegas, sites, error_tolerance, Heat, missing, **lengths)
+
+    def expanding(self):
+        """Return the task that computes the amplitudes of relaxed packings."""
+        growth = self.warmth.growth(self.lattice)[self.balls]
+        where = self.lattice, self.omegas, self.sites, self.balls, growth
+        return ExpansionTask(*where, self.choices["error_tolerance"])
 
     def prepare(self, operators):
         """See `FrequencySweep`."""
+        from pgran.driven.certify import least_stiffness
         from pgran.experiments.sensitivity.flexibility import Flexibility
 
         groups = self.groups.items()
         self.flexibilities = {name: Flexibility(operators, springs) for name, springs in groups}
+        if self.differentiated:
+            least = least_stiffness(with_vectors(self.scaled)) if self.relaxing else 0.0
+            self.radii = Radii(self.scaled, self.relaxing, least)
 
     def keep(self, point, solver):
         """See `FrequencySweep`. Collective over a group."""
         from pgran.driven.columns import Columns
 
         super().keep(point, solver)
-        for name in self.groups:
+        computed = [*self.groups, *["by_radius"] * self.differentiated]
+        for name in computed:
             point[name], point[f"{name}_bound"] = np.nan, np.inf
         if solver.factor is None:
             point["converged_reason"] = min(point["converged_reason"], MISSED)
         if point["converged_reason"] <= 0:
             return
         before = point["displacement"], point["error_bound"]
+        systems, errors = self.systems(point, solver)
+        if self.differentiated:
+            fields = solver.operators.layout.gathered([x.solution for x in systems])
+            if fields is not None:  # on the first rank of the group
+                fields = fields.reshape(len(systems), -1)
+                after = self.radii.derivatives(solver.operators.s, fields, errors)
+                point["by_radius"], point["by_radius_bound"] = after
+        if not self.groups:
+            return
         with Columns(solver) as columns, np.errstate(all="ignore"):  # not finite: without a bound
-            fields, errors = self._fields(point, solver)
+            fields, errors = self._fields(systems, errors)
             for name, flexibility in self.flexibilities.items():
                 stretched = flexibility.stretched(fields, errors)
                 matrices = flexibility.matrices(columns)
@@ -174,33 +233,45 @@ class HeatSweep(AdjointSweep):
                 after = finite.changed_amplitudes(before, stretched, matrices, delta)
                 point[name], point[f"{name}_bound"] = after
 
-    def _fields(self, point, solver):
+    def _fields(self, systems, errors):
         """Return this rank's rows of the field and the adjoints, and bounds of their errors.
 
         Collective. What rounds while a spring's stretch is computed of them is within the bounds.
         """
-        systems, errors = self.systems(point, solver)
         fields = np.stack([x.solution.getArray(readonly=True) for x in systems], axis=1)
         norms = np.array([x.solution.norm() for x in systems])
         return fields, errors + (self.scaled.springs.columns.shape[1] + 2) * EPSILON * norms
 
     def collect(self, rows, seconds):
         """See `Task`."""
-        arrays, heard = columns_of(Heat, rows), None
-        if "warmed" in arrays:
-            before, bound = (arrays[n][..., None] for n in ("displacement", "error_bound"))
-            moved = np.abs(arrays["warmed"] - before) - arrays["warmed_bound"] - bound
-            # for certain: by a quarter of what the amplitude may be at most
-            heard = np.mean(moved >= QUARTER * (np.abs(before) + bound), axis=-1)
-            heard[arrays["converged_reason"] <= 0] = np.nan
-        return Heat(
-            factor=np.nan if self.factor is None else float(self.factor),
-            overlap=np.nan if self.overlap is None else float(self.overlap),
+        warmth = self.warmth
+        record = Heat(
+            factor=np.nan if warmth.factor is None else float(warmth.factor),
+            overlap=np.nan if warmth.overlap is None else float(warmth.overlap),
             factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,
             omega=self.omegas,
             detector=self.sites,
             ball=self.balls,
-            heard=heard,
-            **arrays,
+            **columns_of(Heat, rows),
+            **self._growth(),
         )
+        if record.warmed is None:
+            return record
+        return dataclasses.replace(record, heard=heard(record))
+
+    def _growth(self):
+        """Return what a record says of balls that grow."""
+        if not self.warmth.grows:
+            return {}
+        growth = self.warmth.growth(self.lattice)[self.balls]
+        said = {"relaxed": self.relaxing, "growth": growth}
+        if self.warmth.kelvin is not None:
+            said |= {"kelvin": self.warmth.kelvin, "expansion": self.warmth.expansion}
+        if (overlap := self.lattice.overlap) is not None:
+            least = np.full(len(self.lattice.held), np.inf)
+            for end in self.lattice.bond.T:
+                np.minimum.at(least, end, overlap)
+            said["growth_overlap"] = growth / overlap.mean()
+            said["growth_least"] = growth / least[self.balls]
+        return said

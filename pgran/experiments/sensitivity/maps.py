@@ -229,8 +229,8 @@ def page(seen, record, panels, what, text):
 
 def note_failed(figure, record):
     """Say in a figure how many frequencies are not drawn because they failed."""
-    if record.failures:
-        count = f"{record.failures} of {len(record.omega)} frequencies"
+    if failed := np.count_nonzero(record.converged_reason <= 0):
+        count = f"{failed} of {len(record.omega)} frequencies"
         style.note(figure, f"NOT DRAWN: {count} that missed the accuracy asked for")
 
 

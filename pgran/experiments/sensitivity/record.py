@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.store.fields import BOUND, DETECTOR, Frequencies
-from pgran.store.record import array, error_of
+from pgran.store.record import array, attribute, error_of
 
 ITS_BOUND = "bound of its error"
 WHERE = "omega", "detector_number"
 AT_BOND, AT_BALL = (*WHERE, "bond_number"), (*WHERE, "ball_number")
+LOST = "not balanced"  # the outcome of a packing that found no rest
 COMPLEX, NUMBERS = {"dtype": complex, "row": True}, {"dtype": int, "row": True}
 
 
@@ -88,9 +89,10 @@ class Sensitivity(Frequencies):
 class Heat(Frequencies):
     """Amplitudes after each ball is warmed, or each bond is cut, one at a time.
 
-    A warm ball's bonds are `factor` times as stiff, or overlap by `overlap` more (NaN: not so). A
-    number that is not known to the accuracy asked for has its bound all the same; `heard` is the
-    share of balls whose warming changes the amplitude, for certain, by a quarter or more.
+    A warm ball's bonds are `factor` times as stiff, or overlap by `overlap` more (NaN: not so), or
+    its radius grows by `growth`; then the packing finds its rest anew if `relaxed`, else neighbours
+    stay. A number that is not known to the accuracy asked for has its bound all the same; `heard`
+    is the share of balls whose warming changes the amplitude, for certain, by a quarter or more.
     """
 
     group = "heat"
@@ -116,3 +118,47 @@ class Heat(Frequencies):
         "amplitude with each bond cut", "1", *WHERE, "every_bond", optional=True, **COMPLEX
     )
     cut_bound: np.ndarray | None = error_of(cut, BOUND)
+    relaxed: bool | None = attribute(optional=True)
+    kelvin: float | None = attribute(optional=True)
+    expansion: float | None = attribute(optional=True)
+    growth: np.ndarray | None = array(
+        "growth of each warm ball's radius", "length", "ball", optional=True
+    )
+    growth_overlap: np.ndarray | None = array(
+        "growth over the mean overlap of all contacts", "1", "ball", optional=True
+    )
+    growth_least: np.ndarray | None = array(
+        "growth over the smallest overlap of the ball's contacts", "1", "ball", optional=True
+    )
+    by_radius: np.ndarray | None = array(
+        "derivative of the displacement by the radius of each free ball", "1/length",
+        *AT_BALL, optional=True, **COMPLEX
+    )  # fmt: skip
+    by_radius_bound: np.ndarray | None = array(
+        "bound of its error; infinite where no stable packing is certain", "1/length", *AT_BALL,
+        optional=True, row=True,
+    )  # fmt: skip
+    frozen: np.ndarray | None = array(
+        "amplitude with each ball warm whose neighbours do not move, where packings relax", "1",
+        *WHERE, "ball", optional=True, **COMPLEX
+    )  # fmt: skip
+    frozen_bound: np.ndarray | None = error_of(frozen, BOUND)
+    outcome: np.ndarray | None = array(
+        "what the packing did: smooth, opened or closed, rearranged, not balanced", "1", "ball",
+        dtype=str, optional=True,
+    )  # fmt: skip
+    opened: np.ndarray | None = array("contacts that opened", "1", "ball", dtype=int, optional=True)
+    closed: np.ndarray | None = array("contacts that closed", "1", "ball", dtype=int, optional=True)
+    balance: np.ndarray | None = array(
+        "largest force left on a ball, over the mean one", "1", "ball", optional=True
+    )
+
+    @property
+    def lost(self):
+        """How many packings found no rest."""
+        return 0 if self.outcome is None else int(np.count_nonzero(self.outcome == LOST))
+
+    @property
+    def failures(self):
+        """How many frequencies missed their accuracy, and how many packings found no rest."""
+        return super().failures + self.lost

@@ -7,6 +7,7 @@ from pgran.experiments.sensitivity import heat
 from pgran.experiments.sensitivity.adjoint import MISSED, AdjointSweep
 from pgran.experiments.sensitivity.gradient import energy_flux, gradient
 from pgran.experiments.sensitivity.record import Sensitivity
+from pgran.experiments.sensitivity.warmth import WAYS, check_options
 from pgran.medium.base import medium
 from pgran.medium.bonds import bond_ends
 from pgran.medium.law import HERTZ
@@ -30,7 +31,7 @@ TOGETHER = 2**22
 def check(values, given):
     """Raise where options contradict each other."""
     check_sweep(values, given)
-    heat.check(values)
+    check_options(values)
 
 
 def summary(result):
@@ -221,7 +222,7 @@ class GradientSweep(AdjointSweep):
 def run(lattice, options, crew):
     """Return the sensitivity, and what heating does if asked for; see `Scene`."""
     records = [call(sensitivity, options, crew, lattice)]
-    if options.heat_cut or (options.heat_factor, options.heat_overlap) != (None, None):
+    if options.heat_cut or any(getattr(options, way) is not None for way in WAYS):
         records.append(call(heat.heat, options, crew, lattice))
     return records if records[0] else None
 

@@ -1,0 +1,180 @@
+"""Balls under a contact law come to rest: Newton's method on their energy.
+
+Its matrix is made positive definite by a shift where its pivots are not, steps are halved until the
+enthalpy falls (`motion`), and end before a ball could meet one that is not in the list of pairs,
+which is then made anew. No search on |force| does this: its least value, 0, is also that of balls
+that have flown apart.
+"""
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pgran.balance.motion import Balls, Contacts, Motion, listed
+from pgran.errors import PgranError
+from pgran.medium.graph import SYMMETRIC
+
+BALANCED = 1e-12  # of the mean force: the largest force that is left on a ball
+PATIENCE = 4  # steps in a row that lower neither the energy, beyond its rounding, nor the forces
+STEPS, ROUNDS = 100, 40  # of Newton's method with one list of pairs, and lists
+LEAST_SHIFT = 1e-10  # of the mean diagonal of K: what is less is rounding
+SADDLE = 1e-10  # of the mean diagonal: how negative a pivot is that counts
+
+
+class NotBalancedError(PgranError):
+    """Balls found no rest."""
+
+
+class Rest(NamedTuple):
+    """Balls at rest: where and with which contacts, and how they came there.
+
+    `residual` is the largest force left on a ball in units of the mean one, `unstable` how often
+    the matrix needed a shift, `saddle` whether the rest is one of least energy in no neighbourhood.
+    """
+
+    balls: Balls
+    contacts: Contacts
+    residual: float
+    unstable: int
+    saddle: bool
+    factorizations: int
+    evaluations: int
+
+
+def factored(K):
+    """Return the factors of a symmetric matrix in SuperLU's symmetric mode, None if singular."""
+    from scipy.sparse.linalg import splu  # here: SciPy takes its time
+
+    try:
+        return splu(K, "MMD_AT_PLUS_A", **SYMMETRIC)
+    except RuntimeError:
+        return None
+
+
+def direction(motion, state, growth, forces, swelling, shift):
+    """Return a step downhill (N, d) and of eps, the shift it took, and the factorizations.
+
+    `shift` is in units of the mean diagonal; it grows until K and the border are positive definite.
+    """
+    from scipy.sparse import identity
+
+    K, border, corner = motion.matrix(state, growth)
+    mean, tried = K.diagonal().mean(), 0
+    while shift < 1:
+        factors = factored(K + shift * mean * identity(K.shape[0], format="csc"))
+        tried += 1
+        if factors is not None and np.all(factors.U.diagonal() > 0):
+            step, swell, rest = factors.solve(forces.ravel()), 0.0, 1.0
+            if border is not None:
+                turned = factors.solve(border)
+                rest = corner - border @ turned  # what is left of the last pivot
+                swell = (swelling - border @ step) / rest
+                step = step - swell * turned
+            if rest > 0:
+                moved = np.zeros((len(motion.number), motion.size))
+                moved[motion.free] = step.reshape(-1, motion.size)
+                return moved, swell, shift, tried
+        shift = max(4 * shift, LEAST_SHIFT)
+    raise NotBalancedError("the packing has lost its rigidity: no shift makes its matrix definite")
+
+
+def newton(motion, reach, tolerance):
+    """Return displacements, eps, state, residual and counts of shifts and factorizations.
+
+    It ends at rest, where `PATIENCE` steps make it no better, or where balls have moved so far that
+    the pairs nearer than `reach` are no longer all that could touch.
+    """
+    u, growth = np.zeros((len(motion.number), motion.size)), 0.0
+    state = motion.state(u, growth)
+    best, shift, stalled = (math.inf, u, growth, state), 0.0, 0
+    unstable = factorizations = evaluations = 0
+    for _ in range(STEPS):
+        if not np.any(state.force > 0):
+            raise NotBalancedError("the balls have flown apart: no contact is left")
+        forces, swelling = motion.forces(state, growth)
+        residual = motion.residual(state, forces, swelling, growth)
+        if residual < best[0]:
+            best, stalled = (residual, u, growth, state), 0
+        far = np.abs(u).max(initial=0.0) + 1.5 * abs(growth) > reach / 2
+        if residual < tolerance or stalled > PATIENCE or far:
+            break
+        step, swell, shift, tried = direction(motion, state, growth, forces, swelling, shift)
+        factorizations += tried
+        unstable += shift > 0
+        # downhill by the slope; near the end, where H rounds, by the slope's not having turned
+        slope = np.sum(forces * step[motion.free]) + swelling * swell
+        energy = np.sum(state.work)
+        if motion.pressure is not None:
+            energy += motion.pressure * motion.volume
+        part = min(1.0, 0.2 * reach / max(np.abs(step).max(), 1.5 * abs(swell), 1e-300))
+        while True:
+            there = u + part * step, growth + part * swell
+            ahead = motion.state(*there)
+            evaluations += 1
+            rounds = part * slope <= 1e-11 * energy
+            if not rounds:
+                change = motion.enthalpy_change(state, ahead, part * step, (growth, there[1]))
+                downhill = change <= -1e-4 * part * slope
+            else:
+                turned, swollen = motion.forces(ahead, there[1])
+                downhill = np.sum(turned * step[motion.free]) + swollen * swell >= -0.9 * slope
+            if downhill or part < 1e-9:
+                break
+            part /= 2
+        stalled = stalled + 1 if rounds else 0
+        if part < 0.1:
+            shift = max(4 * shift, LEAST_SHIFT)
+        elif part == 1:
+            shift = shift / 10 if shift > 10 * LEAST_SHIFT else 0.0
+        (u, growth), state = there, ahead
+    residual, u, growth, state = best if not far else (residual, u, growth, state)
+    return u, growth, state, residual, (unstable, factorizations, evaluations)
+
+
+def at_rest(balls, contacts=None, pressure=None, tolerance=BALANCED):
+    """Return balls at rest, as a `Rest`, from where they are.
+
+    Contacts open and close. `contacts` are those that are known more exactly than positions say;
+    with a `pressure` a periodic box finds its size. Raises NotBalancedError where they find no
+    rest.
+    """
+    counts, residual = np.zeros(3, dtype=int), math.inf
+    for _ in range(ROUNDS):
+        reach = reach_of(balls, contacts)
+        contacts = listed(balls, contacts, reach=reach)
+        motion = Motion(balls, contacts, pressure)
+        u, growth, state, residual, counted = newton(motion, reach, tolerance)
+        counts += counted
+        balls, contacts = displaced(balls, contacts, u, growth, state)
+        if residual < tolerance:
+            break
+        if np.abs(u).max(initial=0.0) + 1.5 * abs(growth) <= reach / 2:
+            raise NotBalancedError(
+                f"the balls find no rest: {residual:.1e} of the mean force is left on one of them"
+            )
+    else:
+        raise NotBalancedError(f"the balls still move after {ROUNDS} lists of neighbours")
+    K, _, _ = Motion(balls, contacts).matrix(state, 0.0)
+    factors = factored(K)
+    lowest = 0.0 if factors is None else factors.U.diagonal().min()  # singular: some balls float
+    saddle = bool(lowest < -SADDLE * K.diagonal().mean())
+    unstable, factorizations, evaluations = counts.tolist()
+    return Rest(balls, contacts, residual, unstable, saddle, factorizations + 1, evaluations)
+
+
+def reach_of(balls, contacts):
+    """Return how wide a gap may be between balls that are listed: some overlaps, no more."""
+    overlap = np.zeros(0) if contacts is None else contacts.overlap[contacts.overlap > 0]
+    size = 2 * float(np.mean(balls.radius))
+    return min(max(10 * overlap.mean(), 2e-3 * size), 0.1 * size) if overlap.size else 0.02 * size
+
+
+def displaced(balls, contacts, u, growth, state):
+    """Return balls and contacts with the displacements as their reference."""
+    larger = math.exp(growth)
+    position = (balls.position + u) * larger
+    balls = dataclasses.replace(balls, position=position, box=balls.box * larger)
+    away = state.normal * state.distance[:, None]
+    return balls, dataclasses.replace(contacts, away=away, overlap=state.overlap)

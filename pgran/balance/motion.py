@@ -1,0 +1,190 @@
+"""Balls under a contact law, displaced: their contacts, energy, forces, second derivatives.
+
+With x = (X + u) e^eps about a reference X, whose contacts have the vectors v0 of length r0 and the
+overlaps h0,
+
+    v = v0 + u_j - u_i,   h = h0 - (2 v0 . du + du . du) / (|v| + r0) - (e^eps - 1) |v|,
+
+so that no overlap is a small difference of positions: those would balance no better than eps L / h
+of the mean force. H = sum of F h / (alpha + 1) - load . u + P V is the enthalpy; at a fixed box eps
+is 0 and P V is left out. NumPy and SciPy only.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pgran.balance.contacts import ContactLaw, near_pairs, total_forces
+
+
+@dataclass(frozen=True, eq=False)
+class Balls:
+    """N balls in d dimensions: where they are, what they are, and what acts on them.
+
+    `held` ones (N,) do not move; `box` are the periods (d,), infinite where there is none; `load`
+    (N, d) is what else pulls at them.
+    """
+
+    position: np.ndarray
+    radius: np.ndarray
+    held: np.ndarray
+    box: np.ndarray
+    law: ContactLaw
+    load: np.ndarray | float = 0.0
+
+    def of(self, chosen):
+        """Return some of them."""
+        each = {name: getattr(self, name)[chosen] for name in ("position", "radius", "held")}
+        load = self.load[chosen] if np.ndim(self.load) else self.load
+        return dataclasses.replace(self, load=load, **each)
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Pairs (n, 2) of balls that touch or are near: the reference of increments.
+
+    `away` (n, d) leads from the first to the second, `overlap` (n,) is negative across a gap,
+    `constants` are c of F = c h^alpha.
+    """
+
+    pairs: np.ndarray
+    away: np.ndarray
+    overlap: np.ndarray
+    constants: np.ndarray
+
+    def of(self, chosen):
+        """Return some of them."""
+        return Contacts(*(getattr(self, item.name)[chosen] for item in dataclasses.fields(self)))
+
+    def grown(self, law, before, after):
+        """Return the contacts of balls whose radii (N,) have changed where they are."""
+        old, new = before[self.pairs].T, after[self.pairs].T
+        overlap = self.overlap + np.sum(new - old, axis=0)
+        constants = self.constants * (law.constants(*new) / law.constants(*old))
+        return dataclasses.replace(self, overlap=overlap, constants=constants)
+
+
+class State(NamedTuple):
+    """Contacts after a displacement: arrays (n,), and (n, d) of the normals."""
+
+    normal: np.ndarray
+    distance: np.ndarray
+    overlap: np.ndarray
+    force: np.ndarray
+
+    @property
+    def work(self):
+        """F h of each contact: alpha + 1 times its energy."""
+        return self.force * np.maximum(self.overlap, 0.0)
+
+
+def listed(balls, contacts=None, *, reach):
+    """Return the pairs of balls nearer than `reach` to touching; known contacts keep their numbers.
+
+    What is in the list already is exact; others follow from positions.
+    """
+    pairs, away = near_pairs(balls.position, balls.radius, balls.box, reach)
+    overlap = balls.radius[pairs].sum(axis=1) - np.linalg.norm(away, axis=1)
+    moving = ~balls.held[pairs].all(axis=1)
+    found = Contacts(pairs, away, overlap, balls.law.constants(*balls.radius[pairs].T)).of(moving)
+    if contacts is None:
+        return found
+    contacts = contacts.of(contacts.overlap > -reach)
+    number = lambda pairs: np.sort(pairs, axis=1) @ [len(balls.radius), 1]  # noqa: E731
+    added = found.of(~np.isin(number(found.pairs), number(contacts.pairs)))
+    both = zip(dataclasses.astuple(contacts), dataclasses.astuple(added), strict=True)
+    return Contacts(*map(np.concatenate, both))
+
+
+class Motion:
+    """Balls, displaced about a reference, with their energy and its derivatives."""
+
+    def __init__(self, balls, contacts, pressure=None):
+        """Start at the reference; with a pressure the box is unknown, too."""
+        self.balls, self.contacts, self.pressure = balls, contacts, pressure
+        self.free = np.flatnonzero(~balls.held)
+        self.number = np.full(len(balls.held), -1)
+        self.number[self.free] = np.arange(len(self.free))
+        self.length = np.linalg.norm(contacts.away, axis=1)
+        self.volume = math.prod(balls.box) if pressure is not None else 0.0
+        self.size = balls.position.shape[1]
+
+    def state(self, u, growth):
+        """Return the contacts after displacements (N, d) and the growth eps of the box."""
+        i, j = self.contacts.pairs.T
+        moved, away = u[j] - u[i], self.contacts.away
+        vector = away + moved
+        distance = np.linalg.norm(vector, axis=1)
+        change = np.einsum("nd,nd->n", 2 * away + moved, moved) / (distance + self.length)
+        overlap = self.contacts.overlap - change - math.expm1(growth) * distance
+        force = self.balls.law.force(self.contacts.constants, overlap)
+        return State(vector / distance[:, None], distance * math.exp(growth), overlap, force)
+
+    def forces(self, state, growth):
+        """Return -dH/du of the free balls, shape (free, d), and -dH/deps."""
+        repulsion = state.force[:, None] * state.normal
+        forces = total_forces(self.contacts.pairs, repulsion, len(self.number))
+        swelling = 0.0
+        if self.pressure is not None:
+            volume = self.volume * math.exp(self.size * growth)
+            swelling = state.force @ state.distance - self.size * self.pressure * volume
+        return (forces + self.balls.load)[self.free] * math.exp(growth), swelling
+
+    def residual(self, state, forces, swelling, growth):
+        """Return the larger of the force on a ball and the part by which the pressure is wrong."""
+        mean = state.force[state.force > 0].mean()
+        largest = np.linalg.norm(forces, axis=1).max(initial=0.0) / mean
+        if self.pressure is None:
+            return largest
+        volume = self.volume * math.exp(self.size * growth)
+        return max(largest, abs(swelling) / (self.size * self.pressure * volume))
+
+    def enthalpy_change(self, before, after, step, growths):
+        """Return H after a step less H before it, summed contact by contact."""
+        energy = after.work - before.work
+        change = energy.sum() / (self.balls.law.power + 1) - np.sum(self.balls.load * step)
+        if self.pressure is not None:
+            old, new = (self.size * growth for growth in growths)
+            change += self.pressure * self.volume * math.exp(old) * math.expm1(new - old)
+        return change
+
+    def matrix(self, state, growth):
+        """Return d2H/du2 of the free balls, and with a pressure d2H/du deps and d2H/deps2."""
+        touching = np.flatnonzero(state.force > 0)
+        n, r, F = (x[touching] for x in (state.normal, state.distance, state.force))
+        stiffness = self.balls.law.power * F / state.overlap[touching]
+        pull = F / r
+        blocks = (stiffness + pull)[:, None, None] * n[:, :, None] * n[:, None, :]
+        blocks -= pull[:, None, None] * np.eye(self.size)
+        i, j = self.number[self.contacts.pairs[touching]].T
+        K = assembled(i, j, blocks, len(self.free)) * math.exp(2 * growth)
+        if self.pressure is None:
+            return K, None, None
+        along = (stiffness * r - F)[:, None] * n
+        border = total_forces(self.contacts.pairs[touching], along, len(self.number))
+        volume = self.volume * math.exp(self.size * growth)
+        corner = np.sum((stiffness * r - F) * r) + self.size**2 * self.pressure * volume
+        return K, border[self.free].ravel() * math.exp(growth), corner
+
+
+def assembled(first, second, blocks, balls):
+    """Return the sparse sum over contacts of blocks b on the diagonal and -b beside it.
+
+    `first` and `second` are the balls of each, -1 for one that is held.
+    """
+    from scipy.sparse import coo_matrix  # here: SciPy takes its time
+
+    size = blocks.shape[1]
+    place, rows, columns, values = np.arange(size), [], [], []
+    ends = ((first, first, 1), (second, second, 1), (first, second, -1), (second, first, -1))
+    for one, other, sign in ends:
+        there = (one >= 0) & (other >= 0)
+        shape = blocks[there].shape
+        rows.append(np.broadcast_to((size * one[there])[:, None, None] + place[:, None], shape))
+        columns.append(np.broadcast_to((size * other[there])[:, None, None] + place, shape))
+        values.append(sign * blocks[there])
+    flat = [np.concatenate(parts).ravel() for parts in (values, rows, columns)]
+    return coo_matrix((flat[0], (flat[1], flat[2])), (size * balls, size * balls)).tocsc()

@@ -1,0 +1,158 @@
+"""Networks under a contact law, as balls at rest and back: `pgran.equilibrate`."""
+
+import dataclasses
+import logging
+import math
+
+import numpy as np
+
+from pgran.arguments import called_right
+from pgran.balance.contacts import ContactLaw
+from pgran.balance.equilibrium import at_rest
+from pgran.balance.motion import Balls, Contacts
+from pgran.errors import InputError
+from pgran.medium.network import Network
+from pgran.medium.rounding import EPSILON
+from pgran.medium.springs import AT_REST, FREE
+from pgran.run.numbers import numbers
+
+log = logging.getLogger("pgran")
+GROWTH = 0.5  # of the mean overlap: how much a ball grows before all find their rest anew
+
+
+def law_of(network):
+    """Return the law that the contacts of a network obey, by their forces and radii.
+
+    Raises InputError where the network does not know them, or no force is there to balance.
+    """
+    if network.overlap is None:
+        raise InputError(
+            "the network does not know its contact law and forces: pgran pack makes networks that "
+            "do, and pgran import does with --law hertz or --law harmonic, where forces are known"
+        )
+    if network.radius is None or network.position is None or network.normal is None:
+        raise InputError("balls under a contact law need positions, normals and radii")
+    if network.tangential is not None:
+        raise InputError("the contact law has no friction, and the network has tangential springs")
+    pressed = network.overlap > 0
+    if not np.any(pressed):
+        raise InputError("no contact of the network bears a force: there is nothing to balance")
+    unit, force = ContactLaw(network.power), network.force[pressed]
+    alone = unit.constants(*network.radius[network.bond[pressed]].T)
+    modulus = np.median(force / unit.force(alone, network.overlap[pressed]))
+    return ContactLaw(network.power, float(modulus))
+
+
+def balls_of(network):
+    """Return the balls of a network, and its contacts as the reference of increments."""
+    law, (first, second) = law_of(network), network.radius[network.bond].T
+    constants, overlap = law.constants(first, second), network.overlap
+    pressed = overlap > 0
+    constants[pressed] = network.force[pressed] / overlap[pressed] ** law.power
+    box = np.full(network.position.shape[1], np.inf)
+    if network.box is not None:
+        box[network.box > 0] = network.box[network.box > 0]
+    load = 0.0 if network.gravity is None else network.masses[:, None] * network.gravity
+    held = network.held != FREE
+    balls = Balls(network.position, network.radius, held, box, law, load)
+    away = network.normal * network.distance[:, None]
+    return balls, Contacts(network.bond, away, overlap, constants)
+
+
+def network_of(rest, like=None, **values):
+    """Return the network of balls at rest: one `like` another, but for what changes.
+
+    A ball without contacts is at rest.
+    """
+    balls, contacts = rest.balls, rest.contacts.of(rest.contacts.overlap > 0)
+    force = balls.law.force(contacts.constants, contacts.overlap)
+    distance = np.linalg.norm(contacts.away, axis=1)
+    held = np.where(balls.held, AT_REST, FREE) if like is None else like.held
+    alone = np.bincount(contacts.pairs.ravel(), minlength=len(held)) == 0
+    values = {
+        "bond": contacts.pairs,
+        "stiffness": balls.law.stiffness(contacts.constants, contacts.overlap),
+        "held": np.where(alone & (held == FREE), AT_REST, held),
+        "position": balls.position,
+        "normal": contacts.away / distance[:, None],
+        "distance": distance,
+        "force": force,
+        "radius": balls.radius,
+        "box": np.where(np.isfinite(balls.box), balls.box, 0.0),
+    } | values  # fmt: skip
+    if like is None:
+        return Network(power=balls.law.power, **values)
+    return dataclasses.replace(like, **values)
+
+
+def grown(balls, contacts, radius, growth=GROWTH):
+    """Return the `Rest` of balls whose radii become others, by steps of a part of the overlap."""
+    before = balls.radius
+    overlap = contacts.overlap[contacts.overlap > 0].mean()
+    steps = max(math.ceil(np.abs(radius - before).max() / (growth * overlap)), 1)
+    counts = np.zeros(3, dtype=int)
+    for step in range(1, steps + 1):
+        now = radius if step == steps else before + step / steps * (radius - before)
+        contacts = contacts.grown(balls.law, balls.radius, now)
+        rest = at_rest(dataclasses.replace(balls, radius=now), contacts)
+        balls, contacts = rest.balls, rest.contacts
+        counts += (rest.unstable, rest.factorizations, rest.evaluations)
+    unstable, factorizations, evaluations = counts.tolist()
+    return rest._replace(unstable=unstable, factorizations=factorizations, evaluations=evaluations)
+
+
+def changed_contacts(before, after):
+    """Return how many contacts of a network another one lacks, and how many it has besides."""
+    number = lambda network: np.sort(network.bond, axis=1) @ [len(network.held), 1]  # noqa: E731
+    common = len(np.intersect1d(number(before), number(after)))
+    return before.bonds - common, after.bonds - common
+
+
+@called_right
+def equilibrate(network, radius=None):
+    """Return the network at rest under its contact law, with other radii if they are given.
+
+    Free balls move until the forces on each cancel to 1e-12 of the mean contact force; contacts
+    open and close. Held balls stay. Not parallel: each rank that calls it computes the same.
+
+    Parameters
+    ----------
+    network : pgran.Network
+        With `power`, `force`, `radius` and `position`.
+    radius : array_like of float, shape (N,), optional
+        The radii that the balls shall have.
+
+    Returns
+    -------
+    pgran.Network
+        With its new contacts, normals, distances, forces and stiffnesses.
+
+    Raises
+    ------
+    InputError
+        If the network does not know its law, or bears no force.
+    PgranError
+        If the balls find no rest.
+    """
+    balls, contacts = balls_of(network)
+    radius = balls.radius if radius is None else numbers("equilibrate: radius", radius)
+    if (
+        radius.shape != balls.radius.shape
+        or not np.all(radius > 0)
+        or not np.isfinite(radius).all()
+    ):
+        raise InputError(f"equilibrate: radius: {len(balls.radius)} positive numbers are needed")
+    rest = grown(balls, contacts, radius)
+    result = network_of(rest, network)
+    opened, closed = changed_contacts(network, result)
+    overlap = result.overlap.mean()
+    moved = np.linalg.norm(rest.balls.position - balls.position, axis=1).max()
+    floor = 2 * EPSILON * np.ptp(balls.position, axis=0).max() / overlap
+    log.info(
+        "in balance to %.1e of the mean force (positions alone would hold it to %.1e); contacts: "
+        "%d opened, %d closed; moved by %.2g of the mean overlap at most",
+        rest.residual, floor, opened, closed, moved / overlap,
+    )  # fmt: skip
+    if rest.saddle:
+        log.warning("the packing rests on a saddle of its energy: a small push would rearrange it")
+    return result

@@ -1,0 +1,97 @@
+"""`pgran pack`: a packing in mechanical equilibrium, made here."""
+
+import argparse
+import contextlib
+
+import numpy as np
+
+from pgran.balance.pack import packed_network
+from pgran.command.imports import next_step
+from pgran.command.words import Parser, positive
+from pgran.errors import DONE
+from pgran.medium.network_file import check_output, parts_of, write_network
+from pgran.medium.packing import POWERS
+from pgran.medium.rounding import EPSILON
+from pgran.store.estimate import counted
+
+DESCRIPTION = """\
+Make a packing of discs or spheres in mechanical equilibrium: in a periodic box under a pressure, or
+under gravity on a floor of held balls, with a free surface. Lengths are in mean diameters, masses
+in that of a ball of this diameter, and forces in the law's constant: F = h is harmonic,
+F = sqrt(R_i R_j / (R_i + R_j)) h^(3/2) is Hertz, h the overlap. There is no friction."""
+
+
+def run(words):
+    """Make a packing, and say what it is, on rank 0."""
+    options = _parser().read(words)
+    check_output(options.output, options.overwrite)
+    chosen = {name: value for name, value in vars(options).items() if value is not None}
+    output, overwrite = chosen.pop("output"), chosen.pop("overwrite")
+    network, packed = packed_network(**chosen)
+    write_network(output, *parts_of(network), overwrite)
+    for line in _summary(output, network, packed):
+        print(line)
+    return DONE
+
+
+def _parser():
+    """Return the parser of the command line."""
+    parser = Parser(
+        "pack",
+        DESCRIPTION,
+        "pgran pack --balls 400 --pressure 1e-3 --walls x -o discs.h5",
+        "pgran pack --balls 500 --dimension 3 --law hertz --gravity 1e-6 --walls x -o beads.h5",
+    )
+    add = parser.add_argument
+    add("--balls", type=int, required=True, metavar="N", help="how many")
+    add("--dimension", type=int, choices=(2, 3), help="2: discs, 3: spheres (2)")
+    add("--law", type=_law, help="harmonic, hertz, or a power of the overlap (harmonic)")
+    add("--pressure", type=positive, metavar="P", help="in a box that is periodic along all axes")
+    add("--gravity", type=positive, metavar="G", help="instead: down the last axis, on a floor")
+    add("--sizes", type=_sizes, help="bidisperse (1 : 1.4), equal, or a spread such as .1")
+    add("--shape", type=_shape, help="ratios of the sides of the box, such as 2,1 (all equal)")
+    add("--walls", choices=tuple("xyz"), help="hold both ends of this axis, and drive the far one")
+    add("--seed", type=int, help="which packing (1993)")
+    add("-o", "--output", required=True, help="HDF5 file to write")
+    add("--overwrite", action="store_true", help="replace a network that is there")
+    return parser
+
+
+def _law(text):
+    """Return the name of a law, or its power."""
+    if text in POWERS:
+        return text
+    with contextlib.suppress(ValueError):
+        return float(text)
+    raise argparse.ArgumentTypeError(f"{text} is neither {' nor '.join(POWERS)} nor a power")
+
+
+def _sizes(text):
+    """Return the name of a distribution of diameters, or its spread."""
+    with contextlib.suppress(ValueError):
+        return float(text)
+    return text
+
+
+def _shape(text):
+    """Return the ratios of the sides."""
+    with contextlib.suppress(ValueError):
+        return [float(word) for word in text.split(",")]
+    raise argparse.ArgumentTypeError(f"{text} is no list of numbers")
+
+
+def _summary(output, network, packed):
+    """Say in a few lines what has been made, how well it balances, and what to do next."""
+    free, rest, driven = np.bincount(network.held, minlength=3)
+    yield f"{output}: {counted(free, 'free ball')}, {rest} at rest, {driven} driven; " \
+        f"{counted(network.bonds, 'contact')}"  # fmt: skip
+    yield f"{counted(packed.rattlers, 'rattler')} left out; {packed.excess} contacts more than " \
+        "an isostatic packing has"  # fmt: skip
+    overlap = network.overlap.mean()
+    floor = 2 * EPSILON * np.ptp(network.position, axis=0).max() / overlap
+    yield f"forces balance to {packed.rest.residual:.1e} of the mean one, by positions alone to " \
+        f"{floor:.1e}; mean overlap {overlap:.3g}"  # fmt: skip
+    yield f"{packed.descents} steps of FIRE, {counted(packed.rest.factorizations, 'factorization')}"
+    if packed.rest.saddle:
+        yield "the packing rests on a saddle of its energy: try another --seed"
+    yield next_step(network, output)

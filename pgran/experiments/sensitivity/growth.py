@@ -1,0 +1,97 @@
+"""A ball of a packing grows, and the packing finds its new rest: which contacts bear what then.
+
+Contacts open and close, stiffnesses, forces, normals and distances change. What the forces of a
+network leave unbalanced, as gravity does, or rounding, is a load that stays as it is. Balls grow in
+steps of at most half an overlap, so that the packing follows one path. Where contacts have changed
+it is shrunk again: if it does not return to where it was, it has been rearranged, and what it does
+then depends on how it was grown. NumPy and SciPy only.
+"""
+
+import dataclasses
+import logging
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pgran.balance.contacts import total_forces
+from pgran.balance.equilibrium import NotBalancedError
+from pgran.balance.networks import balls_of, changed_contacts, grown, network_of
+from pgran.experiments.sensitivity.radii import check, with_vectors
+from pgran.medium.network import Network
+
+log = logging.getLogger("pgran")
+OUTCOMES = "smooth", "opened or closed", "rearranged", "not balanced"
+SMOOTH, CHANGED, REARRANGED, LOST = range(len(OUTCOMES))
+UNBALANCED = 1e-3  # of the mean force: what is said of a network
+RETURNED = 1e-6  # of the mean overlap: how far overlaps may be from where they were
+
+
+class Grown(NamedTuple):
+    """A packing after a ball has grown.
+
+    `network` is None where the balls found no rest; `opened` and `closed` count contacts, `balance`
+    is the largest force left on a ball, in units of the mean one.
+    """
+
+    network: Network | None
+    outcome: int
+    opened: int = 0
+    closed: int = 0
+    balance: float = math.nan
+
+
+class Packing:
+    """A network as balls at rest under its contact law."""
+
+    def __init__(self, network):
+        """Take contacts as exact as their forces and normals say."""
+        check(network)
+        self.network, packing = network, with_vectors(network)
+        balls, self.contacts = balls_of(packing)
+        pushes = network.force[:, None] * packing.normal
+        load = -total_forces(network.bond, pushes, len(network.held))
+        self.balls = dataclasses.replace(balls, load=load)
+        left = np.linalg.norm((load - balls.load)[network.free], axis=1)
+        self.unbalanced = float(left.max() / network.force.mean())
+
+    def warn(self):
+        """Warn where the network is no packing at rest under its contact law alone."""
+        if self.unbalanced > UNBALANCED:
+            log.warning(
+                "the forces of the network leave %.1e of the mean one unbalanced, which is taken "
+                "as a load that stays while balls grow; pgran.equilibrate finds a rest without it",
+                self.unbalanced,
+            )
+
+    def grown(self, ball, growth):
+        """Return the packing at rest after a ball's radius has grown by so much."""
+        radius = self.balls.radius.copy()
+        radius[ball] += growth
+        try:
+            rest = grown(self.balls, self.contacts, radius)
+        except NotBalancedError:
+            return Grown(None, LOST)
+        network = network_of(rest, self.network)
+        opened, closed = changed_contacts(self.network, network)
+        outcome = SMOOTH
+        if opened or closed:
+            outcome = CHANGED if self._is_reached_from(rest) else REARRANGED
+        return Grown(network, outcome, opened, closed, rest.residual)
+
+    def _is_reached_from(self, rest):
+        """Return whether balls shrink back to where they were: who touches, and overlaps."""
+        try:
+            back = grown(rest.balls, rest.contacts, self.balls.radius)
+        except NotBalancedError:
+            return False
+        network = network_of(back, self.network)
+        if any(changed_contacts(self.network, network)):
+            return False
+        here, there = _sorted_overlaps(self.network), _sorted_overlaps(network)
+        return bool(np.abs(here - there).max() <= RETURNED * here.mean())
+
+
+def _sorted_overlaps(network):
+    """Return the overlaps of contacts in the order of their balls."""
+    return network.overlap[np.lexsort(np.sort(network.bond, axis=1).T)]

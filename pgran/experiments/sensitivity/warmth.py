@@ -1,0 +1,81 @@
+"""In which ways a ball may be warmed: its bonds stiffen, its overlaps or its radius grow."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.experiments.sensitivity import finite
+from pgran.experiments.sensitivity.radii import check
+from pgran.medium.network import Network
+
+WAYS = "heat_factor", "heat_overlap", "heat_radius", "heat_kelvin"
+
+
+def check_options(values):
+    """Raise where options contradict each other."""
+    ways = [name for name in WAYS if values[name] is not None]
+    if len(ways) > 1:
+        names = ", ".join(f"-{name}" for name in ways)
+        raise InputError(f"{names}: a ball is warmed in one of these ways")
+    if values["heat_balls"] is not None and not ways:
+        raise InputError(f"-heat_balls: by how much? -{' or -'.join(WAYS)} says")
+    if values["heat_relax"] is not None and not {"heat_radius", "heat_kelvin"} & {*ways}:
+        raise InputError("-heat_relax: of balls that grow, by -heat_radius or -heat_kelvin")
+
+
+class Warmth(NamedTuple):
+    """What is done to a warm ball: one of these; see the keywords of `heat`."""
+
+    factor: float | None = None
+    overlap: float | None = None
+    radius: float | None = None
+    kelvin: float | None = None
+    expansion: float = 0.0
+    hertz: float = 0.0
+
+    @property
+    def grows(self):
+        """Whether the radius does."""
+        return self.radius is not None or self.kelvin is not None
+
+    def growth(self, network):
+        """Return by how much the radius of each ball grows if it is warm."""
+        if network.radius is None and self.kelvin is not None:
+            raise InputError("-heat_kelvin: balls expand by parts of radii, which are not known")
+        if self.radius is None:
+            growth = self.expansion * self.kelvin * network.radius
+        else:
+            growth = np.full(len(network.held), self.radius)
+        if network.radius is not None and np.any(network.radius + growth <= 0):
+            raise InputError("-heat_radius, -heat_kelvin: a ball would have no radius left")
+        return growth
+
+    def changes(self, medium, warm):
+        """Return springs of groups and their changes, of some free balls by their places."""
+        contacts, case = finite.contacts_of(medium, warm), 0
+        if self.factor is not None:
+            growth = (self.factor - 1) * medium.springs.elastic[None]
+        elif self.overlap is not None:
+            growth = finite.grown_by_overlap(medium, self.overlap, self.hertz)[None]
+        else:
+            radii, ends = self.growth(medium), medium.bond.T
+            growth = [finite.grown_by_overlap(medium, radii[end], self.hertz) for end in ends]
+            growth = np.stack(growth)
+            case = (ends[1][contacts] == medium.ball_numbers[warm][:, None]).astype(int)
+        return finite.changes(medium, contacts, growth, case)
+
+
+def relaxes(network, relax):
+    """Return whether a packing relaxes; raise an InputError where it should and cannot."""
+    if relax is False:
+        if not isinstance(network, Network):
+            check(network)
+        return False
+    try:
+        check(network)
+    except InputError:
+        if relax or not isinstance(network, Network):
+            raise
+        return False
+    return True

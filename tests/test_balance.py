@@ -1,0 +1,196 @@
+"""Balls under a contact law: their rest, held against exact solutions and sums done otherwise."""
+
+import dataclasses
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pgran
+from pgran.balance.contacts import ContactLaw, loose_balls, near_pairs
+from pgran.balance.equilibrium import NotBalancedError, at_rest, newton
+from pgran.balance.motion import Balls, Motion, listed
+from pgran.balance.networks import balls_of, changed_contacts, grown
+from pgran.errors import InputError
+from pgran.medium.network_file import read_network
+
+PACKINGS = Path(__file__).parents[1] / "options" / "packings"
+INFINITE = np.full(2, np.inf)
+
+
+def left_over(network):
+    """The largest total force on a free ball, in mean forces, ball by ball."""
+    pull = np.zeros(network.axes) if network.gravity is None else network.gravity
+    repulsion, worst = network.force[:, None] * network.normal, 0.0
+    for ball in network.free:
+        sign = (network.bond[:, 1] == ball) - 1.0 * (network.bond[:, 0] == ball)
+        worst = max(worst, np.linalg.norm(network.masses[ball] * pull + sign @ repulsion))
+    return worst / network.force.mean()
+
+
+def row(count, overlap, law, kink=0.0):
+    """A row of discs of radius 1/2 between two held ones, each contact with the same overlap."""
+    position = np.zeros((count, 2))
+    position[:, 0] = (1 - overlap) * np.arange(count)
+    position[1:-1:2, 1] = kink
+    held = np.isin(np.arange(count), (0, count - 1))
+    return Balls(position, np.full(count, 0.5), held, INFINITE, law)
+
+
+@pytest.fixture(scope="module")
+def spheres():
+    return read_network(PACKINGS / "spheres.h5")
+
+
+@pytest.mark.parametrize("power", [1.0, 1.5, 2.5])
+def test_a_ball_that_grows_in_a_row_presses_alike_on_all(power):
+    """The balls between the ends share 2 dR: dF = 2 dR / sum(1/k), the same in all contacts."""
+    law, dR = ContactLaw(power, 3.0), 1e-7
+    before = at_rest(row(7, 0.02, law))
+    radius = before.balls.radius.copy()
+    radius[2] += dR
+    after = grown(before.balls, before.contacts, radius)
+    each = [rest.contacts.of(rest.contacts.overlap > 0) for rest in (before, after)]
+    force = [law.force(contacts.constants, contacts.overlap) for contacts in each]
+    assert np.ptp(force[1]) < 5e-12 * force[1].mean()  # 1e-12 is left on each of 5 balls
+    change = force[1].mean() - force[0].mean()
+    curved = np.diff([contacts.constants for contacts in each], axis=0)  # c of a rounder ball
+    stiffness = law.stiffness(each[0].constants, each[0].overlap)
+    bent = np.sum(curved[0] * each[0].overlap ** power / stiffness)
+    expected = (2 * dR + bent) / np.sum(1 / stiffness)
+    assert change == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_straight_row_under_pressure_is_a_saddle_and_buckles():
+    """It is held in its direction alone; any kink grows."""
+    straight = at_rest(row(4, 0.02, ContactLaw(1.0)))
+    assert straight.saddle
+    with pytest.raises(NotBalancedError):
+        at_rest(row(4, 0.02, ContactLaw(1.0), kink=1e-3))  # out of the row, and apart
+
+
+def test_balls_that_fly_apart_are_not_at_rest():
+    """The force on each would be zero."""
+    position = np.array([[0.0, 0.0], [0.9, 0.0]])
+    balls = Balls(position, np.full(2, 0.5), np.zeros(2, dtype=bool), INFINITE, ContactLaw(1.5))
+    with pytest.raises(NotBalancedError, match=r"flown apart|rigidity|no rest"):
+        at_rest(balls)
+
+
+def test_pairs_are_those_of_all_images():
+    rng = np.random.default_rng(3)
+    box = np.array([6.0, np.inf, 7.0])
+    position, radius = rng.uniform(-9, 9, (60, 3)), rng.uniform(0.3, 0.7, 60)
+    pairs, away = near_pairs(position, radius, box, 0.2)
+    images = np.array([[6 * a, 0, 7 * b] for a in range(-4, 5) for b in range(-4, 5)])
+    between = position[None] - position[:, None]
+    nearest = np.linalg.norm(between[:, :, None] + images, axis=3).min(axis=2)
+    near = np.triu(nearest < radius[:, None] + radius + 0.2, 1)
+    wanted = set(map(tuple, np.argwhere(near)))
+    assert set(map(tuple, np.sort(pairs, axis=1))) == wanted
+    assert np.all(np.linalg.norm(away, axis=1) < radius[pairs].sum(axis=1) + 0.2)
+    with pytest.raises(InputError, match="more balls"):
+        near_pairs(position, radius, np.full(3, 3.0), 0.2)
+
+
+def test_rattlers_are_found_one_after_the_other():
+    """A chain that hangs on a triangle of held balls falls off, its end first."""
+    pairs = np.array([[0, 1], [1, 2], [2, 0], [2, 3], [3, 4]])
+    held = np.array([True, True, True, False, False])
+    assert loose_balls(pairs, held, 2).tolist() == [False, False, False, True, True]
+
+
+def test_newton_converges_quadratically(spheres):
+    """Its residuals square from step to step, until rounding."""
+    balls, contacts = balls_of(spheres)
+    radius = balls.radius.copy()
+    radius[184] += 0.02 * spheres.overlap.mean()
+    contacts = contacts.grown(balls.law, balls.radius, radius)
+    balls = dataclasses.replace(balls, radius=radius)
+    motion, residuals = Motion(balls, listed(balls, contacts, reach=0.1)), []
+    measured = motion.residual
+    motion.residual = lambda *words: residuals.append(measured(*words)) or residuals[-1]
+    newton(motion, 0.1, 1e-13)
+    constants = [b / a**2 for a, b in itertools.pairwise(residuals) if b > 1e-12]
+    assert len(constants) >= 2
+    assert max(constants) < 10 * max(min(constants), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("ball", "contacts", "energy"), [(184, 951, 5.391802e-3), (259, 946, 5.397666e-3)]
+)
+def test_a_grown_ball_in_a_packing(spheres, ball, contacts, energy):
+    """The known rest; |force| alone leads the second one's packing to fly apart."""
+    balls, reference = balls_of(spheres)
+    radius = balls.radius.copy()
+    radius[ball] += 0.3 * spheres.overlap.mean()
+    for growth in (0.5, 0.1):  # the same rest on a path of smaller steps
+        rest = grown(balls, reference, radius, growth)
+        overlap = np.maximum(rest.contacts.overlap, 0)
+        assert np.count_nonzero(overlap) == contacts
+        assert rest.contacts.constants @ overlap**2.5 / 2.5 == pytest.approx(energy, rel=2e-7)
+        assert rest.residual < 1e-12
+
+
+def test_a_network_at_rest_stays_and_comes_back(spheres):
+    """Contacts, forces, positions: after a ball has grown a little and shrunk again, too."""
+    rest = pgran.equilibrate(spheres)
+    assert changed_contacts(spheres, rest) == (0, 0)
+    assert left_over(rest) < 1e-12
+    np.testing.assert_allclose(rest.force, spheres.force, rtol=1e-8)
+    radius = rest.radius.copy()
+    radius[100] += 0.1 * rest.overlap.mean()
+    larger = pgran.equilibrate(rest, radius)
+    assert left_over(larger) < 1e-12
+    back = pgran.equilibrate(larger, rest.radius)
+    order = [np.lexsort(np.sort(net.bond, axis=1).T) for net in (rest, back)]
+    np.testing.assert_allclose(back.force[order[1]], rest.force[order[0]], rtol=1e-8)
+    np.testing.assert_allclose(back.position, rest.position, rtol=0, atol=1e-10)
+
+
+def test_held_balls_and_numbers_stay_when_contacts_change(spheres):
+    radius = spheres.radius.copy()
+    radius[184] += 0.3 * spheres.overlap.mean()
+    after = pgran.equilibrate(spheres, radius)
+    opened, closed = changed_contacts(spheres, after)
+    assert closed - opened == 951 - 948
+    assert np.array_equal(after.held, spheres.held)
+    held = spheres.held > 0
+    assert np.array_equal(after.position[held], spheres.position[held])
+    assert np.array_equal(after.radius, radius)
+    overlap = after.radius[after.bond].sum(axis=1) - after.distance
+    np.testing.assert_allclose(after.overlap, overlap, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"power": None}, "does not know its contact law"),
+        ({"force": None}, "does not know its contact law"),
+        ({"radius": None}, "radii"),
+        ({"force": 0.0}, "nothing to balance"),
+        ({"tangential": 1.0}, "no friction"),
+    ],
+)
+def test_what_has_no_law_is_refused(spheres, change, message):
+    whole = {
+        name: np.full(spheres.bonds, value) if isinstance(value, float) else value
+        for name, value in change.items()
+    }
+    with pytest.raises(InputError, match=message):
+        pgran.equilibrate(dataclasses.replace(spheres, **whole))
+
+
+def test_impossible_radii_are_refused(spheres):
+    for radius in ([1.0], -spheres.radius, spheres.radius * np.nan):
+        with pytest.raises(InputError, match=r"319 positive numbers|finite|number"):
+            pgran.equilibrate(spheres, radius)
+
+
+def test_what_is_out_of_balance_moves_until_it_balances(spheres):
+    """An import whose forces do not cancel: nothing is taken for granted."""
+    force = spheres.force * np.random.default_rng(5).uniform(0.8, 1.25, spheres.bonds)
+    shaken = dataclasses.replace(spheres, force=force)
+    assert left_over(shaken) > 0.05
+    assert left_over(pgran.equilibrate(shaken)) < 1e-12

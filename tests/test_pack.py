@@ -1,0 +1,129 @@
+"""Packings made here: what was asked, the laws of jamming, the command."""
+
+import numpy as np
+import pytest
+
+import pgran
+from pgran.balance import pack as packing
+from pgran.balance.equilibrium import NotBalancedError
+from pgran.balance.pack import diameters, packed_network
+from pgran.errors import InputError
+
+
+@pytest.mark.parametrize("law", ["harmonic", "hertz"])
+def test_contacts_beyond_isostatic_grow_like_the_root_of_the_overlap(law):
+    """O'Hern, Silbert, Liu, Nagel, Phys. Rev. E 68, 011306 (2003)."""
+    overlap, excess = [], []
+    for pressure in (1e-2, 1e-3, 1e-4):
+        each = [packed_network(150, law=law, pressure=pressure, seed=n) for n in range(3)]
+        overlap.append(np.mean([network.overlap.mean() for network, _ in each]))
+        excess.append(np.mean([2 * packed.excess / len(net.held) for net, packed in each]))
+    exponent, _ = np.polyfit(np.log(overlap), np.log(excess), 1)
+    assert 0.4 < exponent < 0.65
+
+
+def test_the_same_seed_is_the_same_packing():
+    assert pgran.pack(60, pressure=1e-3, seed=4) == pgran.pack(60, pressure=1e-3, seed=4)
+    assert pgran.pack(60, pressure=1e-3, seed=4) != pgran.pack(60, pressure=1e-3, seed=5)
+
+
+def test_sizes():
+    rng = np.random.default_rng(1)
+    two = diameters(10, "bidisperse", rng)
+    assert np.unique(two).size == 2
+    assert two.max() / two.min() == pytest.approx(1.4)
+    assert np.ptp(diameters(10, "equal", rng)) == 0
+    spread = diameters(1000, 0.1, rng)
+    assert 0.19 < np.ptp(spread) < 0.201
+    given = diameters(3, [1.0, 2.0, 3.0], rng)
+    assert given.tolist() == [0.5, 1.0, 1.5]
+    for values in (two, spread, given):
+        assert values.mean() == pytest.approx(1)
+
+
+def test_a_packing_floats_with_the_modes_of_a_rigid_body():
+    """Translations along each axis cost nothing, all else does."""
+    network = pgran.pack(100, pressure=1e-2, seed=2)
+    assert not network.held.any()
+    omega = pgran.find_modes(network).omega / network.omega_mx
+    assert np.sum(np.abs(omega) < 1e-6) == 2
+    assert np.all(np.sort(omega)[2:] > 1e-3)
+
+
+def test_walls_hold_both_ends():
+    network = pgran.pack(120, pressure=1e-2, walls="x", shape=(2, 1), seed=2)
+    assert network.box[0] == 0 < network.box[1]
+    x = network.position[:, 0]
+    assert x[network.held == 1].max() < x[network.held == 0].mean() < x[network.held == 2].min()
+    across = np.abs(np.diff(x[network.bond], axis=1))
+    assert across.max() < 2 * network.radius.max()  # no contact leads through the ends
+    response = pgran.sweep(network, [0.3 * network.omega_mx], network.free[:1], method="points")
+    assert response.error_bound[0, 0] <= 1e-4 * abs(response.displacement[0, 0])
+
+
+def test_a_heap_between_walls_stands_on_a_floor_at_rest():
+    """The floor's balls are the last; the free ones' weight is on it and on the walls."""
+    network, packed = packed_network(60, gravity=1e-4, walls="x", seed=1)
+    floor = packed.rest.balls.held
+    assert floor[-1]
+    assert np.all(network.held[floor] == 1)
+    assert {*network.held[~floor]} == {0, 1, 2}
+    assert np.median(network.position[floor, 1]) < network.position[~floor, 1].min()
+
+
+def test_bad_packings_are_refused():
+    refused = {
+        "give a pressure": [{}, {"pressure": 1, "gravity": 1}],
+        "must be positive": [{"pressure": 0}, {"gravity": -1.0}],
+        "discs have 2": [{"pressure": 1, "dimension": 4}],
+        "power from 1": [{"pressure": 1, "law": 0.5}],
+        "law": [{"pressure": 1, "law": "soft"}],
+        "sizes": [{"pressure": 1, "sizes": s} for s in ("large", 1.5, [1.0, 2.0])],
+        "walls": [{"pressure": 1, "walls": "z"}, {"gravity": 1, "walls": "y"}],
+        "shape": [{"pressure": 1, "shape": s} for s in ([1], [1, -1], [[1, 1]])],
+        "more balls": [{"pressure": 1e-3, "balls": 4}],
+        "whole number": [{"pressure": 1, "balls": 2.5}],
+        "balls and seed": [{"pressure": 1, "balls": 0}, {"pressure": 1, "seed": -1}],
+    }
+    for message, each in refused.items():
+        for choices in each:
+            with pytest.raises(InputError, match=message):
+                pgran.pack(**{"balls": 50} | choices)
+
+
+def test_a_descent_that_fails_is_said(monkeypatch):
+    def fails(*words):
+        raise NotBalancedError("no")
+
+    monkeypatch.setattr(packing, "at_rest", fails)
+    monkeypatch.setattr(packing, "RETURNS", 2)
+    with pytest.raises(NotBalancedError, match="try another seed"):
+        pgran.pack(30, pressure=1e-2)
+
+
+def test_the_command_makes_what_a_run_takes(call, place, shared_path):
+    """Its file, its words, and the ways to go wrong."""
+    words = ["pack", "--balls", "60", "--pressure", "1e-2", "--walls", "x", "--shape", "2,1"]
+    words += ["--seed", "7", "-o", "a.h5"]
+    made = call(*words)
+    assert made.returncode == 0, made.stderr
+    assert "1 rattler left out" in made.stdout
+    assert "contacts more than an isostatic packing has" in made.stdout
+    network = pgran.load(shared_path / "a.h5")
+    assert network == pgran.pack(60, pressure=1e-2, walls="x", shape=(2, 1), seed=7)
+    detector = made.stdout.split("-detectors ")[1].split()[0]
+    place("b.opts", f"-scene response -network_file a.h5 -detectors {detector} -sweep_points 3")
+    run = call("run", "b.opts", "-output_file", "r.h5", "-output_progress", "none")
+    assert run.returncode == 0, run.stderr
+    assert pgran.load(shared_path / "r.h5").network.built == network
+    assert "exists already" in call(*words).stderr
+    assert call(*words, "--overwrite").returncode == 0
+    assert "no positive number" in call("pack", "--balls", "9", "--pressure", "x", "-o", "b").stderr
+
+
+def test_another_power():
+    """Between the two laws that have names, and a packing that is compressed further."""
+    network = pgran.pack(80, law=1.25, pressure=1e-3, seed=3)
+    assert network.power == 1.25
+    larger = pgran.equilibrate(network, network.radius * 1.0001)
+    assert larger.force.mean() > network.force.mean()

@@ -1,0 +1,350 @@
+"""Balls that grow in a packing: derivatives by all radii, exact changes, and what is refused."""
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix, diags, identity
+from scipy.sparse.linalg import splu
+from sensitivity_samples import assert_same_on_ranks, heated, packing
+from small import OPTIONS
+
+from pgran.balance.equilibrium import NotBalancedError
+from pgran.errors import InputError
+from pgran.experiments.sensitivity import growth
+from pgran.experiments.sensitivity.growth import OUTCOMES, Packing
+from pgran.experiments.sensitivity.heat import summary
+from pgran.experiments.sensitivity.radii import Radii, Static
+from pgran.medium.lattice import Lattice
+from pgran.medium.network import Network
+from pgran.medium.network_file import read_network
+from pgran.run.experiment import Caution
+
+CASES = {  # file, what is otherwise, detector, a ball that grows, steps in mean overlaps
+    "hertz": ("spheres", {}, 78, 100, (1e-3, 1e-4, 1e-5)),
+    "normal": ("spheres", {"damped": "normal"}, 78, 100, (1e-3, 1e-4)),
+    "scalar": ("spheres", {"displacement": "scalar"}, 78, 100, (1e-3, 1e-4)),
+    "harmonic": ("discs", {}, 150, 30, (1e-3,)),
+}
+
+
+@functools.cache
+def medium(name):
+    """A packing of `options`, and its detector, by the name of a case."""
+    file, others, detector, *_ = CASES[name]
+    return read_network(OPTIONS / "packings" / f"{file}.h5", **others), detector
+
+
+def pushes(network):
+    """The sum of all forces on each free ball."""
+    total, each = np.zeros(network.position.shape), network.force[:, None] * network.normal
+    for end, sign in zip(network.bond.T, (-1, 1), strict=True):
+        np.add.at(total, end, sign * each)
+    return total[network.free]
+
+
+def stiffness(network, s=0.0):
+    """K + s C of mass-weighted unknowns."""
+    springs = network.springs
+    return (springs.B.T @ diags(springs.constants + s * network.damping * springs.damped)
+            @ springs.B).tocsc()  # fmt: skip
+
+
+def rest(net, ball, size):
+    """The network after a ball has grown, none of whose contacts opens, by Newton's method."""
+    (i, j), radius, away = net.bond.T, net.radius.copy(), net.normal * net.distance[:, None]
+    radius[ball] += size
+    bent = [(r[i] * r[j] / (r[i] + r[j])) ** (net.power - 1) for r in (net.radius, radius)]
+    c = net.force / net.overlap**net.power * bent[1] / bent[0]
+    gap = net.overlap + size * np.any(net.bond == ball, axis=1)
+    now, u = net, np.zeros(net.position.shape)
+    for _ in range(9):
+        moved = u[j] - u[i]
+        d = np.linalg.norm(away + moved, axis=1)
+        h = gap - np.sum((2 * away + moved) * moved, axis=1) / (d + net.distance)
+        assert h.min() > 0
+        F, n = c * h**net.power, (away + moved) / d[:, None]
+        now = dataclasses.replace(net, force=F, stiffness=net.power * F / h, normal=n, distance=d)
+        left = pushes(now) - pushes(net)
+        if np.abs(left).max() < 1e-14 * F.mean():
+            break
+        solid = dataclasses.replace(now, displacement="vector", direction=None)
+        weights = solid.weights.reshape(left.shape)
+        u[net.free] += weights * splu(stiffness(solid)).solve((weights * left).ravel()).reshape(
+            left.shape
+        )
+    return now
+
+
+def states(network, s, detector):
+    """Amplitudes and adjoint of all unknowns, and what the detector reads."""
+    springs = network.springs
+    kappa = springs.constants + s * network.damping * springs.damped
+    S = splu(stiffness(network, s) + s * s * network.mass * identity(network.size, format="csc"))
+    (place,), (reading,) = network.readings(network.sites(detector))
+    unit = np.zeros(network.size, complex)
+    unit[place] = reading
+    A = S.solve(-springs.B.T @ (kappa * springs.drive))
+    return A, S.solve(unit), unit @ A
+
+
+@functools.cache
+def derived(name):
+    """The derivatives by all radii of a case with exact fields: Radii, its arguments, values."""
+    net, detector = medium(name)
+    s, radii = 0.4j * net.omega_mx, Radii(net, least=1e-3)
+    fields = np.stack(states(net, s, [detector])[:2])
+    return radii, (s, fields), radii.derivatives(s, fields, np.zeros(2))
+
+
+@functools.cache
+def central(name, ball, part):
+    """The derivative by a ball's radius, by differences of two rests."""
+    net, detector = medium(name)
+    size = part * net.overlap.mean()
+    networks = [rest(net, ball, x) for x in (size, -size)]
+    ends = [states(network, 0.4j * net.omega_mx, [detector])[-1] for network in networks]
+    return (ends[0] - ends[1]) / (2 * size)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_derivatives_by_radii_are_those_of_packings_at_rest(name):
+    """To 1e-6, and to the second order of the growth."""
+    (net, _), (*_, ball, parts) = medium(name), CASES[name]
+    _, _, (values, bounds) = derived(name)
+    assert np.all(bounds < 1e-7 * np.abs(values).max())
+    right = values[0, np.searchsorted(net.free, ball)]
+    errors = [abs(central(name, ball, part) - right) / abs(right) for part in parts]
+    assert errors[-1] <= 1e-6
+    assert len(parts) == 1 or 0.008 < errors[1] / errors[0] < 0.012
+
+
+@pytest.mark.parametrize("term", ["a_F", "a_d", "a_n", "c", "pre-stress", "equilibrium"])
+def test_no_term_of_the_derivative_may_be_left_out(monkeypatch, term):
+    net, _ = medium("hertz")
+    _, arguments, (values, _) = derived("hertz")
+    radii = Radii(net)
+    if term == "c":
+        radii.curvature = 0 * radii.curvature
+    elif term == "pre-stress":  # in the static stiffness
+        nothing = csr_matrix((len(net.free), net.bonds))
+        radii.static = Static(dataclasses.replace(net, force=None, power=None), 0.0, nothing)
+    elif term == "equilibrium":
+        radii.relax = False
+    else:
+        slopes, place = Radii._slopes, ["a_k", "a_F", "a_d", "a_n"].index(term)
+
+        def without(*given):
+            return [x * (n != place) for n, x in enumerate(slopes(*given))]
+
+        monkeypatch.setattr(Radii, "_slopes", without)
+    others, _ = radii.derivatives(*arguments, np.zeros(2))
+    at, right = np.searchsorted(net.free, 100), central("hertz", 100, 1e-5)
+    assert abs(others[0, at] - right) > 3e-5 * abs(right)
+    assert abs(values[0, at] - right) < 1e-6 * abs(right)
+
+
+@pytest.mark.parametrize("relax", [True, False])
+@pytest.mark.parametrize("size", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("name", ["hertz", "scalar", "normal"])
+def test_bounds_of_derivatives_hold(name, size, relax):
+    """Where the field and the adjoint are off, by so much."""
+    _, (s, fields), _ = derived(name)
+    radii = derived(name)[0]
+    if not relax:
+        radii = Radii(medium(name)[0], relax=False)
+    right, own = radii.derivatives(s, fields, np.zeros(2))
+    rng = np.random.default_rng(1)
+    noise = rng.standard_normal(fields.shape) + 1j * rng.standard_normal(fields.shape)
+    errors = size * np.linalg.norm(fields, axis=1)
+    noise *= (errors / np.linalg.norm(noise, axis=1))[:, None]
+    found, bound = radii.derivatives(s, fields + noise, errors)
+    error = np.abs(found - right)
+    assert np.all(error <= bound + own)
+    print(
+        "RATIO",
+        np.median(bound) / np.median(error),
+        bound.max() / np.median(error),
+        np.median(bound) / np.abs(right).max(),
+    )
+    assert np.median(bound) <= 1e5 * np.median(error)  # at random they mostly cancel
+
+
+def test_work_of_one_ball_on_another_and_back():
+    """Betti: how a ball that grows presses on another is as that one presses on it."""
+    (net, _), balls = medium("hertz"), (100, 200)
+    packing, step = Packing(net), 1e-4 * net.overlap.mean()
+
+    def press(network, ball):  # dE/dR, E = F h / (power + 1) in each contact
+        one, other = network.radius[network.bond].T
+        pressed, curved = 0.0, (net.power - 1) * np.stack([other / one, one / other])
+        for end, by_radius in zip(network.bond.T, curved / (one + other), strict=True):
+            own = network.force * (1 + network.overlap * by_radius / (net.power + 1))
+            pressed += own[end == ball].sum()
+        return pressed
+
+    def pressing(one, other):
+        ends = [press(packing.grown(one, x).network, other) for x in (step, -step)]
+        return (ends[0] - ends[1]) / (2 * step)
+
+    there, back = pressing(*balls), pressing(*balls[::-1])
+    assert abs(there - back) <= 1e-5 * abs(there)
+
+
+# Exact changes
+
+
+def test_what_a_packing_does(monkeypatch):
+    """One returns when the ball shrinks again, others do not, or fall apart."""
+    net, _ = medium("hertz")
+    packing, size = Packing(net), 0.3 * net.overlap.mean()
+    grown = [packing.grown(ball, size) for ball in (184, 285)]
+    assert [OUTCOMES[found.outcome] for found in grown] == ["opened or closed", "rearranged"]
+    assert (grown[0].opened, grown[0].closed) == (0, 3)
+    assert all(found.balance < 1e-12 for found in grown)
+    back = packing.grown(184, 0.0)
+    assert OUTCOMES[back.outcome] == "smooth"
+    assert np.allclose(back.network.overlap, net.overlap, rtol=1e-9, atol=0)
+    grow = growth.grown
+
+    def falls_apart(balls, contacts, radius):
+        if radius[184] < balls.radius[184]:
+            raise NotBalancedError("no rest")
+        return grow(balls, contacts, radius)
+
+    monkeypatch.setattr(growth, "grown", falls_apart)
+    assert OUTCOMES[packing.grown(184, size).outcome] == "rearranged"
+
+
+def test_forces_that_do_not_balance_are_a_load(caplog):
+    """It is said, and a packing stays where it is while no ball grows."""
+    net, detector = medium("hertz")
+    force = net.force * np.where(np.arange(net.bonds) == 5, 2, 1)
+    loaded = dataclasses.replace(net, force=force, stiffness=net.stiffness * force / net.force)
+    found = heated(loaded, [0.3], [detector], radius=0.0, balls=[100])
+    assert abs(found.warmed[0, 0, 0] - found.displacement[0, 0]) <= 1e-10
+    assert f"leave {net.force[5] / force.mean():.1e} of the mean one unbalanced" in caplog.text
+
+
+def test_heat_of_a_packing():
+    """Amplitudes are those of the packing at rest; `heat` differentiates as is tested above."""
+    net, detector = medium("hertz")
+    s, size = 0.4j * net.omega_mx, 1e-3 * net.overlap.mean()
+    found = heated(net, [s.imag], [detector], radius=size, balls=[200, 100])
+    assert found.ball.tolist() == [100, 200]
+    assert found.outcome.tolist() == ["smooth", "smooth"]
+    right = [states(rest(net, ball, size), s, [detector])[-1] for ball in found.ball]
+    errors = np.abs(found.warmed[0, 0] - right)
+    assert np.all(errors <= found.warmed_bound[0, 0] + 1e-11 * np.abs(right))
+    assert np.all(found.warmed_bound <= 1e-6 * np.abs(found.warmed))
+    values, bounds = derived("hertz")[2]
+    error = np.abs(found.by_radius[0] - values)
+    assert np.all(error <= found.by_radius_bound[0] + bounds)
+    assert found.by_radius_bound.max() <= 1e-3 * np.abs(values).max()
+    still = heated(net, [s.imag], [detector], radius=size, balls=[200, 100], relax=False)
+    assert np.array_equal(found.frozen, still.warmed)
+    assert np.allclose(found.growth_overlap, 1e-3, rtol=1e-12)
+    touching = np.any(net.bond == 100, axis=1)
+    assert np.isclose(found.growth_least[0], size / net.overlap[touching].min(), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["hertz", "scalar"])
+def test_heat_with_neighbours_frozen(name):
+    """A little growth is the derivative; of kelvins it is a part of each radius."""
+    net, detector = medium(name)
+    by = {"kelvin": 1e-5 * net.overlap.mean(), "expansion": 0.1, "relax": False}
+    found = heated(net, [0.4 * net.omega_mx], [detector], **by)
+    assert np.allclose(found.growth, 0.1 * found.kelvin * net.radius[net.free], rtol=1e-13)
+    slopes = (found.warmed - found.displacement[..., None]) / found.growth
+    assert np.abs(slopes - found.by_radius).max() <= 1e-4 * np.abs(slopes).max()
+    assert not found.relaxed
+    same = heated(net, [0.4 * net.omega_mx], [detector], radius=1e-3, relax=False, balls=[100])
+    other = heated(net, [0.4 * net.omega_mx], [detector], overlap=1e-3, balls=[100])
+    assert np.allclose(same.warmed, other.warmed, rtol=1e-12, atol=0)
+
+
+def test_any_number_of_ranks(world):
+    net, detector = medium("hertz")
+    choices = {"radius": 3e-4, "balls": net.free[[3, 50, 90]]}
+    names = "warmed", "by_radius", "displacement"
+    assert_same_on_ranks(world, heated, net, [0.3], [detector], names, **choices)
+
+
+def test_packings_without_rest_are_counted(monkeypatch):
+    """Their amplitudes are not known, and the summary says so first."""
+    net, detector = medium("hertz")
+    grown = growth.grown
+
+    def lost(balls, contacts, radius):
+        if radius[100] != net.radius[100]:
+            raise NotBalancedError("no rest")
+        return grown(balls, contacts, radius)
+
+    monkeypatch.setattr(growth, "grown", lost)
+    found = heated(net, [0.3], [detector], radius=5e-3, balls=[100, 200])
+    assert found.failures == 1
+    assert found.outcome[0] == "not balanced"
+    assert np.isnan(found.warmed[0, 0, 0])
+    assert np.isinf(found.warmed_bound[0, 0, 0])
+    assert np.isfinite(found.warmed[0, 0, 1])
+    cautions = [line for line in summary(found) if isinstance(line, Caution)]
+    assert "1 of 2 packings found no rest" in cautions[0]
+    assert "grow by 0.391 of the mean overlap" in cautions[1]
+
+
+def test_a_detector_that_loses_its_contacts_is_at_rest():
+    """One of two discs, each between three held ones, shrinks."""
+    angles = 2 * np.pi * np.arange(3) / 3
+    cell = np.append(np.zeros((1, 2)), 0.99 * np.stack([np.cos(angles), np.sin(angles)], axis=1), 0)
+    bond = np.array([[0, 1], [0, 2], [0, 3]])
+    network = Network(
+        np.append(bond, bond + 4, axis=0), np.ones(6), [0, 2, 1, 1, 0, 2, 1, 1], damping=0.1,
+        displacement="vector", position=np.append(cell, cell + 10, axis=0),
+        force=np.full(6, 0.01), radius=np.full(8, 0.5), power=1.0,
+    )  # fmt: skip
+    found = heated(network, [0.3], [0, 4], radius=-0.02, balls=[0])
+    assert found.opened.tolist() == [3]
+    assert found.warmed[0, 0] == found.warmed_bound[0, 0] == 0
+    assert np.abs(found.warmed[0, 1, 0] - found.displacement[0, 1]) <= 1e-12
+
+
+# What is refused
+
+REFUSED = {
+    "lattice": (Lattice((np.ones(3),), 1.0, 0.1), {"radius": 0.1}, "of a network"),
+    "rotations": (packing("rotations", power=1.0), {"relax": True}, "balls that turn .* false"),
+    "rubbing": (packing("vector", power=1.0, radius=np.ones(5)), {"relax": True}, "friction"),
+    "law": (packing("vector"), {"relax": True}, "does not know its contact law"),
+    "radii": (packing("vector"), {"radius": None, "kelvin": 1.0}, "-heat_kelvin: .* not known"),
+    "too small": (packing("vector", radius=np.ones(5)), {"radius": -1.0}, "no radius left"),
+    "both": (packing("vector"), {"kelvin": 1.0}, "one of these ways"),
+    "relax": (
+        packing("vector"),
+        {"radius": None, "factor": 2, "relax": True},
+        "of balls that grow",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_grow(name):
+    network, choices, said = REFUSED[name]
+    with pytest.raises(InputError, match=said) as caught:
+        heated(network, [0.3], [1], **{"radius": 0.01} | choices)
+    assert "\n" not in str(caught.value)
+
+
+def test_contacts_that_pull_are_refused():
+    net, detector = medium("hertz")
+    pulling = dataclasses.replace(net, force=net.force * np.where(np.arange(net.bonds) == 5, -1, 1))
+    with pytest.raises(InputError, match="contact 5 bears no repulsive force"):
+        heated(pulling, [0.3], [detector], radius=1e-3, relax=True)
+
+
+def test_neighbours_are_frozen_where_the_law_is_not_known():
+    """The summary says so, and there is no derivative by radii."""
+    found = heated(packing("vector"), [0.6], [1], radius=1e-3)
+    assert found.by_radius is None
+    assert not found.relaxed
+    assert any("neighbours frozen" in line for line in summary(found))
