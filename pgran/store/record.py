@@ -183,7 +183,7 @@ class Record:
                 names = axes_of(item, dimensions_of(item, value))
                 meaning = {key: declared[key] for key in ("units", "long_name")}
                 variables[item.name] = xarray.Variable(names, value, meaning)
-            elif not {"axes", "part"} & set(declared):
+            elif value is not None and not {"axes", "part"} & set(declared):
                 attributes[item.name] = value
         return xarray.Dataset(variables, attrs=attributes)
 
