@@ -89,11 +89,12 @@ def find_modes(
     from mpi4py import MPI
 
     from pgran.driven.operators import Operators
+    from pgran.experiments.modes.normal import ModeSolver
     from pgran.experiments.modes.slices import find_slices
 
-    with Operators(lattice, MPI.COMM_SELF) as operators:
-        slices = find_slices(operators, crew, interval, targets, count)
-        modes = carry_out(Slices(operators, slices, shapes, targets, count), crew, progress)
+    with Operators(lattice, MPI.COMM_SELF) as operators, ModeSolver(operators) as solver:
+        slices = find_slices(solver, crew, interval, targets, count)
+        modes = carry_out(Slices(solver, slices, shapes, targets, count), crew, progress)
     seconds = time.perf_counter() - started  # counts included
     return modes and dataclasses.replace(modes, solve_seconds=seconds)
 
@@ -103,9 +104,9 @@ class Slices(Task):
 
     items = "modes"
 
-    def __init__(self, operators, slices, shapes, targets, count):
+    def __init__(self, solver, slices, shapes, targets, count):
         """Say what a mode travels in."""
-        self.operators, self.lattice = operators, operators.lattice
+        self.solver, self.lattice = solver, solver.lattice
         self.targets, self.count = targets, count
         self.units = list(enumerate(slices))
         without = () if shapes else ("vector",)
@@ -117,23 +118,20 @@ class Slices(Task):
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`."""
-        from pgran.experiments.modes.normal import ModeSolver
+        yield self._work
 
-        with ModeSolver(self.operators) as solver:
-
-            def work(unit):
-                number, piece = unit
-                values, vectors, residual = solver.solve(*piece)
-                rows = np.zeros(len(values), self.row)
-                rows["slice"] = number
-                rows["value"] = values
-                rows["residual"] = residual
-                rows["participation"] = participation(self.lattice, vectors)
-                if "vector" in self.row.names:
-                    rows["vector"] = vectors
-                return rows
-
-            yield work
+    def _work(self, unit):
+        """Return the rows of a slice's modes."""
+        number, piece = unit
+        values, vectors, residual = self.solver.solve(*piece)
+        rows = np.zeros(len(values), self.row)
+        rows["slice"] = number
+        rows["value"] = values
+        rows["residual"] = residual
+        rows["participation"] = participation(self.lattice, vectors)
+        if "vector" in self.row.names:
+            rows["vector"] = vectors
+        return rows
 
     def length(self, unit):
         """See `Task`."""
