@@ -20,7 +20,7 @@ from amplitude_faults import (
     sweep_faults,
 )
 from change_faults import sensitivity_faults
-from mode_faults import count_faults, mode_faults
+from mode_faults import count_faults, mode_faults, nearest_faults
 from network_samples import (
     random_network,
     small_network,
@@ -75,6 +75,7 @@ GUARANTEES = {
         (*good(0.5, "points"), ("warmed bounded", 0.5, "warmed"), ("cut bounded", 0.5, "cut")),
     ),
     "modes": Guarantee(random_network, mode_faults, 24, (("certified", 1, "networks"),)),
+    "nearest modes": Guarantee(random_network, nearest_faults, 24, (("proven", 0.2, "targets"),)),
     "counts": Guarantee(unstable_network, count_faults, 15, (("certified", 1, "counts"),)),
 }  # fmt: skip
 

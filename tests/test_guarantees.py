@@ -59,6 +59,9 @@ SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt
         amplitude_faults, "listened", lambda run: replace(run, displacement=1.01 * run.displacement)
     ),
     "derivatives": (judge.Judge, "assess", too_small),
+    "nearest modes": (
+        mode_faults, "nearest_modes", lambda found: found and (*found[:2], found[2][:-1]),
+    ),
     "modes": (mode_faults, "find_modes", lambda modes: replace(modes, omega=modes.omega[1:])),
     "counts": (density, "count_below", lambda found: (found[0] + 1, 0.0)),
 }  # fmt: skip
