@@ -1,4 +1,4 @@
-"""The smallest eigenvalues of damping and stiffness, certified by counts."""
+"""The smallest eigenvalues of damping, proven by factors, and of stiffness, certified by counts."""
 
 import contextlib
 
@@ -7,10 +7,13 @@ from mpi4py import MPI
 
 from pgran.driven.counting import ModeCounter
 from pgran.driven.layout import NetworkLayout
+from pgran.medium.graph import SYMMETRIC
+from pgran.medium.rounding import EPSILON
 from pgran.run.petsc import PETSc
 
 PARTS = (0.9, 0.5, 0.1, 0.01)  # of an estimate of the smallest eigenvalue that are tried
-STEPS = 20  # of inverse iteration
+STEPS = 20  # of inverse iteration at most
+ENOUGH = 0.99  # of the last quotient: inverse iteration that lowers it less has come near enough
 FLOORS = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1)  # of |K|: how far below zero its eigenvalues may be
 
 
@@ -69,29 +72,58 @@ def _counter(network, pointer, columns, values):
 def _certified_damping(network, pointer, columns, values):
     """Return what `smallest_damping` does, for a C that is no Laplacian.
 
-    Inverse iteration estimates the smallest eigenvalue. By Sylvester's law none is below a part of
-    the estimate if the factorization of C less that part has no negative pivot.
+    Inverse iteration estimates the smallest eigenvalue from above. None is below a part of it but
+    for the error of factors L D L^T of C less that part, if D is positive.
     """
-    from scipy.sparse import csc_matrix
+    from scipy.sparse import csc_matrix, identity
     from scipy.sparse.linalg import splu
 
     C = csc_matrix((values.real.copy(), columns, pointer))  # symmetric: rows are columns
+    rounding = network.rounding * network.damping_norm  # of C's own sums
+    one = identity(C.shape[0], format="csc")
     try:
-        factors = splu(C)
+        # Where C is singular, pivots that rounding leaves would exchange rows and fill the factors.
+        estimate = _estimate(C, splu(C + 8 * rounding * one, "NATURAL", **SYMMETRIC))
+        for part in PARTS:
+            if not part * estimate > 2 * rounding:  # NaN too
+                break
+            factors = splu(C - part * estimate * one, "NATURAL", **SYMMETRIC)
+            least = part * estimate - _factor_error(factors) - rounding
+            if least > 0:
+                return 0.99 * least
     except RuntimeError:  # singular
-        return 0.0
+        pass
+    return 0.0
+
+
+def _estimate(C, factors):
+    """Return the Rayleigh quotient of inverse iteration, once a step changes it little."""
     x = np.random.Generator(np.random.Philox(1)).standard_normal(C.shape[0])
+    last = np.inf
     for _ in range(STEPS):
         x = factors.solve(x)
-        size = np.linalg.norm(x)
-        if not 0 < size < np.inf:
-            return 0.0
-        x /= size
-    estimate = x @ (C @ x)
-    with _counter(network, pointer, columns, values) as counter:
-        for part in PARTS:
-            shift, clearance = part * estimate, 0.05 * part * estimate
-            if counter.below(shift, clearance) == 0:
-                # the count is of a matrix nearer to C - shift than a tenth of the clearance
-                return 0.99 * (shift - clearance)
-    return 0.0
+        x /= np.linalg.norm(x)
+        quotient = x @ (C @ x)
+        if not quotient < ENOUGH * last:  # NaN too
+            break
+        last = quotient
+    return quotient
+
+
+def _factor_error(factors):
+    """Return a bound of |A - L D L^T|_2 of a symmetric A; infinite unless D is positive.
+
+    With D the diagonal of U it is at most the row sums of g |L| |U| + |L| |U - D L^T|, where
+    |A - L U| <= g |L| |U| without exchanged rows (Higham, Accuracy and Stability of Numerical
+    Algorithms, theorem 9.3), g = n eps of at most n factors in a row of L.
+    """
+    from scipy.sparse import diags
+
+    L, U = factors.L, factors.U
+    pivots = U.diagonal()
+    if not np.all(pivots > 0) or not np.array_equal(factors.perm_r, factors.perm_c):
+        return np.inf
+    longest = np.bincount(L.indices).max() + 8
+    uneven = abs(U - diags(pivots) @ L.T)
+    row_sums = longest * EPSILON * (abs(U) @ np.ones(len(pivots))) + uneven @ np.ones(len(pivots))
+    return 1.01 * float((abs(L) @ row_sums).max())

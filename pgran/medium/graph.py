@@ -17,8 +17,9 @@ from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 from pgran.medium.springs import DRIVEN, FREE
 
 # Multiplications of a factorization: beyond these all ranks share the network; up to so many for
-# each unknown PETSc is faster than MUMPS; up to so many in all MUMPS need not look for an order.
-LARGE_WORK, PETSC_WORK, QUICK_WORK = 3e9, 2500, 5e9
+# each unknown PETSc is faster than MUMPS; up to so many for each ball a better order of MUMPS costs
+# more than it saves.
+LARGE_WORK, PETSC_WORK, QUICK_WORK = 3e9, 2500, 5e4
 STEPS = 30  # of inverse iteration at most
 ENOUGH = 0.9  # of the smallest eigenvalue: a bound that is as close as that is not improved
 SYMMETRIC = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
@@ -115,7 +116,8 @@ class Connected:
     def elimination(self):
         """See `Elimination`."""
         work = self.graph.work
-        small, quick = work <= PETSC_WORK * max(self.size, 200), work <= QUICK_WORK
+        small = work <= PETSC_WORK * max(self.size, 200)
+        quick = work <= QUICK_WORK * self.free_balls
         seconds = 1e-3 + 3.3e-7 * self.nonzeros + 1.3e-9 * work
         return Elimination(True, "natural", small, quick, not small, seconds)
 
