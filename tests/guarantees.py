@@ -20,7 +20,7 @@ from amplitude_faults import (
     sweep_faults,
 )
 from change_faults import sensitivity_faults
-from mode_faults import count_faults, mode_faults
+from mode_faults import count_faults, mode_faults, nearest_faults
 from network_samples import (
     random_network,
     small_network,
@@ -77,6 +77,7 @@ GUARANTEES = {
     ),
     "modes": Guarantee(random_network, mode_faults, 24, (("certified", 1, "networks"),)),
     "packings": Guarantee(random_packing, packing_faults, 4),
+    "nearest modes": Guarantee(random_network, nearest_faults, 24, (("proven", 0.2, "targets"),)),
     "counts": Guarantee(unstable_network, count_faults, 15, (("certified", 1, "counts"),)),
 }  # fmt: skip
 

@@ -7,7 +7,9 @@ from network_samples import (
     NetworkReference,
 )
 
+from pgran.driven.operators import Operators
 from pgran.experiments.modes.density import count_modes
+from pgran.experiments.modes.normal import ModeSolver
 from pgran.experiments.modes.scene import find_modes
 from pgran.run.crew import Crew
 
@@ -35,6 +37,47 @@ def mode_faults(case, seen):
                 yield f"MODES {where}: elsewhere by {np.abs(found - eigenvalues).max():.1e}"
         else:
             yield f"NOT CERTIFIED {where}: {len(modes.omega)} of {modes.count_expected}"
+
+
+def nearest_modes(solver, omega, count):
+    """The ends of an interval around omega that is proven to be complete, its modes; or None."""
+    found = solver.interval(omega, count)
+    if found is None:
+        return None
+    low, high, search = found
+    values, *_ = solver.solve(low.shift, high.shift, high.below - low.below, search)
+    return low.shift, high.shift, values
+
+
+def nearest_faults(case, seen):
+    """Yield modes nearest to a frequency that are proven and wrong; count what was `seen`.
+
+    At 0, at random, and on and next to modes.
+    """
+    network, rng = case.network, np.random.default_rng([20, case.seed])
+    with mp.workdps(50):
+        eigenvalues = NetworkReference(network).eigenvalues()
+    norm, mass = np.abs(eigenvalues).max(), network.mass
+    omegas = np.sign(eigenvalues) * np.sqrt(np.abs(eigenvalues) / mass)
+    near = np.abs(rng.choice(omegas, 2)) * (1 + rng.choice([0, 1e-12, -1e-9, 1e-6], 2))
+    with Operators(network, MPI.COMM_SELF) as operators, ModeSolver(operators) as solver:
+        for omega in [0.0, *rng.uniform(0, 1.1 * np.abs(omegas).max(), 3), *near]:
+            count = int(rng.integers(1, 4))
+            found = nearest_modes(solver, omega, count)
+            seen["targets"] += 1
+            if found is None:
+                continue
+            seen["proven"] += 1
+            low, high, values = found
+            inside = (eigenvalues > low) & (eigenvalues < high)
+            apart, where = np.abs(omegas - omega), f"case {case.seed}, {omega=:.6g}"
+            if len(values) != np.count_nonzero(inside):
+                yield f"NEAREST {where}: {len(values)} of {np.count_nonzero(inside)}"
+            elif not np.allclose(values, eigenvalues[inside], rtol=0, atol=1e-11 * norm):
+                yield f"NEAREST {where}: elsewhere"
+            farthest = np.sort(apart[inside])[count - 1] if len(values) >= count else np.inf
+            if farthest > np.sort(apart)[count - 1] + 1e-6 * np.sqrt(norm / mass):
+                yield f"NEAREST {where}: others are nearer"
 
 
 def count_faults(case, seen):

@@ -9,13 +9,16 @@ import pytest
 from mpi4py import MPI
 from samples import steady
 
+from pgran.driven import certify
 from pgran.driven.certify import smallest_damping
 from pgran.driven.counting import ModeCounter
 from pgran.driven.linear import factor_package
 from pgran.driven.operators import Operators
 from pgran.experiments.modes.scene import find_modes
 from pgran.medium import crystals as makers
+from pgran.medium import graph as graphs
 from pgran.medium.network import Network
+from pgran.run.petsc import PETSc
 
 
 def samples():
@@ -118,6 +121,33 @@ def test_isotropic_damping_is_the_laplacian():
             assert smallest_damping(network) <= max(least, 0.0)
 
 
+def not_isotropic():
+    """Networks whose C is no Laplacian and has no zero eigenvalue: normal parts, rotations."""
+    for name, shape in (("triangular", (7, 5)), ("fcc", (4, 4, 3))):
+        for kind in ({"damped": "normal"}, {"displacement": "rotations"}):
+            count = len(makers.crystal(name, shape).held)
+            masses = 10 ** np.random.default_rng(2).uniform(-2, 2, count)
+            yield makers.crystal(name, shape, **kind)
+            yield makers.crystal(name, shape, masses=masses, **kind)
+
+
+def test_damping_that_is_no_laplacian():
+    """A proven bound from the factors of C less a shift, half of the eigenvalue or closer."""
+    for network in not_isotropic():
+        exact = np.linalg.eigvalsh(damping_matrix(network))
+        assert exact[0] > 1e-10 * exact[-1]
+        assert 0.45 * exact[0] <= smallest_damping(network) <= exact[0] * (1 + 1e-10)
+
+
+@pytest.mark.parametrize("quotient", [0.7, 1.0, 1.2, 30.0])
+def test_an_estimate_that_is_far_off_proves_nothing_wrong(quotient, monkeypatch):
+    """However soon inverse iteration stops."""
+    network = makers.crystal("triangular", (7, 5), damped="normal")
+    exact = np.linalg.eigvalsh(damping_matrix(network))[0]
+    monkeypatch.setattr(certify, "_estimate", lambda C, factors: quotient * exact)
+    assert 0.1 * exact < smallest_damping(network) <= exact * (1 + 1e-10)
+
+
 def test_order_of_elimination():
     """Its work is that of the symbolic elimination, and less than as balls are numbered."""
     for network in [*samples(), *floating()]:
@@ -167,7 +197,7 @@ def test_modes_where_factors_fill(name):
     values = eigenvalues(network)
     omega = np.sign(values) * np.sqrt(np.abs(values) / network.mass)
     targets = [0.0, *np.quantile(np.abs(omega), [0.1, 0.5, 0.9]), 2 * omega[-1]]
-    modes = find_modes(network, targets=targets, count=9)
+    modes = find_modes(network, targets=targets, count=9, method="eps")
     assert modes.count_certified
     found = np.sign(modes.omega) * modes.omega**2 * network.mass
     assert np.abs(found[:, None] - values).min(axis=1).max() < 1e-12 * values[-1]
@@ -193,3 +223,27 @@ def test_factors_of_both_packages_agree(decades, solver_options):
         apart = np.abs(one.displacement - other.displacement)
         assert np.all(apart <= one.error_bound + other.error_bound)
         assert np.all(apart <= 1e-6 * np.abs(one.displacement))
+
+
+@pytest.mark.parametrize(
+    ("work", "options", "expected"),
+    [
+        (np.inf, "", 2),
+        (0, "", None),
+        (np.inf, "-steady_mat_mumps_icntl_7 0", 0),
+        (0, "-steady_mat_mumps_icntl_7 0", 0),
+    ],
+)
+def test_the_order_that_mumps_takes(world, work, options, expected, monkeypatch, solver_options):
+    """AMF where another one saves less than it costs, on any number of ranks; options win."""
+    monkeypatch.setattr(graphs, "QUICK_WORK", work)
+    solver_options(f"-steady_pc_factor_mat_solver_type mumps {options}")
+    network = makers.fcc((4, 4, 4))
+    with steady(network, network.free[:1], world) as (_, solver):
+        assert solver.solve(0.3j).converged_reason > 0
+        if expected is None:
+            assert solver.factor.getMumpsIcntl(7) == 7  # MUMPS chooses
+        else:
+            assert solver.factor.getMumpsInfog(7) == expected
+        solver.solve(0.4j)
+        assert PETSc.Options("steady_").hasName("mat_mumps_icntl_7") == bool(options)

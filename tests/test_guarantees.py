@@ -64,6 +64,9 @@ SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt
         packing_faults, "packed_network",
         lambda made: (replace(made[0], force=(1 + 1e-10) * made[0].force), made[1]),
     ),
+    "nearest modes": (
+        mode_faults, "nearest_modes", lambda found: found and (*found[:2], found[2][:-1]),
+    ),
     "modes": (mode_faults, "find_modes", lambda modes: replace(modes, omega=modes.omega[1:])),
     "counts": (density, "count_below", lambda found: (found[0] + 1, 0.0)),
 }  # fmt: skip

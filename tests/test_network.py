@@ -1,5 +1,6 @@
 """Any network: its matrices and modes against lattices, energies and elimination."""
 
+import dataclasses
 import itertools
 
 import mpmath
@@ -11,6 +12,7 @@ from samples import random_lattice, steady
 
 from pgran.command.resolve import SCENES
 from pgran.driven.certify import smallest_damping
+from pgran.driven.operators import Operators
 from pgran.errors import InputError
 from pgran.experiments.modes.scene import find_modes
 from pgran.experiments.pulse.scene import pulse
@@ -18,6 +20,7 @@ from pgran.medium import crystals as makers
 from pgran.medium.graph import without_floating
 from pgran.medium.network import Network
 from pgran.medium.record import record_of
+from pgran.run.petsc import PETSc
 from pgran.store.record import Result
 
 
@@ -44,6 +47,41 @@ def test_the_lattice_is_a_network(world, shape):
     assert state.converged_reason > 0 < other.converged_reason
     assert np.all(np.abs(state.displacement - other.displacement) <= 1e-12)
     assert 0.7 * exact < certified <= exact
+
+
+def of_each_kind():
+    """Random networks, under pre-stress and with contacts that join the same two balls."""
+    for displacement, axes in itertools.product(("scalar", "vector", "rotations"), (2, 3)):
+        rng = np.random.default_rng(axes)
+        network = makers.random_geometric(40, axes, displacement=displacement, damped="normal")
+        count, twice = len(network.bond), rng.integers(0, len(network.bond), 9)
+        again = np.append(np.arange(count), twice)
+        bond = network.bond[again]
+        bond[count:] = bond[count:, ::-1]
+        normal = network.normal[again]
+        normal[count:] *= -1
+        constants = {
+            name: rng.standard_normal(len(again)) for name in ("stiffness", "force", "tangential")
+        }
+        distance = network.distance[again]
+        yield dataclasses.replace(network, bond=bond, normal=normal, distance=distance, **constants)
+
+
+def test_matrices_are_sums_over_springs(world):
+    """K x = B^T diag(k) B x, and the magnitudes alike; symmetric to the bit on one rank."""
+    for network in of_each_kind():
+        springs, k = network.springs, network.springs.constants
+        x = np.random.default_rng(1).standard_normal(network.size)
+        B = abs(springs.B)
+        expected = network.restoring_forces(x[None])[0], B.T @ (np.abs(k) * (B @ x))
+        with Operators(network, world) as operators:
+            vector = operators.layout.vector(x)
+            for matrix, force in zip((operators.K, operators.sizes[0]), expected, strict=True):
+                found = operators.layout.field(matrix * vector)
+                if world.rank == 0:
+                    assert np.abs(found - force).max() <= 1e-13 * np.abs(expected[1]).max()
+            if world.size == 1:
+                assert operators.K.equal(operators.K.transpose(PETSc.Mat()))
 
 
 # Springs

@@ -160,8 +160,8 @@ def test_wrong_modes_are_never_certified(fault, crew, monkeypatch, caplog, narro
     """One found twice makes up for none that is missing in another slice."""
     solve, search = normal.ModeSolver.solve, normal.ModeSolver._search
 
-    def spoilt(self, low, high, count):
-        values, vectors, residuals = solve(self, low, high, count)
+    def spoilt(self, low, high, count, search):
+        values, vectors, residuals = solve(self, low, high, count, search)
         chosen = np.arange(len(values))
         if fault == "inaccurate":
             residuals = residuals + 2e-12

@@ -1,4 +1,4 @@
-"""The smallest eigenvalues of damping and stiffness, certified by counts."""
+"""The smallest eigenvalues of damping, proven by factors, and of stiffness, certified by counts."""
 
 import contextlib
 
@@ -6,11 +6,14 @@ import numpy as np
 from mpi4py import MPI
 
 from pgran.driven.counting import ModeCounter
+from pgran.driven.inertia import RealFactors
 from pgran.driven.layout import NetworkLayout
 from pgran.run.petsc import PETSc
 
 PARTS = (0.9, 0.5, 0.1, 0.01)  # of an estimate of the smallest eigenvalue that are tried
-STEPS = 20  # of inverse iteration
+STEPS = 20  # of inverse iteration at most
+SHARP = 0.05  # of the shift: how sharp the bound of the factors' error need be
+ENOUGH = 0.99  # of the last quotient: inverse iteration that lowers it less has come near enough
 FLOORS = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1)  # of |K|: how far below zero its eigenvalues may be
 
 
@@ -24,14 +27,17 @@ def smallest_damping(lattice):
     cache = vars(lattice)
     if "smallest_damping" not in cache:
         with NetworkLayout(lattice, MPI.COMM_SELF) as layout:
-            cache["smallest_damping"] = _certified(lattice, *layout.csr(layout.damped))
+            cache["smallest_damping"] = _certified(
+                lattice, lattice.damping_norm, *layout.csr(layout.damped)
+            )
     return cache["smallest_damping"]
 
 
 def least_stiffness(network):
     """Return a number that no eigenvalue of K is below; 0 if none above 0 is certain."""
     with NetworkLayout(network, MPI.COMM_SELF) as layout:
-        return _certified(network, *layout.csr(network.constants))
+        matrix = layout.csr(network.constants)
+    return _certified(network, network.stiffness_norm, *matrix)
 
 
 def smallest_stiffness(operators):
@@ -72,34 +78,43 @@ def _counter(network, pointer, columns, values):
     matrix.destroy()
 
 
-def _certified(network, pointer, columns, values):
+def _certified(network, norm, pointer, columns, values):
     """Return a number that no eigenvalue of a matrix of a network is below; 0 if none is certain.
 
-    Inverse iteration estimates the smallest eigenvalue. By Sylvester's law none is below a part of
-    the estimate if the factorization of the matrix less that part has no negative pivot.
+    Its magnitudes sum up to `norm`. Inverse iteration estimates the smallest eigenvalue from above.
+    None is below a part of it, but for the error of factors of the matrix less that part, if these
+    have no negative pivot.
     """
     from scipy.sparse import csc_matrix
-    from scipy.sparse.linalg import splu
 
     matrix = csc_matrix((values.real.copy(), columns, pointer))  # symmetric: rows are columns
+    rounding = network.rounding * norm  # of the sums that its entries are
     try:
-        factors = splu(matrix)
-    except RuntimeError:  # singular
-        return 0.0
+        # Were it singular, pivots that rounding leaves would exchange rows and fill the factors.
+        estimate = _estimate(matrix, RealFactors(matrix, -8 * rounding))
+        for part in PARTS:
+            shift = part * estimate
+            if not shift > 2 * rounding:  # NaN too
+                break
+            factors = RealFactors(matrix, shift)
+            if factors.negative == 0:
+                least = shift - factors.error(SHARP * shift) - rounding
+                if least > 0:
+                    return 0.99 * least
+    except ZeroDivisionError:
+        pass
+    return 0.0
+
+
+def _estimate(matrix, factors):
+    """Return the Rayleigh quotient of inverse iteration, once a step changes it little."""
     x = np.random.Generator(np.random.Philox(1)).standard_normal(matrix.shape[0])
+    last = np.inf
     for _ in range(STEPS):
         x = factors.solve(x)
-        size = np.linalg.norm(x)
-        if not 0 < size < np.inf:
-            return 0.0
-        x /= size
-    estimate = x @ (matrix @ x)
-    if not estimate > 0:
-        return 0.0
-    with _counter(network, pointer, columns, values) as counter:
-        for part in PARTS:
-            shift, clearance = part * estimate, 0.05 * part * estimate
-            if counter.below(shift, clearance) == 0:
-                # the count is of one nearer to the shifted matrix than a tenth of the clearance
-                return 0.99 * (shift - clearance)
-    return 0.0
+        x /= np.linalg.norm(x)
+        quotient = x @ (matrix @ x)
+        if not quotient < ENOUGH * last:  # NaN too
+            break
+        last = quotient
+    return quotient

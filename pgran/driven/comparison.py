@@ -64,7 +64,7 @@ class Comparison(Owner):
             return None
         # Room for the rounding of the product below; and no v so small that it vanishes.
         self._target.setArray(4 * residual + LEAST_PROVEN * bounds.scale)
-        if not set_up(self._ksp, self._matrix, self.comm):
+        if not set_up(self._ksp, self._matrix, self.operators):
             self.forget_factor()
             return None
         self._ksp.solve(self._target, self.v)

@@ -9,10 +9,10 @@ import contextlib
 import numpy as np
 from mpi4py import MPI
 
+from pgran.driven.inertia import RealFactors, real_matrix
 from pgran.driven.linear import accept_small_pivots
 from pgran.driven.operators import SAME
 from pgran.driven.owner import Owner
-from pgran.medium.graph import SYMMETRIC
 from pgran.run.petsc import PETSc
 
 
@@ -90,17 +90,9 @@ class ModeCounter(Owner):
 
     def _by_superlu(self):
         """Return the same by real arithmetic on dense blocks: much faster where factors fill."""
-        from scipy.sparse import csc_matrix
-        from scipy.sparse.linalg import splu
-
-        pointer, columns, values = self._shifted.getValuesCSR()  # symmetric: rows are columns
-        real = csc_matrix((values.real.copy(), columns, pointer))
         try:
-            factors = splu(real, "NATURAL", **SYMMETRIC)
-        except RuntimeError:  # a pivot is zero
+            factors = RealFactors(real_matrix(self._shifted), 0.0)
+        except ZeroDivisionError:
             return 0, 1
         self._x.setArray(factors.solve(self._rhs.getArray(readonly=True).real))
-        pivots = factors.U.diagonal()
-        # Rows that were exchanged leave no L D L^T, so that the signs of pivots tell nothing.
-        exchanged = not np.array_equal(factors.perm_r, factors.perm_c)
-        return np.count_nonzero(pivots < 0), np.count_nonzero(pivots == 0) + exchanged
+        return factors.negative or 0, factors.negative is None

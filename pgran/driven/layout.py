@@ -176,39 +176,75 @@ class NetworkLayout(Layout):
         self._contribute()
 
     def _contribute(self):
-        """Find the nonzeros of this rank's rows, and what each spring contributes to them."""
-        from scipy.sparse import csr_matrix
+        """Find the nonzeros of this rank's rows, and what each spring contributes to them.
 
-        # The nonzero (p, q) is the sum of B[s, p] B[s, q] k[s] over the springs s: a matrix, of a
-        # row for each nonzero and these products at the columns s, times the constants. Zeros
-        # keep the diagonal in the pattern.
-        width, count = self.ends.shape[1], self.network.size
-        own = np.arange(self.first, self.last)
-        keys, products, springs = [own * count + own], [np.zeros(len(own))], [0 * own]
-        for a in range(width):
-            here = np.flatnonzero((self.ends[:, a] >= self.first) & (self.ends[:, a] < self.last))
-            for b in range(width):
-                both = here[self.ends[here, b] >= 0]
-                row, column = self.ends[both, a].astype(np.int64), self.ends[both, b]
-                keys.append(row * count + column)
-                products.append(self.entries[both, a] * self.entries[both, b])
-                springs.append(both)
-        keys, places = np.unique(np.concatenate(keys), return_inverse=True)
-        rows, self._columns = keys // count - self.first, (keys % count).astype(PETSc.IntType)
-        counts = np.bincount(rows, minlength=len(own))
-        self._pointer = np.append(0, np.cumsum(counts)).astype(PETSc.IntType)
-        triplets = np.concatenate(products), (places.ravel(), np.concatenate(springs))
-        self._contributions = csr_matrix(triplets, shape=(len(keys), len(self.ends)))
+        They are blocks (w, w) of w unknowns a ball: one for each ball, one for each two in contact.
+        """
+        from scipy.sparse import csc_matrix, csr_matrix
+
+        width, contacts = self.network.components, self.network.bonds
+        first, last = self.first // width, self.last // width
+        balls = self.ends[:contacts, ::width] // width  # -1 stays
+        mine = (balls >= first) & (balls < last)
+        here = np.flatnonzero(np.any(mine, axis=1))
+        balls, mine, both = balls[here], mine[here], np.all(balls[here] >= 0, axis=1)
+        own = np.arange(first, last)
+        ahead, back = (np.flatnonzero(both & mine[:, end]) for end in (0, 1))
+        rows = np.concatenate([own, balls[ahead, 0], balls[back, 1]]) - first
+        columns = np.concatenate([own, balls[ahead, 1], balls[back, 0]])
+        shape = len(own), self.network.free_balls
+        blocks = csr_matrix((np.ones(len(rows), dtype=bool), (rows, columns)), shape)
+        places = self._number_nonzeros(blocks, width)
+        blocks.data = np.arange(blocks.nnz, dtype=np.int32)  # look up which block is where
+        # of no indices at all SciPy makes a sparse matrix
+        found = np.asarray(blocks[rows, columns]).ravel() if len(rows) else rows
+        itself, ahead_of, back_of = np.split(found, np.cumsum([len(own), len(ahead)]))
+        # A spring at the unknowns p, q contributes B[s, p] B[s, q] k[s] to the nonzero (p, q). As a
+        # matrix that is times the constants, a column for each spring: all springs of a contact
+        # have their entries in the same rows. The last row is for what is not this rank's.
+        target = np.full((len(here), 2, width, 2, width), places.size, dtype=np.int32)
+        for end in (0, 1):
+            at = np.flatnonzero(mine[:, end])
+            target[at, end, :, end] = places[itself[balls[at, end] - first]]
+        target[ahead, 0, :, 1] = places[ahead_of]
+        target[back, 1, :, 0] = places[back_of]
+        kinds = len(self.ends) // contacts
+        self._springs = (here + contacts * np.arange(kinds)[:, None]).ravel()
+        entries = np.broadcast_to(self.entries, self.ends.shape)[self._springs]
+        products = entries[:, :, None] * entries[:, None]
+        pointer = (2 * width) ** 2 * np.arange(len(self._springs) + 1)
+        matrix = products.ravel(), np.tile(target.ravel(), kinds), pointer
+        self._contributions = csc_matrix(matrix, (places.size + 1, len(self._springs)))
+
+    def _number_nonzeros(self, blocks, width):
+        """Number the nonzeros of a sparse matrix of blocks row by row: shape (blocks, w, w).
+
+        A row of m blocks is w rows of m w nonzeros: row p holds the rows p of these blocks.
+        """
+        inside, counts = np.arange(width, dtype=np.int32), np.diff(blocks.indptr)
+        row = np.repeat(np.arange(len(counts)), counts)
+        before = blocks.indptr[row]  # so many blocks are in the rows above
+        corner = before * width**2 + (np.arange(blocks.nnz) - before) * width
+        step = (counts * width)[row]
+        places = corner[:, None, None] + step[:, None, None] * inside[:, None] + inside
+        lengths = np.repeat(counts * width, width)
+        self._pointer = np.append(0, np.cumsum(lengths)).astype(PETSc.IntType)
+        self._columns = np.empty(places.size, dtype=PETSc.IntType)
+        self._columns[places] = (blocks.indices[:, None] * width + inside)[:, None]
+        return places
 
     def csr(self, constants):
         """Return row pointers, columns and nonzeros of B^T diag(k) B."""
-        values = self._contributions @ constants
-        return self._pointer, self._columns, values.astype(PETSc.ScalarType)
+        return self._nonzeros(self._contributions, constants)
 
     def sizes(self, constants):
         """Return the same of the sums of all springs' magnitudes, which K's may cancel to."""
-        values = abs(self._contributions) @ np.abs(constants)
-        return self._pointer, self._columns, values.astype(PETSc.ScalarType)
+        return self._nonzeros(abs(self._contributions), np.abs(constants))
+
+    def _nonzeros(self, contributions, constants):
+        """Return row pointers, columns and what springs of these constants contribute."""
+        values = contributions @ constants[self._springs]
+        return self._pointer, self._columns, values[:-1].astype(PETSc.ScalarType)
 
     def change(self, matrix, bonds, constants):
         """Set in a matrix what all springs contribute; it is to be assembled."""

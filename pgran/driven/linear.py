@@ -4,6 +4,7 @@ Whether a fresh factorization pays is decided by iteration counts and prices, ne
 that a run repeats exactly.
 """
 
+import contextlib
 import math
 
 from mpi4py import MPI
@@ -17,7 +18,8 @@ FACTOR_PRICE = {"petsc": 0.4, "mumps": 0.075}
 LEAST_NORM = 1e-300  # a residual of which is none
 NO_NUMBER = int(PETSc.KSP.ConvergedReason.DIVERGED_NANORINF)
 NO_PRECONDITIONER = int(PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED)
-ANALYSIS_BY_VALUES, ORDERING, AMF = 6, 7, 2  # MUMPS: two of its ICNTL, the quickest ordering
+# MUMPS: one of its ICNTL, the option of another, and the quickest ordering.
+ANALYSIS_BY_VALUES, ORDERING, AMF = 6, "mat_mumps_icntl_7", 2
 
 
 class System(Owner):
@@ -93,7 +95,7 @@ class Krylov(Owner):
     def factor(self):
         """Set up the preconditioner for this S and later solves; say if it works. Collective."""
         self.pc.setReusePreconditioner(False)
-        works = set_up(self.ksp, self.operators.S, self.operators.comm)
+        works = set_up(self.ksp, self.operators.S, self.operators)
         self.pc.setReusePreconditioner(works)
         return works
 
@@ -157,26 +159,28 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
         pc.setFactorOrdering("rcm")
         pc.setFromOptions()
     accept_small_pivots(pc)
-    analyse_by_pattern(pc, operators.lattice)
+    analyse_by_pattern(pc)
     if ksp.getType() != "preonly":
         # The preconditioner applied once is the solution already if it is a fresh factorization.
         ksp.setInitialGuessKnoll(True)
     return ksp
 
 
-def set_up(ksp, matrix, comm):
+def set_up(ksp, matrix, operators):
     """Set up a KSP's preconditioner for the values of a matrix; return whether that worked.
 
     Collective. A KSP that failed is of no more use: PETSc keeps some failures for all later values.
     """
+    comm = operators.comm
     ksp.setOperators(matrix)  # without it a KSP overlooks new values
-    ksp.setUp()
+    with quick_ordering(ksp, operators.lattice):
+        ksp.setUp()
     works = ksp.getConvergedReason() >= 0  # says it of this rank alone
     return works if comm.size == 1 else comm.allreduce(works, MPI.LAND)
 
 
-def analyse_by_pattern(pc, lattice):
-    """Let MUMPS analyse the pattern alone, and not for longer than that saves; options win.
+def analyse_by_pattern(pc):
+    """Let MUMPS analyse the pattern alone; options win.
 
     Else MUMPS permutes by the values of the first matrix, and the last digits of all later
     solutions depend on which frequency a rank happened to factor first.
@@ -184,8 +188,24 @@ def analyse_by_pattern(pc, lattice):
     if pc.getType() in ("lu", "cholesky") and pc.getFactorSolverType() == "mumps":
         pc.setFactorSetUpSolverType()
         pc.getFactorMatrix().setMumpsIcntl(ANALYSIS_BY_VALUES, 0)
-        if lattice.elimination.quick:
-            pc.getFactorMatrix().setMumpsIcntl(ORDERING, AMF)
+
+
+@contextlib.contextmanager
+def quick_ordering(ksp, lattice):
+    """Let MUMPS look for an order, within a `with`, no longer than that saves; options win.
+
+    On one rank PETSc 3.18 overwrites what `setMumpsIcntl` says of it, so that MUMPS takes PORD; a
+    default of PETSc's options arrives.
+    """
+    options = PETSc.Options(ksp.getOptionsPrefix())
+    if not lattice.elimination.quick or options.hasName(ORDERING):
+        yield
+        return
+    options[ORDERING] = AMF
+    try:
+        yield
+    finally:
+        options.delValue(ORDERING)
 
 
 def accept_small_pivots(pc):

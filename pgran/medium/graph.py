@@ -12,12 +12,14 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.medium.base import Elimination
+from pgran.medium.ordering import elimination_order
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
-from pgran.medium.springs import DRIVEN, FREE, sparse_rows
+from pgran.medium.springs import DRIVEN, FREE
 
 # Multiplications of a factorization: beyond these all ranks share the network; up to so many for
-# each unknown PETSc is faster than MUMPS; up to so many in all MUMPS need not look for an order.
-LARGE_WORK, PETSC_WORK, QUICK_WORK = 3e9, 2500, 5e9
+# each unknown PETSc is faster than MUMPS; up to so many for each ball a better order of MUMPS costs
+# more than it saves.
+LARGE_WORK, PETSC_WORK, QUICK_WORK = 3e9, 2500, 5e4
 STEPS = 30  # of inverse iteration at most
 ENOUGH = 0.9  # of the smallest eigenvalue: a bound that is as close as that is not improved
 SYMMETRIC = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
@@ -36,50 +38,65 @@ class Graph:
         """Sum L up and factor it; the factors are not kept."""
         number = np.full(len(network.held), -1)
         number[network.free] = np.arange(len(network.free))
-        ends = number[network.bond]
-        weights = network.weights[:: network.components]
-        b = sparse_rows(ends, np.array([-1.0, 1.0]) * weights[ends], len(network.free))
-        self.laplacian = (b.T @ b).tocsc()
-        factors = self._factored()
-        self.order = np.argsort(factors.perm_c)
+        ends, each = number[network.bond], network.components
+        met = np.bincount(ends[ends >= 0], minlength=len(network.free))  # contacts of each ball
+        self.laplacian = _laplacian(ends, met, network.weights[::each])
+        self.order = elimination_order(self.laplacian)
+        in_order = self.laplacian[self.order][:, self.order]
+        in_order.sort_indices()
+        factors = _factored(in_order)
         lengths = np.diff(factors.L.indptr).astype(float)
         # A column of L's factor with n entries: n^2 multiplications, blocks of c x c in the matrix.
-        each = network.components
         self.work, self.entries = float(lengths @ lengths) * each**3, lengths.sum() * each**2
         self.nonzeros = float(self.laplacian.nnz) * each**2
-        met = int(np.bincount(ends[ends >= 0]).max())  # contacts of a ball: terms of its diagonal
-        self.smallest = self._bound(factors, (met + 8) * EPSILON)
+        # the diagonal is a product, an entry beside it a sum over contacts of the same two balls
+        self.smallest = _lowest(in_order, factors, (int(met.max()) + 8) * EPSILON)
 
-    def _factored(self):
-        """Return the factors of L, the diagonal raised where parts of the network float."""
-        from scipy.sparse import identity
-        from scipy.sparse.linalg import splu
 
-        L = self.laplacian
-        try:
-            return splu(L, "MMD_AT_PLUS_A", **SYMMETRIC)
-        except RuntimeError:  # singular
-            raised = L + L.diagonal().max() * identity(L.shape[0], format="csc")
-            return splu(raised, "MMD_AT_PLUS_A", **SYMMETRIC)
+def _laplacian(ends, met, weights):
+    """Return L, sparse by columns, from the balls (contacts, 2) in contact, -1 where none is free.
 
-    def _bound(self, factors, rounding):
-        """Return `smallest`; rounding moves (L x)_i by at most `rounding` of its magnitudes' sum.
+    Balls have so many contacts `met`, and displacements `weights` per mass-weighted unknown.
+    """
+    from scipy.sparse import csc_matrix
 
-        For x > 0 none is below the smallest of (L x)_i / x_i: by Gershgorin's circles of X^-1 L X,
-        as L has no positive entries beside its diagonal. Inverse iteration finds an x.
-        """
-        L, best = self.laplacian, 0.0
-        x = np.ones(L.shape[0])
-        for _ in range(STEPS):
-            x = factors.solve(x)
-            x /= np.abs(x).max() or 1.0
-            if not np.all(x > SMALLEST_NORMAL / EPSILON):  # NaN too
-                break
-            product = L @ x
-            best = max(best, float(np.min((product - rounding * (abs(L) @ x)) / x)))
-            if best > ENOUGH * (x @ product) / (x @ x):
-                break
-        return best
+    i, j = ends[np.all(ends >= 0, axis=1)].T
+    beside, own = -weights[i] * weights[j], np.arange(len(met))
+    values = np.concatenate([met * weights**2, beside, beside])
+    places = np.concatenate([own, i, j]), np.concatenate([own, j, i])
+    return csc_matrix((values, places), (len(met),) * 2)
+
+
+def _factored(laplacian):
+    """Return the factors of L in order, the diagonal raised where parts of the network float."""
+    from scipy.sparse import identity
+    from scipy.sparse.linalg import splu
+
+    try:
+        return splu(laplacian, "NATURAL", **SYMMETRIC)
+    except RuntimeError:  # singular
+        lift = laplacian.diagonal().max() * identity(laplacian.shape[0], format="csc")
+        return splu(laplacian + lift, "NATURAL", **SYMMETRIC)
+
+
+def _lowest(laplacian, factors, rounding):
+    """Return what no eigenvalue of L is below; rounding moves (L x)_i by that part of its terms.
+
+    For x > 0 none is below the smallest of (L x)_i / x_i: by Gershgorin's circles of X^-1 L X, as L
+    has no positive entries beside its diagonal. Inverse iteration finds an x.
+    """
+    best, x = 0.0, np.ones(laplacian.shape[0])
+    for _ in range(STEPS):
+        x = factors.solve(x)
+        x /= np.abs(x).max() or 1.0
+        if not np.all(x > SMALLEST_NORMAL / EPSILON):  # NaN too
+            break
+        product = laplacian @ x
+        sizes = 2 * laplacian.diagonal() * x - product  # of the terms: one alone is positive
+        best = max(best, float(np.min((product - rounding * sizes) / x)))
+        if best > ENOUGH * (x @ product) / (x @ x):
+            break
+    return best
 
 
 class Connected:
@@ -99,7 +116,8 @@ class Connected:
     def elimination(self):
         """See `Elimination`."""
         work = self.graph.work
-        small, quick = work <= PETSC_WORK * max(self.size, 200), work <= QUICK_WORK
+        small = work <= PETSC_WORK * max(self.size, 200)
+        quick = work <= QUICK_WORK * self.free_balls
         seconds = 1e-3 + 3.3e-7 * self.nonzeros + 1.3e-9 * work
         return Elimination(True, "natural", small, quick, not small, seconds)
 

@@ -10,7 +10,7 @@ import logging
 
 import petsc4py
 
-from pgran.errors import PgranError
+from pgran.errors import PgranError, is_petsc
 from pgran.run import launch
 
 launch.start()
@@ -22,6 +22,18 @@ if PETSc.ScalarType().dtype.kind != "c":
     raise PgranError("this PETSc has real scalars; pgran needs a complex one (pgran doctor)")
 
 log = logging.getLogger("pgran")
+
+
+@contextlib.contextmanager
+def plain_errors():
+    """Raise PETSc's errors as they are: a slepc4py from PyPI hides them behind a SystemError."""
+    try:
+        yield
+    except SystemError as error:
+        hidden = error.__cause__
+        if not is_petsc(hidden):
+            raise
+        raise hidden from hidden.__cause__
 
 
 @contextlib.contextmanager

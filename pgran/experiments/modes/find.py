@@ -113,8 +113,8 @@ def find_modes(
             from pgran.experiments.modes.slices import find_slices
 
             operators = held.enter_context(Operators(scaled, MPI.COMM_SELF))
-            slices = find_slices(operators, crew, **wanted)
             solver = held.enter_context(ModeSolver(operators))
+            slices = find_slices(solver, crew, **wanted)
             task = Slices(solver, slices, shapes, targets, count)
         modes = carry_out(task, crew, progress)
     seconds = time.perf_counter() - started  # counts included

@@ -18,9 +18,9 @@ from mpi4py import MPI
 
 from pgran.driven.counting import flag_hermitian
 from pgran.driven.owner import Owner
-from pgran.errors import is_petsc
+from pgran.experiments.modes.nearest import Inverse, Nearest
 from pgran.experiments.modes.shapes import rayleigh_ritz, residuals, with_fixed_sign
-from pgran.run.petsc import PETSc
+from pgran.run.petsc import PETSc, plain_errors
 
 slepc4py.init([])  # PETSc has its options already
 
@@ -30,6 +30,7 @@ log = logging.getLogger("pgran")
 
 SEARCHES = 40
 SEARCH_AGAIN = 1e-13  # of |K|: residuals above it make the search start again from another sigma
+HELD_RESIDUAL = 5e-13  # of |K|: the same of modes that an earlier search has found
 ROUGHLY = 1e-6  # accuracy of eigenvalues that counts are to confirm
 REFINE = 2e-14  # of |K|: residuals above it are worth a step of refinement
 # Where sigma goes, as parts of the slice: elsewhere if modes are missing, or inaccurate because
@@ -44,18 +45,6 @@ ETA, ETA_BALLS = 0.3, 5000
 PETSC_SOLVES = 30_000
 
 
-@contextlib.contextmanager
-def plain_errors():
-    """Raise PETSc's errors as they are: a slepc4py from PyPI hides them behind a SystemError."""
-    try:
-        yield
-    except SystemError as error:
-        hidden = error.__cause__
-        if not is_petsc(hidden):
-            raise
-        raise hidden from hidden.__cause__
-
-
 class ModeSolver(Owner):
     """Finds the modes of slices of the spectrum of K, which is this rank's alone."""
 
@@ -68,23 +57,38 @@ class ModeSolver(Owner):
         flag_hermitian(self.K)
         self._layout = operators.layout
         self.norm = self.K.norm(PETSc.NormType.INFINITY) or 1.0
-        self._eps = None
+        self._eps, self._nearest = None, None
+        if self.lattice.elimination.numbered and not PETSc.Options("normal_").getAll():
+            self._nearest = Nearest(self)
 
-    def solve(self, low, high, count):
+    def interval(self, omega, count):
+        """See `Nearest.interval`; None where counts come first: lattices', or by options."""
+        return self._nearest and self._nearest.interval(omega, self.lattice.mass, count)
+
+    def solve(self, low, high, count, search=None):
         """Return the modes with low < lambda < high, `count` of them, as far as they are found.
 
         They are lambda, ascending, the vectors f, shape (modes, *lattice.shape), real, orthonormal,
-        the largest entry positive, and the residuals |K f - lambda f| / |K|.
+        the largest entry positive, and the residuals |K f - lambda f| / |K|. A `search` of
+        `interval`, on this rank or on another one, has found them already.
         """
         best, self._failure = None, "the EPS did not converge"
+        held = search and self._nearest.modes(search)
+        if held is not None:
+            values, vectors, residual = held
+            inside = (values > low) & (values < high)
+            shapes = with_fixed_sign(self._layout.fields(vectors[inside]))
+            best = values[inside], shapes, np.linalg.norm(residual[inside], axis=1) / self.norm
+            if _defects(best, count) <= (0, HELD_RESIDUAL):
+                return best
         for fraction in SHIFTS:
             first = fraction == SHIFTS[0]
-            eps = self._eps = self._eps or self._make_eps(first)
+            eps = self._eps = self._eps or self.make_eps(first)
             rough = self._search(eps, low, high, count, fraction)
             modes = self._real_modes(rough, low, high)
             # pairs compare by their first numbers first: what is missing is worse than residuals
             if _defects(modes, count) > (0, REFINE) and eps.getST().getType() == "sinvert":
-                modes = self._real_modes(self._refined(eps.getST(), rough), low, high)
+                modes = self._real_modes(self.refined(eps.getST(), rough), low, high)
             if self._deflated or not first or _defects(modes, count) > (0, SEARCH_AGAIN):
                 eps.destroy()  # it never forgets what it was to deflate
                 self._eps = None
@@ -105,13 +109,13 @@ class ModeSolver(Owner):
 
         Some may be missing, or belong to others' copies.
         """
-        eps = self._make_eps(first=True)
+        eps = self.make_eps(first=True)
         values = []
         if eps.getWhichEigenpairs() == SLEPc.EPS.Which.TARGET_MAGNITUDE:
             eps.setTarget(value)
             eps.setDimensions(min(count, self.lattice.size))
             eps.setTolerances(ROUGHLY, 20)
-            self._start(eps, 0)
+            self.start(eps, 0)
             with contextlib.suppress(PETSc.Error), plain_errors():
                 eps.solve()
                 values = [eps.getEigenvalue(number).real for number in range(eps.getConverged())]
@@ -127,7 +131,7 @@ class ModeSolver(Owner):
         return values, with_fixed_sign(vectors), residual
 
     @plain_errors()
-    def _make_eps(self, first):
+    def make_eps(self, first):
         """Create an EPS with the defaults of a first search or a later one, then its options."""
         eps = SLEPc.EPS().create(PETSc.COMM_SELF)
         eps.setOptionsPrefix("normal_")
@@ -143,11 +147,11 @@ class ModeSolver(Owner):
             eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
             if first and self.lattice.size >= ETA_BALLS:
                 eps.getBV().setOrthogonalization(eta=ETA)
-            self._invert(eps.getST())
+            self._invert(eps.getST(), first)
         eps.setFromOptions()
         return eps
 
-    def _invert(self, st):
+    def _invert(self, st, first):
         """Let the EPS see (K - sigma)^-1, by factors of K - sigma."""
         st.setType("sinvert")
         st.getKSP().setType("preonly")
@@ -159,7 +163,10 @@ class ModeSolver(Owner):
         if self.lattice.is_grid:
             return
         own_slices = PETSc.Options("normal_").getBool("eps_all", False)
-        if self.lattice.graph.work > PETSC_SOLVES * self.lattice.size and not own_slices:
+        if first and self._nearest and self.lattice.elimination.costly:
+            pc.setType("python")
+            pc.setPythonContext(Inverse())
+        elif self.lattice.graph.work > PETSC_SOLVES * self.lattice.size and not own_slices:
             pc.setType("lu")  # MUMPS has no LDL^T of Hermitian matrices
             pc.setFactorSolverType("mumps")
 
@@ -176,7 +183,7 @@ class ModeSolver(Owner):
                     if seen:
                         eps.setDeflationSpace(seen)
                         self._deflated = True
-                    self._start(eps, before)
+                    self.start(eps, before)
                     eps.solve()
                     for number in range(eps.getConverged()):
                         vector = self.K.createVecLeft()
@@ -213,7 +220,7 @@ class ModeSolver(Owner):
             room = self.lattice.size - seen
             eps.setDimensions(missing, min(room, missing + missing // 3 + 12))
 
-    def _start(self, eps, seen):
+    def start(self, eps, seen):
         """Start from a random vector that depends on nothing but how many modes were seen.
 
         Another search needs another one: what the last one left out is orthogonal to its own.
@@ -225,7 +232,7 @@ class ModeSolver(Owner):
         vector.destroy()
 
     @plain_errors()
-    def _refined(self, st, rough):
+    def refined(self, st, rough):
         """Return x - (K - sigma)^-1 (K x - lambda x) for eigenvectors x, a row each.
 
         An LDL^T without pivoting is that of a matrix nearby, whose modes the EPS finds. This step

@@ -12,7 +12,8 @@ import numpy as np
 
 from pgran.driven.counting import ModeCounter
 from pgran.errors import PgranError
-from pgran.experiments.modes.normal import ModeSolver, eps_type
+from pgran.experiments.modes.nearest import SPARE, Cut, Search
+from pgran.experiments.modes.normal import eps_type
 from pgran.run.agreement import agreeing
 
 SLICE = 60  # modes that are computed together; measured for 40 x 40 and 100 x 100
@@ -20,51 +21,52 @@ MARGIN = 1e-11  # of |K|: how far the ends of an interval are moved outward
 WIDE = 1e-8  # the same at most where an interval's ends are as good as any others nearby
 CLOSE = 1e-4  # part of an interval: ends that near need not be told apart
 ATTEMPTS = 40  # at an end, at an interval around a frequency, at cutting what is left
-SPARE = 4  # modes that are searched for beyond those that are wanted
-
-
-class Cut(NamedTuple):
-    """A value of lambda that is clear of all eigenvalues, and how many of them lie below it."""
-
-    shift: float
-    below: int
 
 
 class Slice(NamedTuple):
-    """The modes between two cuts: their shifts, and how many modes there are."""
+    """The modes between two cuts: their shifts, how many modes there are, what has found them."""
 
     low: float
     high: float
     count: int
+    search: Search | None = None
 
 
-def find_slices(operators, crew, interval=None, targets=None, count=None):
+def find_slices(solver, crew, interval=None, targets=None, count=None):
     """Return the slices of the spectrum that hold the wanted modes, as `pgran.find_modes` has them.
 
     Collective: the ranks share out the counts. From the lowest frequency 0 on modes include the
-    unstable ones. In a dry run one slice amid the wanted modes stands for all. K of the `operators`
-    is of this rank alone.
+    unstable ones. In a dry run one slice amid the wanted modes stands for all, unless searches have
+    found them. The `solver` has a K of this rank alone.
     """
-    world, mass = crew.world, operators.mass
-    with ModeCounter(operators.K, operators.lattice) as counter:
+    world, mass = crew.world, solver.lattice.mass
+    with ModeCounter(solver.K, solver.lattice) as counter:
         if targets is None:
             low, high = interval or (0.0, np.inf)
             sides = [(mass * low**2, -1), (mass * high**2, 1)]
-            intervals = [shared(world, sides, lambda side: end(counter, *side))]
+            intervals = [(*shared(world, sides, lambda side: end(counter, *side)), None)]
         else:
             wanted = targets[:: max(1, len(targets) // 3)] if crew.dry else targets
-            with ModeSolver(operators) as solver:
 
-                def nearest_to(omega):
-                    reach = _reach(solver, omega, mass, count) if counter.costly else None
-                    return around(counter, omega, mass, count, reach)
+            def nearest_to(omega):
+                found = solver.interval(omega, count)
+                if found is not None:
+                    return found
+                reach = _reach(solver, omega, mass, count) if counter.costly else None
+                return (*around(counter, omega, mass, count, reach), None)
 
-                intervals = _united(shared(world, wanted, nearest_to))
+            intervals = _united(shared(world, wanted, nearest_to))
+        searches = [search for *_, search in intervals]
+        intervals = [ends for *ends, _ in intervals]
         if eps_type() == "lapack":  # which needs no slices
             return _between(intervals)
-        if not crew.dry:
-            return [piece for ends in intervals for piece in cut(counter, ends, world)]
-        return _like_one_slice(counter, intervals, mass)
+        if crew.dry and None in searches:
+            return _like_one_slice(counter, intervals, mass)
+        slices = []
+        for ends, search in zip(intervals, searches, strict=True):
+            pieces = cut(counter, ends, world) if search is None else _between([ends])
+            slices += [piece._replace(search=search) for piece in pieces]
+        return slices
 
 
 def end(counter, shift, side, margin=MARGIN):
@@ -171,13 +173,13 @@ def _merged(cuts):
 
 
 def _united(intervals):
-    """Return intervals with overlapping ones joined."""
+    """Return intervals with overlapping ones joined, whose modes no single search has found."""
     joined = []
-    for low, high in sorted(intervals):
+    for low, high, search in sorted(intervals, key=lambda interval: interval[:2]):
         if joined and low <= joined[-1][1]:
-            joined[-1] = joined[-1][0], max(joined[-1][1], high)
+            joined[-1] = joined[-1][0], max(joined[-1][1], high), None
         else:
-            joined.append((low, high))
+            joined.append((low, high, search))
     return joined
 
 

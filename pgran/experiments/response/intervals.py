@@ -193,7 +193,7 @@ class IntervalModels(Owner):
         self.factorizations += 1
         ksp, moments = self._ksp, None
         try:
-            if set_up(ksp, self.operators.S, self.comm):
+            if set_up(ksp, self.operators.S, self.operators):
                 moments = self._series(omega)
         except PETSc.Error as error:
             wrong_options = is_bad_input(error) and not self._works

@@ -1,0 +1,231 @@
+"""Modes of a network nearest to a value of lambda: one search, one factorization at each end.
+
+A search comes first. Its values tell where to count: in the widest gaps that leave the wanted modes
+between them.
+
+    lambda  --x-|--x-o-oo-o---o-oo-|---x-->    o wanted, x found beside them, | an end
+
+With K - end = L D L^T + E at either end, |E|_2 <= eps, and m more negative pivots at the upper one,
+let m of the modes found, X with R = K X - X W and |X^T X - 1|_F <= delta < 1, all lie farther than
+
+    sqrt(2) |R|_F / sqrt(1 - delta)
+
+inside (low + eps, high - eps). Then K has exactly m eigenvalues there: no more by the counts, and
+no fewer, since to each value belongs an eigenvalue of its own within that distance (W. Kahan; see
+G. W. Stewart and J. Sun, Matrix Perturbation Theory, section IV.4).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgran.driven.inertia import RealFactors, real_matrix
+from pgran.medium.rounding import EPSILON
+from pgran.run.petsc import PETSc, plain_errors
+
+SPARE = 4  # modes that are searched for beyond those that are wanted
+TRIES = 3  # searches, each for half as many modes again, until there are gaps
+PLACES = (0.5, 0.36, 0.64)  # parts of a gap where it is counted, the next if one is no good
+ROOM = 0.8  # part of the way to a gap's nearer side that eps may be
+OUTSIDE = 1e-11  # of |K|: how far below or above all eigenvalues nothing needs to be counted
+HELD = 4  # searches whose modes are held until their slice is asked for
+MOST = 60  # wanted modes of a search
+CLOSELY, RESTARTS = 1e-10, 20  # tolerance of the EPS, and how often it restarts at most
+REFINE = 2e-13  # of |K|: residuals above it are worth a step of refinement
+
+SPOILT = 1e-10  # part of a matrix by which factors may differ from it
+ZERO_PIVOT = 71  # PETSc's number of that error
+
+
+class Cut(NamedTuple):
+    """A value of lambda that is clear of all eigenvalues, and how many of them lie below it."""
+
+    shift: float
+    below: int
+
+
+class Search(NamedTuple):
+    """What a search depends on, but for K: so many modes nearest to a value of lambda."""
+
+    value: float
+    wanted: int
+
+
+class Modes(NamedTuple):
+    """Real modes: values, ascending, vectors f, a row each, and K f - lambda f."""
+
+    values: np.ndarray
+    vectors: np.ndarray
+    residuals: np.ndarray
+
+
+class Inverse:
+    """A PC of the type `python`: factors of K - sigma in real arithmetic, which costs a half."""
+
+    def setUp(self, pc):
+        """Factor the matrix that the PC now has; PETSc's own error says that it is singular.
+
+        So it says, too, where small pivots have spoilt the factors, which MUMPS would have moved.
+        """
+        matrix = real_matrix(pc.getOperators()[0])
+        right = np.random.Generator(np.random.Philox(1)).standard_normal(matrix.shape[0])
+        try:
+            self.factors = RealFactors(matrix, 0.0)
+        except ZeroDivisionError as error:
+            raise PETSc.Error(ZERO_PIVOT) from error
+        x = self.factors.solve(right)
+        largest = np.abs(matrix.data).max(initial=0.0)
+        if not np.linalg.norm(matrix @ x - right) <= SPOILT * largest * np.linalg.norm(x):
+            raise PETSc.Error(ZERO_PIVOT)
+
+    def apply(self, pc, right, solution):
+        """Solve. The vectors of a Krylov space stay real where its first one is."""
+        right = right.getArray(readonly=True)
+        x = self.factors.solve(right.real.copy()).astype(right.dtype)
+        if np.any(right.imag):
+            x.imag = self.factors.solve(right.imag.copy())
+        solution.setArray(x)
+
+
+class Nearest:
+    """Finds and counts modes of a network, for a `normal.ModeSolver`, whose EPS it searches by."""
+
+    def __init__(self, solver):
+        """Take over K as a sparse matrix."""
+        self._solver, self.K, self.norm = solver, real_matrix(solver.K), solver.norm
+        self.semidefinite, self.order = solver.lattice.semidefinite, self.K.shape[0]
+        self._held = {}
+
+    def modes(self, search):
+        """Return at least the modes of a search, the same to the bit each time; None if it fails.
+
+        Of eigenvalues that are equal, and so everywhere, some may be missing.
+        """
+        if search not in self._held:
+            while len(self._held) >= HELD:
+                del self._held[next(iter(self._held))]
+            self._held[search] = self._searched(*search)
+        return self._held[search]
+
+    def _searched(self, value, wanted):
+        """Search by an EPS; refine where that pays."""
+        eps = self._solver.make_eps(first=True)
+        eps.setTarget(value)
+        eps.setDimensions(wanted)
+        eps.setTolerances(CLOSELY, RESTARTS)
+        self._solver.start(eps, 0)
+        try:
+            with plain_errors():
+                eps.solve()
+                vectors = self._vectors(eps)
+            if len(vectors) < wanted:
+                return None
+            modes = self._ritz(vectors)
+            if np.linalg.norm(modes.residuals, axis=1).max() > REFINE * self.norm:
+                modes = self._ritz(self._refined(eps.getST(), modes))
+        except (PETSc.Error, np.linalg.LinAlgError):
+            return None
+        finally:
+            eps.destroy()
+        return modes
+
+    def _vectors(self, eps):
+        """Return the vectors that have converged, a row each, which are real but for their type."""
+        vectors, x = np.empty((eps.getConverged(), self.order)), self._solver.K.createVecLeft()
+        for number, vector in enumerate(vectors):
+            eps.getEigenvector(number, x)
+            vector[:] = x.getArray(readonly=True).real
+        x.destroy()
+        return vectors
+
+    def _ritz(self, vectors):
+        """Return the Ritz values and vectors in the span of real vectors, a row each."""
+        from scipy.linalg import eigh
+
+        forces = (self.K @ vectors.T).T
+        energy, squares = vectors @ forces.T, vectors @ vectors.T
+        values, rotation = eigh(0.5 * (energy + energy.T), squares)
+        vectors = rotation.T @ vectors
+        return Modes(values, vectors, rotation.T @ forces - values[:, None] * vectors)
+
+    def _refined(self, st, modes):
+        """Return x - (K - sigma)^-1 (K x - lambda x), see `normal.ModeSolver.refined`."""
+        pc = st.getKSP().getPC()
+        if pc.getType() != "python":
+            return self._solver.refined(st, modes.vectors.astype(complex)).real
+        return modes.vectors - pc.getPythonContext().factors.solve(modes.residuals.T).T
+
+    def interval(self, omega, mass, count):
+        """Return cuts below and above the `count` modes nearest to omega, and their search.
+
+        None where it is not proven that the search finds all modes between them.
+        """
+        wanted = count + SPARE
+        for _ in range(TRIES):
+            if count > MOST or 2 * wanted > self.order:
+                return None
+            search = Search(mass * omega**2, wanted)
+            found = self.modes(search)
+            if found is None:
+                return None
+            omegas = np.sign(found.values) * np.sqrt(np.abs(found.values) / mass)
+            farthest = np.sort(np.abs(omegas - omega))[count - 1]
+            sides = [mass * side * abs(side) for side in (omega - farthest, omega + farthest)]
+            reach = np.abs(found.values - search.value).max()
+            first, last = search.value - reach, search.value + reach
+            low = self._below_all(first) or self._cut(found.values, first, sides[0], 1)
+            high = low and (self._above_all(last) or self._cut(found.values, sides[1], last, -1))
+            if low and high:
+                return (low, high, search) if self._complete(found, low, high) else None
+            wanted += wanted // 2
+        return None
+
+    def _below_all(self, first):
+        """Return a cut below all eigenvalues, if the search has reached so far."""
+        least = 0.0 if self.semidefinite else -self.norm
+        return Cut(least - OUTSIDE * self.norm, 0) if first <= least else None
+
+    def _above_all(self, last):
+        """Return a cut above all eigenvalues, if the search has reached so far."""
+        return Cut((1 + OUTSIDE) * self.norm, self.order) if last >= self.norm else None
+
+    def _cut(self, values, start, stop, side):
+        """Return a cut in the widest gap between start and stop, moved inward by its error.
+
+        `side` is 1 at an interval's lower end, -1 at its upper one. None where no count is certain.
+        """
+        within = values[(values > start) & (values < stop)]
+        edges = np.concatenate([[start], within, [stop]])
+        widest = np.argmax(np.diff(edges))
+        start, width = edges[widest], edges[widest + 1] - edges[widest]
+        for place in PLACES if width > 0 else ():
+            shift = start + place * width
+            try:
+                factors = RealFactors(self.K, shift)
+            except ZeroDivisionError:
+                continue
+            room = ROOM * min(place, 1 - place) * width
+            error = factors.error(room)
+            if error <= room:
+                return Cut(shift + side * error, factors.negative)
+        return None
+
+    def _complete(self, modes, low, high):
+        """Return whether the modes between two cuts are proven to be all eigenvalues there."""
+        inside = (modes.values > low.shift) & (modes.values < high.shift)
+        values, vectors = modes.values[inside], modes.vectors[inside]
+        if len(values) != high.below - low.below or not len(values):
+            return not len(values) and high.below == low.below
+        # What rounding adds: each entry of a product of n factors is off by less than n EPSILON / 2
+        # of the magnitudes that it is summed from.
+        squares = vectors @ vectors.T
+        delta = np.linalg.norm(squares - np.eye(len(values)))
+        delta += 1.01 * self.order * EPSILON * np.trace(squares)
+        met = int(np.diff(self.K.indptr).max())
+        size = self.norm + np.abs(values).max()
+        rounding = (met + 3) * EPSILON * size * np.sqrt(self.order * np.trace(squares))
+        radius = np.sqrt(2.0) * (np.linalg.norm(modes.residuals[inside]) + rounding)
+        if not delta < 1:
+            return False
+        radius /= np.sqrt(1 - delta)
+        return low.shift < values.min() - radius and values.max() + radius < high.shift
