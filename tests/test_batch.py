@@ -34,7 +34,7 @@ def batch(clean_environment, tmp_path):
         environment |= {"PATH": f"{tmp_path}/bin:{environment['PATH']}", "SLURM_JOB_ID": "17"}
         environment |= {"SLURM_SUBMIT_DIR": str(tmp_path), "SLURM_NTASKS": "1"}
         return subprocess.Popen(
-            ["bash", SCRIPT, "a.opts", "-relax_steps", "1000", "-output_file", "b.h5"],
+            ["bash", SCRIPT, "a.opts", "-relax_steps", "3000", "-output_file", "b.h5"],
             env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         )  # fmt: skip
 

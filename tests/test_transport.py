@@ -13,7 +13,7 @@ from pgran.errors import InputError
 from pgran.experiments.ensemble import transport
 from pgran.experiments.ensemble.transport import Profiles
 from pgran.experiments.modes import levels
-from pgran.store.estimate import Estimate
+from pgran.store.estimate import Estimate, mean_of
 
 DEPTH = np.array([2.0, 4.0, 4.0, 6.0, 9.0, 12.0])
 LENGTH = 5.0
@@ -40,8 +40,8 @@ def test_profiles_against_depth():
     found = profiles_of(waves(1, 60, 400))
     np.testing.assert_array_equal(found.depths, [2, 4, 6, 9, 12])
     # <ln I> of a complex Gaussian field is ln <I> less Euler's constant.
-    fair(each(found.log_amplitude()), -found.depths / LENGTH - np.euler_gamma / 2)
-    fair(each(found.intensity()), np.exp(-2 * found.depths / LENGTH))
+    fair(each(mean_of(found.levels)), -found.depths / LENGTH - np.euler_gamma / 2)
+    fair(each(mean_of(found.intensities)), np.exp(-2 * found.depths / LENGTH))
 
 
 def test_attenuation_length():
@@ -104,19 +104,19 @@ def test_samples_that_are_not_finite_are_left_out_aloud(caplog, amplitude, deriv
     assert "1 of 10 samples are left out" in caplog.text
     assert "sample 4 is the first" in caplog.text
     others = profiles_of(np.delete(GOOD, 4, axis=0))
-    for name in ("log_amplitude", "intensity", "delay"):
-        one, other = (getattr(profiles, name)() for profiles in (found, others))
-        np.testing.assert_array_equal(one.value, other.value)
+    for name in ("levels", "intensities"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(others, name))
+    np.testing.assert_array_equal(found.delay().value, others.delay().value)
 
 
 @pytest.mark.parametrize(
     ("measure", "arguments", "message"),
     [
-        ("intensity", (DEPTH, GOOD[:7], GOOD[:7]), "^amplitude: 7 samples .* 8 are needed"),
-        ("intensity", (DEPTH * np.nan, GOOD, GOOD), "^depth: .* finite"),
-        ("intensity", (DEPTH, 0 * GOOD, GOOD), "^amplitude: it vanishes"),
+        ("delay", (DEPTH, GOOD[:7], GOOD[:7]), "^amplitude: 7 samples .* 8 are needed"),
+        ("delay", (DEPTH * np.nan, GOOD, GOOD), "^depth: .* finite"),
+        ("delay", (DEPTH, 0 * GOOD, GOOD), "^amplitude: it vanishes"),
         (
-            "log_amplitude",
+            "attenuation",
             (DEPTH, np.where(ONE, 0, GOOD), GOOD),
             "^amplitude: that of sample 4, frequency 1, detector 2 vanishes",
         ),
