@@ -63,7 +63,7 @@ def test_what_to_expect_of_an_old_factorization():
 
 def test_what_factors_by_default(solver_options):
     """PETSc in the ordering of the smaller factor; MUMPS where lattices are large or shared."""
-    small, large = random_lattice((20, 20)), random_lattice((250, 250))
+    small, large = random_lattice((20, 20)), random_lattice((450, 450))
     assert factor_package(small, 1) == "petsc"
     assert factor_package(large, 1) == factor_package(small, 2) == "mumps"
     entries = []

@@ -58,7 +58,7 @@ class ModeSolver(Owner):
         self._layout = operators.layout
         self.norm = self.K.norm(PETSc.NormType.INFINITY) or 1.0
         self._eps, self._nearest = None, None
-        if self.lattice.elimination.numbered and not PETSc.Options("normal_").getAll():
+        if not self.lattice.is_grid and not PETSc.Options("normal_").getAll():
             self._nearest = Nearest(self)
 
     def interval(self, omega, count):
