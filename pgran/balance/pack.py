@@ -31,7 +31,7 @@ SIDES = 1.4  # of the larger over the smaller diameter of bidisperse balls
 BALANCED = 1e-13  # of the mean force
 TOUCHING = 1e-13  # mean diameters by which a rattler may overlap: rounding of positions
 RETURNS = 20  # to FIRE, where Newton's method finds no rest
-LOADS = (30.0, 10.0, 3.0, 1.0)  # times gravity, one after the other
+HEAVY = 1e-3  # the gravity under which balls settle first; then it falls by factors of 3 or so
 FLOOR = 0.7  # mean diameters between the balls of a floor, which let none through
 ROUGH = 0.2  # mean diameters by which their heights differ
 
@@ -172,9 +172,10 @@ def under_gravity(diameter, dimension, law, gravity, rng, width=None):
     down[:, -1] = -gravity * diameter**dimension
     balls = Balls(np.concatenate([position, floor]), diameter / 2, held, box, law)
     descents = 0
-    for times in LOADS:
-        balls = dataclasses.replace(balls, load=times * down)
-        balls, steps, _ = fire(balls, tolerance=NEAR if times == 1 else 1e-2, steps=20000)
+    stages = max(math.ceil(2 * math.log10(HEAVY / gravity)), 3)
+    for stage in range(stages, -1, -1):
+        balls = dataclasses.replace(balls, load=10 ** (stage / 2) * down)
+        balls, steps, _ = fire(balls, tolerance=1e-2 if stage else NEAR, steps=20000)
         descents += steps
     return settled(balls, None, dimension, descents)
 
