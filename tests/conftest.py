@@ -158,6 +158,12 @@ def comm():
 
 
 @pytest.fixture
+def alone():
+    """This rank, in tests of physics that other tests show to depend on no number of ranks."""
+    return MPI.COMM_SELF
+
+
+@pytest.fixture
 def shared_path(tmp_path):
     """Rank 0's temporary folder, on all ranks."""
     WORLD.Barrier()

@@ -84,16 +84,16 @@ def test_a_motion_goes_through_its_numbers():
     ("shape", "columns"), [("gauss", 1), ("step", 2), ("burst", 1), ("burst", 2)]
 )
 @pytest.mark.parametrize("method", ["laplace", "integrate"])
-def test_a_shape_by_numbers_gives_the_same_signals(world, shape, columns, method):
+def test_a_shape_by_numbers_gives_the_same_signals(alone, shape, columns, method):
     """At the recorded times, or at its own in two columns, until the motion has ended."""
     lattice, sent = random_lattice((5, 4), 5, 0.01), Pulse(shape, 0.6, 8.0)
     choices = {"width": 8.0, "time": TIME, "error_tolerance": 1e-6, "points": 201}
-    expected = listened(lattice, (2, 2), world, **choices, shape=shape, omega=0.6)
+    expected = listened(lattice, (2, 2), alone, **choices, shape=shape, omega=0.6)
     time = expected.time[:120] if columns == 1 else np.linspace(0.0, 118.0, 150)
     wall = sent.moves(time)[0]
     if columns == 2:
         wall = np.stack([time + 5, wall], axis=1)  # where they begin does not matter
-    found = listened(lattice, (2, 2), world, **choices, wall=wall, method=method)
+    found = listened(lattice, (2, 2), alone, **choices, wall=wall, method=method)
     assert found.shape == "file"
     assert found.failures == 0
     wrong = np.abs(found.displacement - expected.displacement)

@@ -259,12 +259,12 @@ def test_points_too_close_for_a_slope_but_roundings():
     assert fit_phase(x, -3 * x, 0 * x, x[0], x[-1]).slope == pytest.approx(-3, rel=1e-8)
 
 
-def test_the_slope_falls_like_one_over_the_root_of_damping(world):
+def test_the_slope_falls_like_one_over_the_root_of_damping(alone):
     """Absorbing diffusion, and no wave at a speed of its own: that would not mind the damping."""
     damping, slopes = np.array([0.001, 0.005, 0.03]), []
     for beta in damping:
         lattice = Lattice.random((20, 20), damping=beta)
-        found = swept(lattice, np.linspace(0.29, 1.01, 300), (8, 10), world, method="curve")
+        found = swept(lattice, np.linspace(0.29, 1.01, 300), (8, 10), alone, method="curve")
         assert found.phase_slope_error[0] < 0.1 * abs(found.phase_slope[0])
         slopes.append(abs(found.phase_slope[0]))
     exponent, _ = np.polyfit(np.log(damping), np.log(slopes), 1)

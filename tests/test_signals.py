@@ -46,7 +46,7 @@ def known_of_wall(lattice, naive):
         ("-pulse_ts_type alpha2", 0.4, 2),
     ],
 )
-def test_orders_of_integrators(comm, solver_options, options, step, order):
+def test_orders_of_integrators(alone, solver_options, options, step, order):
     """Fixed steps, halved twice: displacement, velocity, force and energy."""
     lattice, errors = random_lattice((4, 3), 5, 0.1), []
     naive = Naive(lattice, MOTION, -20 + 1.6 * np.arange(37))
@@ -57,7 +57,7 @@ def test_orders_of_integrators(comm, solver_options, options, step, order):
     for h in (step, step / 2, step / 4):
         solver_options(f"-pulse_ts_dt {h}")
         with (
-            Operators(lattice, comm) as operators,
+            Operators(lattice, alone) as operators,
             Integrator(operators, [(2, 1)], MOTION, 1.0) as integrator,
         ):
             found = integrator.run(37.6, 1e-6, begin=-20.0)
@@ -74,18 +74,18 @@ def test_orders_of_integrators(comm, solver_options, options, step, order):
 
 @pytest.mark.parametrize("damping", [0.0, 0.003, 0.5])
 @pytest.mark.parametrize("size", [(12,), (5, 4), (3, 2, 3)])
-def test_work_is_energy_and_what_damping_takes(world, size, damping):
+def test_work_is_energy_and_what_damping_takes(alone, size, damping):
     """By independent quadratures, and all three as a naive computation has them."""
     lattice = random_lattice(size, 7, damping)
     site = [0] * len(size)
-    found = listened(lattice, site, world, **SHORT, error_tolerance=1e-6)
+    found = listened(lattice, site, alone, **SHORT, error_tolerance=1e-6)
     work = found.work.max()
     assert np.abs(found.work - found.energy - found.dissipated).max() < 1e-8 * work
     assert np.all(np.diff(found.dissipated) >= -1e-9 * work)
     naive = Naive(lattice, MOTION, found.time)
     assert np.abs(found.energy - naive.energy(lattice)).max() < 1e-7 * work
     assert np.abs(found.dissipated - naive.dissipated).max() < 1e-7 * work
-    stepped = listened(lattice, site, world, **SHORT, method="integrate", error_tolerance=1e-9)
+    stepped = listened(lattice, site, alone, **SHORT, method="integrate", error_tolerance=1e-9)
     for name in ("work", "energy", "dissipated"):
         assert np.abs(getattr(stepped, name) - getattr(found, name)).max() < 1e-7 * work
     if damping == 0.0:
@@ -94,23 +94,23 @@ def test_work_is_energy_and_what_damping_takes(world, size, damping):
 
 
 @pytest.mark.parametrize("unit", [1e6, 1e14, 1e18])
-def test_force_and_work_in_any_unit_of_time(world, unit):
+def test_force_and_work_in_any_unit_of_time(alone, unit):
     """Where k and beta differ by as many powers of ten, too."""
     bonds, known = np.array([0.1, 0.2, 0.25]), []
     for scale in (1.0, unit):
         lattice = Lattice((scale**2 * bonds,), 1.0, 0.05 * scale)
         pulse = SHORT | {"width": 4.0 / scale, "time": 100.0 / scale}
-        found = listened(lattice, [0], world, **pulse, method="integrate")
+        found = listened(lattice, [0], alone, **pulse, method="integrate")
         known.append([getattr(found, name) / scale**2 for name in WALL])
     for one, other in zip(*known, strict=True):
         assert np.abs(one - other).max() < 1e-5 * np.abs(one).max()
 
 
 @pytest.mark.parametrize("method", ["laplace", "integrate"])
-def test_errors_of_force_and_work_are_no_larger_than_estimated(world, method):
+def test_errors_of_force_and_work_are_no_larger_than_estimated(alone, method):
     """Judged by a naive computation; estimates themselves are small."""
     lattice = random_lattice((5, 4), 7, 0.1)
-    found = listened(lattice, [2, 1], world, **SHORT, method=method)
+    found = listened(lattice, [2, 1], alone, **SHORT, method=method)
     known = known_of_wall(lattice, Naive(lattice, MOTION, found.time))
     for name, exact in known.items():
         estimate, largest = getattr(found, f"{name}_estimate"), np.abs(exact).max()
@@ -120,16 +120,16 @@ def test_errors_of_force_and_work_are_no_larger_than_estimated(world, method):
 
 
 @pytest.mark.parametrize("spacing", [1.0, 4.0])
-def test_work_before_the_first_sample_counts(world, spacing):
+def test_work_before_the_first_sample_counts(alone, spacing):
     """A motion from a file that starts and stops with kinks, where balls have moved before."""
     lattice, samples = random_lattice((4, 3), 3, 0.03), np.arange(25)
     wall = np.stack([spacing * samples, 0.01 + np.sin(np.pi * samples / 8)], axis=1)
     time = {"time": 40 * spacing, "points": 193, "error_tolerance": 1e-6}
-    found = listened(lattice, [1, 1], world, wall=wall, **time, method="laplace", fields=True)
+    found = listened(lattice, [1, 1], alone, wall=wall, **time, method="laplace", fields=True)
     largest = np.abs(found.work).max()
     assert found.energy[0] > 1e-5 * largest
     assert np.abs(found.work - found.energy - found.dissipated).max() < 2e-9 * largest
-    stepped = listened(lattice, [1, 1], world, wall=wall, **time, method="integrate")
+    stepped = listened(lattice, [1, 1], alone, wall=wall, **time, method="integrate")
     for name in WALL:
         one, other = getattr(found, name), getattr(stepped, name)
         wrong = getattr(found, f"{name}_estimate") + getattr(stepped, f"{name}_estimate")
@@ -153,14 +153,14 @@ def test_parseval_along_the_line():
 
 
 @pytest.mark.parametrize("size", [(12,), (5, 4), (3, 2, 3)])
-def test_the_force_on_the_other_wall_is_the_same_from_both_sides(world, size):
+def test_the_force_on_the_other_wall_is_the_same_from_both_sides(alone, size):
     """A lattice and its mirror image, random bonds, damping: within the sum of all bounds."""
     lattice = random_lattice(size, 9, 0.05)
     turned = Lattice(tuple(np.flip(k, 0) for k in lattice.stiffness), 1.0, 0.05)
     forces, wrong = [], 0.0
     for one in (lattice, turned):
         sites = [(0, *rest) for rest in np.ndindex(*size[1:])]
-        found = listened(one, sites, world, **SHORT, error_tolerance=1e-8)
+        found = listened(one, sites, alone, **SHORT, error_tolerance=1e-8)
         k = one.stiffness[0][0].ravel()
         forces.append(found.displacement @ k + 0.05 * found.velocity.sum(axis=1))
         wrong = wrong + found.error_bound @ k + 0.05 * found.velocity_bound.sum(axis=1)
@@ -184,12 +184,12 @@ def test_what_a_network_costs_follows_its_graph():
 
 
 @pytest.mark.parametrize("method", ["laplace", "integrate"])
-def test_a_uniform_chain_against_bessel_functions(world, method):
+def test_a_uniform_chain_against_bessel_functions(alone, method):
     """Images on both walls: before a reflection is back they add nothing, later they are exact."""
     balls, omega0, far = 20, 0.5, (1, 5, 15)
     lattice = uniform_lattice((balls,), damping=0.0)
     sites = [balls - n for n in far]
-    found = listened(lattice, sites, world, **SHORT, method=method, error_tolerance=1e-6)
+    found = listened(lattice, sites, alone, **SHORT, method=method, error_tolerance=1e-6)
     x, weight = np.polynomial.legendre.leggauss(300)
 
     def moves(n, t):
@@ -215,16 +215,16 @@ def test_a_uniform_chain_against_bessel_functions(world, method):
             assert abs(found.velocity[place, d] - v) <= errors[1][place, d] + 1e-12
 
 
-def test_the_spectrum_of_a_long_signal_is_the_steady_response(world):
+def test_the_spectrum_of_a_long_signal_is_the_steady_response(alone):
     """A damped lattice, listened to until it is quiet."""
     lattice, sites = random_lattice((5, 4), 3, 0.5), (3, 1, 1, 2)
     choices = {"shape": "gauss", "width": 2.0, "time": 300.0, "points": 301}
-    found = listened(lattice, sites, world, **choices, error_tolerance=1e-8)
+    found = listened(lattice, sites, alone, **choices, error_tolerance=1e-8)
     assert np.abs(found.displacement[-1]).max() < 1e-9
     omegas = 2 * np.pi / 301 * np.arange(3, 60, 4)
     turning = np.exp(-1j * np.outer(omegas, found.time))
     moved = turning @ found.wall
-    response = swept(lattice, omegas, sites, world, error_tolerance=1e-8)
+    response = swept(lattice, omegas, sites, alone, error_tolerance=1e-8)
     wrong = np.abs(turning @ found.displacement / moved[:, None] - response.displacement)
     allowed = (found.error_bound.sum(axis=0) + 1e-7) / np.abs(moved)[:, None]
     assert np.all(wrong <= allowed + response.error_bound)
@@ -260,13 +260,13 @@ def test_what_would_make_another_integration_is_refused(world, solver_options, k
 
 
 @pytest.mark.parametrize("kind", ["type alpha2", "rk_type 1fe"])
-def test_steps_of_a_fixed_length_are_halved_for_the_estimate(world, solver_options, kind):
+def test_steps_of_a_fixed_length_are_halved_for_the_estimate(alone, solver_options, kind):
     """Two integrations are never the same: their difference tells the error."""
     lattice, choices = random_lattice((4, 3), 5, 0.1), SHORT | {"width": 2.0, "time": 40.0}
-    right = listened(lattice, (2, 1), world, **choices).displacement
+    right = listened(lattice, (2, 1), alone, **choices).displacement
     solver_options(f"-pulse_ts_{kind} -pulse_ts_adapt_type none -pulse_ts_dt .5")
     asked = choices | {"error_tolerance": 1e-2}
-    found = listened(lattice, (2, 1), world, method="integrate", **asked)
+    found = listened(lattice, (2, 1), alone, method="integrate", **asked)
     wrong = np.abs(found.displacement - right)
     assert 1e-5 < wrong.max() <= 1.1 * found.error_estimate.max()
     assert found.failures == 0
@@ -290,7 +290,7 @@ def test_the_rate_of_a_noisy_decay_is_within_its_standard_error():
 
 
 @pytest.mark.parametrize(("size", "mode"), [((1,), (1,)), ((4,), (1,)), ((3, 2), (2, 1))])
-def test_a_single_mode_decays_at_its_own_rate(world, size, mode):
+def test_a_single_mode_decays_at_its_own_rate(alone, size, mode):
     """Damping is proportional to equal bonds k: each mode decays at beta omega^2 / (2 k)."""
     k, beta = 0.25, 0.002
     lattice = uniform_lattice(size, k, beta)
@@ -298,15 +298,15 @@ def test_a_single_mode_decays_at_its_own_rate(world, size, mode):
     square = k * sum(2 - 2 * math.cos(p * math.pi / (n + 1)) for p, n in modes)
     rate = beta * square / (2 * k)
     choices = {"shape": "burst", "omega": math.sqrt(square), "width": 60.0, "time": 3 / rate}
-    found = listened(lattice, [0] * len(size), world, **choices, points=2501)
+    found = listened(lattice, [0] * len(size), alone, **choices, points=2501)
     assert found.decay[0] == pytest.approx(rate, abs=4 * found.decay_error[0])
     assert found.decay[0] == pytest.approx(rate, rel=0.02)
 
 
-def test_an_envelope_begins_with_its_signal(world):
+def test_an_envelope_begins_with_its_signal(alone):
     """It is no smaller than the displacement, and before a front no larger than errors allow."""
     lattice = uniform_lattice((60,), damping=0.0)
-    found = listened(lattice, (40, 10), world, shape="burst", width=8.0)
+    found = listened(lattice, (40, 10), alone, shape="burst", width=8.0)
     envelope = envelopes(found.displacement, found.velocity)
     assert np.array_equal(envelope, found.envelope)
     assert np.all(envelope >= np.abs(found.displacement))

@@ -81,7 +81,7 @@ def sample_of(kind, damping, **others):
 
 @pytest.mark.parametrize("method", ["points", "curve"])
 @pytest.mark.parametrize("kind", [*LATTICES, "scalar", "vector", "rotations"])
-def test_forces_are_within_their_bounds(world, method, kind):
+def test_forces_are_within_their_bounds(alone, method, kind):
     """Which are small against the force."""
     if kind in LATTICES:
         (shape, damping), site = kind, np.subtract(kind[0], 1)
@@ -90,7 +90,7 @@ def test_forces_are_within_their_bounds(world, method, kind):
         medium, site = sample_of(kind, 0.05)
     omegas = np.array([0.02, 0.3, 0.31, 0.7, 1.25])
     resolve = 0 if method == "curve" else None
-    response = swept(medium, omegas, site, world, method=method, resolve=resolve)
+    response = swept(medium, omegas, site, alone, method=method, resolve=resolve)
     assert np.array_equal(response.omega, omegas)
     for error, bound, size in force_errors(medium, response):
         assert error <= bound <= 1e-4 * size
@@ -130,12 +130,12 @@ def test_forces_without_damping(comm, seed):
 
 
 @pytest.mark.parametrize("medium", ["lattice", "scalar", "vector", "rotations"])
-def test_power_is_what_dashpots_dissipate(world, medium):
+def test_power_is_what_dashpots_dissipate(alone, medium):
     """At omega Im F / 2, spring by spring."""
     sample, site = sample_of(medium, 0.1, damped="normal" if medium == "vector" else "all")
     omegas = np.linspace(0.2, 1.3, 12)
     response = swept(
-        sample, omegas, site, world, fields=True, error_tolerance=1e-12, error_floor=1e-15
+        sample, omegas, site, alone, fields=True, error_tolerance=1e-12, error_floor=1e-15
     )
     dissipated = power_in_dashpots(sample, response)
     assert np.allclose(response.power, dissipated, rtol=1e-12, atol=0)
@@ -143,32 +143,32 @@ def test_power_is_what_dashpots_dissipate(world, medium):
     assert np.allclose(response.dynamic_mass * omegas**2, -response.force, rtol=1e-15, atol=0)
 
 
-def test_limits_of_the_force(world):
+def test_limits_of_the_force(alone):
     """Static, that of springs; of a stiff body its inertia; above all modes that of driven bonds.
 
     Springs are in series in a chain, and add up in chains side by side that are not joined.
     """
     k = np.random.default_rng(2).uniform(0.1, 1.0, (13, 3))
     series, unjoined = 1 / np.sum(1 / k, axis=0), np.zeros((12, 4))
-    (force,) = swept(Lattice((k[:, 0],), 1.0, 0.01), [1e-6], [5], world).force
+    (force,) = swept(Lattice((k[:, 0],), 1.0, 0.01), [1e-6], [5], alone).force
     assert force.real == pytest.approx(series[0], rel=1e-9)
-    (force,) = swept(Lattice((k, unjoined), 1.0, 0.01), [1e-6], (5, 1), world).force
+    (force,) = swept(Lattice((k, unjoined), 1.0, 0.01), [1e-6], (5, 1), alone).force
     assert force.real == pytest.approx(series.sum(), rel=1e-9)
 
     # balls that only the driven wall holds follow it
     stiff = bond_arrays((4, 3), lambda size: np.full(size, 1.0))
     stiff[0][0] = 0.0
     stiff[1][:, [0, -1]] = 0.0
-    body = swept(Lattice(stiff, 1.7, 0.0), np.array([1e-4, 1e-3]), (1, 1), world)
+    body = swept(Lattice(stiff, 1.7, 0.0), np.array([1e-4, 1e-3]), (1, 1), alone)
     assert np.allclose(body.dynamic_mass, 12 * 1.7, rtol=1e-4, atol=0)
 
     # balls stay where they are: F = sum (k + i omega beta), but for the part 1 / omega^2
-    (force,) = swept(uniform_lattice((4, 5), 0.25, 1e-4), [1e3], (3, 2), world).force
+    (force,) = swept(uniform_lattice((4, 5), 0.25, 1e-4), [1e3], (3, 2), alone).force
     assert force == pytest.approx(5 * (0.25 + 0.1j), rel=1e-5)
 
     loose = [k.copy() for k in uniform_lattice((3, 2)).stiffness]
     loose[0][-1] = 0.0  # the driven wall stretches nothing
-    assert swept(Lattice(tuple(loose), 1.0, 0.0), [0.3], (1, 1), world).force.tolist() == [0]
+    assert swept(Lattice(tuple(loose), 1.0, 0.0), [0.3], (1, 1), alone).force.tolist() == [0]
 
 
 @pytest.mark.parametrize("medium", ["lattice", "vector"])
@@ -187,7 +187,7 @@ def test_the_number_of_ranks_does_not_matter(world, medium, damping):
 
 @pytest.mark.parametrize("medium", ["lattice", "rotations"])
 @pytest.mark.parametrize("method", ["points", "curve"])
-def test_another_unit(world, medium, method):
+def test_another_unit(alone, medium, method):
     """Springs, dashpots and masses a million times as large take a force as much larger."""
     (one, site), scale = sample_of(medium, 0.05), 1e6
     if medium == "lattice":
@@ -196,7 +196,7 @@ def test_another_unit(world, medium, method):
         names = ("stiffness", "tangential", "force", "masses", "damping", "kmax", "median_mass")
         other = dataclasses.replace(one, **{name: scale * getattr(one, name) for name in names})
     resolve, omegas = 0 if method == "curve" else None, np.linspace(0.1, 1.0, 6)
-    found = [swept(x, omegas, site, world, method=method, resolve=resolve) for x in (one, other)]
+    found = [swept(x, omegas, site, alone, method=method, resolve=resolve) for x in (one, other)]
     assert found[1].force_bound == pytest.approx(scale * found[0].force_bound, rel=0.5)
     assert np.all(
         np.abs(found[1].force - scale * found[0].force)
