@@ -108,6 +108,11 @@ def changed_contacts(before, after):
     return before.bonds - common, after.bonds - common
 
 
+def floor(network):
+    """Return how well forces would balance by positions alone, which round, in mean forces."""
+    return 2 * EPSILON * np.ptp(network.position, axis=0).max() / network.overlap.mean()
+
+
 @called_right
 def equilibrate(network, radius=None):
     """Return the network at rest under its contact law, with other radii if they are given.
@@ -147,11 +152,10 @@ def equilibrate(network, radius=None):
     opened, closed = changed_contacts(network, result)
     overlap = result.overlap.mean()
     moved = np.linalg.norm(rest.balls.position - balls.position, axis=1).max()
-    floor = 2 * EPSILON * np.ptp(balls.position, axis=0).max() / overlap
     log.info(
         "in balance to %.1e of the mean force (positions alone would hold it to %.1e); contacts: "
         "%d opened, %d closed; moved by %.2g of the mean overlap at most",
-        rest.residual, floor, opened, closed, moved / overlap,
+        rest.residual, floor(result), opened, closed, moved / overlap,
     )  # fmt: skip
     if rest.saddle:
         log.warning("the packing rests on a saddle of its energy: a small push would rearrange it")

@@ -5,13 +5,13 @@ import contextlib
 
 import numpy as np
 
+from pgran.balance.networks import floor
 from pgran.balance.pack import packed_network
 from pgran.command.imports import next_step
 from pgran.command.words import Parser, positive
 from pgran.errors import DONE
 from pgran.medium.network_file import check_output, parts_of, write_network
 from pgran.medium.packing import POWERS
-from pgran.medium.rounding import EPSILON
 from pgran.store.estimate import counted
 
 DESCRIPTION = """\
@@ -87,10 +87,8 @@ def _summary(output, network, packed):
         f"{counted(network.bonds, 'contact')}"  # fmt: skip
     yield f"{counted(packed.rattlers, 'rattler')} left out; {packed.excess} contacts more than " \
         "an isostatic packing has"  # fmt: skip
-    overlap = network.overlap.mean()
-    floor = 2 * EPSILON * np.ptp(network.position, axis=0).max() / overlap
     yield f"forces balance to {packed.rest.residual:.1e} of the mean one, by positions alone to " \
-        f"{floor:.1e}; mean overlap {overlap:.3g}"  # fmt: skip
+        f"{floor(network):.1e}; mean overlap {network.overlap.mean():.3g}"  # fmt: skip
     yield f"{packed.descents} steps of FIRE, {counted(packed.rest.factorizations, 'factorization')}"
     if packed.rest.saddle:
         yield "the packing rests on a saddle of its energy: try another --seed"

@@ -72,6 +72,13 @@ def sparse_rows(columns, values, size):
     return csr_matrix((entries, (rows, columns[there])), (len(there), size))
 
 
+def stiffness_matrix(medium):
+    """Return K, sparse, exactly symmetric as it is stored."""
+    springs = medium.springs
+    K = springs.B.T @ springs.B.multiply(springs.constants[:, None])
+    return (0.5 * (K + K.T)).tocsr()  # products of sparse matrices are symmetric but for rounding
+
+
 class Elastic:
     """The springs of a network; `bonds.ElasticBonds` answers the same for a lattice."""
 

@@ -22,6 +22,7 @@ import numpy as np
 from pgran.errors import InputError, PgranError
 from pgran.experiments.modes.shapes import with_fixed_sign
 from pgran.medium.rounding import EPSILON
+from pgran.medium.springs import stiffness_matrix
 from pgran.run.machine import check_memory, total_memory
 
 LARGEST = 30_000  # unknowns: more, and LAPACK counts its numbers beyond 2^31
@@ -127,13 +128,6 @@ class Spectrum(NamedTuple):
     vectors: np.ndarray
     residuals: np.ndarray  # |K x - w x|_2 of each
     radius: float
-
-
-def stiffness_matrix(medium):
-    """Return K, sparse, exactly symmetric as it is stored."""
-    springs = medium.springs
-    K = springs.B.T @ springs.B.multiply(springs.constants[:, None])
-    return (0.5 * (K + K.T)).tocsr()  # products of sparse matrices are symmetric but for rounding
 
 
 def whole_spectrum(K):

@@ -37,7 +37,7 @@ from pgran.balance.networks import law_of
 from pgran.errors import InputError
 from pgran.medium.network import Network
 from pgran.medium.rounding import EPSILON
-from pgran.medium.springs import DRIVEN, sparse_rows
+from pgran.medium.springs import DRIVEN, sparse_rows, stiffness_matrix
 
 COLUMNS = 64  # balls whose growth is solved for at a time
 ROUNDED = 64 * EPSILON  # of the product of magnitudes: more than all operations of a contact
@@ -178,8 +178,7 @@ class Static:
         self.B, self.constants = springs.B, springs.constants
         self.lengths, self.rounding = springs.lengths[: packing.bonds], packing.rounding
         self.apart = _differences(packing, packing.axes)
-        K = self.B.T @ self.B.multiply(self.constants[:, None]).tocsr()
-        self.K = (0.5 * (K + K.T)).tocsc()
+        self.K = stiffness_matrix(packing).tocsc()
         self.factors = factored(self.K)  # None where some ball moves freely
         self.reach = np.full(pushes.shape[0], np.inf)
         if self.factors is not None and least > 0:
