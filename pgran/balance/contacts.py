@@ -60,6 +60,11 @@ def near_pairs(position, radius, box, reach):
     return pairs[near], away[near]
 
 
+def pair_numbers(pairs, balls):
+    """Return a number of each pair (n, 2), the same in whichever order its two balls are."""
+    return np.sort(pairs, axis=1) @ [balls, 1]
+
+
 def total_forces(pairs, vectors, balls):
     """Return the sum over contacts at each ball: -vector at the first one, + at the second."""
     total = np.empty((balls, vectors.shape[1]))

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgran.balance.contacts import ContactLaw, near_pairs, total_forces
+from pgran.balance.contacts import ContactLaw, near_pairs, pair_numbers, total_forces
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +93,8 @@ def listed(balls, contacts=None, *, reach):
     if contacts is None:
         return found
     contacts = contacts.of(contacts.overlap > -reach)
-    number = lambda pairs: np.sort(pairs, axis=1) @ [len(balls.radius), 1]  # noqa: E731
-    added = found.of(~np.isin(number(found.pairs), number(contacts.pairs)))
+    numbers = [pair_numbers(each.pairs, len(balls.radius)) for each in (found, contacts)]
+    added = found.of(~np.isin(*numbers))
     both = zip(dataclasses.astuple(contacts), dataclasses.astuple(added), strict=True)
     return Contacts(*map(np.concatenate, both))
 

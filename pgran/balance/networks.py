@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from pgran.arguments import called_right
-from pgran.balance.contacts import ContactLaw
+from pgran.balance.contacts import ContactLaw, pair_numbers
 from pgran.balance.equilibrium import at_rest
-from pgran.balance.motion import Balls, Contacts
+from pgran.balance.motion import Balls, Contacts, listed
 from pgran.errors import InputError
 from pgran.medium.network import Network
 from pgran.medium.rounding import EPSILON
@@ -103,14 +103,25 @@ def grown(balls, contacts, radius, growth=GROWTH):
 
 def changed_contacts(before, after):
     """Return how many contacts of a network another one lacks, and how many it has besides."""
-    number = lambda network: np.sort(network.bond, axis=1) @ [len(network.held), 1]  # noqa: E731
-    common = len(np.intersect1d(number(before), number(after)))
+    numbers = [pair_numbers(network.bond, len(network.held)) for network in (before, after)]
+    common = len(np.intersect1d(*numbers))
     return before.bonds - common, after.bonds - common
 
 
 def floor(network):
     """Return how well forces would balance by positions alone, which round, in mean forces."""
     return 2 * EPSILON * np.ptp(network.position, axis=0).max() / network.overlap.mean()
+
+
+def by_positions(network):
+    """Return the largest difference of a force from that by positions and radii, in mean forces."""
+    balls, exact = balls_of(network)
+    both = exact.of(~balls.held[exact.pairs].all(axis=1)), listed(balls, reach=0.0)
+    numbers = [pair_numbers(contacts.pairs, len(balls.radius)) for contacts in both]
+    forces = [balls.law.force(contacts.constants, contacts.overlap) for contacts in both]
+    _, place = np.unique(np.concatenate(numbers), return_inverse=True)
+    difference = np.bincount(place, np.concatenate([forces[0], -forces[1]]))
+    return float(np.abs(difference).max() / network.force.mean())
 
 
 @called_right
