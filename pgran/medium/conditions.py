@@ -6,6 +6,7 @@ import re
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.medium.springs import AT_REST, DRIVEN
 
 COMPARE = {
     "<=": operator.le, ">=": operator.ge, "==": operator.eq, "!=": operator.ne,
@@ -19,11 +20,29 @@ ITEM = r"\s*\d{1,18}(?:\s*-\s*\d{1,18})?\s*"
 LIST = re.compile(rf"{ITEM}(?:,{ITEM})*")
 
 
+def hold(held, ids, column, *, rest=None, drive=None):
+    """Return what balls are, shape (N,): `held` as before, but for what two conditions choose.
+
+    `column` returns the numbers, shape (N,), of a column by its name.
+    """
+    held, chosen = held.copy(), []
+    for name, condition, kind in (("rest", rest, AT_REST), ("drive", drive, DRIVEN)):
+        if condition is not None:
+            try:
+                chosen.append(choose(str(condition), ids, column))
+            except InputError as error:
+                raise InputError(f"--{name}: {error}") from None
+            held[chosen[-1]] = kind
+    if len(chosen) == 2:
+        for ball in ids[np.logical_and(*chosen)][:1]:
+            raise InputError(f"--rest and --drive: ball {ball} cannot be both")
+    return held
+
+
 def choose(condition, ids, column):
     """Return which balls of some ids a condition chooses, shape (N,).
 
-    `column` returns the numbers, shape (N,), of a column by its name. `and` binds closer than `or`;
-    `min` and `max` are those of the column.
+    `and` binds closer than `or`; `min` and `max` are those of the column.
     """
     if LIST.fullmatch(condition):
         chosen = _listed(condition, ids)
