@@ -13,7 +13,8 @@ from scipy.linalg import lu_factor, lu_solve
 from sensitivity_samples import heated
 
 import pgran
-from pgran.experiments.sensitivity.growth import LOST, OUTCOMES, Packing
+from pgran.experiments.sensitivity.growth import LOST, Packing
+from pgran.experiments.sensitivity.record import OUTCOMES
 
 LONG, COMPLEX = np.longdouble, np.clongdouble
 

@@ -90,15 +90,14 @@ def grown(balls, contacts, radius, growth=GROWTH):
     before = balls.radius
     overlap = contacts.overlap[contacts.overlap > 0].mean()
     steps = max(math.ceil(np.abs(radius - before).max() / (growth * overlap)), 1)
-    counts = np.zeros(3, dtype=int)
+    factorizations = 0
     for step in range(1, steps + 1):
         now = radius if step == steps else before + step / steps * (radius - before)
         contacts = contacts.grown(balls.law, balls.radius, now)
         rest = at_rest(dataclasses.replace(balls, radius=now), contacts)
         balls, contacts = rest.balls, rest.contacts
-        counts += (rest.unstable, rest.factorizations, rest.evaluations)
-    unstable, factorizations, evaluations = counts.tolist()
-    return rest._replace(unstable=unstable, factorizations=factorizations, evaluations=evaluations)
+        factorizations += rest.factorizations
+    return rest._replace(factorizations=factorizations)
 
 
 def changed_contacts(before, after):

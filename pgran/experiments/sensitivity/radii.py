@@ -28,14 +28,10 @@ K y = B^T G, and what G is wrong by, count in dA_d/dR_p as far as the packing mo
 only.
 """
 
-import dataclasses
-
 import numpy as np
 
 from pgran.balance.equilibrium import factored
-from pgran.balance.networks import law_of
-from pgran.errors import InputError
-from pgran.medium.network import Network
+from pgran.experiments.sensitivity.warmth import with_vectors
 from pgran.medium.rounding import EPSILON
 from pgran.medium.springs import DRIVEN, sparse_rows, stiffness_matrix
 
@@ -43,32 +39,8 @@ COLUMNS = 64  # balls whose growth is solved for at a time
 ROUNDED = 64 * EPSILON  # of the product of magnitudes: more than all operations of a contact
 
 
-def check(network):
-    """Raise an InputError where the network does not say what larger radii do to it."""
-    if not isinstance(network, Network):
-        raise InputError("-heat_radius, -heat_kelvin: of a network, whose balls have radii")
-    if network.turns:
-        raise InputError(
-            "-heat_relax: how balls that turn find their rest depends on what went before, which "
-            "a network does not know; -heat_relax false freezes the neighbours"
-        )
-    law_of(with_vectors(network))
-    pulling = np.flatnonzero(network.force <= 0)
-    if len(pulling):
-        raise InputError(f"-heat_relax: contact {pulling[0]} bears no repulsive force")
-
-
-def with_vectors(network):
-    """Return the network whose balls move in all directions, as those of a packing do at rest."""
-    if network.displacement == "vector":
-        return network
-    return dataclasses.replace(
-        network, displacement="vector", direction=None, component="drive", damped="all"
-    )
-
-
 class Radii:
-    """The derivatives of amplitudes by the radii of all free balls of a network.
+    """The derivatives of amplitudes by the radii of all free balls of a packing.
 
     `least` is a number below all eigenvalues of the packing's stiffness, 0 if none is certain;
     without `relax` neighbours stay where they are.
@@ -76,7 +48,6 @@ class Radii:
 
     def __init__(self, network, relax=True, least=0.0):
         """Factor the stiffness of the packing."""
-        check(network)
         self.network, self.relax = network, relax
         packing = with_vectors(network)
         self.normal, self.distance = packing.normal, packing.distance
