@@ -12,11 +12,13 @@ from pgran.balance.equilibrium import at_rest
 from pgran.balance.motion import Balls, Contacts, listed
 from pgran.errors import InputError
 from pgran.medium.network import Network
+from pgran.medium.packing import nearest_images
 from pgran.medium.rounding import EPSILON
 from pgran.medium.springs import AT_REST, FREE
 from pgran.run.numbers import numbers
 
 log = logging.getLogger("pgran")
+ASTRAY = 1e-3  # of a contact's length: what printed digits may leave of it
 GROWTH = 0.5  # of the mean overlap: how much a ball grows before all find their rest anew
 
 
@@ -44,7 +46,10 @@ def law_of(network):
 
 
 def balls_of(network):
-    """Return the balls of a network, and its contacts as the reference of increments."""
+    """Return the balls of a network, and its contacts as the reference of increments.
+
+    Raises InputError where it knows no law, or where contacts do not join its balls.
+    """
     law, (first, second) = law_of(network), network.radius[network.bond].T
     constants, overlap = law.constants(first, second), network.overlap
     pressed = overlap > 0
@@ -52,10 +57,18 @@ def balls_of(network):
     box = np.full(network.position.shape[1], np.inf)
     if network.box is not None:
         box[network.box > 0] = network.box[network.box > 0]
+    away = network.normal * network.distance[:, None]
+    first, second = network.position[network.bond.T]
+    images, _ = nearest_images(second - first, box)
+    astray = np.linalg.norm(images - away, axis=1) > ASTRAY * network.distance
+    for contact in np.flatnonzero(astray)[:1]:
+        raise InputError(
+            f"contact {contact} does not lead from ball to ball as their positions do: periods of "
+            "the box that are missing, or positions of another packing?"
+        )
     load = 0.0 if network.gravity is None else network.masses[:, None] * network.gravity
     held = network.held != FREE
     balls = Balls(network.position, network.radius, held, box, law, load)
-    away = network.normal * network.distance[:, None]
     return balls, Contacts(network.bond, away, overlap, constants)
 
 
