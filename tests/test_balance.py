@@ -210,10 +210,9 @@ def test_one_state_of_self_stress():
         assert abs(s @ network.force) == pytest.approx(np.linalg.norm(network.force), rel=1e-12)
         balls, contacts = balls_of(network)
         dR = 1e-4 * network.overlap.mean()
-        after = grown(
-            balls, contacts, balls.radius + dR * (np.arange(len(balls.radius)) == 3)
-        ).contacts
-        change = after.overlap[after.overlap > 0] - network.force
+        radius = balls.radius + dR * (np.arange(len(balls.radius)) == 3)
+        overlap = grown(balls, contacts, radius).contacts.overlap
+        change = overlap[overlap > 0] - network.force
         expected = s * (s @ np.any(network.bond == 3, axis=1)) * dR
         wrong.append(np.linalg.norm(change - expected) / np.linalg.norm(change))
     assert wrong[1] < 1e-3

@@ -65,15 +65,6 @@ def pair_numbers(pairs, balls):
     return np.sort(pairs, axis=1) @ [balls, 1]
 
 
-def total_forces(pairs, vectors, balls):
-    """Return the sum over contacts at each ball: -vector at the first one, + at the second."""
-    total = np.empty((balls, vectors.shape[1]))
-    for axis, along in enumerate(vectors.T):
-        total[:, axis] = np.bincount(pairs[:, 1], along, balls)
-        total[:, axis] -= np.bincount(pairs[:, 0], along, balls)
-    return total
-
-
 def loose_balls(pairs, held, least):
     """Return which free balls have fewer than `least` contacts, rattlers left out: rattlers."""
     kept = np.ones(len(held), dtype=bool)

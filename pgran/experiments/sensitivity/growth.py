@@ -14,12 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgran.balance.contacts import pair_numbers, total_forces
+from pgran.balance.contacts import pair_numbers
 from pgran.balance.equilibrium import NotBalancedError
 from pgran.balance.networks import balls_of, changed_contacts, grown, network_of
 from pgran.experiments.sensitivity.record import OUTCOMES
 from pgran.experiments.sensitivity.warmth import with_vectors
 from pgran.medium.network import Network
+from pgran.medium.packing import total_forces
 
 log = logging.getLogger("pgran")
 SMOOTH, CHANGED, REARRANGED, LOST = range(len(OUTCOMES))
