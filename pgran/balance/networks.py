@@ -30,7 +30,8 @@ def law_of(network):
     if network.overlap is None:
         raise InputError(
             "the network does not know its contact law and forces: pgran pack makes networks that "
-            "do, and pgran import does with --law hertz or --law harmonic, where forces are known"
+            "do, and pgran import does with --law hertz or --law harmonic, where forces are known "
+            "and kept as pre-stress"
         )
     if network.radius is None or network.position is None or network.normal is None:
         raise InputError("balls under a contact law need positions, normals and radii")
