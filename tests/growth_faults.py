@@ -21,11 +21,15 @@ LONG, COMPLEX = np.longdouble, np.clongdouble
 
 @dataclasses.dataclass(frozen=True)
 class GrowthCase:
-    """A packing, the ball that grows and by how much, and where and how that is heard."""
+    """A packing, the ball that grows and by how much, and where and how that is heard.
+
+    `units` are those of force and length.
+    """
 
     seed: int
     choices: dict
     others: dict
+    units: tuple
     omegas: np.ndarray
     growth: float
     tolerance: float
@@ -49,7 +53,21 @@ def random_growth(seed):
         others["damped"] = "normal"
     growth = rng.choice([-1.0, 1.0]) * 10 ** rng.uniform(-3, 0.3)
     omegas = np.sort(10 ** rng.uniform(-1.5, 0.2, 2))
-    return GrowthCase(seed, choices | push, others, omegas, growth, 10 ** rng.uniform(-10, -2))
+    tolerance, units = (
+        10 ** rng.uniform(-10, -2),
+        (10 ** rng.uniform(-6, 6), 10 ** rng.uniform(-3, 1)),
+    )
+    return GrowthCase(seed, choices | push, others, units, omegas, growth, tolerance)
+
+
+def in_units(network, force, length):
+    """The same network, with the same frequencies, in other units of force and length."""
+    stiff, factors = force / length, {"force": force, "gravity": length}
+    factors |= dict.fromkeys(["stiffness", "masses", "damping", "kmax", "median_mass"], stiff)
+    factors |= dict.fromkeys(["position", "radius", "distance", "box"], length)
+    values = {name: getattr(network, name) for name in factors}
+    scaled = {name: factors[name] * x for name, x in values.items() if x is not None}
+    return dataclasses.replace(network, **scaled)
 
 
 def growth_faults(case, seen):
@@ -59,7 +77,7 @@ def growth_faults(case, seen):
     others = dict(case.others)
     if others["displacement"] == "scalar":
         others["direction"] = None
-    network = dataclasses.replace(packed, **others)
+    network = in_units(dataclasses.replace(packed, **others), *case.units)
     ball, detector = (int(rng.choice(network.free)) for _ in range(2))
     size, omegas = case.growth * network.overlap.mean(), case.omegas * network.omega_mx
     what = f"case {case.seed} ball {ball} growth {case.growth:.2g} detector {detector}"
@@ -105,9 +123,10 @@ def rest_faults(before, after, ball, size):
         np.add.at(total, network.bond[:, 1], push)
         totals.append(total[network.free])
     left = np.linalg.norm(totals[1] - totals[0][np.isin(before.free, after.free)], axis=1)
+    length = 2 * before.radius.mean()
     if not left.max() <= 3e-12 * after.force.mean():
         yield f"{left.max() / after.force.mean():.1e} of the mean force is left"
-    radius = before.radius + size * (np.arange(len(before.held)) == ball)
+    radius, rounding = before.radius + size * (np.arange(len(before.held)) == ball), 1e-12 * length
     if not np.array_equal(after.radius, radius):
         yield "other radii"
     periods, x = np.where(after.box > 0, after.box, 0.0), after.position
@@ -115,16 +134,20 @@ def rest_faults(before, after, ball, size):
     distance = np.min([np.linalg.norm(x[None] + y - x[:, None], axis=2) for y in shifts], axis=0)
     overlap = radius[:, None] + radius - distance
     moving = (before.held == 0)[:, None] | (before.held == 0)
-    touching = np.triu(moving & (overlap > 1e-12), 1)
+    touching = np.triu(moving & (overlap > rounding), 1)
     pairs = {(*pair,) for pair in np.argwhere(touching).tolist()}
     pressed = {(*sorted(pair),) for pair in after.bond.tolist()}
     if not pairs <= pressed:
         yield f"overlaps without forces: {pairs - pressed}"
     i, j = after.bond.T
-    if not np.allclose(after.overlap, overlap[i, j], rtol=0, atol=1e-12):
+    if not np.allclose(after.overlap, overlap[i, j], rtol=0, atol=rounding):
         yield "overlaps are not those of positions and radii"
-    alike = (radius[i] * radius[j] / (radius[i] + radius[j])) ** (after.power - 1)
-    if not np.allclose(after.force, alike * after.overlap**after.power, rtol=1e-9, atol=0):
+    moduli = []
+    for network in (before, after):
+        one, other = network.radius[network.bond].T
+        curved = (one * other / (one + other)) ** (network.power - 1)
+        moduli.append(network.force / (curved * network.overlap**network.power))
+    if not np.allclose(moduli[1], moduli[0][0], rtol=1e-9, atol=0):
         yield "forces do not obey the law"
 
 
