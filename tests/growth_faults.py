@@ -53,10 +53,8 @@ def random_growth(seed):
         others["damped"] = "normal"
     growth = rng.choice([-1.0, 1.0]) * 10 ** rng.uniform(-3, 0.3)
     omegas = np.sort(10 ** rng.uniform(-1.5, 0.2, 2))
-    tolerance, units = (
-        10 ** rng.uniform(-10, -2),
-        (10 ** rng.uniform(-6, 6), 10 ** rng.uniform(-3, 1)),
-    )
+    tolerance = 10 ** rng.uniform(-10, -2)
+    units = 10 ** rng.uniform(-6, 6), 10 ** rng.uniform(-3, 1)
     return GrowthCase(seed, choices | push, others, units, omegas, growth, tolerance)
 
 
