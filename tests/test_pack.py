@@ -104,10 +104,8 @@ def test_bad_packings_are_refused():
         "more balls": [{"pressure": 1e-3, "balls": 4}],
         "whole number": [{"pressure": 1, "balls": 2.5}],
         "balls and seed": [{"pressure": 1, "balls": 0}, {"pressure": 1, "seed": -1}],
-        "--rest: balls have no column z; there are x, y, radius": [
-            {"gravity": 1e-3, "rest": "z<1"}
-        ],
-        "--drive: .* is no condition": [{"gravity": 1e-3, "drive": "upwards"}],
+        "pack: rest: a column: .*x, y, radius": [{"gravity": 1e-3, "rest": "z<1"}],
+        "'upwards' is no condition": [{"gravity": 1e-3, "drive": "upwards"}],
         "cannot be both": [{"gravity": 1e-3, "drive": "x<2", "rest": "x<1"}],
         "no ball is left free": [{"gravity": 1e-3, "rest": "y>min-1"}],
         "y<=0: none of these balls touches": [

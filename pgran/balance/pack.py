@@ -13,7 +13,7 @@ from pgran.balance.contacts import ContactLaw
 from pgran.balance.networks import network_of
 from pgran.balance.settle import DENSITY, under_gravity, under_pressure
 from pgran.errors import InputError
-from pgran.medium.conditions import hold
+from pgran.medium.conditions import columns_in, hold
 from pgran.medium.packing import POWERS
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
 from pgran.run.numbers import number, numbers
@@ -127,6 +127,9 @@ def packed_network(
             raise InputError(f"pack: shape: {dimension} positive ratios, of a box under a pressure")
     axes = "xyz"[:dimension]
     choice("pack: walls", "x" if walls is None else walls, axes if gravity is None else axes[:-1])
+    for name, condition in (("rest", rest), ("drive", drive)):
+        for column in () if condition is None else columns_in(str(condition)):
+            choice(f"pack: {name}: a column", column, (*axes, "radius"))
     rng = np.random.default_rng(seed)
     diameter, rule = diameters(balls, sizes, rng), ContactLaw(power)
     if gravity is None:
@@ -149,13 +152,8 @@ def _network(packed, axes, walls, gravity, rest, drive):
         held[along > box[axis] - thickness] = DRIVEN if drive is None else AT_REST
         box[axis] = np.inf
     columns = dict(zip(axes, position.T, strict=True)) | {"radius": balls.radius}
-
-    def column(name):
-        if name not in columns:
-            raise InputError(f"balls have no column {name}; there are {', '.join(columns)}")
-        return columns[name]
-
-    held = hold(held, np.arange(len(held)), column, rest=rest, drive=drive)
+    ids = np.arange(len(held))
+    held = hold(held, ids, columns.__getitem__, rest=rest, drive=drive)
     contacts = contacts.of(np.any(held[contacts.pairs] == FREE, axis=1))
     if not len(contacts.pairs):
         raise InputError("pack: rest, drive, walls: no ball is left free")
