@@ -91,6 +91,23 @@ def test_a_part_of_a_wall_drives():
     assert response.error_bound[0, 0] <= 1e-4 * abs(response.displacement[0, 0])
 
 
+@pytest.mark.parametrize("law", ["harmonic", "hertz", 2.0])
+def test_strong_gravity_squeezes_no_ball_through_the_floor(law):
+    """Softer balls settle under less of it first."""
+    network, packed = packed_network(60, law=law, gravity=2e-3, seed=2)
+    assert len(network.free) + packed.rattlers == 60
+    floor = network.held > 0
+    assert network.position[~floor, -1].min() > network.position[floor, -1].max()
+    assert packed.descents < 9000
+
+
+def test_balls_that_fall_through_the_floor_are_an_error(monkeypatch):
+    fire = settle.fire
+    monkeypatch.setattr(settle, "fire", lambda *words, **by: fire(*words, **by | {"steps": 900}))
+    with pytest.raises(NotBalancedError, match=r"\d+ balls have fallen through the floor: gravity"):
+        pgran.pack(60, law="hertz", gravity=0.2, seed=2)
+
+
 def test_bad_packings_are_refused():
     refused = {
         "give a pressure": [{}, {"pressure": 1, "gravity": 1}],

@@ -24,6 +24,7 @@ BALANCED = 1e-13  # of the mean force
 TOUCHING = 1e-13  # mean diameters by which a rattler may overlap: rounding of positions
 RETURNS = 20  # to FIRE, where Newton's method finds no rest
 HEAVY = 1e-3  # the gravity under which balls settle first; then it falls by factors of 3 or so
+SQUEEZED = 0.2  # mean diameters by which balls at the floor overlap at most while others settle
 FLOOR = 0.7  # mean diameters between the balls of a floor, which let none through
 ROUGH = 0.2  # mean diameters by which their heights differ
 
@@ -147,9 +148,17 @@ def under_gravity(diameter, dimension, law, gravity, rng, width=None):
     down[:, -1] = -gravity * diameter**dimension
     balls = Balls(np.concatenate([position, floor]), diameter / 2, held, box, law)
     descents = 0
+    layers = np.sum(diameter**dimension) / width ** (dimension - 1)
+    strongest = law.force(law.constants(0.5, 0.5), SQUEEZED) / layers
     stages = max(math.ceil(2 * math.log10(HEAVY / gravity)), 3)
+    stages = min(stages, max(math.floor(2 * math.log10(strongest / gravity)), 0))
     for stage in range(stages, -1, -1):
         balls = dataclasses.replace(balls, load=10 ** (stage / 2) * down)
         balls, steps, _ = fire(balls, tolerance=1e-2 if stage else NEAR, steps=20000)
         descents += steps
+    fallen = np.count_nonzero(balls.position[~held, -1] < -1)
+    if fallen:
+        raise NotBalancedError(
+            f"{fallen} balls have fallen through the floor: gravity is too strong for the contacts"
+        )
     return settled(balls, None, dimension, descents)
