@@ -4,6 +4,8 @@
 # after the installation. Another compiler's rounding may lead to another packing.
 #
 #   bash jobs/packing.sh --modes    and compares all modes with those of LAMMPS's dynamical_matrix
+#   bash jobs/packing.sh --forces   and makes a heap and a packing, exports them, lets LAMMPS compute
+#                                   their forces, imports those and compares them
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
@@ -24,11 +26,11 @@ pgran import "${discs[@]}" -o options/packings/discs.h5 --overwrite \
   --cut x --rest 'x<1.5' --drive 'x>max-1.5'
 pgran import "${spheres[@]}" -o options/packings/spheres.h5 --overwrite \
   --rest 'type==3' --drive 'type==4'
-[ "${1:-}" = --modes ] || exit 0
 
-pgran import "${discs[@]}" -o "$work/discs.h5" >"$work/said" # periodic, nothing is held
-cp options/packings/spheres.h5 "$work"
-python - "$work" <<'PYTHON'
+if [[ " $* " == *" --modes "* ]]; then
+  pgran import "${discs[@]}" -o "$work/discs.h5" >"$work/said" # periodic, nothing is held
+  cp options/packings/spheres.h5 "$work"
+  python - "$work" <<'PYTHON'
 import sys
 
 import numpy as np
@@ -49,3 +51,43 @@ for packing, axes in (("discs", 2), ("spheres", 3)):
     print(f"{packing}: {len(ours)} eigenvalues up to {ours[-1]:.3g}, {rattlers} of rattlers left out; "
           f"the largest difference from LAMMPS is {abs(ours - theirs).max():.1e}")
 PYTHON
+fi
+
+if [[ " $* " == *" --forces "* ]]; then
+  pgran pack --balls 80 --law hertz --gravity 1e-4 --walls x -o "$work/heap.h5" >"$work/said"
+  pgran pack --balls 100 --dimension 3 --pressure 1e-3 -o "$work/pressed.h5" >"$work/said"
+  for packing in heap pressed; do
+    pgran export "$work/$packing.h5" "$work/$packing.lmp" >"$work/said"
+    (cd "$work" && "$lammps" -in $packing.in -log none -screen none)
+    back=("$work/$packing.atoms" "$work/$packing.contacts" -o "$work/${packing}_lammps.h5")
+    if [ $packing = heap ]; then
+      back+=(--law hertz --rest 'type==2' --drive 'type==3')
+    else
+      back+=(--law harmonic)
+    fi
+    pgran import "${back[@]}" >"$work/said"
+  done
+  python - "$work" <<'PYTHON'
+import sys
+
+import h5py
+import numpy as np
+
+import pgran
+
+for packing in ("heap", "pressed"):
+    ours, theirs = (pgran.load(f"{sys.argv[1]}/{packing}{end}.h5") for end in ("", "_lammps"))
+    with h5py.File(f"{sys.argv[1]}/{packing}_lammps.h5") as file:
+        balls = file["network/id"][:] - 1
+    lists = []
+    for network, pairs in ((ours, ours.bond), (theirs, balls[theirs.bond])):
+        pairs = np.sort(pairs, axis=1)
+        order = np.lexsort(pairs.T)
+        lists.append((pairs[order], network.force[order]))
+    (pairs, force), (others, found) = lists
+    assert np.array_equal(pairs, others), "other balls touch"
+    assert np.array_equal(ours.held[balls], theirs.held)
+    print(f"{packing}: {len(force)} contacts bear the same forces, {force.mean():.2g} in the mean; "
+          f"the largest difference from LAMMPS is {abs(force - found).max() / force.mean():.1e}")
+PYTHON
+fi

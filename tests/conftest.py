@@ -43,7 +43,10 @@ from pgran.store import careful as hdf5
 WORLD = MPI.COMM_WORLD
 RANKS = {"world", "comm", "shared_path"}  # the fixtures of a test that has to do with ranks
 # Files that use these and have not, as those of figures.
-ALIKE = {"blas", "import", "import_refused", "jobs", "manual", "network_files", "paper", "si"}
+ALIKE = {
+    *("blas", "import", "import_refused", "jobs", "lammps"),
+    *("manual", "network_files", "paper", "si"),
+}
 SECONDS_PER_TEST = 120  # the slowest takes about ten
 SECONDS_FOR_OTHERS = 15  # that a rank whose test has failed waits for the others to finish theirs
 

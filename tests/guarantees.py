@@ -20,6 +20,7 @@ from amplitude_faults import (
     sweep_faults,
 )
 from change_faults import sensitivity_faults
+from growth_faults import growth_faults, random_growth
 from mode_faults import count_faults, mode_faults, nearest_faults
 from network_samples import (
     random_network,
@@ -74,6 +75,10 @@ GUARANTEES = {
     "derivatives": Guarantee(
         random_sensitivity, sensitivity_faults, 8,
         (*good(0.5, "points"), ("warmed bounded", 0.5, "warmed"), ("cut bounded", 0.5, "cut")),
+    ),
+    "growing balls": Guarantee(
+        random_growth, growth_faults, 6,
+        (("warmed bounded", 0.5, "warmed"), ("by_radius bounded", 0.5, "by_radius")),
     ),
     "modes": Guarantee(random_network, mode_faults, 24, (("certified", 1, "networks"),)),
     "packings": Guarantee(random_packing, packing_faults, 4),

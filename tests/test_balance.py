@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import null_space
 
 import pgran
 from pgran.balance.contacts import ContactLaw, loose_balls, near_pairs
 from pgran.balance.equilibrium import NotBalancedError, at_rest, newton
 from pgran.balance.motion import Balls, Motion, listed
 from pgran.balance.networks import balls_of, changed_contacts, grown
+from pgran.balance.pack import packed_network
 from pgran.errors import InputError
 from pgran.medium.network_file import read_network
 
@@ -171,6 +173,8 @@ def test_held_balls_and_numbers_stay_when_contacts_change(spheres):
         ({"radius": None}, "radii"),
         ({"force": 0.0}, "nothing to balance"),
         ({"tangential": 1.0}, "no friction"),
+        ({"stiffness": 0.0}, "a contact under a law has a positive stiffness"),
+        ({"box": None}, "contact .* periods of the box that are missing"),
     ],
 )
 def test_what_has_no_law_is_refused(spheres, change, message):
@@ -178,14 +182,48 @@ def test_what_has_no_law_is_refused(spheres, change, message):
         name: np.full(spheres.bonds, value) if isinstance(value, float) else value
         for name, value in change.items()
     }
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=message) as refused:
         pgran.equilibrate(dataclasses.replace(spheres, **whole))
+    assert "\n" not in str(refused.value)
 
 
 def test_impossible_radii_are_refused(spheres):
     for radius in ([1.0], -spheres.radius, spheres.radius * np.nan):
         with pytest.raises(InputError, match=r"319 positive numbers|finite|number"):
             pgran.equilibrate(spheres, radius)
+
+
+def test_one_state_of_self_stress():
+    """With one contact more than isostatic all forces change in the proportion s that balances.
+
+    dF = s (s . e) / |s|^2, e = dR in the contacts of the ball that grows, all of one stiffness; but
+    for the pre-stress, which moves the balls by a part of the pressure.
+    """
+    wrong = []
+    for pressure in (1e-5, 1e-6):
+        network, packed = packed_network(30, pressure=pressure, seed=0)
+        assert packed.excess == 0
+        stretches = np.zeros((network.bonds, *network.position.shape))
+        for end, sign in zip(network.bond.T, (-1, 1), strict=True):
+            stretches[np.arange(network.bonds), end] += sign * network.normal
+        (s,) = null_space(stretches.reshape(network.bonds, -1).T).T
+        assert abs(s @ network.force) == pytest.approx(np.linalg.norm(network.force), rel=1e-12)
+        balls, contacts = balls_of(network)
+        dR = 1e-4 * network.overlap.mean()
+        radius = balls.radius + dR * (np.arange(len(balls.radius)) == 3)
+        overlap = grown(balls, contacts, radius).contacts.overlap
+        change = overlap[overlap > 0] - network.force
+        expected = s * (s @ np.any(network.bond == 3, axis=1)) * dR
+        wrong.append(np.linalg.norm(change - expected) / np.linalg.norm(change))
+    assert wrong[1] < 1e-3
+    assert wrong[1] == pytest.approx(wrong[0] / 10, rel=0.05)
+
+
+def test_what_floats_comes_to_rest():
+    """A periodic packing that nothing holds, whose balls can all move together."""
+    network = pgran.pack(60, pressure=1e-3, seed=2)
+    radius = network.radius * np.where(np.arange(len(network.held)) == 5, 1.0001, 1.0)
+    assert left_over(pgran.equilibrate(network, radius)) < 1e-12
 
 
 def test_what_is_out_of_balance_moves_until_it_balances(spheres):

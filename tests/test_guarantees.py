@@ -4,6 +4,7 @@ from collections import Counter
 from dataclasses import replace
 
 import amplitude_faults
+import growth_faults
 import mode_faults
 import numpy as np
 import packing_faults
@@ -60,6 +61,9 @@ SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt
         amplitude_faults, "listened", lambda run: replace(run, displacement=1.01 * run.displacement)
     ),
     "derivatives": (judge.Judge, "assess", too_small),
+    "growing balls": (
+        growth_faults, "heated", lambda run: replace(run, warmed=(1 + 1e-7) * run.warmed)
+    ),
     "packings": (
         packing_faults, "packed_network",
         lambda made: (replace(made[0], force=(1 + 1e-10) * made[0].force), made[1]),

@@ -18,8 +18,8 @@ from packing_samples import (
 )
 
 from pgran.errors import InputError
-from pgran.foreign.conditions import choose
 from pgran.medium import packing
+from pgran.medium.conditions import choose
 from pgran.medium.network_file import read_network
 
 

@@ -21,7 +21,7 @@ INSTALLED = 'cd "$(dirname "${BASH_SOURCE[0]}")/.."\n'
 # The scripts, in words of their own that make little of them, and what they leave behind.
 SCRIPTS = {
     "manual.sh": ("", "results/manual_modes.h5 pgran/manual/response.png"),
-    "packing.sh": ("--modes", "options/packings/discs.h5 options/packings/spheres.h5"),
+    "packing.sh": ("--modes --forces", "options/packings/discs.h5 options/packings/spheres.h5"),
     "stability.sh": ("continuum_resonance", ""),
     "faults.sh": ("0", ""),  # what it starts the tests of campaigns try out
     "slurm/pgran.sbatch": ("options/response.opts", "results/response.h5"),
@@ -29,20 +29,26 @@ SCRIPTS = {
 # Started by tests below or elsewhere, or by .ci/run; and what is part of a script.
 ELSEWHERE = {"benchmark.sh", "paper.sh", "quickstart.sh", "setup.sh", "test.sh"}
 PARTS = {"benchmark.py", "peers.py", "paper.py", "paper_measures.py", "paper_table.py"}
-# Instead of a venv with LAMMPS: one whose lmp writes the matrix of the packing that there is.
+# Instead of a venv with LAMMPS: one whose lmp writes the matrix of the packing that there is, or
+# the contacts of one that pgran has exported.
 VENV = """
 mkdir -p "$3/bin"
 printf '#!/bin/sh\\n' >"$3/bin/pip"
-printf '#!/bin/sh\\nexec python ../../lmp.py "$@"\\n' >"$3/bin/lmp"
+printf '#!/bin/sh\\nexec python %s/lmp.py "$@"\\n' "$PWD" >"$3/bin/lmp"
 chmod +x "$3/bin/pip" "$3/bin/lmp"
 """
 LMP = """
 import sys
+from pathlib import Path
 import numpy as np
 import pgran
 from pgran.command import imports
 from pgran.medium.network_file import read_network
 name, words = sys.argv[2].removesuffix(".in"), ["--law", "harmonic"]
+if "matrix" not in sys.argv:
+    sys.path.append(str(Path(__file__).parent / "tests"))
+    import lammps_like
+    sys.exit(lammps_like.main(sys.argv[2]))
 if name == "spheres":
     words = ["--law", "hertz", "--rest", "type==3", "--drive", "type==4"]
 imports.run([f"{name}.atoms", f"{name}.contacts", "-o", sys.argv[-1] + "_lmp.h5", *words])
@@ -120,7 +126,7 @@ def test_a_script_in_small(project, name):
     assert "Traceback" not in done.stderr
     differences = re.findall(r"difference from LAMMPS is (.+)", done.stdout)
     assert all(float(text) < 1e-9 for text in differences)
-    assert len(differences) == 2 * (name == "packing.sh")
+    assert len(differences) == 4 * (name == "packing.sh")
     assert [path for path in left.split() if not (project.path / path).is_file()] == []
 
 

@@ -12,6 +12,7 @@ import pytest
 from result_samples import no_room_beyond
 from samples import assert_same, random_lattice
 
+from pgran.balance.pack import pack
 from pgran.errors import FileError, InputError, StoppedError
 from pgran.experiments.modes.density import count_modes
 from pgran.experiments.modes.projection import project
@@ -19,6 +20,7 @@ from pgran.experiments.modes.scene import find_modes
 from pgran.experiments.pulse.scene import pulse
 from pgran.experiments.relaxation.scene import relax
 from pgran.experiments.response.scene import sweep
+from pgran.experiments.sensitivity.heat import heat
 from pgran.medium.law import BondLaw
 from pgran.run.crew import Crew
 from pgran.run.journal import MAGIC, RECORD, Journal
@@ -300,7 +302,14 @@ SCENES = {
     "relaxation": lambda crew: relax(
         LATTICE, BondLaw("uniform"), 0.6, (3, 3), crew, steps=2600, trajectories=2, window=16
     ),
+    "heat, growing balls": lambda crew: grow(crew),
 }  # fmt: skip
+
+
+def grow(crew):
+    """Two stages: frequencies, and the packings in which one ball after the other has grown."""
+    network, omegas = pack(40, pressure=1e-2, walls="x", shape=(2, 1)), np.array([0.2, 0.4])
+    return heat(network, omegas, network.free[:1], crew, radius=1e-3, balls=network.free[1:4])
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pgran
-from pgran.balance import pack as packing
+from pgran.balance import settle
 from pgran.balance.equilibrium import NotBalancedError
 from pgran.balance.pack import diameters, packed_network
 from pgran.errors import InputError
@@ -71,6 +71,43 @@ def test_a_heap_between_walls_stands_on_a_floor_at_rest():
     assert np.median(network.position[floor, 1]) < network.position[~floor, 1].min()
 
 
+def test_a_part_of_a_wall_drives():
+    """The rest of both walls is at rest, and forces on the free balls are as they were."""
+    choices = {"gravity": 1e-4, "walls": "x", "seed": 1}
+    whole = pgran.pack(60, **choices)
+    network = pgran.pack(60, **choices, drive="x>max-1 and y<4", rest="y<1 and x<3")
+    assert np.array_equal(network.position, whole.position)
+    (x, y), far = network.position.T, whole.held == 2
+    driven, resting = network.held == 2, network.held == 1
+    assert np.array_equal(driven, (x > x.max() - 1) & (y < 4))
+    assert 0 < np.count_nonzero(driven) < np.count_nonzero(far)
+    assert np.array_equal(resting, ~driven & ((whole.held > 0) | ((y < 1) & (x < 3))))
+    each = [{(*pair,) for pair in net.bond.tolist()} for net in (network, whole)]
+    assert each[0] <= each[1]
+    assert np.all(np.any(network.held[network.bond] == 0, axis=1))
+    periodic = pgran.pack(80, pressure=1e-2, seed=2, rest="x<1.5", drive="x>max-1.5")
+    assert np.all(periodic.box > 0)
+    response = pgran.sweep(periodic, [0.3 * periodic.omega_mx], periodic.free[:1], method="points")
+    assert response.error_bound[0, 0] <= 1e-4 * abs(response.displacement[0, 0])
+
+
+@pytest.mark.parametrize("law", ["harmonic", "hertz", 2.0])
+def test_strong_gravity_squeezes_no_ball_through_the_floor(law):
+    """Softer balls settle under less of it first."""
+    network, packed = packed_network(60, law=law, gravity=2e-3, seed=2)
+    assert len(network.free) + packed.rattlers == 60
+    floor = network.held > 0
+    assert network.position[~floor, -1].min() > network.position[floor, -1].max()
+    assert packed.descents < 9000
+
+
+def test_balls_that_fall_through_the_floor_are_an_error(monkeypatch):
+    fire = settle.fire
+    monkeypatch.setattr(settle, "fire", lambda *words, **by: fire(*words, **by | {"steps": 900}))
+    with pytest.raises(NotBalancedError, match=r"\d+ balls have fallen through the floor: gravity"):
+        pgran.pack(60, law="hertz", gravity=0.2, seed=2)
+
+
 def test_bad_packings_are_refused():
     refused = {
         "give a pressure": [{}, {"pressure": 1, "gravity": 1}],
@@ -84,19 +121,27 @@ def test_bad_packings_are_refused():
         "more balls": [{"pressure": 1e-3, "balls": 4}],
         "whole number": [{"pressure": 1, "balls": 2.5}],
         "balls and seed": [{"pressure": 1, "balls": 0}, {"pressure": 1, "seed": -1}],
+        "pack: rest: a column: .*x, y, radius": [{"gravity": 1e-3, "rest": "z<1"}],
+        "'upwards' is no condition": [{"gravity": 1e-3, "drive": "upwards"}],
+        "cannot be both": [{"gravity": 1e-3, "drive": "x<2", "rest": "x<1"}],
+        "no ball is left free": [{"gravity": 1e-3, "rest": "y>min-1"}],
+        "y<=0: none of these balls touches": [
+            {"gravity": 1e-3, "drive": "y<=0", "rest": "y>0 and y<3"}
+        ],
     }
     for message, each in refused.items():
         for choices in each:
-            with pytest.raises(InputError, match=message):
+            with pytest.raises(InputError, match=message) as caught:
                 pgran.pack(**{"balls": 50} | choices)
+            assert "\n" not in str(caught.value)
 
 
 def test_a_descent_that_fails_is_said(monkeypatch):
     def fails(*words):
         raise NotBalancedError("no")
 
-    monkeypatch.setattr(packing, "at_rest", fails)
-    monkeypatch.setattr(packing, "RETURNS", 2)
+    monkeypatch.setattr(settle, "at_rest", fails)
+    monkeypatch.setattr(settle, "RETURNS", 2)
     with pytest.raises(NotBalancedError, match="try another seed"):
         pgran.pack(30, pressure=1e-2)
 
@@ -104,13 +149,13 @@ def test_a_descent_that_fails_is_said(monkeypatch):
 def test_the_command_makes_what_a_run_takes(call, place, shared_path):
     """Its file, its words, and the ways to go wrong."""
     words = ["pack", "--balls", "60", "--pressure", "1e-2", "--walls", "x", "--shape", "2,1"]
-    words += ["--seed", "7", "-o", "a.h5"]
+    words += ["--seed", "7", "--rest", "x<2", "-o", "a.h5"]
     made = call(*words)
     assert made.returncode == 0, made.stderr
     assert "1 rattler left out" in made.stdout
     assert "contacts more than an isostatic packing has" in made.stdout
     network = pgran.load(shared_path / "a.h5")
-    assert network == pgran.pack(60, pressure=1e-2, walls="x", shape=(2, 1), seed=7)
+    assert network == pgran.pack(60, pressure=1e-2, walls="x", shape=(2, 1), seed=7, rest="x<2")
     detector = made.stdout.split("-detectors ")[1].split()[0]
     place("b.opts", f"-scene response -network_file a.h5 -detectors {detector} -sweep_points 3")
     run = call("run", "b.opts", "-output_file", "r.h5", "-output_progress", "none")

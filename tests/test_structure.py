@@ -3,6 +3,8 @@
 import ast
 import graphlib
 import importlib
+import subprocess
+import sys
 from pathlib import Path
 
 import pgran.figures.response as panels
@@ -91,3 +93,15 @@ def test_public_names_of_records_and_panels():
     for module in (pgran.results, pgran.figures):
         with pytest.raises(AttributeError, match="no attribute 'nothing'"):
             module.nothing  # noqa: B018
+
+
+def test_what_a_name_loads():
+    """Derivatives load nothing of packings: a heater does when one is asked for."""
+    code = """
+import sys
+import pgran
+pgran.sensitivity, pgran.heat, pgran.sweep
+print(*(name for name in sys.modules if "balance" in name or name.endswith((".radii", ".growth"))))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []

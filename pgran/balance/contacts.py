@@ -60,13 +60,9 @@ def near_pairs(position, radius, box, reach):
     return pairs[near], away[near]
 
 
-def total_forces(pairs, vectors, balls):
-    """Return the sum over contacts at each ball: -vector at the first one, + at the second."""
-    total = np.empty((balls, vectors.shape[1]))
-    for axis, along in enumerate(vectors.T):
-        total[:, axis] = np.bincount(pairs[:, 1], along, balls)
-        total[:, axis] -= np.bincount(pairs[:, 0], along, balls)
-    return total
+def pair_numbers(pairs, balls):
+    """Return a number of each pair (n, 2), the same in whichever order its two balls are."""
+    return np.sort(pairs, axis=1) @ [balls, 1]
 
 
 def loose_balls(pairs, held, least):

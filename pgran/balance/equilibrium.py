@@ -30,17 +30,15 @@ class NotBalancedError(PgranError):
 class Rest(NamedTuple):
     """Balls at rest: where and with which contacts, and how they came there.
 
-    `residual` is the largest force left on a ball in units of the mean one, `unstable` how often
-    the matrix needed a shift, `saddle` whether the rest is one of least energy in no neighbourhood.
+    `residual` is the largest force left on a ball in units of the mean one, `saddle` whether the
+    rest is one of least energy in no neighbourhood.
     """
 
     balls: Balls
     contacts: Contacts
     residual: float
-    unstable: int
     saddle: bool
     factorizations: int
-    evaluations: int
 
 
 def factored(K):
@@ -81,56 +79,67 @@ def direction(motion, state, growth, forces, swelling, shift):
 
 
 def newton(motion, reach, tolerance):
-    """Return displacements, eps, state, residual and counts of shifts and factorizations.
+    """Return displacements, eps, the state, its residual and the number of factorizations.
 
     It ends at rest, where `PATIENCE` steps make it no better, or where balls have moved so far that
     the pairs nearer than `reach` are no longer all that could touch.
     """
     u, growth = np.zeros((len(motion.number), motion.size)), 0.0
     state = motion.state(u, growth)
-    best, shift, stalled = (math.inf, u, growth, state), 0.0, 0
-    unstable = factorizations = evaluations = 0
+    best, shift, stalled, factorizations = (u, growth, state, math.inf), 0.0, 0, 0
     for _ in range(STEPS):
         if not np.any(state.force > 0):
             raise NotBalancedError("the balls have flown apart: no contact is left")
         forces, swelling = motion.forces(state, growth)
         residual = motion.residual(state, forces, swelling, growth)
-        if residual < best[0]:
-            best, stalled = (residual, u, growth, state), 0
-        far = np.abs(u).max(initial=0.0) + 1.5 * abs(growth) > reach / 2
-        if residual < tolerance or stalled > PATIENCE or far:
+        if residual < best[-1]:
+            best, stalled = (u, growth, state, residual), 0
+        if has_moved_far(u, growth, reach):
+            return u, growth, state, residual, factorizations
+        if residual < tolerance or stalled > PATIENCE:
             break
         step, swell, shift, tried = direction(motion, state, growth, forces, swelling, shift)
         factorizations += tried
-        unstable += shift > 0
-        # downhill by the slope; near the end, where H rounds, by the slope's not having turned
         slope = np.sum(forces * step[motion.free]) + swelling * swell
-        energy = np.sum(state.work)
-        if motion.pressure is not None:
-            energy += motion.pressure * motion.volume
         part = min(1.0, 0.2 * reach / max(np.abs(step).max(), 1.5 * abs(swell), 1e-300))
-        while True:
-            there = u + part * step, growth + part * swell
-            ahead = motion.state(*there)
-            evaluations += 1
-            rounds = part * slope <= 1e-11 * energy
-            if not rounds:
-                change = motion.enthalpy_change(state, ahead, part * step, (growth, there[1]))
-                downhill = change <= -1e-4 * part * slope
-            else:
-                turned, swollen = motion.forces(ahead, there[1])
-                downhill = np.sum(turned * step[motion.free]) + swollen * swell >= -0.9 * slope
-            if downhill or part < 1e-9:
-                break
-            part /= 2
+        part, ahead, rounds = shortened(motion, state, (u, growth), (step, swell), slope, part)
         stalled = stalled + 1 if rounds else 0
         if part < 0.1:
             shift = max(4 * shift, LEAST_SHIFT)
         elif part == 1:
             shift = shift / 10 if shift > 10 * LEAST_SHIFT else 0.0
-        (u, growth), state = there, ahead
-    residual, u, growth, state = best if not far else (residual, u, growth, state)
-    return u, growth, state, residual, (unstable, factorizations, evaluations)
+        u, growth, state = u + part * step, growth + part * swell, ahead
+    return *best, factorizations
+
+
+def has_moved_far(u, growth, reach):
+    """Return whether balls may touch by now that were not nearer than `reach`."""
+    return np.abs(u).max(initial=0.0) + 1.5 * abs(growth) > reach / 2
+
+
+def shortened(motion, state, place, step, slope, part):
+    """Return a part of a step from `place` that leads downhill, the state there, if H rounds.
+
+    `slope` is how steeply H falls. Where it falls by less than its rounding, it is enough that its
+    slope does not turn.
+    """
+    (u, growth), (moves, swell) = place, step
+    energy = np.sum(state.work)
+    if motion.pressure is not None:
+        energy += motion.pressure * motion.volume
+    while True:
+        larger = growth + part * swell
+        ahead = motion.state(u + part * moves, larger)
+        rounds = part * slope <= 1e-11 * energy
+        if rounds:
+            forces, swelling = motion.forces(ahead, larger)
+            downhill = np.sum(forces * moves[motion.free]) + swelling * swell >= -0.9 * slope
+        else:
+            change = motion.enthalpy_change(state, ahead, part * moves, (growth, larger))
+            downhill = change <= -1e-4 * part * slope
+        if downhill or part < 1e-9:
+            return part, ahead, rounds
+        part /= 2
 
 
 def at_rest(balls, contacts=None, pressure=None, tolerance=BALANCED):
@@ -140,17 +149,17 @@ def at_rest(balls, contacts=None, pressure=None, tolerance=BALANCED):
     with a `pressure` a periodic box finds its size. Raises NotBalancedError where they find no
     rest.
     """
-    counts, residual = np.zeros(3, dtype=int), math.inf
+    factorizations = 1  # the last one, which tells a saddle
     for _ in range(ROUNDS):
         reach = reach_of(balls, contacts)
         contacts = listed(balls, contacts, reach=reach)
         motion = Motion(balls, contacts, pressure)
         u, growth, state, residual, counted = newton(motion, reach, tolerance)
-        counts += counted
+        factorizations += counted
         balls, contacts = displaced(balls, contacts, u, growth, state)
         if residual < tolerance:
             break
-        if np.abs(u).max(initial=0.0) + 1.5 * abs(growth) <= reach / 2:
+        if not has_moved_far(u, growth, reach):
             raise NotBalancedError(
                 f"the balls find no rest: {residual:.1e} of the mean force is left on one of them"
             )
@@ -160,8 +169,7 @@ def at_rest(balls, contacts=None, pressure=None, tolerance=BALANCED):
     factors = factored(K)
     lowest = 0.0 if factors is None else factors.U.diagonal().min()  # singular: some balls float
     saddle = bool(lowest < -SADDLE * K.diagonal().mean())
-    unstable, factorizations, evaluations = counts.tolist()
-    return Rest(balls, contacts, residual, unstable, saddle, factorizations + 1, evaluations)
+    return Rest(balls, contacts, residual, saddle, factorizations)
 
 
 def reach_of(balls, contacts):

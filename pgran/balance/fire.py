@@ -8,8 +8,8 @@ import dataclasses
 
 import numpy as np
 
-from pgran.balance.contacts import near_pairs, total_forces
-from pgran.medium.packing import nearest_images
+from pgran.balance.contacts import near_pairs
+from pgran.medium.packing import nearest_images, total_forces
 
 SKIN = 0.3  # mean diameters between balls that are listed as neighbours
 RENEWED = 20  # steps after which the time step follows the contacts

@@ -17,7 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgran.balance.contacts import ContactLaw, near_pairs, total_forces
+from pgran.balance.contacts import ContactLaw, near_pairs, pair_numbers
+from pgran.medium.packing import total_forces
+from pgran.medium.springs import differences
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +95,8 @@ def listed(balls, contacts=None, *, reach):
     if contacts is None:
         return found
     contacts = contacts.of(contacts.overlap > -reach)
-    number = lambda pairs: np.sort(pairs, axis=1) @ [len(balls.radius), 1]  # noqa: E731
-    added = found.of(~np.isin(number(found.pairs), number(contacts.pairs)))
+    numbers = [pair_numbers(each.pairs, len(balls.radius)) for each in (found, contacts)]
+    added = found.of(~np.isin(*numbers))
     both = zip(dataclasses.astuple(contacts), dataclasses.astuple(added), strict=True)
     return Contacts(*map(np.concatenate, both))
 
@@ -153,14 +155,18 @@ class Motion:
 
     def matrix(self, state, growth):
         """Return d2H/du2 of the free balls, and with a pressure d2H/du deps and d2H/deps2."""
+        from scipy.sparse import bsr_matrix  # here: SciPy takes its time
+
         touching = np.flatnonzero(state.force > 0)
         n, r, F = (x[touching] for x in (state.normal, state.distance, state.force))
         stiffness = self.balls.law.power * F / state.overlap[touching]
         pull = F / r
         blocks = (stiffness + pull)[:, None, None] * n[:, :, None] * n[:, None, :]
         blocks -= pull[:, None, None] * np.eye(self.size)
-        i, j = self.number[self.contacts.pairs[touching]].T
-        K = assembled(i, j, blocks, len(self.free)) * math.exp(2 * growth)
+        blocks = bsr_matrix((blocks, np.arange(len(n)), np.arange(len(n) + 1)))
+        ends = self.number[self.contacts.pairs[touching]]
+        parted = differences(ends, self.size, len(self.free))
+        K = (parted.T @ blocks @ parted).tocsc() * math.exp(2 * growth)
         if self.pressure is None:
             return K, None, None
         along = (stiffness * r - F)[:, None] * n
@@ -168,23 +174,3 @@ class Motion:
         volume = self.volume * math.exp(self.size * growth)
         corner = np.sum((stiffness * r - F) * r) + self.size**2 * self.pressure * volume
         return K, border[self.free].ravel() * math.exp(growth), corner
-
-
-def assembled(first, second, blocks, balls):
-    """Return the sparse sum over contacts of blocks b on the diagonal and -b beside it.
-
-    `first` and `second` are the balls of each, -1 for one that is held.
-    """
-    from scipy.sparse import coo_matrix  # here: SciPy takes its time
-
-    size = blocks.shape[1]
-    place, rows, columns, values = np.arange(size), [], [], []
-    ends = ((first, first, 1), (second, second, 1), (first, second, -1), (second, first, -1))
-    for one, other, sign in ends:
-        there = (one >= 0) & (other >= 0)
-        shape = blocks[there].shape
-        rows.append(np.broadcast_to((size * one[there])[:, None, None] + place[:, None], shape))
-        columns.append(np.broadcast_to((size * other[there])[:, None, None] + place, shape))
-        values.append(sign * blocks[there])
-    flat = [np.concatenate(parts).ravel() for parts in (values, rows, columns)]
-    return coo_matrix((flat[0], (flat[1], flat[2])), (size * balls, size * balls)).tocsc()

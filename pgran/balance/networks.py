@@ -7,16 +7,18 @@ import math
 import numpy as np
 
 from pgran.arguments import called_right
-from pgran.balance.contacts import ContactLaw
+from pgran.balance.contacts import ContactLaw, pair_numbers
 from pgran.balance.equilibrium import at_rest
-from pgran.balance.motion import Balls, Contacts
+from pgran.balance.motion import Balls, Contacts, listed
 from pgran.errors import InputError
 from pgran.medium.network import Network
+from pgran.medium.packing import nearest_images
 from pgran.medium.rounding import EPSILON
 from pgran.medium.springs import AT_REST, FREE
 from pgran.run.numbers import numbers
 
 log = logging.getLogger("pgran")
+ASTRAY = 1e-3  # of a contact's length: what printed digits may leave of it
 GROWTH = 0.5  # of the mean overlap: how much a ball grows before all find their rest anew
 
 
@@ -28,7 +30,8 @@ def law_of(network):
     if network.overlap is None:
         raise InputError(
             "the network does not know its contact law and forces: pgran pack makes networks that "
-            "do, and pgran import does with --law hertz or --law harmonic, where forces are known"
+            "do, and pgran import does with --law hertz or --law harmonic, where forces are known "
+            "and kept as pre-stress"
         )
     if network.radius is None or network.position is None or network.normal is None:
         raise InputError("balls under a contact law need positions, normals and radii")
@@ -44,7 +47,10 @@ def law_of(network):
 
 
 def balls_of(network):
-    """Return the balls of a network, and its contacts as the reference of increments."""
+    """Return the balls of a network, and its contacts as the reference of increments.
+
+    Raises InputError where it knows no law, or where contacts do not join its balls.
+    """
     law, (first, second) = law_of(network), network.radius[network.bond].T
     constants, overlap = law.constants(first, second), network.overlap
     pressed = overlap > 0
@@ -52,10 +58,18 @@ def balls_of(network):
     box = np.full(network.position.shape[1], np.inf)
     if network.box is not None:
         box[network.box > 0] = network.box[network.box > 0]
+    away = network.normal * network.distance[:, None]
+    first, second = network.position[network.bond.T]
+    images, _ = nearest_images(second - first, box)
+    astray = np.linalg.norm(images - away, axis=1) > ASTRAY * network.distance
+    for contact in np.flatnonzero(astray)[:1]:
+        raise InputError(
+            f"contact {contact} does not lead from ball to ball as their positions do: periods of "
+            "the box that are missing, or positions of another packing?"
+        )
     load = 0.0 if network.gravity is None else network.masses[:, None] * network.gravity
     held = network.held != FREE
     balls = Balls(network.position, network.radius, held, box, law, load)
-    away = network.normal * network.distance[:, None]
     return balls, Contacts(network.bond, away, overlap, constants)
 
 
@@ -90,27 +104,37 @@ def grown(balls, contacts, radius, growth=GROWTH):
     before = balls.radius
     overlap = contacts.overlap[contacts.overlap > 0].mean()
     steps = max(math.ceil(np.abs(radius - before).max() / (growth * overlap)), 1)
-    counts = np.zeros(3, dtype=int)
+    factorizations = 0
     for step in range(1, steps + 1):
         now = radius if step == steps else before + step / steps * (radius - before)
         contacts = contacts.grown(balls.law, balls.radius, now)
         rest = at_rest(dataclasses.replace(balls, radius=now), contacts)
         balls, contacts = rest.balls, rest.contacts
-        counts += (rest.unstable, rest.factorizations, rest.evaluations)
-    unstable, factorizations, evaluations = counts.tolist()
-    return rest._replace(unstable=unstable, factorizations=factorizations, evaluations=evaluations)
+        factorizations += rest.factorizations
+    return rest._replace(factorizations=factorizations)
 
 
 def changed_contacts(before, after):
     """Return how many contacts of a network another one lacks, and how many it has besides."""
-    number = lambda network: np.sort(network.bond, axis=1) @ [len(network.held), 1]  # noqa: E731
-    common = len(np.intersect1d(number(before), number(after)))
+    numbers = [pair_numbers(network.bond, len(network.held)) for network in (before, after)]
+    common = len(np.intersect1d(*numbers))
     return before.bonds - common, after.bonds - common
 
 
 def floor(network):
     """Return how well forces would balance by positions alone, which round, in mean forces."""
     return 2 * EPSILON * np.ptp(network.position, axis=0).max() / network.overlap.mean()
+
+
+def by_positions(network):
+    """Return the largest difference of a force from that by positions and radii, in mean forces."""
+    balls, exact = balls_of(network)
+    both = exact.of(~balls.held[exact.pairs].all(axis=1)), listed(balls, reach=0.0)
+    numbers = [pair_numbers(contacts.pairs, len(balls.radius)) for contacts in both]
+    forces = [balls.law.force(contacts.constants, contacts.overlap) for contacts in both]
+    _, place = np.unique(np.concatenate(numbers), return_inverse=True)
+    difference = np.bincount(place, np.concatenate([forces[0], -forces[1]]))
+    return float(np.abs(difference).max() / network.force.mean())
 
 
 @called_right

@@ -1,62 +1,24 @@
-"""Packings in mechanical equilibrium: from random positions to rest under a pressure, or gravity.
+"""Packings in mechanical equilibrium: what may be asked of one, and the network that it becomes.
 
-FIRE runs down to a millionth of the mean force, under pressures that fall by factors of 10: it is
-cheap, and from there Newton's method on the enthalpy needs two or three factorizations. Rattlers
-are left out. Lengths are in mean diameters, constants in the law's modulus: a harmonic contact has
-c = 1, a Hertzian one c = sqrt(R_i R_j / (R_i + R_j)); a ball of the mean diameter has the mass 1.
+Lengths are in mean diameters, constants in the law's modulus: a harmonic contact has c = 1, a
+Hertzian one c = sqrt(R_i R_j / (R_i + R_j)); a ball of the mean diameter has the mass 1.
 """
 
 import dataclasses
-import math
-from typing import NamedTuple
 
 import numpy as np
 
 from pgran.arguments import called_right, choice, whole_number
-from pgran.balance.contacts import ContactLaw, loose_balls
-from pgran.balance.equilibrium import NotBalancedError, Rest, at_rest
-from pgran.balance.fire import fire
-from pgran.balance.motion import Balls, listed
+from pgran.balance.contacts import ContactLaw
 from pgran.balance.networks import network_of
+from pgran.balance.settle import DENSITY, under_gravity, under_pressure
 from pgran.errors import InputError
+from pgran.medium.conditions import columns_in, hold
 from pgran.medium.packing import POWERS
-from pgran.medium.springs import AT_REST, DRIVEN
+from pgran.medium.springs import AT_REST, DRIVEN, FREE
 from pgran.run.numbers import number, numbers
 
-DENSITY = {2: 0.9, 3: 0.7}  # of random positions: the part of the box that balls fill
-FIRST = {1.0: 1e-2}  # the pressure where a descent begins, of laws by their power
-BEGINNING = 1e-3  # of others
-NEAR = 1e-6  # of the mean force: from where Newton's method is quick
 SIDES = 1.4  # of the larger over the smaller diameter of bidisperse balls
-BALANCED = 1e-13  # of the mean force
-TOUCHING = 1e-13  # mean diameters by which a rattler may overlap: rounding of positions
-RETURNS = 20  # to FIRE, where Newton's method finds no rest
-HEAVY = 1e-3  # the gravity under which balls settle first; then it falls by factors of 3 or so
-FLOOR = 0.7  # mean diameters between the balls of a floor, which let none through
-ROUGH = 0.2  # mean diameters by which their heights differ
-
-
-class Packed(NamedTuple):
-    """A packing at rest without its rattlers, how many these are, and FIRE's steps."""
-
-    rest: Rest
-    rattlers: int
-    descents: int
-
-    @property
-    def contacts(self):
-        """The contacts that bear forces."""
-        return self.rest.contacts.of(self.rest.contacts.overlap > 0)
-
-    @property
-    def excess(self):
-        """Contacts less those of an isostatic packing: d N, in a periodic box d (N - 1) + 1."""
-        balls = self.rest.balls
-        size = balls.position.shape[1]
-        least = size * np.count_nonzero(~balls.held)
-        if not balls.held.any():
-            least += 1 - size
-        return np.count_nonzero(self.rest.contacts.overlap > 0) - least
 
 
 def diameters(balls, sizes, rng):
@@ -76,110 +38,6 @@ def diameters(balls, sizes, rng):
     return values / values.mean()
 
 
-def under_pressure(diameter, dimension, law, pressure, rng, shape=None):
-    """Return a `Packed` of balls in a periodic box, whose sides are in the ratio of `shape`."""
-    sides = np.ones(dimension) if shape is None else np.asarray(shape, dtype=float)
-    fraction = math.pi / (4 if dimension == 2 else 6)
-    volume = fraction * np.sum(diameter**dimension) / DENSITY[dimension]
-    box = sides * (volume / sides.prod()) ** (1 / dimension)
-    position = rng.random((len(diameter), dimension)) * box
-    free = np.zeros(len(diameter), dtype=bool)
-    balls, descents, _ = fire(Balls(position, diameter / 2, free, box, law), None, 1e-2, steps=3000)
-    stage = max(pressure, FIRST.get(law.power, BEGINNING))
-    while True:
-        last = stage == pressure
-        tolerance, pressed = (NEAR, 1e-2) if last else (1e-3, 0.1)
-        balls, steps, _ = fire(balls, stage, tolerance, pressed)
-        descents += steps
-        if last:
-            break
-        stage = max(pressure, stage / 10)
-    return settled(balls, pressure, dimension + 1, descents)
-
-
-def settled(balls, pressure, least, descents):
-    """Return a `Packed`: Newton's rest without rattlers, which have fewer than `least` contacts.
-
-    Where there is none, or where it squeezes a rattler, FIRE goes on.
-    """
-    for _ in range(RETURNS):
-        try:
-            rest, carrying = _rest_without_rattlers(balls, pressure, least)
-        except NotBalancedError:
-            squeezed = True
-        else:
-            balls, squeezed = _rattlers_placed(balls, rest.balls, carrying)
-            if not squeezed:
-                return Packed(rest, np.count_nonzero(~carrying), descents)
-        balls, steps, _ = fire(balls, pressure, NEAR / 10)
-        descents += steps
-    raise NotBalancedError(f"no balanced packing after {RETURNS} descents: try another seed")
-
-
-def _rest_without_rattlers(balls, pressure, least):
-    """Return the rest of the balls that bear forces, and which ones these are."""
-    carrying, pairs = np.arange(len(balls.held)), listed(balls, reach=0.0).pairs
-    while True:
-        rattling = loose_balls(pairs, balls.held[carrying], least)
-        carrying = carrying[~rattling]
-        if not len(carrying):
-            raise NotBalancedError("no ball has contacts enough to be held by them")
-        own = balls.of(carrying)
-        if not own.held.any() and np.all(np.isfinite(own.box)):
-            own.held[0] = True  # else all could move together
-        rest = at_rest(own, None, pressure, BALANCED)
-        pairs = rest.contacts.pairs[rest.contacts.overlap > 0]
-        if not loose_balls(pairs, own.held, least).any():
-            held = balls.held[carrying]
-            rest = rest._replace(balls=dataclasses.replace(rest.balls, held=held))
-            return rest, np.isin(np.arange(len(balls.held)), carrying)
-
-
-def _rattlers_placed(balls, carriers, carrying):
-    """Return all balls, the rattlers where the others leave them room, and whether none is left."""
-    position, periodic = balls.position.copy(), np.isfinite(balls.box)
-    position[:, periodic] *= carriers.box[periodic] / balls.box[periodic]
-    position[carrying] = carriers.position
-    placed = dataclasses.replace(balls, position=position, box=carriers.box, held=carrying)
-    if carrying.all():
-        return dataclasses.replace(placed, held=balls.held), False
-    placed, _, _ = fire(placed, tolerance=0.0, steps=2000)
-    contacts = listed(placed, reach=0.0)
-    deepest = contacts.overlap.max(initial=0.0)
-    return dataclasses.replace(placed, held=balls.held), deepest > TOUCHING
-
-
-def under_gravity(diameter, dimension, law, gravity, rng, width=None):
-    """Return a `Packed` of balls on a floor of held ones, along the last axis; sides are periodic.
-
-    The surface is free. The floor's balls, of mean diameter, come last.
-    """
-    fraction = math.pi / (4 if dimension == 2 else 6)
-    volume = fraction * np.sum(diameter**dimension) / DENSITY[dimension]
-    width = volume ** (1 / dimension) if width is None else width
-    across = max(round(width / FLOOR), 1)
-    spots = np.stack(np.meshgrid(*[np.arange(across) * width / across] * (dimension - 1)), axis=-1)
-    floor = np.zeros((across ** (dimension - 1), dimension))
-    floor[:, :-1] = spots.reshape(len(floor), -1)
-    floor[:, -1] = -ROUGH * rng.random(len(floor))
-    position = rng.random((len(diameter), dimension)) * width
-    position[:, -1] *= volume / width**dimension
-    position[:, -1] += diameter.max()
-    held = np.arange(len(diameter) + len(floor)) >= len(diameter)
-    diameter = np.append(diameter, np.ones(len(floor)))
-    box = np.append(np.full(dimension - 1, float(width)), np.inf)
-    down = np.zeros((len(held), dimension))
-    down[:, -1] = -gravity * diameter**dimension
-    balls = Balls(np.concatenate([position, floor]), diameter / 2, held, box, law)
-    descents = 0
-    stages = max(math.ceil(2 * math.log10(HEAVY / gravity)), 3)
-    for stage in range(stages, -1, -1):
-        balls = dataclasses.replace(balls, load=10 ** (stage / 2) * down)
-        balls, steps, _ = fire(balls, tolerance=1e-2 if stage else NEAR, steps=20000)
-        descents += steps
-    return settled(balls, None, dimension, descents)
-
-
 @called_right
 def pack(
     balls,
@@ -192,6 +50,8 @@ def pack(
     sizes="bidisperse",
     shape=None,
     walls=None,
+    rest=None,
+    drive=None,
 ):
     """Return a packing in mechanical equilibrium, without friction.
 
@@ -220,6 +80,9 @@ def pack(
         Ratios of the sides of the box; all equal unless given.
     walls : str, optional
         `x`, `y` or `z`: balls at both ends of this axis are held, those at the far end driven.
+    rest, drive : str, optional
+        Which balls are held besides, at rest or driven, by place or radius: `y<1.5`, `x>max-1 and
+        y>2`. Walls are at rest where a `drive` is given.
 
     Returns
     -------
@@ -234,12 +97,13 @@ def pack(
         If no rest is found.
     """
     chosen = {"pressure": pressure, "gravity": gravity, "seed": seed, "sizes": sizes}
-    return packed_network(balls, dimension, law, shape=shape, walls=walls, **chosen)[0]
+    chosen |= {"shape": shape, "walls": walls, "rest": rest, "drive": drive}
+    return packed_network(balls, dimension, law, **chosen)[0]
 
 
 def packed_network(
     balls, dimension=2, law="harmonic", *, pressure=None, gravity=None, seed=1993,
-    sizes="bidisperse", shape=None, walls=None,
+    sizes="bidisperse", shape=None, walls=None, rest=None, drive=None,
 ):  # fmt: skip
     """Return the network of `pack`, and the `Packed` that it was made of."""
     balls, seed = whole_number("pack: balls", balls), whole_number("pack: seed", seed)
@@ -263,17 +127,20 @@ def packed_network(
             raise InputError(f"pack: shape: {dimension} positive ratios, of a box under a pressure")
     axes = "xyz"[:dimension]
     choice("pack: walls", "x" if walls is None else walls, axes if gravity is None else axes[:-1])
+    for name, condition in (("rest", rest), ("drive", drive)):
+        for column in () if condition is None else columns_in(str(condition)):
+            choice(f"pack: {name}: a column", column, (*axes, "radius"))
     rng = np.random.default_rng(seed)
     diameter, rule = diameters(balls, sizes, rng), ContactLaw(power)
     if gravity is None:
         packed = under_pressure(diameter, dimension, rule, push, rng, shape)
     else:
         packed = under_gravity(diameter, dimension, rule, push, rng)
-    return _network(packed, axes, walls, gravity), packed
+    return _network(packed, axes, walls, gravity, rest, drive), packed
 
 
-def _network(packed, axes, walls, gravity):
-    """Return the network of a packing, with its walls."""
+def _network(packed, axes, walls, gravity, rest, drive):
+    """Return the network of a packing whose balls are held by walls and conditions."""
     balls, contacts = packed.rest.balls, packed.contacts
     held, box, position = balls.held.astype(int), balls.box.copy(), balls.position.copy()
     periodic = np.isfinite(box)
@@ -282,9 +149,16 @@ def _network(packed, axes, walls, gravity):
         axis, thickness = axes.index(walls), 2 * balls.radius.max()
         along = np.where(balls.held, np.nan, position[:, axis])  # a floor stays at rest
         held[along < thickness] = AT_REST
-        held[along > box[axis] - thickness] = DRIVEN
+        held[along > box[axis] - thickness] = DRIVEN if drive is None else AT_REST
         box[axis] = np.inf
-        contacts = contacts.of(np.any(held[contacts.pairs] == 0, axis=1))
+    columns = dict(zip(axes, position.T, strict=True)) | {"radius": balls.radius}
+    ids = np.arange(len(held))
+    held = hold(held, ids, columns.__getitem__, rest=rest, drive=drive)
+    contacts = contacts.of(np.any(held[contacts.pairs] == FREE, axis=1))
+    if not len(contacts.pairs):
+        raise InputError("pack: rest, drive, walls: no ball is left free")
+    if drive is not None and not np.any(held[contacts.pairs] == DRIVEN):
+        raise InputError(f"pack: drive: {drive}: none of these balls touches a free one")
     balls = dataclasses.replace(balls, position=position, box=box)
     down = None if gravity is None else -gravity * np.eye(len(axes))[-1]
     return network_of(
@@ -294,4 +168,4 @@ def _network(packed, axes, walls, gravity):
         displacement="vector",
         gravity=down,
         direction=None if walls is None else np.eye(len(axes))[axis],
-    )  # fmt: skip
+    )

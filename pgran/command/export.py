@@ -1,7 +1,8 @@
-"""`pgran export`: a result for other programs, in space (.vtu) or as tables (.csv)."""
+"""`pgran export`: a result in space (.vtu), as tables (.csv), or its packing for LAMMPS (.lmp)."""
 
 import csv
 import io
+import logging
 import os
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from pgran.medium.record import as_result
 from pgran.store.paths import whole
 from pgran.store.table import tables
 
-ENDINGS = (".vtu", ".csv")
+log = logging.getLogger("pgran")
+HELD = 1e-3  # of the mean force: how exactly positions must hold the forces of a packing
 
 
 @called_right
@@ -31,6 +33,9 @@ def export(result, output):
     - `.csv`: a row a frequency, time or mode, a column all that the record of the scene has there.
       What else the result has, other records and arrays along other axes, goes to files beside it:
       `a-spectrum.csv`, `a-memory.csv` of a relaxation, `a-omega-ball.csv` of the heat at each ball.
+    - `.lmp`, a data file of LAMMPS (atom_style sphere): the packing of a result, or a network by
+      itself, that knows its contact law. A script beside it, `a.in`, reads it and writes the dumps
+      that `pgran import` takes. Forces are those that positions and radii hold, to all digits.
 
     Parameters
     ----------
@@ -55,9 +60,10 @@ def export(result, output):
         output = Path(output)
     except TypeError:
         raise InputError(f"export: {shown(output)} is no path of a file") from None
-    write = {".vtu": _write_mesh, ".csv": _write_tables}.get(output.suffix.lower())
+    kinds = {".vtu": _write_mesh, ".csv": _write_tables, ".lmp": _write_packing}
+    write = kinds.get(output.suffix.lower())
     if write is None:
-        raise FileError(f"{output}: an export's name ends in one of {', '.join(ENDINGS)}")
+        raise FileError(f"{output}: an export's name ends in one of {', '.join(kinds)}")
     return write(result_of(result), output)
 
 
@@ -70,17 +76,19 @@ def result_of(given):
 
 
 def run(words):
-    """Write a result for other programs, in space or as tables."""
+    """Write a result for other programs: in space, as tables, or its packing for LAMMPS."""
     examples = (
         "pgran export results/modes.h5 results/modes.vtu",
         "pgran export results/response.h5 results/response.csv",
+        "pgran export results/pressed.h5 results/pressed.lmp",
     )
     target = (
         "file to write; NAME.vtu: balls, contacts and displacements, for ParaView and others; "
-        "NAME.csv: a row a frequency, time or mode, and what else there is in files beside it"
+        "NAME.csv: a row a frequency, time or mode, and what else there is in files beside it; "
+        "NAME.lmp: a packing, for LAMMPS, and the script NAME.in beside it"
     )
     parser = Parser("export", run.__doc__, *examples)
-    parser.add_argument("result", metavar="RESULT", help="HDF5 file that pgran run has written")
+    parser.add_argument("result", metavar="RESULT", help="HDF5 file of a result or a network")
     parser.add_argument("output", metavar="TO", help=target)
     options = parser.read(words)
     for path in export(options.result, options.output):
@@ -132,3 +140,29 @@ def _write_mesh(result, output):
     with whole(output) as stream:
         made.write(stream.name, file_format="vtu")
     return [output]
+
+
+def _write_packing(result, output):
+    """Write a packing as data of LAMMPS, and the script that reads them."""
+    from pgran.balance.networks import by_positions, law_of
+    from pgran.foreign.lammps import data_file, input_script
+    from pgran.medium.network import Network
+
+    network = result.medium.built if hasattr(result, "medium") else None
+    if not isinstance(network, Network):
+        raise FileError(f"no packing in this result (scene {result.scene})")
+    law, other = law_of(network), by_positions(network)
+    if not other < HELD:
+        raise InputError(
+            f"the positions, radii and box of the network say other forces, by {other:.1e} of the "
+            "mean one: LAMMPS would not find the same packing"
+        )
+    texts = {
+        output: data_file(network),
+        output.with_suffix(".in"): input_script(network, law, output.stem),
+    }
+    for path, text in texts.items():
+        with whole(path) as stream:
+            stream.write(text.encode())
+    log.info("positions hold each force to %.1e of the mean one", other)
+    return [*texts]

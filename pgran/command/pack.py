@@ -18,7 +18,8 @@ DESCRIPTION = """\
 Make a packing of discs or spheres in mechanical equilibrium: in a periodic box under a pressure, or
 under gravity on a floor of held balls, with a free surface. Lengths are in mean diameters, masses
 in that of a ball of this diameter, and forces in the law's constant: F = h is harmonic,
-F = sqrt(R_i R_j / (R_i + R_j)) h^(3/2) is Hertz, h the overlap. There is no friction."""
+F = sqrt(R_i R_j / (R_i + R_j)) h^(3/2) is Hertz, h the overlap. There is no friction. A CONDITION
+compares a coordinate or the radius of balls, 'x<1.5', 'x>max-1 and y<4'."""
 
 
 def run(words):
@@ -41,6 +42,7 @@ def _parser():
         DESCRIPTION,
         "pgran pack --balls 400 --pressure 1e-3 --walls x -o discs.h5",
         "pgran pack --balls 500 --dimension 3 --law hertz --gravity 1e-6 --walls x -o beads.h5",
+        "pgran pack --balls 400 --gravity 1e-5 --walls x --drive 'x>max-1 and y<4' -o box.h5",
     )
     add = parser.add_argument
     add("--balls", type=int, required=True, metavar="N", help="how many")
@@ -51,6 +53,8 @@ def _parser():
     add("--sizes", type=_sizes, help="bidisperse (1 : 1.4), equal, or a spread such as .1")
     add("--shape", type=_shape, help="ratios of the sides of the box, such as 2,1 (all equal)")
     add("--walls", choices=tuple("xyz"), help="hold both ends of this axis, and drive the far one")
+    add("--rest", metavar="CONDITION", help="balls that are held at rest besides")
+    add("--drive", metavar="CONDITION", help="balls that drive; those of walls are then at rest")
     add("--seed", type=int, help="which packing (1993)")
     add("-o", "--output", required=True, help="HDF5 file to write")
     add("--overwrite", action="store_true", help="replace a network that is there")

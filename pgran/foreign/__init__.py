@@ -1,1 +1,1 @@
-"""Balls and contacts of other programs become a network."""
+"""Balls and contacts of other programs become a network; a packing for LAMMPS."""

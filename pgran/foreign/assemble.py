@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.foreign.conditions import choose
 from pgran.foreign.contacts import AXES
 from pgran.medium import packing
+from pgran.medium.conditions import hold
 from pgran.medium.network import Network
-from pgran.medium.springs import AT_REST, DRIVEN, FREE
+from pgran.medium.springs import DRIVEN, FREE
 
 SAME = 1e-6  # contacts that are listed twice agree to this part
 
@@ -135,19 +135,8 @@ def _crossing(contacts, cut):
 
 def _held(balls, options):
     """Return which balls are free, at rest, driven: as the file says, and then --rest, --drive."""
-    held = np.full(len(balls.id), FREE) if balls.held is None else balls.held.copy()
-    chosen = np.zeros((2, len(balls.id)), dtype=bool)
-    for k, (option, kind) in enumerate((("rest", AT_REST), ("drive", DRIVEN))):
-        condition = getattr(options, option)
-        if condition is not None:
-            try:
-                chosen[k] = choose(condition, balls.id, balls.column)
-            except InputError as error:
-                raise InputError(f"--{option}: {error}") from None
-            held[chosen[k]] = kind
-    for ball in balls.id[chosen.all(axis=0)][:1]:
-        raise InputError(f"--rest and --drive: ball {ball} cannot be both")
-    return held
+    held = np.full(len(balls.id), FREE) if balls.held is None else balls.held
+    return hold(held, balls.id, balls.column, rest=options.rest, drive=options.drive)
 
 
 def _components(direction, axes):

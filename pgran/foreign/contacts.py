@@ -14,7 +14,6 @@ from pgran.medium import packing
 
 AXES = "xyz"
 PRINTED = 1e-5  # lengths may differ by this part of the packing: dumps print six digits
-LAWS = ("hertz", "harmonic")
 # What a contact has, its role, and what the column may be called in a file.
 ROLES = {
     "id1": ("id1", "i", "source"),
@@ -212,7 +211,7 @@ class Contacts:
         is that of F = c h^(3/2), used instead of overlaps. By a column, two balls apart without a
         force do not touch.
         """
-        if law in LAWS:
+        if law in packing.POWERS:
             return self._by_law(law, c)
         name = law or self.roles.get("stiffness")
         if name is None or name not in self.table:
@@ -242,7 +241,7 @@ class Contacts:
         if c is not None:
             stiffness[touch] = packing.hertz_of_force(force[touch], c)
         else:
-            stiffness[touch] = getattr(packing, law)(force[touch], overlap[touch])
+            stiffness[touch] = packing.POWERS[law] * force[touch] / overlap[touch]
         return stiffness
 
 

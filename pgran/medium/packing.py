@@ -7,22 +7,12 @@ import numpy as np
 from pgran.medium.graph import anchored
 from pgran.medium.springs import FREE
 
-POWERS = {"harmonic": 1.0, "hertz": 1.5}  # of the overlap: F = c h^power
-
-
-def hertz(force, overlap):
-    """Return k = dF/dh = 3/2 F / h of Hertz's law F = c h^(3/2)."""
-    return 1.5 * force / overlap
+POWERS = {"harmonic": 1.0, "hertz": 1.5}  # of the overlap: F = c h^power, k = power F / h
 
 
 def hertz_of_force(force, c):
     """Return k = 3/2 c^(2/3) F^(1/3) of Hertz's law F = c h^(3/2)."""
     return 1.5 * np.cbrt(c**2 * force)
-
-
-def harmonic(force, overlap):
-    """Return k = F / h."""
-    return force / overlap
 
 
 def nearest_images(away, periods):
@@ -73,13 +63,20 @@ def keep(bond, held, cut):
     )
 
 
+def total_forces(pairs, vectors, balls):
+    """Return the sum over contacts at each ball: -vector at the first one, + at the second."""
+    total = np.empty((balls, vectors.shape[1]))
+    for axis, along in enumerate(vectors.T):
+        total[:, axis] = np.bincount(pairs[:, 1], along, balls)
+        total[:, axis] -= np.bincount(pairs[:, 0], along, balls)
+    return total
+
+
 def unbalanced(bond, normal, force, free):
     """Return the largest total force on a free ball, in units of the mean contact force.
 
     Forces (nb,) repel along the normals (nb, d), from the first ball of a contact to the second.
     """
-    total = np.zeros((len(free), normal.shape[1]))
-    np.add.at(total, bond[:, 0], -force[:, None] * normal)
-    np.add.at(total, bond[:, 1], force[:, None] * normal)
+    total = total_forces(bond, force[:, None] * normal, len(free))
     mean = np.abs(force).mean()
     return float(np.linalg.norm(total[free], axis=1).max() / mean) if mean > 0 else 0.0

@@ -72,6 +72,18 @@ def sparse_rows(columns, values, size):
     return csr_matrix((entries, (rows, columns[there])), (len(there), size))
 
 
+def differences(ends, axes, balls):
+    """Return rows that part the two balls of each contact along each axis, sparse.
+
+    `ends` (n, 2) are numbers of free balls, -1 for one that is held. There are n * axes rows of the
+    axes * balls displacements of free balls.
+    """
+    ends = np.repeat(ends, axes, axis=0)
+    along = np.arange(len(ends))[:, None] % axes
+    columns = np.where(ends >= 0, ends * axes + along, -1)
+    return sparse_rows(columns, np.array([-1.0, 1.0]), axes * balls)
+
+
 def stiffness_matrix(medium):
     """Return K, sparse, exactly symmetric as it is stored."""
     springs = medium.springs

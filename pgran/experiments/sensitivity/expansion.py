@@ -6,14 +6,11 @@ from functools import partial
 
 import numpy as np
 
-from pgran.experiments.sensitivity.growth import LOST, OUTCOMES, Packing
+from pgran.experiments.sensitivity.growth import Packing
+from pgran.experiments.sensitivity.record import OUTCOMES
 from pgran.medium.springs import FREE
 from pgran.run.agreement import on_root
-from pgran.run.experiment import Caution
 from pgran.run.task import Task
-from pgran.store.estimate import counted
-
-LARGE = 0.3  # of the mean overlap: growth beyond which packings rearrange
 
 
 class ExpansionTask(Task):
@@ -84,37 +81,3 @@ class ExpansionTask(Task):
         turned = {name: np.moveaxis(rows[name], 0, -1).copy() for name in self.row.names}
         turned["outcome"] = np.array(OUTCOMES)[turned["outcome"]]
         return turned
-
-
-def told_of_growth(heat):
-    """Return in words by how much balls have grown, and what packings did."""
-    if heat.growth is None:
-        return
-    if heat.lost:
-        lost = f"{heat.lost} of {len(heat.ball)} packings found no rest"
-        yield Caution(f"{lost}: their amplitudes are NaN")
-    by = f"{np.abs(heat.growth).max(initial=0.0):.4g}"
-    if heat.growth_overlap is not None:
-        large, least = np.abs(heat.growth_overlap).max(initial=0.0), np.abs(heat.growth_least)
-        if large > LARGE:
-            yield Caution(
-                f"radii grow by {large:.3g} of the mean overlap: beyond {LARGE:g} packings "
-                "rearrange, and derivatives by radii say little of what happens"
-            )
-        by += (
-            f", {large:.3g} of the mean overlap, {np.median(least):.3g} (median) to "
-            f"{least.max():.3g} of their own smallest one"
-        )
-    if heat.by_radius_bound is not None and np.isinf(heat.by_radius_bound).any():
-        yield Caution(
-            "derivatives by radii without bounds: that the packing is stable is not certain"
-        )
-    rest = "packings at a new rest" if heat.relaxed else "neighbours frozen"
-    yield f"radii of warm balls grow by up to {by}; {rest}"
-    if heat.relaxed and np.any(there := heat.outcome != OUTCOMES[LOST]):
-        outcomes = [f"{np.count_nonzero(heat.outcome == what)} {what}" for what in OUTCOMES[:LOST]]
-        opened, closed = (f"{x[there].mean():.3g}" for x in (heat.opened, heat.closed))
-        yield (
-            f"{counted(len(heat.ball), 'packing')}: {', '.join(outcomes)}; in the mean {opened} "
-            f"contacts opened, {closed} closed"
-        )

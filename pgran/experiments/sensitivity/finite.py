@@ -108,8 +108,8 @@ def grown_by_overlap(medium, overlap, hertz):
         strange |= (k > 0) & (force <= 0)
     if np.any(strange):
         raise InputError(
-            f"-heat_overlap: contact {np.argmax(strange)} of the network has a negative constant, "
-            "or one without a repulsive force, which is not Hertz's law; use -heat_factor"
+            f"-heat_overlap, -heat_radius: contact {np.argmax(strange)} of the network has a "
+            "negative constant, or no repulsive force: no contact law has it; use -heat_factor"
         )
     if force is not None:
         # (9/4) c^2 = k^2 / h, h = (3/2) F / k

@@ -14,14 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgran.balance.contacts import total_forces
+from pgran.balance.contacts import pair_numbers
 from pgran.balance.equilibrium import NotBalancedError
 from pgran.balance.networks import balls_of, changed_contacts, grown, network_of
-from pgran.experiments.sensitivity.radii import check, with_vectors
+from pgran.experiments.sensitivity.record import OUTCOMES
+from pgran.experiments.sensitivity.warmth import with_vectors
 from pgran.medium.network import Network
+from pgran.medium.packing import total_forces
 
 log = logging.getLogger("pgran")
-OUTCOMES = "smooth", "opened or closed", "rearranged", "not balanced"
 SMOOTH, CHANGED, REARRANGED, LOST = range(len(OUTCOMES))
 UNBALANCED = 1e-3  # of the mean force: what is said of a network
 RETURNED = 1e-6  # of the mean overlap: how far overlaps may be from where they were
@@ -42,11 +43,10 @@ class Grown(NamedTuple):
 
 
 class Packing:
-    """A network as balls at rest under its contact law."""
+    """A network as balls at rest under its contact law, which `warmth.check_law` has seen."""
 
     def __init__(self, network):
         """Take contacts as exact as their forces and normals say."""
-        check(network)
         self.network, packing = network, with_vectors(network)
         balls, self.contacts = balls_of(packing)
         pushes = network.force[:, None] * packing.normal
@@ -88,10 +88,6 @@ class Packing:
         network = network_of(back, self.network)
         if any(changed_contacts(self.network, network)):
             return False
-        here, there = _sorted_overlaps(self.network), _sorted_overlaps(network)
+        orders = [np.argsort(pair_numbers(x.bond, len(x.held))) for x in (self.network, network)]
+        here, there = self.network.overlap[orders[0]], network.overlap[orders[1]]
         return bool(np.abs(here - there).max() <= RETURNED * here.mean())
-
-
-def _sorted_overlaps(network):
-    """Return the overlaps of contacts in the order of their balls."""
-    return network.overlap[np.lexsort(np.sort(network.bond, axis=1).T)]

@@ -8,10 +8,15 @@ from pgran.driven import drive as driven
 from pgran.errors import InputError
 from pgran.experiments.sensitivity import finite
 from pgran.experiments.sensitivity.adjoint import MISSED, AdjointSweep
-from pgran.experiments.sensitivity.expansion import ExpansionTask, told_of_growth
-from pgran.experiments.sensitivity.radii import Radii, with_vectors
 from pgran.experiments.sensitivity.record import Heat
-from pgran.experiments.sensitivity.warmth import WAYS, Warmth, check_options, relaxes
+from pgran.experiments.sensitivity.warmth import (
+    WAYS,
+    Warmth,
+    check_options,
+    relaxes,
+    told,
+    with_vectors,
+)
 from pgran.medium.base import medium
 from pgran.medium.law import HERTZ
 from pgran.medium.rounding import EPSILON
@@ -34,7 +39,7 @@ def summary(record):
     good = record.converged_reason > 0
     if failed := np.count_nonzero(~good):
         yield Caution(f"{failed} of {len(good)} frequencies of the heater failed")
-    yield from told_of_growth(record)
+    yield from told(record)
     for d, ball in enumerate(ball_names(record.detector)):
         for name, what in (("warmed", "warm ball"), ("cut", "cut bond")):
             after = getattr(record, name)
@@ -184,6 +189,8 @@ class HeatSweep(AdjointSweep):
 
     def expanding(self):
         """Return the task that computes the amplitudes of relaxed packings."""
+        from pgran.experiments.sensitivity.expansion import ExpansionTask
+
         growth = self.warmth.growth(self.lattice)[self.balls]
         where = self.lattice, self.omegas, self.sites, self.balls, growth
         return ExpansionTask(*where, self.choices["error_tolerance"])
@@ -192,6 +199,7 @@ class HeatSweep(AdjointSweep):
         """See `FrequencySweep`."""
         from pgran.driven.certify import least_stiffness
         from pgran.experiments.sensitivity.flexibility import Flexibility
+        from pgran.experiments.sensitivity.radii import Radii
 
         groups = self.groups.items()
         self.flexibilities = {name: Flexibility(operators, springs) for name, springs in groups}

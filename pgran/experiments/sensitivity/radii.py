@@ -28,47 +28,19 @@ K y = B^T G, and what G is wrong by, count in dA_d/dR_p as far as the packing mo
 only.
 """
 
-import dataclasses
-
 import numpy as np
 
 from pgran.balance.equilibrium import factored
-from pgran.balance.networks import law_of
-from pgran.errors import InputError
-from pgran.medium.network import Network
+from pgran.experiments.sensitivity.warmth import with_vectors
 from pgran.medium.rounding import EPSILON
-from pgran.medium.springs import DRIVEN, sparse_rows, stiffness_matrix
+from pgran.medium.springs import DRIVEN, differences, sparse_rows, stiffness_matrix
 
 COLUMNS = 64  # balls whose growth is solved for at a time
 ROUNDED = 64 * EPSILON  # of the product of magnitudes: more than all operations of a contact
 
 
-def check(network):
-    """Raise an InputError where the network does not say what larger radii do to it."""
-    if not isinstance(network, Network):
-        raise InputError("-heat_radius, -heat_kelvin: of a network, whose balls have radii")
-    if network.turns:
-        raise InputError(
-            "-heat_relax: how balls that turn find their rest depends on what went before, which "
-            "a network does not know; -heat_relax false freezes the neighbours"
-        )
-    law_of(with_vectors(network))
-    pulling = np.flatnonzero(network.force <= 0)
-    if len(pulling):
-        raise InputError(f"-heat_relax: contact {pulling[0]} bears no repulsive force")
-
-
-def with_vectors(network):
-    """Return the network whose balls move in all directions, as those of a packing do at rest."""
-    if network.displacement == "vector":
-        return network
-    return dataclasses.replace(
-        network, displacement="vector", direction=None, component="drive", damped="all"
-    )
-
-
 class Radii:
-    """The derivatives of amplitudes by the radii of all free balls of a network.
+    """The derivatives of amplitudes by the radii of all free balls of a packing.
 
     `least` is a number below all eigenvalues of the packing's stiffness, 0 if none is certain;
     without `relax` neighbours stay where they are.
@@ -76,7 +48,6 @@ class Radii:
 
     def __init__(self, network, relax=True, least=0.0):
         """Factor the stiffness of the packing."""
-        check(network)
         self.network, self.relax = network, relax
         packing = with_vectors(network)
         self.normal, self.distance = packing.normal, packing.distance
@@ -87,7 +58,7 @@ class Radii:
         moving = np.zeros((len(network.held), network.axes))
         moving[network.held == DRIVEN] = network.direction
         self.drive = moving[j] - moving[i]
-        self.apart = _differences(network, network.axes)
+        self.apart = _differences(network)
         squares = np.asarray(self.apart.power(2).sum(axis=1)).ravel()
         self.lengths = np.sqrt(squares[:: network.axes])
         ends = [sparse_rows(end[:, None], np.ones(1), len(network.held)).T for end in (i, j)]
@@ -177,7 +148,7 @@ class Static:
         self.normal, self.least = packing.normal, least
         self.B, self.constants = springs.B, springs.constants
         self.lengths, self.rounding = springs.lengths[: packing.bonds], packing.rounding
-        self.apart = _differences(packing, packing.axes)
+        self.apart = _differences(packing)
         self.K = stiffness_matrix(packing).tocsc()
         self.factors = factored(self.K)  # None where some ball moves freely
         self.reach = np.full(pushes.shape[0], np.inf)
@@ -221,12 +192,11 @@ class Static:
         return eta, rounding, 1.01 * left * self.reach
 
 
-def _differences(network, axes):
+def _differences(network):
     """Return rows that part the balls of each contact along each axis, of weighted unknowns."""
+    from scipy.sparse import diags  # here: SciPy takes its time
+
     number = np.full(len(network.held), -1)
     number[network.free] = np.arange(len(network.free))
-    ends = np.repeat(number[network.bond], axes, axis=0)
-    along = np.tile(np.arange(axes), len(network.bond))[:, None]
-    columns = np.where(ends >= 0, ends * axes + along, -1)
-    weights = network.weights[:: network.components]
-    return sparse_rows(columns, np.array([-1.0, 1.0]) * weights[ends], axes * len(network.free))
+    parted = differences(number[network.bond], network.axes, len(network.free))
+    return (parted @ diags(network.weights)).tocsr()

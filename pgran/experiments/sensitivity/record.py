@@ -10,7 +10,8 @@ from pgran.store.record import array, attribute, error_of
 ITS_BOUND = "bound of its error"
 WHERE = "omega", "detector_number"
 AT_BOND, AT_BALL = (*WHERE, "bond_number"), (*WHERE, "ball_number")
-LOST = "not balanced"  # the outcome of a packing that found no rest
+# what a packing does when a ball grows; the last of them found no rest
+OUTCOMES = "smooth", "opened or closed", "rearranged", "not balanced"
 COMPLEX, NUMBERS = {"dtype": complex, "row": True}, {"dtype": int, "row": True}
 
 
@@ -156,7 +157,7 @@ class Heat(Frequencies):
     @property
     def lost(self):
         """How many packings found no rest."""
-        return 0 if self.outcome is None else int(np.count_nonzero(self.outcome == LOST))
+        return 0 if self.outcome is None else int(np.count_nonzero(self.outcome == OUTCOMES[-1]))
 
     @property
     def failures(self):

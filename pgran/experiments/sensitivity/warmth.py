@@ -1,14 +1,18 @@
 """In which ways a ball may be warmed: its bonds stiffen, its overlaps or its radius grow."""
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
 
 from pgran.errors import InputError
 from pgran.experiments.sensitivity import finite
-from pgran.experiments.sensitivity.radii import check
+from pgran.experiments.sensitivity.record import OUTCOMES
 from pgran.medium.network import Network
+from pgran.run.experiment import Caution
+from pgran.store.estimate import counted
 
+LARGE = 0.3  # of the mean overlap: growth beyond which packings rearrange
 WAYS = "heat_factor", "heat_overlap", "heat_radius", "heat_kelvin"
 
 
@@ -66,16 +70,74 @@ class Warmth(NamedTuple):
         return finite.changes(medium, contacts, growth, case)
 
 
-def relaxes(network, relax):
+def with_vectors(network):
+    """Return the network whose balls move in all directions, as those of a packing do at rest."""
+    if network.displacement == "vector":
+        return network
+    return dataclasses.replace(
+        network, displacement="vector", direction=None, component="drive", damped="all"
+    )
+
+
+def check_law(network):
+    """Raise an InputError where the network does not say what larger radii do to it."""
+    from pgran.balance.networks import law_of
+
+    if network.turns:
+        raise InputError(
+            "-heat_relax: how balls that turn find their rest depends on what went before, which "
+            "a network does not know; -heat_relax false freezes the neighbours"
+        )
+    law_of(with_vectors(network))
+    pulling = np.flatnonzero(network.force <= 0)
+    if len(pulling):
+        raise InputError(f"-heat_relax: contact {pulling[0]} bears no repulsive force")
+
+
+def relaxes(medium, relax):
     """Return whether a packing relaxes; raise an InputError where it should and cannot."""
+    if not isinstance(medium, Network):
+        raise InputError("-heat_radius, -heat_kelvin: of a network, whose balls have radii")
     if relax is False:
-        if not isinstance(network, Network):
-            check(network)
         return False
     try:
-        check(network)
+        check_law(medium)
     except InputError:
-        if relax or not isinstance(network, Network):
+        if relax:
             raise
         return False
     return True
+
+
+def told(heat):
+    """Return in words by how much balls have grown, and what packings did."""
+    if heat.growth is None:
+        return
+    if heat.lost:
+        lost = f"{heat.lost} of {len(heat.ball)} packings found no rest"
+        yield Caution(f"{lost}: their amplitudes are NaN")
+    by = f"{np.abs(heat.growth).max(initial=0.0):.4g}"
+    if heat.growth_overlap is not None:
+        large, least = np.abs(heat.growth_overlap).max(initial=0.0), np.abs(heat.growth_least)
+        if large > LARGE:
+            yield Caution(
+                f"radii grow by {large:.3g} of the mean overlap: beyond {LARGE:g} packings "
+                "rearrange, and derivatives by radii say little of what happens"
+            )
+        by += (
+            f", {large:.3g} of the mean overlap, {np.median(least):.3g} (median) to "
+            f"{least.max():.3g} of their own smallest one"
+        )
+    if heat.by_radius_bound is not None and np.isinf(heat.by_radius_bound).any():
+        yield Caution(
+            "derivatives by radii without bounds: that the packing is stable is not certain"
+        )
+    rest = "packings at a new rest" if heat.relaxed else "neighbours frozen"
+    yield f"radii of warm balls grow by up to {by}; {rest}"
+    if heat.relaxed and np.any(there := heat.outcome != OUTCOMES[-1]):
+        outcomes = [f"{np.count_nonzero(heat.outcome == what)} {what}" for what in OUTCOMES[:-1]]
+        opened, closed = (f"{x[there].mean():.3g}" for x in (heat.opened, heat.closed))
+        yield (
+            f"{counted(len(heat.ball), 'packing')}: {', '.join(outcomes)}; in the mean {opened} "
+            f"contacts opened, {closed} closed"
+        )

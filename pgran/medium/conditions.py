@@ -6,6 +6,7 @@ import re
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.medium.springs import AT_REST, DRIVEN
 
 COMPARE = {
     "<=": operator.le, ">=": operator.ge, "==": operator.eq, "!=": operator.ne,
@@ -19,6 +20,25 @@ ITEM = r"\s*\d{1,18}(?:\s*-\s*\d{1,18})?\s*"
 LIST = re.compile(rf"{ITEM}(?:,{ITEM})*")
 
 
+def hold(held, ids, column, *, rest=None, drive=None):
+    """Return what balls are, shape (N,): `held` as before, but for what two conditions choose.
+
+    `column` returns the numbers, shape (N,), of a column by its name.
+    """
+    held, chosen = held.copy(), []
+    for name, condition, kind in (("rest", rest, AT_REST), ("drive", drive, DRIVEN)):
+        if condition is not None:
+            try:
+                chosen.append(choose(str(condition), ids, column))
+            except InputError as error:
+                raise InputError(f"--{name}: {error}") from None
+            held[chosen[-1]] = kind
+    if len(chosen) == 2:
+        for ball in ids[np.logical_and(*chosen)][:1]:
+            raise InputError(f"--rest and --drive: ball {ball} cannot be both")
+    return held
+
+
 def choose(condition, ids, column):
     """Return which balls of some ids a condition chooses, shape (N,).
 
@@ -29,12 +49,18 @@ def choose(condition, ids, column):
         chosen = _listed(condition, ids)
     else:
         chosen = np.zeros(len(ids), dtype=bool)
-        for alternative in re.split(r"\bor\b", condition):
-            holds = [_compared(text, column) for text in re.split(r"\band\b", alternative)]
-            chosen |= np.logical_and.reduce(holds)
+        for alternative in _alternatives(condition):
+            chosen |= np.logical_and.reduce([_holds(column, *each) for each in alternative])
     if not np.any(chosen):
         raise InputError(f"{condition!r} chooses no ball")
     return chosen
+
+
+def columns_in(condition):
+    """Return the names of the columns that a condition compares; refuse what is none."""
+    if LIST.fullmatch(condition):
+        return []
+    return [name for alternative in _alternatives(condition) for name, *_ in alternative]
 
 
 def _listed(condition, ids):
@@ -49,8 +75,14 @@ def _listed(condition, ids):
     return chosen
 
 
-def _compared(text, column):
-    """Return where one comparison holds."""
+def _alternatives(condition):
+    """Return lists of comparisons that must hold together: columns, signs, min or max, numbers."""
+    parted = [re.split(r"\band\b", text) for text in re.split(r"\bor\b", condition)]
+    return [[_comparison(text) for text in texts] for texts in parted]
+
+
+def _comparison(text):
+    """Return the column, the sign, min or max, and the number of one comparison."""
     match = COMPARISON.fullmatch(text)
     name, sign, end, number = match.groups() if match else [None] * 4
     # "x<max-1.5", "x<max", "x<1.5" are comparisons, but "x<" and "x<max1.5" are none
@@ -58,6 +90,11 @@ def _compared(text, column):
         raise InputError(
             f"{text.strip()!r} is no condition; x<1.5, x>max-1.5 and type==2, 12,15,30-40 are"
         )
+    return name, sign, end, float(number.replace(" ", "") if number else 0)
+
+
+def _holds(column, name, sign, end, number):
+    """Return where one comparison holds."""
     values = column(name)
     bound = getattr(values, end)() if end else 0.0
-    return COMPARE[sign](values, bound + float(number.replace(" ", "") if number else 0))
+    return COMPARE[sign](values, bound + number)

@@ -1,0 +1,164 @@
+"""Balls come to rest under a pressure, or under gravity, from random positions.
+
+FIRE runs down to a millionth of the mean force, under pressures that fall by factors of 10: it is
+cheap, and from there Newton's method on the enthalpy needs two or three factorizations. Rattlers
+are left out. Lengths are in mean diameters, constants in the law's modulus.
+"""
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pgran.balance.contacts import loose_balls
+from pgran.balance.equilibrium import NotBalancedError, Rest, at_rest
+from pgran.balance.fire import fire
+from pgran.balance.motion import Balls, listed
+
+DENSITY = {2: 0.9, 3: 0.7}  # of random positions: the part of the box that balls fill
+FIRST = {1.0: 1e-2}  # the pressure where a descent begins, of laws by their power
+BEGINNING = 1e-3  # of others
+NEAR = 1e-6  # of the mean force: from where Newton's method is quick
+BALANCED = 1e-13  # of the mean force
+TOUCHING = 1e-13  # mean diameters by which a rattler may overlap: rounding of positions
+RETURNS = 20  # to FIRE, where Newton's method finds no rest
+HEAVY = 1e-3  # the gravity under which balls settle first; then it falls by factors of 3 or so
+SQUEEZED = 0.2  # mean diameters by which balls at the floor overlap at most while others settle
+FLOOR = 0.7  # mean diameters between the balls of a floor, which let none through
+ROUGH = 0.2  # mean diameters by which their heights differ
+
+
+class Packed(NamedTuple):
+    """A packing at rest without its rattlers, how many these are, and FIRE's steps."""
+
+    rest: Rest
+    rattlers: int
+    descents: int
+
+    @property
+    def contacts(self):
+        """The contacts that bear forces."""
+        return self.rest.contacts.of(self.rest.contacts.overlap > 0)
+
+    @property
+    def excess(self):
+        """Contacts less those of an isostatic packing: d N, in a periodic box d (N - 1) + 1."""
+        balls = self.rest.balls
+        size = balls.position.shape[1]
+        least = size * np.count_nonzero(~balls.held)
+        if not balls.held.any():
+            least += 1 - size
+        return np.count_nonzero(self.rest.contacts.overlap > 0) - least
+
+
+def under_pressure(diameter, dimension, law, pressure, rng, shape=None):
+    """Return a `Packed` of balls in a periodic box, whose sides are in the ratio of `shape`."""
+    sides = np.ones(dimension) if shape is None else np.asarray(shape, dtype=float)
+    fraction = math.pi / (4 if dimension == 2 else 6)
+    volume = fraction * np.sum(diameter**dimension) / DENSITY[dimension]
+    box = sides * (volume / sides.prod()) ** (1 / dimension)
+    position = rng.random((len(diameter), dimension)) * box
+    free = np.zeros(len(diameter), dtype=bool)
+    balls, descents, _ = fire(Balls(position, diameter / 2, free, box, law), None, 1e-2, steps=3000)
+    stage = max(pressure, FIRST.get(law.power, BEGINNING))
+    while True:
+        last = stage == pressure
+        tolerance, pressed = (NEAR, 1e-2) if last else (1e-3, 0.1)
+        balls, steps, _ = fire(balls, stage, tolerance, pressed)
+        descents += steps
+        if last:
+            break
+        stage = max(pressure, stage / 10)
+    return settled(balls, pressure, dimension + 1, descents)
+
+
+def settled(balls, pressure, least, descents):
+    """Return a `Packed`: Newton's rest without rattlers, which have fewer than `least` contacts.
+
+    Where there is none, or where it squeezes a rattler, FIRE goes on.
+    """
+    for _ in range(RETURNS):
+        try:
+            rest, carrying = _rest_without_rattlers(balls, pressure, least)
+        except NotBalancedError:
+            squeezed = True
+        else:
+            balls, squeezed = _rattlers_placed(balls, rest.balls, carrying)
+            if not squeezed:
+                return Packed(rest, np.count_nonzero(~carrying), descents)
+        balls, steps, _ = fire(balls, pressure, NEAR / 10)
+        descents += steps
+    raise NotBalancedError(f"no balanced packing after {RETURNS} descents: try another seed")
+
+
+def _rest_without_rattlers(balls, pressure, least):
+    """Return the rest of the balls that bear forces, and which ones these are."""
+    carrying, pairs = np.arange(len(balls.held)), listed(balls, reach=0.0).pairs
+    while True:
+        rattling = loose_balls(pairs, balls.held[carrying], least)
+        carrying = carrying[~rattling]
+        if not len(carrying):
+            raise NotBalancedError("no ball has contacts enough to be held by them")
+        own = balls.of(carrying)
+        if not own.held.any() and np.all(np.isfinite(own.box)):
+            own.held[0] = True  # else all could move together
+        rest = at_rest(own, None, pressure, BALANCED)
+        pairs = rest.contacts.pairs[rest.contacts.overlap > 0]
+        if not loose_balls(pairs, own.held, least).any():
+            held = balls.held[carrying]
+            rest = rest._replace(balls=dataclasses.replace(rest.balls, held=held))
+            return rest, np.isin(np.arange(len(balls.held)), carrying)
+
+
+def _rattlers_placed(balls, carriers, carrying):
+    """Return all balls, the rattlers where the others leave them room, and whether none is left."""
+    position, periodic = balls.position.copy(), np.isfinite(balls.box)
+    position[:, periodic] *= carriers.box[periodic] / balls.box[periodic]
+    position[carrying] = carriers.position
+    placed = dataclasses.replace(balls, position=position, box=carriers.box, held=carrying)
+    if carrying.all():
+        return dataclasses.replace(placed, held=balls.held), False
+    placed, _, _ = fire(placed, tolerance=0.0, steps=2000)
+    contacts = listed(placed, reach=0.0)
+    deepest = contacts.overlap.max(initial=0.0)
+    return dataclasses.replace(placed, held=balls.held), deepest > TOUCHING
+
+
+def under_gravity(diameter, dimension, law, gravity, rng, width=None):
+    """Return a `Packed` of balls on a floor of held ones, along the last axis; sides are periodic.
+
+    The surface is free. The floor's balls, of mean diameter, come last.
+    """
+    fraction = math.pi / (4 if dimension == 2 else 6)
+    volume = fraction * np.sum(diameter**dimension) / DENSITY[dimension]
+    width = volume ** (1 / dimension) if width is None else width
+    across = max(round(width / FLOOR), 1)
+    spots = np.stack(np.meshgrid(*[np.arange(across) * width / across] * (dimension - 1)), axis=-1)
+    floor = np.zeros((across ** (dimension - 1), dimension))
+    floor[:, :-1] = spots.reshape(len(floor), -1)
+    floor[:, -1] = -ROUGH * rng.random(len(floor))
+    position = rng.random((len(diameter), dimension)) * width
+    position[:, -1] *= volume / width**dimension
+    position[:, -1] += diameter.max()
+    held = np.arange(len(diameter) + len(floor)) >= len(diameter)
+    diameter = np.append(diameter, np.ones(len(floor)))
+    box = np.append(np.full(dimension - 1, float(width)), np.inf)
+    down = np.zeros((len(held), dimension))
+    down[:, -1] = -gravity * diameter**dimension
+    balls = Balls(np.concatenate([position, floor]), diameter / 2, held, box, law)
+    descents = 0
+    layers = np.sum(diameter**dimension) / width ** (dimension - 1)
+    strongest = law.force(law.constants(0.5, 0.5), SQUEEZED) / layers
+    stages = max(math.ceil(2 * math.log10(HEAVY / gravity)), 3)
+    stages = min(stages, max(math.floor(2 * math.log10(strongest / gravity)), 0))
+    for stage in range(stages, -1, -1):
+        balls = dataclasses.replace(balls, load=10 ** (stage / 2) * down)
+        balls, steps, _ = fire(balls, tolerance=1e-2 if stage else NEAR, steps=20000)
+        descents += steps
+    fallen = np.count_nonzero(balls.position[~held, -1] < -1)
+    if fallen:
+        raise NotBalancedError(
+            f"{fallen} balls have fallen through the floor: gravity is too strong for the contacts"
+        )
+    return settled(balls, None, dimension, descents)

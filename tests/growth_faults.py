@@ -1,0 +1,234 @@
+"""What is false of balls that grow in random packings: rest, amplitudes, derivatives by radii.
+
+A packing after the growth is held against the equations of its rest, summed anew; amplitudes and
+derivatives against dense solves with 64 bits or more of mantissa, the derivatives forward: the
+packing's own response to the radius, and what all that changes in S.
+"""
+
+import dataclasses
+import itertools
+
+import numpy as np
+from scipy.linalg import lu_factor, lu_solve
+from sensitivity_samples import heated
+
+import pgran
+from pgran.experiments.sensitivity.growth import LOST, Packing
+from pgran.experiments.sensitivity.record import OUTCOMES
+
+LONG, COMPLEX = np.longdouble, np.clongdouble
+
+
+@dataclasses.dataclass(frozen=True)
+class GrowthCase:
+    """A packing, the ball that grows and by how much, and where and how that is heard.
+
+    `units` are those of force and length.
+    """
+
+    seed: int
+    choices: dict
+    others: dict
+    units: tuple
+    omegas: np.ndarray
+    growth: float
+    tolerance: float
+
+
+def random_growth(seed):
+    """A small packing of any kind between walls; the growth is in mean overlaps, of any sign."""
+    rng = np.random.default_rng([29, seed])
+    dimension = int(rng.integers(2, 4))
+    push = {"pressure": 10 ** rng.uniform(-4, -2)}
+    if rng.random() < 0.25:
+        push = {"gravity": 10 ** rng.uniform(-4, -2)}
+    choices = {
+        "balls": int(rng.integers(40, 70) if dimension == 2 else rng.integers(70, 100)),
+        "dimension": dimension, "law": ["harmonic", "hertz", 2.0][rng.choice(3, p=[0.4, 0.5, 0.1])],
+        "sizes": rng.uniform(0, 0.3), "walls": "x", "seed": seed,
+    }  # fmt: skip
+    others = {"damping": 10 ** rng.uniform(-4, 0)}
+    others["displacement"] = str(rng.choice(["vector", "scalar"], p=[0.75, 0.25]))
+    if others["displacement"] == "vector" and rng.random() < 0.3:
+        others["damped"] = "normal"
+    growth = rng.choice([-1.0, 1.0]) * 10 ** rng.uniform(-3, 0.3)
+    omegas = np.sort(10 ** rng.uniform(-1.5, 0.2, 2))
+    tolerance = 10 ** rng.uniform(-10, -2)
+    units = 10 ** rng.uniform(-6, 6), 10 ** rng.uniform(-3, 1)
+    return GrowthCase(seed, choices | push, others, units, omegas, growth, tolerance)
+
+
+def in_units(network, force, length):
+    """The same network, with the same frequencies, in other units of force and length."""
+    stiff, factors = force / length, {"force": force, "gravity": length}
+    factors |= dict.fromkeys(["stiffness", "masses", "damping", "kmax", "median_mass"], stiff)
+    factors |= dict.fromkeys(["position", "radius", "distance", "box"], length)
+    values = {name: getattr(network, name) for name in factors}
+    scaled = {name: factors[name] * x for name, x in values.items() if x is not None}
+    return dataclasses.replace(network, **scaled)
+
+
+def growth_faults(case, seen):
+    """Yield what is false of a heater of one ball; count what was `seen`."""
+    rng = np.random.default_rng([30, case.seed])
+    packed = pgran.pack(**case.choices)
+    others = dict(case.others)
+    if others["displacement"] == "scalar":
+        others["direction"] = None
+    network = in_units(dataclasses.replace(packed, **others), *case.units)
+    ball, detector = (int(rng.choice(network.free)) for _ in range(2))
+    size, omegas = case.growth * network.overlap.mean(), case.omegas * network.omega_mx
+    what = f"case {case.seed} ball {ball} growth {case.growth:.2g} detector {detector}"
+    asked = {"radius": size, "balls": [ball], "error_tolerance": case.tolerance}
+    found = heated(network, omegas, [detector], **asked)
+    seen["heaters"] += 1
+    seen[found.outcome[0]] += 1
+    grown = Packing(network).grown(ball, size)
+    if OUTCOMES[grown.outcome] != found.outcome[0]:
+        yield f"OUTCOME {what}: {found.outcome[0]}, and then {OUTCOMES[grown.outcome]}"
+    if grown.outcome == LOST:
+        if np.isfinite(found.warmed).any() or np.isfinite(found.warmed_bound).any():
+            yield f"LOST {what}: amplitudes are finite"
+        return
+    yield from (
+        f"REST {what}: {fault}" for fault in rest_faults(network, grown.network, ball, size)
+    )
+    for n, omega in enumerate(omegas):
+        after = Dense(grown.network, 1j * omega).amplitude(detector)
+        before = Dense(network, 1j * omega)
+        at = np.searchsorted(network.free, ball)
+        for name, got, bound, right in (
+            ("displacement", found.displacement[n, 0], found.error_bound[n, 0],
+             before.amplitude(detector)),
+            ("warmed", found.warmed[n, 0, 0], found.warmed_bound[n, 0, 0], after),
+            ("by_radius", found.by_radius[n, 0, at], found.by_radius_bound[n, 0, at],
+             before.derivative(ball, detector)),
+        ):  # fmt: skip
+            seen[name] += 1
+            seen[f"{name} bounded"] += bool(np.isfinite(bound))
+            seen[f"{name} to 1e-6"] += bool(bound <= 1e-6 * abs(right))
+            if np.isfinite(bound) and not abs(COMPLEX(got) - right) <= bound:
+                wrong = float(abs(COMPLEX(got) - right))
+                yield f"BROKEN {name} {what} omega {omega:.6g}: {wrong} > {bound} of {abs(right)}"
+
+
+def rest_faults(before, after, ball, size):
+    """What keeps a network from being a packing at rest, after a ball of another one has grown."""
+    totals = []
+    for network in (before, after):
+        push, total = network.force[:, None] * network.normal, np.zeros(network.position.shape)
+        np.add.at(total, network.bond[:, 0], -push)
+        np.add.at(total, network.bond[:, 1], push)
+        totals.append(total[network.free])
+    left = np.linalg.norm(totals[1] - totals[0][np.isin(before.free, after.free)], axis=1)
+    length = 2 * before.radius.mean()
+    if not left.max() <= 3e-12 * after.force.mean():
+        yield f"{left.max() / after.force.mean():.1e} of the mean force is left"
+    radius, rounding = before.radius + size * (np.arange(len(before.held)) == ball), 1e-12 * length
+    if not np.array_equal(after.radius, radius):
+        yield "other radii"
+    periods, x = np.where(after.box > 0, after.box, 0.0), after.position
+    shifts = map(np.array, itertools.product(*[{-period, 0.0, period} for period in periods]))
+    distance = np.min([np.linalg.norm(x[None] + y - x[:, None], axis=2) for y in shifts], axis=0)
+    overlap = radius[:, None] + radius - distance
+    moving = (before.held == 0)[:, None] | (before.held == 0)
+    touching = np.triu(moving & (overlap > rounding), 1)
+    pairs = {(*pair,) for pair in np.argwhere(touching).tolist()}
+    pressed = {(*sorted(pair),) for pair in after.bond.tolist()}
+    if not pairs <= pressed:
+        yield f"overlaps without forces: {pairs - pressed}"
+    i, j = after.bond.T
+    if not np.allclose(after.overlap, overlap[i, j], rtol=0, atol=rounding):
+        yield "overlaps are not those of positions and radii"
+    moduli = []
+    for network in (before, after):
+        one, other = network.radius[network.bond].T
+        curved = (one * other / (one + other)) ** (network.power - 1)
+        moduli.append(network.force / (curved * network.overlap**network.power))
+    if not np.allclose(moduli[1], moduli[0][0], rtol=1e-9, atol=0):
+        yield "forces do not obey the law"
+
+
+class Dense:
+    """S of all balls of a network, dense, with long numbers."""
+
+    def __init__(self, network, s):
+        """Sum it up contact by contact."""
+        self.net, self.axes, self.damping = network, network.axes, COMPLEX(s * network.damping)
+        self.k, self.F = LONG(network.stiffness), LONG(network.force)
+        if self.axes > 1:
+            n = LONG(network.normal)
+            self.n, self.d = n / np.sqrt(np.sum(n * n, axis=1))[:, None], LONG(network.distance)
+        self.S = self.summed(map(self.block, range(network.bonds)))
+        self.S += COMPLEX(s) ** 2 * np.diag(np.repeat(LONG(network.masses), self.axes))
+        moved = np.zeros((len(network.held), self.axes), COMPLEX)
+        moved[network.held == 2] = network.direction
+        self.A = moved.ravel() + self.solved(self.S, -(self.S @ moved.ravel()))
+
+    def block(self, c):
+        """What a contact adds for each of its ends."""
+        eye = np.eye(self.axes, dtype=LONG)
+        if self.axes == 1:
+            return (self.k[c] + self.damping) * eye
+        along = np.outer(self.n[c], self.n[c])
+        damped = along if self.net.damped == "normal" else eye
+        return self.k[c] * along - self.F[c] / self.d[c] * (eye - along) + self.damping * damped
+
+    def summed(self, blocks):
+        """The sum over contacts of blocks b on the diagonal and -b beside it."""
+        net, axes = self.net, self.axes
+        K = np.zeros((len(net.held), axes, len(net.held), axes), COMPLEX)
+        for (i, j), block in zip(net.bond, blocks, strict=True):
+            K[i, :, i] += block
+            K[j, :, j] += block
+            K[i, :, j] -= block
+            K[j, :, i] -= block
+        return K.reshape(len(net.held) * axes, -1)
+
+    def solved(self, S, f):
+        """The solution of S x = f for free balls, 0 for others, refined with long residuals."""
+        free = np.flatnonzero(np.repeat(self.net.held == 0, self.axes))
+        inside = S[np.ix_(free, free)]
+        factors = lu_factor(inside.astype(complex))
+        x = np.zeros(len(free), COMPLEX)
+        for _ in range(12):
+            x += lu_solve(factors, (f[free] - inside @ x).astype(complex))
+        whole = np.zeros(len(S), COMPLEX)
+        whole[free] = x
+        return whole
+
+    def amplitude(self, detector, field=None):
+        """The field at a ball, along the drive."""
+        field = self.A if field is None else field
+        return field.reshape(-1, self.axes)[detector] @ self.net.direction
+
+    def derivative(self, ball, detector):
+        """The derivative by a ball's radius: all find their rest anew, and S changes with them."""
+        net, R, (i, j) = self.net, LONG(self.net.radius), self.net.bond.T
+        still = dataclasses.replace(net, displacement="vector", direction=None)
+        still = Dense(still, 0.0)  # as balls move while they find their rest
+        n, d, k, F = still.n, still.d, self.k, self.F
+        grows = (net.bond == ball).any(axis=1) * LONG(1)
+        other = np.where(i == ball, j, i)
+        bent = grows * (net.power - 1) * R[other] / (R[ball] * (R[ball] + R[other]))  # d ln c
+        load = np.zeros((len(net.held), still.axes), COMPLEX)
+        for end, sign in ((i, -1), (j, 1)):
+            np.add.at(load, end, sign * (k * grows + F * bent)[:, None] * n)
+        w = still.solved(still.S, load.ravel()).real.reshape(load.shape)
+        w = w[j] - w[i]
+        dd = np.sum(n * w, axis=1)
+        dn = (w - dd[:, None] * n) / d[:, None]
+        dh = grows - dd
+        dF = k * dh + F * bent
+        dk = (net.power - 1) * k**2 * dh / (net.power * F) + k * bent
+        changes, eye = [x * np.eye(1) for x in dk], np.eye(still.axes, dtype=LONG)
+        if self.axes > 1:
+            dashpots = self.damping if net.damped == "normal" else 0.0
+            changes = []
+            for c in range(net.bonds):
+                along, turned = np.outer(n[c], n[c]), np.outer(dn[c], n[c])
+                across = dF[c] / d[c] - F[c] * dd[c] / d[c] ** 2
+                turning = (k[c] + F[c] / d[c] + dashpots) * (turned + turned.T)
+                changes.append(dk[c] * along - across * (eye - along) + turning)
+        dA = self.solved(self.S, -(self.summed(changes) @ self.A))
+        return self.amplitude(detector, dA)

@@ -1,0 +1,84 @@
+"""Instead of LAMMPS: reads the script and the data file of an export, and writes its two dumps.
+
+Contacts are those of all pairs of balls and all their images, one by one.
+"""
+
+import itertools
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+
+
+def read_packing(script):
+    """Return what a script and its data file say of a packing, as a dictionary."""
+    words = dict(line.partition(" ")[::2] for line in Path(script).read_text().splitlines())
+    head, _, rows = (Path(script).parent / words["read_data"]).read_text().partition("Atoms # ")
+    kind, _, rows = rows.partition("\n\n")
+    assert kind == words["atom_style"] == "sphere"
+    rows = np.loadtxt(rows.splitlines(), ndmin=2)
+    assert re.search(r"(\d+) atoms$", head, re.MULTILINE)[1] == str(len(rows))
+    assert rows[:, 1].max() <= int(re.search(r"(\d+) atom types$", head, re.MULTILINE)[1])
+    assert np.array_equal(rows[:, 0], np.arange(len(rows)) + 1)
+    ends = re.findall(r"^(\S+) (\S+) (.)lo (.)hi$", head, re.MULTILINE)
+    assert "".join(x + y for *_, x, y in ends) == "xxyyzz"
+    low, high = np.array([end[:2] for end in ends], dtype=float).T
+    axes, flags = int(words["dimension"]), words["boundary"].split()
+    style, modulus, *others = words["pair_style"].split()
+    assert {*others} == {"0"}  # neither tangential springs nor dashpots nor friction
+    return {
+        "style": style, "modulus": float(modulus), "axes": axes, "low": low, "high": high,
+        "periods": np.where([x == "p" for x in flags], high - low, 0.0)[:axes], "flags": flags,
+        "type": rows[:, 1].astype(int), "radius": rows[:, 2] / 2,
+        "mass": rows[:, 3] * (4 / 3 * np.pi * (rows[:, 2] / 2) ** 3),
+        "position": rows[:, 4 : 4 + axes], "beyond": rows[:, 4 + axes :],
+    }  # fmt: skip
+
+
+def contacts_of(packing):
+    """Return pairs, distances and forces of all balls that overlap, a row each."""
+    power = {"gran/hooke/history": 1.0, "gran/hertz/history": 1.5}[packing["style"]]
+    shifts = itertools.product(*[{-x, 0.0, x} for x in packing["periods"]])
+    position, radius, rows = packing["position"], packing["radius"], []
+    for shift in map(np.array, shifts):
+        away = position[None] + shift - position[:, None]
+        distance = np.linalg.norm(away, axis=2)
+        for i, j in np.argwhere(np.triu(distance < radius[:, None] + radius, 1)):
+            overlap = radius[i] + radius[j] - distance[i, j]
+            rounded = (radius[i] * radius[j] / (radius[i] + radius[j])) ** (power - 1)
+            force = packing["modulus"] * rounded * overlap**power
+            rows.append((i, j, distance[i, j], force))
+    return np.array(rows)
+
+
+def dump(path, kind, names, rows, packing):
+    """Write rows of numbers with all their digits."""
+    lines = ["ITEM: TIMESTEP", "0", f"ITEM: NUMBER OF {kind}", str(len(rows))]
+    lines += [f"ITEM: BOX BOUNDS {' '.join(2 * x for x in packing['flags'])}"]
+    ends = zip(packing["low"], packing["high"], strict=True)
+    lines += [f"{low:.17g} {high:.17g}" for low, high in ends]
+    lines += [f"ITEM: {kind} {' '.join(names)}"]
+    lines += [" ".join(f"{x:.17g}" for x in row) for row in rows]
+    Path(path).write_text("\n".join([*lines, ""]))
+
+
+def main(script):
+    """Write the dumps that the script asks for."""
+    packing, text = read_packing(script), Path(script).read_text()
+    place, columns = Path(script).parent, {}
+    for kind, name, words in re.findall(r"^dump .* (custom|local) 1 (\S+) (.*)$", text, re.M):
+        columns[kind] = place / name, words.split()
+    number = np.arange(len(packing["type"])) + 1.0
+    balls = {"id": number, "type": packing["type"], "radius": packing["radius"]}
+    balls |= {"mass": packing["mass"], **dict(zip("xyz", packing["position"].T, strict=False))}
+    path, names = columns["custom"]
+    dump(path, "ATOMS", names, np.column_stack([balls[name] for name in names]), packing)
+    path, names = columns["local"]
+    rows = contacts_of(packing)
+    rows[:, :2] += 1
+    dump(path, "ENTRIES", names, rows, packing)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
