@@ -68,8 +68,8 @@ def lanczos(inverse, size, wanted):
     """
     from scipy.linalg import eigh_tridiagonal
 
-    most = min(4 * wanted + STEPS, size - 1)
-    space, along, across = np.empty((most + 1, size)), [], []
+    most = min(4 * wanted + STEPS, size)
+    space, along, across = np.empty((most, size)), [], []
     space[0] = np.random.Generator(np.random.Philox(0)).standard_normal(size)
     space[0] /= np.linalg.norm(space[0])
     for step in range(most):
@@ -80,16 +80,18 @@ def lanczos(inverse, size, wanted):
             last -= across[-1] * space[step - 1]
         last -= (space[: step + 1] @ last) @ space[: step + 1]
         across.append(np.linalg.norm(last))
-        if not 0 < across[step] < np.inf:
+        if not np.isfinite(across[step]):
             return None
-        np.divide(last, across[step], out=space[step + 1])
-        if step > wanted and step % CHECKED == 0:
+        ends = step + 1 == most or across[step] == 0
+        if step >= wanted and (ends or step % CHECKED == 0):
             values, vectors = eigh_tridiagonal(along, across[:-1])
             nearest = np.argsort(-np.abs(values))[:wanted]
             left = across[step] * np.abs(vectors[-1, nearest])
             if np.all(left <= CLOSELY * np.abs(values[nearest])):
                 return vectors[:, nearest].T @ space[: step + 1]
-    return None
+        if ends:
+            return None
+        np.divide(last, across[step], out=space[step + 1])
 
 
 class Nearest:
