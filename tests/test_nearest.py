@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from pgran.driven.inertia import RealFactors, real_matrix
 from pgran.driven.operators import Operators
@@ -68,36 +67,23 @@ def test_moved_and_missing_pivots_tell_nothing():
         RealFactors(sp.csc_matrix(np.ones((2, 2))), 0.0)
 
 
-def test_an_inverse_in_real_arithmetic_takes_complex_vectors():
+@pytest.mark.parametrize("spread", [1.0, 1e6])
+def test_a_search_finds_the_modes_nearest_to_a_shift(spread):
+    """Of a matrix with known eigenvalues, those in magnitude nearest to 0, as dense algebra has."""
     rng = np.random.default_rng(1)
-    dense = rng.standard_normal((6, 6))
-    dense += dense.T
-    A = PETSc.Mat().createDense((6, 6), array=dense.astype(complex), comm=PETSc.COMM_SELF)
-    A = A.convert("aij")
-    pc = PETSc.PC().create(PETSc.COMM_SELF)
-    pc.setType("python")
-    pc.setPythonContext(nearest.Inverse())
-    pc.setOperators(A)
-    x, b = A.createVecs()
-    for right in (rng.standard_normal(6) + 0j, rng.standard_normal(6) * (1 - 2j)):
-        b.setArray(right)
-        pc.apply(b, x)
-        np.testing.assert_allclose(dense @ x.getArray(), right, rtol=1e-10, atol=1e-10)
-    for thing in (A, pc, x, b):
-        thing.destroy()
+    Q, _ = np.linalg.qr(rng.standard_normal((80, 80)))
+    values = rng.standard_normal(80) * spread ** rng.random(80)
+    closest = np.argsort(np.abs(values))[:6]
+    found = nearest.lanczos(lambda b: Q @ (Q.T @ b / values), 80, 6)
+    overlaps = np.linalg.svd(found @ Q[:, closest], compute_uv=False)
+    np.testing.assert_allclose(overlaps, 1.0, atol=1e-9)
+    np.testing.assert_allclose(found @ found.T, np.eye(6), atol=1e-12)
 
 
-@pytest.mark.parametrize("entries", [[1, 1, 1, 1], [1e-20, 1, 1, 1]])
-def test_an_inverse_refuses_factors_that_are_spoilt(entries):
-    """A singular matrix, and a tiny pivot, in which the entry beside it is lost."""
-    dense = np.array(entries, dtype=complex).reshape(2, 2)
-    A = PETSc.Mat().createDense((2, 2), array=dense, comm=PETSc.COMM_SELF).convert("aij")
-    pc = PETSc.PC().create(PETSc.COMM_SELF)
-    pc.setOperators(A)
-    with pytest.raises(PETSc.Error, match="71"):
-        nearest.Inverse().setUp(pc)
-    A.destroy()
-    pc.destroy()
+def test_a_search_without_an_end_finds_nothing():
+    """Where all eigenvalues are equal the space ends at once; where a product is no number, too."""
+    assert nearest.lanczos(lambda b: 2.0 * b, 30, 4) is None
+    assert nearest.lanczos(lambda b: np.full_like(b, np.nan), 30, 4) is None
 
 
 def networks():
@@ -161,7 +147,7 @@ def test_a_missing_mode_is_noticed(factors, monkeypatch):
     """The counts say more than a search has found; other searches find it after all."""
     network = makers.random_geometric(150, 3, 8.0, displacement="vector", seed=3)
     omegas, _ = frequencies(network)
-    target, searched, dropped = 0.3 * omegas[-1], nearest.Nearest._searched, []
+    target, searched, dropped = 0.3 * omegas[-1], nearest.Nearest.searched, []
 
     def spoilt(self, value, wanted):
         modes = searched(self, value, wanted)
@@ -169,7 +155,7 @@ def test_a_missing_mode_is_noticed(factors, monkeypatch):
         dropped.append(value)
         return nearest.Modes(*(part[there] for part in modes))
 
-    monkeypatch.setattr(nearest.Nearest, "_searched", spoilt)
+    monkeypatch.setattr(nearest.Nearest, "searched", spoilt)
     with Operators(network, MPI.COMM_SELF) as operators, ModeSolver(operators) as solver:
         assert solver.interval(target, 9) is None
     modes = find_modes(network, targets=[target], count=9, method="eps")
@@ -191,6 +177,15 @@ def test_modes_depend_on_no_rank(factors, world):
     assert shared.count_certified
     for name in ("omega", "residual", "vector"):
         np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name))
+
+
+def test_factors_that_small_pivots_spoil_are_not_used(factors):
+    """A search whose shift is next to a pivot, beside which entries are lost."""
+    network = makers.random_geometric(150, 2, 5.0, displacement="vector", seed=5)
+    with Operators(network, MPI.COMM_SELF) as operators, ModeSolver(operators) as solver:
+        first = solver._nearest.K[0, 0]
+        assert solver._nearest.modes(nearest.Search(first * (1 - 4e-16), 8)) is None
+        assert solver._nearest.modes(nearest.Search(first * (1 - 1e-3), 8)) is not None
 
 
 def test_options_of_an_eps_have_their_meaning(solver_options):

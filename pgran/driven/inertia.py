@@ -81,13 +81,14 @@ class RealFactors:
         # abs() of a matrix would sort it first.
         lower, upper = (csc_matrix((np.abs(F.data), F.indices, F.indptr), F.shape) for F in (L, U))
         np.abs(apart.data, out=apart.data)
-        unit = (int(np.bincount(L.indices).max()) + 8) * (EPSILON / 2)
+        # An entry of L U in row i is summed from no more terms than that row of L has entries.
+        unit = (np.bincount(L.indices, minlength=self.size) + 8) * (EPSILON / 2)
         weight = unit / (1 - unit)
         # Where F bounds |E| entry by entry, |E|_2 is no more than F's spectral radius, and that no
         # more than the largest (F v)_i / v_i of any positive v (Collatz and Wielandt).
         vector, bound = np.ones(self.size), np.inf
         for _ in range(PASSES):
-            product = lower @ (weight * (upper @ vector) + apart @ vector)
+            product = weight * (lower @ (upper @ vector)) + lower @ (apart @ vector)
             bound = ROUNDED * float(np.max(product / vector)) + EPSILON * self._largest
             if bound <= enough:
                 break

@@ -57,8 +57,9 @@ def find_modes(
     ),
     method=option(
         "auto",
-        "eps, slices of the spectrum by SLEPc, certified by counts; dense, the whole spectrum by "
-        "LAPACK, proven by residuals; auto, of lattices eps, of networks what is faster",
+        "eps, slices of the spectrum by SLEPc, of networks in real arithmetic first, certified by "
+        "counts; dense, the whole spectrum by LAPACK, proven by residuals; auto, of lattices eps, "
+        "of networks what is faster",
         choices=("auto", "eps", "dense"),
     ),
     shapes=option(False, "store the shapes of the modes", key="output_fields"),

@@ -1,7 +1,8 @@
 """Modes of a network nearest to a value of lambda: one search, one factorization at each end.
 
-A search comes first. Its values tell where to count: in the widest gaps that leave the wanted modes
-between them.
+A search comes first, by Lanczos's method in real arithmetic and without restarts, which takes half
+the time of an EPS of the complex SLEPc. Its values tell where to count: in the widest gaps that
+leave the wanted modes between them.
 
     lambda  --x-|--x-o-oo-o---o-oo-|---x-->    o wanted, x found beside them, | an end
 
@@ -15,13 +16,14 @@ no fewer, since to each value belongs an eigenvalue of its own within that dista
 G. W. Stewart and J. Sun, Matrix Perturbation Theory, section IV.4).
 """
 
+import contextlib
 from typing import NamedTuple
 
 import numpy as np
 
 from pgran.driven.inertia import RealFactors, real_matrix
 from pgran.medium.rounding import EPSILON
-from pgran.run.petsc import PETSc, plain_errors
+from pgran.run.petsc import PETSc
 
 SPARE = 4  # modes that are searched for beyond those that are wanted
 TRIES = 3  # searches, each for half as many modes again, until there are gaps
@@ -30,11 +32,10 @@ ROOM = 0.8  # part of the way to a gap's nearer side that eps may be
 OUTSIDE = 1e-11  # of |K|: how far below or above all eigenvalues nothing needs to be counted
 HELD = 4  # searches whose modes are held until their slice is asked for
 MOST = 60  # wanted modes of a search
-CLOSELY, RESTARTS = 1e-10, 20  # tolerance of the EPS, and how often it restarts at most
+CLOSELY = 1e-11  # of an eigenvalue of (K - sigma)^-1: the residual of a vector that is found
+STEPS, CHECKED = 100, 4  # of Lanczos's method beyond 4 for each mode; how often it is checked
 REFINE = 2e-13  # of |K|: residuals above it are worth a step of refinement
-
 SPOILT = 1e-10  # part of a matrix by which factors may differ from it
-ZERO_PIVOT = 71  # PETSc's number of that error
 
 
 class Cut(NamedTuple):
@@ -59,36 +60,42 @@ class Modes(NamedTuple):
     residuals: np.ndarray
 
 
-class Inverse:
-    """A PC of the type `python`: factors of K - sigma in real arithmetic, which costs a half."""
+def lanczos(inverse, size, wanted):
+    """Return vectors of so many modes nearest to sigma, a row each; None if some are not found.
 
-    def setUp(self, pc):
-        """Factor the matrix that the PC now has; PETSc's own error says that it is singular.
+    `inverse` multiplies by (K - sigma)^-1 in real arithmetic. A vector is made orthogonal to all
+    before it once, after the recurrence has done most of that. There are no restarts.
+    """
+    from scipy.linalg import eigh_tridiagonal
 
-        So it says, too, where small pivots have spoilt the factors, which MUMPS would have moved.
-        """
-        matrix = real_matrix(pc.getOperators()[0])
-        right = np.random.Generator(np.random.Philox(1)).standard_normal(matrix.shape[0])
-        try:
-            self.factors = RealFactors(matrix, 0.0)
-        except ZeroDivisionError as error:
-            raise PETSc.Error(ZERO_PIVOT) from error
-        x = self.factors.solve(right)
-        largest = np.abs(matrix.data).max(initial=0.0)
-        if not np.linalg.norm(matrix @ x - right) <= SPOILT * largest * np.linalg.norm(x):
-            raise PETSc.Error(ZERO_PIVOT)
-
-    def apply(self, pc, right, solution):
-        """Solve. The vectors of a Krylov space stay real where its first one is."""
-        right = right.getArray(readonly=True)
-        x = self.factors.solve(right.real.copy()).astype(right.dtype)
-        if np.any(right.imag):
-            x.imag = self.factors.solve(right.imag.copy())
-        solution.setArray(x)
+    most = min(4 * wanted + STEPS, size)
+    space, along, across = np.empty((most, size)), [], []
+    space[0] = np.random.Generator(np.random.Philox(0)).standard_normal(size)
+    space[0] /= np.linalg.norm(space[0])
+    for step in range(most):
+        last = inverse(space[step])
+        along.append(last @ space[step])
+        last -= along[step] * space[step]
+        if step:
+            last -= across[-1] * space[step - 1]
+        last -= (space[: step + 1] @ last) @ space[: step + 1]
+        across.append(np.linalg.norm(last))
+        if not np.isfinite(across[step]):
+            return None
+        ends = step + 1 == most or across[step] == 0
+        if step >= wanted and (ends or step % CHECKED == 0):
+            values, vectors = eigh_tridiagonal(along, across[:-1])
+            nearest = np.argsort(-np.abs(values))[:wanted]
+            left = across[step] * np.abs(vectors[-1, nearest])
+            if np.all(left <= CLOSELY * np.abs(values[nearest])):
+                return vectors[:, nearest].T @ space[: step + 1]
+        if ends:
+            return None
+        np.divide(last, across[step], out=space[step + 1])
 
 
 class Nearest:
-    """Finds and counts modes of a network, for a `normal.ModeSolver`, whose EPS it searches by."""
+    """Finds and counts modes of a network, for a `normal.ModeSolver`."""
 
     def __init__(self, solver):
         """Take over K as a sparse matrix."""
@@ -104,39 +111,38 @@ class Nearest:
         if search not in self._held:
             while len(self._held) >= HELD:
                 del self._held[next(iter(self._held))]
-            self._held[search] = self._searched(*search)
+            self._held[search] = self.searched(*search)
         return self._held[search]
 
-    def _searched(self, value, wanted):
-        """Search by an EPS; refine where that pays."""
-        eps = self._solver.make_eps(first=True)
-        eps.setTarget(value)
-        eps.setDimensions(wanted)
-        eps.setTolerances(CLOSELY, RESTARTS)
-        self._solver.start(eps, 0)
-        try:
-            with plain_errors():
-                eps.solve()
-                vectors = self._vectors(eps)
-            if len(vectors) < wanted:
+    def searched(self, value, wanted):
+        """Return so many modes nearest to a value, refined where that pays; None if it fails."""
+        with contextlib.ExitStack() as held:
+            try:
+                inverse = self._inverse(value, held)
+                vectors = inverse and lanczos(inverse, self.order, wanted)
+                if vectors is None:
+                    return None
+                modes = self._ritz(vectors)
+                if np.linalg.norm(modes.residuals, axis=1).max() > REFINE * self.norm:
+                    # what they contain of modes farther from sigma than lambda goes
+                    modes = self._ritz(modes.vectors - inverse(modes.residuals.T).T)
+            except (PETSc.Error, ZeroDivisionError, np.linalg.LinAlgError):
                 return None
-            modes = self._ritz(vectors)
-            if np.linalg.norm(modes.residuals, axis=1).max() > REFINE * self.norm:
-                modes = self._ritz(self._refined(eps.getST(), modes))
-        except (PETSc.Error, np.linalg.LinAlgError):
-            return None
-        finally:
-            eps.destroy()
-        return modes
+            return modes
 
-    def _vectors(self, eps):
-        """Return the vectors that have converged, a row each, which are real but for their type."""
-        vectors, x = np.empty((eps.getConverged(), self.order)), self._solver.K.createVecLeft()
-        for number, vector in enumerate(vectors):
-            eps.getEigenvector(number, x)
-            vector[:] = x.getArray(readonly=True).real
-        x.destroy()
-        return vectors
+    def _inverse(self, value, held):
+        """Return what multiplies columns by (K - value)^-1; None where small pivots spoil it.
+
+        Where factors fill, real ones are faster, else PETSc's, which are `held`.
+        """
+        if self._solver.lattice.elimination.costly:
+            inverse = RealFactors(self.K, value).solve
+        else:
+            inverse = held.enter_context(self._solver.inverse(value))
+        right = np.random.Generator(np.random.Philox(1)).standard_normal(self.order)
+        x = inverse(right)
+        left = np.linalg.norm(self.K @ x - value * x - right)
+        return inverse if left <= SPOILT * self.norm * np.linalg.norm(x) else None
 
     def _ritz(self, vectors):
         """Return the Ritz values and vectors in the span of real vectors, a row each."""
@@ -147,13 +153,6 @@ class Nearest:
         values, rotation = eigh(0.5 * (energy + energy.T), squares)
         vectors = rotation.T @ vectors
         return Modes(values, vectors, rotation.T @ forces - values[:, None] * vectors)
-
-    def _refined(self, st, modes):
-        """Return x - (K - sigma)^-1 (K x - lambda x), see `normal.ModeSolver.refined`."""
-        pc = st.getKSP().getPC()
-        if pc.getType() != "python":
-            return self._solver.refined(st, modes.vectors.astype(complex)).real
-        return modes.vectors - pc.getPythonContext().factors.solve(modes.residuals.T).T
 
     def interval(self, omega, mass, count):
         """Return cuts below and above the `count` modes nearest to omega, and their search.

@@ -2,8 +2,9 @@
 
 The slice comes with the number of its modes (`slices`), and the solver searches until it has them
 all: an EPS (option prefix `normal_`), by default Krylov-Schur on (K - sigma)^-1, sigma in the
-middle of the slice. A Krylov space sees one vector of each eigenspace, so copies of degenerate
-modes may be missing: the search is repeated in the orthogonal complement of what was found.
+middle of the slice; of networks, unless options are set, `nearest` first, in real arithmetic. A
+Krylov space sees one vector of each eigenspace, so copies of degenerate modes may be missing: the
+search is repeated in the orthogonal complement of what was found.
 
 The complex build of SLEPc gives complex vectors. One Rayleigh-Ritz step in real arithmetic makes
 them real and orthonormal.
@@ -18,7 +19,7 @@ from mpi4py import MPI
 
 from pgran.driven.counting import flag_hermitian
 from pgran.driven.owner import Owner
-from pgran.experiments.modes.nearest import Inverse, Nearest
+from pgran.experiments.modes.nearest import Nearest
 from pgran.experiments.modes.shapes import rayleigh_ritz, residuals, with_fixed_sign
 from pgran.run.petsc import PETSc, plain_errors
 
@@ -70,10 +71,15 @@ class ModeSolver(Owner):
 
         They are lambda, ascending, the vectors f, shape (modes, *lattice.shape), real, orthonormal,
         the largest entry positive, and the residuals |K f - lambda f| / |K|. A `search` of
-        `interval`, on this rank or on another one, has found them already.
+        `interval`, on this rank or on another one, has found them already; in other slices of a
+        network they are searched for in the same way first.
         """
         best, self._failure = None, "the EPS did not converge"
-        held = search and self._nearest.modes(search)
+        held = None
+        if search:
+            held = self._nearest.modes(search)
+        elif self._nearest and 2 * count < self.lattice.size:
+            held = self._nearest.searched(0.5 * (low + high), count)
         if held is not None:
             values, vectors, residual = held
             inside = (values > low) & (values < high)
@@ -102,6 +108,30 @@ class ModeSolver(Owner):
                 len(best[0]), count, low, high, self._failure,
             )  # fmt: skip
         return best
+
+    @contextlib.contextmanager
+    def inverse(self, value):
+        """Yield what multiplies real columns by (K - value)^-1, as an EPS would."""
+        eps = self.make_eps(first=True)
+        x, right = self.K.createVecs()
+        st = eps.getST()
+
+        def multiply(columns):
+            found = np.empty_like(columns.T, order="C")
+            for there, column in zip(np.atleast_2d(found), np.atleast_2d(columns.T), strict=True):
+                right.setArray(column)
+                st.apply(right, x)
+                there[:] = x.getArray(readonly=True).real
+            return found.T
+
+        try:
+            with plain_errors():
+                st.setShift(value)
+                st.setUp()
+                yield multiply
+        finally:
+            for thing in (eps, x, right):
+                thing.destroy()
 
     @plain_errors()
     def nearest(self, value, count):
@@ -163,10 +193,7 @@ class ModeSolver(Owner):
         if self.lattice.is_grid:
             return
         own_slices = PETSc.Options("normal_").getBool("eps_all", False)
-        if first and self._nearest and self.lattice.elimination.costly:
-            pc.setType("python")
-            pc.setPythonContext(Inverse())
-        elif self.lattice.graph.work > PETSC_SOLVES * self.lattice.size and not own_slices:
+        if self.lattice.graph.work > PETSC_SOLVES * self.lattice.size and not own_slices:
             pc.setType("lu")  # MUMPS has no LDL^T of Hermitian matrices
             pc.setFactorSolverType("mumps")
 
