@@ -58,7 +58,7 @@ class IntervalModels(Owner):
         self.limits = self._limits(sites)
 
     def _read(self, sites):
-        """Keep this rank's rows of diagonals, and g_0, g_1 of each system; e_d, 0 of an adjoint."""
+        """Keep this rank's rows of M, and of g_0, g_1 of each system; e_d, 0 of an adjoint."""
         operators, damping = self.operators, self.operators.damping
         with Detectors(operators, sites) as detectors:
             units = detectors.unit_vectors()
@@ -67,18 +67,8 @@ class IntervalModels(Owner):
         for load, vector in zip(self._loads, loads, strict=True):
             load[:, 0] = vector.getArray()
         self._loads[0, :, 1] = 1j * damping * operators.f_damping.getArray()
-        # Half the sums of the rows of |K| and |C|: of Laplacians their diagonals.
-        if operators.layout.laplacian:
-            diagonals = [operators.K.getDiagonal(), operators.C.getDiagonal()]
-        else:
-            half, *diagonals = (operators.M.duplicate() for _ in range(3))
-            half.set(0.5)
-            for matrix, diagonal in zip(operators.sizes[::2], diagonals, strict=True):
-                matrix.mult(half, diagonal)
-            half.destroy()
-        self._diagonal, C = (d.getArray().real[:, None].copy() for d in diagonals)
-        self._damping, self._mass = damping * C, operators.M.getArray().real[:, None].copy()
-        for vector in (*units, *diagonals):
+        self._mass = operators.M.getArray().real[:, None].copy()
+        for vector in units:
             vector.destroy()
 
     @cached_property
@@ -102,8 +92,8 @@ class IntervalModels(Owner):
         drive, damped = 1.01 * np.sqrt(self._total(squares(self._loads[0])))
         return ModelLimits(
             stability=operators.damping * smallest_damping(operators.lattice),
-            stiffness=2.02 * self._largest(self._diagonal).item(),
-            damping=2.02 * self._largest(self._damping).item(),
+            stiffness=1.01 * operators.stiffness_norm,
+            damping=1.01 * operators.damping * operators.lattice.damping_norm,
             mass=1.01 * self._largest(self._mass).item(),
             drive=drive,
             drive_damping=damped,
@@ -248,9 +238,11 @@ class IntervalModels(Owner):
         into["reading"] = self._total(self._loads[1:, :, 0].real @ X[0])
         # |S| |X| at the highest frequency
         sizes = high * high * self._mass * np.abs(X[0])
-        if self.operators.layout.laplacian:
+        if self.operators.laplacian:
             # |K| has the same diagonal as K, and so on; its other entries are those of -K.
-            sizes += 2 * (self._diagonal + high * self._damping) * np.abs(X[0])
+            stiff, damped = self.operators.doubled_diagonals
+            doubled = stiff + high * self.operators.damping * damped
+            sizes += doubled[:, None] * np.abs(X[0])
             sizes -= K[-1].real + high * C[-1].real
         else:
             K, C = self._applied([*X, np.abs(X[0])], self.operators.sizes[::2])
