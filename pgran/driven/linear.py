@@ -45,9 +45,8 @@ class System(Owner):
         self.rhs.copy(self.residual)
         self.norm = self.residual.norm()
 
-    def start_from_preconditioner(self, pc, matrix):
-        """Guess the preconditioned right-hand side, which may be the solution. Collective."""
-        pc.apply(self.rhs, self.solution)
+    def start(self, matrix):
+        """Start from what the solution holds, unless nothing is better. Collective."""
         self.update_residual(matrix)
         if not self.norm <= self.rhs.norm():  # NaN too
             self.start_from_zero()
@@ -73,12 +72,12 @@ class Krylov(Owner):
     since then, 0 if there was none.
     """
 
-    owns = ("ksp",)
+    owns = ("ksp", "_block", "_image")
 
     def __init__(self, operators, correction):
         """Make the KSP from its options; `correction` is a vector to work with."""
         self.operators, self._correction = operators, correction
-        self.ksp = make_ksp(operators, operators.S)
+        self.ksp, self._block, self._image = make_ksp(operators, operators.S), None, None
         self._rtol, _, _, self._longest = self.ksp.getTolerances()
         self.begin()
 
@@ -98,6 +97,27 @@ class Krylov(Owner):
         works = set_up(self.ksp, self.operators.S, self.operators)
         self.pc.setReusePreconditioner(works)
         return works
+
+    def start(self, systems):
+        """Guess the preconditioned right-hand sides, which may be the solutions. Collective."""
+        if len(systems) > 1 and self.pc.getFactorSolverType() == "mumps":
+            self._apply_to_all(systems)
+        else:
+            for system in systems:
+                self.pc.apply(system.rhs, system.solution)
+        for system in systems:
+            system.start(self.operators.S)
+
+    def _apply_to_all(self, systems):
+        """Solve for all right-hand sides at once, which reads the factor once. Collective."""
+        if self._block is None:  # as many systems always
+            self._block, self._image = (self.operators.block(len(systems)) for _ in range(2))
+        for column, system in zip(self._block.getDenseArray().T, systems, strict=True):
+            column[:] = system.rhs.getArray(readonly=True)
+        self._block.assemble()
+        self.pc.getFactorMatrix().matSolve(self._block, self._image)
+        for column, system in zip(self._image.getDenseArray().T, systems, strict=True):
+            system.solution.setArray(column)
 
     def improve(self, system, target):
         """Reduce a residual to the target, or as far as the KSP gets. Collective."""

@@ -130,6 +130,17 @@ class Operators(Owner):
         self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
 
+    def block(self, columns):
+        """Return a dense matrix of so many columns of unknowns, which the caller destroys.
+
+        Collective.
+        """
+        shape = self.f_stiffness.getSizes(), (None, columns)
+        block = PETSc.Mat().createDense(shape, comm=self.comm)
+        block.setUp()
+        block.assemble()
+        return block
+
     def stretch(self, columns, bonds):
         """Return b^T x for some bonds and each column x, walls at rest: shape (bonds, columns).
 

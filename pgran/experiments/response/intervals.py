@@ -52,8 +52,9 @@ class IntervalModels(Owner):
         self.width = min(2 * MOMENTS, operators.size)
         systems = 1 + len(sites)
         self.dtype = model_dtype(self.width, len(sites), operators.size)
-        self._rhs, self._solution, self._image = (self._block(systems) for _ in range(3))
-        self._columns, self._products = (self._block((systems + 1) * self.width) for _ in range(2))
+        self._rhs, self._solution, self._image = (operators.block(systems) for _ in range(3))
+        columns = (systems + 1) * self.width
+        self._columns, self._products = (operators.block(columns) for _ in range(2))
         self._read(sites)
         self.limits = self._limits(sites)
 
@@ -75,14 +76,6 @@ class IntervalModels(Owner):
     def _ksp(self):
         """What factors S. Collective when first asked for."""
         return make_ksp(self.operators, self.operators.S)
-
-    def _block(self, columns):
-        """Return a dense matrix of so many columns."""
-        rows = self.operators.f.getSizes()
-        block = PETSc.Mat().createDense((rows, (None, columns)), comm=self.comm)
-        block.setUp()
-        block.assemble()
-        return block
 
     def _limits(self, sites):
         """Return what bounds the errors of all models."""
