@@ -21,7 +21,7 @@ from pgran.driven.judge import Detectors
 from pgran.driven.linear import LEAST_NORM, make_ksp, set_up
 from pgran.driven.owner import Owner
 from pgran.errors import is_bad_input, petsc_message
-from pgran.experiments.response.models import MOMENTS, ModelLimits, evaluate, poles
+from pgran.experiments.response.models import ModelLimits, evaluate, moments_of, poles
 from pgran.experiments.response.record import model_dtype
 from pgran.experiments.response.tall import SUMMED, products, qr_rounding, squares, tall_qr
 from pgran.medium.rounding import EPSILON
@@ -32,7 +32,6 @@ log = logging.getLogger("pgran")
 
 CHECKS = 9  # Chebyshev points of an interval where its bound is checked
 SHARE = 0.5  # of what rounding leaves of the allowed, where it is checked; for what is between
-ORDER = 4 * MOMENTS  # a bound falls like this power of the interval's length
 
 
 class IntervalModels(Owner):
@@ -49,7 +48,8 @@ class IntervalModels(Owner):
         self.operators, self.comm = operators, operators.comm
         self.tolerance, self.length = tolerance, length
         self.factorizations, self._works = 0, False
-        self.width = min(2 * MOMENTS, operators.size)
+        self._count = moments_of(operators.lattice)
+        self.width = min(2 * self._count, operators.size)
         systems = 1 + len(sites)
         self.dtype = model_dtype(self.width, len(sites), operators.size)
         self._rhs, self._solution, self._image = (operators.block(systems) for _ in range(3))
@@ -128,8 +128,8 @@ class IntervalModels(Owner):
             model = self._model(start, end, moments[start], moments[end])
             # the first rank's: a last digit must not part the ranks' ways
             missed, in_vain = self.comm.bcast(self._missed(model[0]))
-            # missed ~ length^ORDER: the length that would just be accurate, within limits
-            reach = 0.9 * max(missed, 1e-300) ** (-1 / ORDER)
+            # missed ~ length^(4 m) of m moments: the length that would just be accurate, in limits
+            reach = 0.9 * max(missed, 1e-300) ** (-1 / (4 * self._count))
             reach = min(max(reach, 0.3), 3.0 if missed <= 1 else 0.8)
             step = (end - start) * (2.0 if in_vain else reach)
             shortest = max(self.length(start) / 16, 1e-9 * start)
@@ -168,7 +168,7 @@ class IntervalModels(Owner):
         return missed.max(), np.any(in_vain)
 
     def moments(self, omega):
-        """Return the moments of A and of the adjoints, shape (systems, own balls, MOMENTS).
+        """Return the moments of A and of the adjoints, shape (systems, own balls, m).
 
         Collective. Not finite where S cannot be factored, or PETSc fails, which is said.
         """
@@ -185,7 +185,7 @@ class IntervalModels(Owner):
             log.warning("no model at omega = %g: %s", omega, petsc_message(error))
         if moments is None:
             self.forget("_ksp")
-            return np.full((*self._loads.shape[:2], MOMENTS), np.nan, dtype=complex)
+            return np.full((*self._loads.shape[:2], self._count), np.nan, dtype=complex)
         self._works = True
         return moments
 
@@ -195,8 +195,8 @@ class IntervalModels(Owner):
         h, damping = self.length(omega), operators.damping
         g = operators.f.getArray()[:, None]
         rhs = np.concatenate([g, self._loads[1:, :, 0].T], axis=1)
-        x = np.empty((MOMENTS, *rhs.shape), dtype=complex)
-        for k in range(MOMENTS):
+        x = np.empty((self._count, *rhs.shape), dtype=complex)
+        for k in range(self._count):
             self._rhs.getDenseArray()[:] = rhs
             self._rhs.assemble()
             factor.matSolve(self._rhs, self._solution)
