@@ -113,6 +113,8 @@ class Krylov(Owner):
         """Solve for all right-hand sides at once, which reads the factor once. Collective."""
         if self._block is None:  # as many systems always
             self._block, self._image = (self.operators.block(len(systems)) for _ in range(2))
+            if PETSc.Options().hasName("citations"):  # PETSc cites MUMPS for plain solves alone
+                self.pc.apply(systems[0].rhs, systems[0].solution)
         for column, system in zip(self._block.getDenseArray().T, systems, strict=True):
             column[:] = system.rhs.getArray(readonly=True)
         self._block.assemble()
