@@ -73,7 +73,7 @@ def test_group_delay_of_the_uniform_lattice(world, place):
 @pytest.mark.parametrize(("moments", "powers"), [(1, (7, 10)), (2, (5, 8)), (3, (5, 6))])
 def test_order_of_the_bound(comm, moments, powers, monkeypatch):
     """With m moments of A and z at both ends it falls like the interval's length to the 4 m."""
-    monkeypatch.setattr(intervals, "MOMENTS", moments)
+    monkeypatch.setattr(intervals, "moments_of", lambda medium: moments)
     bounds = []
     with Operators(random_lattice((7, 8), 5, 0.03), comm) as operators:
         for length in 2.0 ** -np.array(powers):

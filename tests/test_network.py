@@ -84,6 +84,36 @@ def test_matrices_are_sums_over_springs(world):
                 assert operators.K.equal(operators.K.transpose(PETSc.Mat()))
 
 
+@pytest.mark.parametrize("s", [0.8, 0.8j])
+def test_rounding_is_told_from_the_magnitudes_of_all_parts(world, s):
+    """|f| + (|K| + |s| beta |C| + |s|^2 m) |x|, by springs; `scale` is no less than their norm."""
+    rng = np.random.default_rng(7)
+    light = makers.random_geometric(40, 2)
+    light = dataclasses.replace(light, masses=rng.uniform(0.1, 10, len(light.held)))
+    for network in (light, *of_each_kind()):
+        springs, x = network.springs, rng.standard_normal(network.size)
+        B, damping = abs(springs.B), abs(s) * network.damping
+        parts = np.abs(springs.constants) + damping * springs.damped
+        drive = springs.constants + s * network.damping * springs.damped
+        least = np.abs(springs.B.T @ (drive * springs.drive))
+        most = B.T @ (parts * np.abs(springs.drive))
+        matrix = (B.T @ B.multiply(parts[:, None])).toarray()
+        matrix += abs(s) ** 2 * network.mass * np.eye(network.size)
+        sites = network.free[:1, None]
+        with steady(network, sites, world) as (operators, solver):
+            solver.solve(s)
+            terms = operators.f.duplicate()
+            terms.setArray(solver.bounds.rounding(operators.layout.vector(x)))
+            found = operators.layout.field(terms)
+            assert np.linalg.norm(matrix, 2) <= solver.bounds.scale
+            if world.rank == 0:
+                room = 1e-12 * np.abs(found).max()
+                others = matrix @ np.abs(x)
+                assert np.all(found >= least + others - room)
+                assert np.all(found <= most + others + room)
+            terms.destroy()
+
+
 # Springs
 
 

@@ -107,6 +107,16 @@ def test_identities(comm, omega):
     assert abs(force.imag - taken) <= 1e-11 * taken
 
 
+def test_mumps_solves_for_all_detectors_at_once(comm, solver_options):
+    """Each amplitude and adjoint with its own right-hand side: nothing is left to iterate."""
+    solver_options(MUMPS)
+    with steady(random_lattice((9, 10), 8), [(3, 4), (8, 0), (0, 9)], comm) as (_, solver):
+        for omega in (0.5, 0.7):
+            assert solver.solve(1j * omega).iterations == 0
+            for system in (solver.primal, *solver.adjoints):
+                assert system.norm <= 1e-13 * system.rhs.norm()
+
+
 @pytest.mark.parametrize("solver", ["richardson", "bcgs"])
 @pytest.mark.parametrize("damping", [0.003, 0.0])
 def test_hopeless_solvers_are_marked(comm, solver, damping, solver_options):

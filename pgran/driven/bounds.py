@@ -28,11 +28,9 @@ import math
 from functools import cached_property
 
 import numpy as np
-from mpi4py import MPI
 
 from pgran.driven.certify import smallest_damping, smallest_stiffness
 from pgran.driven.counting import ModeCounter
-from pgran.driven.operators import SAME
 from pgran.driven.owner import Owner
 from pgran.medium.law import unit_numbers
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
@@ -42,13 +40,13 @@ class ErrorBounds(Owner):
     """Bounds for the steady states of one lattice; destroy with `destroy`. Collective.
 
     At the s of the last `prepare`, at first for s = i omega, |S^-1|_2 is at most `inverse_norm`,
-    NaN where unknown, and |S|_inf at most `scale`. `proven` says that there is a bound: proven by
-    damping or sigma, or certified by counts. Without damping there is none at s = i omega where
-    ranks share the lattice, because eigenvalues are counted serially; but what rounding does to the
-    amplitudes can be tried (`random_rounding`).
+    NaN where unknown, and the 2-norm of |S|, taken entry by entry, at most `scale`. `proven` says
+    that there is a bound: proven by damping or sigma, or certified by counts. Without damping there
+    is none at s = i omega where ranks share the lattice, because eigenvalues are counted serially;
+    but what rounding does to the amplitudes can be tried (`random_rounding`).
     """
 
-    owns = ("_product", "_work", "_counter", "_signs", "_sizes")
+    owns = ("_product", "_work", "_counter", "_signs")
 
     def __init__(self, operators):
         """Make the work vectors."""
@@ -91,44 +89,31 @@ class ErrorBounds(Owner):
         inertia = operators.mass * size * size
         spread = size * operators.damping  # |s beta C| is at most this
         spread *= operators.lattice.damping_norm if spread else 0.0
-        if operators.layout.laplacian:
-            sums, largest = operators.row_sums
-            self._weights, largest = sums + spread, largest + spread
-            self._force = np.abs(operators.f.getArray(readonly=True))
-        else:
-            largest = self._combine_sizes(size)
-        self.scale = 1.01 * (largest + inertia)
-        if s.real:
-            self._weights += 2 * s.real * size * operators.mass  # as `rounding` uses them
+        self.scale = 1.01 * (operators.stiffness_norm + spread + inertia)
+        self._combine_sizes(s)
         self._imaginary = s.imag / (size + s.real) if s else 0.0
         stability = self.stability(s) if self.proven else math.nan
         if self._alone and s.real == 0:
             stability = max(stability, self._distance(inertia, spread, tolerance) - spread)
         self.inverse_norm = 1.0 / stability if stability else math.inf
 
-    @cached_property
-    def _sizes(self):
-        """The magnitudes of S. Collective when first asked for."""
-        return self.operators.K.duplicate()
-
-    def _combine_sizes(self, size):
-        """Combine the magnitudes of S and f for an |s|; return the largest sum of a row of S.
-
-        Collective. `_weights` are the sums of this rank's rows.
-        """
-        (K, drive, *damping), beta = self.operators.sizes, self.operators.damping
-        K.copy(self._sizes, structure=SAME)
-        drive.copy(self._work)
-        if damping:
-            self._sizes.axpy(size * beta, damping[0], structure=SAME)
-            self._work.axpy(size * beta, damping[1])
-        self._sizes.shift(size * size * self.operators.mass)
-        self._force = self._work.getArray().real.copy()
-        self._work.set(1.0)
-        self._sizes.mult(self._work, self._product)
-        self._weights = self._product.getArray().real.copy()
-        largest = float(self._weights.max(initial=0.0))
-        return largest if self._alone else self.operators.comm.allreduce(largest, MPI.MAX)
+    def _combine_sizes(self, s):
+        """Combine |f|, and what `rounding` multiplies |x| by besides matrices."""
+        operators, size = self.operators, abs(s)
+        damping, inertia = size * operators.damping, operators.mass * size * size
+        if operators.laplacian:
+            stiff, damped = operators.doubled_diagonals
+            self._weights = stiff + damping * damped
+            if s.real:
+                self._weights += 2 * s.real * size * operators.mass
+            self._force = np.abs(operators.f.getArray(readonly=True))
+            return
+        K, drive, *damped = operators.sizes
+        self._weights, self._force = inertia, drive.getArray(readonly=True).real.copy()
+        self._sizes = [(1.0, K)]
+        if damped:
+            self._sizes.append((damping, damped[0]))
+            self._force += damping * damped[1].getArray(readonly=True).real
 
     def _distance(self, shift, spread, tolerance):
         """Return how far all eigenvalues of K are from a shift, at least; 0 if it is no use.
@@ -148,16 +133,19 @@ class ErrorBounds(Owner):
     def rounding(self, x):
         """Return |f| + (|K| + |s| beta |C| + |s|^2 m) |x| for each of this rank's balls.
 
-        Collective. With a = |x|, |K| a = 2 diag(K) a - K a, and likewise for C. One product gives
-        both: with t = omega / (|s| + sigma), which is 1 for s = i omega,
+        Collective. With a = |x|, |K| a = 2 diag(K) a - K a of a Laplacian, and likewise for C. One
+        product gives both: with t = omega / (|s| + sigma), which is 1 for s = i omega,
 
             Re(S a) + t Im(S a) = K a + |s| beta C a + (2 sigma |s| - |s|^2) m a.
         """
         a = np.abs(x.getArray(readonly=True))
         self._work.setArray(a)
-        if not self.operators.layout.laplacian:
-            self._sizes.mult(self._work, self._product)
-            return self._force + self._product.getArray(readonly=True).real
+        if not self.operators.laplacian:
+            terms = self._force + self._weights * a
+            for factor, sizes in self._sizes:
+                sizes.mult(self._work, self._product)
+                terms += factor * self._product.getArray(readonly=True).real
+            return terms
         self.operators.S.mult(self._work, self._product)
         product = self._product.getArray(readonly=True)
         return self._force + self._weights * a - product.real - self._imaginary * product.imag

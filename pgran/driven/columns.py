@@ -6,7 +6,6 @@ from mpi4py import MPI
 from pgran.driven.deformation import squares
 from pgran.driven.operators import SAME
 from pgran.driven.owner import Owner
-from pgran.run.petsc import PETSc
 
 COLUMNS = 32  # right-hand sides solved for at once
 
@@ -23,13 +22,7 @@ class Columns(Owner):
         """Make the blocks of right-hand sides and solutions."""
         self.solver, self.operators = solver, solver.operators
         self.comm = self.operators.comm
-        rows = self.operators.f.getSizes()
-        self._rhs, self._found, self._residual = (
-            PETSc.Mat().createDense((rows, (None, COLUMNS)), comm=self.comm) for _ in range(3)
-        )
-        for block in (self._rhs, self._found, self._residual):
-            block.setUp()
-            block.assemble()
+        self._rhs, self._found, self._residual = (self.operators.block(COLUMNS) for _ in range(3))
 
     def solved(self, items, fill, size):
         """Yield some items, this rank's rows of S^-1 b for each, and bounds of norms and residuals.

@@ -22,7 +22,7 @@ class Layout(Owner):
     each spring `ends` (springs, w) are the unknowns in its row of B, PETSc's numbers, -1 for none,
     and `entries`, which may be one row for all, B's entries there; `drive` is how far it is
     stretched when what is driven moves by 1, `damped` which part of beta it has. `laplacian` says
-    that K and C have no positive entries beside their diagonals.
+    that a spring of positive constant has no positive entry beside the diagonal.
     """
 
     owns = ("like",)
@@ -155,13 +155,12 @@ class NetworkLayout(Layout):
     Collective. What is said of springs is known to every rank.
     """
 
-    laplacian = False
-
     def __init__(self, network, comm):
         """Share out the unknowns, ball by ball, and find the pattern of this rank's rows."""
         self.network, self.comm, self.shape = network, comm, network.shape
         springs = network.springs
         self.drive, self.damped = springs.drive, springs.damped
+        self.laplacian = network.components == 1
         if comm.size == 1:  # PETSc's factorizations take the unknowns as they are numbered
             parts, width = np.zeros(network.size, dtype=int), network.components
             order = (network.graph.order[:, None] * width + np.arange(width)).ravel()

@@ -59,15 +59,43 @@ class Operators(Owner):
         return self.f_stiffness.duplicate()
 
     @cached_property
-    def row_sums(self):
-        """Of a Laplacian K the sums of magnitudes in this rank's rows, and the largest of all rows.
+    def laplacian(self):
+        """Whether K and C have no positive entries beside their diagonals.
 
-        Collective when first asked for. The diagonal holds the sum of its row's other magnitudes.
+        Then |K| x = 2 diag(K) x - K x, and the forces that drive a ball are all of one sign.
         """
-        diagonal = self.K.getDiagonal()
-        sums = 2 * diagonal.getArray(readonly=True).real
-        diagonal.destroy()
-        return sums, self.comm.allreduce(float(sums.max(initial=0.0)), MPI.MAX)
+        return self.layout.laplacian and bool(self.constants.min() >= 0)
+
+    @cached_property
+    def doubled_diagonals(self):
+        """Twice this rank's diagonals of K and of C, 0 where there is none.
+
+        Collective when first asked for.
+        """
+        doubled = [0.0, 0.0]
+        for number, matrix in enumerate((self.K, self.C)[: 1 + (self.C is not None)]):
+            diagonal = matrix.getDiagonal()
+            doubled[number] = 2 * diagonal.getArray(readonly=True).real
+            diagonal.destroy()
+        return doubled
+
+    @cached_property
+    def stiffness_norm(self):
+        """No less, but for rounding, than the 2-norm of |K|. Collective when first asked for.
+
+        It is the largest sum in a row. A Laplacian's |K| is 2 diag(K) less K, which has no negative
+        eigenvalues.
+        """
+        if self.laplacian:
+            sums = self.doubled_diagonals[0]
+        else:
+            ones, product = self.M.duplicate(), self.M.duplicate()
+            ones.set(1.0)
+            self.sizes[0].mult(ones, product)
+            sums = product.getArray().real.copy()
+            ones.destroy()
+            product.destroy()
+        return self.comm.allreduce(float(sums.max(initial=0.0)), MPI.MAX)
 
     @cached_property
     def sizes(self):
@@ -102,6 +130,17 @@ class Operators(Owner):
         self.S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.S.setOption(PETSc.Mat.Option.HERMITIAN, False)
 
+    def block(self, columns):
+        """Return a dense matrix of so many columns of unknowns, which the caller destroys.
+
+        Collective.
+        """
+        shape = self.f_stiffness.getSizes(), (None, columns)
+        block = PETSc.Mat().createDense(shape, comm=self.comm)
+        block.setUp()
+        block.assemble()
+        return block
+
     def stretch(self, columns, bonds):
         """Return b^T x for some bonds and each column x, walls at rest: shape (bonds, columns).
 
@@ -126,11 +165,12 @@ class Operators(Owner):
     def set_stiffness(self, constants, bonds=None):
         """Set all constants in K and in the drive; only some `bonds` differ, if these are given.
 
-        Collective. S waits for `combine`; K's rows are summed up anew.
+        Collective. S waits for `combine`; what follows from K is computed anew.
         """
         self.constants, self.softest = constants, None
         self.forget("sizes")
-        vars(self).pop("row_sums", None)
+        for name in ("laplacian", "doubled_diagonals", "stiffness_norm"):
+            vars(self).pop(name, None)
         if bonds is None:
             self.K.setValuesCSR(*self.layout.csr(constants))
         else:

@@ -249,15 +249,15 @@ class SteadySolver(Owner):
 
     def _guess(self, s, fresh):
         """Start from one application of a fresh preconditioner, else from the last states."""
+        if fresh:
+            self._krylov.start(self._systems)
+            return
         step = 0.0
         if len(self._earlier) == 2 and self._earlier[0] != self._earlier[1]:
             before, last = self._earlier
             step = (s - last) / (last - before)
         for system in self._systems:
-            if fresh:
-                system.start_from_preconditioner(self._krylov.pc, self.operators.S)
-            else:
-                system.start_from_line(step, self.operators.S)
+            system.start_from_line(step, self.operators.S)
 
     def _improve_all(self, size):
         """Reduce all residuals until their products are small enough for amplitudes of that size.

@@ -112,7 +112,7 @@ class Connected:
         """Whether all ranks should share it."""
         return self.graph.work > LARGE_WORK
 
-    @property
+    @cached_property
     def elimination(self):
         """See `Elimination`."""
         work = self.graph.work

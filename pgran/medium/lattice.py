@@ -163,7 +163,7 @@ class Lattice(ElasticBonds, Medium):
         """Whether all ranks should share it."""
         return self.size > LARGE[self.axes]
 
-    @property
+    @cached_property
     def elimination(self):
         """See `Elimination`."""
         is_long = self.axes == 1 or max(self.shape) > LONG * min(self.shape)

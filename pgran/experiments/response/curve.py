@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.experiments.response.models import MOMENTS, evaluate, point_dtype
+from pgran.experiments.response.models import evaluate, moments_of, point_dtype
 from pgran.experiments.response.record import model_dtype, proven_models
 from pgran.experiments.response.resolution import resolve
 from pgran.run.agreement import on_root
@@ -87,7 +87,8 @@ class IntervalSweep(Task):
     def __init__(self, lattice, omegas, sites, tolerance):
         """Cut the sweep where equal parts of the intervals are expected to end."""
         self.lattice, self.sites, self.tolerance = lattice, sites, tolerance
-        self.row = model_dtype(min(2 * MOMENTS, lattice.size), len(sites), lattice.size)
+        width = min(2 * moments_of(lattice), lattice.size)
+        self.row = model_dtype(width, len(sites), lattice.size)
         self.frequencies, self.counts = expected_intervals(lattice, omegas[0], omegas[-1])
         total = self.counts[-1]
         check_memory("sweep_method", int(total) * self.row.itemsize)

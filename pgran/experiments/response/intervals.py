@@ -21,7 +21,7 @@ from pgran.driven.judge import Detectors
 from pgran.driven.linear import LEAST_NORM, make_ksp, set_up
 from pgran.driven.owner import Owner
 from pgran.errors import is_bad_input, petsc_message
-from pgran.experiments.response.models import MOMENTS, ModelLimits, evaluate, poles
+from pgran.experiments.response.models import ModelLimits, evaluate, moments_of, poles
 from pgran.experiments.response.record import model_dtype
 from pgran.experiments.response.tall import SUMMED, products, qr_rounding, squares, tall_qr
 from pgran.medium.rounding import EPSILON
@@ -32,7 +32,6 @@ log = logging.getLogger("pgran")
 
 CHECKS = 9  # Chebyshev points of an interval where its bound is checked
 SHARE = 0.5  # of what rounding leaves of the allowed, where it is checked; for what is between
-ORDER = 4 * MOMENTS  # a bound falls like this power of the interval's length
 
 
 class IntervalModels(Owner):
@@ -49,16 +48,18 @@ class IntervalModels(Owner):
         self.operators, self.comm = operators, operators.comm
         self.tolerance, self.length = tolerance, length
         self.factorizations, self._works = 0, False
-        self.width = min(2 * MOMENTS, operators.size)
+        self._count = moments_of(operators.lattice)
+        self.width = min(2 * self._count, operators.size)
         systems = 1 + len(sites)
         self.dtype = model_dtype(self.width, len(sites), operators.size)
-        self._rhs, self._solution, self._image = (self._block(systems) for _ in range(3))
-        self._columns, self._products = (self._block((systems + 1) * self.width) for _ in range(2))
+        self._rhs, self._solution, self._image = (operators.block(systems) for _ in range(3))
+        columns = (systems + 1) * self.width
+        self._columns, self._products = (operators.block(columns) for _ in range(2))
         self._read(sites)
         self.limits = self._limits(sites)
 
     def _read(self, sites):
-        """Keep this rank's rows of diagonals, and g_0, g_1 of each system; e_d, 0 of an adjoint."""
+        """Keep this rank's rows of M, and of g_0, g_1 of each system; e_d, 0 of an adjoint."""
         operators, damping = self.operators, self.operators.damping
         with Detectors(operators, sites) as detectors:
             units = detectors.unit_vectors()
@@ -67,32 +68,14 @@ class IntervalModels(Owner):
         for load, vector in zip(self._loads, loads, strict=True):
             load[:, 0] = vector.getArray()
         self._loads[0, :, 1] = 1j * damping * operators.f_damping.getArray()
-        # Half the sums of the rows of |K| and |C|: of Laplacians their diagonals.
-        if operators.layout.laplacian:
-            diagonals = [operators.K.getDiagonal(), operators.C.getDiagonal()]
-        else:
-            half, *diagonals = (operators.M.duplicate() for _ in range(3))
-            half.set(0.5)
-            for matrix, diagonal in zip(operators.sizes[::2], diagonals, strict=True):
-                matrix.mult(half, diagonal)
-            half.destroy()
-        self._diagonal, C = (d.getArray().real[:, None].copy() for d in diagonals)
-        self._damping, self._mass = damping * C, operators.M.getArray().real[:, None].copy()
-        for vector in (*units, *diagonals):
+        self._mass = operators.M.getArray().real[:, None].copy()
+        for vector in units:
             vector.destroy()
 
     @cached_property
     def _ksp(self):
         """What factors S. Collective when first asked for."""
         return make_ksp(self.operators, self.operators.S)
-
-    def _block(self, columns):
-        """Return a dense matrix of so many columns."""
-        rows = self.operators.f.getSizes()
-        block = PETSc.Mat().createDense((rows, (None, columns)), comm=self.comm)
-        block.setUp()
-        block.assemble()
-        return block
 
     def _limits(self, sites):
         """Return what bounds the errors of all models."""
@@ -102,8 +85,8 @@ class IntervalModels(Owner):
         drive, damped = 1.01 * np.sqrt(self._total(squares(self._loads[0])))
         return ModelLimits(
             stability=operators.damping * smallest_damping(operators.lattice),
-            stiffness=2.02 * self._largest(self._diagonal).item(),
-            damping=2.02 * self._largest(self._damping).item(),
+            stiffness=1.01 * operators.stiffness_norm,
+            damping=1.01 * operators.damping * operators.lattice.damping_norm,
             mass=1.01 * self._largest(self._mass).item(),
             drive=drive,
             drive_damping=damped,
@@ -145,8 +128,8 @@ class IntervalModels(Owner):
             model = self._model(start, end, moments[start], moments[end])
             # the first rank's: a last digit must not part the ranks' ways
             missed, in_vain = self.comm.bcast(self._missed(model[0]))
-            # missed ~ length^ORDER: the length that would just be accurate, within limits
-            reach = 0.9 * max(missed, 1e-300) ** (-1 / ORDER)
+            # missed ~ length^(4 m) of m moments: the length that would just be accurate, in limits
+            reach = 0.9 * max(missed, 1e-300) ** (-1 / (4 * self._count))
             reach = min(max(reach, 0.3), 3.0 if missed <= 1 else 0.8)
             step = (end - start) * (2.0 if in_vain else reach)
             shortest = max(self.length(start) / 16, 1e-9 * start)
@@ -185,7 +168,7 @@ class IntervalModels(Owner):
         return missed.max(), np.any(in_vain)
 
     def moments(self, omega):
-        """Return the moments of A and of the adjoints, shape (systems, own balls, MOMENTS).
+        """Return the moments of A and of the adjoints, shape (systems, own balls, m).
 
         Collective. Not finite where S cannot be factored, or PETSc fails, which is said.
         """
@@ -202,7 +185,7 @@ class IntervalModels(Owner):
             log.warning("no model at omega = %g: %s", omega, petsc_message(error))
         if moments is None:
             self.forget("_ksp")
-            return np.full((*self._loads.shape[:2], MOMENTS), np.nan, dtype=complex)
+            return np.full((*self._loads.shape[:2], self._count), np.nan, dtype=complex)
         self._works = True
         return moments
 
@@ -212,8 +195,8 @@ class IntervalModels(Owner):
         h, damping = self.length(omega), operators.damping
         g = operators.f.getArray()[:, None]
         rhs = np.concatenate([g, self._loads[1:, :, 0].T], axis=1)
-        x = np.empty((MOMENTS, *rhs.shape), dtype=complex)
-        for k in range(MOMENTS):
+        x = np.empty((self._count, *rhs.shape), dtype=complex)
+        for k in range(self._count):
             self._rhs.getDenseArray()[:] = rhs
             self._rhs.assemble()
             factor.matSolve(self._rhs, self._solution)
@@ -248,9 +231,11 @@ class IntervalModels(Owner):
         into["reading"] = self._total(self._loads[1:, :, 0].real @ X[0])
         # |S| |X| at the highest frequency
         sizes = high * high * self._mass * np.abs(X[0])
-        if self.operators.layout.laplacian:
+        if self.operators.laplacian:
             # |K| has the same diagonal as K, and so on; its other entries are those of -K.
-            sizes += 2 * (self._diagonal + high * self._damping) * np.abs(X[0])
+            stiff, damped = self.operators.doubled_diagonals
+            doubled = stiff + high * self.operators.damping * damped
+            sizes += doubled[:, None] * np.abs(X[0])
             sizes -= K[-1].real + high * C[-1].real
         else:
             K, C = self._applied([*X, np.abs(X[0])], self.operators.sizes[::2])

@@ -37,7 +37,9 @@ from pgran.driven.accurate import Limits
 from pgran.experiments.response.tall import squares
 from pgran.medium.rounding import SMALLEST_NORMAL
 
-MOMENTS = 8  # of each right-hand side at each end
+# Moments of each right-hand side at each end: fewer where factorizations are cheap beside the dense
+# algebra of a model, up to so many unknowns.
+MOMENTS, FEWER_MOMENTS, FEW_UNKNOWNS = 8, 6, 1000
 LOST = 2**10 * SMALLEST_NORMAL  # what sums of products too small for doubles may lose
 LOST_NORM = 16 * math.sqrt(SMALLEST_NORMAL)  # what a norm may miss because squares are lost
 SHORTEST = 4  # frequencies: NumPy rounds products of fewer complex numbers in one way or another
@@ -55,6 +57,11 @@ class ModelLimits(Limits):
     rounding: float
     sum_rounding: float
     receiver: float = field(metadata={"since": 5})
+
+
+def moments_of(medium):
+    """Return how many moments each right-hand side has at each end of an interval."""
+    return FEWER_MOMENTS if medium.size <= FEW_UNKNOWNS else MOMENTS
 
 
 def point_dtype(detectors):
