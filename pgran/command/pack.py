@@ -20,8 +20,7 @@ DESCRIPTION = """\
 Make a packing of discs or spheres in mechanical equilibrium: in a periodic box under a pressure, or
 under gravity on a floor of held balls, with a free surface. Lengths are in mean diameters, masses
 in that of a ball of this diameter, and forces in the law's constant: F = h is harmonic,
-F = sqrt(R_i R_j / (R_i + R_j)) h^(3/2) is Hertz, h the overlap. There is no friction. With
---ordered it is the packing's ordered counterpart: its stiffnesses at random on a lattice."""
+F = sqrt(R_i R_j / (R_i + R_j)) h^(3/2) is Hertz, h the overlap. There is no friction."""
 
 
 def run(words):
@@ -62,10 +61,10 @@ def _parser():
     add("--sizes", type=_sizes, help="bidisperse (1 : 1.4), equal, or a spread such as .1")
     add("--shape", type=_shape, help="ratios of the sides of the box, such as 2,1 (all equal)")
     add("--walls", choices=tuple("xyz"), help="hold both ends of this axis, and drive the far one")
+    add("--seed", type=int, help="which packing (1993)")
     kinds = ("vector", "scalar")
     add("--displacement", choices=kinds, help="scalar: one a ball, the paper's model (vector)")
-    add("--ordered", action="store_true", help="its stiffnesses on a lattice instead, of scalars")
-    add("--seed", type=int, help="which packing (1993)")
+    add("--ordered", action="store_true", help="its stiffnesses at random on a lattice")
     add("-o", "--output", required=True, help="HDF5 file to write")
     add("--overwrite", action="store_true", help="replace a network that is there")
     return parser
