@@ -28,6 +28,11 @@ unless a unit is given. The paper's sample of bonds is not known: where a number
 is given over several samples, too, as mean +- standard deviation. `bash jobs/paper.sh` has made
 this.
 """
+# Results whose figures are laid over each other.
+COMPARED = {
+    f"geometry_{of}": [f"geometry_{of}_{kind}" for kind in ("packing", "ordered")]
+    for of in ("response", "modes")
+}
 
 
 def write(folder):
@@ -76,12 +81,13 @@ def read(folder, name):
 
 
 def draw(folder, stem, names):
-    """Draw figures of a result, if it is there."""
-    source, modes, over = folder / f"{stem}.h5", folder / "modes.h5", {}
+    """Draw figures of a result, or of several over each other, if they are there."""
+    sources = [folder / f"{name}.h5" for name in COMPARED.get(stem, [stem])]
+    modes, over = folder / "modes.h5", {}
     if stem == "response" and modes.exists():
         over["modes"] = pgran.load(modes).modes.omega
-    if source.exists():
-        made = pgran.plot(source, **over)
+    if all(source.exists() for source in sources):
+        made = pgran.plot(sources, **over)
         figures.save({name: made[name] for name in names}, folder / f"{stem}.png")
 
 

@@ -29,6 +29,18 @@ run ensemble_response ensemble_response -ensemble_keep measures -ensemble_sample
   -sweep_min .3 -sweep_max 1 -sweep_points 2801 # so fine that every phase is certain
 run ensemble_modes ensemble_modes
 
+# A packing, and its stiffnesses on a lattice: what random places add to random forces.
+packed=(--balls 500 --law hertz --pressure 1e-5 --sizes .2 --walls x --overwrite)
+for kind in "packing --displacement scalar" "ordered --ordered"; do
+  read -r kind words <<<"$kind"
+  network=(-network_file "$folder/$kind.h5" -network_damping .001) # .003 in the paper's units
+  # shellcheck disable=SC2086
+  ball=$(pgran pack "${packed[@]}" $words -o "${network[1]}" | sed -n 's/.*-detectors //p')
+  run "geometry_response_$kind" packing_response "${network[@]}" -detectors "$ball" \
+    -sweep_unit omega_mx -sweep_max 2
+  run "geometry_modes_$kind" packing_modes "${network[@]}"
+done
+
 beads=(--diameter 5e-3 --material glass) # under a ball's weight; so that 57 m/s is .03 omega_mx cm
 pgran units "${beads[@]}" --load 1.6e-3 >"$folder/units_weight.txt"
 pgran units "${beads[@]}" --omega_mx 2e5 >"$folder/units_speed.txt"

@@ -1,5 +1,7 @@
 """What is read of results for the table of the paper: maxima, dips, participation, widths."""
 
+import dataclasses
+
 import numpy as np
 
 from pgran.driven.phase import fit_line
@@ -106,6 +108,13 @@ def power_of_damping(*results):
     beta = [result.lattice.damping for result in results]
     velocity = [result.response.phase_velocity[0] for result in results]
     return np.diff(np.log(velocity)) / np.diff(np.log(beta))
+
+
+def in_its_units(result):
+    """Return the response or the modes of a network, omega in units of the paper's omega_mx."""
+    record = result.modes if hasattr(result, "modes") else result.response
+    unit = np.sqrt(2) * result.network.omega_mx  # that of scalars is sqrt(2 kmax / m)
+    return dataclasses.replace(record, omega=record.omega / unit)
 
 
 def bonds(lattice):

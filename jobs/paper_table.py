@@ -9,6 +9,7 @@ from paper_measures import (
     count,
     deep,
     excited,
+    in_its_units,
     maxima,
     nearest,
     off_drive,
@@ -195,6 +196,22 @@ SECTIONS = (
         R("correlation of successive Delta B", "asked: are they uncorrelated?",
           "{:.3f} +- {:.3f}", lambda relaxation_long: (relaxation_long.memory.successive,
                                                        relaxation_long.memory.successive_error)),
+    )),
+    Section("Random places (sections 2 and 6): a packing, and its stiffnesses on a lattice",
+            ("geometry_response-amplitude", "geometry_modes-participation"), (
+        R("maxima of |A| in .3-1, and its median in .9-1; packing and lattice",
+          "asked: what is the role of the geometrical disorder?", "{}, {:.2g}; {}, {:.2g}",
+          lambda geometry_response_packing, geometry_response_ordered: [
+              number for curve in map(in_its_units, (geometry_response_packing,
+                                                     geometry_response_ordered))
+              for number in (len(maxima(curve, 0.3, 1)[0]),
+                             np.median(within(curve, 0.9, 1)[1]))]),
+        R("median of balls that take part: below .3, .3 to 1, above 1; packing and lattice",
+          "asked; over samples: `python jobs/geometry.py`",
+          "{:.0f}, {:.0f}, {:.1f}; {:.0f}, {:.0f}, {:.1f}",
+          lambda geometry_modes_packing, geometry_modes_ordered: [
+              *participation(in_its_units(geometry_modes_packing)),
+              *participation(in_its_units(geometry_modes_ordered))]),
     )),
     Section("Units (section 4): glass beads of .5 cm", (), (
         R("omega_mx under the weight of a bead (omxest)",

@@ -33,6 +33,7 @@ _HOMES = {
     "find_modes": "pgran.experiments.modes.find",
     "heat": "pgran.experiments.sensitivity.heat",
     "load": "pgran.medium.network_file",
+    "ordered": "pgran.balance.ordered",
     "pack": "pgran.balance.pack",
     "plot": "pgran.command.plot",
     "project": "pgran.experiments.modes.projection",

@@ -31,6 +31,7 @@ FOLDER = Path(__file__).parent / "campaigns"
 SHORT = {
     "comparison": "400 9,11",
     "guarantees": "sweeps 1 2",
+    "jamming": "2 80 2 1",
     "slopes": "1 1",
 }
 CALLED = {"abuse", "changes", "estimates", "faults", "fuzz", "inject", "stability"}

@@ -179,6 +179,11 @@ def test_modes_over_each_other():
         area = np.sum(step.values * np.diff(step.edges))
         assert area == pytest.approx(1, rel=1e-12)  # per ball
     assert labels(made["density"].axes[0]) == ["small", "large"]
+    modes = shown[1].modes
+    narrow = result_of(replace(modes, omega=0.5 + 0.1 * modes.omega))
+    for pair in ([shown[1], narrow], [narrow, shown[1]]):  # whichever comes first, none is cut off
+        ax = figures.compare(pair, ["a", "b"])["density"].axes[0]
+        assert max(patch.get_data().values.max() for patch in ax.patches) < ax.get_ylim()[1]
     few = [find_modes(), result_of(replace(find_modes().modes, count_certified=False))]
     made = figures.compare(few, ["a", "b"])
     assert list(made) == ["participation"]

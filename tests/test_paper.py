@@ -27,7 +27,7 @@ FIGURES = (
 STAND_INS = """
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 mpirun() { echo "${@:3}"; }
-pgran() { echo "$@" >&3; }
+pgran() { echo "$@" >&3; [ "$1" != pack ] || echo "-detectors BALL"; }
 python() { :; }
 exec 3>units
 """
@@ -35,14 +35,15 @@ exec 3>units
 
 @pytest.fixture
 def commands(tmp_path):
-    """What the script carries out: the words of each run, and of each `pgran units`."""
+    """What the script carries out: the words of each run, and of each `pgran units` and `pack`."""
     (tmp_path / "jobs").mkdir()
     shutil.copy(PROJECT / "jobs" / "paper.sh", tmp_path / "jobs")
     (tmp_path / "jobs" / "setup.sh").write_text(STAND_INS)
     words = ["bash", tmp_path / "jobs" / "paper.sh"]
     said = subprocess.run(words, check=True, capture_output=True, text=True).stdout
     runs = [row.split() for row in said.splitlines() if row.startswith("pgran run")]
-    return runs, [row.split() for row in (tmp_path / "units").read_text().splitlines()]
+    others = [row.split() for row in (tmp_path / "units").read_text().splitlines()]
+    return runs, *([row for row in others if row[0] == word] for word in ("units", "pack"))
 
 
 SMALL = {
@@ -55,7 +56,13 @@ SMALL = {
 def folder(commands, call, tmp_path, monkeypatch):
     """The script's results, on small lattices."""
     monkeypatch.chdir(tmp_path)
+    ball = {}
+    for words in commands[2]:
+        done = call(*["60" if word == "500" else word for word in words])
+        ball[words[-1]] = done.stdout.split()[-1]
     for _, run, experiment, *words in commands[0]:
+        words = [ball[words[words.index("-network_file") + 1]] if word == "BALL" else word
+                 for word in words]  # fmt: skip
         given = set((PROJECT / experiment).read_text().split()) - set(words)
         given |= {"-ensemble_samples"} & set(words)
         fewer = [word for key in SMALL if key in given for word in (key, SMALL[key])]
@@ -142,11 +149,12 @@ def test_what_is_missing_is_said_in_a_line_each(tmp_path, capsys):
 
 
 def test_every_file_of_the_table_is_made_by_the_script(commands):
-    made = {word for words in commands[0] for word in words if word.endswith(".h5")}
+    made = {words[words.index("-output_file") + 1] for words in commands[0]}
     made = {Path(name).stem for name in made} | {"units_weight", "units_speed"}
     rows = [row for section in paper_table.SECTIONS for row in section.rows]
     used = {name for row in rows for name in inspect.signature(row.found).parameters}
-    used |= {image.rpartition("-")[0] for part in paper_table.SECTIONS for image in part.drawn}
+    for stem in paper.drawings():
+        used |= {*paper.COMPARED.get(stem, [stem])}
     assert used == made
     assert len({row.what for row in rows}) == len(rows)
     for words in commands[0]:

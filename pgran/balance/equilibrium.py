@@ -58,10 +58,20 @@ def direction(motion, state, growth, forces, swelling, shift):
     """
     from scipy.sparse import identity
 
+    def moved(step):
+        displacement = np.zeros((len(motion.number), motion.size))
+        displacement[motion.free] = step.reshape(-1, motion.size)
+        return displacement
+
     K, border, corner = motion.matrix(state, growth)
     mean, tried = K.diagonal().mean(), 0
+    one = identity(K.shape[0], format="csc")
+    if border is None:
+        step = motion.factors.solve(K + shift * mean * one, forces.ravel())
+        if step is not None:
+            return moved(step), 0.0, shift, 0
     while shift < 1:
-        factors = factored(K + shift * mean * identity(K.shape[0], format="csc"))
+        factors = factored(K + shift * mean * one)
         tried += 1
         if factors is not None and np.all(factors.U.diagonal() > 0):
             step, swell, rest = factors.solve(forces.ravel()), 0.0, 1.0
@@ -71,9 +81,9 @@ def direction(motion, state, growth, forces, swelling, shift):
                 swell = (swelling - border @ step) / rest
                 step = step - swell * turned
             if rest > 0:
-                moved = np.zeros((len(motion.number), motion.size))
-                moved[motion.free] = step.reshape(-1, motion.size)
-                return moved, swell, shift, tried
+                if border is None:
+                    motion.factors.keep(factors)
+                return moved(step), swell, shift, tried
         shift = max(4 * shift, LEAST_SHIFT)
     raise NotBalancedError("the packing has lost its rigidity: no shift makes its matrix definite")
 

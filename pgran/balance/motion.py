@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgran.balance.contacts import ContactLaw, near_pairs, pair_numbers
+from pgran.balance.factors import Factors
 from pgran.medium.packing import total_forces
 from pgran.medium.springs import differences
 
@@ -107,6 +108,7 @@ class Motion:
     def __init__(self, balls, contacts, pressure=None):
         """Start at the reference; with a pressure the box is unknown, too."""
         self.balls, self.contacts, self.pressure = balls, contacts, pressure
+        self.factors = Factors()  # of a matrix on the way
         self.free = np.flatnonzero(~balls.held)
         self.number = np.full(len(balls.held), -1)
         self.number[self.free] = np.arange(len(self.free))

@@ -2,14 +2,16 @@
 
 import argparse
 import contextlib
+import dataclasses
 
 import numpy as np
 
 from pgran.balance.networks import floor
+from pgran.balance.ordered import DIAGONAL, ordered
 from pgran.balance.pack import packed_network
 from pgran.command.imports import next_step
 from pgran.command.words import Parser, positive
-from pgran.errors import DONE
+from pgran.errors import DONE, InputError
 from pgran.medium.network_file import check_output, parts_of, write_network
 from pgran.medium.packing import POWERS
 from pgran.store.estimate import counted
@@ -28,9 +30,17 @@ def run(words):
     check_output(options.output, options.overwrite)
     chosen = {name: value for name, value in vars(options).items() if value is not None}
     output, overwrite = chosen.pop("output"), chosen.pop("overwrite")
-    network, packed = packed_network(**chosen)
+    kind, in_order = chosen.pop("displacement", None), chosen.pop("ordered")
+    if in_order and kind == "vector":
+        raise InputError("pack: --ordered: its lattice does not resist the shear of vectors")
+    packing, packed = packed_network(**chosen)
+    network = packing
+    if in_order:
+        network = ordered(packing, chosen.get("seed", 1993))
+    elif kind == "scalar":
+        network = dataclasses.replace(packing, displacement=kind, direction=None)
     write_network(output, *parts_of(network), overwrite)
-    for line in _summary(output, network, packed):
+    for line in _summary(output, network, packing, packed):
         print(line)
     return DONE
 
@@ -56,6 +66,9 @@ def _parser():
     add("--rest", metavar="CONDITION", help="balls that are held at rest besides")
     add("--drive", metavar="CONDITION", help="balls that drive; those of walls are then at rest")
     add("--seed", type=int, help="which packing (1993)")
+    kinds = ("vector", "scalar")
+    add("--displacement", choices=kinds, help="scalar: one a ball, the paper's model (vector)")
+    add("--ordered", action="store_true", help="its stiffnesses at random on a lattice")
     add("-o", "--output", required=True, help="HDF5 file to write")
     add("--overwrite", action="store_true", help="replace a network that is there")
     return parser
@@ -84,15 +97,18 @@ def _shape(text):
     raise argparse.ArgumentTypeError(f"{text} is no list of numbers")
 
 
-def _summary(output, network, packed):
+def _summary(output, network, packing, packed):
     """Say in a few lines what has been made, how well it balances, and what to do next."""
     free, rest, driven = np.bincount(network.held, minlength=3)
     yield f"{output}: {counted(free, 'free ball')}, {rest} at rest, {driven} driven; " \
         f"{counted(network.bonds, 'contact')}"  # fmt: skip
+    if network.power is None:
+        diagonals = np.count_nonzero(network.distance > DIAGONAL * network.distance.min())
+        yield f"these are on a lattice, {diagonals} along diagonals; of the packing itself:"
     yield f"{counted(packed.rattlers, 'rattler')} left out; {packed.excess} contacts more than " \
         "an isostatic packing has"  # fmt: skip
     yield f"forces balance to {packed.rest.residual:.1e} of the mean one, by positions alone to " \
-        f"{floor(network):.1e}; mean overlap {network.overlap.mean():.3g}"  # fmt: skip
+        f"{floor(packing):.1e}; mean overlap {packing.overlap.mean():.3g}"  # fmt: skip
     yield f"{packed.descents} steps of FIRE, {counted(packed.rest.factorizations, 'factorization')}"
     if packed.rest.saddle:
         yield "the packing rests on a saddle of its energy: try another --seed"

@@ -104,6 +104,7 @@ def density_axes(ax, edges):
     """Make axes those of a density of modes between edges."""
     scales.label(ax.yaxis, scales.DENSITY)
     scales.frequencies(ax, edges, scales.MODE_FREQUENCY)
+    ax.autoscale(axis="y")  # of another result, too
     ax.set_ylim(bottom=0)
 
 
