@@ -31,16 +31,24 @@ class Rest(NamedTuple):
     """Balls at rest: where and with which contacts, and how they came there.
 
     `residual` is the largest force left on a ball in units of the mean one, `unstable` how often
-    the matrix needed a shift, `saddle` whether the rest is one of least energy in no neighbourhood.
+    the matrix needed a shift.
     """
 
     balls: Balls
     contacts: Contacts
     residual: float
     unstable: int
-    saddle: bool
     factorizations: int
     evaluations: int
+
+    @property
+    def saddle(self):
+        """Whether the energy is least in no neighbourhood; it takes a factorization."""
+        motion = Motion(self.balls, self.contacts)
+        K, _, _ = motion.matrix(motion.state(np.zeros(self.balls.position.shape), 0.0), 0.0)
+        factors = factored(K)
+        lowest = 0.0 if factors is None else factors.U.diagonal().min()  # singular: some float
+        return bool(lowest < -SADDLE * K.diagonal().mean())
 
 
 def factored(K):
@@ -156,12 +164,7 @@ def at_rest(balls, contacts=None, pressure=None, tolerance=BALANCED):
             )
     else:
         raise NotBalancedError(f"the balls still move after {ROUNDS} lists of neighbours")
-    K, _, _ = Motion(balls, contacts).matrix(state, 0.0)
-    factors = factored(K)
-    lowest = 0.0 if factors is None else factors.U.diagonal().min()  # singular: some balls float
-    saddle = bool(lowest < -SADDLE * K.diagonal().mean())
-    unstable, factorizations, evaluations = counts.tolist()
-    return Rest(balls, contacts, residual, unstable, saddle, factorizations + 1, evaluations)
+    return Rest(balls, contacts, residual, *counts.tolist())
 
 
 def reach_of(balls, contacts):
