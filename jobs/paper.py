@@ -28,6 +28,7 @@ unless a unit is given. The paper's sample of bonds is not known: where a number
 is given over several samples, too, as mean +- standard deviation. `bash jobs/paper.sh` has made
 this.
 """
+BEADS = "beads"  # stands for the results of all packings of beads, which are made apart
 
 
 def write(folder):
@@ -35,12 +36,19 @@ def write(folder):
     folder, opened, missing = Path(folder), {}, {}
     lines = [INTRODUCTION]
     for section in SECTIONS:
-        images = [f"![{name}]({folder.name}/{name}.png)" for name in section.drawn]
+        drawn = [name for name in section.drawn if files_of(folder, name.rpartition("-")[0])]
+        images = [f"![{name}]({folder.name}/{name}.png)" for name in drawn]
         lines += [f"## {section.title}\n", *(f"{image}\n" for image in images)]
         rows = [line(row, folder, opened, missing) for row in section.rows]
         lines += ["\n".join([HEAD, *rows, ""])] if rows else []
     folder.with_suffix(".md").write_text("\n".join(lines), encoding="utf-8")
+    missing.pop(BEADS, None)
     return list(missing.values())
+
+
+def files_of(folder, name):
+    """Return the files of a name in the table that there are."""
+    return sorted(folder.glob(f"{name}_*.h5" if name == BEADS else f"{name}.h5"))
 
 
 def line(row, folder, opened, missing):
@@ -53,6 +61,8 @@ def line(row, folder, opened, missing):
             except PgranError as error:
                 missing[name] = str(error)
     files = [f"{name}.{'txt' if name.startswith('units') else 'h5'}" for name in names]
+    if BEADS in names:
+        files = ["`bash jobs/paper.sh --beads`"]
     lacking = [file for name, file in zip(names, files, strict=True) if name in missing]
     if lacking:
         found = f"missing: {', '.join(lacking)}"
@@ -66,6 +76,10 @@ def line(row, folder, opened, missing):
 
 def read(folder, name):
     """Return a result, or what `pgran units` has said as texts in SI units by their names."""
+    if name == BEADS and not files_of(folder, name):
+        raise FileError("no results of packings of beads")
+    if name == BEADS:
+        return [pgran.load(path) for path in files_of(folder, name)]
     if not name.startswith("units"):
         return pgran.load(folder / f"{name}.h5")
     try:
@@ -76,11 +90,11 @@ def read(folder, name):
 
 
 def draw(folder, stem, names):
-    """Draw figures of a result, if it is there."""
-    source, modes, over = folder / f"{stem}.h5", folder / "modes.h5", {}
+    """Draw figures of a result, or of those of packings of beads, if there are any."""
+    source, modes, over = files_of(folder, stem), folder / "modes.h5", {}
     if stem == "response" and modes.exists():
         over["modes"] = pgran.load(modes).modes.omega
-    if source.exists():
+    if source:
         made = pgran.plot(source, **over)
         figures.save({name: made[name] for name in names}, folder / f"{stem}.png")
 
