@@ -200,8 +200,7 @@ def test_the_heater_in_packings_of_beads(tmp_path, call, capsys, monkeypatch):
             groups = [changes[:, part] for part in (away < 2.5, (away >= 2.5) & (away < 5))]
             expected += [np.median(group) for group in groups if group.size]
         assert c * (5e-3 * overlap) ** 1.5 == pytest.approx(weights * mass * 9.81, rel=0.25)
-        start = f"+{growth} A, W = {weights}: change"
-        (found,) = (row[1] for what, row in rows.items() if what.startswith(start))
+        found = rows[f"+{growth} A, W = {weights}"][1]
         assert numbers(found) == pytest.approx([*expected, 5, 1, 0], rel=0.06)
 
 
