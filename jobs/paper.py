@@ -9,6 +9,7 @@ files that a row's function names as its parameters.
 import inspect
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +29,12 @@ unless a unit is given. The paper's sample of bonds is not known: where a number
 is given over several samples, too, as mean +- standard deviation. `bash jobs/paper.sh` has made
 this.
 """
+BEADS = "beads"  # stands for the results of all packings of beads, which are made apart
 # Results whose figures are laid over each other.
-COMPARED = {
-    f"geometry_{of}": [f"geometry_{of}_{kind}" for kind in ("packing", "ordered")]
-    for of in ("response", "modes")
+TOGETHER = {
+    BEADS: ["beads_*"],
+    "geometry_response": ["geometry_response_packing", "geometry_response_ordered"],
+    "geometry_modes": ["geometry_modes_packing", "geometry_modes_ordered"],
 }
 
 
@@ -40,12 +43,20 @@ def write(folder):
     folder, opened, missing = Path(folder), {}, {}
     lines = [INTRODUCTION]
     for section in SECTIONS:
-        images = [f"![{name}]({folder.name}/{name}.png)" for name in section.drawn]
+        drawn = [name for name in section.drawn if files_of(folder, name.rpartition("-")[0])]
+        images = [f"![{name}]({folder.name}/{name}.png)" for name in drawn]
         lines += [f"## {section.title}\n", *(f"{image}\n" for image in images)]
         rows = [line(row, folder, opened, missing) for row in section.rows]
         lines += ["\n".join([HEAD, *rows, ""])] if rows else []
     folder.with_suffix(".md").write_text("\n".join(lines), encoding="utf-8")
+    missing.pop(BEADS, None)
     return list(missing.values())
+
+
+def files_of(folder, name):
+    """Return the files of a name in the table, none if one is missing."""
+    found = [sorted(folder.glob(f"{each}.h5")) for each in TOGETHER.get(name, [name])]
+    return [*chain.from_iterable(found)] if all(found) else []
 
 
 def line(row, folder, opened, missing):
@@ -58,6 +69,8 @@ def line(row, folder, opened, missing):
             except PgranError as error:
                 missing[name] = str(error)
     files = [f"{name}.{'txt' if name.startswith('units') else 'h5'}" for name in names]
+    if BEADS in names:
+        files = ["`bash jobs/paper.sh --beads`"]
     lacking = [file for name, file in zip(names, files, strict=True) if name in missing]
     if lacking:
         found = f"missing: {', '.join(lacking)}"
@@ -71,6 +84,10 @@ def line(row, folder, opened, missing):
 
 def read(folder, name):
     """Return a result, or what `pgran units` has said as texts in SI units by their names."""
+    if name == BEADS and not files_of(folder, name):
+        raise FileError("no results of packings of beads")
+    if name == BEADS:
+        return [pgran.load(path) for path in files_of(folder, name)]
     if not name.startswith("units"):
         return pgran.load(folder / f"{name}.h5")
     try:
@@ -82,11 +99,10 @@ def read(folder, name):
 
 def draw(folder, stem, names):
     """Draw figures of a result, or of several over each other, if they are there."""
-    sources = [folder / f"{name}.h5" for name in COMPARED.get(stem, [stem])]
-    modes, over = folder / "modes.h5", {}
+    sources, modes, over = files_of(folder, stem), folder / "modes.h5", {}
     if stem == "response" and modes.exists():
         over["modes"] = pgran.load(modes).modes.omega
-    if all(source.exists() for source in sources):
+    if sources:
         made = pgran.plot(sources, **over)
         figures.save({name: made[name] for name in names}, folder / f"{stem}.png")
 

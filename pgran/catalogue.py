@@ -40,6 +40,7 @@ EXPERIMENTS = {
     "sensitivity": Home("sensitivity.scene", {"sensitivity": "figures", "heat": "figures_heat"}),
 }
 
+POINTS = ("sensitivity",)  # of their results a figure of several has points, which need no labels
 
 # Where records and figures of each group are; the medium, whose axes the others share, comes first.
 RECORDS = dict.fromkeys(("lattice", "network"), "pgran.medium.record") | {

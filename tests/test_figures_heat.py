@@ -11,6 +11,7 @@ from small import OPTIONS
 
 import pgran
 from pgran.draw import pages as figures
+from pgran.errors import FileError
 from pgran.experiments.sensitivity import figures_heat as heat
 from pgran.experiments.sensitivity import maps
 from pgran.medium.record import record_of
@@ -102,3 +103,29 @@ def test_balls_that_grow_in_a_packing():
     assert {"warmed", "frozen", "changes"} <= made.keys()
     assert "neighbours frozen" in note(made["frozen"])
     assert "all at a new rest" in note(made["warmed"])
+
+
+def test_balls_that_grow_in_several_results():
+    """A point of each: its growth, the changes of |A|, and how often these are a quarter."""
+    network = pgran.load(OPTIONS / "packings" / "spheres.h5")
+    seen, results = [], []
+    for growth in np.repeat([0.002, 0.004], 4):  # more than are told apart by their looks
+        words = {"radius": growth, "balls": network.free[len(results) :: 40]}
+        found = pgran.heat(network, [0.3], [78], **words)
+        moved = np.abs(np.abs(found.warmed / found.displacement[..., None]) - 1).ravel()
+        quantiles = np.median(moved), np.quantile(moved, 0.9)
+        seen.append([growth / network.overlap.mean(), *quantiles, np.mean(moved >= 0.25)])
+        results.append(result_of(found, network))
+        results[-1].scene = "sensitivity"
+    figure = figures.compare(results, ["" for _ in results])["growth"]
+    drawn = {"full": [], "none": []}
+    for panel in figure.panels:
+        for line in lines(panel, linestyle="None"):
+            drawn[line.get_fillstyle()].append(np.transpose(line.get_data()))
+    both, seen = np.concatenate(drawn["full"]), np.array(seen)
+    for found, column in ((both[:8], 1), (np.concatenate(drawn["none"]), 2), (both[8:], 3)):
+        right = np.column_stack([seen[:, 0], 100 * seen[:, column]])
+        assert found[np.lexsort(found.T[::-1])] == pytest.approx(right[np.lexsort(right.T[::-1])])
+    results[3].heat.converged_reason[0] = 0
+    with pytest.raises(FileError, match="if balls of packings grow"):
+        figures.compare([*results, result_of(heated())], [""] * 9)

@@ -93,7 +93,11 @@ def test_some_balls_are_those_of_all():
         assert some.ball.tolist() == every.ball[[0, 2]].tolist()
         difference = np.abs(some.warmed - every.warmed[..., [0, 2]])
         assert np.all(difference <= 1e-13 * np.abs(some.warmed))
-        assert not np.any(heated(medium, OMEGAS, sites, factor=1).heard)
+        drawn = heated(medium, OMEGAS, sites, factor=2, samples=2)
+    fewer = heated(medium, OMEGAS, sites, factor=2, samples=1)
+    assert set(fewer.ball) < set(drawn.ball) < set(every.ball)
+    assert np.all(np.isin(drawn.warmed[0, 0].round(12), every.warmed[0, 0].round(12)))
+    assert not np.any(heated(medium, OMEGAS, sites, factor=1).heard)
     moved = np.abs(every.warmed / every.displacement[..., None] - 1)
     assert 0 < every.heard.mean() < 1
     assert np.array_equal(every.heard, np.mean(moved >= 0.25, axis=-1))
@@ -224,6 +228,9 @@ REFUSING = {
         ("lattice", {"factor": -1}, "-heat_factor -1"),
         ("lattice", {"factor": 2, "overlap": 1}, "one of these ways"),
         ("lattice", {"cut": True, "balls": [[0, 0]]}, "-heat_balls: by how much"),
+        ("lattice", {"cut": True, "samples": 2}, "-heat_samples: by how much"),
+        ("lattice", {"factor": 2, "samples": 13}, "-heat_samples 13: there are 12 balls"),
+        ("lattice", {"factor": 2, "samples": 2, "balls": [[0, 0]]}, "or how many to draw"),
         ("lattice", {"factor": 2, "balls": [[4, 0]]}, r"-heat_balls: ball \(4, 0\) is outside"),
         ("lattice", {"factor": 2, "balls": [1, 1, 1]}, "-heat_balls: a ball .* has 2 indices"),
         ("lattice", {"overlap": 1, "hertz": -1.0}, "-bonds_hertz -1"),

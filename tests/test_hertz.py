@@ -115,7 +115,7 @@ def test_the_options_make_that_lattice(capsys, dimensions):
     """Its omega_mx is 1, and numbers without a unit are those of the balls."""
     words = f"{GIVEN} --restitution .9 --dimensions {dimensions}"
     assert main(["units", *words.split()]) == DONE
-    told = capsys.readouterr().out.splitlines()[-1]
+    told = capsys.readouterr().out.splitlines()[-2]
     shape = ",".join(["4"] * dimensions)
     given = ["-scene", "modes", "-lattice_shape", shape, *shlex.split(told)]
     options = resolve(read_words(given))
@@ -154,6 +154,19 @@ def test_the_table(capsys):
     assert value(out, "quality") == pytest.approx(50 * 8e3 * math.pi / BEAD.omega_mx, rel=1e-3)
     assert "damping" not in say(capsys, GIVEN)
     assert "pgran units" in USAGE
+
+
+def test_a_packing_of_these_balls(capsys):
+    """Its contacts bear the load in the mean, and oscillate as those of beads of glass."""
+    out = say(capsys, f"{GIVEN} --growth 1e-7").splitlines()[-1]
+    own = {key: float(x) for key, x in re.findall(r"(--?\w+) (\d\S*)", out)}
+    packing = pgran.pack(70, 3, "hertz", pressure=own["--pressure"], sizes="equal")
+    newton = BEAD.mass * own["-units_length"] / own["-units_time"] ** 2
+    assert packing.force.mean() * newton == pytest.approx(BEAD.force, rel=0.1)
+    seconds = packing.omega_mx / own["-units_time"]
+    stiffest = 1.5 * BEAD.constant ** (2 / 3) * (packing.force.max() * newton) ** (1 / 3)
+    assert seconds == pytest.approx(math.sqrt(6 * stiffest / BEAD.mass), rel=1e-5)
+    assert own["-heat_radius"] * own["-units_length"] == pytest.approx(1e-7)
 
 
 def test_a_ball_that_grows_between_neighbours_that_stay(capsys):

@@ -115,12 +115,35 @@ def test_all_modes_of_the_packings(name):
     np.testing.assert_allclose(modes.omega**2, squares, rtol=0, atol=1e-9 * squares[-1])
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "options").glob("packing_*")), ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "options").glob("*packing*.opts")), ids=lambda p: p.stem
+)
 def test_experiments_on_packings_listen_to_free_balls(path, monkeypatch, here):
     monkeypatch.chdir(ROOT)
     options = resolve(read_file(path))
     network = read_network(options.network_file)
     assert np.all(network.held[list(getattr(options, "detectors", ()))] == FREE)
+
+
+def test_the_beads_are_at_rest_under_their_load():
+    """Of glass, under 30 weights of a bead in the mean; a bead that grows does so by 1000 A."""
+    options = resolve(read_file(ROOT / "options" / "heater_packing.opts"))
+    beads = read_network(PACKINGS / "beads.h5")
+    one, other = beads.radius[beads.bond].T
+    overlap = (beads.force / np.sqrt(one * other / (one + other))) ** (2 / 3)
+    assert np.allclose(beads.stiffness, 1.5 * beads.force / overlap, rtol=1e-12, atol=0)
+    total = np.zeros_like(beads.position)
+    for end, sign in zip(beads.bond.T, (-1, 1), strict=True):
+        np.add.at(total, end, sign * beads.force[:, None] * beads.normal)
+    assert np.abs(total[beads.free]).max() <= 1e-12 * beads.force.mean()
+    gaps = np.linalg.norm(
+        beads.position[beads.bond[:, 1]] - beads.position[beads.bond[:, 0]], axis=1
+    )
+    inside = gaps < 2  # others are periodic images
+    assert np.abs(one + other - gaps - overlap)[inside].max() <= 1e-9 * overlap.mean()
+    acceleration = options.units_length / options.units_time**2
+    assert beads.force.mean() / beads.mass * acceleration / 9.81 == pytest.approx(30, rel=0.05)
+    assert options.heat_radius * options.units_length == pytest.approx(1e-7)
 
 
 def test_the_network_that_the_manual_writes(tmp_path, monkeypatch):

@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ PROJECT = Path(__file__).parents[1]
 sys.path.append(str(PROJECT / "jobs"))
 
 import paper  # noqa: E402
+import paper_beads  # noqa: E402
 import paper_measures  # noqa: E402
 import paper_table  # noqa: E402
 
@@ -23,12 +25,13 @@ FIGURES = (
     "exptime", "expfreq", "sprlat", "exactpl", "sprpic", "freqres", "phaseres", "modepic",
     "onefreq", "maxci", "cifreq", "timeres",
 )  # fmt: skip
+BEADS = "`bash jobs/paper.sh --beads`"  # what makes results that the table does without
 # What is said instead of carried out.
 STAND_INS = """
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 mpirun() { echo "${@:3}"; }
 pgran() { echo "$@" >&3; [ "$1" != pack ] || echo "-detectors BALL"; }
-python() { :; }
+python() { [ "$1" != jobs/paper_beads.py ] || echo beads_1_1_180 -detectors 7 -heat_samples 5; }
 exec 3>units
 """
 
@@ -39,11 +42,24 @@ def commands(tmp_path):
     (tmp_path / "jobs").mkdir()
     shutil.copy(PROJECT / "jobs" / "paper.sh", tmp_path / "jobs")
     (tmp_path / "jobs" / "setup.sh").write_text(STAND_INS)
-    words = ["bash", tmp_path / "jobs" / "paper.sh"]
-    said = subprocess.run(words, check=True, capture_output=True, text=True).stdout
-    runs = [row.split() for row in said.splitlines() if row.startswith("pgran run")]
+    runs = runs_of(tmp_path)
     others = [row.split() for row in (tmp_path / "units").read_text().splitlines()]
     return runs, *([row for row in others if row[0] == word] for word in ("units", "pack"))
+
+
+def runs_of(folder, *words):
+    """The words of each run that the script in a folder carries out."""
+    words = ["bash", folder / "jobs" / "paper.sh", *words]
+    said = subprocess.run(words, check=True, capture_output=True, text=True).stdout
+    return [row.split() for row in said.splitlines() if row.startswith("pgran run")]
+
+
+def test_heaters_in_packings_of_beads_are_a_step_of_their_own(commands, tmp_path):
+    (run,) = runs_of(tmp_path, "--beads")
+    words = "-detectors 7 -heat_samples 5 -output_file results/paper/beads_1_1_180.h5"
+    expected = f"pgran run options/heater_packing.opts {words} -output_overwrite"
+    assert run == expected.split()
+    assert run[2] not in [words[2] for words in commands[0]]
 
 
 SMALL = {
@@ -101,8 +117,10 @@ def test_the_table_holds_what_the_files_hold(folder, here, monkeypatch):
     assert sorted(re.findall(r"!\[.*?\]\((.*?)\)", text)) == sorted(set(drawn))
 
     rows = cells(text)
-    for _, _, files in rows.values():
-        assert all((folder / name).exists() for name in files.split(", ") if name)
+    for _, found, files in rows.values():
+        there = [(folder / name).exists() for name in files.split(", ") if name and name != BEADS]
+        assert all(there)
+        assert found.startswith("missing") == (files == BEADS)
 
     def says(name, expected, **tolerance):
         assert numbers(rows[name][1]) == pytest.approx(expected, **tolerance), name
@@ -140,7 +158,7 @@ def test_the_table_holds_what_the_files_hold(folder, here, monkeypatch):
 def test_what_is_missing_is_said_in_a_line_each(tmp_path, capsys):
     assert paper.main(tmp_path / "paper") == 4
     rows = cells((tmp_path / "paper.md").read_text()).values()
-    files = {name for row in rows for name in row[2].split(", ")} - {""}
+    files = {name for row in rows for name in row[2].split(", ")} - {"", BEADS}
     said = capsys.readouterr().err.splitlines()
     assert len(said) == len(files)
     for name in files:
@@ -154,11 +172,44 @@ def test_every_file_of_the_table_is_made_by_the_script(commands):
     rows = [row for section in paper_table.SECTIONS for row in section.rows]
     used = {name for row in rows for name in inspect.signature(row.found).parameters}
     for stem in paper.drawings():
-        used |= {*paper.COMPARED.get(stem, [stem])}
-    assert used == made
+        used |= {*paper.TOGETHER.get(stem, [stem])}
+    assert used - {"beads", "beads_*"} == made
     assert len({row.what for row in rows}) == len(rows)
     for words in commands[0]:
         assert (PROJECT / words[2]).exists()
+
+
+def test_the_heater_in_packings_of_beads(tmp_path, call, capsys, monkeypatch):
+    """Under two loads: the table has what the files hold, by loads, growths and distances."""
+    monkeypatch.setattr(paper_beads, "HEATERS", 5)
+    monkeypatch.setattr(paper_beads, "ProcessPoolExecutor", ThreadPoolExecutor)
+    folder = tmp_path / "paper"
+    paper_beads.main(folder, loads=(100, 300), seeds=(1,), balls=70)
+    for line in capsys.readouterr().out.splitlines():
+        name, *words = line.split()
+        words += ["-sweep_omega", ".3,.7", "-output_file", f"{folder}/{name}.h5"]
+        done = call("run", str(PROJECT / "options" / "heater_packing.opts"), *words)
+        assert done.returncode == 0, done.stderr
+    paper.draw(folder, "beads", ["growth"])
+    assert (folder / "beads-growth.png").exists()
+    paper.write(folder)
+    rows = cells(folder.with_suffix(".md").read_text())
+    mass, c = 2500 * np.pi * 5e-3**3 / 6, 4 / 3 * 70e9 / (2 * (1 - 0.22**2)) * 0.00125**0.5  # glass
+    for weights, growth in ((100, 1000), (100, 180), (300, 1000)):
+        with h5py.File(folder / f"beads_{weights}_1_{growth}.h5") as file:
+            heat, network = file["heat"], file["network"]
+            changes = abs(abs(heat["warmed"][:]) / abs(heat["displacement"][:][..., None]) - 1)
+            overlap = np.mean(1.5 * network["force"][:] / network["stiffness"][:])
+            expected = [np.median(changes), np.quantile(changes, 0.9), np.mean(changes >= 0.25)]
+            expected += [growth * 1e-10 / 5e-3 / overlap, heat["opened"][:].mean()]
+            centres, box = network["position"][:], [np.inf, *network.attrs["box"][1:]]
+            away = centres[heat["ball"][:]] - centres[heat["detector"][:, 0]][:, None]
+            away = np.linalg.norm(away - np.rint(away / box) * [0, *box[1:]], axis=2)
+            groups = [changes[:, part] for part in (away < 2.5, (away >= 2.5) & (away < 5))]
+            expected += [np.median(group) for group in groups if group.size]
+        assert c * (5e-3 * overlap) ** 1.5 == pytest.approx(weights * mass * 9.81, rel=0.25)
+        found = rows[f"+{growth} A, W = {weights}"][1]
+        assert numbers(found) == pytest.approx([*expected, 5, 1, 0], rel=0.06)
 
 
 def test_maxima_dips_and_widths():

@@ -219,12 +219,23 @@ def test_what_a_packing_does(monkeypatch):
     back = packing.grown(184, 0.0)
     assert OUTCOMES[back.outcome] == "smooth"
     assert np.allclose(back.network.overlap, net.overlap, rtol=1e-9, atol=0)
-    grow = growth.grown
+    grow, tried = growth.grown, []
 
-    def falls_apart(balls, contacts, radius):
+    def small_steps_alone(*balls_to_be):
+        tried.append(balls_to_be[3:])
+        if tried[-1] == (np.inf,):
+            raise NotBalancedError("no rest")
+        return grow(*balls_to_be)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(growth, "grown", small_steps_alone)
+        assert OUTCOMES[packing.grown(184, size).outcome] == "opened or closed"
+    assert tried == [(), (np.inf,), (growth.GROWTH,)]
+
+    def falls_apart(balls, contacts, radius, *step):
         if radius[184] < balls.radius[184]:
             raise NotBalancedError("no rest")
-        return grow(balls, contacts, radius)
+        return grow(balls, contacts, radius, *step)
 
     monkeypatch.setattr(growth, "grown", falls_apart)
     assert OUTCOMES[packing.grown(184, size).outcome] == "rearranged"
@@ -289,10 +300,10 @@ def test_packings_without_rest_are_counted(monkeypatch):
     net, detector = medium("hertz")
     grown = growth.grown
 
-    def lost(balls, contacts, radius):
+    def lost(balls, contacts, radius, *step):
         if radius[100] != net.radius[100]:
             raise NotBalancedError("no rest")
-        return grown(balls, contacts, radius)
+        return grown(balls, contacts, radius, *step)
 
     monkeypatch.setattr(growth, "grown", lost)
     found = heated(net, [0.3], [detector], radius=5e-3, balls=[100, 200])

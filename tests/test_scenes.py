@@ -94,6 +94,7 @@ CHANGES = {
     "heat_factor": ("1.1", "-heat_factor 1.01"),
     "heat_overlap": (".02", f"{HERTZ} -heat_overlap .01"),
     "heat_balls": ("2,2,3,3", "-heat_factor 1.01"),
+    "heat_samples": ("3", "-heat_factor 1.01"),
     "heat_cut": "true",
     "ensemble_samples": "4",
     "ensemble_keep": "measures",

@@ -30,15 +30,22 @@ class NotBalancedError(PgranError):
 class Rest(NamedTuple):
     """Balls at rest: where and with which contacts, and how they came there.
 
-    `residual` is the largest force left on a ball in units of the mean one, `saddle` whether the
-    rest is one of least energy in no neighbourhood.
+    `residual` is the largest force left on a ball in units of the mean one.
     """
 
     balls: Balls
     contacts: Contacts
     residual: float
-    saddle: bool
     factorizations: int
+
+    @property
+    def saddle(self):
+        """Whether the energy is least in no neighbourhood; it takes a factorization."""
+        motion = Motion(self.balls, self.contacts)
+        K, _, _ = motion.matrix(motion.state(np.zeros(self.balls.position.shape), 0.0), 0.0)
+        factors = factored(K)
+        lowest = 0.0 if factors is None else factors.U.diagonal().min()  # singular: some float
+        return bool(lowest < -SADDLE * K.diagonal().mean())
 
 
 def factored(K):
@@ -159,7 +166,7 @@ def at_rest(balls, contacts=None, pressure=None, tolerance=BALANCED):
     with a `pressure` a periodic box finds its size. Raises NotBalancedError where they find no
     rest.
     """
-    factorizations = 1  # the last one, which tells a saddle
+    factorizations = 0
     for _ in range(ROUNDS):
         reach = reach_of(balls, contacts)
         contacts = listed(balls, contacts, reach=reach)
@@ -175,11 +182,7 @@ def at_rest(balls, contacts=None, pressure=None, tolerance=BALANCED):
             )
     else:
         raise NotBalancedError(f"the balls still move after {ROUNDS} lists of neighbours")
-    K, _, _ = Motion(balls, contacts).matrix(state, 0.0)
-    factors = factored(K)
-    lowest = 0.0 if factors is None else factors.U.diagonal().min()  # singular: some balls float
-    saddle = bool(lowest < -SADDLE * K.diagonal().mean())
-    return Rest(balls, contacts, residual, saddle, factorizations)
+    return Rest(balls, contacts, residual, factorizations)
 
 
 def reach_of(balls, contacts):

@@ -8,7 +8,7 @@ import numpy as np
 
 from pgran.arguments import called_right
 from pgran.balance.contacts import ContactLaw, pair_numbers
-from pgran.balance.equilibrium import at_rest
+from pgran.balance.equilibrium import BALANCED, at_rest
 from pgran.balance.motion import Balls, Contacts, listed
 from pgran.errors import InputError
 from pgran.medium.network import Network
@@ -20,6 +20,7 @@ from pgran.run.numbers import numbers
 log = logging.getLogger("pgran")
 ASTRAY = 1e-3  # of a contact's length: what printed digits may leave of it
 GROWTH = 0.5  # of the mean overlap: how much a ball grows before all find their rest anew
+ON_THE_WAY = 1e-6  # of the mean force: how well they find it before the last step
 
 
 def law_of(network):
@@ -100,15 +101,20 @@ def network_of(rest, like=None, **values):
 
 
 def grown(balls, contacts, radius, growth=GROWTH):
-    """Return the `Rest` of balls whose radii become others, by steps of a part of the overlap."""
+    """Return the `Rest` of balls whose radii become others, by steps of a part of the overlap.
+
+    An infinite part is a single step.
+    """
     before = balls.radius
     overlap = contacts.overlap[contacts.overlap > 0].mean()
     steps = max(math.ceil(np.abs(radius - before).max() / (growth * overlap)), 1)
     factorizations = 0
     for step in range(1, steps + 1):
-        now = radius if step == steps else before + step / steps * (radius - before)
+        last = step == steps
+        now = radius if last else before + step / steps * (radius - before)
         contacts = contacts.grown(balls.law, balls.radius, now)
-        rest = at_rest(dataclasses.replace(balls, radius=now), contacts)
+        balls = dataclasses.replace(balls, radius=now)
+        rest = at_rest(balls, contacts, tolerance=BALANCED if last else ON_THE_WAY)
         balls, contacts = rest.balls, rest.contacts
         factorizations += rest.factorizations
     return rest._replace(factorizations=factorizations)

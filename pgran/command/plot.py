@@ -4,6 +4,7 @@ import logging
 import os
 from pathlib import Path
 
+from pgran import catalogue
 from pgran.arguments import called_right
 from pgran.command.export import result_of
 from pgran.command.words import Parser, positive
@@ -34,7 +35,8 @@ def plot(
     ----------
     result : pgran.store.record.Result, pgran.Network, str or os.PathLike, or a list of these
         What `load` returns, or the path of its file. Several of one scene (response, modes,
-        relaxation, pulse) are laid over each other, labelled by the options in which they differ.
+        relaxation, pulse) are laid over each other, labelled by the options in which they differ;
+        of heaters in packings each is a point.
     output : str or os.PathLike, optional
         Where to save: `results/a.png` gives `results/a-amplitude.png` and so on; the ending decides
         the format. A missing folder is made.
@@ -102,10 +104,12 @@ def _make(results, names, units, measured, width, **over):
     """Return the figures of results whose files have these names. See `plot`."""
     if width is not None and not NARROWEST <= width <= WIDEST:
         raise InputError(f"-width: a figure is {NARROWEST} to {WIDEST} mm wide, not {width:g}")
-    units = _units_of(results, *units or ())
     if len(results) == 1:
-        made = figures.make(results[0], units, width, **over)
+        made = figures.make(results[0], _units_of(results, *units or ()), width, **over)
+    elif results[0].scene in catalogue.POINTS:
+        made = figures.compare(results, names, width=width)
     else:
+        units = _units_of(results, *units or ())
         made = figures.compare(results, labels_of(results, names), units, width)
     if measured is not None:
         missed = figures.add_measured(made, results, read_measured(measured), Path(measured).name)

@@ -28,6 +28,10 @@ def run(words):
         if damping is not None and not math.isfinite(scale.own_damping(damping)):
             raise OverflowError
         rows, line = table(scale, damping, options.growth), option_words(scale, damping)
+        pressure = hertz.pressure_of_force(
+            force, options.diameter, options.fraction, options.contacts
+        )
+        packing = packing_words(scale, pressure, options.growth)
     except (OverflowError, ZeroDivisionError):
         raise InputError("units: these numbers are too far apart to compute with") from None
     if scale.contact_radius > hertz.LARGE:
@@ -35,7 +39,7 @@ def run(words):
         log.warning(text, scale.contact_radius)
     for name, si, own in rows:
         print(f"{name:<37}{si:<22}{own}".rstrip())
-    print(f"\n{line}")
+    print(f"\n{line}\n{packing}")
     return DONE
 
 
@@ -159,3 +163,12 @@ def option_words(scale, damping=None):
     if damping is not None:
         words += f" -lattice_damping {scale.own_damping(damping)!r}"
     return f"{words} -units_length {scale.diameter!r} -units_time {1 / scale.omega_mx!r}"
+
+
+def packing_words(scale, pressure, growth=None):
+    """Return what makes a packing of spheres whose contacts bear the force in the mean."""
+    force, time = scale.packed
+    own = pressure * scale.diameter**2 / force
+    words = f"pgran pack --dimension 3 --law hertz --pressure {own:.4g} (this force in the mean); "
+    words += f"-units_length {scale.diameter!r} -units_time {time:.6g}"
+    return words if growth is None else f"{words} -heat_radius {growth / scale.diameter:.6g}"

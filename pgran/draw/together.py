@@ -13,17 +13,18 @@ from pgran.errors import FileError
 LINES = ("-", (0, (4, 1)), (0, (1, 0.8)), (0, (4, 1, 1, 1)), (0, (1.5, 2)), (0, (3, 1, 1, 1, 1, 1)))
 MARKS = (".", "+", "x", "^", "s", "d")
 MOST = len(LINES)
-PAGES = ("response", "modes", "relaxation", "pulse")  # their figures have a function `over`
+# of which figures have a function `over`
+PAGES = ("response", "modes", "relaxation", "pulse", *catalogue.POINTS)
 WIDE = 48  # characters of a line in a legend
 
 
 def figures(results, labels):
-    """Yield the names and the pages of results of one scene, up to `MOST`, each with its label."""
+    """Yield the names and the pages of results of one scene, each with its label."""
     scene = str(results[0].scene)
     if scene not in PAGES:
         raise FileError(f"results of the scene {scene} are not laid over each other, but of "
                         f"{', '.join(PAGES)}")  # fmt: skip
-    if len(results) > MOST:
+    if len(results) > MOST and scene not in catalogue.POINTS:
         raise FileError(f"{len(results)} results: at most {MOST} are told apart in one figure")
     labels = [_wrap(label) for label in labels]
     units = [f"{result.medium.omega_mx:.6g}" for result in results]

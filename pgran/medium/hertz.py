@@ -60,14 +60,19 @@ def force_of_stiffness(constant, stiffness):
     return (stiffness / 1.5) ** 3 / constant**2
 
 
-def force_of_pressure(pressure, diameter, fraction=0.64, contacts=6.0):
-    """Return the mean force of a contact in a bed of balls under pressure.
+def pressure_of_force(force, diameter, fraction=0.64, contacts=6.0):
+    """Return the pressure on a bed of balls whose contacts bear a mean force.
 
     The mean stress of contacts F d, Z/2 of them a ball, where balls fill a part phi of the volume,
     is p = phi Z F / (pi d^2) (Rumpf); `fraction` is phi, `contacts` is Z. In the simple cubic
     lattice F = p d^2.
     """
-    return math.pi * diameter**2 * pressure / (fraction * contacts)
+    return fraction * contacts * force / (math.pi * diameter**2)
+
+
+def force_of_pressure(pressure, diameter, fraction=0.64, contacts=6.0):
+    """Return the mean force of a contact in a bed of balls under pressure."""
+    return pressure / pressure_of_force(1.0, diameter, fraction, contacts)
 
 
 def damping_of_quality(stiffness, quality, omega):
@@ -141,6 +146,15 @@ class Scale:
             fits = False
         if not fits:
             raise InputError("diameter, material and load: too far apart to compute with")
+
+    @property
+    def packed(self):
+        """The units of force and time in which `pgran pack` has balls of this mean diameter.
+
+        There the diameter and the mass are 1, and c is 1/2.
+        """
+        force = 2 * self.constant * self.diameter**1.5
+        return force, math.sqrt(self.mass * self.diameter / force)
 
     def own_damping(self, damping):
         """Return a damping in the program's units, of mass times frequency."""

@@ -31,6 +31,13 @@ def figures(result, **_):
         yield "bonds", bonds.page(medium, found.detector)
 
 
+def over(results, _):
+    """Yield how heaters that grow change a signal, against how much they grow in each result."""
+    from pgran.experiments.sensitivity import figures_heat
+
+    yield "growth", figures_heat.growths(results)
+
+
 def errors(record, how):
     """Return the bounds of amplitudes, and the largest of the derivatives d ln|A| / d ln k."""
     words = captions.amplitudes(record, how)

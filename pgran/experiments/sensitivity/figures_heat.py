@@ -1,20 +1,28 @@
 """The figures of what a warm ball, or a cut bond, does to a signal."""
 
 from functools import partial
+from itertools import cycle
 
 import numpy as np
 
 from pgran.draw import balls, captions, marks, scales, style
+from pgran.errors import FileError
 from pgran.experiments.sensitivity import maps
 from pgran.experiments.sensitivity.maps import Map
 from pgran.medium.packing import nearest_images
+from pgran.store.si import SI, prefix_of
 
 QUARTER = 25.0  # %, what the heater of the experiment changed
 CHANGE = r"change $|A' - A|\,/\,|A|$ (%)"
+AWAY = scales.Quantity("distance of the warm ball from the detector", unit="m")
 CAPTIONS = {
     "distribution": "Share of balls warmed, or bonds cut, that change the amplitude by more, at "
     "all frequencies.",
     "over_frequency": "Median and largest change against the driving frequency.",
+    "growths": "Change of |A| by one ball that grows, median and 90 % quantile over balls, "
+    "frequencies and detectors; a point of each for a result, against the growth in units of the "
+    "mean overlap of its contacts.",
+    "often": "Share of these cases in which |A| changes by a quarter or more.",
     "over_distance": "Change against the distance of the warm ball from the detector, at all "
     "frequencies; lines: medians of as many balls each.",
 }
@@ -59,6 +67,20 @@ def change(heat, name):
         error = (getattr(heat, f"{name}_bound") + heat.error_bound[..., None]) / size
     known = (error <= np.maximum(moved, 1e-3)) & (heat.converged_reason > 0)[:, None, None]
     return np.where(known, grown, np.nan), np.where(known, moved, np.nan)
+
+
+def moduli(heat):
+    """Return by what part |A| changes with each ball warm, NaN if that is not known."""
+    return np.abs(change(heat, "warmed")[0])
+
+
+def distances(heat, medium):
+    """Return how far each warm ball is from each detector, by the nearest images, (nd, balls)."""
+    position, box = medium.position, getattr(medium, "box", None)
+    periods = np.full(position.shape[1], np.inf) if box is None else np.where(box > 0, box, np.inf)
+    away = position[heat.ball] - position[heat.detector[:, 0]][:, None]
+    vectors, _ = nearest_images(away.reshape(-1, position.shape[1]), periods)
+    return np.linalg.norm(vectors, axis=1).reshape(away.shape[:2])
 
 
 def warm(ax, record, medium, at, d=0, name="warmed"):
@@ -171,13 +193,10 @@ def over_frequency(ax, heat, medium):
 
 def over_distance(ax, heat, medium):
     """Draw changes over the distance of balls and detector, and medians; return these curves."""
-    position, box = medium.position, getattr(medium, "box", None)
-    periods = np.full(position.shape[1], np.inf) if box is None else np.where(box > 0, box, np.inf)
     moved, drawn = 100 * change(heat, "warmed")[1], []
     names, shades = style.ball_names(heat.detector), style.colours(len(heat.detector))
-    for d, (name, shade) in enumerate(zip(names, shades, strict=True)):
-        away, _ = nearest_images(position[heat.ball] - position[heat.detector[d, 0]], periods)
-        distance = np.linalg.norm(away, axis=1)
+    looks = zip(names, shades, distances(heat, medium), strict=True)
+    for d, (name, shade, distance) in enumerate(looks):
         look = {"color": shade, "linestyle": "none", "marker": ".", "markersize": 2, "alpha": 0.4}
         ax.plot(np.tile(distance, len(moved)), moved[:, d].ravel(), rasterized=True, **look)
         groups = np.array_split(np.argsort(distance), min(GROUPS, len(distance)))
@@ -186,5 +205,53 @@ def over_distance(ax, heat, medium):
         median = [np.median(y[np.isfinite(y)]) if np.isfinite(y).any() else np.nan for y in known]
         drawn += ax.plot(middle, median, color=shade, marker="o", markersize=3, label=name)
     ax.axhline(QUARTER, color=style.UNRESOLVED, linestyle=":")
-    ax.set(yscale="log", xlabel="distance of the warm ball from the detector", ylabel=CHANGE)
+    scales.label(ax.xaxis, AWAY)
+    ax.set(yscale="log", ylabel=CHANGE)
+    return drawn
+
+
+def growths(results):
+    """Return the page of several results: how much one warm ball changes |A|, and how often.
+
+    Against its growth in units of the mean overlap of contacts, which falls with the load.
+    """
+    by_growth = {}
+    for result in results:
+        heat = getattr(result, "heat", None)
+        if heat is None or heat.growth_overlap is None or heat.warmed is None:
+            raise FileError(
+                "several results of the scene sensitivity are drawn together if balls of packings "
+                "grow in them (-heat_radius, -heat_kelvin)"
+            )
+        name = f"radii grow by {heat.growth.mean():.3g}"
+        if (length := SI.of(result).factor("m")) is not None:
+            scale, unit = prefix_of(length * heat.growth.mean(), "m")
+            name = f"radii grow by {scale * length * heat.growth.mean():.3g} {unit}"
+        known = moduli(heat)[np.isfinite(moduli(heat))]
+        if not known.size:
+            continue
+        point = heat.growth_overlap.mean(), *np.quantile(known, [0.5, 0.9]), np.mean(known >= 0.25)
+        by_growth.setdefault(name, []).append(100 * np.array(point) / [100, 1, 1, 1])
+    panels = [partial(_growths, points=by_growth, columns=which) for which in ((1, 2), (3,))]
+    figure = style.stack(panels, [CAPTIONS["growths"], CAPTIONS["often"]])
+    if failed := sum(result.heat.failures for result in results):
+        style.note(figure, f"NOT IN IT: {failed} frequencies or packings that failed")
+    return figure
+
+
+def _growths(ax, points, columns):
+    """Draw columns of rows of points: of growth, then in % median, 90 % quantile, share."""
+    drawn = []
+    for name, shade, mark in zip(points, style.colours(len(points)), cycle("o^sdvx")):
+        rows = np.array(sorted(map(tuple, points[name])))
+        for column, fill in zip(columns, ("full", "none"), strict=False):
+            label = "90 % quantile" if column == 2 else name
+            look = {"color": shade, "marker": mark, "fillstyle": fill, "clip_on": False}
+            drawn += ax.plot(*rows[:, [0, column]].T, linestyle="none", label=label, **look)
+    ax.set(xscale="log", yscale="log", xlabel="growth / mean overlap of contacts")
+    if 1 in columns:
+        ax.axhline(QUARTER, color=style.UNRESOLVED, linestyle=":", label="a quarter")
+        ax.set(ylabel=r"change of $|A|$, median (%)")
+    else:
+        ax.set(yscale="linear", ylim=(0, None), ylabel="a quarter or more (% of cases)")
     return drawn

@@ -3,8 +3,9 @@
 Contacts open and close, stiffnesses, forces, normals and distances change. What the forces of a
 network leave unbalanced, as gravity does, or rounding, is a load that stays as it is. Balls grow in
 steps of at most half an overlap, so that the packing follows one path. Where contacts have changed
-it is shrunk again: if it does not return to where it was, it has been rearranged, and what it does
-then depends on how it was grown. NumPy and SciPy only.
+it is shrunk again, at once, and if that leads elsewhere, by the steps by which it was grown: if it
+does not return to where it was, it has been rearranged, and what it does then depends on how it was
+grown. NumPy and SciPy only.
 """
 
 import dataclasses
@@ -16,7 +17,7 @@ import numpy as np
 
 from pgran.balance.contacts import pair_numbers
 from pgran.balance.equilibrium import NotBalancedError
-from pgran.balance.networks import balls_of, changed_contacts, grown, network_of
+from pgran.balance.networks import GROWTH, balls_of, changed_contacts, grown, network_of
 from pgran.experiments.sensitivity.record import OUTCOMES
 from pgran.experiments.sensitivity.warmth import with_vectors
 from pgran.medium.network import Network
@@ -76,13 +77,14 @@ class Packing:
         opened, closed = changed_contacts(self.network, network)
         outcome = SMOOTH
         if opened or closed:
-            outcome = CHANGED if self._is_reached_from(rest) else REARRANGED
+            returns = any(self._is_reached_from(rest, step) for step in (math.inf, GROWTH))
+            outcome = CHANGED if returns else REARRANGED
         return Grown(network, outcome, opened, closed, rest.residual)
 
-    def _is_reached_from(self, rest):
+    def _is_reached_from(self, rest, step):
         """Return whether balls shrink back to where they were: who touches, and overlaps."""
         try:
-            back = grown(rest.balls, rest.contacts, self.balls.radius)
+            back = grown(rest.balls, rest.contacts, self.balls.radius, step)
         except NotBalancedError:
             return False
         network = network_of(back, self.network)

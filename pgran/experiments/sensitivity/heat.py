@@ -26,7 +26,7 @@ from pgran.run.frequencies import SWEEP
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, option
-from pgran.run.options import FLAG, INTEGERS, REAL
+from pgran.run.options import FLAG, INTEGER, INTEGERS, REAL
 from pgran.run.task import carry_out
 from pgran.store.fields import ball_names
 from pgran.store.record import columns_of
@@ -101,6 +101,9 @@ def heat(
         None, "balls to warm, flat: 8,10 or 8,10,3,4; all unless given", kind=INTEGERS, low=0,
         high=2**63 - 1,
     ),
+    samples=option(
+        None, "warm so many of the balls only, drawn at random", kind=INTEGER, low=1
+    ),
     cut=option(False, "cut bonds one at a time, dashpots too"),
     error_tolerance=driven.STEADY["error_tolerance"],
     progress=PROGRESS,
@@ -113,17 +116,19 @@ def heat(
     see `growth`. Where radii grow and the network knows its contact law, there are derivatives by
     all radii, too: see `radii`.
     """
-    given = factor, overlap, radius, kelvin, balls, relax
-    check_options(dict(zip((*WAYS, "heat_balls", "heat_relax"), given, strict=True)))
+    given = factor, overlap, radius, kelvin, balls, samples, relax
+    names = *WAYS, "heat_balls", "heat_samples", "heat_relax"
+    check_options(dict(zip(names, given, strict=True)))
     warmth = Warmth(factor, overlap, radius, kelvin, expansion, hertz)
-    if all(way is None for way in warmth[:4]) and not cut:
+    if not (warmth.is_asked or cut):
         raise InputError(
             "heat: give a factor or an overlap, or cut=True, or of a packing radius or kelvin"
         )
     with agreeing(crew.world):
         check_solver(lattice, crew)
         relaxing = warmth.grows and relaxes(lattice, relax)
-        task = HeatSweep(lattice, omegas, detectors, warmth, relaxing, balls, cut, error_tolerance)
+        warm = warmth.balls(lattice, balls, samples)
+        task = HeatSweep(lattice, omegas, detectors, warmth, relaxing, warm, cut, error_tolerance)
         expanding = task.expanding() if relaxing else None
     driven.check_driven(lattice, crew.world, omegas[0])
     if relaxing and crew.world.rank == 0:
@@ -165,17 +170,13 @@ class HeatSweep(AdjointSweep):
     """The amplitudes after changes that leave all other balls in place, frequency by frequency."""
 
     def __init__(
-        self, lattice, omegas, detectors, warmth, relaxing, balls, cut, error_tolerance
+        self, lattice, omegas, detectors, warmth, relaxing, warm, cut, error_tolerance
     ):  # fmt: skip
-        """Find the springs that change."""
+        """Find the springs that change; `warm` are places among the free balls."""
         sites, free = lattice.sites(detectors), lattice.ball_numbers
-        self.warmth, self.relaxing = warmth, relaxing
-        self.balls, groups = free[:0], {}  # groups[kind][n]: the springs that change n changes
-        if any(way is not None for way in warmth[:4]):
-            warm = np.arange(len(free))
-            if balls is not None:
-                warm = np.unique(lattice.numbers_of(lattice.sites(balls, "-heat_balls")))
-            self.balls = free[warm]
+        self.warmth, self.relaxing, self.balls = warmth, relaxing, free[warm]
+        groups = {}  # groups[kind][n]: the springs that change n changes
+        if len(warm):
             groups["frozen" if relaxing else "warmed"], self.delta = warmth.changes(lattice, warm)
         if cut:
             groups["cut"], _ = finite.cuts(lattice, 1j)

@@ -14,6 +14,7 @@ from pgran.store.estimate import counted
 
 LARGE = 0.3  # of the mean overlap: growth beyond which packings rearrange
 WAYS = "heat_factor", "heat_overlap", "heat_radius", "heat_kelvin"
+SEED = 1993  # of the balls that are drawn
 
 
 def check_options(values):
@@ -22,8 +23,11 @@ def check_options(values):
     if len(ways) > 1:
         names = ", ".join(f"-{name}" for name in ways)
         raise InputError(f"{names}: a ball is warmed in one of these ways")
-    if values["heat_balls"] is not None and not ways:
-        raise InputError(f"-heat_balls: by how much? -{' or -'.join(WAYS)} says")
+    which = [f"-{name}" for name in ("heat_balls", "heat_samples") if values[name] is not None]
+    if which and not ways:
+        raise InputError(f"{which[0]}: by how much? -{' or -'.join(WAYS)} says")
+    if len(which) > 1:
+        raise InputError(f"{' and '.join(which)}: give the balls, or how many to draw")
     if values["heat_relax"] is not None and not {"heat_radius", "heat_kelvin"} & {*ways}:
         raise InputError("-heat_relax: of balls that grow, by -heat_radius or -heat_kelvin")
 
@@ -37,6 +41,23 @@ class Warmth(NamedTuple):
     kelvin: float | None = None
     expansion: float = 0.0
     hertz: float = 0.0
+
+    @property
+    def is_asked(self):
+        """Whether one is."""
+        return any(way is not None for way in self[: len(WAYS)])
+
+    def balls(self, medium, balls=None, samples=None):
+        """Return the places among the free balls of those that are warmed, which increase.
+
+        All, unless balls are given, or how many to draw: the same whatever is done to them.
+        """
+        count = len(medium.ball_numbers) if self.is_asked else 0
+        if balls is not None:
+            return np.unique(medium.numbers_of(medium.sites(balls, "-heat_balls")))
+        if samples is not None and samples > count:
+            raise InputError(f"-heat_samples {samples}: there are {count} balls to warm")
+        return np.sort(np.random.default_rng(SEED).permutation(count)[:samples])
 
     @property
     def grows(self):
