@@ -18,7 +18,7 @@ MOST_GROWTH = 0.02  # of a box in one step
 LEAST_CONTACTS = 4.0  # a ball, by which the time step is set, where there are fewer
 
 
-def fire(balls, pressure=None, tolerance=1e-6, pressed=1e-2, steps=30000):
+def fire(balls, pressure=None, tolerance=1e-6, pressed=1e-2, steps=100_000):
     """Return balls after a descent, its number of steps, and the largest force in mean forces.
 
     It ends at a `tolerance` of the mean force. With a `pressure` the box grows or shrinks as a
