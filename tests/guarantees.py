@@ -71,17 +71,17 @@ GUARANTEES = {
     "long relaxations": Guarantee(
         long_relaxation, relaxation_faults, 18, good(1), {"steps": 8, "count": 1}
     ),
-    "pulses": Guarantee(random_pulse, pulse_faults, 8, (("bounded", 1, "numbers"),)),
+    "pulses": Guarantee(random_pulse, pulse_faults, 5, (("bounded", 1, "numbers"),)),
     "derivatives": Guarantee(
         random_sensitivity, sensitivity_faults, 8,
         (*good(0.5, "points"), ("warmed bounded", 0.5, "warmed"), ("cut bounded", 0.5, "cut")),
     ),
     "growing balls": Guarantee(
-        random_growth, growth_faults, 6,
+        random_growth, growth_faults, 3,
         (("warmed bounded", 0.5, "warmed"), ("by_radius bounded", 0.5, "by_radius")),
     ),
     "modes": Guarantee(random_network, mode_faults, 24, (("certified", 1, "networks"),)),
-    "packings": Guarantee(random_packing, packing_faults, 4),
+    "packings": Guarantee(random_packing, packing_faults, 3),
     "nearest modes": Guarantee(random_network, nearest_faults, 24, (("proven", 0.2, "targets"),)),
     "counts": Guarantee(unstable_network, count_faults, 15, (("certified", 1, "counts"),)),
 }  # fmt: skip
