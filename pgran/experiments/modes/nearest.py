@@ -116,8 +116,8 @@ class Nearest:
 
     def searched(self, value, wanted):
         """Return so many modes nearest to a value, refined where that pays; None if it fails."""
-        with contextlib.ExitStack() as held:
-            try:
+        try:
+            with contextlib.ExitStack() as held:
                 inverse = self._inverse(value, held)
                 vectors = inverse and lanczos(inverse, self.order, wanted)
                 if vectors is None:
@@ -126,9 +126,9 @@ class Nearest:
                 if np.linalg.norm(modes.residuals, axis=1).max() > REFINE * self.norm:
                     # what they contain of modes farther from sigma than lambda goes
                     modes = self._ritz(modes.vectors - inverse(modes.residuals.T).T)
-            except (PETSc.Error, ZeroDivisionError, np.linalg.LinAlgError):
-                return None
-            return modes
+                return modes
+        except (PETSc.Error, ZeroDivisionError, np.linalg.LinAlgError):
+            return None
 
     def _inverse(self, value, held):
         """Return what multiplies columns by (K - value)^-1; None where small pivots spoil it.
