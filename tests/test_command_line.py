@@ -299,6 +299,18 @@ def test_exit_codes_of_errors(error, code, said):
     assert said in text
 
 
+def test_ranks_of_a_script_start_petsc_together(start):
+    """Which method finds modes of a network rank 0 decides alone, and it is the first to ask."""
+    code = (
+        "import pgran; from pgran.medium.crystals import random_geometric\n"
+        "modes = pgran.find_modes(random_geometric(700, 2), targets=[0.2], count=3)\n"
+        "print(modes.count_certified)"
+    )
+    done = start("-c", code, ranks=2, program=[sys.executable])
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("True") == 2
+
+
 def test_one_failing_rank_ends_all(start, shared_path):
     began = time.monotonic()
     statement = f"import os; os.kill(os.getpid(), {signal.SIGINT:d})"

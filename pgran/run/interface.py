@@ -58,6 +58,8 @@ def in_parallel(prefix="", shares_lattice=False, **arguments):
                 if world.size > 1:
                     asked |= {name: fingerprint(v) for name, v in call.arguments.items()}
                     asked["function"] = function.__qualname__
+            if world.size > 1:  # PETSc starts on all ranks together, even if one needs it first
+                from pgran.run import petsc  # noqa: F401
             shared = shares_lattice and call.arguments["lattice"].is_large
             with saying_once(), AgreeingCrew(world, world.size if shared else 1) as crew:
                 record = carry_out(call, crew=crew)
