@@ -1,4 +1,4 @@
-"""Balls that grow in a packing: derivatives by all radii, exact changes, and what is refused."""
+"""Derivatives by the radii of all balls of a packing, against packings at rest."""
 
 import dataclasses
 import functools
@@ -7,20 +7,12 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.linalg import splu
-from sensitivity_samples import assert_same_on_ranks, heated, packing
+from sensitivity_samples import heated
 from small import OPTIONS
 
-from pgran.balance.equilibrium import NotBalancedError
-from pgran.errors import InputError
-from pgran.experiments.sensitivity import growth
 from pgran.experiments.sensitivity.growth import Packing
-from pgran.experiments.sensitivity.heat import summary
 from pgran.experiments.sensitivity.radii import Radii, Static
-from pgran.experiments.sensitivity.record import OUTCOMES
-from pgran.medium.lattice import Lattice
-from pgran.medium.network import Network
 from pgran.medium.network_file import read_network
-from pgran.run.experiment import Caution
 
 CASES = {  # file, what is otherwise, detector, a ball that grows, steps in mean overlaps
     "hertz": ("spheres", {}, 78, 100, (1e-3, 1e-4, 1e-5)),
@@ -205,50 +197,7 @@ def test_work_of_one_ball_on_another_and_back():
     assert abs(there - back) <= 1e-5 * abs(there)
 
 
-# Exact changes
-
-
-def test_what_a_packing_does(monkeypatch):
-    """One returns when the ball shrinks again, others do not, or fall apart."""
-    net, _ = medium("hertz")
-    packing, size = Packing(net), 0.3 * net.overlap.mean()
-    grown = [packing.grown(ball, size) for ball in (184, 285)]
-    assert [OUTCOMES[found.outcome] for found in grown] == ["opened or closed", "rearranged"]
-    assert (grown[0].opened, grown[0].closed) == (0, 3)
-    assert all(found.balance < 1e-12 for found in grown)
-    back = packing.grown(184, 0.0)
-    assert OUTCOMES[back.outcome] == "smooth"
-    assert np.allclose(back.network.overlap, net.overlap, rtol=1e-9, atol=0)
-    grow, tried = growth.grown, []
-
-    def small_steps_alone(*balls_to_be):
-        tried.append(balls_to_be[3:])
-        if tried[-1] == (np.inf,):
-            raise NotBalancedError("no rest")
-        return grow(*balls_to_be)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(growth, "grown", small_steps_alone)
-        assert OUTCOMES[packing.grown(184, size).outcome] == "opened or closed"
-    assert tried == [(), (np.inf,), (growth.GROWTH,)]
-
-    def falls_apart(balls, contacts, radius, *step):
-        if radius[184] < balls.radius[184]:
-            raise NotBalancedError("no rest")
-        return grow(balls, contacts, radius, *step)
-
-    monkeypatch.setattr(growth, "grown", falls_apart)
-    assert OUTCOMES[packing.grown(184, size).outcome] == "rearranged"
-
-
-def test_forces_that_do_not_balance_are_a_load(caplog):
-    """It is said, and a packing stays where it is while no ball grows."""
-    net, detector = medium("hertz")
-    force = net.force * np.where(np.arange(net.bonds) == 5, 2, 1)
-    loaded = dataclasses.replace(net, force=force, stiffness=net.stiffness * force / net.force)
-    found = heated(loaded, [0.3], [detector], radius=0.0, balls=[100])
-    assert abs(found.warmed[0, 0, 0] - found.displacement[0, 0]) <= 1e-10
-    assert f"leave {net.force[5] / force.mean():.1e} of the mean one unbalanced" in caplog.text
+# Exact changes beside them
 
 
 def test_heat_of_a_packing():
@@ -286,91 +235,3 @@ def test_heat_with_neighbours_frozen(name):
     same = heated(net, [0.4 * net.omega_mx], [detector], radius=1e-3, relax=False, balls=[100])
     other = heated(net, [0.4 * net.omega_mx], [detector], overlap=1e-3, balls=[100])
     assert np.allclose(same.warmed, other.warmed, rtol=1e-12, atol=0)
-
-
-def test_any_number_of_ranks(world):
-    net, detector = medium("hertz")
-    choices = {"radius": 3e-4, "balls": net.free[[3, 50, 90]]}
-    names = "warmed", "by_radius", "displacement"
-    assert_same_on_ranks(world, heated, net, [0.3], [detector], names, **choices)
-
-
-def test_packings_without_rest_are_counted(monkeypatch):
-    """Their amplitudes are not known, and the summary says so first."""
-    net, detector = medium("hertz")
-    grown = growth.grown
-
-    def lost(balls, contacts, radius, *step):
-        if radius[100] != net.radius[100]:
-            raise NotBalancedError("no rest")
-        return grown(balls, contacts, radius, *step)
-
-    monkeypatch.setattr(growth, "grown", lost)
-    found = heated(net, [0.3], [detector], radius=5e-3, balls=[100, 200])
-    assert found.failures == 1
-    assert found.outcome[0] == "not balanced"
-    assert np.isnan(found.warmed[0, 0, 0])
-    assert np.isinf(found.warmed_bound[0, 0, 0])
-    assert np.isfinite(found.warmed[0, 0, 1])
-    cautions = [line for line in summary(found) if isinstance(line, Caution)]
-    assert "1 of 2 packings found no rest" in cautions[0]
-    assert "grow by 0.391 of the mean overlap" in cautions[1]
-
-
-def test_a_detector_that_loses_its_contacts_is_at_rest():
-    """One of two discs, each between three held ones, shrinks."""
-    angles = 2 * np.pi * np.arange(3) / 3
-    cell = np.append(np.zeros((1, 2)), 0.99 * np.stack([np.cos(angles), np.sin(angles)], axis=1), 0)
-    bond = np.array([[0, 1], [0, 2], [0, 3]])
-    network = Network(
-        np.append(bond, bond + 4, axis=0), np.ones(6), [0, 2, 1, 1, 0, 2, 1, 1], damping=0.1,
-        displacement="vector", position=np.append(cell, cell + 10, axis=0),
-        force=np.full(6, 0.01), radius=np.full(8, 0.5), power=1.0,
-    )  # fmt: skip
-    found = heated(network, [0.3], [0, 4], radius=-0.02, balls=[0])
-    assert found.opened.tolist() == [3]
-    assert found.warmed[0, 0] == found.warmed_bound[0, 0] == 0
-    assert np.abs(found.warmed[0, 1, 0] - found.displacement[0, 1]) <= 1e-12
-
-
-# What is refused
-
-REFUSED = {
-    "lattice": (Lattice((np.ones(3),), 1.0, 0.1), {"radius": 0.1}, "of a network"),
-    "rotations": (packing("rotations", power=1.0), {"relax": True}, "balls that turn .* false"),
-    "rubbing": (packing("vector", power=1.0, radius=np.ones(5)), {"relax": True}, "friction"),
-    "law": (packing("vector"), {"relax": True}, "does not know its contact law"),
-    "radii": (packing("vector"), {"radius": None, "kelvin": 1.0}, "-heat_kelvin: .* not known"),
-    "too small": (packing("vector", radius=np.ones(5)), {"radius": -1.0}, "no radius left"),
-    "both": (packing("vector"), {"kelvin": 1.0}, "one of these ways"),
-    "relax": (
-        packing("vector"),
-        {"radius": None, "factor": 2, "relax": True},
-        "of balls that grow",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_grow(name):
-    network, choices, said = REFUSED[name]
-    with pytest.raises(InputError, match=said) as caught:
-        heated(network, [0.3], [1], **{"radius": 0.01} | choices)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("part", [-1.0, 0.0])
-def test_contacts_that_do_not_push_are_refused(part):
-    net, detector = medium("hertz")
-    force = net.force * np.where(np.arange(net.bonds) == 5, part, 1)
-    pulling = dataclasses.replace(net, force=force)
-    with pytest.raises(InputError, match="contact 5 bears no repulsive force"):
-        heated(pulling, [0.3], [detector], radius=1e-3, relax=True)
-
-
-def test_neighbours_are_frozen_where_the_law_is_not_known():
-    """The summary says so, and there is no derivative by radii."""
-    found = heated(packing("vector"), [0.6], [1], radius=1e-3)
-    assert found.by_radius is None
-    assert not found.relaxed
-    assert any("neighbours frozen" in line for line in summary(found))
