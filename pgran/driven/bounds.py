@@ -135,6 +135,10 @@ class ErrorBounds(Owner):
 
         Collective.
         """
+        return self._force + self.product_sizes(x)
+
+    def product_sizes(self, x):
+        """Return (|K| + |s| beta |C| + |s|^2 m) |x| for each of this rank's balls. Collective."""
         a = np.abs(x.getArray(readonly=True))
         self._work.setArray(a)
 
@@ -142,7 +146,7 @@ class ErrorBounds(Owner):
             matrix.mult(self._work, self._product)
             return self._product.getArray(readonly=True)
 
-        return self._force + self.magnitudes(a, times_a)
+        return self.magnitudes(a, times_a)
 
     def magnitudes(self, a, times_a):
         """Return (|K| + |s| beta |C| + |s|^2 m) a for this rank's rows of nonnegative numbers a.

@@ -6,20 +6,31 @@ import numpy as np
 from mpi4py import MPI
 
 from pgran.driven.deformation import squares
+from pgran.driven.linear import LEAST_NORM
 from pgran.driven.operators import SAME
 from pgran.driven.owner import Owner
 
 COLUMNS = 32  # right-hand sides solved for at once
-PASSES = 4  # of iterative refinement, if each halves a residual
 
 
 class Solved(NamedTuple):
-    """Systems S x = b, a column each of this rank's rows: arrays (rows, n)."""
+    """Systems S x = b, a column each: arrays of this rank's rows (rows, n), and (n,) of all."""
 
     force: np.ndarray  # b
     solution: np.ndarray  # x as computed
     residual: np.ndarray  # b - S x as computed
     terms: np.ndarray  # |b| + (|K| + |s| beta |C| + |s|^2 m) |x|: what rounds in the residual
+    missed: np.ndarray  # bounds of |b - S x|_2
+    backward_error: np.ndarray  # |b - S x| / (|S| |x| + |b|)
+
+    @classmethod
+    def joined(cls, blocks):
+        """Return the systems of several blocks as one."""
+        return cls(*(np.concatenate(parts, axis=-1) for parts in zip(*blocks, strict=True)))
+
+    def take(self, numbers):
+        """Return some of the systems."""
+        return Solved(*(array[..., numbers] for array in self))
 
 
 class Columns(Owner):
@@ -54,16 +65,22 @@ class Columns(Owner):
     def refined(self, items, fill):
         """Yield a `Solved` of some items after the other; `fill` is that of `solved`. Collective.
 
-        Where residuals are larger than rounding makes them anyway, they are refined.
+        What rounding does not explain of a residual is solved for once more.
         """
+        bounds = self.solver.bounds
         for some in self._blocks(items, fill):
-            self._refine(len(some))
-            force, solution, residual = (
-                block.copy()
-                for block in self._arrays(len(some), self._rhs, self._found, self._residual)
-            )
-            terms = np.abs(force) + self._magnitudes(len(some))
-            yield Solved(force, solution, residual, terms)
+            blocks = self._rhs, self._found, self._residual
+            force, size, missed = self.norms(*self._arrays(len(some), *blocks))
+            total = bounds.scale * size + force
+            if not np.all(missed <= bounds.unit * total):  # NaN too
+                self._refine()
+                _, size, missed = self.norms(*self._arrays(len(some), *blocks))
+                total = bounds.scale * size + force
+            arrays = [array.copy() for array in self._arrays(len(some), *blocks)]
+            terms = np.abs(arrays[0]) + self._magnitudes(len(some))
+            (rounding,) = self.norms(terms)
+            bound = 1.01 * (missed + bounds.unit * rounding) + bounds.lost
+            yield Solved(*arrays, terms, bound, missed / np.maximum(total, LEAST_NORM))
 
     def norms(self, *arrays):
         """Return the 2-norm of each column of some arrays, the same on every rank. Collective."""
@@ -97,29 +114,14 @@ class Columns(Owner):
         self.operators.S.matMult(self._found, self._residual)
         self._residual.aypx(-1.0, self._rhs, structure=SAME)
 
-    def _refine(self, count):
-        """Add S^-1 (b - S x) to x, for so many columns, while that halves a residual."""
-        bounds = self.solver.bounds
-        arrays = self._arrays(count, self._rhs, self._found, self._residual)
-        force, size, before = self.norms(*arrays)
-        for _ in range(PASSES):
-            if np.all(before <= bounds.unit * (force + bounds.scale * size)):
-                return
-            solution = self._found.getDenseArray().copy()
-            self.solver.invert(self._residual, self._found)
-            corrected = self._found.getDenseArray()
-            corrected += solution
-            self._found.assemble()
-            self._update_residual()
-            size, after = self.norms(*self._arrays(count, self._found, self._residual))
-            if not np.all(after <= before):  # NaN too: these were better as they were
-                worse = ~(after <= before)
-                self._found.getDenseArray()[:, :count][:, worse] = solution[:, :count][:, worse]
-                self._found.assemble()
-                self._update_residual()
-            if not np.any(after < 0.5 * before):
-                return
-            before = np.fmin(after, before)
+    def _refine(self):
+        """Add S^-1 (b - S x) to x."""
+        solution = self._found.getDenseArray().copy()
+        self.solver.invert(self._residual, self._found)
+        corrected = self._found.getDenseArray()
+        corrected += solution
+        self._found.assemble()
+        self._update_residual()
 
     def _magnitudes(self, count):
         """Return (|K| + |s| beta |C| + |s|^2 m) |x| of so many columns; overwrite b and x."""

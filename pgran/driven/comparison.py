@@ -72,7 +72,7 @@ class Comparison(Owner):
         self.v.setArray(v)
         self._matrix.mult(self.v, self._product)
         product = self._product.getArray(readonly=True).real
-        rounding = bounds.unit * bounds.rounding(self.v) + 16 * SMALLEST_NORMAL
+        rounding = bounds.unit * bounds.product_sizes(self.v) + 16 * SMALLEST_NORMAL
         proven = bool(np.all((v > 0) & (v < np.inf) & (product - rounding >= residual)))
         return self.v if self.comm.allreduce(proven, MPI.LAND) else None
 

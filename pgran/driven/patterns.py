@@ -8,35 +8,22 @@ computed, with residuals r and q. Then
 
 and so the sum in parentheses is wrong by |q|_2 |r|_2 |S^-1| at most, and by what rounding does to
 it. That is bounded ball by ball, by |z|^T (|f| + |S| |x|) in units of roundoff, because amplitudes
-fall by many orders across a medium. A pattern is its own adjoint: f^T S^-1 f takes one solution.
+fall by many orders across a medium; so is |q|^T |S^-1 r| where norms say too little (`comparison`).
+A pattern is its own adjoint: f^T S^-1 f takes one solution.
 """
 
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from mpi4py import MPI
-from scipy.sparse import csc_matrix
 
+from pgran.driven.accurate import is_accurate
 from pgran.driven.columns import Columns, Solved
-from pgran.driven.linear import LEAST_NORM
+from pgran.driven.comparison import Comparison
+from pgran.driven.judge import BACKWARD_ERROR
 from pgran.driven.steady import SteadySolver
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 from pgran.run.petsc import PETSc
-
-
-class Fields(NamedTuple):
-    """The fields of some patterns: their systems, and facts of each pattern, shape (n,)."""
-
-    systems: Solved
-    residual: np.ndarray  # bounds of |f - S x|_2
-    size: np.ndarray  # of |x|_2
-    entries: np.ndarray  # how many of f are not zero
-
-    def take(self, numbers):
-        """Return the fields of some of the patterns."""
-        systems = Solved(*(array[:, numbers] for array in self.systems))
-        return Fields(systems, *(facts[numbers] for facts in self[1:]))
 
 
 class PatternSolver(SteadySolver):
@@ -49,7 +36,7 @@ class PatternSolver(SteadySolver):
     solutions are. `choices` are keywords of `SteadySolver`.
     """
 
-    owns = (*SteadySolver.owns, "_columns")
+    owns = (*SteadySolver.owns, "_columns", "_comparison")
 
     def __init__(self, operators, **choices):
         """Make the solver; it reads no balls."""
@@ -64,6 +51,11 @@ class PatternSolver(SteadySolver):
         self.restart()
         self.backward_error = np.nan
         return super().solve(s).converged_reason > 0
+
+    @property
+    def solved(self):
+        """Whether the last solutions are right but for rounding; where no bound is known."""
+        return self.backward_error <= BACKWARD_ERROR
 
     def diagonal(self, patterns):
         """Return f^T S^-1 f of each pattern f, shape (m,), and bounds of the errors.
@@ -86,6 +78,11 @@ class PatternSolver(SteadySolver):
     def _columns(self):
         """Blocks of right-hand sides."""
         return Columns(self)
+
+    @cached_property
+    def _comparison(self):
+        """What bounds errors ball by ball. Collective when first asked for."""
+        return Comparison(self.operators)
 
     @cached_property
     def _places(self):
@@ -124,54 +121,59 @@ class PatternSolver(SteadySolver):
         several, first_of = np.concatenate([receivers, sources]), {}
         number = [first_of.setdefault(pattern.tobytes(), len(first_of)) for pattern in several]
         once = several[np.unique(number, return_index=True)[1]]
-        systems, *facts = zip(*self._fields(once), strict=True)
-        systems = Solved(*map(np.hstack, zip(*systems, strict=True)))
-        fields = Fields(systems, *map(np.concatenate, facts))
+        fields = Solved.joined(self._fields(once))
         read, pushed = np.split(np.array(number), [len(receivers)])
-        read, pushed = fields.take(read), fields.take(pushed)
-        # a ball has few of the unknowns
-        pattern = csc_matrix(read.systems.force.real)
-        read = read._replace(systems=read.systems._replace(force=pattern))
-        return self._paired(read, pushed, lambda a, b: a.T @ b)
+        return self._paired(fields.take(read), fields.take(pushed), lambda a, b: a.T @ b)
 
     def _fields(self, patterns):
-        """Yield the `Fields` of some patterns after the other."""
-        bounds, worst, rows = self.bounds, 0.0, patterns[:, self._places]
+        """Yield the fields of some patterns after the other."""
+        rows, self.backward_error = patterns[:, self._places], 0.0
 
         def fill(some, columns):
             columns[:, : len(some)] = rows[some].T
 
-        for systems in self._columns.refined(range(len(rows)), fill):
-            force, size, missed, rounding = self._columns.norms(*systems)
-            total = np.maximum(bounds.scale * size + force, LEAST_NORM)
-            worst = np.maximum(worst, np.max(missed / total))  # NaN stays
-            residual = 1.01 * (missed + bounds.unit * rounding) + bounds.lost
-            entries = self._total(np.count_nonzero(systems.force, axis=0))
-            yield Fields(systems, residual, 1.01 * size + bounds.lost, entries)
-        self.backward_error = float(worst)
+        for fields in self._columns.refined(range(len(rows)), fill):
+            # of which a NaN stays
+            self.backward_error = np.maximum(self.backward_error, fields.backward_error.max())
+            yield fields
 
     def _paired(self, receivers, sources, pair):
         """Return corrected values of pairs, receivers e and sources f, and bounds of their errors.
 
         `pair(a, b)` sums products over the rows, for each pair of columns of a and b.
         """
-        (e, z, *_), (_, x, r, terms) = receivers.systems, sources.systems
-        values = self._total(pair(e, x) + pair(z, r))
+        (e, z), (x, r, terms) = receivers[:2], sources[1:4]
+        size, rows = self.operators.size, np.flatnonzero(e.any(axis=1))  # balls are few of them
+        e, read = e[rows].real, x[rows]
+        values = self._total(pair(e, read) + pair(z, r))
         # An e may be rounded as well as f, and its entries' products are summed up.
-        reading = EPSILON * self._total(pair(abs(e), np.abs(x)))
-        reading = ((receivers.entries + 8.0) * reading.T).T
-        sums = (self.bounds.unit + 8 * EPSILON) * self._total(pair(np.abs(z), terms))
-        size = self.operators.size
-        missed, z_size, r_size = (
-            receivers.residual[None],
-            receivers.size[None],
-            sources.residual[None],
-        )
-        theory = pair(missed, r_size) * self.bounds.inverse_norm
-        product = (size + 2) * EPSILON * pair(z_size, r_size)
-        bounds = 1.01 * (theory + reading + sums + product) + 4 * EPSILON * np.abs(values)
-        bounds += 16 * size * SMALLEST_NORMAL  # what products lose
+        entries = self._total(len(rows)) + 8
+        rounding = entries * EPSILON * self._total(pair(np.abs(e), np.abs(read)))
+        terms = (self.bounds.unit + 8 * EPSILON) * terms + (size + 2) * EPSILON * np.abs(r)
+        rounding += self._total(pair(np.abs(z), terms + 64 * SMALLEST_NORMAL))
+        rounding += 4 * EPSILON * np.abs(values) + 16 * size * SMALLEST_NORMAL
+        theory = pair(receivers.missed[None], sources.missed[None]) * self.bounds.inverse_norm
+        bounds = 1.01 * (theory + rounding)
+        if not is_accurate(bounds, values, self.tolerance).all():
+            errors = self._errors(sources)
+            if errors is not None:
+                theory = self._total(pair(self._missed(receivers), errors))
+                bounds = np.fmin(bounds, 1.01 * (theory + rounding))
         return values, np.where(np.isfinite(values) & np.isfinite(bounds), bounds, np.inf)
+
+    def _missed(self, fields):
+        """Return bounds of |f - S x| at each of this rank's unknowns, shape (rows, n)."""
+        return np.abs(fields.residual) + self.bounds.unit * fields.terms + 64 * SMALLEST_NORMAL
+
+    def _errors(self, fields):
+        """Return bounds of the fields' errors, unknown by unknown, or None: see `comparison`."""
+        errors = np.empty(fields.solution.shape)
+        for error, missed in zip(errors.T, self._missed(fields).T, strict=True):
+            found = self._comparison.errors(missed, self.bounds)
+            if found is None:
+                return None
+            error[:] = found.getArray(readonly=True).real
+        return errors
 
     def _total(self, parts):
         """Return the sum over the ranks of what each has of an array."""
