@@ -47,13 +47,13 @@ def random_patterns(seed):
 def pattern_faults(case, seen, comm=MPI.COMM_SELF):
     """Compare with elimination in 60 digits; a pattern's own value takes one solution."""
     medium, patterns = case.medium, (case.receivers, case.sources)
-    reference = NetworkReference(as_network(medium) if medium.is_grid else medium)
     with (
         mp.workdps(60),
         holding(option_values(SOLVERS[case.solver])),
         Operators(medium, comm) as operators,
         PatternSolver(operators) as solver,
     ):
+        reference = NetworkReference(as_network(medium) if medium.is_grid else medium)
         for s in case.points:
             solver.solve(s)
             S = reference.weighted(reference.system(s))

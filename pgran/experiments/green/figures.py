@@ -19,9 +19,11 @@ errors = captions.amplitudes
 
 
 def figures(result, **_):
-    """Yield one page: magnitudes of pairs, local densities of the balls that are pushed."""
+    """Yield magnitudes of pairs and, with damping, local densities of the balls that are pushed."""
     shown = {"record": result.green, "medium": result.medium}
-    yield "green", style.stack([partial(p, **shown) for p in (magnitude, local_density)], CAPTIONS)
+    panels = [partial(panel, **shown) for panel in (magnitude, local_density)]
+    count = 2 if result.medium.damping else 1  # without it densities are lines at the modes
+    yield "green", style.stack(panels[:count], CAPTIONS[:count])
 
 
 def magnitude(ax, record, medium):

@@ -64,7 +64,9 @@ def summary(result):
     yield from reached_accuracy(record, good)
     if not np.isfinite(record.error_bound[good]).all():
         yield f"backward errors at most {record.backward_error[good].max():.1e} (backward_error)"
-    for p, ball in enumerate(ball_names(record.source) if nw > 1 and good.all() else []):
+    # without damping densities are lines at the modes
+    whole = nw > 1 and good.all() and result.medium.damping
+    for p, ball in enumerate(ball_names(record.source) if whole else []):
         integral = np.diff(omega) @ (density[1:, p] + density[:-1, p]) / 2
         yield (
             f"{ball}: its local density of states, joined by straight lines, integrates to "
