@@ -167,9 +167,11 @@ class PatternSolver(SteadySolver):
 
     def _errors(self, fields):
         """Return bounds of the fields' errors, unknown by unknown, or None: see `comparison`."""
+        if not self._comparison.prepare():
+            return None
         errors = np.empty(fields.solution.shape)
         for error, missed in zip(errors.T, self._missed(fields).T, strict=True):
-            found = self._comparison.errors(missed, self.bounds)
+            found = self._comparison.verified(missed, self.bounds)
             if found is None:
                 return None
             error[:] = found.getArray(readonly=True).real

@@ -45,6 +45,11 @@ class Green(Frequencies):
     )
 
     @property
+    def detector(self):
+        """The balls that are heard."""
+        return self.receiver
+
+    @property
     def displacement(self):
         """The displacements under unit forces."""
         return self.green

@@ -158,13 +158,13 @@ class GreenSweep(FrequencySweep):
             def work(unit):
                 points = np.zeros(len(unit), self.row)
                 for point, index in zip(points, unit, strict=True):
-                    self.keep(point, solver, 1j * self.omegas[index])
+                    self.compute(point, solver, 1j * self.omegas[index])
                 return points
 
             yield work
 
-    def keep(self, point, solver, s):
-        """Put into a row what is computed at one s. Collective over a group."""
+    def compute(self, point, solver, s):
+        """Put into a row what there is at one s. Collective over a group."""
         before, heard = solver.factorizations, len(self.receivers)
         solver.solve(s)
         values, bounds = solver.products(self.heard, self.pushed)
