@@ -19,7 +19,6 @@ from mpi4py import MPI
 
 from pgran.driven.accurate import is_accurate
 from pgran.driven.columns import Columns, Solved
-from pgran.driven.comparison import Comparison
 from pgran.driven.judge import BACKWARD_ERROR
 from pgran.driven.steady import SteadySolver
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
@@ -36,7 +35,7 @@ class PatternSolver(SteadySolver):
     solutions are. `choices` are keywords of `SteadySolver`.
     """
 
-    owns = (*SteadySolver.owns, "_columns", "_comparison")
+    owns = (*SteadySolver.owns, "_columns")
 
     def __init__(self, operators, **choices):
         """Make the solver; it reads no balls."""
@@ -78,11 +77,6 @@ class PatternSolver(SteadySolver):
     def _columns(self):
         """Blocks of right-hand sides."""
         return Columns(self)
-
-    @cached_property
-    def _comparison(self):
-        """What bounds errors ball by ball. Collective when first asked for."""
-        return Comparison(self.operators)
 
     @cached_property
     def _places(self):
@@ -167,11 +161,12 @@ class PatternSolver(SteadySolver):
 
     def _errors(self, fields):
         """Return bounds of the fields' errors, unknown by unknown, or None: see `comparison`."""
-        if not self._comparison.prepare():
+        comparison = self._judge.comparison
+        if not comparison.prepare():
             return None
         errors = np.empty(fields.solution.shape)
         for error, missed in zip(errors.T, self._missed(fields).T, strict=True):
-            found = self._comparison.verified(missed, self.bounds)
+            found = comparison.verified(missed, self.bounds)
             if found is None:
                 return None
             error[:] = found.getArray(readonly=True).real
