@@ -44,6 +44,7 @@ _HOMES = {
     "statistics": "pgran.experiments.ensemble.statistics",
     "sweep": "pgran.experiments.response.scene",
     "transport": "pgran.experiments.ensemble.transport",
+    "with_source": "pgran.medium.source",
 }
 __all__ = sorted(_HOMES)
 

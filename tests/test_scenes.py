@@ -50,6 +50,9 @@ CHANGES = {
     "bonds_fraction": (".2", "-bonds_law bimodal"),
     "bonds_force": ("2", HERTZ),
     "bonds_hertz": ("2", HERTZ),
+    "lattice_free": "y+",
+    "drive_part": "y<2",
+    "drive_balls": "1,1",
     "bonds_seed": "7",
     "detectors": "1,3",
     "sweep_min": ".2",
@@ -105,12 +108,14 @@ CHANGES = {
 # test_command_line.py, test_motion.py, test_network.py, test_ensemble.py, test_radii.py
 SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "detectors_component"),
-    *("ensemble_of", "statistics_windows"),
+    *("ensemble_of", "statistics_windows", "bonds_gravity", "drive_direction", "drive_force"),
     "green_direction",
     *("heat_radius", "heat_kelvin", "heat_expansion", "heat_relax"),
 }
-# Normal modes are those without damping.
-IDLE = {"modes": ["lattice_damping"], "ensemble modes": ["lattice_damping"]}
+# Modes and forces on single balls ask for no drive; normal modes are those without damping.
+DRIVE = ["drive_part", "drive_balls"]
+NOT_OF_MODES = ["lattice_damping", *DRIVE]
+IDLE = {"modes": NOT_OF_MODES, "ensemble modes": NOT_OF_MODES, "green": DRIVE}
 
 
 def own_options(scene):

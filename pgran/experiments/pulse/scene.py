@@ -53,8 +53,8 @@ def summary(result):
     for d, ball in enumerate(ball_names(signals.detector)):
         yield from _summary_of_ball(signals, si, d, ball)
     front = signals.wall_arrival
-    yield f"the wall's own front is at {front:.4g}{si.say('s', front)}"
-    line = f"work of the wall {signals.work[-1]:.6g}"
+    yield f"the drive's own front is at {front:.4g}{si.say('s', front)}"
+    line = f"work of the drive {signals.work[-1]:.6g}"
     line += f" +- {signals.work_estimate[-1]:.1e} (an estimate)"
     if signals.energy is not None:
         line += f", of which {signals.energy[-1]:.3g} is left in balls and springs"
