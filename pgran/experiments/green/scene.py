@@ -4,15 +4,13 @@ import contextlib
 
 import numpy as np
 
-from pgran.arguments import shown
 from pgran.driven.accurate import below_relative_accuracy, is_accurate
 from pgran.driven.drive import STEADY, reached_accuracy
 from pgran.driven.sweep import FrequencySweep
-from pgran.errors import InputError
 from pgran.experiments.green.record import Green
 from pgran.medium.base import medium
-from pgran.medium.bonds import AXES
 from pgran.medium.rounding import EPSILON
+from pgran.medium.source import ALONG, along
 from pgran.medium.units import warn_above_modes
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Caution, Scene
@@ -21,7 +19,6 @@ from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, Asked, options_of, run_of
 from pgran.run.machine import check_memory
-from pgran.run.numbers import numbers
 from pgran.run.options import INTEGERS, TEXT, Option
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted
@@ -39,10 +36,11 @@ RECEIVERS = Option(
     "green_receivers", INTEGERS, None, "balls that are heard; unless given those pushed", **PLACES
 )
 DIRECTION = Option(
-    "green_direction", TEXT, "drive",
-    "of networks with vectors: along what balls are pushed and heard, the drive's direction, x, y, "
-    "z, or components as 1,0,1",
-)  # fmt: skip
+    "green_direction",
+    TEXT,
+    "drive",
+    f"of networks with vectors: along what balls are pushed and heard, {ALONG}",
+)
 
 
 def as_option(option):
@@ -131,7 +129,7 @@ class GreenSweep(FrequencySweep):
         row += [("own", complex, (own,)), ("own_bound", float, (own,))]
         check_memory("green_sources", BYTES * lattice.size * (own + heard))
         super().__init__(lattice, omegas, sources, row, choices)
-        self.direction = along(lattice, direction)
+        self.direction = along(lattice, direction, "green_direction")
         self.pushed, self.heard = self.forces(sources), self.forces(self.receivers)
         if not np.array_equal(self.sites, self.receivers):  # what is pushed is heard, too
             self.heard = np.concatenate([self.heard, self.pushed])
@@ -204,29 +202,6 @@ class GreenSweep(FrequencySweep):
             local_density=density,
             local_density_bound=factor * rows["own_bound"] + 8 * EPSILON * np.abs(density),
         )
-
-
-def along(lattice, direction):
-    """Return the direction that is asked for, of length 1; (1,) where balls have one displacement.
-
-    Raises InputError if there is no such direction.
-    """
-    components = of_drive = getattr(lattice, "direction", np.ones(1))
-    if isinstance(direction, str) and direction == "drive":
-        return of_drive
-    if len(of_drive) == 1:
-        raise InputError("-green_direction: balls of this medium have one displacement")
-    if isinstance(direction, str):
-        components = [float(direction == axis) for axis in AXES[: len(of_drive)]]
-        with contextlib.suppress(ValueError):
-            components = [float(word) for word in direction.split(",")]
-    else:
-        components = numbers("-green_direction", direction)
-    size = np.linalg.norm(components)
-    if np.shape(components) != of_drive.shape or not 0 < size < np.inf:
-        possible = f"drive, {', '.join(AXES[: len(of_drive)])}, or {len(of_drive)} components"
-        raise InputError(f"-green_direction: choose {possible}, not {shown(direction)}")
-    return np.asarray(components) / size
 
 
 SCENE = Scene(options_of(green), run_of(green), summary, check_sweep, shares_lattice=True)
