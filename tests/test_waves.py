@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +23,10 @@ from pgran.experiments.structure.waves import Waves
 from pgran.medium import crystals
 from pgran.run.reading import read_words
 from pgran.store.record import Result
+
+sys.path.append(str(Path(__file__).parents[1] / "jobs"))
+
+import waves as job
 
 PERIODIC, WALLS = (True, True), (False, True)  # along x and y
 OMEGA = np.linspace(0.02, 4, 80)
@@ -230,3 +236,10 @@ def test_panels_show_the_numbers_of_the_record():
     ax = draw(figures.scattering, found, TRIANGULAR)
     assert ax.get_lines()[-1].get_xdata() == [1.5 / unit] * 2
     assert "1 of 80 frequencies failed" in note(page_of(result_of(found, TRIANGULAR), "structure"))
+
+
+def test_the_table_of_packings_in_small(capsys):
+    job.main(60, 1e-2)
+    head, _, row = (line.split(" | ") for line in capsys.readouterr().out.splitlines())
+    assert len(row) == len(head)
+    assert 0 < float(row[4].split()[0]) < 1
