@@ -148,6 +148,19 @@ def test_an_oscillator_is_found_again(sigma):
     assert area == pytest.approx(1, abs=1e-6)
 
 
+def test_errors_of_spectra_whose_scatter_is_smoothed():
+    """White noise that a Lorentzian of the half width sigma smooths, as a finite sample's modes."""
+    x, sigma = np.linspace(-1, 5, 1201), 2 * (OMEGA[1] - OMEGA[0])
+    s, rng, fits = sigma + 1j * OMEGA, np.random.default_rng(4), []
+    kernel = 1 / ((OMEGA[:, None] - x) ** 2 + sigma**2)
+    for _ in range(60):
+        noise = kernel @ rng.standard_normal(1201)
+        fits.append(fitted(s, spectrum(s, 0.9, 0.25) + 0.03 * noise / noise.std()))
+    scatter = np.std([fit.value for fit in fits], axis=0)
+    errors = np.mean([fit.error for fit in fits], axis=0)
+    assert np.all((scatter > 0.5 * errors) & (scatter < 1.3 * errors))
+
+
 @pytest.mark.parametrize(
     ("ratio", "limit", "said"),
     [

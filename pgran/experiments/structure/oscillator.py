@@ -24,8 +24,8 @@ def spectrum(s, frequency, width):
 def fitted(s, values):
     """Return Omega and Gamma of the oscillator nearest to a spectrum, an Estimate of both.
 
-    Standard errors are by the scatter around the fit. Both are NaN where the spectrum has its
-    maximum at an end, or no oscillator fits.
+    Standard errors are by the scatter around the fit, which at neighbouring points is alike as far
+    as sigma reaches. Both are NaN where the spectrum has its maximum at an end, or none fits.
     """
     from scipy.optimize import curve_fit
 
@@ -39,7 +39,10 @@ def fitted(s, values):
         with contextlib.suppress(RuntimeError):  # it does not converge
             found, covariance = curve_fit(lambda _, *o: spectrum(s, *o), s.imag, values, start)
             if s[0].imag < found[0] < s[-1].imag and np.all(np.isfinite(covariance)):
-                best, errors = found, np.sqrt(np.diag(covariance))
+                # What a Lorentzian of half width sigma smooths is correlated as one of 2 sigma,
+                # whose area is 2 pi sigma: so many points count as one.
+                alike = np.maximum(2 * math.pi * s.real / np.gradient(s.imag), 1.0)
+                best, errors = found, np.sqrt(alike.mean() * np.diag(covariance))
     return Estimate(best, errors)
 
 
