@@ -62,7 +62,7 @@ def ioffe_regel(frequency, width):
     if beyond[0] == 0:
         return math.nan, (
             "below the smallest wave number, for which the sample is too small: there "
-            f"pi Gamma / Omega is {ratio[0]:.2g} already"
+            f"pi Gamma / Omega is {ratio[0]:.3g} already"
         )
     pair = slice(beyond[0] - 1, beyond[0] + 1)
     limit = float(np.interp(1.0, ratio[pair], frequency[pair]))
