@@ -8,6 +8,7 @@ omega^2 Gamma^2), and wider by 2 sigma else: Omega and Gamma can be told from ei
 
 import contextlib
 import math
+import warnings
 
 import numpy as np
 
@@ -27,7 +28,7 @@ def fitted(s, values):
     Standard errors are by the scatter around the fit, which at neighbouring points is alike as far
     as sigma reaches. Both are NaN where the spectrum has its maximum at an end, or none fits.
     """
-    from scipy.optimize import curve_fit
+    from scipy.optimize import OptimizeWarning, curve_fit
 
     known = np.isfinite(values)
     s, values = s[known], values[known]
@@ -36,9 +37,11 @@ def fitted(s, values):
     if 0 < top < len(values) - 1:
         # at its maximum S is 2 / (pi (Gamma + 2 sigma))
         start = s[top].imag, max(2 / (math.pi * values[top]) - 2 * s[top].real, 0.0)
-        with contextlib.suppress(RuntimeError):  # it does not converge
+        # it does not converge, or nothing says how well
+        with contextlib.suppress(RuntimeError, OptimizeWarning), warnings.catch_warnings():
+            warnings.simplefilter("error", OptimizeWarning)
             found, covariance = curve_fit(lambda _, *o: spectrum(s, *o), s.imag, values, start)
-            if s[0].imag < found[0] < s[-1].imag and np.all(np.isfinite(covariance)):
+            if s[0].imag < found[0] < s[-1].imag:
                 # What a Lorentzian of half width sigma smooths is correlated as one of 2 sigma,
                 # whose area is 2 pi sigma: so many points count as one.
                 alike = np.maximum(2 * math.pi * s.real / np.gradient(s.imag), 1.0)
