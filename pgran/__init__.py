@@ -42,6 +42,7 @@ _HOMES = {
     "relax": "pgran.experiments.relaxation.scene",
     "sensitivity": "pgran.experiments.sensitivity.scene",
     "statistics": "pgran.experiments.ensemble.statistics",
+    "structure": "pgran.experiments.structure.scene",
     "sweep": "pgran.experiments.response.scene",
     "transport": "pgran.experiments.ensemble.transport",
     "with_source": "pgran.medium.source",

@@ -39,6 +39,7 @@ EXPERIMENTS = {
     ),
     "response": Home("response.scene", {"response": "figures"}),
     "sensitivity": Home("sensitivity.scene", {"sensitivity": "figures", "heat": "figures_heat"}),
+    "structure": Home("structure.scene", {"structure": "figures"}),
 }
 
 POINTS = ("sensitivity",)  # of their results a figure of several has points, which need no labels

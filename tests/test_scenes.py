@@ -28,6 +28,7 @@ BASE = {
     "pulse": "-lattice_shape 5,4 -detectors 2,2 -pulse_width 5 -pulse_time 100 -pulse_points 60",
     "sensitivity": "-lattice_shape 5,4 -detectors 2,2 -sweep_points 9",
     "green": "-lattice_shape 5,4 -green_sources 2,2 -sweep_points 9",
+    "structure": "-lattice_shape 5,4 -sweep_points 9 -structure_count 2",
     "ensemble response": "-lattice_shape 5,4 -detectors 2,2 -sweep_points 150 "
     "-lattice_damping .05 -sweep_method points -ensemble_samples 3 -ensemble_keep curves",
     "ensemble modes": "-lattice_shape 5,4 -ensemble_samples 3 -ensemble_keep curves",
@@ -102,6 +103,9 @@ CHANGES = {
     "heat_balls": ("2,2,3,3", "-heat_factor 1.01"),
     "heat_samples": ("3", "-heat_factor 1.01"),
     "heat_cut": "true",
+    "structure_count": "3",
+    "structure_direction": "y",
+    "structure_width": ".3",
     "ensemble_samples": "4",
     "ensemble_keep": "measures",
 }

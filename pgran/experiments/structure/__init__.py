@@ -1,0 +1,1 @@
+"""The dynamic structure factor S(q, omega): which sound waves a medium has, how they scatter."""

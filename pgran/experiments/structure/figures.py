@@ -1,0 +1,101 @@
+"""The figures of a structure factor: maps with the dispersion; speeds, and where waves end."""
+
+from functools import partial
+
+import numpy as np
+from matplotlib.colors import LogNorm
+
+from pgran.draw import captions, scales, style
+
+SMALLEST = 1e-3  # of the largest S: what is less looks the same
+WAVE_NUMBER = scales.Quantity("wave number $q$", "(1/length)")
+OMEGA = scales.Quantity("frequency", r"$\Omega/\omega_{mx}$", "Hz", 1)
+MAPS = (
+    r"Dynamic structure factor $S(q, \omega)$ in units of the largest of each map, and the "
+    r"oscillators fitted to it: dots $\Omega(q)$, bars from $\Omega-\Gamma/2$ to $\Omega+\Gamma/2$."
+)
+CAPTIONS = (
+    r"Phase velocity $\Omega/q$ of the oscillators.",
+    r"Their $\pi\Gamma/\Omega$ by scattering; vertical lines: where it is 1, and waves end (Ioffe "
+    "and Regel).",
+)
+
+
+def figures(result, **_):
+    """Yield a map of each branch, and a page of speeds and widths."""
+    record, medium = result.structure, result.medium
+    good = record.converged_reason > 0
+    style.check_any(record.structure_factor[good], "frequency that was solved")
+    pages = {"structure": style.grid(len(record.branch), 1, 2.0, lambda rows: 2.6)[0]}
+    for b, ax in enumerate(pages["structure"].panels):
+        drawn = spectra(ax, record, medium, b)
+        ax.label_outer()
+    bar = {"label": r"$S(q,\omega)$ / largest", "aspect": 30}
+    pages["structure"].colorbar(drawn, ax=list(pages["structure"].panels), **bar)
+    pages["structure"].caption = MAPS
+    if np.isfinite(record.frequency).any():
+        draws = [partial(panel, record=record, medium=medium) for panel in (speed, scattering)]
+        pages["dispersion"] = style.stack(draws, CAPTIONS)
+    for name, figure in pages.items():
+        if record.failures:
+            style.note(figure, f"{record.failures} of {len(good)} frequencies failed")
+        yield name, figure
+
+
+def errors(record, _):
+    """Return how exact S is."""
+    words = record.exactness(captions.number)
+    return f"{words[0].upper()}{words[1:]}."
+
+
+def spectra(ax, record, medium, branch=0):
+    """Draw S(q, omega) of one branch as a map with the fitted oscillators; return the map."""
+    values = np.where(record.converged_reason > 0, record.structure_factor[:, branch].T, np.nan).T
+    values = np.maximum(values / np.nanmax(values), SMALLEST)  # NaN stays
+    omega, look = record.omega / medium.omega_mx, {"norm": LogNorm(SMALLEST, 1.0)}
+    drawn = ax.pcolormesh(_edges(record.q), _edges(omega), values, rasterized=True, **look)
+    middle, half = (x[branch] / medium.omega_mx for x in (record.frequency, 0.5 * record.width))
+    look = {"fmt": "o", "markersize": 2, "color": "white", "elinewidth": 0.6}
+    ax.errorbar(record.q, middle, np.abs(half), **look)
+    ax.set_title(record.branch[branch])
+    ax.set_ylim(*_edges(omega)[[0, -1]])
+    scales.label(ax.xaxis, WAVE_NUMBER)
+    scales.label(ax.yaxis, scales.ANY_FREQUENCY)
+    return drawn
+
+
+def _edges(x):
+    """Return the ends of cells around numbers that increase."""
+    apart = np.gradient(x) if len(x) > 1 else x
+    return np.concatenate([x - 0.5 * apart, [x[-1] + 0.5 * apart[-1]]])
+
+
+def speed(ax, record, medium):
+    """Draw the phase velocity against the wave number, a curve a branch; return the curves."""
+    scales.label(ax.xaxis, WAVE_NUMBER)
+    ax.set_ylabel(r"$\Omega/q$ (length $\sqrt{k/m}$)")
+    q = np.broadcast_to(record.q, record.width.shape)
+    return _curves(ax, record, q, record.velocity, record.frequency_error / record.q)
+
+
+def scattering(ax, record, medium):
+    """Draw pi Gamma / Omega against Omega, a curve a branch, and where it is 1; return these."""
+    rates = record.scattering, record.scattering_error
+    ratio, error = (np.pi * rate / record.frequency for rate in rates)
+    scales.label(ax.xaxis, OMEGA)
+    ax.set_ylabel(r"$\pi\Gamma/\Omega$")
+    drawn = _curves(ax, record, record.frequency / medium.omega_mx, ratio, error)
+    ax.axhline(1.0, color="black", linewidth=0.6, linestyle=":")
+    for curve, limit in zip(drawn, record.ioffe_regel, strict=True):
+        ax.axvline(limit / medium.omega_mx, color=curve[0].get_color(), linewidth=0.6)
+    return drawn
+
+
+def _curves(ax, record, x, y, error):
+    """Draw a curve with error bars for each branch; return them."""
+    shades, look = style.colours(len(record.branch)), {"markersize": 3, "elinewidth": 0.8}
+    rows = zip(x, y, error, record.branch, "os", shades, strict=False)
+    return [
+        ax.errorbar(a, b, c, label=name, marker=mark, color=shade, **look)
+        for a, b, c, name, mark, shade in rows
+    ]

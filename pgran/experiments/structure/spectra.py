@@ -1,0 +1,100 @@
+"""The structure factor, frequency by frequency, and the record of it with its oscillators."""
+
+import contextlib
+from dataclasses import replace
+
+import numpy as np
+
+from pgran.driven.sweep import FrequencySweep
+from pgran.experiments.structure.oscillator import fitted, ioffe_regel
+from pgran.experiments.structure.record import Structure
+from pgran.medium.rounding import EPSILON
+from pgran.store.estimate import Estimate, with_errors
+from pgran.store.record import columns_of, row_of
+
+
+class Spectra(FrequencySweep):
+    """S of groups of waves at sigma + i omega; `sigma` may be one number or one a frequency.
+
+    `waves` are those that fit into the medium.
+    """
+
+    def __init__(self, lattice, omegas, sigma, waves, groups, choices):
+        """Make the patterns of the waves, which do not depend on the unit."""
+        self.waves, self.groups = waves, groups
+        self.shape = len(waves.branches), len(groups)
+        row = row_of(Structure, branch=self.shape[:1], q=self.shape[1:])
+        super().__init__(lattice, omegas, None, row, choices, sigma)
+        self.patterns, self.places = waves.patterns(groups)
+        self.s = sigma + 1j * self.omegas
+
+    def without_dashpots(self):
+        """Return the same task for the medium without damping."""
+        elastic = replace(self.lattice, damping=0.0)
+        return Spectra(elastic, self.omegas, self.sigma, self.waves, self.groups, self.choices)
+
+    @contextlib.contextmanager
+    def open(self, group):
+        """See `Task`."""
+        from pgran.driven.operators import Operators
+        from pgran.driven.patterns import PatternSolver
+
+        with (
+            Operators(self.scaled, group) as operators,
+            PatternSolver(operators, **self.choices) as solver,
+        ):
+            yield lambda unit: self._solved(solver, unit)
+
+    def _solved(self, solver, unit):
+        """Return the rows of some points."""
+        rows = np.zeros(len(unit), self.row)
+        for row, s in zip(rows, self.s[unit.start : unit.stop], strict=True):
+            before = solver.factorizations
+            solver.solve(s)
+            G, bounds = solver.diagonal(self.patterns)
+            bounds = bounds + (len(G) + 8) * EPSILON * np.abs(G)  # what follows is rounded, too
+            # Re(s G), of the velocity that a force makes, is -omega Im G at s = i omega
+            scale = 2 * self.scaled.mass / np.pi
+            value = row["structure_factor"] = self._summed(scale * np.real(s * G))
+            bound = row["error_bound"] = self._summed(scale * abs(s) * bounds)
+            row["backward_error"] = solver.backward_error
+            row["factorizations"] = solver.factorizations - before
+            good = bound <= solver.tolerance * np.abs(value)
+            row["converged_reason"] = np.all(good) or (np.isinf(bound).all() and solver.solved)
+        return rows
+
+    def _summed(self, numbers):
+        """Return the sums of the patterns' numbers over each branch and wave number."""
+        return np.bincount(self.places, numbers, np.prod(self.shape)).reshape(self.shape)
+
+    def record(self, swept, elastic, seconds):
+        """Return the record of the rows with dashpots and without, which may be the same."""
+        sweeps = [swept] if elastic is swept else [swept, elastic]
+        columns = columns_of(Structure, swept)
+        columns["converged_reason"] = np.min([rows["converged_reason"] for rows in sweeps], axis=0)
+        frequency, width = self._oscillators(swept)
+        _, scattering = self._oscillators(elastic)
+        springs, waves = self.lattice.springs, self.waves
+        losses = springs.damped @ (springs.B @ self.patterns.T) ** 2  # f^T B^T d B f
+        limits = zip(frequency.value, scattering.value, strict=True)
+        return Structure(
+            **columns,
+            **with_errors(frequency=frequency, width=width, scattering=scattering),
+            factorizations=sum(int(rows["factorizations"].sum()) for rows in sweeps),
+            solve_seconds=seconds,
+            omega=self.omegas,
+            resolution=self.s.real,
+            branch=np.array(waves.branches),
+            q=np.array([waves.magnitude(group[0]) for group in self.groups]),
+            wavevector=np.array([waves.unit * group[0] for group in self.groups]),
+            directions=np.array([len(group) for group in self.groups]),
+            dashpots=self._summed(losses) * self.lattice.damping / self.lattice.mass,
+            ioffe_regel=np.array([ioffe_regel(*branch)[0] for branch in limits]),
+        )
+
+    def _oscillators(self, rows):
+        """Return Omega and Gamma of each branch and group, an Estimate each."""
+        values = np.where(rows["converged_reason"][:, None, None], rows["structure_factor"], np.nan)
+        fits = [fitted(self.s, each) for each in values.reshape(len(rows), -1).T]
+        numbers = np.array([(fit.value, fit.error) for fit in fits])
+        return [Estimate(*each.T.reshape(2, *self.shape)) for each in np.moveaxis(numbers, 2, 0)]
