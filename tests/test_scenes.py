@@ -119,7 +119,7 @@ SEEN_ELSEWHERE = {
 # Modes and forces on single balls ask for no drive; normal modes are those without damping.
 DRIVE = ["drive_part", "drive_balls"]
 NOT_OF_MODES = ["lattice_damping", *DRIVE]
-IDLE = {"modes": NOT_OF_MODES, "ensemble modes": NOT_OF_MODES, "green": DRIVE}
+IDLE = {"modes": NOT_OF_MODES, "ensemble modes": NOT_OF_MODES, "green": DRIVE, "structure": DRIVE}
 
 
 def own_options(scene):
