@@ -12,6 +12,7 @@ from pgran.run.keywords import Asked
 from pgran.run.options import INTEGER, INTEGERS, REAL, TEXT, Option
 
 log = logging.getLogger("pgran")
+UNSTABLE = "springs of negative constants (pre-stress) make this network unstable"
 
 # What a user may ask of the driven steady states, by the keywords of `SteadySolver`, and of the
 # functions that have them.
@@ -63,20 +64,24 @@ def check_driven(lattice, world, lowest, in_time=False):
     warn_above_modes(lattice, world, lowest)
     if not in_time:
         _say_unprovable(lattice, world)
-    if lattice.semidefinite:
+    if not is_unstable(lattice, world):
         return
-    from pgran.driven.certify import is_stable
-
-    if on_root(world, lambda: is_stable(lattice.in_own_unit()[0])):
-        return
-    unstable = "springs of negative constants (pre-stress) make this network unstable"
     if in_time:
-        raise InputError(f"-network_file: {unstable}; after a pulse it would move without bound")
+        raise InputError(f"-network_file: {UNSTABLE}; after a pulse it would move without bound")
     if world.rank == 0:
         log.warning(
             "%s: its steady states are computed as if it stayed where it is; scene modes says how "
-            "unstable", unstable,
+            "unstable", UNSTABLE,
         )  # fmt: skip
+
+
+def is_unstable(lattice, world):
+    """Return whether springs of negative constants make some motions grow. Collective."""
+    if lattice.semidefinite:
+        return False
+    from pgran.driven.certify import is_stable
+
+    return not on_root(world, lambda: is_stable(lattice.in_own_unit()[0]))
 
 
 def _say_unprovable(lattice, world):

@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 
-from pgran.driven.drive import STEADY
+from pgran.driven.drive import STEADY, UNSTABLE, is_unstable
 from pgran.errors import InputError
 from pgran.experiments.structure.oscillator import ioffe_regel
 from pgran.experiments.structure.record import Structure
@@ -87,7 +87,8 @@ def structure(
         choices = {"error_tolerance": error_tolerance}
         task = Spectra(lattice, omegas, width, waves, groups, choices)
     warn_above_modes(lattice, crew.world, omegas[0])
-    _warn_unstable(task.scaled, crew.world)
+    if is_unstable(lattice, crew.world) and crew.world.rank == 0:
+        log.warning("%s: motions that would grow have no place in structure factors", UNSTABLE)
     swept = elastic = carry_out(task, crew, progress)
     if lattice.damping and np.all(width):
         elastic = carry_out(task.without_dashpots(), crew, progress)
@@ -96,18 +97,6 @@ def structure(
         return task.record(swept, elastic, time.perf_counter() - started)
 
     return on_root(crew.world, record, keep=True)
-
-
-def _warn_unstable(scaled, world):
-    """Warn on rank 0 where some motion would grow. Collective."""
-    if not scaled.semidefinite:
-        from pgran.driven.certify import is_stable
-
-        if not on_root(world, lambda: is_stable(scaled)) and world.rank == 0:
-            log.warning(
-                "springs of negative constants (pre-stress) make this network unstable: motions "
-                "that would grow have no place in the structure factor"
-            )
 
 
 def summary(result):
