@@ -40,9 +40,11 @@ _HOMES = {
     "pulse": "pgran.experiments.pulse.scene",
     "relax": "pgran.experiments.relaxation.scene",
     "sensitivity": "pgran.experiments.sensitivity.scene",
+    "sound": "pgran.medium.statics",
     "statistics": "pgran.experiments.ensemble.statistics",
     "sweep": "pgran.experiments.response.scene",
     "transport": "pgran.experiments.ensemble.transport",
+    "without_rattlers": "pgran.medium.graph",
 }
 __all__ = sorted(_HOMES)
 

@@ -27,7 +27,8 @@ def opening(options, ranks, lattice=None):
 def _network(options, network):
     """Return the facts of a network that was read."""
     yield f"the network {options.network_file}"
-    yield f"{len(network.free)} free balls, {network.bonds} contacts"
+    loose = " without rattlers" * (options.network_rattlers == "remove")
+    yield f"{len(network.free)} free balls{loose}, {network.bonds} contacts"
     moves = {"scalar": "scalar displacements", "vector": "vectors", "rotations": "rotations"}
     where = "" if network.displacement == "scalar" else f" in {network.axes} dimensions"
     yield moves[network.displacement] + where
