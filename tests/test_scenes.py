@@ -89,6 +89,7 @@ CHANGES = {
     "modes_target": (".5", NEAREST),
     "modes_count": ("4", NEAREST),
     "modes_method": "dense",
+    "modes_detectors": "1,3",
     "modes_density": ("7", "-modes_density 8"),
     "sensitivity_most": "7",
     "heat_factor": ("1.1", "-heat_factor 1.01"),
@@ -99,14 +100,16 @@ CHANGES = {
     "ensemble_samples": "4",
     "ensemble_keep": "measures",
 }
-# test_command_line.py, test_motion.py, test_network.py, test_ensemble.py, test_radii.py
+# test_command_line.py, test_motion.py, test_network.py, test_ensemble.py, test_radii.py,
+# test_sound.py
 SEEN_ELSEWHERE = {
-    *("bonds_file", "pulse_file", "network_file", "network_damping", "detectors_component"),
+    *("bonds_file", "pulse_file", "network_file", "network_damping", "network_rattlers"),
+    "detectors_component",
     *("ensemble_of", "statistics_windows"),
     *("heat_radius", "heat_kelvin", "heat_expansion", "heat_relax"),
 }
-# Normal modes are those without damping.
-IDLE = {"modes": ["lattice_damping"], "ensemble modes": ["lattice_damping"]}
+# Normal modes are those without damping; of many samples no widths are kept.
+IDLE = {"ensemble modes": ["lattice_damping"]}
 
 
 def own_options(scene):

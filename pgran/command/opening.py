@@ -16,7 +16,7 @@ def opening(options, ranks, lattice=None):
         facts = [f"a homogeneous box of {size}", f"beta {options.continuum_damping:g}"]
     else:
         facts = [*(_lattice if options.network_file is None else _network)(options, lattice)]
-        if (of or options.scene) != "modes":
+        if of != "modes":  # samples keep no widths of theirs
             facts.append(f"beta {lattice.damping:g}")
         unit = SI.of(options).say("Hz", lattice.omega_mx)
         facts.append(f"omega_mx {lattice.omega_mx:.6g}{unit}")

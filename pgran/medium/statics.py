@@ -11,6 +11,7 @@ without the second term, of balls that stay where the uniform deformation takes 
 affine speed. Springs of pre-stress belong to both, and so the gradient e q^ is not symmetrised.
 """
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,6 @@ from pgran.medium.graph import SYMMETRIC, without_rattlers
 from pgran.medium.packing import nearest_images
 from pgran.medium.springs import FREE
 
-DIRECTIONS = {1: 1, 2: 180, 3: 600}  # of waves, spread evenly
 SMALLEST = 1e-14  # of K's largest entry: a smaller pivot is rounding
 UNBALANCED = 1e-8  # of the largest force: what a solution may leave
 
@@ -32,8 +32,8 @@ class Waves(NamedTuple):
     """Speeds of long waves of one polarisation, in units of length times frequency.
 
     `speed` and `affine` are roots of the means of c^2 over all directions; `slowest` and `fastest`
-    are those of single directions, relaxed. Where c^2 < 0, as of a small packing that shear would
-    rearrange, `slowest` is -sqrt(-c^2).
+    are relaxed ones of single directions, along axes and diagonals or in between. Where c^2 < 0, as
+    of a small packing that shear would rearrange, `slowest` is -sqrt(-c^2).
     """
 
     speed: float
@@ -228,16 +228,9 @@ def _means(moduli):
 
 def _of_directions(moduli):
     """Return c^2 of the waves of each of many directions, ascending, shape (directions, axes)."""
-    d = moduli.shape[1]
-    count = DIRECTIONS[d]
-    number = np.arange(count) + 0.5
-    if d == 3:  # a spiral of Fibonacci's over the sphere
-        turn, height = np.pi * (3 - np.sqrt(5)) * number, 1 - 2 * number / count
-        round_it = np.sqrt(1 - height**2)
-        q = np.stack([round_it * np.cos(turn), round_it * np.sin(turn), height], axis=1)
-    else:
-        q = np.stack([np.cos(np.pi * number / count), np.sin(np.pi * number / count)], axis=1)
-        q = q[:, :d]
+    steps = np.array([*itertools.product(range(-2, 3), repeat=moduli.shape[1])], dtype=float)
+    steps = steps[np.any(steps != 0, axis=1)]
+    q = steps / np.linalg.norm(steps, axis=1)[:, None]
     return np.linalg.eigvalsh(np.einsum("ijkl,nj,nl->nik", moduli, q, q))
 
 

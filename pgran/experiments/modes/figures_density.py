@@ -5,22 +5,35 @@ from functools import partial
 import numpy as np
 
 from pgran.draw import scales, style
+from pgran.errors import PgranError
+from pgran.medium.statics import sound
 
 CAPTIONS = {
     "staircase": "How many normal modes lie below a frequency: counts.",
     "density": "Density of the normal modes between counted frequencies.",
+    "reduced": r"Density of the normal modes over $(\omega/\omega_{mx})^{d-1}$, $d$ the dimension "
+    "of space, by which that of long waves is a constant; bars: square roots of the counts.",
 }
+BINS = 24  # at most, evenly in the logarithm of the frequency
 
 
 def figures(result, **_):
     """Yield the staircase and the density."""
     record, lattice = result.density, result.medium
-    for panel in (staircase, density):
-        draw = partial(panel, density=record, lattice=lattice)
-        figure = style.single(draw, CAPTIONS[panel.__name__])
+    made = {
+        panel.__name__: style.single(
+            partial(panel, density=record, lattice=lattice), CAPTIONS[panel.__name__]
+        )
+        for panel in (staircase, density)
+    }
+    if dimension(lattice):
+        counts = np.where(record.certified[1:] & record.certified[:-1], np.diff(record.count), 0)
+        bins = {"edges": record.omega / record.omega_mx, "counts": counts, "lattice": lattice}
+        made["reduced"] = style.single(partial(reduced, **bins), CAPTIONS["reduced"])
+    for name, figure in made.items():
         if record.failures:
             style.note(figure, f"NOT CERTIFIED: {record.failures} counts, left out")
-        yield panel.__name__, figure
+        yield name, figure
 
 
 def errors(record, _):
@@ -56,6 +69,52 @@ def density(ax, density, lattice):
     _finish(ax, density, np.nanmax(values, initial=0.0) or 1.0, density.middle, law)
     scales.label(ax.yaxis, scales.DENSITY)
     return outline
+
+
+def dimension(lattice):
+    """Return along how many axes waves run, 0 if that is not known."""
+    if lattice.group == "lattice":
+        return len(lattice.shape)
+    return lattice.position.shape[1] if lattice.has_places else 0
+
+
+def log_bins(x):
+    """Return edges of bins of equal ratio, and how many of the positive `x` each holds."""
+    x = x[x > 0]
+    ends = x.min() * (1 - 1e-9), x.max() * (1 + 1e-9)
+    edges = np.geomspace(*ends, min(BINS, max(4, round(np.sqrt(len(x))))) + 1)
+    return edges, np.histogram(x, edges)[0]
+
+
+def reduced(ax, edges, counts, lattice):
+    """Draw the density of modes over x^(d-1), with counting errors, and Debye's law.
+
+    `edges`, in units of omega_mx, are those of the `counts` of modes. The law needs the speeds of
+    long waves, `pgran.sound`. Returns the points.
+    """
+    d, some = dimension(lattice), counts > 0
+    # between edges Debye's x^(d-1) has the integral (high^d - low^d) / d
+    volumes = lattice.free_balls * np.diff(edges**d)[some] / d
+    values, errors = counts[some] / volumes, np.sqrt(counts[some]) / volumes
+    middle = (0.5 * (edges[1:] + edges[:-1]))[some]
+    look = {"color": "black", "marker": ".", "linestyle": "none", "elinewidth": 0.6}
+    points = ax.errorbar(middle, values, errors, **look)
+    try:
+        level = sound(lattice.built).debye(lattice.omega_mx) * lattice.omega_mx
+    except PgranError:  # as of networks with walls: the medium has no one speed
+        level = None
+    if level is not None:
+        label = "long waves (Debye), by statics"
+        ax.axhline(level, color=style.UNRESOLVED, linestyle="--", label=label)
+    scales.frequencies(ax, middle, scales.MODE_FREQUENCY)
+    shown = np.append(values, level or values)
+    ax.set(xscale="log", xlim=(edges[edges > 0][0], edges[-1]))
+    ax.set(yscale="log", ylim=(0.5 * shown.min(), 2 * shown.max()))
+    for axis in (ax.xaxis, ax.yaxis):
+        scales.convert(axis, 1.0)  # which has ticks at 1, 2, 5 where there is one power of ten
+    over = ["", r"/(\omega_i/\omega_{mx})", r"/(\omega_i/\omega_{mx})^2"][d - 1]
+    ax.set_ylabel(rf"$D(\omega_i){over}$ per ball and $\omega_{{mx}}$")
+    return points
 
 
 def _finish(ax, density, largest, omega, law):
