@@ -10,8 +10,8 @@ import pgran
 import pgran.__main__ as program
 from pgran.command.resolve import resolve
 from pgran.command.sound import table
-from pgran.errors import InputError
-from pgran.medium import crystals
+from pgran.errors import InputError, PgranError
+from pgran.medium import crystals, statics
 from pgran.medium.graph import part, rattlers
 from pgran.medium.network import Network
 from pgran.medium.network_file import parts_of, write_network
@@ -148,17 +148,23 @@ def test_rattlers_are_left_out(tmp_path, world):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"box": None}, "does not say its positions"),
-        ({"box": [6.0, 0.0]}, "not periodic along y"),
-        ({"held": [2] + 47 * [0]}, "balls of the network are held"),
+        ({"box": None}, "need a box"),
+        ({"box": [6.0, 0.0]}, "need a box"),
+        ({"held": [2] + 47 * [0]}, "need a box .* no ball that is held"),
         ({"force": np.full(144, 0.4)}, "unstable"),
-        ({"stiffness": np.zeros(144)}, "c.2 = 0 in the mean"),
+        ({"stiffness": np.zeros(144)}, "loose"),
         ({"stiffness": np.repeat([1.0, 0.0], [96, 48])}, "loose"),
     ],
 )
 def test_what_has_no_sound(changes, message):
     with pytest.raises(InputError, match=f"^sound: .*{message}"):
         pgran.sound(dataclasses.replace(TRIANGULAR, **changes))
+
+
+def test_forces_that_do_not_balance_are_said(monkeypatch):
+    monkeypatch.setattr(statics, "UNBALANCED", -1.0)
+    with pytest.raises(PgranError, match="forces balance to"):
+        pgran.sound(random_lattice((5, 4)))
 
 
 def test_sound_in_words(tmp_path, capsys, caplog):

@@ -19,7 +19,6 @@ import numpy as np
 from pgran.arguments import called_right
 from pgran.errors import InputError, PgranError
 from pgran.medium import base
-from pgran.medium.bonds import AXES
 from pgran.medium.graph import SYMMETRIC, without_rattlers
 from pgran.medium.packing import nearest_images
 from pgran.medium.springs import FREE
@@ -154,23 +153,12 @@ def _of_network(network):
 
 def _reaches(network):
     """Return how far each contact reaches, (nb, d); raise InputError unless the box is periodic."""
-    if network.position is None or network.box is None:
+    held = np.any(network.held[np.unique(network.bond)] != FREE)
+    if network.box is None or not np.all(network.box) or held:
         raise InputError(
-            "sound: the network does not say its positions and the periods of its box: pgran pack "
-            "without --walls and pgran import without --cut make networks that do"
-        )
-    open_ends = [AXES[axis] for axis in np.flatnonzero(network.box == 0)]
-    if open_ends:
-        raise InputError(
-            f"sound: the network is not periodic along {', '.join(open_ends)}: next to walls and "
-            "surfaces deformations are not uniform. pgran pack without --walls and pgran import "
-            "without --cut keep the periods of all axes"
-        )
-    touched = np.unique(network.bond)
-    if np.any(network.held[touched] != FREE):
-        raise InputError(
-            "sound: balls of the network are held; a uniform deformation would move them: make it "
-            "without --rest, --drive and --walls"
+            "sound: long waves need a box that is periodic along all axes, and no ball that is "
+            "held: next to walls and surfaces deformations are not uniform. pgran pack without "
+            "--walls makes such networks, and pgran import without --cut, --rest and --drive"
         )
     if network.normal is not None and network.distance is not None:
         return network.normal * network.distance[:, None]
@@ -184,24 +172,24 @@ def _energies(rows, constants, stretches):
     `stretches`, shape (springs, m), are how far m deformations lengthen springs. `rows` are those
     of B, sparse, without the unknowns that rest.
     """
+    from scipy.sparse import diags
     from scipy.sparse.linalg import splu
 
     pulls = constants[:, None] * stretches
     affine = stretches.T @ pulls
-    K, forces = (rows.T @ rows.multiply(constants[:, None])).tocsc(), rows.T @ pulls
-    bound = np.flatnonzero((K.diagonal() != 0) | np.any(forces != 0, axis=1))
-    if not bound.size:
-        return affine, affine
-    K, forces = K[bound][:, bound], forces[bound]  # no spring acts on the other unknowns
+    K, forces = rows.T @ rows.multiply(constants[:, None]), rows.T @ pulls
+    size = np.abs(K.diagonal()).max()
+    idle = (K.diagonal() == 0) & ~np.any(forces, axis=1)  # no spring acts there
+    K = (K + diags(size * idle)).tocsc()
     loose = InputError(
         "sound: parts of the medium are loose, or its pre-stress makes it unstable: no deformation "
-        "of it is in balance; scene modes says its modes at rest and the unstable ones"
+        "is in balance; scene modes says its modes at rest and the unstable ones"
     )
     try:
         factors = splu(K, "MMD_AT_PLUS_A", **SYMMETRIC)
     except RuntimeError:  # singular
         raise loose from None
-    if not np.all(factors.U.diagonal() > SMALLEST * np.abs(K.diagonal()).max()):
+    if not np.all(factors.U.diagonal() > SMALLEST * size):
         raise loose
     moved = factors.solve(forces)
     moved += factors.solve(forces - K @ moved)

@@ -99,7 +99,7 @@ def resonances(ax, modes, lattice):
     Peaks fainter than FAINT of the largest are left out.
     """
     peaks = modes.peak
-    good = np.isfinite(peaks) & (peaks > FAINT * np.nanmax(peaks))
+    good = np.isfinite(peaks) & (peaks > FAINT * np.nanmax(peaks, initial=0.0))
     names = style.ball_names(modes.detector) if len(modes.detector) > 1 else None
     look = {"dots": True, "linestyle": "none", "clip_on": False}
     ax.set(yscale="log", ylabel="$|A|$ at the mode's peak (drive = 1)")

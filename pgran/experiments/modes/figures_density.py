@@ -1,5 +1,6 @@
 """The figures of the density of modes: how many lie below each frequency, and how densely."""
 
+import contextlib
 from functools import partial
 
 import numpy as np
@@ -20,17 +21,15 @@ BINS = 24  # at most, evenly in the logarithm of the frequency
 def figures(result, **_):
     """Yield the staircase and the density."""
     record, lattice = result.density, result.medium
-    made = {
-        panel.__name__: style.single(
-            partial(panel, density=record, lattice=lattice), CAPTIONS[panel.__name__]
-        )
-        for panel in (staircase, density)
-    }
-    if dimension(lattice):
-        counts = np.where(record.certified[1:] & record.certified[:-1], np.diff(record.count), 0)
-        bins = {"edges": record.omega / record.omega_mx, "counts": counts, "lattice": lattice}
-        made["reduced"] = style.single(partial(reduced, **bins), CAPTIONS["reduced"])
-    for name, figure in made.items():
+    known = record.certified[1:] & record.certified[:-1] & (record.omega[:-1] > 0)  # not at rest
+    counts = np.where(known, np.diff(record.count), 0)
+    bins = {"edges": record.omega / record.omega_mx, "counts": counts, "lattice": lattice}
+    both = {"density": record, "lattice": lattice}
+    draws = {"staircase": partial(staircase, **both), "density": partial(density, **both)}
+    if dimension(lattice) and counts.any():
+        draws["reduced"] = partial(reduced, **bins)
+    for name, draw in draws.items():
+        figure = style.single(draw, CAPTIONS[name])
         if record.failures:
             style.note(figure, f"NOT CERTIFIED: {record.failures} counts, left out")
         yield name, figure
@@ -99,17 +98,16 @@ def reduced(ax, edges, counts, lattice):
     middle = (0.5 * (edges[1:] + edges[:-1]))[some]
     look = {"color": "black", "marker": ".", "linestyle": "none", "elinewidth": 0.6}
     points = ax.errorbar(middle, values, errors, **look)
-    try:
-        level = sound(lattice.built).debye(lattice.omega_mx) * lattice.omega_mx
-    except PgranError:  # as of networks with walls: the medium has no one speed
-        level = None
-    if level is not None:
-        label = "long waves (Debye), by statics"
-        ax.axhline(level, color=style.UNRESOLVED, linestyle="--", label=label)
     scales.frequencies(ax, middle, scales.MODE_FREQUENCY)
-    shown = np.append(values, level or values)
+    with contextlib.suppress(PgranError):  # networks with walls have no one speed
+        found = sound(lattice.built)
+        part = found.balls / lattice.free_balls  # rattlers carry no waves
+        level = part * found.debye(lattice.omega_mx) * lattice.omega_mx
+        look = {"color": style.UNRESOLVED, "linestyle": "--"}
+        ax.axhline(level, label="long waves (Debye), by statics", **look)
+        values = np.append(values, level)
     ax.set(xscale="log", xlim=(edges[edges > 0][0], edges[-1]))
-    ax.set(yscale="log", ylim=(0.5 * shown.min(), 2 * shown.max()))
+    ax.set(yscale="log", ylim=(0.5 * values.min(), 2 * values.max()))
     for axis in (ax.xaxis, ax.yaxis):
         scales.convert(axis, 1.0)  # which has ticks at 1, 2, 5 where there is one power of ten
     over = ["", r"/(\omega_i/\omega_{mx})", r"/(\omega_i/\omega_{mx})^2"][d - 1]

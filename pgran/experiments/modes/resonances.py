@@ -55,10 +55,10 @@ class Resonances:
 
 def summary(modes, medium, si):
     """Yield in words how wide the moving modes of a record are, and which of them sound loudest."""
-    if modes.width is None or not modes.width.any():
+    sharp = None if modes.width is None else modes.quality[modes.omega > 0]
+    if sharp is None or not np.isfinite(sharp).any():
         return
-    sharp = np.nanmedian(modes.quality)
-    yield f"quality omega / width: median {sharp:.3g}, {np.nanmin(modes.quality):.3g} at least"
+    yield f"quality omega / width: median {np.median(sharp):.3g}, {sharp.min():.3g} at least"
     for d, ball in enumerate([] if modes.residue is None else ball_names(modes.detector)):
         peaks = np.nan_to_num(modes.peak[:, d])
         loudest = [f"{modes.omega[n]:.6g}{si.say('Hz', modes.omega[n])} with |A| = {peaks[n]:.3g}"
