@@ -36,38 +36,32 @@ def run(words):
     own = SI.of(result)
     si = SI(options.units_length or own.length, options.units_time or own.time)
     found = sound(result.medium)
-    for line in table(found, result.medium, si):
-        print(line.rstrip())
-    if min(waves.slowest for waves in (found.longitudinal, found.transverse) if waves) < 0:
+    print("\n".join(table(found, result.medium, si)))
+    if (found.transverse or found.longitudinal).slowest < 0:  # no wave is slower
         log.warning("a negative speed: c^2 < 0; such a shear would rearrange the packing")
     return DONE
 
 
 def table(found, medium, si):
     """Yield in words how fast waves are, and in SI units where these are known."""
+    how = f"in a periodic box, {counted(found.rattlers, 'rattler')} left out"
+    kinds = {"longitudinal waves": found.longitudinal, "transverse waves": found.transverse}
+    numbers = {"bulk modulus": found.bulk, "shear modulus": found.shear}
     if medium.group == "lattice":
         how = "pulled between the walls of each axis, its sides free"
-    else:
-        how = f"in a periodic box, {counted(found.rattlers, 'rattler')} left out"
+    if found.transverse is None:
+        kinds, numbers = {"long waves": found.longitudinal}, {"modulus": found.shear}
     yield f"{counted(found.balls, 'ball')}, {how}; omega_mx {medium.omega_mx:.6g}"
     heads = "relaxed", "over omega_mx", "affine", "single directions"
     yield _row(f"speed, {medium.length} x frequency", *heads)
-    names = ["longitudinal waves", "transverse waves"]
-    if found.transverse is None:
-        names[0] = "long waves"
-    for name, waves in zip(names, (found.longitudinal, found.transverse), strict=True):
-        if waves is not None:
-            numbers = waves.speed, waves.speed / medium.omega_mx, waves.affine
-            ends = f"{waves.slowest:.4g} to {waves.fastest:.4g}"
-            yield _row(name, *(f"{x:.4g}" for x in numbers), ends) + si.say("m/s", waves.speed)
-    yield _row("mass per volume", f"{found.density:.4g}")
-    if found.transverse is None:
-        yield _row("modulus", f"{found.shear:.4g}")
-    else:
-        yield _row("bulk modulus", f"{found.bulk:.4g}")
-        yield _row("shear modulus", f"{found.shear:.4g}")
+    for name, waves in kinds.items():
+        speeds = waves.speed, waves.speed / medium.omega_mx, waves.affine
+        ends = f"{waves.slowest:.4g} to {waves.fastest:.4g}"
+        yield _row(name, *(f"{x:.4g}" for x in speeds), ends) + si.say("m/s", waves.speed)
+    for name, number in ({"mass per volume": found.density} | numbers).items():
+        yield _row(name, f"{number:.4g}")
 
 
 def _row(name, relaxed, *others):
     """Return a line of the table."""
-    return f"{name:<32}{relaxed:<11}" + "".join(f"{text:<16}" for text in others).rstrip()
+    return (f"{name:<32}{relaxed:<11}" + "".join(f"{text:<16}" for text in others)).rstrip()

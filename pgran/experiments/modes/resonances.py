@@ -14,7 +14,6 @@ from pgran.experiments.modes.levels import modal_widths
 from pgran.store.fields import ball_names
 
 LOUDEST = 3  # modes that a summary names
-AUDIBLE = 0.01  # of the drive's motion
 
 
 class Resonances:
@@ -53,7 +52,7 @@ class Resonances:
         return columns["reading"] * (columns["source"] / whole)[:, None]
 
 
-def summary(modes, medium, si):
+def summary(modes, si):
     """Yield in words how wide the moving modes of a record are, and which of them sound loudest."""
     sharp = None if modes.width is None else modes.quality[modes.omega > 0]
     if sharp is None or not np.isfinite(sharp).any():
@@ -64,7 +63,3 @@ def summary(modes, medium, si):
         loudest = [f"{modes.omega[n]:.6g}{si.say('Hz', modes.omega[n])} with |A| = {peaks[n]:.3g}"
                    for n in np.argsort(-peaks)[:LOUDEST]]  # fmt: skip
         yield f"{ball}: the strongest modes, each alone, are at omega = {', '.join(loudest)}"
-        above = peaks[modes.omega > medium.omega_mx]
-        if above.size:
-            heard = np.count_nonzero(above > AUDIBLE)
-            yield f"{ball}: above omega_mx {heard} of {above.size} modes have |A| > {AUDIBLE:g}"

@@ -71,7 +71,7 @@ def summary(result):
     few, many = moving.participation.min(), moving.participation.max()
     low, high = few / medium.free_balls, many / medium.free_balls
     yield f"participation from {few:.3g} to {many:.3g} balls, {low:.2g} to {high:.2g} of all"
-    yield from resonances.summary(moving, medium, si)
+    yield from resonances.summary(moving, si)
     yield from spacings([moving.omega], medium.omega_mx)
 
 
