@@ -19,6 +19,7 @@ import numpy as np
 from pgran.arguments import called_right
 from pgran.errors import InputError, PgranError
 from pgran.medium import base
+from pgran.medium.dissection import dissected
 from pgran.medium.graph import SYMMETRIC, without_rattlers
 from pgran.medium.packing import nearest_images
 from pgran.medium.springs import FREE
@@ -115,12 +116,12 @@ def _of_lattice(lattice):
     """Return the sound of a lattice; along an axis its walls are one more apart than its balls."""
     springs, axes = lattice.springs, np.arange(lattice.axes)
     axis, _ = lattice.bond_places(np.arange(lattice.bonds))
-    at_wall = np.any(springs.columns < 0, axis=1)
+    at_wall, rows = np.any(springs.columns < 0, axis=1), springs.B[:, dissected(lattice.shape)]
     squares = []  # of affine and relaxed speeds along each axis
     for along in axes:
         constants = np.where(at_wall & (axis != along), 0.0, springs.constants)
         stretches = np.where(axis == along, 1.0, 0.0)[:, None]
-        energies = _energies(springs.B, constants, stretches)
+        energies = _energies(rows, constants, stretches)
         mass = lattice.mass * np.prod(lattice.shape + (axes == along))
         squares.append([energy.item() / mass for energy in energies])
     affine, relaxed = np.transpose(squares)
@@ -137,7 +138,9 @@ def _of_network(network):
     entries = springs.values[:, second] / network.weights[springs.columns[:, second]]
     distances = np.tile(reaches, (len(springs.blocks), 1))
     stretches = (entries[:, :, None] * distances[:, None, :]).reshape(len(entries), -1)
-    free = springs.B[:, axes:]  # the first ball stays: nothing else holds the box where it is
+    unknowns = network.graph.order[:, None] * network.components + np.arange(network.components)
+    # the first ball in this order stays: nothing else holds the box where it is
+    free = springs.B[:, unknowns.ravel()[axes:]]
     mass, shape = network.masses[network.held == FREE].sum(), 2 * (axes, reaches.shape[1])
     affine, relaxed = (
         energies.reshape(shape) / mass for energies in _energies(free, springs.constants, stretches)
@@ -170,7 +173,7 @@ def _energies(rows, constants, stretches):
     """Return twice the energies of deformations, affine and relaxed: matrices, two by two.
 
     `stretches`, shape (springs, m), are how far m deformations lengthen springs. `rows` are those
-    of B, sparse, without the unknowns that rest.
+    of B, sparse, without the unknowns that rest, the others in the order of elimination.
     """
     from scipy.sparse import diags
     from scipy.sparse.linalg import splu
@@ -186,7 +189,7 @@ def _energies(rows, constants, stretches):
         "is in balance; scene modes says its modes at rest and the unstable ones"
     )
     try:
-        factors = splu(K, "MMD_AT_PLUS_A", **SYMMETRIC)
+        factors = splu(K, "NATURAL", **SYMMETRIC)
     except RuntimeError:  # singular
         raise loose from None
     if not np.all(factors.U.diagonal() > SMALLEST * size):
