@@ -45,6 +45,7 @@ _HOMES = {
     "sweep": "pgran.experiments.response.scene",
     "transport": "pgran.experiments.ensemble.transport",
     "without_rattlers": "pgran.medium.graph",
+    "with_source": "pgran.medium.source",
 }
 __all__ = sorted(_HOMES)
 

@@ -37,6 +37,7 @@ from samples import (
     random_relaxation,
 )
 from sensitivity_samples import random_sensitivity
+from source_faults import random_source, source_faults
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,6 +64,7 @@ def good(part, of="amplitudes"):
 GUARANTEES = {
     "sweeps": Guarantee(random_case, sweep_faults, 60, good(0.6)),
     "frequencies alone": Guarantee(random_case, dependence_faults, 20, good(0.5, "frequencies")),
+    "sources": Guarantee(random_source, source_faults, 12, good(0.5)),
     "networks": Guarantee(random_network, network_faults, 24, good(0.5), shared=range(100, 106)),
     "forces": Guarantee(small_network, force_faults, 30, (("bounded", 0.5, "forces"),)),
     "curves": Guarantee(random_curve, curve_faults, 1, (("accurate", 1, "points"),), {"count": 9}),

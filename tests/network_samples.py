@@ -12,7 +12,7 @@ import numpy as np
 from mpmath import mp, mpf
 from samples import SOLVERS
 
-from pgran.medium.bonds import bond_ends, driven_bonds
+from pgran.medium.bonds import bond_ends
 from pgran.medium.network import Network
 from pgran.medium.springs import AT_REST, DRIVEN
 
@@ -43,6 +43,9 @@ class NetworkReference:
         along = exactly(network.direction)
         motion[network.held == 2, :d] = along
         self.drive_K, self.drive_C = (-(X @ motion.ravel())[free] for X in (self.K, self.C))
+        if network.push is not None:
+            push = np.pad(network.push, ((0, 0), (0, self.turns)))
+            self.drive_K = self.drive_K + exactly(push.ravel()[free])
         self.K, self.C = (X[np.ix_(free, free)] for X in (self.K, self.C))
         self.M = inertia.ravel()[free]
         self.read = along if network.component == "drive" else None
@@ -141,15 +144,17 @@ def eliminated(S, f):
 
 
 def as_network(lattice, **others):
-    """A lattice as a network of the same bonds in the same order, and two balls for its walls."""
-    balls = lattice.size
+    """A lattice as a network of its bonds in the same order, and two balls for its walls."""
+    balls, there = lattice.size, lattice.existing
     ends = bond_ends(np.arange(balls).reshape(lattice.shape))
-    ends[driven_bonds(lattice.shape), 1] = balls + 1
+    ends[lattice.drive == 1, 1] = balls + 1
     ends[ends < 0] = balls
     held = np.zeros(balls + 2, int)
-    held[balls:] = AT_REST, DRIVEN
+    held[balls:] = AT_REST, DRIVEN if lattice.push is None else AT_REST
     same = {"masses": lattice.mass, "damping": lattice.damping, "kmax": lattice.kmax}
-    return Network(ends, lattice.constants, held, **same | others)
+    if lattice.push is not None:
+        same["push"] = np.append(lattice.push, [0.0, 0.0])[:, None]
+    return Network(ends[there], lattice.constants[there], held, **same | others)
 
 
 def random_network(seed, balls=9):

@@ -200,11 +200,11 @@ def refined_field(stiffness, mass, damping, omega, steps=6):
     return field
 
 
-def uniform_field(shape, stiffness, mass, damping, omega):
+def uniform_field(shape, stiffness, mass, damping, omega, wall=1):
     """A of a lattice whose bonds are all alike, for 1 to 3 axes.
 
     Along every axis but the first, sine waves that vanish at the walls; along the first, a wave
-    that is 0 at one wall and 1 at the other.
+    that is 0 at one wall and at the other how far its places move.
     """
     nx, *across = shape
     z = np.longdouble(mass) * np.longdouble(omega) ** 2
@@ -218,8 +218,9 @@ def uniform_field(shape, stiffness, mass, damping, omega):
             angle = (n + 1) * pi / (length + 1)
             sines = np.sin(angle * np.arange(1, length + 1, dtype=np.longdouble))
             cosh = cosh + 1 - np.cos(angle)
-            weight = weight * 2 / (length + 1) * sines.sum()
+            weight = weight * 2 / (length + 1)
             wave = np.multiply.outer(wave, sines)
+        weight = weight * np.sum(wave * wall)
         alpha = np.log(cosh + np.sqrt(cosh - 1) * np.sqrt(cosh + 1))
         # sinh(alpha i) / sinh(alpha (nx + 1)) without overflow
         along = np.exp(alpha * (i - nx - 1)) * np.expm1(-2 * alpha * i)

@@ -23,10 +23,12 @@ REFUSED = {  # of each scene, words and what is said of them
         "-network_file a.h5 -lattice_shape 3,3": "contradicts",
         "-network_damping .1": "belongs to -network_file",
         "-detectors_component x": "balls of a lattice have one displacement",
+        "-bonds_gravity 1": "-bonds_gravity: it needs -bonds_law hertz",
     },
     "relaxation": {
         "-spectrum_fit_min .3": "-spectrum_fit_min",
         "-bonds_law file -bonds_file a.h5": "-bonds_law",
+        "-bonds_law hertz -bonds_gravity 1": "-bonds_gravity: a bond that is redrawn",
     },
     "modes": {
         "-modes_omega_min .5 -modes_omega_max .4": "-modes_omega_min",

@@ -176,7 +176,7 @@ def test_pages():
         for letter, n, ax in shown:
             x = OMEGAS[n] / LATTICE.omega_mx
             assert title(ax).startswith(f"({letter}) $\\omega$ = {x:.4g} ")
-        assert "circle: ball (1, 1); driven wall: blue" in note(made[name])
+        assert "circle: ball (1, 1); what drives: blue" in note(made[name])
     assert len([ax for ax in made["changes"].axes if ax.lines]) == 2
 
 

@@ -46,6 +46,7 @@ SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt
         amplitude_faults, "response_of",
         lambda run: replace(run, displacement=run.displacement * (1 + 1e-15 * len(run.omega))),
     ),
+    "sources": (judge.Judge, "assess", too_small),
     "networks": (judge.Judge, "assess", too_small),
     "forces": (amplitude_faults, "exact_network_force", lambda force: 1.01 * force),
     "curves": (

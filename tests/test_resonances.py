@@ -43,10 +43,10 @@ def sum_over_modes(modes, omegas):
     return terms.sum(axis=0), np.abs(terms).sum(axis=0)
 
 
-@pytest.mark.parametrize("damping", [0.0, 0.02])
-def test_residues_sum_to_the_amplitude(damping):
-    """Exactly without damping, and where C is proportional to K, with the drive's dashpots."""
-    lattice = random_lattice((6, 5), 4, damping=0.0, mass=1.7)
+@pytest.mark.parametrize(("damping", "source"), [(0, {}), (0.02, {}), (0, {"balls": [(4, 1)]})])
+def test_residues_sum_to_the_amplitude(damping, source):
+    """Without damping, driven by a force, too; where C is like K, with the drive's dashpots."""
+    lattice = pgran.with_source(random_lattice((6, 5), 4, damping=0.0, mass=1.7), **source)
     if damping:
         lattice = uniform_lattice((6, 5), damping=damping, mass=1.7)
     modes = pgran.find_modes(lattice, detectors=[(2, 3)])

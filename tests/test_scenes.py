@@ -49,6 +49,9 @@ CHANGES = {
     "bonds_fraction": (".2", "-bonds_law bimodal"),
     "bonds_force": ("2", HERTZ),
     "bonds_hertz": ("2", HERTZ),
+    "lattice_free": "y+",
+    "drive_part": "y<2",
+    "drive_balls": "1,1",
     "bonds_seed": "7",
     "detectors": "1,3",
     "sweep_min": ".2",
@@ -104,12 +107,12 @@ CHANGES = {
 # test_sound.py
 SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "network_rattlers"),
-    "detectors_component",
-    *("ensemble_of", "statistics_windows"),
+    *("detectors_component", "ensemble_of", "statistics_windows"),
+    *("bonds_gravity", "drive_direction", "drive_force"),
     *("heat_radius", "heat_kelvin", "heat_expansion", "heat_relax"),
 }
-# Normal modes are those without damping; of many samples no widths are kept.
-IDLE = {"ensemble modes": ["lattice_damping"]}
+# Of many samples modes have no widths and sources.
+IDLE = {"ensemble modes": ["lattice_damping", "drive_part", "drive_balls"]}
 
 
 def own_options(scene):

@@ -78,10 +78,14 @@ def test_scalar_chains_are_springs_in_a_row():
     assert speed**2 == pytest.approx(14**2 / np.sum(1 / k) / masses.sum(), rel=1e-12)
 
 
-def test_square_lattice_between_walls():
+def test_lattices_between_walls():
     """Equal bonds resist as they are; random ones as effective-medium theory says."""
     found = pgran.sound(pgran.Lattice.random((6, 4, 3), law="constant", kmax=0.3, mass=2.0))
     np.testing.assert_allclose(squares(found.longitudinal), 0.15)
+    found = pgran.sound(pgran.Lattice.random((6, 4), law="constant", kmax=0.3, free=["y+"]))
+    np.testing.assert_allclose(squares(found.longitudinal), 0.3)
+    with pytest.raises(InputError, match="no axis of the lattice has two walls"):
+        pgran.sound(pgran.Lattice.random((6, 4), free=["x-", "y+"]))
     found = pgran.sound(pgran.Lattice.random((100, 100))).longitudinal
     assert found.speed == pytest.approx(0.316, abs=0.002)
 

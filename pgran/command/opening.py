@@ -1,6 +1,7 @@
 """The first line of a run: what it solves."""
 
 from pgran.medium.law import DEFAULTS, IN_WORDS
+from pgran.medium.source import in_words
 from pgran.store.estimate import counted
 from pgran.store.si import SI
 
@@ -16,6 +17,7 @@ def opening(options, ranks, lattice=None):
         facts = [f"a homogeneous box of {size}", f"beta {options.continuum_damping:g}"]
     else:
         facts = [*(_lattice if options.network_file is None else _network)(options, lattice)]
+        facts += in_words(lattice)
         if of != "modes":  # samples keep no widths of theirs
             facts.append(f"beta {lattice.damping:g}")
         unit = SI.of(options).say("Hz", lattice.omega_mx)

@@ -48,7 +48,7 @@ def table(found, medium, si):
     kinds = {"longitudinal waves": found.longitudinal, "transverse waves": found.transverse}
     numbers = {"bulk modulus": found.bulk, "shear modulus": found.shear}
     if medium.group == "lattice":
-        how = "pulled between the walls of each axis, its sides free"
+        how = "pulled between walls, its sides free"
     if found.transverse is None:
         kinds, numbers = {"long waves": found.longitudinal}, {"modulus": found.shear}
     yield f"{counted(found.balls, 'ball')}, {how}; omega_mx {medium.omega_mx:.6g}"

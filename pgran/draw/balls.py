@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from pgran.draw import style
+from pgran.draw import bonds, style
 from pgran.draw.view import View
 from pgran.medium.space import everywhere, in_space
 
@@ -59,6 +59,7 @@ def motion(ax, medium, values, drive=0.0, detectors=(), few_beyond=False):
         few = few_beyond and not chain
         unit = scale_of(moves) if few else float(np.abs(moves).max()) or 1.0
         drawn = image(ax, values / unit, drive / unit)
+        bonds.source(ax, medium, values.shape[0] - (0.0 if chain else 0.5), through)
         xy = np.array([site[:2] for site in detectors if tuple(site[2:]) == through])
         if chain and len(xy):  # on the line
             xy = np.stack([xy[:, 0], values[xy[:, 0]] / unit], axis=1)
@@ -71,10 +72,9 @@ def motion(ax, medium, values, drive=0.0, detectors=(), few_beyond=False):
 
 
 def image(ax, values, wall=0.0):
-    """Draw numbers from -1, dark blue, to 1, yellow, shape (nx,) or (nx, ny), and the driven wall.
+    """Draw numbers from -1, dark blue, to 1, yellow, shape (nx,) or (nx, ny).
 
-    That is a thick blue line; the line of one axis ends there at the number `wall`. Returns the
-    image or the line.
+    The line of one axis ends at the number `wall`. Returns the image or the line.
     """
     chain, (nx, ny) = values.ndim == 1, (*values.shape, 1)[:2]
     if chain:
@@ -87,8 +87,6 @@ def image(ax, values, wall=0.0):
         colours = {"cmap": style.SIGNED, "vmin": -1.0, "vmax": 1.0, "interpolation": "nearest"}
         drawn = ax.imshow(values.T, **place, **colours)
         ax.set(aspect="equal" if 1 / 8 <= ny / nx <= 3 else "auto", ylabel="ball $j$")
-    end = nx - (0.0 if chain else 0.5)
-    ax.axvline(end, color=style.ACCENT, linewidth=3, clip_on=False, zorder=3, label="driven wall")
     ax.set_xlabel("ball $i$")
     ax.locator_params("x" if chain else "both", nbins=6, steps=[1, 2, 5, 10], integer=True)
     return drawn
@@ -133,7 +131,7 @@ def motions(medium, draws, caption, *more):
     turns = "; colours: radius times angle" if network and medium.built.turns == 1 else ""
     scaled = SCALED if kind == "scalar" else ARROWS + turns
     rim = " rim" if turns or kind == "scalar" else ""
-    held = "" if network else "thick blue line: driven wall"
+    held = "" if network else "blue: what drives"
     if network and medium.held.any():
         held = f"dark{rim}: balls at rest; blue{rim}: driven balls"
     text = "; ".join(filter(None, [scaled, *more, held]))

@@ -28,7 +28,7 @@ def page(lattice, detectors):
     style.legend_above([ax])
     figure.caption = (
         "The lattice: a line is a bond, the darker the larger its constant $K$; hatched: walls at "
-        "rest; thick blue line with the arrow: driven wall; dots: detectors."
+        "rest; blue: what drives; dots: detectors."
     )
     if plane:
         style.above(figure, f"bonds in the plane $z = {plane[0]}$")
@@ -71,7 +71,7 @@ def bonds(ax, lattice, detectors):
     for site, name, shade in zip(detectors, names, shades, strict=True):
         if tuple(site[2:]) == plane:
             ax.plot(*(*site, 0)[:2], color=shade, label=name, **dot)
-    walls(ax, nx, ny, axes)
+    walls(ax, lattice, plane)
     return drawn
 
 
@@ -86,27 +86,31 @@ def _segments(stiffness):
     return np.concatenate(segments), np.concatenate([k.ravel() for k in stiffness])
 
 
-def walls(ax, nx, ny, axes, arrow=True):
-    """Draw the walls, those at rest hatched and the driven one in blue, and number the balls.
+def walls(ax, lattice, plane=(), arrow=True):
+    """Draw the walls, those at rest hatched, what drives in blue, and number the balls.
 
-    There are nx times ny balls in the plane of a lattice of so many axes; a double arrow says what
-    is driven.
+    Of three dimensions in a plane; a double arrow says that a wall is driven.
     """
+    axes, (nx, ny) = len(lattice.shape), (*lattice.shape, 1)[:2]
     ax.spines[:].set_visible(False)
     inch = ax.bbox.width / ax.figure.dpi / (nx + 1)  # of a spacing
     thick = WALL / inch, WALL / inch if axes > 1 and ax.get_aspect() != "auto" else 0.03 * (ny + 1)
-    rest = [(-1 - thick[0], -1, thick[0], ny + 1)]
+    whole = lattice.wall is None and lattice.push is None
+    along = (-1 - thick[0], nx + 1 + thick[0])
+    rest = {"x-": (-1 - thick[0], -1, thick[0], ny + 1)}
+    if not whole:
+        rest["x+"] = (nx, -1, thick[0], ny + 1)
     if axes > 1:
-        low, high = -1 - thick[1], ny
-        rest += [(-1 - thick[0], edge, nx + 1 + thick[0], thick[1]) for edge in (low, high)]
+        rest |= {"y-": (along[0], -1 - thick[1], along[1], thick[1])}
+        rest |= {"y+": (along[0], ny, along[1], thick[1])}
     look = {"facecolor": "white", "edgecolor": WALL_SHADE, "hatch": "//////", "linewidth": 0}
-    for left, bottom, width, height in rest:
-        ax.add_patch(Rectangle((left, bottom), width, height, clip_on=False, **look))
-    ax.set_xlim(-1 - thick[0], nx)
+    for side, (left, bottom, width, height) in rest.items():
+        if side not in (lattice.free or ""):
+            ax.add_patch(Rectangle((left, bottom), width, height, clip_on=False, **look))
+    ax.set_xlim(-1 - thick[0], nx + (0 if whole else thick[0]))
     ax.set_ylim(-1 - (axes > 1) * thick[1], ny + (axes > 1) * thick[1])
-    driven = {"color": style.ACCENT, "linewidth": 3, "label": "driven wall"}
-    ax.plot([nx, nx], [-1, ny], clip_on=False, **driven)
-    if arrow:
+    source(ax, lattice, nx, plane)
+    if arrow and whole:
         look = {"arrowstyle": "<->", "color": style.ACCENT, "shrinkA": 0, "shrinkB": 4}
         place = {"xytext": (22, 0), "textcoords": "offset points"}
         ax.annotate("", xy=(nx, (ny - 1) / 2), arrowprops=look, **place)
@@ -116,3 +120,18 @@ def walls(ax, nx, ny, axes, arrow=True):
         axis.set_ticks([tick for tick in ticks if 0 <= tick < count])
         axis.set_label_text(f"ball ${name}$")
     ax.yaxis.set_visible(axes > 1)
+
+
+def source(ax, lattice, x, plane=()):
+    """Draw in blue what drives a lattice: its wall at x, places of that, or balls under a force."""
+    look = {"color": style.ACCENT, "clip_on": False, "zorder": 3}
+    if lattice.push is not None:
+        balls = np.argwhere(lattice.push[(..., *plane)]).T
+        look |= {"marker": ">", "markersize": 5, "linestyle": "none", "label": "force"}
+        ax.plot(balls[0], balls[1] if len(balls) > 1 else 0 * balls[0], **look)
+    elif lattice.wall is None:
+        ax.axvline(x, linewidth=3, label="driven wall", **look)
+    else:
+        moved = np.flatnonzero(lattice.built.wall[(..., *plane)])
+        ax.vlines(np.full(len(moved), x), moved - 0.5, moved + 0.5, linewidth=3,
+                  label="driven part", **look)  # fmt: skip

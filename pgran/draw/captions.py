@@ -9,6 +9,7 @@ import numpy as np
 from pgran import catalogue
 from pgran.draw import marks, style
 from pgran.medium.law import IN_WORDS
+from pgran.medium.source import in_words
 
 SAMPLES = "bonds", "network"  # figures that show what was computed on
 NAMED = 6  # detectors
@@ -55,8 +56,9 @@ def sample(result, si):
         count = r" \times ".join(map(str, medium.shape))
         law = IN_WORDS.get(bonds.get("law"), "")
         facts = [f"{AXES[len(medium.shape)]} of ${count}$ balls of mass {number(medium.mass)} "
-                 "between walls, one of which is driven"]  # fmt: skip
+                 "between walls" + ", one of which is driven" * (medium.push is None)]  # fmt: skip
         facts += [f"bonds {law.format(**bonds)}"] * bool(law)
+    facts += in_words(medium.built)
     ensemble = getattr(result, "ensemble", None)
     if ensemble is not None:
         seeds = ensemble.seed

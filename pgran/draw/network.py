@@ -85,8 +85,9 @@ def _entry(ax, label, **look):
 
 
 def _arrow(ax, network, view):
-    """Draw a double arrow along the drive at the driven ball in the middle of these."""
-    driven = np.flatnonzero(view.seen & (network.held == DRIVEN))
+    """Draw a double arrow along the drive at the ball in the middle of those that drive."""
+    drives = network.held == DRIVEN if network.push is None else np.any(network.push, axis=1)
+    driven = np.flatnonzero(view.seen & drives)
     if not driven.size or len(network.direction) == 1:
         return
     middle = view.xy[driven].mean(axis=0)

@@ -22,8 +22,8 @@ STEADY = {
     ),
     "error_floor": Option(
         "error_floor", REAL, 1e-20,
-        "an amplitude whose error bound is below this part of the wall's amplitude is good without "
-        "relative accuracy",
+        "an amplitude whose error bound is below this part of the wall's amplitude, or of F / kmax "
+        "under a force F, is good without relative accuracy",
         low=0
     ),
     "refresh_iterations": Option(
@@ -113,5 +113,5 @@ def reached_accuracy(record, good):
     if floored.any():
         yield Caution(
             f"{np.count_nonzero(floored)} of {record.at_floor.size} amplitudes are known to "
-            "-error_floor of the wall's only, not relative to themselves (at_floor)"
+            "-error_floor of the drive's only, not relative to themselves (at_floor)"
         )

@@ -10,7 +10,7 @@ import numpy as np
 
 from pgran.driven.owner import Owner
 from pgran.errors import InputError
-from pgran.medium.bonds import SIGNS, bond_ends, driven_bonds
+from pgran.medium.bonds import SIGNS, bond_ends
 from pgran.medium.dissection import dissected
 from pgran.run.petsc import PETSc
 
@@ -75,8 +75,7 @@ class LatticeLayout(Layout):
         self.first, self.last = self.like.getOwnershipRange()
         self._number = self._numbered(lattice)
         self.ends, self.entries = bond_ends(self._number), SIGNS[None]
-        self.drive = driven_bonds(self.shape).astype(float)
-        self.damped = np.ones(len(self.ends))
+        self.drive, self.damped = lattice.drive, lattice.damped
         self._find_rows()
 
     def _numbered(self, lattice):

@@ -1,9 +1,10 @@
 """One system for everything: S(s) = K + s beta C + s^2 m, with K = B^T diag(k) B and C = B^T B.
 
 B has a row for each bond: what lengthens it. Walls are no unknowns; the driven one's bonds give the
-drive f(s), the sum of k + s beta at their balls. All matrices share one nonzero pattern, so that S
-is combined anew for each s without assembly, and factored symbolically only once. How unknowns are
-numbered and shared out, and which of them a bond joins, a layout knows (`layout`).
+drive f(s), the sum of k + s beta at their balls, a push a constant one (`pgran.medium.source`). All
+matrices share one nonzero pattern, so that S is combined anew for each s without assembly, and
+factored symbolically only once. How unknowns are numbered and shared out, and which of them a bond
+joins, a layout knows (`layout`).
 """
 
 from functools import cached_property
@@ -41,7 +42,8 @@ class Operators(Owner):
         self.M.set(self.mass)
         self.constants, self.softest = lattice.constants, None
         self.K = self._assemble(self.constants)
-        self.f_stiffness.setArray(self.layout.driving(self.constants))
+        self._push = self._pushed_rows()
+        self.f_stiffness.setArray(self.layout.driving(self.constants) + self._push)
         self.C = self.f_damping = None
         if self.damping > 0:
             damped = self.layout.damped
@@ -104,9 +106,10 @@ class Operators(Owner):
         Collective when first asked for; they say what rounding does to what is no Laplacian.
         """
         matrices = []
-        for constants in (self.constants, self.layout.damped)[: 1 + (self.C is not None)]:
+        parts = (self.constants, self._push), (self.layout.damped, 0.0)
+        for constants, push in parts[: 1 + (self.C is not None)]:
             drive = self.f_stiffness.duplicate()
-            drive.setArray(self.layout.driving(constants, np.abs))
+            drive.setArray(self.layout.driving(constants, np.abs) + np.abs(push))
             matrices += [self._assemble(constants, self.layout.sizes), drive]
         return matrices
 
@@ -177,7 +180,16 @@ class Operators(Owner):
             self.layout.change(self.K, bonds, constants)
         self.K.assemble()
         if bonds is None or self.layout.drive[bonds].any():
-            self.f_stiffness.setArray(self.layout.driving(constants))
+            self.f_stiffness.setArray(self.layout.driving(constants) + self._push)
+
+    def _pushed_rows(self):
+        """Return this rank's rows of the push, 0 where none drives. Collective."""
+        if self.lattice.pushed is None:
+            return 0.0
+        push = self.layout.vector(self.lattice.pushed)
+        rows = push.getArray().real.copy()
+        push.destroy()
+        return rows
 
     def _assemble(self, constants, csr=None):
         """Return the matrix B^T diag(k) B."""

@@ -52,7 +52,8 @@ class SteadySolver(Owner):
     ):  # fmt: skip
         """Make the systems and their bounds."""
         self.operators, self.comm = operators, operators.comm
-        self.tolerance, self.floor = error_tolerance, error_floor
+        self.tolerance = error_tolerance
+        self.floor = error_floor * operators.lattice.drive_size
         self.whole_field, self.whole_adjoints = whole_field, whole_adjoints
         self.derivatives, self.factorizations, self._sites = derivatives, 0, sites
         self._spoilt = False  # the last s has failed: factors may be at fault

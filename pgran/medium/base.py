@@ -29,6 +29,16 @@ class Medium(Distinct):
         """Return |e_d| of each detector, shape (nd,)."""
         return np.linalg.norm(self.readings(sites)[1], axis=1)
 
+    @property
+    def push_sizes(self):
+        """The size of the push on each ball, shape (balls,)."""
+        return np.linalg.norm(self.push.reshape(-1, 1 if self.is_grid else self.axes), axis=1)
+
+    @property
+    def drive_size(self):
+        """What amplitudes are compared with: 1 of a wall's motion, F / kmax of a force F."""
+        return 1.0 if self.push is None else float(self.push_sizes.sum() / abs(self.kmax))
+
     def pull(self, s):
         """Return the force that moves what is driven by 1 while all balls stay.
 

@@ -64,11 +64,19 @@ def bond_ends(numbers):
     return np.concatenate([np.stack([end.ravel() for end in pair], axis=1) for pair in sides])
 
 
-def driven_bonds(shape):
-    """Return which bonds end at the driven wall, shape (bonds,)."""
-    along = np.zeros(bond_shape(shape, 0), dtype=bool)
-    along[-1] = True
-    return np.pad(along.ravel(), (0, bond_count(shape) - along.size))
+def bonds_at(side):
+    """Return the axis of a side such as `y+`, and the index of its bonds along that axis."""
+    return AXES.index(side[0]), -1 if side[1] == "+" else 0
+
+
+def balls_above(shape):
+    """Return how many balls are above each bond along the last axis, an array for each axis.
+
+    Above a bond across that axis half of the balls beside it count, too.
+    """
+    shapes = [bond_shape(shape, axis) for axis in range(len(shape))]
+    height = [np.indices(own)[-1] + 0.5 * (own[-1] == shape[-1]) for own in shapes]
+    return [shape[-1] - above for above in height]
 
 
 def bond_places(shape, bonds):
@@ -114,9 +122,10 @@ class ElasticBonds:
         """
         for axis, longer in enumerate(stretch(fields, self.axes)):
             if axis == 0:
-                longer[:, -1] += wall.reshape(-1, *[1] * (self.axes - 1))  # above the last bond
-            k = self.stiffness[axis].ravel()
-            yield longer.reshape(len(fields), -1), k, np.ones(len(k))
+                wall = wall.reshape(-1, *[1] * (self.axes - 1))
+                longer[:, -1] += wall * self.moved  # above the last bond
+            k, damped = self.stiffness[axis].ravel(), bond_arrays(self.shape, self.damped)[axis]
+            yield longer.reshape(len(fields), -1), k, damped.ravel()
 
     semidefinite = True  # K has no negative eigenvalues
 
@@ -132,15 +141,16 @@ class ElasticBonds:
 
     @property
     def drive_norms(self):
-        """|f|_2 of what the springs at the driven wall do, and of their dashpots for beta = 1."""
-        driven = self.stiffness[0][-1]
-        return math.sqrt(np.sum(driven**2)), math.sqrt(driven.size)
+        """|f|_2 of springs at the driven wall or of a push, and of dashpots for beta = 1."""
+        forces = self.stiffness[0][-1] * self.moved
+        pushed = 0.0 if self.push is None else np.linalg.norm(self.push)
+        return float(np.linalg.norm(forces) + pushed), float(np.linalg.norm(self.moved))
 
     @property
     def pulls(self):
         """What `pull` is at s = 0, and by how much it grows with s: sum k and sum beta."""
-        driven = self.stiffness[0][-1]
-        return driven.sum(), self.damping * driven.size
+        squares = self.moved**2
+        return np.sum(self.stiffness[0][-1] * squares), self.damping * squares.sum()
 
     def pull_rounding(self, size):
         """Return how much rounding changes `pull(s)`, at most, for an |s|."""

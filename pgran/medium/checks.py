@@ -44,6 +44,8 @@ def checked_values(network):
     check(float, (None,), contacts, "normal")
     check(float, (), contacts, "stiffness", "distance", "force", "tangential")
     check(float, (), balls, "masses", "radius")
+    axes = 1 if network.displacement == "scalar" else values["normal"].shape[1]
+    check(float, (axes,), balls, "push")
     if network.power is not None:
         values["power"] = number("network: power", network.power)
     if values.get("position") is not None:
@@ -117,6 +119,11 @@ def check_network(network):
             raise InputError("network: a contact under a law has a positive stiffness")
     if network.box is not None and np.any(network.box < 0):
         raise InputError("network: box: periods are positive, 0 where there is none")
+    if network.push is not None:
+        if np.any(network.push[held != FREE]) or not np.any(network.push):
+            raise InputError("network: push: forces on free balls, not all zero, are needed")
+        if np.any(held == DRIVEN):
+            raise InputError("network: either held balls are driven (2) or a push drives, not both")
     if network.turns and network.radius is None:
         raise InputError("network: rotations need radii")
     if network.turns and not np.all(network.radius[held == FREE] > 0):

@@ -133,8 +133,11 @@ class Connected:
 
     def check_driven(self):
         """Raise InputError if nothing is driven, or if balls float."""
-        if not np.any(self.held == DRIVEN):
-            raise InputError("network: no ball is driven; /network/held has 2 for those that are")
+        if self.push is None and not np.any(self.held == DRIVEN):
+            raise InputError(
+                "network: no ball is driven; /network/held has 2 for those that are, and "
+                "-drive_balls names balls that a force drives"
+            )
         floating = np.flatnonzero(~anchored(self.bond, self.held))
         if len(floating):
             raise InputError(
@@ -219,7 +222,7 @@ def part(network, balls=None, contacts=None):
     whole = np.all(bond >= 0, axis=1)
     values_left = {"bond": bond[whole]}
     for names, which in (
-        (("held", "masses", "position", "radius"), balls),
+        (("held", "masses", "position", "radius", "push"), balls),
         (("stiffness", "normal", "distance", "force", "tangential"), contacts[whole]),
     ):
         values = {name: getattr(network, name) for name in names}

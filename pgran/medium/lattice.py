@@ -3,7 +3,9 @@
 Balls sit at integer sites, zero-based. The walls sit one spacing outside; all are at rest but the
 one behind the last ball of the first axis, which is driven. Bonds join nearest neighbours, and
 every ball at a wall to that wall: `stiffness[axis]` is one longer than the lattice along `axis`,
-and its entry `i` joins the balls `i - 1` and `i`.
+and its entry `i` joins the balls `i - 1` and `i`. A side may be free: it has no wall, and the bonds
+there, which keep their places in the arrays, do not exist. Instead of a wall's motion forces on
+balls, a push, may drive.
 """
 
 import hashlib
@@ -20,14 +22,16 @@ from pgran.medium.bonds import (
     AXES,
     SIGNS,
     ElasticBonds,
+    balls_above,
     bond_arrays,
     bond_count,
     bond_ends,
     bond_places,
     bond_shape,
-    driven_bonds,
+    bonds_at,
 )
 from pgran.medium.law import BondLaw, unit_numbers
+from pgran.medium.source import checked_drive, checked_sides, nearest
 from pgran.medium.springs import Springs
 from pgran.medium.units import check_magnitudes, own_unit
 from pgran.run.machine import check_memory
@@ -47,7 +51,7 @@ SECONDS = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}
 class Lattice(ElasticBonds, Medium):
     """Balls of one mass, springs of individual stiffness, one damping constant.
 
-    Lattices are equal if bonds, mass, damping and kmax are.
+    Lattices are equal if all that they are made of is.
 
     Parameters
     ----------
@@ -60,6 +64,12 @@ class Lattice(ElasticBonds, Medium):
         beta of every bond, not negative.
     kmax : float, optional
         The stiffness that sets the unit of frequency; the largest one unless given.
+    wall : array_like of float, shape (ny, ...), optional
+        How far each place of the driven wall moves, 1 unless given.
+    push : array_like of float, shape (nx, ny, ...), optional
+        A force on each ball, which drives instead of the wall: that stays at rest.
+    free : sequence of str
+        Sides without a wall, such as `("y+",)`: the constants of bonds there become 0.
 
     Raises
     ------
@@ -71,6 +81,9 @@ class Lattice(ElasticBonds, Medium):
     mass: float = 1.0
     damping: float = 0.003
     kmax: float | None = None
+    wall: np.ndarray | None = None
+    push: np.ndarray | None = None
+    free: tuple = ()
 
     def __post_init__(self):
         """Check shapes and values; copy arrays, so that nobody can change them."""
@@ -87,8 +100,17 @@ class Lattice(ElasticBonds, Medium):
                 raise InputError(f"{name}: shape {k.shape} does not fit a lattice of {shape}")
             if not np.all(np.isfinite(k)) or np.any(k < 0):
                 raise InputError(f"{name}: every bond constant must be finite and not negative")
+        object.__setattr__(self, "free", checked_sides(self.free, len(arrays)))
+        for side in self.free:
+            axis, end = bonds_at(side)
+            np.moveaxis(arrays[axis], axis, 0)[end] = 0.0
+        for k in arrays:
             k.flags.writeable = False
         object.__setattr__(self, "stiffness", arrays)
+        for name, wanted in (("wall", shape[1:]), ("push", shape)):
+            object.__setattr__(self, name, checked_drive(name, getattr(self, name), wanted))
+        if self.wall is not None and self.push is not None:
+            raise InputError("lattice: either a wall moves or a push drives, not both")
         kmax = self.stiffest if self.kmax is None else number("bonds_kmax", self.kmax)
         object.__setattr__(self, "kmax", kmax)
         check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, kmax)
@@ -102,7 +124,10 @@ class Lattice(ElasticBonds, Medium):
 
     @classmethod
     @called_right
-    def random(cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=0.003, **parameters):
+    def random(
+        cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=0.003, free=(), gravity=0.0,
+        **parameters,
+    ):  # fmt: skip
         """Return the lattice that the options of a run describe, the same on every rank.
 
         Parameters
@@ -115,6 +140,11 @@ class Lattice(ElasticBonds, Medium):
             What bond constants are drawn from; its kmax, where it has one, is the lattice's.
         mass, damping : float
             m of a ball, beta of every bond.
+        free : sequence of str
+            Sides without a wall.
+        gravity : float
+            Of the law hertz: by how much the mean force of contacts grows with each ball above,
+            along the last axis.
         **parameters : float
             Of a law given by its name: kmin, kmax, fraction, force, hertz.
 
@@ -134,8 +164,11 @@ class Lattice(ElasticBonds, Medium):
         if not 0 <= seed < 2**64:
             raise InputError(f"bonds_seed: must lie between 0 and 2^64 - 1, not {shown(seed)}")
         check_memory("lattice_shape", 8 * bond_count(shape))
-        bonds = law(unit_numbers(seed, 0, bond_count(shape)))
-        return cls(bond_arrays(shape, bonds), mass, damping, law.kmax)
+        bonds = bond_arrays(shape, law(unit_numbers(seed, 0, bond_count(shape))))
+        if gravity:
+            above = balls_above(shape)
+            bonds = tuple(k * law.deeper(gravity, n) for k, n in zip(bonds, above, strict=True))
+        return cls(bonds, mass, damping, law.kmax, free=free)
 
     @property
     def shape(self):
@@ -181,8 +214,54 @@ class Lattice(ElasticBonds, Medium):
 
     @cached_property
     def least_damping(self):
-        """The smallest eigenvalue of C, the Laplacian of the uniform lattice with walls."""
-        return sum(4 * math.sin(math.pi / (2 * (n + 1))) ** 2 for n in self.shape)
+        """The smallest eigenvalue of C, the Laplacian of the uniform lattice with its walls.
+
+        Along an axis of n balls the lowest mode is a half wave between walls n + 1 apart, a quarter
+        of one where a side is free, and a constant where both are.
+        """
+        total = 0.0
+        for axis, n in enumerate(self.shape):
+            walls = 2 - sum(side[0] == AXES[axis] for side in self.free)
+            length = {2: n + 1, 1: 2 * n + 1}.get(walls)
+            total += 4 * math.sin(math.pi / (2 * length)) ** 2 if length else 0.0
+        return total
+
+    @cached_property
+    def damped(self):
+        """The part of beta that each bond has, 1, or 0 where there is no wall, shape (bonds,)."""
+        parts = [np.ones_like(k) for k in self.stiffness]
+        for side in self.free:
+            axis, end = bonds_at(side)
+            np.moveaxis(parts[axis], axis, 0)[end] = 0.0
+        return np.concatenate([part.ravel() for part in parts])
+
+    @cached_property
+    def existing(self):
+        """The numbers of the bonds that exist: all but those at free sides."""
+        return np.flatnonzero(self.damped)
+
+    @cached_property
+    def moved(self):
+        """How far each place of the driven wall moves, shape (ny, ...)."""
+        if self.push is not None or "x+" in self.free:
+            return np.zeros(self.shape[1:])
+        return np.ones(self.shape[1:]) if self.wall is None else self.wall
+
+    @cached_property
+    def drive(self):
+        """How far each bond is stretched when what is driven moves by 1, shape (bonds,)."""
+        along = np.zeros(self.stiffness[0].shape)
+        along[-1] = self.moved
+        return np.pad(along.ravel(), (0, self.bonds - along.size))
+
+    @property
+    def pushed(self):
+        """The push as a force on each unknown, None unless one drives."""
+        return self.push
+
+    def pushed_by(self, forces):
+        """Return as a change what a push on each ball, shape (balls,), makes of the lattice."""
+        return {"push": forces.reshape(self.shape), "wall": None}
 
     @property
     def constants(self):
@@ -193,11 +272,12 @@ class Lattice(ElasticBonds, Medium):
     def springs(self):
         """See `springs.Springs`."""
         ends = bond_ends(np.arange(self.size).reshape(self.shape))
-        drive = driven_bonds(self.shape).astype(float)
-        constants, ones = self.constants, np.ones_like(drive)
+        ends[self.damped == 0] = -1
+        constants = self.constants
         return Springs(
-            self.size, ("normal",), ends, SIGNS[None], drive, drive, constants, ones, constants
-        )
+            self.size, ("normal",), ends, SIGNS[None], self.drive, self.drive, constants,
+            self.damped, constants,
+        )  # fmt: skip
 
     @property
     def stiffest(self):
@@ -214,7 +294,11 @@ class Lattice(ElasticBonds, Medium):
         return bond_places(self.shape, bonds)
 
     def check_driven(self):
-        """Do nothing: a driven lattice always has a bounded answer."""
+        """Raise InputError if nothing is driven, or if no side has a wall."""
+        if self.least_damping == 0:
+            raise InputError("-lattice_free: without any wall the lattice floats; leave one")
+        if self.push is None and not np.any(self.moved):
+            raise InputError("-lattice_free: x+ is the wall that drives; let -drive_balls do it")
 
     def sites(self, detectors, name="detectors"):
         """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
@@ -245,8 +329,14 @@ class Lattice(ElasticBonds, Medium):
         return self.numbers_of(np.asarray(sites))[:, None], np.ones((len(sites), 1))
 
     def depths(self, sites):
-        """Return distances of balls from the driven wall, in spacings, (nd,)."""
-        return self.shape[0] - sites[:, 0]
+        """Return distances of balls from the nearest that drives, in spacings, (nd,)."""
+        if self.wall is None and self.push is None:
+            return self.shape[0] - sites[:, 0]
+        if self.push is not None:
+            driving = np.argwhere(self.push)
+        else:
+            driving = np.insert(np.argwhere(self.moved), 0, self.shape[0], axis=1)
+        return nearest(sites, driving)
 
     def displacements(self, field):
         """Return an array of unknowns as displacements, which they are here."""
@@ -276,7 +366,9 @@ class Lattice(ElasticBonds, Medium):
         """
         unit = own_unit(self.stiffest, self.mass, self.damping)
         mass, damping, kmax = self.mass / unit, self.damping / unit, self.kmax / unit
-        return Lattice(tuple(k / unit for k in self.stiffness), mass, damping, kmax), unit
+        stiffness = tuple(k / unit for k in self.stiffness)
+        push = None if self.push is None else self.push / unit
+        return Lattice(stiffness, mass, damping, kmax, self.wall, push, self.free), unit
 
     @cached_property
     def bonds_sha256(self):

@@ -125,6 +125,17 @@ class BondLaw:
         """Return the constants that belong to numbers uniform on [0, 1)."""
         return self.function(u, *self.parameters.values())
 
+    def deeper(self, weight, above):
+        """Return by how much Hertz's law is stiffer below so many balls of a weight.
+
+        The mean force grows from `force` to force + weight * above, k like its cube root. Raises
+        InputError of another law, or of an impossible weight.
+        """
+        check_size("bonds_gravity", number("bonds_gravity", weight), positive=False)
+        if self.name != "hertz":
+            raise InputError("bonds_gravity: forces make constants by -bonds_law hertz only")
+        return np.cbrt(1 + weight * above / self.parameters["force"])
+
     def __repr__(self):
         """Say what makes the same law."""
         parameters = (f"{key}={value}" for key, value in self.parameters.items())

@@ -19,7 +19,8 @@ from pgran.medium.base import Medium
 from pgran.medium.bonds import AXES
 from pgran.medium.checks import check_network, checked_values, unit_direction
 from pgran.medium.graph import Connected
-from pgran.medium.springs import DRIVEN, FREE, Elastic, springs_of
+from pgran.medium.source import nearest
+from pgran.medium.springs import AT_REST, DRIVEN, FREE, Elastic, springs_of
 from pgran.medium.units import check_magnitudes, own_unit
 from pgran.run.numbers import number, numbers
 
@@ -63,6 +64,8 @@ class Network(Elastic, Connected, Medium):
         Periods along each axis, 0 where there is none.
     gravity : array_like of float, shape (d,), optional
         The acceleration that forces of contacts balance, if one does.
+    push : array_like of float, shape (N, axes), optional
+        A force on each free ball, which drives instead of held balls.
     component : str
         What of a displacement is read: `drive`, `x`, `y` or `z`.
     kmax : float, optional
@@ -94,6 +97,7 @@ class Network(Elastic, Connected, Medium):
     power: float | None = None
     box: np.ndarray | None = None
     gravity: np.ndarray | None = None
+    push: np.ndarray | None = None
     component: str = "drive"
     kmax: float | None = None
     median_mass: float | None = None
@@ -200,6 +204,11 @@ class Network(Elastic, Connected, Medium):
         """How many contacts there are."""
         return len(self.bond)
 
+    @property
+    def existing(self):
+        """The numbers of the contacts: all."""
+        return np.arange(self.bonds)
+
     def bond_places(self, bonds):
         """Return axis, which is 0, and index of numbered contacts."""
         return np.zeros_like(bonds), bonds[..., None]
@@ -242,12 +251,11 @@ class Network(Elastic, Connected, Medium):
         return unknowns, along * self.weights[unknowns]
 
     def depths(self, sites):
-        """Return distances from the nearest driven ball, NaN if unknown."""
-        driven = np.flatnonzero(self.held == DRIVEN)
+        """Return distances from the nearest ball that drives, NaN if unknown."""
+        driven = np.flatnonzero(self.held == DRIVEN if self.push is None else self.push_sizes)
         if self.position is None or not len(driven):
             return np.full(len(sites), np.nan)
-        away = self.position[sites[:, 0]][:, None] - self.position[driven]
-        return np.sqrt(np.sum(away**2, axis=2)).min(axis=1)
+        return nearest(self.position[sites[:, 0]], self.position[driven])
 
     def displacements(self, field):
         """Return mass-weighted unknowns (..., unknowns) as displacements."""
@@ -267,6 +275,21 @@ class Network(Elastic, Connected, Medium):
         """The unit of mass over the mass of each free ball, shape (free balls,)."""
         return self.mass / self.masses[self.free]
 
+    @cached_property
+    def pushed(self):
+        """The push as a force on each unknown, None unless one drives."""
+        if self.push is None:
+            return None
+        forces = np.zeros((self.free_balls, self.components))
+        forces[:, : self.axes] = self.push[self.free]
+        return self.weights * forces.ravel()
+
+    def pushed_by(self, forces):
+        """Return as changes what a push on each free ball, along the drive, makes of it."""
+        push = np.zeros((len(self.held), self.axes))
+        push[self.free] = forces[:, None] * self.direction
+        return {"push": push, "held": np.where(self.held == FREE, FREE, AT_REST)}
+
     def per_ball(self, squares):
         """Return sums over the components of each free ball, (n, balls)."""
         return squares.reshape(len(squares), -1, self.components).sum(axis=2)
@@ -274,8 +297,7 @@ class Network(Elastic, Connected, Medium):
     def in_own_unit(self):
         """Return the same network in its own unit, and that: see `Lattice.in_own_unit`."""
         unit = own_unit(self.stiffest, self.mass, self.damping)
-        names = "stiffness", "masses", "damping", "force", "tangential", "kmax", "median_mass"
-        scaled = {
-            name: getattr(self, name) / unit for name in names if getattr(self, name) is not None
-        }
+        names = "stiffness", "masses", "damping", "force", "tangential", "push", "kmax"
+        values = {name: getattr(self, name) for name in (*names, "median_mass")}
+        scaled = {name: value / unit for name, value in values.items() if value is not None}
         return dataclasses.replace(self, **scaled), unit

@@ -41,6 +41,7 @@ DATASETS = {
     "normal": (float, "1", "direction from the first ball of each contact to the second"),
     "distance": (float, "length", "distance of the centres of each contact"),
     "force": (float, "force", "repulsive force that each contact bears: the pre-stress"),
+    "push": (float, "force", "force on each ball, which drives instead of held balls"),
     "id": (int, "1", "numbers of the balls in the program that they come from"),
 }
 ATTRIBUTES = {

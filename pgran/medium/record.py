@@ -30,6 +30,13 @@ class LatticeRecord(Record):
     stiffness_z: np.ndarray | None = array(
         "constants of the bonds along z", "k", "bonds_z", optional=True
     )
+    wall: np.ndarray | None = array(
+        "how far each place of the driven wall moves; 1 unless there", "1", "place", optional=True
+    )
+    push: np.ndarray | None = array(
+        "force on each ball, which drives instead of the wall", "k", "balls", optional=True
+    )
+    free: str | None = attribute(optional=True)  # sides without a wall, "y+,y-"
 
     def __post_init__(self):
         """Hold one array of bonds for each axis."""
@@ -61,13 +68,20 @@ class LatticeRecord(Record):
     def built(self):
         """The lattice itself, a `lattice.Lattice`."""
         kmax = self.mass * self.omega_mx**2 / (2 * len(self.shape))
-        return Lattice(self.stiffness, self.mass, self.damping, kmax)
+        wall = None if self.wall is None else self.wall.reshape(self.shape[1:])
+        return Lattice(
+            self.stiffness, self.mass, self.damping, kmax, wall, self.push, self.free or ()
+        )
 
     @classmethod
     def of(cls, lattice):
         """Return the record of a `lattice.Lattice`."""
-        same = ("shape", "mass", "damping", "omega_mx", "bonds_sha256")
+        same = ("shape", "mass", "damping", "omega_mx", "bonds_sha256", "push")
         arrays = {f"stiffness_{x}": k for x, k in zip(SPACE, lattice.stiffness, strict=False)}
+        if lattice.wall is not None:
+            arrays["wall"] = lattice.wall.ravel()
+        if lattice.free:
+            arrays["free"] = ",".join(lattice.free)
         return cls(**{name: getattr(lattice, name) for name in same}, **arrays)
 
 
@@ -106,6 +120,11 @@ class NetworkRecord(Record):
     tangential: np.ndarray | None = array(
         "constants of tangential springs", "k", "contact", optional=True
     )
+
+    push: np.ndarray | None = array(
+        "force on each ball, which drives instead of held balls", "k", "ball", "drive_coordinate",
+        optional=True,
+    )  # fmt: skip
 
     power: float | None = attribute(optional=True)
     box: np.ndarray | None = attribute_array("coordinate", optional=True)

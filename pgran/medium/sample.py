@@ -7,6 +7,7 @@ from pgran.medium.graph import with_rattlers_at_rest
 from pgran.medium.lattice import Lattice
 from pgran.medium.law import DEFAULTS, HERTZ, LAWS, make_law
 from pgran.medium.record import record_of
+from pgran.medium.source import OF_SOURCE, with_source
 from pgran.run.agreement import on_root
 from pgran.run.options import FILE, INTEGER, INTEGERS, REAL, TEXT, Option, alternatives
 
@@ -14,6 +15,7 @@ OF_LATTICE = (
     Option("lattice_shape", INTEGERS, (20, 20), "balls along each axis, 1 to 3 numbers", low=1),
     Option("lattice_mass", REAL, 1.0, "mass m of a ball", above=0),
     Option("lattice_damping", REAL, 0.003, "damping beta of every bond", "mass x frequency", low=0),
+    Option("lattice_free", TEXT, None, "sides without a wall, y+ or x-,y-,y+"),
     Option(
         "bonds_law", TEXT, "uniform",
         "uniform on [kmin, kmax]; constant kmax; loguniform on [kmin, kmax]; bimodal, kmin or "
@@ -33,6 +35,11 @@ OF_LATTICE = (
         low=0, high=1
     ),
     Option("bonds_force", REAL, DEFAULTS["force"], "hertz: mean contact force", "force", above=0),
+    Option(
+        "bonds_gravity", REAL, 0.0,
+        "hertz: by how much the mean force grows with each ball above, along the last axis",
+        "force", low=0
+    ),
     HERTZ,
     Option("bonds_seed", INTEGER, 1993, "which sample", low=0, high=2**63 - 1),
     Option("bonds_file", FILE, None, "law file: HDF5 file with /lattice/stiffness_x ..."),
@@ -54,7 +61,7 @@ OF_NETWORK = (
     ),
 )  # fmt: skip
 LAW = ("bonds_law", "bonds_kmin", "bonds_kmax", "bonds_fraction", "bonds_force", "bonds_hertz")
-LATTICE = (*OF_LATTICE, *OF_NETWORK)
+LATTICE = (*OF_LATTICE, *OF_NETWORK, *OF_SOURCE)
 OWN_KMAX = ("hertz", "file")  # laws of bonds whose largest constant is not known beforehand
 
 
@@ -76,6 +83,9 @@ def check_lattice(values, given, draws=False):
         raise InputError("-detectors_component: balls of a lattice have one displacement")
     if len(values["lattice_shape"]) > 3:
         raise InputError("-lattice_shape: a lattice has 1 to 3 axes")
+    if values["bonds_gravity"] and (draws or values["bonds_law"] != "hertz"):
+        why = "a bond that is redrawn would lose its load" if draws else "it needs -bonds_law hertz"
+        raise InputError(f"-bonds_gravity: {why}")
     from_file = values["bonds_law"] == "file"
     if from_file != (values["bonds_file"] is not None):
         raise InputError("-bonds_file and -bonds_law file belong together: give both or neither")
@@ -97,6 +107,7 @@ def make_lattice(options, world):
     PgranError if the ranks disagree on the bonds.
     """
     medium = (_lattice if options.network_file is None else _network)(options, world)
+    medium = with_source(medium, *(getattr(options, option.name) for option in OF_SOURCE))
     if len(set(world.allgather(medium.bonds_sha256))) > 1:
         raise PgranError("the ranks drew different bonds: do they run the same NumPy?")
     return medium
@@ -119,15 +130,16 @@ def _network(options, world):
 
 def _lattice(options, world):
     """Return the lattice of a bonds file or of a law. Collective."""
-    mass, damping = options.lattice_mass, options.lattice_damping
+    mass, damping, free = options.lattice_mass, options.lattice_damping, options.lattice_free or ()
     if options.bonds_law == "file":
         from pgran.medium.bonds_file import read_bonds
 
         stiffness, kmax = on_root(world, lambda: read_bonds(options.bonds_file))
-        lattice = Lattice(stiffness, mass, damping, kmax)
+        lattice = Lattice(stiffness, mass, damping, kmax, free=free)
     else:
         law, shape, seed = make_law(options), options.lattice_shape, options.bonds_seed
-        lattice = Lattice.random(shape, seed, law, mass=mass, damping=damping)
+        chosen = {"mass": mass, "damping": damping, "free": free, "gravity": options.bonds_gravity}
+        lattice = Lattice.random(shape, seed, law, **chosen)
     if options.bonds_law in OWN_KMAX and options.bonds_kmax:
         lattice = dataclasses.replace(lattice, kmax=options.bonds_kmax)
     return lattice

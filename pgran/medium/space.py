@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pgran.medium.bonds import bond_ends, driven_bonds
+from pgran.medium.bonds import bond_ends
 from pgran.medium.network import Network
 from pgran.medium.record import NetworkRecord
 
@@ -83,7 +83,7 @@ def as_network(medium):
     if medium.group == "network":
         return medium
     built, count, shape = medium.built, medium.free_balls, medium.shape
-    bond, driven = bond_ends(np.arange(count).reshape(shape)), driven_bonds(shape)
+    bond, driven = bond_ends(np.arange(count).reshape(shape)), built.drive != 0
     axis, _ = built.bond_places(np.arange(built.bonds))
     sites = np.indices(shape).reshape(len(shape), -1).T
     wall, end = np.nonzero(bond < 0)

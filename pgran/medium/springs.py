@@ -125,9 +125,11 @@ class Elastic:
 
     @cached_property
     def drive_norms(self):
-        """|f|_2 of what the springs at driven balls do, and of their dashpots for beta = 1."""
+        """|f|_2 of springs at driven balls or of a push, and of dashpots for beta = 1."""
         both = self.springs.constants, self.springs.damped
-        return tuple(float(np.linalg.norm(self.B.T @ (k * self.springs.drive))) for k in both)
+        forces, damped = (np.linalg.norm(self.B.T @ (k * self.springs.drive)) for k in both)
+        pushed = 0.0 if self.push is None else np.linalg.norm(self.pushed)
+        return float(forces + pushed), float(damped)
 
     @cached_property
     def _pulls(self):

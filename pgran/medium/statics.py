@@ -19,6 +19,7 @@ import numpy as np
 from pgran.arguments import called_right
 from pgran.errors import InputError, PgranError
 from pgran.medium import base
+from pgran.medium.bonds import AXES
 from pgran.medium.dissection import dissected
 from pgran.medium.graph import SYMMETRIC, without_rattlers
 from pgran.medium.packing import nearest_images
@@ -89,8 +90,8 @@ class Sound(NamedTuple):
 def sound(medium):
     """Return the speeds of long waves and the elastic moduli of a medium, by statics.
 
-    Rattlers of a network are left out. A lattice is pulled between the two walls of each axis, its
-    sides free: its speeds are along its axes. Not parallel: each rank that calls it computes the
+    Rattlers of a network are left out. A lattice is pulled between walls, its sides free: its
+    speeds are along the axes that have two. Not parallel: each rank that calls it computes the
     same.
 
     Parameters
@@ -115,10 +116,13 @@ def sound(medium):
 def _of_lattice(lattice):
     """Return the sound of a lattice; along an axis its walls are one more apart than its balls."""
     springs, axes = lattice.springs, np.arange(lattice.axes)
+    pulled = [axis for axis in axes if AXES[axis] not in "".join(lattice.free)]
+    if not pulled:
+        raise InputError("sound: no axis of the lattice has two walls to be pulled between")
     axis, _ = lattice.bond_places(np.arange(lattice.bonds))
     at_wall, rows = np.any(springs.columns < 0, axis=1), springs.B[:, dissected(lattice.shape)]
     squares = []  # of affine and relaxed speeds along each axis
-    for along in axes:
+    for along in pulled:
         constants = np.where(at_wall & (axis != along), 0.0, springs.constants)
         stretches = np.where(axis == along, 1.0, 0.0)[:, None]
         energies = _energies(rows, constants, stretches)

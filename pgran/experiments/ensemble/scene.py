@@ -175,7 +175,7 @@ def repeated(of, seeds, draw, first, keep, choices, crew, progress, changes=1, f
         own = {"seed": changes + number} if of == "relaxation" else {}
         record = function(medium, crew=crew, **choices, **own)
         if record and of == "relaxation":
-            return fluctuations.measured(record, fit or fluctuations.FIT, medium.bonds)
+            return fluctuations.measured(record, fit or fluctuations.FIT, len(medium.existing))
         return record and [record]
 
     with agreeing(crew.world):

@@ -24,7 +24,9 @@ class Resonances:
         springs = medium.springs
         self.medium, self.sites = medium, None
         self.force = -(springs.B.T @ (springs.constants * springs.drive))
-        self.driven = bool(np.any(springs.drive))
+        if medium.pushed is not None:
+            self.force = self.force + medium.pushed.ravel()
+        self.driven = bool(np.any(self.force))
         if detectors is not None:
             self.sites = medium.sites(detectors, "modes_detectors")
             self.unknowns, self.weights = medium.readings(self.sites)

@@ -55,7 +55,8 @@ def seismogram(ax, signals, lattice):
     returns = abs(wall[-1]) < 0.1  # else signals do not swing about 0, which an envelope supposes
     ax.plot(time, 0.45 * wall, color=style.ACCENT)
     drawn, fronts, label = [], [signals.wall_arrival], "envelope"
-    rows = ["driven wall" if lattice.group == "lattice" else "driven balls"]
+    driven = "driven wall" if lattice.group == "lattice" else "driven balls"
+    rows = [driven if lattice.push is None else "force"]
     for row, d in enumerate(np.argsort(distance, kind="stable"), 1):
         name = style.ball_names(signals.detector[d : d + 1])[0]
         rows.append(f"{name}\n" + (f"largest {largest[d]:.2g}" if known[d] else "below its error"))

@@ -69,7 +69,7 @@ class Integration(Task):
             row["velocity"] = at(history.velocity, history.acceleration)
             force = at(*history.force.T, recording.fine)
             row["force"] = recording.coarse(force)
-            row["work"], row["rough"] = recording.integral(force * recording.speed)
+            row["work"], row["rough"] = recording.integral(force * recording.taken)
             row["energy"] = at(*history.energy.T)
             row["dissipated"] = row["work"] - row["energy"]
             for number, (time, field) in enumerate(history.fields):

@@ -238,22 +238,26 @@ class Integrator(Owner):
 
         With u_k = f_k^T u, u_c = beta f_c^T u and so on, and k, c what holds the balls at the wall:
         the force is k U - u_k + c U' - u_c', the energy (m u'^2 + u^T K u - 2 U u_k + k U^2) / 2,
-        and the dashpots take u'^T beta C u' - 2 U' u_c' + c U'^2.
+        and the dashpots take u'^T beta C u' - 2 U' u_c' + c U'^2. Of a push, which springs do not
+        hold, the velocity f_k^T u' is in the place of the force.
         """
         time, rows = (np.array(column) for column in zip(*self._rows, strict=True))
         rows = self.comm.allreduce(rows)
         balls, wall, sums = np.split(rows, [3 * self._count, 3 * self._count + 6], axis=1)
         balls = balls.reshape(len(time), 3, -1)
         wall = wall.reshape(len(time), 3, 2)
-        (u_k, _), (v_k, v_c), (_, a_c) = np.moveaxis(wall, 0, -1)
+        (u_k, _), (v_k, v_c), (a_k, a_c) = np.moveaxis(wall, 0, -1)
         held, *taken, moving = sums.T
         k, c = self.operators.lattice.pulls
         U, speed, turn = self.pulse.moves(time, 3)
-        force = U * k - u_k + speed * c - v_c
-        energy = 0.5 * (moving + held - 2 * U * u_k + U * U * k)
         power = sum(taken, 0.0) - 2 * speed * v_c + speed * speed * c
-        force_slope = speed * k - v_k + turn * c - a_c
-        energy_slope = force * speed - power
+        if self.operators.lattice.push is None:
+            force, force_slope = U * k - u_k + speed * c - v_c, speed * k - v_k + turn * c - a_c
+            energy = 0.5 * (moving + held - 2 * U * u_k + U * U * k)
+            energy_slope = force * speed - power
+        else:
+            force, force_slope, energy = v_k, a_k, 0.5 * (moving + held)
+            energy_slope = U * v_k - power
         return History(
             time,
             *np.moveaxis(balls, 1, 0),

@@ -177,7 +177,8 @@ class PulseLine(FrequencySweep):
         time, tolerance = recording.time, recording.tolerance
         limits = limits_of(recording.scaled)
         readings = recording.scaled.reading_norms(recording.sites)
-        self.line = Line(recording.sent, time[-1], len(time), limits, tolerance, readings)
+        size = tolerance * recording.scaled.drive_size
+        self.line = Line(recording.sent, time[-1], len(time), limits, size, readings)
         cost = len(self.line.s) * math.prod(lattice.shape) * len(recording.fine)
         self.whole = recording.fields or cost <= WHOLE
         row = [
@@ -200,9 +201,12 @@ class PulseLine(FrequencySweep):
         """See `FrequencySweep`: f^T A, and the field, which comes to the first rank of a group."""
         operators, moved = solver.operators, solver.field
         reaction = operators.f.tDot(moved)
-        point["force"] = self.scaled.pull(operators.s) - reaction
         missed = abs(reaction - point["reaction"]) + point["reaction_bound"]
-        point["force_error"] = missed + self.scaled.pull_rounding(abs(operators.s))
+        if self.scaled.push is None:
+            point["force"] = self.scaled.pull(operators.s) - reaction
+            point["force_error"] = missed + self.scaled.pull_rounding(abs(operators.s))
+        else:  # the velocity of what is pushed
+            point["force"], point["force_error"] = operators.s * reaction, abs(operators.s) * missed
         if self.whole:
             field = operators.layout.field(moved)
             point["field"] = 0.0 if field is None else field
@@ -245,14 +249,17 @@ class PulseLine(FrequencySweep):
         )
 
     def _work(self, force, error):
-        """Return force and work of the wall, each with an estimate of its error."""
+        """Return force and work of the wall, each with an estimate of its error.
+
+        Of a push its velocity is in the place of the force; see `Recording.taken`.
+        """
         line, recording = self.line, self.recording
         force, error = np.nan_to_num(force), np.where(np.isnan(error), np.inf, error)
         error = line.summed(error + EPSILON * np.abs(force)) * np.exp(line.sigma * recording.fine)
         force = line.inverse(force * line.transform, recording.finer, recording.before)
-        work, rough = recording.integral(force * recording.speed)
+        work, rough = recording.integral(force * recording.taken)
         with np.errstate(invalid="ignore"):  # a wall at rest does no work, whatever its force is
-            power = np.nan_to_num(error * np.abs(recording.speed), posinf=np.inf)
+            power = np.nan_to_num(error * np.abs(recording.taken), posinf=np.inf)
         added = np.cumsum(power) * (recording.time[1] / recording.finer)
         return {
             "force": (recording.coarse(force), recording.coarse(error)),

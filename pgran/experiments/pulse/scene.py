@@ -53,14 +53,14 @@ def summary(result):
     for d, ball in enumerate(ball_names(signals.detector)):
         yield from _summary_of_ball(signals, si, d, ball)
     front = signals.wall_arrival
-    yield f"the wall's own front is at {front:.4g}{si.say('s', front)}"
+    yield f"the drive's own front is at {front:.4g}{si.say('s', front)}"
     depths = result.medium.built.depths(signals.detector)
     speed = front_speed(depths, signals.arrival)
     if np.isfinite(speed.value):
         line = f"fronts run at {speed.value:.4g} +- {two_digits(speed.error)} "
         line += f"{result.medium.length} x frequency{si.say('m/s', speed.value)}, from "
         yield line + f"{depths.min():.4g} to {depths.max():.4g} {result.medium.length} deep"
-    line = f"work of the wall {signals.work[-1]:.6g}"
+    line = f"work of the drive {signals.work[-1]:.6g}"
     line += f" +- {signals.work_estimate[-1]:.1e} (an estimate)"
     if signals.energy is not None:
         line += f", of which {signals.energy[-1]:.3g} is left in balls and springs"

@@ -44,9 +44,17 @@ class Recording:
         self.field_time = np.linspace(sent.centre, time, FIELDS + 1)[1:]
 
     @property
-    def speed(self):
-        """The wall's velocity at the times of `fine`."""
-        return self.sent.moves(self.fine, 2)[1]
+    def taken(self):
+        """What a power is, at the times of `fine`, over what balls answer to the drive.
+
+        They answer to a wall by a force, and its velocity makes that a power; to a push, which is
+        this itself, by its balls' velocity.
+        """
+        return self.sent.moves(self.fine, 2)[int(self.scaled.push is None)]
+
+    def pushing(self):
+        """Return the force of a push at the times of the signals, and its error: none."""
+        return self.scaled.push_sizes.sum() * self.sent.moves(self.time, 1)[0], 0 * self.time
 
     def coarse(self, values):
         """Return values at the times of the signals from those at the times of `fine`."""
@@ -72,6 +80,8 @@ class Recording:
         are other fields of `Signals`.
         """
         displacement, velocity = motion
+        if self.scaled.push is not None:
+            wall = wall | {"force": self.pushing()}
         envelope = envelopes(displacement, velocity)
         moves, speed = self.sent.moves(self.time, 2)
         wall_arrival = float(arrivals(self.time, speed[:, None], 0 * speed[:, None])[0])

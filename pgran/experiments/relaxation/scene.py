@@ -1,6 +1,7 @@
 """Scene `relaxation`: the amplitude at the detectors while one bond a step is redrawn."""
 
 import contextlib
+import dataclasses
 from functools import partial
 from typing import NamedTuple
 
@@ -128,7 +129,7 @@ class Steps(Task):
     def __init__(self, lattice, law, detectors, march, steady):
         """Cut the trajectories into stretches of whole windows."""
         self.lattice, self.march, self.steady = lattice, march, steady
-        own = partial(redrawn, lattice.constants[: lattice.bonds])
+        own = partial(redrawn, lattice.constants[lattice.existing])
         self.law = own if law is None else partial(drawn, law)
         self.sites = lattice.sites(detectors)
         # Measured: the factorization's price a step falls like 1/s, that of the algebra grows
@@ -183,8 +184,9 @@ class Steps(Task):
 
     def _draw(self, trajectory, first, count, unit=1.0):
         """Return the changes of some steps, constants in a unit."""
-        bonds, seed = self.lattice.bonds, self.march.seed
-        return draw_changes(self.law, bonds, seed, trajectory, first, count, unit)
+        bonds, seed = self.lattice.existing, self.march.seed
+        changes = draw_changes(self.law, len(bonds), seed, trajectory, first, count, unit)
+        return dataclasses.replace(changes, bond=bonds[changes.bond])
 
     def length(self, unit):
         """See `Task`."""
@@ -224,7 +226,7 @@ def run(lattice, options, crew):
     relaxation = call(relax, options, crew, lattice)
     if relaxation is None or crew.dry:
         return relaxation and [relaxation]
-    return fluctuations.measured(relaxation, window, lattice.bonds)
+    return fluctuations.measured(relaxation, window, len(lattice.existing))
 
 
 OPTIONS = (*options_of(relax), *fluctuations.SPECTRUM)

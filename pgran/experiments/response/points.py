@@ -70,7 +70,7 @@ class ResponseSweep(FrequencySweep):
         curve = omega, accurate, slope
         line_error = line_errors(self.scaled, *curve, compared, resolve or LINES)
         line_error = np.pad(line_error, ((1, 0), (0, 0)))  # from the frequency before
-        force, force_bound = self.driving_force(rows)
+        force, force_bound, power = self.driving_force(rows)
         return Response(
             **columns,
             **phase_slopes(self.lattice, self.sites, omega, phase, line_error, phase_window),
@@ -87,21 +87,31 @@ class ResponseSweep(FrequencySweep):
             line_error=line_error,
             force=force,
             force_bound=force_bound,
-            power=0.5 * omega * force.imag,
+            power=power,
             at_floor=at_floor,
             models=models,
         )
 
     def driving_force(self, rows):
-        """Return the force F that drives the wall when it moves by 1, and a bound of its error.
+        """Return the force F that drives what moves by 1, a bound of its error, and the power.
 
         It is what the wall takes to move while all balls stay, less what these give way:
-        F = sum over driven bonds of (k + i omega beta)(1 - A_p) = pull - f^T A.
+        F = sum over driven bonds of (k + i omega beta)(1 - A_p) = pull - f^T A. A push of the size
+        P moves its balls by f^T A / P on the mean, so that F = P^2 / f^T A; its power is that of
+        the force as it is.
         """
-        omega, scaled = rows["omega"], self.scaled
-        force = scaled.pull(1j * omega) - rows["reaction"]
-        rounding = scaled.pull_rounding(omega) + 4 * EPSILON * np.abs(force)
-        return self.unit * force, self.unit * (rows["reaction_bound"] + rounding)
+        omega, scaled, unit = rows["omega"], self.scaled, self.unit
+        taken, bound = unit * rows["reaction"], unit * rows["reaction_bound"]
+        if scaled.push is None:
+            pull = unit * scaled.pull(1j * omega)
+            force = pull - taken
+            rounding = unit * scaled.pull_rounding(omega) + 4 * EPSILON * np.abs(force)
+            return force, bound + rounding, 0.5 * omega * force.imag
+        square, size = self.lattice.push_sizes.sum() ** 2, np.abs(taken)
+        with np.errstate(all="ignore"):
+            force = square / taken
+            error = np.where(size > bound, square * bound / (size * (size - bound)), np.inf)
+        return force, error + 8 * EPSILON * np.abs(force), -0.5 * omega * taken.imag
 
 
 def phase_slopes(lattice, sites, omega, phase, line_error, window):

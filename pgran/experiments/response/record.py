@@ -126,7 +126,8 @@ class Response(Frequencies):
     )  # fmt: skip
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     displacement: np.ndarray = array(
-        "amplitude at the detectors relative to the driven wall, convention exp(+i omega t)",
+        "amplitude at the detectors relative to the driven wall, or to F / kmax of a force F that "
+        "drives; convention exp(+i omega t)",
         "1", "omega", "detector_number", dtype=complex, row=True,
     )  # fmt: skip
     amplitude: np.ndarray = array("magnitude of the displacement", "1", "omega", "detector_number")
@@ -160,16 +161,16 @@ class Response(Frequencies):
         dtype=np.int8, since=5, row=True,
     )  # fmt: skip
     force: np.ndarray = array(
-        "force that drives the wall, or the driven balls along their motion, when they move by 1; "
-        "NaN: no solution",
+        "force that drives the wall, or the driven balls along their motion, when they move by 1, "
+        "those under a push on the mean; NaN: no solution",
         "k", "omega", dtype=complex, since=4,
     )  # fmt: skip
     force_bound: np.ndarray = array(
         "bound of the error of the force; NaN: none is known", "k", "omega", since=4
     )
     power: np.ndarray = array(
-        "mean power that the drive of amplitude 1 puts in, and dashpots dissipate: omega / 2 times "
-        "the imaginary part of the force, its error that part of the bound",
+        "mean power that the drive of amplitude 1 puts in, and dashpots dissipate: of a wall omega "
+        "/ 2 times the imaginary part of the force, its error that part of the bound",
         "k sqrt(k/m)", "omega", since=4,
     )  # fmt: skip
     at_floor: np.ndarray = array(FLOOR, "1", "omega", "detector_number", dtype=np.int8, since=2)

@@ -42,7 +42,7 @@ class Map:
             network = replace(network, radius=np.full(len(network.held), 0.5))
         shape = medium.shape if self.lattice else (len(network.held),)
         self.detector = int(np.ravel_multi_index(tuple(detector), shape))
-        (self.name,) = style.ball_names([detector])
+        self.site, (self.name,) = tuple(detector), style.ball_names([detector])
         self.view = View(network, self.detector)
         self.free = self.view.seen & (network.held == 0)
         self.segments, self.numbers = self.view.lines(network.bond)
@@ -64,8 +64,7 @@ class Map:
         """Set the limits; draw walls, balls that are held, faint bonds, and mark the detector."""
         many = len(self.segments) > MANY
         if self.lattice:
-            shape = self.medium.shape
-            bonds.walls(ax, *(*shape, 1)[:2], len(shape), arrow=False)
+            bonds.walls(ax, self.medium, tuple(self.site[2:]), arrow=False)
         else:
             self.view.frame(ax)
             self.view.draw(ax, self.view.seen & (self.network.held > 0), zorder=0.6)
@@ -219,7 +218,7 @@ def pages(name, draw, record, medium, what, words):
 def page(seen, record, panels, what, text):
     """Return the figure of some maps, with what they show and what failed said above."""
     figure = balls.page(seen.extent, panels, what)
-    held = "driven wall: blue" if seen.lattice else "balls at rest: dark; driven: blue"
+    held = "what drives: blue" if seen.lattice else "balls at rest: dark; driven: blue"
     where = "; ".join(filter(None, [seen.view.plane, f"circle: {seen.name}", held]))
     style.above(figure, where, text)
     note_failed(figure, record)
