@@ -10,7 +10,7 @@ from samples import random_lattice, uniform_lattice
 
 import pgran
 from pgran.draw import pages
-from pgran.errors import InputError
+from pgran.errors import FileError, InputError
 from pgran.experiments.modes import figures_density, scene
 from pgran.medium import crystals
 from pgran.store.si import SI
@@ -87,6 +87,11 @@ def test_modes_at_rest_are_set_aside_by_name():
     result = result_of(pgran.find_modes(loose), loose)
     assert "3 modes at rest" in (said := " ".join(scene.summary(result)))
     assert "which nothing holds and what is loose" in said
+    none = pgran.Lattice.random((3, 2), law="bimodal", fraction=0.0)
+    still = result_of(pgran.find_modes(none), none)
+    assert list(scene.summary(still))[-1].startswith("6 modes at rest")
+    with pytest.raises(FileError, match="no modes that move"):
+        pages.make(still)
     bare = dataclasses.replace(result.modes, width=None, source=None)  # of an older file
     assert "quality" not in " ".join(scene.summary(result_of(bare, loose)))
 

@@ -77,13 +77,11 @@ class Sound(NamedTuple):
         V / N S omega^(d-1) / (2 pi)^d (1 / c_L^d + (d - 1) / c_T^d), S the surface 2, 2 pi or 4 pi
         of the unit ball in d dimensions.
         """
-        d = self.dimension
-        slowness = self.longitudinal.speed**-d
+        d, slowness = self.dimension, self.longitudinal.speed**-self.dimension
         if self.transverse is not None:
             slowness += (d - 1) * self.transverse.speed**-d
         surface = {1: 2.0, 2: 2 * np.pi, 3: 4 * np.pi}[d]
-        states = self.volume / self.balls * surface / (2 * np.pi) ** d
-        return states * slowness * np.asarray(omega, dtype=float) ** (d - 1)
+        return self.volume / self.balls * surface / (2 * np.pi) ** d * slowness * omega ** (d - 1)
 
 
 @called_right
@@ -149,13 +147,12 @@ def _of_network(network):
     affine, relaxed = (
         energies.reshape(shape) / mass for energies in _energies(free, springs.constants, stretches)
     )
-    kinds = _of_directions(relaxed)
-    kinds = [kinds] if axes == 1 else [kinds[:, -1:], kinds[:, :-1]]
+    each = _of_directions(relaxed)  # the fastest is longitudinal
+    kinds = [each[:, -1:], each[:, :-1]][:axes]
     waves = [_waves(*each) for each in zip(_means(relaxed), _means(affine), kinds, strict=True)]
-    longitudinal, transverse = waves if axes > 1 else (*waves, None)
     balls, volume = network.free_balls, float(network.box.prod())
-    lost, density = before - balls, float(mass) / volume
-    return Sound(longitudinal, transverse, len(network.box), balls, lost, volume, density)
+    facts = len(network.box), balls, before - balls, volume, float(mass) / volume
+    return Sound(*[*waves, None][:2], *facts)
 
 
 def _reaches(network):

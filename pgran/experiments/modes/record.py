@@ -152,7 +152,7 @@ class Modes(Record):
 
     def moving(self, lattice):
         """Return these modes without those at rest, of the `lattice` or of a network itself."""
-        here = np.abs(self.omega) >= least_frequency(lattice)
+        here = np.abs(self.omega) > least_frequency(lattice)
         along = {
             item.name: getattr(self, item.name)[here]
             for item in fields(self)

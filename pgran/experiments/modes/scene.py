@@ -77,14 +77,13 @@ def summary(result):
 
 def at_rest(count, medium):
     """Return in words what modes of omega = 0 are."""
-    words = f"{counted(count, 'mode')} at rest, left out of what follows: "
-    if medium.group == "lattice":
-        return f"{words}balls that no spring reaches from a wall"
-    whole = 0 if np.any(medium.held[medium.bond]) else medium.built.axes
+    whole, loose = 0, "balls that no spring reaches from a wall"
+    if medium.group == "network":
+        whole = 0 if np.any(medium.held[medium.bond]) else medium.built.axes
+        loose = "what is loose or turns freely (-network_rattlers remove holds rattlers)"
     parts = [f"{whole} translations of the whole, which nothing holds"] * (whole > 0)
-    if count > whole:
-        parts += ["what is loose or turns freely (-network_rattlers remove holds rattlers)"]
-    return words + " and ".join(parts)
+    parts += [loose] * (count > whole)
+    return f"{counted(count, 'mode')} at rest, left out of what follows: {' and '.join(parts)}"
 
 
 def certificate(record):

@@ -13,7 +13,7 @@ ZERO = 1e-6
 
 
 def least_frequency(lattice):
-    """Return the frequency below which a mode is at rest."""
+    """Return the frequency up to which a mode is at rest."""
     return ZERO * einstein_frequency(lattice.axes, lattice.stiffest, lattice.mass)
 
 
