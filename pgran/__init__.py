@@ -31,6 +31,7 @@ _HOMES = {
     "equilibrate": "pgran.balance.networks",
     "export": "pgran.command.export",
     "find_modes": "pgran.experiments.modes.find",
+    "green": "pgran.experiments.green.scene",
     "heat": "pgran.experiments.sensitivity.heat",
     "load": "pgran.medium.network_file",
     "ordered": "pgran.balance.ordered",

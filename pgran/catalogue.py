@@ -30,6 +30,7 @@ EXPERIMENTS = {
             "transport": "figures_transport",
         },
     ),
+    "green": Home("green.scene", {"green": "figures"}),
     "modes": Home("modes.scene", {"modes": "figures", "density": "figures_density"}),
     "projection": Home("modes.projection", {"projection": "figures_projection"}),
     "pulse": Home("pulse.scene", {"pulse": "figures"}),

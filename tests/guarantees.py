@@ -28,6 +28,7 @@ from network_samples import (
     unstable_network,
 )
 from packing_faults import packing_faults, random_packing
+from pattern_faults import pattern_faults, random_patterns
 from samples import (
     long_relaxation,
     random_case,
@@ -67,6 +68,7 @@ GUARANTEES = {
     "sources": Guarantee(random_source, source_faults, 12, good(0.5)),
     "networks": Guarantee(random_network, network_faults, 24, good(0.5), shared=range(100, 106)),
     "forces": Guarantee(small_network, force_faults, 30, (("bounded", 0.5, "forces"),)),
+    "green": Guarantee(random_patterns, pattern_faults, 6, good(0.5, "pairs"), shared=range(3)),
     "curves": Guarantee(random_curve, curve_faults, 1, (("accurate", 1, "points"),), {"count": 9}),
     "points": Guarantee(random_points, curve_faults, 1, (), {"count": 9}),
     "relaxations": Guarantee(random_relaxation, relaxation_faults, 12, good(0.9)),

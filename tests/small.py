@@ -12,6 +12,7 @@ SMALL = {
     r"-drive_part .*": "-drive_part 'y>=2 and y<4'",
     r"-detectors 48,15": "-detectors 5,3",
     r"-detectors 19,10.*": "-detectors 5,3,2,3",
+    r"-green_sources 8,10,12,10": "-green_sources 2,3,4,3",
     r"-sweep_points \d{3,}": "-sweep_points 200",
     r"-relax_steps \d+": "-relax_steps 3000",
     r"-pulse_time 600": "-pulse_time 200",

@@ -23,8 +23,9 @@ LIBRARIES["PETSc"] = ".".join(map(str, PETSc.Sys.getVersion()))
 
 def test_what_names_a_file_that_is_read_is_of_the_kind_whose_contents_count():
     """A text that may be any is where to write, or words: a file that is read has its own kind."""
+    directions = {"drive_direction", "drive_force", "green_direction"}
     free = {n for n, o in OPTIONS.items() if o.kind == TEXT and not o.choices}
-    assert free == {"output_file", "output_log", "drive_part", "lattice_free"}
+    assert free == {"output_file", "output_log", "drive_part", "lattice_free"} | directions
     read = {name for name, option in OPTIONS.items() if option.kind in (FILE, FILES)}
     assert read == {*changes.WRITERS} == {*map(changes.option_of, changes.SCENES)}
 

@@ -82,6 +82,8 @@ SCENES = {
     "pulse": (lambda: listen(sites=[(1, 1), (3, 0)]), "signals field energy spectrum bonds"),
     "bare signals": (bare_signals, "signals spectrum bonds"),
     "sensitivity": (sensitivity, "warmed cut changes sensitivity flux distribution bonds"),
+    "green": (lambda: result_of(pgran.green(LARGER, UNIT * SWEEP[::9], [(4, 5), (8, 5)]), LARGER),
+              "green"),
     "network": (network, "shapes participation density reduced network amplitude phase delay wall"),
     "modes of a network": (lambda: network(driven=False),
                            "shapes participation density reduced network"),

@@ -8,6 +8,7 @@ import growth_faults
 import mode_faults
 import numpy as np
 import packing_faults
+import pattern_faults
 import pytest
 from guarantees import GUARANTEES, carry_out
 
@@ -49,6 +50,9 @@ SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt
     "sources": (judge.Judge, "assess", too_small),
     "networks": (judge.Judge, "assess", too_small),
     "forces": (amplitude_faults, "exact_network_force", lambda force: 1.01 * force),
+    "green": (
+        pattern_faults.PatternSolver, "products", lambda found: ((1 + 1e-9) * found[0], found[1])
+    ),
     "curves": (
         amplitude_faults, "swept", lambda run: replace(run, displacement=1.02 * run.displacement)
     ),

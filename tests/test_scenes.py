@@ -27,6 +27,7 @@ BASE = {
     "projection": "-lattice_shape 5,4 -sweep_points 9",
     "pulse": "-lattice_shape 5,4 -detectors 2,2 -pulse_width 5 -pulse_time 100 -pulse_points 60",
     "sensitivity": "-lattice_shape 5,4 -detectors 2,2 -sweep_points 9",
+    "green": "-lattice_shape 5,4 -green_sources 2,2 -sweep_points 9",
     "ensemble response": "-lattice_shape 5,4 -detectors 2,2 -sweep_points 150 "
     "-lattice_damping .05 -sweep_method points -ensemble_samples 3 -ensemble_keep curves",
     "ensemble modes": "-lattice_shape 5,4 -ensemble_samples 3 -ensemble_keep curves",
@@ -95,6 +96,8 @@ CHANGES = {
     "modes_detectors": "1,3",
     "modes_density": ("7", "-modes_density 8"),
     "sensitivity_most": "7",
+    "green_sources": "1,3",
+    "green_receivers": "1,3",
     "heat_factor": ("1.1", "-heat_factor 1.01"),
     "heat_overlap": (".02", f"{HERTZ} -heat_overlap .01"),
     "heat_balls": ("2,2,3,3", "-heat_factor 1.01"),
@@ -107,12 +110,13 @@ CHANGES = {
 # test_sound.py
 SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "network_rattlers"),
-    *("detectors_component", "ensemble_of", "statistics_windows"),
+    *("detectors_component", "ensemble_of", "statistics_windows", "green_direction"),
     *("bonds_gravity", "drive_direction", "drive_force"),
     *("heat_radius", "heat_kelvin", "heat_expansion", "heat_relax"),
 }
-# Of many samples modes have no widths and sources.
-IDLE = {"ensemble modes": ["lattice_damping", "drive_part", "drive_balls"]}
+# Forces on single balls ask for no drive; of many samples modes have no widths and sources.
+DRIVE = ["drive_part", "drive_balls"]
+IDLE = {"ensemble modes": ["lattice_damping", *DRIVE], "green": DRIVE}
 
 
 def own_options(scene):

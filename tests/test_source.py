@@ -139,7 +139,8 @@ def test_parts_and_directions_of_held_balls():
         (DISCS, {"part": "q<1"}, "there is no q along what is held; coordinates are: x, y"),
         (DISCS, {"part": "x>9"}, "-drive_part: 'x>9' chooses no ball"),
         (CHAIN, {"balls": [0]}, "drive_balls: ball 0 is held"),
-        (CHAIN, {"direction": (0, 1)}, "balls here have one displacement"),
+        (CHAIN, {"direction": (0, 1)}, "-drive_direction: balls of this medium have one displ"),
+        (DISCS, {"direction": "z"}, "-drive_direction: choose drive, x, y, or 2 components"),
         (random_lattice((3, 3)), {"balls": (3, 3)}, "drive_balls: ball .3, 3. is outside"),
     ],
 )

@@ -133,22 +133,37 @@ class ErrorBounds(Owner):
     def rounding(self, x):
         """Return |f| + (|K| + |s| beta |C| + |s|^2 m) |x| for each of this rank's balls.
 
-        Collective. With a = |x|, |K| a = 2 diag(K) a - K a of a Laplacian, and likewise for C. One
-        product gives both: with t = omega / (|s| + sigma), which is 1 for s = i omega,
+        Collective.
+        """
+        return self._force + self.product_sizes(x)
+
+    def product_sizes(self, x):
+        """Return (|K| + |s| beta |C| + |s|^2 m) |x| for each of this rank's balls. Collective."""
+        a = np.abs(x.getArray(readonly=True))
+        self._work.setArray(a)
+
+        def times_a(matrix):
+            matrix.mult(self._work, self._product)
+            return self._product.getArray(readonly=True)
+
+        return self.magnitudes(a, times_a)
+
+    def magnitudes(self, a, times_a):
+        """Return (|K| + |s| beta |C| + |s|^2 m) a for this rank's rows of nonnegative numbers a.
+
+        Collective; a has one column, or several, and `times_a` returns a matrix times a. With
+        |K| a = 2 diag(K) a - K a of a Laplacian, and likewise for C, one product gives both: with
+        t = omega / (|s| + sigma), which is 1 for s = i omega,
 
             Re(S a) + t Im(S a) = K a + |s| beta C a + (2 sigma |s| - |s|^2) m a.
         """
-        a = np.abs(x.getArray(readonly=True))
-        self._work.setArray(a)
+        terms = (self._weights * a.T).T  # row by row
         if not self.operators.laplacian:
-            terms = self._force + self._weights * a
             for factor, sizes in self._sizes:
-                sizes.mult(self._work, self._product)
-                terms += factor * self._product.getArray(readonly=True).real
+                terms += factor * times_a(sizes).real
             return terms
-        self.operators.S.mult(self._work, self._product)
-        product = self._product.getArray(readonly=True)
-        return self._force + self._weights * a - product.real - self._imaginary * product.imag
+        product = times_a(self.operators.S)
+        return terms - product.real - self._imaginary * product.imag
 
     def random_rounding(self, terms):
         """Return a residual as rounding leaves it, of random signs, from the `rounding` of A~.

@@ -60,19 +60,27 @@ class Comparison(Owner):
         Collective; the next call overwrites it. `residual` is positive and no less than |f - S A~|,
         rounding included, at each of this rank's balls; `bounds` are prepared for this s.
         """
+        return self.verified(residual, bounds) if self.prepare() else None
+
+    def prepare(self):
+        """Set and factor <S> for this s; return whether it may prove anything. Collective."""
         if self._compare() <= 0:
-            return None
+            return False
+        works = set_up(self._ksp, self._matrix, self.operators)
+        if not works:
+            self.forget_factor()
+        return works
+
+    def verified(self, residual, bounds):
+        """Return what `errors` does, of one residual after the other once <S> is prepared."""
         # Room for the rounding of the product below; and no v so small that it vanishes.
         self._target.setArray(4 * residual + LEAST_PROVEN * bounds.scale)
-        if not set_up(self._ksp, self._matrix, self.operators):
-            self.forget_factor()
-            return None
         self._ksp.solve(self._target, self.v)
         v = self.v.getArray().real
         self.v.setArray(v)
         self._matrix.mult(self.v, self._product)
         product = self._product.getArray(readonly=True).real
-        rounding = bounds.unit * bounds.rounding(self.v) + 16 * SMALLEST_NORMAL
+        rounding = bounds.unit * bounds.product_sizes(self.v) + 16 * SMALLEST_NORMAL
         proven = bool(np.all((v > 0) & (v < np.inf) & (product - rounding >= residual)))
         return self.v if self.comm.allreduce(proven, MPI.LAND) else None
 

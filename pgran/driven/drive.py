@@ -98,10 +98,10 @@ def reached_accuracy(record, good):
     """Yield in words how accurate a record's amplitudes are; `good` says which states are."""
     floored = record.at_floor[good] > 0
     bound, amplitude = record.error_bound[good][~floored], record.amplitude[good][~floored]
-    if np.isnan(bound).any():
+    if not np.isfinite(bound).all():
         yield Caution(
-            "no error bounds: none is known of an undamped lattice that ranks share "
-            "(-ranks_per_lattice 1 gives them)"
+            "no error bounds: none is known where balls float or turn undamped, nor of an undamped "
+            "lattice that ranks share (-ranks_per_lattice 1 gives them)"
         )
     elif bound.size:
         relative = np.divide(bound, amplitude, out=np.zeros_like(bound), where=bound > 0).max()

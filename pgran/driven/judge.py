@@ -93,7 +93,7 @@ class Detectors(Owner):
 class Judge(Owner):
     """Bounds the errors of solutions and judges them, for a `steady.SteadySolver`. Collective."""
 
-    owns = ("bounds", "detectors", "_comparison", "_bent")
+    owns = ("bounds", "detectors", "comparison", "_bent")
 
     def __init__(self, operators, sites, tolerance, floor, whole_field):
         """Make what reads and what bounds by norms."""
@@ -108,14 +108,14 @@ class Judge(Owner):
         return self.operators.f.duplicate()
 
     @cached_property
-    def _comparison(self):
+    def comparison(self):
         """What bounds ball by ball. Collective when first asked for."""
         return Comparison(self.operators)
 
     def forget_factors(self):
         """Free what PETSc may have marked as failed for good. Collective."""
-        if "_comparison" in vars(self):
-            self._comparison.forget_factor()
+        if "comparison" in vars(self):
+            self.comparison.forget_factor()
 
     def assess(self, s, systems, krylov):
         """Return the state reached, its bounds, and whether they meet the tolerance.
@@ -155,7 +155,7 @@ class Judge(Owner):
         if not math.isfinite(state.backward_error) or not np.all(np.isfinite(state.displacement)):
             return state
         bounds, bound, field_bound = self.bounds, state.error_bound, state.field_bound
-        errors = self._comparison.errors(bounds.residuals(primal), bounds)
+        errors = self.comparison.errors(bounds.residuals(primal), bounds)
         if errors is not None:
             corrected = np.abs(state.displacement - self.detectors.read(primal.solution))
             bound = np.fmin(bound, 1.01 * (self.detectors.read_errors(errors) + corrected))

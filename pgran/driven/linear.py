@@ -144,6 +144,22 @@ class Krylov(Owner):
         self._solve(rhs, 0.01)
         return self._correction if self.ksp.getConvergedReason() > 0 else None
 
+    def invert(self, block, image):
+        """Set the columns of a block to S^-1 of another's: by a factorization, else one by one.
+
+        Collective.
+        """
+        if self.pc.getType() in FACTORIZATIONS:
+            self.pc.getFactorMatrix().matSolve(block, image)
+            return
+        rhs, columns = self._correction.duplicate(), block.getDenseArray(readonly=True).T
+        for column, solution in zip(columns, image.getDenseArray().T, strict=True):
+            rhs.setArray(column)
+            self._solve(rhs, self._rtol)
+            solution[:] = self._correction.getArray(readonly=True)
+        image.assemble()
+        rhs.destroy()
+
     def _solve(self, rhs, rtol):
         """Solve for a right-hand side."""
         self.ksp.setTolerances(rtol=rtol)

@@ -100,6 +100,10 @@ class SteadySolver(Owner):
         pc = self._krylov.pc
         return pc.getFactorMatrix() if pc.getType() in FACTORIZATIONS else None
 
+    def invert(self, block, image):
+        """Set a block's columns to S^-1 of another's, as good as its factors. Collective."""
+        self._krylov.invert(block, image)
+
     @property
     def _systems(self):
         """What is solved at the present s: no adjoints where they would prove nothing."""

@@ -9,41 +9,42 @@ size kmax moves balls by some spacings, as a wall does that moves by 1: amplitud
 F / kmax.
 """
 
+import contextlib
 import dataclasses
 
 import numpy as np
 
-from pgran.arguments import called_right, choice
+from pgran.arguments import called_right, choice, shown
 from pgran.errors import InputError
 from pgran.medium.bonds import AXES
 from pgran.medium.conditions import choose
 from pgran.medium.springs import AT_REST, DRIVEN
 from pgran.run.numbers import numbers
-from pgran.run.options import INTEGERS, REALS, TEXT, Option
+from pgran.run.options import INTEGERS, TEXT, Option
 from pgran.store.estimate import counted
 
+ALONG = "the drive's direction, x, y, z, or components as 1,0,1"
 OF_SOURCE = (
     Option(
         "drive_part", TEXT, None,
         "which part drives: places of the wall, or held balls, by a condition such as 'y>=5 and "
         "y<15'; all else is at rest"
     ),
-    Option("drive_direction", REALS, None, "of networks with vectors: how held balls move, 0,1"),
+    Option(
+        "drive_direction", TEXT, "drive", f"of networks with vectors: how held balls move, {ALONG}"
+    ),
     Option(
         "drive_balls", INTEGERS, None,
         "a force on these balls drives instead: indices from 0, flat, as of detectors; in all it "
         "has the size kmax, amplitudes are in units of that force over kmax",
         low=0, high=2**63 - 1
     ),
-    Option(
-        "drive_force", TEXT, "drive", "of networks with vectors: direction of that force",
-        choices=("drive", *AXES)
-    ),
+    Option("drive_force", TEXT, "drive", f"of networks with vectors: along what it is, {ALONG}"),
 )  # fmt: skip
 
 
 @called_right
-def with_source(medium, part=None, direction=None, balls=None, force="drive"):
+def with_source(medium, part=None, direction="drive", balls=None, force="drive"):
     """Return a medium that something else drives: the options `-drive_part` and so on.
 
     Parameters
@@ -51,13 +52,14 @@ def with_source(medium, part=None, direction=None, balls=None, force="drive"):
     medium : pgran.Lattice or pgran.Network
     part : str, optional
         A condition on places of the wall, or on held balls: these move, the others are at rest.
-    direction : array_like of float, shape (d,), optional
-        How held balls move, of networks with vectors.
+    direction : str or array_like of float, shape (d,)
+        How held balls move, of networks with vectors: `drive`, as they do, `x`, `y`, `z`, or
+        components.
     balls : array_like of int, optional
         Balls under a force, which drives instead of what is held: of the size kmax, in equal
         shares.
-    force : str
-        The axis of that force, of networks with vectors, or `drive`, the direction there is.
+    force : str or array_like of float, shape (d,)
+        The direction of that force, likewise.
 
     Returns
     -------
@@ -70,14 +72,11 @@ def with_source(medium, part=None, direction=None, balls=None, force="drive"):
     """
     if part is not None and balls is not None:
         raise InputError("-drive_part and -drive_balls: either a wall moves or a force drives")
-    if force != "drive":
-        if balls is None:
-            raise InputError("-drive_force: is that on -drive_balls")
-        direction = np.eye(len(AXES))[AXES.index(force)][: medium.axes]
-    if direction is not None:
-        if medium.is_grid or medium.axes == 1:
-            raise InputError("-drive_direction, -drive_force: balls here have one displacement")
-        medium = dataclasses.replace(medium, direction=direction)
+    if balls is None and not is_drive(force):
+        raise InputError("-drive_force: is that on -drive_balls")
+    for name, chosen in (("drive_direction", direction), ("drive_force", force)):
+        if not is_drive(chosen):
+            medium = dataclasses.replace(medium, direction=along(medium, chosen, name))
     if part is not None:
         medium = dataclasses.replace(medium, **_part(medium, part))
     if balls is not None:
@@ -85,6 +84,34 @@ def with_source(medium, part=None, direction=None, balls=None, force="drive"):
         shares = np.bincount(places, minlength=medium.free_balls) / len(places)
         medium = dataclasses.replace(medium, **medium.pushed_by(medium.kmax * shares))
     return medium
+
+
+def is_drive(direction):
+    """Return whether a direction is that of the drive."""
+    return isinstance(direction, str) and direction == "drive"
+
+
+def along(medium, direction, name):
+    """Return the direction that is asked for, of length 1; (1,) where balls have one displacement.
+
+    Raises InputError, which calls it by its `name`, if there is no such direction.
+    """
+    own = getattr(medium, "direction", np.ones(1))
+    if is_drive(direction):
+        return own
+    if len(own) == 1:
+        raise InputError(f"-{name}: balls of this medium have one displacement")
+    if isinstance(direction, str):
+        components = [float(direction == axis) for axis in AXES[: len(own)]]
+        with contextlib.suppress(ValueError):
+            components = [float(word) for word in direction.split(",")]
+    else:
+        components = numbers(f"-{name}", direction)
+    size = np.linalg.norm(components)
+    if np.shape(components) != own.shape or not 0 < size < np.inf:
+        possible = f"drive, {', '.join(AXES[: len(own)])}, or {len(own)} components"
+        raise InputError(f"-{name}: choose {possible}, not {shown(direction)}")
+    return np.asarray(components) / size
 
 
 def _part(medium, condition):

@@ -231,13 +231,15 @@ def _rows(network, i, j):
     damped = float(network.damped == "all")
     # constants that are given, zeros too: amplitudes have derivatives by them
     bent, sheared = network.force is not None, network.tangential is not None or damped
-    for t in tangents(network.normal):
+    across = tangents(network.normal)
+    # n x t: of two tangents each is the other's, exactly
+    levers = [np.ones((len(i), 1))] if len(across) == 1 else [across[1], -across[0]]
+    for t, lever in zip(across, levers, strict=True):
         if not network.turns:
             kinds = [("transverse", row(t), shear + pre_stress, shear, damped)]
             wanted = [bent or sheared]
         else:
             # (R theta) . (n x t): what a ball's rotation adds to the slip along t
-            lever = _cross(network.normal, t)
             turned = [-network.radius[end][:, None] * lever for end in (i, j)]
             kinds = [
                 ("tangential", row(t, *turned), shear, shear, damped),
@@ -256,10 +258,3 @@ def tangents(normal):
     first = np.cross(normal, axis)
     first /= np.linalg.norm(first, axis=1)[:, None]
     return [first, np.cross(normal, first)]
-
-
-def _cross(a, b):
-    """Return a x b, in two dimensions its component along z, shape (n, 1 or 3)."""
-    if a.shape[1] == 3:
-        return np.cross(a, b)
-    return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]

@@ -1,0 +1,1 @@
+"""How far a unit force on one ball moves another, and local densities of states."""

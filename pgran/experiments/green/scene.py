@@ -1,0 +1,207 @@
+"""Scene `green`: how far a unit force on one ball moves another, and local densities of states."""
+
+import contextlib
+
+import numpy as np
+
+from pgran.driven.accurate import below_relative_accuracy, is_accurate
+from pgran.driven.drive import STEADY, reached_accuracy
+from pgran.driven.sweep import FrequencySweep
+from pgran.experiments.green.record import Green
+from pgran.medium.base import medium
+from pgran.medium.rounding import EPSILON
+from pgran.medium.source import ALONG, along
+from pgran.medium.units import warn_above_modes
+from pgran.run.agreement import agreeing
+from pgran.run.experiment import Caution, Scene
+from pgran.run.frequencies import SWEEP, check_sweep
+from pgran.run.interface import in_parallel
+from pgran.run.keys import with_solver
+from pgran.run.keywords import PROGRESS, Asked, options_of, run_of
+from pgran.run.machine import check_memory
+from pgran.run.options import INTEGERS, TEXT, Option
+from pgran.run.task import carry_out
+from pgran.store.estimate import counted
+from pgran.store.fields import ball_names
+from pgran.store.record import columns_of, row_of
+
+GOOD, MISSED = 1, 0  # reasons of frequencies
+BYTES = 200  # of an unknown under each pattern, while a frequency is solved
+
+PLACES = {"low": 0, "high": 2**63 - 1}
+SOURCES = Option(
+    "green_sources", INTEGERS, (8, 10), "balls that are pushed, indices from 0, flat", **PLACES
+)
+RECEIVERS = Option(
+    "green_receivers", INTEGERS, None, "balls that are heard; unless given those pushed", **PLACES
+)
+DIRECTION = Option(
+    "green_direction",
+    TEXT,
+    "drive",
+    f"of networks with vectors: along what balls are pushed and heard, {ALONG}",
+)
+
+
+def as_option(option):
+    """Declare what Python may say in other words than an option."""
+    return Asked((option,), lambda options, *_: getattr(options, option.name))
+
+
+def summary(result):
+    """Return in words what a run found."""
+    record, good = result.green, result.green.converged_reason > 0
+    nw, omega, density = len(record.omega), record.omega, record.local_density
+    yield (
+        f"{counted(nw, 'frequency')} with {counted(record.factorizations, 'factorization')} in "
+        f"{record.solve_seconds:.2f} s: {counted(record.green[0].size, 'pair')} of balls"
+    )
+    if record.failures:
+        failed = f"{record.failures} of {nw} frequencies"
+        yield Caution(f"{failed} failed or missed the accuracy asked for")
+    yield from reached_accuracy(record, good)
+    if not np.isfinite(record.error_bound[good]).all():
+        yield f"backward errors at most {record.backward_error[good].max():.1e} (backward_error)"
+    # without damping densities are lines at the modes
+    whole = nw > 1 and good.all() and result.medium.damping
+    for p, ball in enumerate(ball_names(record.source) if whole else []):
+        integral = np.diff(omega) @ (density[1:, p] + density[:-1, p]) / 2
+        yield (
+            f"{ball}: its local density of states, joined by straight lines, integrates to "
+            f"{integral:.4g} from {omega[0]:.6g} to {omega[-1]:.6g}; over all frequencies to 1"
+        )
+
+
+@in_parallel(
+    "green",
+    shares_lattice=True,
+    lattice=medium,
+    omegas=SWEEP,
+    sources=as_option(SOURCES),
+    receivers=as_option(RECEIVERS),
+    direction=as_option(DIRECTION),
+)
+@with_solver
+def green(
+    lattice,
+    omegas,
+    sources,
+    receivers=None,
+    crew=None,
+    *,
+    direction="drive",
+    error_tolerance=STEADY["error_tolerance"],
+    error_floor=STEADY["error_floor"],
+    progress=PROGRESS,
+) -> Green:
+    """Solve for the displacements of balls under a unit force on one of them.
+
+    The matrix G = e_d^T S^-1 e_p of all pairs is symmetric. Its diagonal gives local densities of
+    states, -(2 omega m / pi) Im G_pp, whose integrals over all frequencies are 1, and the power
+    that the force puts in, -omega Im G_pp / 2. Nothing else is driven.
+
+    Parameters
+    ----------
+    sources, receivers : array_like of int
+        Balls that are pushed, and balls that are heard, unless given the same: indices, flat or one
+        row a ball.
+    direction : str or array_like of float, shape (axes,)
+        Of networks with vectors: of all forces and displacements; `drive`, `x`, `y`, `z`, or
+        components.
+    """
+    with agreeing(crew.world):
+        receivers = sources if receivers is None else receivers
+        choices = {"error_tolerance": error_tolerance, "error_floor": error_floor}
+        task = GreenSweep(lattice, omegas, sources, receivers, direction, choices)
+    warn_above_modes(lattice, crew.world, omegas[0])
+    return carry_out(task, crew, progress)
+
+
+class GreenSweep(FrequencySweep):
+    """Green's functions at each frequency, in the lattice's own unit."""
+
+    def __init__(self, lattice, omegas, sources, receivers, direction, choices):
+        """Say what a frequency's results travel in."""
+        sources = lattice.sites(sources, "green_sources")
+        self.receivers = lattice.sites(receivers, "green_receivers")
+        own, heard = len(sources), len(self.receivers)
+        row = row_of(Green, receiver_number=(heard,), source_number=(own,))
+        row += [("own", complex, (own,)), ("own_bound", float, (own,))]
+        check_memory("green_sources", BYTES * lattice.size * (own + heard))
+        super().__init__(lattice, omegas, sources, row, choices)
+        self.direction = along(lattice, direction, "green_direction")
+        self.pushed, self.heard = self.forces(sources), self.forces(self.receivers)
+        if not np.array_equal(self.sites, self.receivers):  # what is pushed is heard, too
+            self.heard = np.concatenate([self.heard, self.pushed])
+
+    def forces(self, sites):
+        """Return unit forces on balls as patterns of mass-weighted unknowns, (n, unknowns)."""
+        unknowns, _ = self.scaled.readings(sites)
+        force = np.zeros((len(sites), self.scaled.size))
+        force[np.arange(len(sites))[:, None], unknowns] = self.direction
+        fields = self.scaled.displacements(force.reshape(-1, *self.scaled.shape))
+        return fields.reshape(force.shape)
+
+    @contextlib.contextmanager
+    def open(self, group):
+        """See `Task`."""
+        from pgran.driven.operators import Operators
+        from pgran.driven.patterns import PatternSolver
+
+        with (
+            Operators(self.scaled, group) as operators,
+            PatternSolver(operators, **self.choices) as solver,
+        ):
+
+            def work(unit):
+                points = np.zeros(len(unit), self.row)
+                for point, index in zip(points, unit, strict=True):
+                    self.compute(point, solver, 1j * self.omegas[index])
+                return points
+
+            yield work
+
+    def compute(self, point, solver, s):
+        """Put into a row what there is at one s. Collective over a group."""
+        before, heard = solver.factorizations, len(self.receivers)
+        solver.solve(s)
+        values, bounds = solver.products(self.heard, self.pushed)
+        point["green"], point["error_bound"] = values[:heard], bounds[:heard]
+        for name, found in (("own", values), ("own_bound", bounds)):
+            point[name] = np.diagonal(found[-len(self.pushed) :])
+        good = is_accurate(bounds, values, solver.tolerance)
+        good |= bounds <= self.choices["error_floor"] / abs(self.scaled.kmax)
+        if np.isinf(bounds).all():
+            good = solver.solved
+        point["backward_error"] = solver.backward_error
+        point["converged_reason"] = GOOD if np.all(good) else MISSED
+        point["factorizations"] = solver.factorizations - before
+
+    def collect(self, rows, seconds):
+        """See `Task`."""
+        columns, scaled = columns_of(Green, rows), self.scaled
+        G, bound = columns["green"], columns["error_bound"]
+        at_floor = below_relative_accuracy(bound, G, self.choices["error_tolerance"])
+        at_floor[columns["converged_reason"] <= 0] = 0
+        G /= self.unit
+        bound /= self.unit
+        ratio = np.broadcast_to(scaled.inertia_ratio, scaled.free_balls)
+        mass = scaled.mass / ratio[scaled.numbers_of(self.sites)]
+        factor = 2 / np.pi * self.omegas[:, None] * mass
+        density = -factor * rows["own"].imag
+        return Green(
+            **columns,
+            factorizations=int(rows["factorizations"].sum()),
+            solve_seconds=seconds,
+            omega=self.omegas,
+            direction=self.direction,
+            source=self.sites,
+            receiver=self.receivers,
+            mass=self.unit * mass,
+            at_floor=at_floor,
+            local_density=density,
+            local_density_bound=factor * rows["own_bound"] + 8 * EPSILON * np.abs(density),
+        )
+
+
+SCENE = Scene(options_of(green), run_of(green), summary, check_sweep, shares_lattice=True)
