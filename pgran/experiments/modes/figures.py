@@ -41,9 +41,9 @@ def figures(result, **_):
     if len(record.omega) >= MANY and np.ptp(record.omega) > 0:
         made["density"] = style.single(partial(density, fill=True, **both), CAPTIONS["density"])
         if dimension(lattice) and np.any(record.omega > 0):
-            edges, counts = log_bins(record.omega / lattice.omega_mx)
-            bins = {"edges": edges, "counts": counts, "lattice": lattice}
-            made["reduced"] = style.single(partial(reduced, **bins), OF_DENSITY["reduced"])
+            bins = log_bins(record.omega / lattice.omega_mx)
+            draw = partial(reduced, edges=bins[0], counts=bins[1], lattice=lattice)
+            made["reduced"] = style.single(draw, OF_DENSITY["reduced"])
     left = len(result.modes.omega) - len(record.omega)
     for name, figure in made.items():
         figure.caption += f" {left} modes at rest are left out." * (left > 0)

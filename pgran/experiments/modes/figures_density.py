@@ -23,11 +23,11 @@ def figures(result, **_):
     record, lattice = result.density, result.medium
     known = record.certified[1:] & record.certified[:-1] & (record.omega[:-1] > 0)  # not at rest
     counts = np.where(known, np.diff(record.count), 0)
-    bins = {"edges": record.omega / record.omega_mx, "counts": counts, "lattice": lattice}
     both = {"density": record, "lattice": lattice}
     draws = {"staircase": partial(staircase, **both), "density": partial(density, **both)}
     if dimension(lattice) and counts.any():
-        draws["reduced"] = partial(reduced, **bins)
+        bins = {"edges": record.omega / record.omega_mx, "counts": counts}
+        draws["reduced"] = partial(reduced, lattice=lattice, **bins)
     for name, draw in draws.items():
         figure = style.single(draw, CAPTIONS[name])
         if record.failures:
@@ -81,7 +81,7 @@ def log_bins(x):
     """Return edges of bins of equal ratio, and how many of the positive `x` each holds."""
     x = x[x > 0]
     ends = x.min() * (1 - 1e-9), x.max() * (1 + 1e-9)
-    edges = np.geomspace(*ends, min(BINS, max(4, round(np.sqrt(len(x))))) + 1)
+    edges = np.geomspace(*ends, min(BINS, round(np.sqrt(len(x)))) + 1)
     return edges, np.histogram(x, edges)[0]
 
 
