@@ -66,6 +66,25 @@ def participation(modes):
     return [np.median(modes.participation[split == part]) for part in range(3)]
 
 
+def audible(modes, shape, least=0.01):
+    """Return how many modes above omega_mx have a peak |A| above the `least`, of how many.
+
+    And the median of their peaks; decades by which the detector's and the wall's part in a mode
+    falls with each spacing between them and the ball that moves most; both correlations.
+    """
+    high = modes.omega > 1
+    peaks, part = modes.peak[high, 0], np.abs(modes.reading[high, 0])
+    vectors = np.abs(modes.vector[high]).reshape(np.count_nonzero(high), -1)
+    centre = np.stack(np.unravel_index(vectors.argmax(axis=1), shape), axis=1)
+    falls = []
+    for away, size in (
+        (np.linalg.norm(centre - modes.detector[0], axis=1), part),
+        (shape[0] - centre[:, 0], np.abs(modes.source[high])),
+    ):
+        falls += [fit_line(away, np.log10(size))[0], np.corrcoef(away, np.log10(size))[0, 1]]
+    return np.count_nonzero(peaks > least), len(peaks), np.median(peaks), *falls
+
+
 def spread(values):
     """Return mean, standard deviation and range of what is certain, and how many that are."""
     known = values[np.isfinite(values)]

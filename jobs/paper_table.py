@@ -6,6 +6,7 @@ import numpy as np
 from paper_beads import GROWTHS, LOADS, measures
 from paper_measures import (
     apart,
+    audible,
     bonds,
     count,
     deep,
@@ -150,7 +151,8 @@ SECTIONS = (
           lambda response: -fit_line(*(x[response.response.omega >= 1] for x in (
               response.response.omega, response.response.phase[:, 0])))[0]),
     )),
-    Section("modepic (section 4): three modes", ("modes-shapes", "modes-participation"), (
+    Section("modepic (section 4): three modes",
+            ("modes-shapes", "modes-participation", "modes-resonances"), (
         R("(a) second mode; how many balls take part", ".1013; extended", "{:.4f}; {:.0f}",
           lambda modes: (modes.modes.omega[1], modes.modes.participation[1])),
         R("second mode over samples", ".1013 of one",
@@ -165,6 +167,13 @@ SECTIONS = (
           lambda modes: participation(modes.modes)),
         R("modes above omega_mx, of all", "density very low", "{} of {}",
           lambda modes: (count(modes.modes, 1, np.inf), len(modes.modes.omega))),
+        R("modes above omega_mx whose peaks at ball (8, 10), each alone, exceed .01, of all; the "
+          "median peak; how f_i there falls with its distance from the ball that moves most, and "
+          "the overlap with the drive with that ball's distance from the wall, decades a spacing "
+          "(correlations)",
+          "seen only if the detector is inside the mode, and if it overlaps with the wall",
+          "{} of {}; {:.1g}; {:.2f} ({:.2f}), {:.2f} ({:.2f})",
+          lambda modes: audible(modes.modes, modes.lattice.shape)),
         R("modes above omega_mx over samples", "", "{:.1f} +- {:.1f}, {:.0f} to {:.0f}, {} samples",
           lambda ensemble_modes: spread(ensemble_modes.ensemble.above)),
     )),

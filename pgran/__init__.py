@@ -41,10 +41,12 @@ _HOMES = {
     "pulse": "pgran.experiments.pulse.scene",
     "relax": "pgran.experiments.relaxation.scene",
     "sensitivity": "pgran.experiments.sensitivity.scene",
+    "sound": "pgran.medium.statics",
     "statistics": "pgran.experiments.ensemble.statistics",
     "structure": "pgran.experiments.structure.scene",
     "sweep": "pgran.experiments.response.scene",
     "transport": "pgran.experiments.ensemble.transport",
+    "without_rattlers": "pgran.medium.graph",
     "with_source": "pgran.medium.source",
 }
 __all__ = sorted(_HOMES)

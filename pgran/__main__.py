@@ -35,6 +35,7 @@ pgran: sound in a granular material, a lattice of balls and random springs
   pgran import ATOMS CONTACTS -o TO   make a network of another program's balls
   pgran pack --balls N -o TO          make a packing in mechanical equilibrium
   pgran units --diameter M ...        say what the numbers are in SI units
+  pgran sound FILE                    say how fast long waves are, by statics
 
   pgran options [SCENE]               list every option
   pgran manual [TOPIC]                show a page of the manual, or list them
@@ -57,6 +58,7 @@ COMMANDS = {
     "import": ("imports", "run"),
     "pack": ("pack", "run"),
     "units": ("units", "run"),
+    "sound": ("sound", "run"),
     "manual": ("manual", "run"),
     "cite": ("manual", "cite"),
 }

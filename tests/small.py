@@ -7,7 +7,7 @@ from pathlib import Path
 OPTIONS = Path(__file__).parents[1] / "options"
 SMALL = {
     r"-lattice_shape 20,20": "-lattice_shape 6,5",
-    r"-detectors 8,10": "-detectors 2,3",
+    r"detectors 8,10": "detectors 2,3",
     r"-lattice_shape 56,30": "-lattice_shape 9,6",
     r"-drive_part .*": "-drive_part 'y>=2 and y<4'",
     r"-detectors 48,15": "-detectors 5,3",

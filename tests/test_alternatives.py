@@ -8,8 +8,8 @@ from small import OPTIONS
 # A comment that is a line of options, and those that follow it at once: they belong together.
 OFFERED = re.compile(r"(?:^#-.*\n)+", re.MULTILINE)
 SMALL = {
-    "lattice_shape": "6,5", "detectors": "2,3", "sweep_points": "20", "relax_steps": "40",
-    "ensemble_samples": "40", "modes_density": "4",
+    "lattice_shape": "6,5", "detectors": "2,3", "modes_detectors": "2,3", "sweep_points": "20",
+    "relax_steps": "40", "ensemble_samples": "40", "modes_density": "4",
 }  # fmt: skip
 
 

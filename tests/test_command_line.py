@@ -76,14 +76,15 @@ SMALL = "-lattice_shape 4,3"
          "response of a 4 x 3 lattice, bonds all 0.25, seed 1993, beta 0.1, omega_mx 1, "),
         (f"modes {SMALL} -bonds_law bimodal -bonds_kmax 1",
          "modes of a 4 x 3 lattice, bonds 1 with probability 0.5, else 0, seed 1993, "
-         "omega_mx 2, "),
+         "beta 0.003, omega_mx 2, "),
         (f"modes {SMALL} -bonds_law loguniform -bonds_kmin .1",
-         "modes of a 4 x 3 lattice, bonds log-uniform on [0.1, 0.25], seed 1993, omega_mx 1, "),
+         "modes of a 4 x 3 lattice, bonds log-uniform on [0.1, 0.25], seed 1993, "
+         "beta 0.003, omega_mx 1, "),
         (f"modes {SMALL} -bonds_law hertz -bonds_force 2 -bonds_hertz 4 -bonds_kmax .25",
          "modes of a 4 x 3 lattice, bonds by Hertz's law with c = 4, of exponential "
-         "forces of mean 2, seed 1993, omega_mx 1, "),
+         "forces of mean 2, seed 1993, beta 0.003, omega_mx 1, "),
         ("modes -network_file a.h5", "modes of the network a.h5, 2 free balls, 3 contacts, "
-         "scalar displacements, omega_mx 1, "),
+         "scalar displacements, beta 0.003, omega_mx 1, "),
         (f"ensemble -ensemble_of modes {SMALL} -ensemble_samples 3 -bonds_seed 7",
          "ensemble of modes of 3 lattices of 4 x 3, bonds uniform on [0, 0.25], seeds 7 to 9, "
          "omega_mx 1, "),

@@ -39,6 +39,7 @@ REFUSED = {  # of each scene, words and what is said of them
         "-modes_density 1": "-modes_density 1",
         "-modes_density 9 -modes_target .5 -modes_count 3": "-modes_target",
         "-modes_density 9 -modes_method dense": "-modes_method",
+        "-modes_density 9 -modes_detectors 2,2": "-modes_detectors",
         "-modes_density 9 -modes_omega_min .5": "-modes_omega_max",
         "-output_fields -modes_density 9": "-output_fields",
         "-ranks_per_lattice 2": "-ranks_per_lattice",

@@ -181,7 +181,7 @@ def test_tables_of_scenes(tmp_path, medium):
     assert export(result_of(modes, net), path) == [path]
     names = assert_columns(path, {"participation": modes.participation})
     proven = ("omega_bound",) * (medium == "network")
-    assert names == ("omega", "residual", "participation", *proven)
+    assert names == ("omega", "residual", "participation", *proven, "width", "source")
 
 
 def test_tables_of_several_axes(tmp_path):

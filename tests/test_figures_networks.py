@@ -158,7 +158,7 @@ def test_arrows_are_displacements_of_the_modes_chosen(displacement):
     net = strip(displacement, tangential=np.full(len(strip().bond), 0.5))
     result = result_of(pgran.find_modes(net, shapes=True), net)
     made = figures.make(result)
-    assert list(made) == ["shapes", "participation", "density", "network"]
+    assert list(made) == ["shapes", "participation", "density", "reduced", "network"]
     panels = made["shapes"].panels
     x, each = result.modes.omega / net.omega_mx, net.components
     for mode, ax in zip(modes.pick(x, result.modes.participation), panels, strict=True):

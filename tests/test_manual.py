@@ -253,7 +253,7 @@ def test_what_to_cite(call, start):
     words = [*mumps.split(), *small.split()]
     found = start("run", "a.opts", *words, "a.h5").stdout
     modes = str(ROOT / "options" / "modes.opts")
-    found += start("run", modes, *small.split(), "b.h5").stdout
+    found += start("run", modes, "-modes_detectors", "2,3", *small.split(), "b.h5").stdout
     keys = re.findall(r"^@\w+\{([\w-]+),", found, re.MULTILINE)
     assert {"petsc-user-ref", "MUMPS01", "slepc-toms"} <= {*keys}
     assert [key for key in keys if f"{{{key}," not in text] == []

@@ -64,7 +64,7 @@ def test_heaters_in_packings_of_beads_are_a_step_of_their_own(commands, tmp_path
 
 SMALL = {
     "-lattice_shape": "8,8", "-detectors": "4,3", "-sweep_points": "141", "-relax_steps": "3200",
-    "-ensemble_samples": "2",
+    "-ensemble_samples": "2", "-modes_detectors": "4,3",
 }  # fmt: skip
 
 

@@ -1,7 +1,6 @@
 """Pulses of the wall: their signals against an integrator, and what bounds them."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +23,8 @@ from pgran.experiments.pulse.laplace import Line, largest_amplitudes, limits_of
 from pgran.experiments.pulse.signals import arrivals
 from pgran.experiments.pulse.wall import Pulse
 from pgran.medium.lattice import Lattice
+from pgran.medium.record import record_of
+from pgran.store.record import Result
 
 
 def test_nothing_arrives_before_the_front(world):
@@ -111,7 +112,7 @@ def test_a_front_that_shares_of_energy_cannot_tell_is_none():
     found = pgran.pulse(pgran.Lattice.random((3, 3)), [(0, 2)], method="integrate", **sent)
     assert found.wall_arrival > 50
     assert np.isnan(found.arrival[0])
-    result = SimpleNamespace(pulse=found, medium=pgran.Lattice.random((3, 3)), units=None)
+    result = Result([record_of(pgran.Lattice.random((3, 3))), found])
     assert "when its front arrives is not certain" in "".join(pulse.summary(result))
 
 

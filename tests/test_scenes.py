@@ -94,6 +94,7 @@ CHANGES = {
     "modes_target": (".5", NEAREST),
     "modes_count": ("4", NEAREST),
     "modes_method": "dense",
+    "modes_detectors": "1,3",
     "modes_density": ("7", "-modes_density 8"),
     "sensitivity_most": "7",
     "green_sources": "1,3",
@@ -109,17 +110,17 @@ CHANGES = {
     "ensemble_samples": "4",
     "ensemble_keep": "measures",
 }
-# test_command_line.py, test_motion.py, test_network.py, test_ensemble.py, test_radii.py
+# test_command_line.py, test_motion.py, test_network.py, test_ensemble.py, test_radii.py,
+# test_sound.py
 SEEN_ELSEWHERE = {
-    *("bonds_file", "pulse_file", "network_file", "network_damping", "detectors_component"),
-    *("ensemble_of", "statistics_windows", "bonds_gravity", "drive_direction", "drive_force"),
-    "green_direction",
+    *("bonds_file", "pulse_file", "network_file", "network_damping", "network_rattlers"),
+    *("detectors_component", "ensemble_of", "statistics_windows", "green_direction"),
+    *("bonds_gravity", "drive_direction", "drive_force"),
     *("heat_radius", "heat_kelvin", "heat_expansion", "heat_relax"),
 }
-# Modes and forces on single balls ask for no drive; normal modes are those without damping.
+# Waves and forces on single balls ask for no drive; of many samples modes have no widths and sources.
 DRIVE = ["drive_part", "drive_balls"]
-NOT_OF_MODES = ["lattice_damping", *DRIVE]
-IDLE = {"modes": NOT_OF_MODES, "ensemble modes": NOT_OF_MODES, "green": DRIVE, "structure": DRIVE}
+IDLE = {"green": DRIVE, "structure": DRIVE, "ensemble modes": ["lattice_damping", *DRIVE]}
 
 
 def own_options(scene):

@@ -8,18 +8,21 @@ import pytest
 from samples import Naive, listened, random_lattice, reference_of, swept, uniform_lattice
 from scipy.integrate import trapezoid
 from scipy.special import jv
+from synthetic import fair
 
 import pgran
 from pgran.driven.operators import Operators
 from pgran.errors import InputError
 from pgran.experiments.pulse.integrator import Integrator
 from pgran.experiments.pulse.laplace import Line, limits_of
-from pgran.experiments.pulse.scene import predicted_seconds
-from pgran.experiments.pulse.signals import codas, envelopes
+from pgran.experiments.pulse.scene import predicted_seconds, summary
+from pgran.experiments.pulse.signals import codas, envelopes, front_speed
 from pgran.experiments.pulse.wall import Pulse
 from pgran.medium import crystals as makers
 from pgran.medium.lattice import Lattice
+from pgran.medium.record import record_of
 from pgran.run.keys import holding_solver, solver_keys_of
+from pgran.store.record import Result
 
 SHORT = {"shape": "gauss", "width": 4.0, "time": 100.0, "points": 101}
 MOTION = Pulse("gauss", 0.0, 4.0)
@@ -273,6 +276,23 @@ def test_steps_of_a_fixed_length_are_halved_for_the_estimate(alone, solver_optio
 
 
 # Codas and envelopes
+
+
+def test_the_speed_of_fronts():
+    """By noisy arrivals within its error; of a soft push down a chain that of long waves."""
+    rng, depth = np.random.default_rng(3), np.arange(1.0, 13)
+    noise = 0.4 * rng.standard_normal((200, 12))
+    fair([front_speed(depth, 5 + depth / 0.3 + row) for row in noise], 0.3)
+    for arrival in (np.where(depth < 3, depth, np.nan), -depth):
+        assert np.isnan(front_speed(depth, arrival).value)
+    lattice = uniform_lattice((60,), damping=0.0)
+    found = pgran.pulse(lattice, [10, 20, 30, 40, 50], shape="gauss", width=12.0, time=300.0)
+    speed = front_speed(lattice.depths(found.detector), found.arrival)
+    assert speed.value == pytest.approx(pgran.sound(lattice).longitudinal.speed, rel=0.02)
+    result = Result([record_of(lattice), found])
+    (line,) = (line for line in summary(result) if line.startswith("fronts run"))
+    assert line.startswith(f"fronts run at {speed.value:.4g} +- ")
+    assert line.endswith("from 10 to 50 spacings deep")
 
 
 def test_the_rate_of_a_noisy_decay_is_within_its_standard_error():

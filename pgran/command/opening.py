@@ -18,7 +18,7 @@ def opening(options, ranks, lattice=None):
     else:
         facts = [*(_lattice if options.network_file is None else _network)(options, lattice)]
         facts += in_words(lattice)
-        if (of or options.scene) != "modes":
+        if of != "modes":  # samples keep no widths of theirs
             facts.append(f"beta {lattice.damping:g}")
         unit = SI.of(options).say("Hz", lattice.omega_mx)
         facts.append(f"omega_mx {lattice.omega_mx:.6g}{unit}")
@@ -29,7 +29,8 @@ def opening(options, ranks, lattice=None):
 def _network(options, network):
     """Return the facts of a network that was read."""
     yield f"the network {options.network_file}"
-    yield f"{len(network.free)} free balls, {network.bonds} contacts"
+    loose = " without rattlers" * (options.network_rattlers == "remove")
+    yield f"{len(network.free)} free balls{loose}, {network.bonds} contacts"
     moves = {"scalar": "scalar displacements", "vector": "vectors", "rotations": "rotations"}
     where = "" if network.displacement == "scalar" else f" in {network.axes} dimensions"
     yield moves[network.displacement] + where

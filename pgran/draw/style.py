@@ -21,7 +21,9 @@ FEW, HANDFUL = 100, 10  # points that are marked by dots, and that make no curve
 LETTERS = 15  # to an inch
 LETTERED, BESIDE = 0.25, 0.5  # inches that (a) needs before a title; left of it, and after it
 SIGNED = "cividis"  # from -1 to 1: the sign is seen in grey, too
-HEARD = ("response", "pulse", "relaxation", "sensitivity", "heat", "ensemble", "green")
+HEARD = (
+    "response", "modes", "pulse", "relaxation", "sensitivity", "heat", "ensemble", "green",
+)  # fmt: skip
 LETTER = "abcdefghijklmnopqrstuvwxyz"  # of panels
 ACCENT, FAILED, MODE, UNRESOLVED = "#0072B2", "#D00000", "#555555", "#D55E00"
 COLOURS = ("black", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")

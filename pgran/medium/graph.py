@@ -14,7 +14,7 @@ from pgran.errors import InputError
 from pgran.medium.base import Elimination
 from pgran.medium.ordering import elimination_order
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
-from pgran.medium.springs import DRIVEN, FREE
+from pgran.medium.springs import AT_REST, DRIVEN, FREE
 
 # Multiplications of a factorization: beyond these all ranks share the network; up to so many for
 # each unknown PETSc is faster than MUMPS; up to so many for each ball a better order of MUMPS costs
@@ -156,6 +156,41 @@ def without_floating(network):
     """
     kept = np.flatnonzero(anchored(network.bond, network.held))
     return part(network, kept), kept
+
+
+def rattlers(network):
+    """Return which free balls too few contacts hold, shape (balls,): what they touch, but for them.
+
+    In balance a ball that repels its neighbours needs d + 1 contacts in d dimensions, with
+    tangential springs d; one of a scalar displacement is held by a single spring.
+    """
+    least = network.axes + (network.tangential is None)
+    if network.displacement == "scalar":
+        least = 1
+    loose, free = np.zeros(len(network.held), dtype=bool), network.held == FREE
+    while True:
+        whole = network.bond[~np.any(loose[network.bond], axis=1)]
+        few = free & (np.bincount(whole.ravel(), minlength=len(loose)) < least)
+        if np.array_equal(few, loose):  # balls that are loose have no whole contact
+            return loose
+        loose = few
+
+
+def without_rattlers(network):
+    """Return a network without its `rattlers`, and the numbers of the balls kept, ascending.
+
+    The unit of frequency stays. Raises InputError if nothing free is left.
+    """
+    kept = np.flatnonzero(~rattlers(network))
+    return part(network, kept), kept
+
+
+def with_rattlers_at_rest(network):
+    """Return a network whose `rattlers` are held at rest and touch nothing, of the same balls."""
+    loose = rattlers(network)
+    held = np.where(loose, AT_REST, network.held)
+    whole = np.flatnonzero(~np.any(loose[network.bond], axis=1))
+    return part(dataclasses.replace(network, held=held), contacts=whole)
 
 
 def anchored(bond, held):

@@ -3,6 +3,7 @@
 import dataclasses
 
 from pgran.errors import InputError, PgranError
+from pgran.medium.graph import with_rattlers_at_rest
 from pgran.medium.lattice import Lattice
 from pgran.medium.law import DEFAULTS, HERTZ, LAWS, make_law
 from pgran.medium.record import record_of
@@ -52,6 +53,12 @@ OF_NETWORK = (
         "network_damping", REAL, None, "damping beta of every contact; else the file's",
         "mass x frequency", low=0
     ),
+    Option(
+        "network_rattlers", TEXT, None,
+        "balls that too few contacts hold: keep, or remove, which leaves their contacts out and "
+        "holds them at rest, so that all balls keep their numbers",
+        choices=("keep", "remove")
+    ),
 )  # fmt: skip
 LAW = ("bonds_law", "bonds_kmin", "bonds_kmax", "bonds_fraction", "bonds_force", "bonds_hertz")
 LATTICE = (*OF_LATTICE, *OF_NETWORK, *OF_SOURCE)
@@ -65,11 +72,13 @@ def check_lattice(values, given, draws=False):
     """
     law = LAW if draws else ()
     named = [option.name for option in OF_LATTICE if option.name not in law]
-    alternatives(("network_file", "network_damping"), named, values, given)
+    alternatives([option.name for option in OF_NETWORK], named, values, given)
     if values["network_file"] is not None:
         return
     if values["network_damping"] is not None:
         raise InputError("-network_damping belongs to -network_file; of a lattice -lattice_damping")
+    if values["network_rattlers"] is not None:
+        raise InputError("-network_rattlers belongs to -network_file: a lattice has none")
     if values.get("detectors_component") not in ("drive", None):
         raise InputError("-detectors_component: balls of a lattice have one displacement")
     if len(values["lattice_shape"]) > 3:
@@ -109,6 +118,8 @@ def _network(options, world):
     from pgran.medium.network_file import read_network
 
     network = on_root(world, lambda: read_network(options.network_file))
+    if options.network_rattlers == "remove":
+        network = with_rattlers_at_rest(network)
     changes = {"component": getattr(options, "detectors_component", "drive")}
     if network.displacement == "scalar":
         changes["component"] = "drive"

@@ -66,7 +66,7 @@ SEEDS = 2**63  # that options and files can hold
 # What makes no sense for many samples: options and what stands for them, and keywords.
 LEFT_OUT = {
     "output_fields": False, "output_models": False, "sweep_resolve": 0.0,
-    "modes_target": None, "modes_count": None, "modes_density": None,
+    "modes_target": None, "modes_count": None, "modes_density": None, "modes_detectors": None,
 }  # fmt: skip
 NOT_TAKEN = {
     "crew", "seed", "progress", "fields", "shapes", "resolve", "keep_models", "solver", "targets",
@@ -141,7 +141,8 @@ def ensemble(
     listed = isinstance(lattice, (list, tuple))
     seeds = seeds_of(0 if listed else seed, samples)
     with agreeing(crew.world) as asked:
-        if refused := NOT_TAKEN & experiment.keys():
+        of_modes = {"detectors"} if of == "modes" else set()
+        if refused := (NOT_TAKEN | of_modes) & experiment.keys():
             raise InputError(f"ensemble: many samples have no {sorted(refused)[0]} of their own")
         if listed and len(lattice) != samples:
             raise InputError(f"ensemble: {samples} samples are asked for, {len(lattice)} given")

@@ -5,7 +5,9 @@ from functools import partial
 
 import numpy as np
 
-from pgran.draw import balls, captions, scales, style, together
+from pgran.draw import balls, captions, marks, scales, style, together
+from pgran.experiments.modes.figures_density import CAPTIONS as OF_DENSITY
+from pgran.experiments.modes.figures_density import dimension, log_bins, reduced
 from pgran.experiments.modes.record import exactness
 
 CAPTIONS = {
@@ -13,24 +15,38 @@ CAPTIONS = {
     "participation": "Participation ratio $P_i$ of each normal mode against its frequency.",
     "density": "Density of the normal modes per ball and $\\omega_{mx}$; its area is the share of "
     "the modes that are shown.",
+    "resonances": "What the drive makes of each normal mode: $|A|$ of a detector at the mode's "
+    "peak, if it stood alone, to first order in the damping.",
 }
 NEAR = 0.05  # omega_mx: modes around the middle one that is pictured
 MANY = 20  # modes that have a density
+FAINT = 1e-10  # of the largest peak: fainter ones are not drawn
 
 
 def figures(result, **_):
-    """Yield three shapes if they are stored, participation ratios, the density of many modes."""
-    record, lattice, made = result.modes, result.medium, {}
+    """Yield three shapes if they are stored, participation ratios, what detectors hear of modes,
+    and the density of many modes; those at rest are left out.
+    """
+    lattice, made = result.medium, {}
+    record = result.modes.moving(lattice.built)
     both = {"modes": record, "lattice": lattice}
-    style.check_any(record.omega, "modes")
+    style.check_any(record.omega, "modes that move")
     if record.vector is not None and lattice.has_places:
         picked = pick(record.omega / lattice.omega_mx, record.participation)
         panels = [partial(shape, mode=mode, **both) for mode in picked]
         made["shapes"] = balls.motions(lattice, panels, CAPTIONS["shapes"])
     made["participation"] = style.single(partial(participation, **both), CAPTIONS["participation"])
+    if record.residue is not None and np.any(record.width):
+        made["resonances"] = style.single(partial(resonances, **both), CAPTIONS["resonances"])
     if len(record.omega) >= MANY and np.ptp(record.omega) > 0:
         made["density"] = style.single(partial(density, fill=True, **both), CAPTIONS["density"])
+        if dimension(lattice) and np.any(record.omega > 0):
+            bins = log_bins(record.omega / lattice.omega_mx)
+            draw = partial(reduced, edges=bins[0], counts=bins[1], lattice=lattice)
+            made["reduced"] = style.single(draw, OF_DENSITY["reduced"])
+    left = len(result.modes.omega) - len(record.omega)
     for name, figure in made.items():
+        figure.caption += f" {left} modes at rest are left out." * (left > 0)
         style.note_missing(figure, record)
         yield name, figure
 
@@ -75,6 +91,21 @@ def participation_axes(ax, x, lattice):
     top = ax.get_ylim()[1] if ax.get_yscale() == "log" else 10  # of another result
     ax.set(yscale="log", ylim=(1, max(lattice.free_balls, top)))
     ax.set_ylabel(f"participation ratio $P_i$ (of {lattice.free_balls} balls)")
+
+
+def resonances(ax, modes, lattice):
+    """Draw |A| of each detector at the peak of each mode, as if it stood alone; return the points.
+
+    Peaks fainter than FAINT of the largest are left out.
+    """
+    peaks = modes.peak
+    good = np.isfinite(peaks) & (peaks > FAINT * np.nanmax(peaks, initial=0.0))
+    names = style.ball_names(modes.detector) if len(modes.detector) > 1 else None
+    look = {"dots": True, "linestyle": "none", "clip_on": False}
+    ax.set(yscale="log", ylabel="$|A|$ at the mode's peak (drive = 1)")
+    x = modes.omega / lattice.omega_mx
+    scales.frequencies(ax, x, scales.MODE_FREQUENCY)
+    return marks.curves(ax, x, peaks, good, names, **look)
 
 
 def bin_edges(x):
@@ -125,10 +156,12 @@ def pick(x, participation):
 
 def over(results, labels):
     """Yield participation ratios, and densities if each result has many modes."""
-    x = [result.modes.omega / result.medium.omega_mx for result in results]
+    moving = [result.modes.moving(result.medium.built) for result in results]
+    x = [modes.omega / r.medium.omega_mx for modes, r in zip(moving, results, strict=True)]
     for each in x:
-        style.check_any(each, "modes")
-    several = [(r.modes, r.medium, label) for r, label in zip(results, labels, strict=True)]
+        style.check_any(each, "modes that move")
+    media = [result.medium for result in results]
+    several = list(zip(moving, media, labels, strict=True))
 
     def points(ax):
         look = {"markersize": 3, "markeredgewidth": 0.5, "fillstyle": "none"}

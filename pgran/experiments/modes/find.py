@@ -10,27 +10,31 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.experiments.modes import dense
 from pgran.experiments.modes.record import Modes
-from pgran.experiments.modes.shapes import RESIDUAL, participation
+from pgran.experiments.modes.resonances import Resonances
+from pgran.experiments.modes.shapes import RESIDUAL, least_frequency, participation
 from pgran.medium.base import medium
 from pgran.medium.rounding import EPSILON
-from pgran.medium.units import check_frequency, einstein_frequency, warn_above_modes
+from pgran.medium.units import check_frequency, warn_above_modes
 from pgran.run.agreement import on_root
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, Window, option
+from pgran.run.keywords import PROGRESS, Asked, Window, option
 from pgran.run.machine import check_memory
-from pgran.run.options import INTEGER, REAL, REALS
+from pgran.run.options import INTEGER, INTEGERS, REAL, REALS
 from pgran.run.task import Task, carry_out
 from pgran.store.record import columns_of, row_of
 
-# A frequency smaller than this part of what the stiffest bonds make is a zero mode's, but for
-# rounding; omega_mx may be any number that the user gives.
-ZERO = 1e-6
 MARGIN = 1.01  # covers the rounding of bounds
 TRIED = 600  # unknowns of a whole spectrum that a dry run computes
+# How strongly the drive makes each mode resound there.
+SITES = option(
+    None, "balls at which residues of the modes are told, indices from 0, flat",
+    key="modes_detectors", kind=INTEGERS, low=0, high=2**63 - 1,
+)  # fmt: skip
+DETECTORS = Asked((SITES,), SITES.of_run)
 
 
-@in_parallel("modes", lattice=medium)
+@in_parallel("modes", lattice=medium, detectors=DETECTORS)
 @with_solver
 def find_modes(
     lattice,
@@ -62,6 +66,7 @@ def find_modes(
         "of networks what is faster",
         choices=("auto", "eps", "dense"),
     ),
+    detectors=None,
     shapes=option(False, "store the shapes of the modes", key="output_fields"),
     progress=PROGRESS,
 ):  # fmt: skip
@@ -77,6 +82,8 @@ def find_modes(
         Lowest and highest omega; both ends belong to it.
     targets : sequence of float, optional
         Modes are wanted that are among the `count` nearest to any of these omegas.
+    detectors : array_like of int, optional
+        Balls at which the residues of modes are wanted.
 
     Returns
     -------
@@ -99,13 +106,14 @@ def find_modes(
     started = time.perf_counter()
     if interval is not None:
         warn_above_modes(lattice, crew.world, interval[0])
+    resonances = Resonances(lattice, detectors)
     scaled, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
     check_frequency(scaled, max(targets or interval or (0.0,)))
     wanted = {"interval": interval, "targets": targets, "count": count}
     method = on_root(crew.world, lambda: dense.method_of(method, scaled, **wanted))
     with contextlib.ExitStack() as held:
         if method == "dense":
-            task = Whole(dense.DenseSolver(scaled), shapes, targets, count, interval)
+            task = Whole(dense.DenseSolver(scaled), resonances, shapes, targets, count, interval)
         else:
             from mpi4py import MPI
 
@@ -116,7 +124,7 @@ def find_modes(
             operators = held.enter_context(Operators(scaled, MPI.COMM_SELF))
             solver = held.enter_context(ModeSolver(operators))
             slices = find_slices(solver, crew, **wanted)
-            task = Slices(solver, slices, shapes, targets, count)
+            task = Slices(solver, slices, resonances, shapes, targets, count)
         modes = carry_out(task, crew, progress)
     seconds = time.perf_counter() - started  # counts included
     return modes and dataclasses.replace(modes, solve_seconds=seconds)
@@ -127,13 +135,15 @@ class Slices(Task):
 
     items = "modes"
 
-    def __init__(self, solver, slices, shapes, targets, count):
+    def __init__(self, solver, slices, resonances, shapes, targets, count):
         """Say what a mode travels in."""
-        self.solver, self.lattice = solver, solver.lattice
+        self.solver, self.lattice, self.resonances = solver, solver.lattice, resonances
         self.targets, self.count = targets, count
         self.units = list(enumerate(slices))
-        without = () if shapes else ("vector",)
-        columns = row_of(Modes, without, balls=self.lattice.shape)
+        without = resonances.left_out + ("vector",) * (not shapes)
+        sites = resonances.sites
+        lengths = {"balls": self.lattice.shape, "detector_number": (np.shape(sites)[:1])}
+        columns = row_of(Modes, without, **lengths)
         self.row = np.dtype([("slice", int), ("value", float), ("radius", float), *columns])
         self.expected = sum(piece.count for _, piece in self.units)
         check_memory("output_fields", self.expected * self.row.itemsize)
@@ -153,6 +163,8 @@ class Slices(Task):
         rows["radius"] = self.solver.radius
         rows["residual"] = residual
         rows["participation"] = participation(self.lattice, vectors)
+        for name, values in self.resonances.of(vectors).items():
+            rows[name] = values
         if "vector" in self.row.names:
             rows["vector"] = vectors
         return rows
@@ -178,13 +190,16 @@ class Slices(Task):
         if not np.all(wanted):
             rows, omega = rows[wanted], omega[wanted]
             bound = bound if bound is None else bound[wanted]
+        columns = columns_of(Modes, rows)
         return Modes(
             count_expected=len(rows) + missing,
             count_certified=complete and accurate and not math.isinf(radius),
             solve_seconds=seconds,
             omega=omega,
             omega_bound=bound,
-            **columns_of(Modes, rows),
+            detector=self.resonances.sites,
+            residue=self.resonances.residues(omega, columns),
+            **columns,
         )
 
     def wanted(self, omega, bound):
@@ -200,8 +215,7 @@ class Slices(Task):
         Zero modes come out as rounding, of either sign: only what is below that is unstable.
         """
         omega = self._root(values)
-        stiff = einstein_frequency(self.lattice.axes, self.lattice.stiffest, self.lattice.mass)
-        return np.where(omega < -ZERO * stiff, omega, np.maximum(omega, 0.0))
+        return np.where(omega < -least_frequency(self.lattice), omega, np.maximum(omega, 0.0))
 
     def _root(self, values):
         """Return sqrt(lambda / m) with the sign of lambda."""
@@ -214,10 +228,10 @@ class Whole(Slices):
     Those of an interval are the ones that may lie in it, by their bounds.
     """
 
-    def __init__(self, solver, shapes, targets, count, interval):
+    def __init__(self, solver, resonances, shapes, targets, count, interval):
         """Say how much memory a dry run does not take."""
         self.interval, size = interval, solver.lattice.size
-        super().__init__(solver, [dense.Part(size)], shapes, targets, count)
+        super().__init__(solver, [dense.Part(size)], resonances, shapes, targets, count)
         self.untried = dense.memory(size) * (size > TRIED)
 
     def length(self, unit):

@@ -6,6 +6,7 @@ import math
 import numpy as np
 
 from pgran.errors import InputError
+from pgran.medium.springs import stiffness_matrix
 from pgran.store.estimate import FEWEST, FEWEST_SAMPLES, MOST, Estimate, mean_of
 
 REGIMES = ("below .3", 0.0, 0.3), ("from .3 to 1", 0.3, 1.0), ("above 1", 1.0, math.inf)  # omega_mx
@@ -96,13 +97,11 @@ def first_mode(lattice):
 
     By ARPACK, around 0, without a certificate.
     """
-    from scipy.sparse import diags
     from scipy.sparse.linalg import eigsh
 
-    springs = lattice.springs
-    K = (springs.B.T @ diags(springs.constants) @ springs.B).tocsc()
+    K = stiffness_matrix(lattice).tocsc()
     size = abs(K).sum(axis=1).max()
-    if springs.unknowns < 3 or size == 0:  # too few for an iteration
+    if lattice.size < 3 or size == 0:  # too few for an iteration
         square = np.linalg.eigvalsh(K.toarray())[0]
     else:
         square = eigsh(K, 1, sigma=-BELOW_ZERO * size, return_eigenvectors=False)[0]

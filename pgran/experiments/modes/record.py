@@ -1,11 +1,12 @@
 """The records of modes, of their counts, and of a drive in terms of them."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from pgran.store.fields import Frequencies
+from pgran.experiments.modes.shapes import least_frequency
+from pgran.store.fields import DETECTOR, Frequencies
 from pgran.store.record import Record, array, attribute
 
 
@@ -88,7 +89,8 @@ class Modes(Record):
     `count_expected` says how many there are, `count_certified` whether all of these were found,
     each with a residual of rounding size: certified by counts, or, where there is an `omega_bound`,
     proven. Modes that are unstable, omega^2 < 0, have the negative omega -sqrt(-omega^2), and it is
-    this number that the bound is of; `inf` proves nothing.
+    this number that the bound is of; `inf` proves nothing. What `width` to `residue` are says
+    `pgran/experiments/modes/resonances.py`.
     """
 
     group = "modes"
@@ -104,6 +106,23 @@ class Modes(Record):
         "bound of the error of omega, proven for all modes together: none is missing",
         "sqrt(k/m)", "omega", optional=True,
     )  # fmt: skip
+    width: np.ndarray | None = array(
+        "full width at half power of the mode's peak, to first order in the damping", "sqrt(k/m)",
+        "omega", optional=True, row=True,
+    )  # fmt: skip
+    source: np.ndarray | None = array(
+        "f^T of the force of the drive at rest", "k", "omega", optional=True, row=True
+    )
+    detector: np.ndarray | None = array(
+        DETECTOR, "1", "detector_number", "axis", dtype=int, optional=True
+    )
+    reading: np.ndarray | None = array(
+        "what the detectors read of f", "1", "omega", "detector_number", optional=True, row=True
+    )
+    residue: np.ndarray | None = array(
+        "reading times source over 2 m omega: of the mode's peak alone |A| = 2 |residue| / width",
+        "sqrt(k/m)", "omega", "detector_number", optional=True,
+    )  # fmt: skip
     vector: np.ndarray | None = array(
         "shape of the mode, orthonormal, its largest entry positive",
         "1", "omega", "balls", optional=True, row=True,
@@ -118,6 +137,30 @@ class Modes(Record):
     def failures(self):
         """How many modes are missing or inaccurate."""
         return _missing(self)
+
+    @property
+    def quality(self):
+        """omega / width of each mode, infinite without damping, NaN of modes at rest."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.omega > 0, self.omega / self.width, np.nan)
+
+    @property
+    def peak(self):
+        """|A| of each detector at each mode's peak, if it stood alone, (nm, nd)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return 2 * np.abs(self.residue) / self.width[:, None]
+
+    def moving(self, lattice):
+        """Return these modes without those at rest, of the `lattice` or of a network itself."""
+        here = np.abs(self.omega) > least_frequency(lattice)
+        along = {
+            item.name: getattr(self, item.name)[here]
+            for item in fields(self)
+            if item.name == "omega" or item.metadata.get("axes", ())[:1] == ("omega",)
+            if getattr(self, item.name) is not None
+        }
+        left = self.count_expected - np.count_nonzero(~here)
+        return replace(self, count_expected=int(left), **along)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

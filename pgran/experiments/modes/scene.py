@@ -3,7 +3,7 @@
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.experiments.modes import density
+from pgran.experiments.modes import density, resonances
 from pgran.experiments.modes.find import find_modes
 from pgran.experiments.modes.levels import spacings
 from pgran.experiments.modes.record import exactness
@@ -49,22 +49,41 @@ def summary(result):
     if hasattr(result, "density"):
         yield from density.summary(result)
         return
-    modes, si = result.modes, SI.of(result)
+    modes, medium, si = result.modes, result.medium, SI.of(result)
     yield f"{counted(len(modes.omega), 'mode')} in {modes.solve_seconds:.2f} s"
     yield certificate(modes)
-    if len(modes.omega):
-        ends = modes.omega[0], modes.omega[-1]
-        yield "omega from {:.6g} to {:.6g}".format(*ends) + si.say("Hz", *ends)
-        unstable = np.count_nonzero(modes.omega < 0)
-        if unstable:
-            yield Caution(
-                f"UNSTABLE: {unstable} modes have omega^2 < 0, given as a negative omega; the "
-                "network leaves these positions at a rate of |omega|"
-            )
-        yield f"residuals at most {modes.residual.max():.1e} of |K|"
-        few, many = modes.participation.min(), modes.participation.max()
-        yield f"participation from {few:.3g} to {many:.3g} balls"
-        yield from spacings([modes.omega], result.medium.omega_mx)
+    if not len(modes.omega):
+        return
+    yield f"residuals at most {modes.residual.max():.1e} of |K|"
+    moving = modes.moving(medium.built)
+    if len(moving.omega) < len(modes.omega):
+        yield at_rest(len(modes.omega) - len(moving.omega), medium)
+    if not len(moving.omega):
+        return
+    ends = moving.omega[0], moving.omega[-1]
+    yield "omega from {:.6g} to {:.6g}".format(*ends) + si.say("Hz", *ends)
+    unstable = np.count_nonzero(modes.omega < 0)
+    if unstable:
+        yield Caution(
+            f"UNSTABLE: {unstable} modes have omega^2 < 0, given as a negative omega; the "
+            "network leaves these positions at a rate of |omega|"
+        )
+    few, many = moving.participation.min(), moving.participation.max()
+    low, high = few / medium.free_balls, many / medium.free_balls
+    yield f"participation from {few:.3g} to {many:.3g} balls, {low:.2g} to {high:.2g} of all"
+    yield from resonances.summary(moving, si)
+    yield from spacings([moving.omega], medium.omega_mx)
+
+
+def at_rest(count, medium):
+    """Return in words what modes of omega = 0 are."""
+    whole, loose = 0, "balls that no spring reaches from a wall"
+    if medium.group == "network":
+        whole = 0 if np.any(medium.held[medium.bond]) else medium.built.axes
+        loose = "what is loose or turns freely (-network_rattlers remove holds rattlers)"
+    parts = [f"{whole} translations of the whole, which nothing holds"] * (whole > 0)
+    parts += [loose] * (count > whole)
+    return f"{counted(count, 'mode')} at rest, left out of what follows: {' and '.join(parts)}"
 
 
 def certificate(record):

@@ -4,7 +4,17 @@ import math
 
 import numpy as np
 
+from pgran.medium.units import einstein_frequency
+
 RESIDUAL = 1e-12  # of |K|: what a mode must meet
+# A frequency smaller than this part of what the stiffest bonds make is that of a mode at rest, but
+# for rounding; omega_mx may be any number that the user gives.
+ZERO = 1e-6
+
+
+def least_frequency(lattice):
+    """Return the frequency up to which a mode is at rest."""
+    return ZERO * einstein_frequency(lattice.axes, lattice.stiffest, lattice.mass)
 
 
 def rayleigh_ritz(lattice, vectors):

@@ -10,7 +10,7 @@ from pgran.errors import InputError
 from pgran.experiments.pulse.integration import integrate
 from pgran.experiments.pulse.laplace import PulseLine
 from pgran.experiments.pulse.record import Signals
-from pgran.experiments.pulse.signals import Recording
+from pgran.experiments.pulse.signals import Recording, front_speed
 from pgran.experiments.pulse.wall import SHAPES, Pulse, Samples
 from pgran.medium.base import medium
 from pgran.run.agreement import agreeing, on_root
@@ -54,6 +54,12 @@ def summary(result):
         yield from _summary_of_ball(signals, si, d, ball)
     front = signals.wall_arrival
     yield f"the drive's own front is at {front:.4g}{si.say('s', front)}"
+    depths = result.medium.built.depths(signals.detector)
+    speed = front_speed(depths, signals.arrival)
+    if np.isfinite(speed.value):
+        line = f"fronts run at {speed.value:.4g} +- {two_digits(speed.error)} "
+        line += f"{result.medium.length} x frequency{si.say('m/s', speed.value)}, from "
+        yield line + f"{depths.min():.4g} to {depths.max():.4g} {result.medium.length} deep"
     line = f"work of the drive {signals.work[-1]:.6g}"
     line += f" +- {signals.work_estimate[-1]:.1e} (an estimate)"
     if signals.energy is not None:

@@ -7,6 +7,7 @@ import numpy as np
 from pgran.experiments.pulse.record import Signals
 from pgran.medium.rounding import SMALLEST_NORMAL
 from pgran.run.machine import check_memory
+from pgran.store.estimate import Estimate
 
 FIELDS = 4  # times at which the field is kept
 FINE = 0.6  # step times frequency of what is integrated by splines: to about 1e-9
@@ -128,6 +129,22 @@ def arrivals(time, velocity, error, earliest=0.0):
         front = time[first - 1] + share * (time[first] - time[first - 1])
         fronts.append(front if front >= earliest else np.nan)
     return np.array(fronts)
+
+
+def front_speed(depth, arrival):
+    """Return the speed of fronts, an Estimate, from their arrivals at detectors of some depths.
+
+    Of the straight line through arrivals against depths; NaN unless three depths or more are known,
+    and fronts arrive the later, the deeper. The error is by how far arrivals are from the line.
+    """
+    from scipy.stats import linregress
+
+    known = np.isfinite(depth) & np.isfinite(arrival)
+    if len(np.unique(depth[known])) >= 3:
+        line = linregress(depth[known], arrival[known])
+        if line.slope > 0:
+            return Estimate(float(1 / line.slope), float(line.stderr / line.slope**2))
+    return Estimate(math.nan, math.nan)
 
 
 def envelopes(displacement, velocity):
