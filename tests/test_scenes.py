@@ -118,7 +118,7 @@ SEEN_ELSEWHERE = {
     *("bonds_gravity", "drive_direction", "drive_force"),
     *("heat_radius", "heat_kelvin", "heat_expansion", "heat_relax"),
 }
-# Waves and forces on single balls ask for no drive; of many samples modes have no widths and sources.
+# Waves and forces on single balls ask for no drive, and modes of many samples have no sources.
 DRIVE = ["drive_part", "drive_balls"]
 IDLE = {"green": DRIVE, "structure": DRIVE, "ensemble modes": ["lattice_damping", *DRIVE]}
 
