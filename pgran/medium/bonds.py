@@ -140,11 +140,16 @@ class ElasticBonds:
         return math.sqrt(2), 0.0
 
     @property
+    def driving(self):
+        """The force of the drive at rest on each ball, an array over the lattice."""
+        force = np.zeros(self.shape) if self.push is None else self.push.copy()
+        force[-1] += self.stiffness[0][-1] * self.moved
+        return force
+
+    @property
     def drive_norms(self):
-        """|f|_2 of springs at the driven wall or of a push, and of dashpots for beta = 1."""
-        forces = self.stiffness[0][-1] * self.moved
-        pushed = 0.0 if self.push is None else np.linalg.norm(self.push)
-        return float(np.linalg.norm(forces) + pushed), float(np.linalg.norm(self.moved))
+        """|f|_2 at rest, and of what dashpots add to it for beta = 1."""
+        return float(np.linalg.norm(self.driving)), float(np.linalg.norm(self.moved))
 
     @property
     def pulls(self):

@@ -123,13 +123,17 @@ class Elastic:
         size = float(np.sqrt(np.sum(values[: self.bonds] ** 2, axis=1)).max())
         return size, (values.shape[1] + 1) * EPSILON * size
 
+    @property
+    def driving(self):
+        """The force of the drive at rest on each unknown."""
+        force = -(self.B.T @ (self.springs.constants * self.springs.drive))
+        return force if self.pushed is None else force + self.pushed
+
     @cached_property
     def drive_norms(self):
-        """|f|_2 of springs at driven balls or of a push, and of dashpots for beta = 1."""
-        both = self.springs.constants, self.springs.damped
-        forces, damped = (np.linalg.norm(self.B.T @ (k * self.springs.drive)) for k in both)
-        pushed = 0.0 if self.push is None else np.linalg.norm(self.pushed)
-        return float(forces + pushed), float(damped)
+        """|f|_2 at rest, and of what dashpots add to it for beta = 1."""
+        damped = self.B.T @ (self.springs.damped * self.springs.drive)
+        return float(np.linalg.norm(self.driving)), float(np.linalg.norm(damped))
 
     @cached_property
     def _pulls(self):

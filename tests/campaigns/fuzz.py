@@ -141,6 +141,7 @@ TINY = {  # what keeps a real run short, whatever the file says
     "ensemble": "-lattice_shape 4,3 -ensemble_samples 2",
     "pulse": "-lattice_shape 4,3 -detectors 2,1 -pulse_time 20 -pulse_points 21",
     "sensitivity": "-lattice_shape 4,3 -detectors 2,1 -sweep_points 3",
+    "structure": "-lattice_shape 4,3 -structure_count 2 -sweep_points 7",
     "green": "-lattice_shape 4,3 -green_sources 2,1 -sweep_points 3",
 }
 RUN = 0.2  # what part of those accepted is run as a program

@@ -21,11 +21,8 @@ class Resonances:
 
     def __init__(self, medium, detectors=None):
         """Find what drives, and what is read."""
-        springs = medium.springs
         self.medium, self.sites = medium, None
-        self.force = -(springs.B.T @ (springs.constants * springs.drive))
-        if medium.pushed is not None:
-            self.force = self.force + medium.pushed.ravel()
+        self.force = medium.driving.ravel()
         self.driven = bool(np.any(self.force))
         if detectors is not None:
             self.sites = medium.sites(detectors, "modes_detectors")
