@@ -63,31 +63,31 @@ def good(part, of="amplitudes"):
 
 
 GUARANTEES = {
-    "sweeps": Guarantee(random_case, sweep_faults, 60, good(0.6)),
-    "frequencies alone": Guarantee(random_case, dependence_faults, 20, good(0.5, "frequencies")),
-    "sources": Guarantee(random_source, source_faults, 12, good(0.5)),
-    "networks": Guarantee(random_network, network_faults, 24, good(0.5), shared=range(100, 106)),
-    "forces": Guarantee(small_network, force_faults, 30, (("bounded", 0.5, "forces"),)),
+    "sweeps": Guarantee(random_case, sweep_faults, 36, good(0.6)),
+    "frequencies alone": Guarantee(random_case, dependence_faults, 12, good(0.5, "frequencies")),
+    "sources": Guarantee(random_source, source_faults, 10, good(0.5)),
+    "networks": Guarantee(random_network, network_faults, 16, good(0.5), shared=range(100, 106)),
+    "forces": Guarantee(small_network, force_faults, 16, (("bounded", 0.5, "forces"),)),
     "green": Guarantee(random_patterns, pattern_faults, 6, good(0.5, "pairs"), shared=range(3)),
     "curves": Guarantee(random_curve, curve_faults, 1, (("accurate", 1, "points"),), {"count": 9}),
     "points": Guarantee(random_points, curve_faults, 1, (), {"count": 9}),
-    "relaxations": Guarantee(random_relaxation, relaxation_faults, 12, good(0.9)),
+    "relaxations": Guarantee(random_relaxation, relaxation_faults, 6, good(0.9)),
     "long relaxations": Guarantee(
-        long_relaxation, relaxation_faults, 18, good(1), {"steps": 8, "count": 1}
+        long_relaxation, relaxation_faults, 8, good(1), {"steps": 8, "count": 1}
     ),
-    "pulses": Guarantee(random_pulse, pulse_faults, 5, (("bounded", 1, "numbers"),)),
+    "pulses": Guarantee(random_pulse, pulse_faults, 3, (("bounded", 1, "numbers"),)),
     "derivatives": Guarantee(
-        random_sensitivity, sensitivity_faults, 8,
+        random_sensitivity, sensitivity_faults, 5,
         (*good(0.5, "points"), ("warmed bounded", 0.5, "warmed"), ("cut bounded", 0.5, "cut")),
     ),
     "growing balls": Guarantee(
-        random_growth, growth_faults, 3,
+        random_growth, growth_faults, 2,
         (("warmed bounded", 0.5, "warmed"), ("by_radius bounded", 0.5, "by_radius")),
     ),
-    "modes": Guarantee(random_network, mode_faults, 24, (("certified", 1, "networks"),)),
-    "packings": Guarantee(random_packing, packing_faults, 3),
-    "nearest modes": Guarantee(random_network, nearest_faults, 24, (("proven", 0.2, "targets"),)),
-    "counts": Guarantee(unstable_network, count_faults, 15, (("certified", 1, "counts"),)),
+    "modes": Guarantee(random_network, mode_faults, 12, (("certified", 1, "networks"),)),
+    "packings": Guarantee(random_packing, packing_faults, 2),
+    "nearest modes": Guarantee(random_network, nearest_faults, 14, (("proven", 0.2, "targets"),)),
+    "counts": Guarantee(unstable_network, count_faults, 10, (("certified", 1, "counts"),)),
 }  # fmt: skip
 
 

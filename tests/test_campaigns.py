@@ -69,11 +69,11 @@ def test_a_campaign_in_short(name, monkeypatch, capsys):
 
 def test_faults_do_no_harm(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    # all three of one scene, whose run that nothing disturbs serves them all
-    failed = faults.carry_out(faults.plant, [43, 94]) + faults.carry_out(faults.stop, [67])
+    # both of one scene, whose run that nothing disturbs serves them
+    failed = faults.carry_out(faults.plant, [43]) + faults.carry_out(faults.stop, [67])
     said = capsys.readouterr().out
     assert failed == 0, said
-    assert "1 kill, 1 result" in said
+    assert "1 kill" in said
     assert "SIGTERM" in said
 
 

@@ -15,7 +15,7 @@ def test_contacts_beyond_isostatic_grow_like_the_root_of_the_overlap(law):
     """O'Hern, Silbert, Liu, Nagel, Phys. Rev. E 68, 011306 (2003)."""
     overlap, excess = [], []
     for pressure in (1e-2, 1e-3):
-        each = [packed_network(200, law=law, pressure=pressure, seed=n) for n in range(3)]
+        each = [packed_network(120, law=law, pressure=pressure, seed=n) for n in range(3)]
         overlap.append(np.mean([network.overlap.mean() for network, _ in each]))
         excess.append(np.mean([2 * packed.excess / len(net.held) for net, packed in each]))
     exponent, _ = np.polyfit(np.log(overlap), np.log(excess), 1)

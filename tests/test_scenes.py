@@ -32,8 +32,6 @@ BASE = {
     "ensemble response": "-lattice_shape 5,4 -detectors 2,2 -sweep_points 150 "
     "-lattice_damping .05 -sweep_method points -ensemble_samples 3 -ensemble_keep curves",
     "ensemble modes": "-lattice_shape 5,4 -ensemble_samples 3 -ensemble_keep curves",
-    "ensemble pulse": "-lattice_shape 5,4 -detectors 2,2 -pulse_width 5 -pulse_time 100 "
-    "-pulse_points 60 -ensemble_samples 2",
     "relaxation": "-lattice_shape 5,4 -detectors 2,2 -relax_steps 150 -spectrum_fit_min .14",
 }
 # Units of two frequencies: the second differs.
