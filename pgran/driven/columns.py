@@ -76,11 +76,12 @@ class Columns(Owner):
                 self._refine()
                 _, size, missed = self.norms(*self._arrays(len(some), *blocks))
                 total = bounds.scale * size + force
-            arrays = [array.copy() for array in self._arrays(len(some), *blocks)]
-            terms = np.abs(arrays[0]) + self._magnitudes(len(some))
+            rhs, solution, excess = (array.copy() for array in self._arrays(len(some), *blocks))
+            terms = np.abs(rhs) + self._magnitudes(len(some))
             (rounding,) = self.norms(terms)
             bound = 1.01 * (missed + bounds.unit * rounding) + bounds.lost
-            yield Solved(*arrays, terms, bound, missed / np.maximum(total, LEAST_NORM))
+            backward = missed / np.maximum(total, LEAST_NORM)
+            yield Solved(rhs, solution, -excess, terms, bound, backward)
 
     def norms(self, *arrays):
         """Return the 2-norm of each column of some arrays, the same on every rank. Collective."""
@@ -110,16 +111,16 @@ class Columns(Owner):
             yield some
 
     def _update_residual(self):
-        """Compute b - S x."""
+        """Compute S x - b, in one pass over b, which b - S x would not."""
         self.operators.S.matMult(self._found, self._residual)
-        self._residual.aypx(-1.0, self._rhs, structure=SAME)
+        self._residual.axpy(-1.0, self._rhs, structure=SAME)
 
     def _refine(self):
-        """Add S^-1 (b - S x) to x."""
+        """Take S^-1 (S x - b) off x."""
         solution = self._found.getDenseArray().copy()
         self.solver.invert(self._residual, self._found)
         corrected = self._found.getDenseArray()
-        corrected += solution
+        np.subtract(solution, corrected, out=corrected)
         self._found.assemble()
         self._update_residual()
 
