@@ -53,7 +53,7 @@ def measured(balls, pressure):
 def main(balls=1000, *pressures):
     """Print the table."""
     print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
-    for pressure in pressures or (1e-2, 1e-3, 1e-4):
+    for pressure in pressures or (1e-1, 1e-2, 1e-3):
         print(f"| {' | '.join(measured(int(balls), float(pressure)))} |", flush=True)
 
 
