@@ -196,7 +196,7 @@ def test_modes_where_factors_fill(name):
     assert factor_package(network, 1) == "mumps"
     values = eigenvalues(network)
     omega = np.sign(values) * np.sqrt(np.abs(values) / network.mass)
-    targets = [0.0, *np.quantile(np.abs(omega), [0.1, 0.5, 0.9]), 2 * omega[-1]]
+    targets = [0.0, *np.quantile(np.abs(omega), [0.1, 0.9]), 2 * omega[-1]]
     modes = find_modes(network, targets=targets, count=9, method="eps")
     assert modes.count_certified
     found = np.sign(modes.omega) * modes.omega**2 * network.mass

@@ -160,7 +160,7 @@ def test_a_packing_of_these_balls(capsys):
     """Its contacts bear the load in the mean, and oscillate as those of beads of glass."""
     out = say(capsys, f"{GIVEN} --growth 1e-7").splitlines()[-1]
     own = {key: float(x) for key, x in re.findall(r"(--?\w+) (\d\S*)", out)}
-    packing = pgran.pack(70, 3, "hertz", pressure=own["--pressure"], sizes="equal")
+    packing = pgran.pack(50, 3, "hertz", pressure=own["--pressure"], sizes="equal")
     newton = BEAD.mass * own["-units_length"] / own["-units_time"] ** 2
     assert packing.force.mean() * newton == pytest.approx(BEAD.force, rel=0.1)
     seconds = packing.omega_mx / own["-units_time"]
