@@ -135,7 +135,7 @@ def test_parts_and_directions_of_held_balls():
     ("medium", "source", "said"),
     [
         (DISCS, {"part": "x<1", "balls": [1]}, "either a wall moves or a force drives"),
-        (DISCS, {"force": "x"}, "-drive_force: is that on -drive_balls"),
+        (DISCS, {"force": "x"}, "-drive_force: points a force that no -drive_balls has"),
         (DISCS, {"part": "q<1"}, "there is no q along what is held; coordinates are: x, y"),
         (DISCS, {"part": "x>9"}, "-drive_part: 'x>9' chooses no ball"),
         (CHAIN, {"balls": [0]}, "drive_balls: ball 0 is held"),

@@ -298,7 +298,9 @@ class Lattice(ElasticBonds, Medium):
         if self.least_damping == 0:
             raise InputError("-lattice_free: without any wall the lattice floats; leave one")
         if self.push is None and not np.any(self.moved):
-            raise InputError("-lattice_free: x+ is the wall that drives; let -drive_balls do it")
+            raise InputError(
+                "-lattice_free: x+ is the wall that drives; keep it, or let -drive_balls drive"
+            )
 
     def sites(self, detectors, name="detectors"):
         """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).

@@ -73,7 +73,7 @@ def with_source(medium, part=None, direction="drive", balls=None, force="drive")
     if part is not None and balls is not None:
         raise InputError("-drive_part and -drive_balls: either a wall moves or a force drives")
     if balls is None and not is_drive(force):
-        raise InputError("-drive_force: is that on -drive_balls")
+        raise InputError("-drive_force: points a force that no -drive_balls has")
     for name, chosen in (("drive_direction", direction), ("drive_force", force)):
         if not is_drive(chosen):
             medium = dataclasses.replace(medium, direction=along(medium, chosen, name))
