@@ -73,6 +73,9 @@ def test_spectra_are_those_of_dense_resolvents(displacement, periodic):
         error = np.abs(found.structure_factor[:, branch, 0] - exact)
         assert np.all(error <= found.error_bound[:, branch, 0] + 1e-12 * exact)
         assert np.all(found.error_bound[:, branch, 0] < 1e-9 * exact)
+    of_names = [getattr(found, name) for name in ("scalar", "longitudinal", "transverse")]
+    there = [values for values in of_names if values is not None]
+    assert np.array_equal(there, found.structure_factor.transpose(1, 2, 0))
 
 
 def test_the_sum_rules():

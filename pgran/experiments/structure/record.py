@@ -44,6 +44,26 @@ class Structure(Frequencies):
         "Omega where pi scattering = Omega; NaN: not known", "sqrt(k/m)", "branch"
     )
 
+    def _branch(self, name):
+        """Return S of a branch, shape (nq, nw), None if there is none of that name."""
+        found = np.flatnonzero(self.branch == name)
+        return self.structure_factor[:, found[0]].T if found.size else None
+
+    @property
+    def longitudinal(self):
+        """S of longitudinal waves, shape (nq, nw); None where displacements are scalar."""
+        return self._branch("longitudinal")
+
+    @property
+    def transverse(self):
+        """S of transverse waves, shape (nq, nw); None where displacements are scalar."""
+        return self._branch("transverse")
+
+    @property
+    def scalar(self):
+        """S of scalar displacements, shape (nq, nw), or None."""
+        return self._branch("scalar")
+
     @property
     def velocity(self):
         """Phase velocities Omega / q, (branch, q)."""
