@@ -95,7 +95,7 @@ def walls(ax, lattice, plane=(), arrow=True):
     ax.spines[:].set_visible(False)
     inch = ax.bbox.width / ax.figure.dpi / (nx + 1)  # of a spacing
     thick = WALL / inch, WALL / inch if axes > 1 and ax.get_aspect() != "auto" else 0.03 * (ny + 1)
-    whole = lattice.wall is None and lattice.push is None
+    whole = lattice.wall is None and lattice.push is None and "x+" not in (lattice.free or "")
     along = (-1 - thick[0], nx + 1 + thick[0])
     rest = {"x-": (-1 - thick[0], -1, thick[0], ny + 1)}
     if not whole:
@@ -129,8 +129,12 @@ def source(ax, lattice, x, plane=()):
         balls = np.argwhere(lattice.push[(..., *plane)]).T
         look |= {"marker": ">", "markersize": 5, "linestyle": "none", "label": "force"}
         ax.plot(balls[0], balls[1] if len(balls) > 1 else 0 * balls[0], **look)
+    elif "x+" in (lattice.free or ""):
+        return  # nothing does
     elif lattice.wall is None:
-        ax.axvline(x, linewidth=3, label="driven wall", **look)
+        low, high = ax.get_ylim()
+        ends = max(low, -1), min(high, (*lattice.shape, 1)[1])
+        ax.plot([x, x], ends, linewidth=3, label="driven wall", scaley=False, **look)
     else:
         moved = np.flatnonzero(lattice.built.wall[(..., *plane)])
         ax.vlines(np.full(len(moved), x), moved - 0.5, moved + 0.5, linewidth=3,

@@ -54,9 +54,10 @@ def sample(result, si):
         facts[0] += f", displacements: {medium.displacement}"
     else:
         count = r" \times ".join(map(str, medium.shape))
+        driven = ", one of which is driven" * bool(np.any(medium.built.moved))
         law = IN_WORDS.get(bonds.get("law"), "")
         facts = [f"{AXES[len(medium.shape)]} of ${count}$ balls of mass {number(medium.mass)} "
-                 "between walls" + ", one of which is driven" * (medium.push is None)]  # fmt: skip
+                 f"between walls{driven}"]  # fmt: skip
         facts += [f"bonds {law.format(**bonds)}"] * bool(law)
     facts += in_words(medium.built)
     ensemble = getattr(result, "ensemble", None)

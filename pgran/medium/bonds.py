@@ -6,6 +6,7 @@ axis, each array in C order.
 """
 
 import math
+from functools import cached_property
 
 import numpy as np
 
@@ -64,9 +65,11 @@ def bond_ends(numbers):
     return np.concatenate([np.stack([end.ravel() for end in pair], axis=1) for pair in sides])
 
 
-def bonds_at(side):
-    """Return the axis of a side such as `y+`, and the index of its bonds along that axis."""
-    return AXES.index(side[0]), -1 if side[1] == "+" else 0
+def cut_sides(arrays, sides):
+    """Set to 0 what arrays of bonds, one for each axis, hold at sides such as `y+`."""
+    for side in sides:
+        axis = AXES.index(side[0])
+        np.moveaxis(arrays[axis], axis, 0)[-1 if side[1] == "+" else 0] = 0.0
 
 
 def balls_above(shape):
@@ -114,6 +117,46 @@ def spread(tensions):
 
 class ElasticBonds:
     """The bonds of a lattice as springs; `springs.Elastic` answers the same for a network."""
+
+    @cached_property
+    def least_damping(self):
+        """The smallest eigenvalue of C, the Laplacian of the uniform lattice with its walls.
+
+        Along an axis of n balls the lowest mode is a half wave between walls n + 1 apart, a quarter
+        of one where a side is free, and a constant where both are.
+        """
+        total = 0.0
+        for axis, n in enumerate(self.shape):
+            walls = 2 - sum(side[0] == AXES[axis] for side in self.free)
+            length = {2: n + 1, 1: 2 * n + 1}.get(walls)
+            total += 4 * math.sin(math.pi / (2 * length)) ** 2 if length else 0.0
+        return total
+
+    @cached_property
+    def damped(self):
+        """The part of beta that each bond has, 1, or 0 where there is no wall, shape (bonds,)."""
+        parts = [np.ones_like(k) for k in self.stiffness]
+        cut_sides(parts, self.free)
+        return np.concatenate([part.ravel() for part in parts])
+
+    @cached_property
+    def existing(self):
+        """The numbers of the bonds that exist: all but those at free sides."""
+        return np.flatnonzero(self.damped)
+
+    @cached_property
+    def moved(self):
+        """How far each place of the driven wall moves, shape (ny, ...)."""
+        if self.push is not None or "x+" in self.free:
+            return np.zeros(self.shape[1:])
+        return np.ones(self.shape[1:]) if self.wall is None else self.wall
+
+    @cached_property
+    def drive(self):
+        """How far each bond is stretched when what is driven moves by 1, shape (bonds,)."""
+        along = np.zeros(self.stiffness[0].shape)
+        along[-1] = self.moved
+        return np.pad(along.ravel(), (0, self.bonds - along.size))
 
     def stretched(self, fields, wall):
         """Yield how far fields (n, *shape) lengthen bonds, (n, bonds), constants, parts of beta.

@@ -28,7 +28,7 @@ from pgran.medium.bonds import (
     bond_ends,
     bond_places,
     bond_shape,
-    bonds_at,
+    cut_sides,
 )
 from pgran.medium.law import BondLaw, unit_numbers
 from pgran.medium.source import checked_drive, checked_sides, nearest
@@ -101,9 +101,7 @@ class Lattice(ElasticBonds, Medium):
             if not np.all(np.isfinite(k)) or np.any(k < 0):
                 raise InputError(f"{name}: every bond constant must be finite and not negative")
         object.__setattr__(self, "free", checked_sides(self.free, len(arrays)))
-        for side in self.free:
-            axis, end = bonds_at(side)
-            np.moveaxis(arrays[axis], axis, 0)[end] = 0.0
+        cut_sides(arrays, self.free)
         for k in arrays:
             k.flags.writeable = False
         object.__setattr__(self, "stiffness", arrays)
@@ -211,48 +209,6 @@ class Lattice(ElasticBonds, Medium):
     def nonzeros(self):
         """How many nonzeros a row for each ball has in all, walls counted."""
         return (2 * self.axes + 1) * self.size
-
-    @cached_property
-    def least_damping(self):
-        """The smallest eigenvalue of C, the Laplacian of the uniform lattice with its walls.
-
-        Along an axis of n balls the lowest mode is a half wave between walls n + 1 apart, a quarter
-        of one where a side is free, and a constant where both are.
-        """
-        total = 0.0
-        for axis, n in enumerate(self.shape):
-            walls = 2 - sum(side[0] == AXES[axis] for side in self.free)
-            length = {2: n + 1, 1: 2 * n + 1}.get(walls)
-            total += 4 * math.sin(math.pi / (2 * length)) ** 2 if length else 0.0
-        return total
-
-    @cached_property
-    def damped(self):
-        """The part of beta that each bond has, 1, or 0 where there is no wall, shape (bonds,)."""
-        parts = [np.ones_like(k) for k in self.stiffness]
-        for side in self.free:
-            axis, end = bonds_at(side)
-            np.moveaxis(parts[axis], axis, 0)[end] = 0.0
-        return np.concatenate([part.ravel() for part in parts])
-
-    @cached_property
-    def existing(self):
-        """The numbers of the bonds that exist: all but those at free sides."""
-        return np.flatnonzero(self.damped)
-
-    @cached_property
-    def moved(self):
-        """How far each place of the driven wall moves, shape (ny, ...)."""
-        if self.push is not None or "x+" in self.free:
-            return np.zeros(self.shape[1:])
-        return np.ones(self.shape[1:]) if self.wall is None else self.wall
-
-    @cached_property
-    def drive(self):
-        """How far each bond is stretched when what is driven moves by 1, shape (bonds,)."""
-        along = np.zeros(self.stiffness[0].shape)
-        along[-1] = self.moved
-        return np.pad(along.ravel(), (0, self.bonds - along.size))
 
     @property
     def pushed(self):
