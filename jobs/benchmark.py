@@ -27,10 +27,10 @@ from pgran.driven.linear import make_ksp  # noqa: E402
 from pgran.driven.operators import Operators  # noqa: E402
 from pgran.driven.steady import SteadySolver  # noqa: E402
 from pgran.errors import InputError  # noqa: E402
-from pgran.experiments.relaxation.changes import draw_changes  # noqa: E402
 from pgran.medium.crystals import random_geometric  # noqa: E402
 from pgran.medium.graph import part  # noqa: E402
 from pgran.medium.network_file import read_network  # noqa: E402
+from pgran.medium.redraw import draw_changes  # noqa: E402
 from pgran.run.crew import Crew  # noqa: E402
 
 WORLD, ALONE = MPI.COMM_WORLD, MPI.COMM_SELF

@@ -24,6 +24,8 @@ REFUSED = {  # of each scene, words and what is said of them
         "-network_damping .1": "belongs to -network_file",
         "-detectors_component x": "balls of a lattice have one displacement",
         "-bonds_gravity 1": "-bonds_gravity: it needs -bonds_law hertz",
+        "-bonds_redrawn 1 -bonds_law hertz -bonds_gravity 1": "-bonds_gravity: a bond that is",
+        "-bonds_redrawn 1 -bonds_law file -bonds_file x.h5": "-bonds_redrawn: -bonds_law file",
     },
     "relaxation": {
         "-spectrum_fit_min .3": "-spectrum_fit_min",

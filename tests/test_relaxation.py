@@ -5,18 +5,21 @@ from itertools import product
 import numpy as np
 import pytest
 from mpi4py import MPI
+from network_samples import as_network
 from reference import Reference
 from samples import UNIFORM, needs_klu, random_lattice, relaxed, run_scene, steady
 
+import pgran
 from pgran.command.resolve import resolve
 from pgran.driven.steady import SteadySolver
 from pgran.errors import InputError
 from pgran.experiments.relaxation import windows
-from pgran.experiments.relaxation.changes import ChangingBonds, draw_changes
+from pgran.experiments.relaxation.changes import ChangingBonds
 from pgran.experiments.relaxation.spectrum import power_spectrum
 from pgran.experiments.relaxation.windows import Windows, march
 from pgran.medium.bonds import bond_arrays, bond_count, bond_places
 from pgran.medium.law import BondLaw
+from pgran.medium.redraw import draw_changes
 from pgran.run.reading import read_words
 
 LAWS = {  # of the constants that bonds get; those they have are random_lattice's
@@ -234,3 +237,16 @@ def test_the_spectrum_of_a_run(world, caplog):
             expected = power_spectrum(series, options.spectrum_fit_min, 0.3)
             assert np.array_equal(found["spectrum"].power, expected.power)
             assert found["spectrum"].exponent == expected.exponent
+
+
+@pytest.mark.parametrize("law", [BondLaw("uniform"), None])
+def test_a_medium_after_some_steps(law):
+    """Its steady state is that of a relaxation there, and its unit of frequency stays."""
+    medium, omega = pgran.Lattice.random((4, 5), damping=0.05), 0.6
+    medium, detectors = (medium, [(1, 2)]) if law else (as_network(medium), [7])
+    steps = pgran.relax(medium, law, omega, detectors, steps=30, seed=4)
+    for step in (0, 7, 30):
+        later = pgran.redrawn(medium, step, seed=4, law=law)
+        found = pgran.sweep(later, [omega], detectors).displacement[0]
+        np.testing.assert_allclose(found, steps.displacement[0, step], rtol=1e-6)
+        assert later.omega_mx == medium.omega_mx

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from figure_reading import draw
+from scipy.integrate import trapezoid
 from scipy.signal import welch
 
 from pgran.errors import InputError
@@ -117,6 +118,16 @@ def test_an_exponent_is_withheld_of_a_series_shorter_than_its_memories(caplog):
     assert "withheld" in relaxation.exponent(short)
     ax = draw(relaxation.spectrum, short)
     assert np.isfinite(ax.get_lines()[-1].get_ydata()).all()  # slope -2
+
+
+def test_a_spectrum_in_hertz():
+    """Of steps of 5 s: its integral, the variance, stays, and so does what its corner is of."""
+    found = power_spectrum(telegraph(0.05, 1, 5000, seed=3), 0.02)
+    steps, hertz = (draw(relaxation.spectrum, found, step=step) for step in (None, 5.0))
+    integrals = [trapezoid(*ax.get_lines()[0].get_data()[::-1]) for ax in (steps, hertz)]
+    assert integrals[0] == pytest.approx(integrals[1])
+    assert hertz.get_lines()[1].get_xdata()[-1] == pytest.approx(0.3 / 5)
+    assert (hertz.get_xlabel(), hertz.get_ylabel()[-6:]) == ("frequency $f$ (Hz)", "(1/Hz)")
 
 
 def test_warnings_of_a_window_that_reaches_too_far(caplog):

@@ -7,6 +7,7 @@ from pgran.medium.graph import with_rattlers_at_rest
 from pgran.medium.lattice import Lattice
 from pgran.medium.law import DEFAULTS, HERTZ, LAWS, make_law
 from pgran.medium.record import record_of
+from pgran.medium.redraw import REDRAWN, redrawn
 from pgran.medium.source import OF_SOURCE, with_source
 from pgran.run.agreement import on_root
 from pgran.run.options import FILE, INTEGER, INTEGERS, REAL, TEXT, Option, alternatives
@@ -61,7 +62,7 @@ OF_NETWORK = (
     ),
 )  # fmt: skip
 LAW = ("bonds_law", "bonds_kmin", "bonds_kmax", "bonds_fraction", "bonds_force", "bonds_hertz")
-LATTICE = (*OF_LATTICE, *OF_NETWORK, *OF_SOURCE)
+LATTICE = (*OF_LATTICE, *OF_NETWORK, *OF_SOURCE, *REDRAWN)
 OWN_KMAX = ("hertz", "file")  # laws of bonds whose largest constant is not known beforehand
 
 
@@ -73,6 +74,7 @@ def check_lattice(values, given, draws=False):
     law = LAW if draws else ()
     named = [option.name for option in OF_LATTICE if option.name not in law]
     alternatives([option.name for option in OF_NETWORK], named, values, given)
+    draws = draws or values["bonds_redrawn"] > 0
     if values["network_file"] is not None:
         return
     if values["network_damping"] is not None:
@@ -87,6 +89,8 @@ def check_lattice(values, given, draws=False):
         why = "a bond that is redrawn would lose its load" if draws else "it needs -bonds_law hertz"
         raise InputError(f"-bonds_gravity: {why}")
     from_file = values["bonds_law"] == "file"
+    if from_file and values["bonds_redrawn"]:
+        raise InputError("-bonds_redrawn: -bonds_law file is no law to draw new constants from")
     if from_file != (values["bonds_file"] is not None):
         raise InputError("-bonds_file and -bonds_law file belong together: give both or neither")
     if values["bonds_law"] in OWN_KMAX:  # a kmax from a source before the law's is another law's
@@ -107,6 +111,9 @@ def make_lattice(options, world):
     PgranError if the ranks disagree on the bonds.
     """
     medium = (_lattice if options.network_file is None else _network)(options, world)
+    if options.bonds_redrawn:
+        law = options.bonds_law and make_law(options)
+        medium = redrawn(medium, options.bonds_redrawn, options.bonds_redrawn_seed, law)
     medium = with_source(medium, *(getattr(options, option.name) for option in OF_SOURCE))
     if len(set(world.allgather(medium.bonds_sha256))) > 1:
         raise PgranError("the ranks drew different bonds: do they run the same NumPy?")

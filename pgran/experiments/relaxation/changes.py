@@ -1,43 +1,6 @@
-"""Changes of bonds: at each step one, drawn uniformly, gets a new constant from the bond law.
-
-Both draws are a pure function of (seed, trajectory, step): the next changes are known ahead.
-"""
-
-from dataclasses import dataclass
+"""The bonds of a relaxation while they change, and their operators."""
 
 import numpy as np
-
-from pgran.medium.law import unit_numbers
-
-
-@dataclass(frozen=True)
-class Changes:
-    """Which bonds change, and to what."""
-
-    bond: np.ndarray  # numbers of bonds, axis after axis, each array in C order
-    stiffness: np.ndarray  # their new constants
-
-    def __getitem__(self, steps):
-        """Return some of the changes."""
-        return Changes(self.bond[steps], self.stiffness[steps])
-
-    def __len__(self):
-        """Return how many there are."""
-        return len(self.bond)
-
-    def extended(self, count):
-        """Return at least `count` changes, the last one repeated, which changes nothing more."""
-        return self[np.minimum(np.arange(max(count, len(self))), len(self) - 1)]
-
-
-def draw_changes(law, bonds, seed, trajectory, first, count, unit=1.0):
-    """Return the changes of `count` steps from step `first` on, counted from 0, in a unit.
-
-    Trajectories of one seed are independent. `law` turns numbers uniform on [0, 1) into constants.
-    """
-    # two numbers a step: u[0] u[1] | u[2] u[3] | ...  say  bond, constant | bond, constant | ...
-    u = unit_numbers(seed, 2 * first, 2 * count, generation=1 + trajectory)
-    return Changes(np.minimum((u[::2] * bonds).astype(np.int64), bonds - 1), law(u[1::2]) / unit)
 
 
 class ChangingBonds:

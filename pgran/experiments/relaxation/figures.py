@@ -16,11 +16,17 @@ def figures(result, **_):
     panels = [
         (series, "relaxation", f"Amplitude at {omega} against time, a step being one bond that is "
          "drawn anew."),
-        (spectrum, "spectrum", "Its power spectrum, the power law fitted to it, and slope -2."),
+        (spectrum, "spectrum", "Its power spectrum, the power law fitted to it, and slope -2; it "
+         r"is flat below the corner of what it remembers, $M$ bonds redrawn in steps of $\tau$."),
         (memory, "memory", "Its autocorrelation, and the band that it must lie in."),
     ]  # fmt: skip
     there = [(draw, name, text) for draw, name, text in panels if getattr(result, name, None)]
     draws = [partial(draw, **{name: getattr(result, name)}) for draw, name, _ in there]
+    if len(draws) > 1:
+        bonds = len(result.medium.built.existing)
+        order = result.memory.order if len(draws) > 2 else 1.0
+        corner = np.array([1.0, max(order, 1.0)]) / (2 * np.pi * bonds)
+        draws[1] = partial(draws[1], step=relaxation.step, corner=corner)
     figure = style.stack(draws, [text for *_, text in there], height=2.3)
     missed = np.isnan(relaxation.displacement).any(axis=2)
     if missed.any():
@@ -40,9 +46,10 @@ def series(ax, relaxation, steps=2000):
     """
     amplitude = np.abs(relaxation.displacement[0, : steps + 1])
     limit = marks.upper_limits(relaxation)[0, : steps + 1]
-    time, good = np.arange(len(amplitude)), np.isfinite(amplitude) & np.isnan(limit)
-    ax.set(xlabel="time (steps of one bond)", ylabel=scales.AMPLITUDE)
-    ax.set_xlim(0, max(len(time) - 1, 1))
+    step, unit = (1, "steps of one bond") if relaxation.step is None else (relaxation.step, "s")
+    time, good = step * np.arange(len(amplitude)), np.isfinite(amplitude) & np.isnan(limit)
+    ax.set(xlabel=f"time ({unit})", ylabel=scales.AMPLITUDE)
+    ax.set_xlim(0, step * max(len(time) - 1, 1))
     ax.locator_params("x", nbins=5)
     drawn = marks.curves(ax, time, amplitude, good, style.ball_names(relaxation.detector), limit)
     if np.isfinite(amplitude).any():
@@ -51,20 +58,28 @@ def series(ax, relaxation, steps=2000):
     return drawn
 
 
-def spectrum(ax, spectrum):
-    """Draw a power spectrum, the law fitted to it, and a line of slope -2; return the lines."""
+def spectrum(ax, spectrum, step=None, corner=None):
+    """Draw a power spectrum, the law fitted to it, a line of slope -2; return the lines.
+
+    With the seconds of a step in Hz; `corner`, two frequencies in cycles per step, is marked: what
+    k of M bonds make jointly has its own at k / (2 pi M), k from 1 to kbar.
+    """
     label = exponent(spectrum)
     if np.isfinite(spectrum.exponent):
         label = rf"$S \propto (2\sin\pi f)^{{-\psi}}$, {label}"
-    curve, law = power(ax, spectrum, label, style.ACCENT, shade="#777777")
+    curve, law = power(ax, spectrum, label, style.ACCENT, shade="#777777", step=step)
     window, values = law.get_data()
     middle = len(window) // 2
     height = values[middle]
     if not np.isfinite(height):
-        height = np.interp(window[middle], spectrum.frequency, spectrum.power)
+        height = np.interp(window[middle], *curve.get_data())
     parallel = 6.0 * height * (window / window[middle]) ** -2.0  # well above the spectrum
     look = {"color": "black", "linestyle": "--", "label": r"slope $-2$"}
-    return [curve, law, *ax.plot(window, parallel, **look)]
+    lines = [curve, law, *ax.plot(window, parallel, **look)]
+    if corner is not None:
+        words = r"$1/(2\pi M\tau)$ to $\bar k/(2\pi M\tau)$"
+        lines.append(ax.axvspan(*corner / (step or 1), color="#cccccc", zorder=0.5, label=words))
+    return lines
 
 
 def memory(ax, memory):
@@ -79,16 +94,21 @@ def memory(ax, memory):
     return law, ax.errorbar(*values, label=label, **look)
 
 
-def power(ax, spectrum, label, color, shade=None, linestyle="-"):
-    """Draw a power spectrum in a pale shade, and the law fitted to it; return both lines."""
-    ax.set(xscale="log", xlabel="frequency $f$ (cycles per step)")
-    ax.set(yscale="log", ylabel="power density $S$ (steps per cycle)")
+def power(ax, spectrum, label, color, shade=None, linestyle="-", step=None):
+    """Draw a power spectrum in a pale shade, and the law fitted to it; return both lines.
+
+    With the seconds of a step in Hz.
+    """
+    units = ("cycles per step", "steps per cycle") if step is None else ("Hz", "1/Hz")
+    ax.set(xscale="log", xlabel=f"frequency $f$ ({units[0]})")
+    ax.set(yscale="log", ylabel=f"power density $S$ ({units[1]})")
+    step = step or 1.0
     window = np.geomspace(spectrum.fit_min, spectrum.fit_max, 100)
     look = {"color": color, "linewidth": 1.5, "linestyle": linestyle, "label": label}
     shade = shade or style.pale(color)
     return [
-        *ax.plot(spectrum.frequency, spectrum.power, color=shade, linewidth=0.5),
-        *ax.plot(window, spectrum.power_law(window), **look),
+        *ax.plot(spectrum.frequency / step, spectrum.power * step, color=shade, linewidth=0.5),
+        *ax.plot(window / step, spectrum.power_law(window) * step, **look),
     ]
 
 
@@ -104,10 +124,14 @@ def over(results, labels):
     if any(getattr(result, "spectrum", None) is None for result in results):
         raise FileError("a result has no spectrum to lay over others: its run was too short")
 
+    steps = [result.relaxation.step for result in results]
+    if None in steps:  # of some the seconds are not known
+        steps = [None] * len(steps)
+
     def spectra(ax):
         for number, (result, label) in enumerate(zip(results, labels, strict=True)):
             words = f"{label}:\n{exponent(result.spectrum)}"
-            look = style.COLOURS[number], None, together.LINES[number]
+            look = style.COLOURS[number], None, together.LINES[number], steps[number]
             power(ax, result.spectrum, words, *look)
 
     caption = "Power spectra of the amplitude, and the laws fitted to them."

@@ -66,6 +66,12 @@ def _memory_of(relaxation, bonds):
     return Memory(bonds=bonds, lag=lags, lowest=lowest, highest=highest, **estimates)
 
 
+def _hertz(result, spectrum):
+    """Return the window of an exponent's fit in words, where the seconds of a step are known."""
+    step = result.relaxation.step
+    return f" ({spectrum.fit_min / step:.3g} to {spectrum.fit_max / step:.3g} Hz)" if step else ""
+
+
 def summary(result):
     """Return in words what the fluctuations tell."""
     spectrum = getattr(result, "spectrum", None)
@@ -73,7 +79,7 @@ def summary(result):
         yield (
             f"power spectrum S(f) ~ f^-psi with psi = {spectrum.exponent:.3f} +- "
             f"{spectrum.exponent_error:.3f} between {spectrum.fit_min:g} and "
-            f"{spectrum.fit_max:g} cycles per step"
+            f"{spectrum.fit_max:g} cycles per step{_hertz(result, spectrum)}"
         )
     remembered = getattr(result, "memory", None)
     if remembered:

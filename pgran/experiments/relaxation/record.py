@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgran.store.fields import BOUND, DETECTOR, FLOOR
-from pgran.store.record import Record, array, error_of
+from pgran.store.record import Record, array, attribute, error_of
 
 STATES = "trajectory", "state", "detector_number"  # axes
 
@@ -16,7 +16,7 @@ class Relaxation(Record):
 
     R trajectories of T steps, all from the bonds of the lattice. `drift` is the largest relative
     difference between the amplitude at the end of a window, from algebra, and the same amplitude
-    solved for afresh.
+    solved for afresh; `step` is how many seconds a step takes, where the run was told.
     """
 
     group = "relaxation"
@@ -38,6 +38,7 @@ class Relaxation(Record):
     )  # fmt: skip
     error_bound: np.ndarray = array(BOUND, "1", *STATES, since=2, row=True)
     at_floor: np.ndarray = array(FLOOR, "1", *STATES, dtype=np.int8, since=2)
+    step: float | None = attribute(optional=True)
 
     @property
     def amplitude(self):

@@ -1,7 +1,6 @@
 """Scene `relaxation`: the amplitude at the detectors while one bond a step is redrawn."""
 
 import contextlib
-import dataclasses
 from functools import partial
 from typing import NamedTuple
 
@@ -11,10 +10,10 @@ from pgran.driven import drive as driven
 from pgran.driven.accurate import below_relative_accuracy
 from pgran.errors import InputError
 from pgran.experiments.relaxation import fluctuations
-from pgran.experiments.relaxation.changes import draw_changes
 from pgran.experiments.relaxation.record import Relaxation
 from pgran.medium.base import medium
-from pgran.medium.law import TRIED, check_law, drawn, make_law
+from pgran.medium.law import TRIED, check_law, make_law
+from pgran.medium.redraw import Redraw
 from pgran.medium.units import check_frequency
 from pgran.run.agreement import agreeing
 from pgran.run.experiment import Scene
@@ -81,6 +80,9 @@ def relax(
     ),
     window=option(0, "steps to a window; 0 = by cost", low=0, high=4096),
     trajectories=option(1, "independent trajectories, all from the same bonds", low=1),
+    time=option(
+        None, "how long a step takes: figures and summaries in s and Hz", "s", kind=REAL, above=0
+    ),
     error_tolerance=driven.STEADY["error_tolerance"],
     error_floor=driven.STEADY["error_floor"],
     refresh_iterations=driven.STEADY["refresh_iterations"],
@@ -98,16 +100,11 @@ def relax(
     """
     steady = driven.steady(error_tolerance, error_floor, refresh_iterations)
     with agreeing(crew.world) as asked:
-        march = March(omega, steps, trajectories, seed, method, window)
+        march = March(omega, steps, trajectories, seed, method, window, time)
         task = Steps(lattice, law, detectors, march, steady)
-        asked["law"] = fingerprint(task.law(TRIED))
+        asked["law"] = fingerprint(task.redraw.law(TRIED))
     driven.check_driven(lattice, crew.world, omega)
     return carry_out(task, crew, progress)
-
-
-def redrawn(constants, numbers):
-    """Return constants of a network's own, drawn by numbers uniform on [0, 1)."""
-    return constants[(numbers * len(constants)).astype(np.int64)]
 
 
 class March(NamedTuple):
@@ -119,6 +116,7 @@ class March(NamedTuple):
     seed: int
     method: str
     window: int
+    time: float | None
 
 
 class Steps(Task):
@@ -129,8 +127,7 @@ class Steps(Task):
     def __init__(self, lattice, law, detectors, march, steady):
         """Cut the trajectories into stretches of whole windows."""
         self.lattice, self.march, self.steady = lattice, march, steady
-        own = partial(redrawn, lattice.constants[lattice.existing])
-        self.law = own if law is None else partial(drawn, law)
+        self.redraw = Redraw(lattice, law, march.seed)
         self.sites = lattice.sites(detectors)
         # Measured: the factorization's price a step falls like 1/s, that of the algebra grows
         # like s^2.
@@ -157,7 +154,7 @@ class Steps(Task):
         from pgran.experiments.relaxation.changes import ChangingBonds
         from pgran.experiments.relaxation.windows import march_steps, march_windows
 
-        draw, s = partial(self._draw, unit=self.unit), 1j * self.march.omega
+        draw, s = partial(self.redraw, unit=self.unit), 1j * self.march.omega
         with (
             Operators(self.scaled, group) as operators,
             SteadySolver(operators, self.sites, **self.steady) as solver,
@@ -182,12 +179,6 @@ class Steps(Task):
 
             yield work
 
-    def _draw(self, trajectory, first, count, unit=1.0):
-        """Return the changes of some steps, constants in a unit."""
-        bonds, seed = self.lattice.existing, self.march.seed
-        changes = draw_changes(self.law, len(bonds), seed, trajectory, first, count, unit)
-        return dataclasses.replace(changes, bond=bonds[changes.bond])
-
     def length(self, unit):
         """See `Task`."""
         _, first, count = unit
@@ -202,7 +193,7 @@ class Steps(Task):
     def collect(self, rows, seconds):
         """See `Task`."""
         march = self.march
-        changes = [self._draw(number, 0, march.steps) for number in range(march.trajectories)]
+        changes = [self.redraw(number, 0, march.steps) for number in range(march.trajectories)]
         axis, index = self.lattice.bond_places(np.stack([c.bond for c in changes]))
         states = columns_of(Relaxation, rows.reshape(march.trajectories, march.steps + 1))
         amplitudes = states["error_bound"], states["displacement"]
@@ -211,6 +202,7 @@ class Steps(Task):
             factorizations=int(rows["factorizations"].sum()),
             solve_seconds=seconds,
             drift=float(rows["drift"].max()),
+            step=march.time,
             bond_axis=axis,
             bond_index=index,
             stiffness=np.stack([c.stiffness for c in changes]),
