@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 from mpi4py import MPI
+from network_samples import as_network
 from samples import assert_same, run_scene
 from test_journal import stop_at
 
@@ -19,7 +20,7 @@ from pgran.experiments.ensemble.scene import KEPT
 from pgran.experiments.relaxation.memory import Series, mean_order
 from pgran.experiments.relaxation.spectrum import power_spectrum
 from pgran.medium.crystals import triangular
-from pgran.medium.network_file import write_network
+from pgran.medium.network_file import parts_of, write_network
 from pgran.medium.record import record_of
 from pgran.medium.sample import make_lattice
 from pgran.run.journal import Journal
@@ -320,3 +321,40 @@ def test_a_dry_run_foresees_it(world, of):
 def test_what_only_the_run_can_see(world, of, text, said):
     with pytest.raises(InputError, match=said):
         ran(of, text, world)
+
+
+@pytest.mark.parametrize("of", ["response", "modes"])
+def test_samples_that_are_files_of_packings(world, shared_path, of):
+    """Each of its own size, heard by the free balls nearest to a place."""
+    packed = [pgran.pack(30, pressure=0.05, walls="x", seed=seed) for seed in (1, 2)]
+    assert packed[0].size != packed[1].size
+    paths = [shared_path / f"pack_{n}.h5" for n in range(2)]
+    if world.rank == 0:
+        for network, path in zip(packed, paths, strict=True):
+            write_network(path, *parts_of(network))
+    world.Barrier()
+    words = "-sweep_omega .3,.5 -detectors_at 3,2,2,3" if of == "response" else ""
+    keep = f"-network_file {shared_path}/pack_*.h5 -ensemble_keep curves"
+    options = resolve(read_words(f"-scene ensemble -ensemble_of {of} {keep} {words}".split()))
+    _, found = world.bcast(run_scene(options, world))
+    for n, network in enumerate(packed):
+        if of == "modes":
+            own, count = pgran.find_modes(network).omega, network.size
+            assert np.array_equal(found.mode_omega[n, :count], own)
+            assert np.isnan(found.mode_omega[n, count:]).all()
+        else:
+            away = np.linalg.norm(network.position - np.array([[[3, 2]], [[2, 3]]]), axis=2)
+            near = np.where(network.held == 0, away, np.inf).argmin(axis=1)
+            assert np.array_equal(
+                found.displacement[n], pgran.sweep(network, [0.3, 0.5], near).displacement
+            )
+
+
+def test_places_that_name_no_ball():
+    network = pgran.Network([[0, 1]], [1.0], [0, 1], position=[[0.0, 0.0], [1.0, 0.0]])
+    for of, place, message in (
+        (network, (1, 1, 1), "-detectors_at: a place has 2 coordinates"),
+        (as_network(lattice_of(1)), (1, 1), "-detectors_at: this network has no positions"),
+    ):
+        with pytest.raises(InputError, match=message):
+            of.nearest_free(place)

@@ -115,7 +115,13 @@ CHANGES = {
 # test_sound.py
 SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "network_rattlers"),
-    *("detectors_component", "ensemble_of", "statistics_windows", "green_direction"),
+    *(
+        "detectors_at",
+        "detectors_component",
+        "ensemble_of",
+        "statistics_windows",
+        "green_direction",
+    ),
     *("bonds_gravity", "drive_direction", "drive_force"),
     *("heat_radius", "heat_kelvin", "heat_expansion", "heat_relax"),
 }

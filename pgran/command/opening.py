@@ -28,7 +28,8 @@ def opening(options, ranks, lattice=None):
 
 def _network(options, network):
     """Return the facts of a network that was read."""
-    yield f"the network {options.network_file}"
+    first, *others = options.network_file
+    yield f"{len(others) + 1} networks; {first}" if others else f"the network {first}"
     loose = " without rattlers" * (options.network_rattlers == "remove")
     yield f"{len(network.free)} free balls{loose}, {network.bonds} contacts"
     moves = {"scalar": "scalar displacements", "vector": "vectors", "rotations": "rotations"}

@@ -63,7 +63,7 @@ def resolve(given, output_file=None):
     if not SCENES[of].shares_lattice and values["ranks_per_lattice"] > 1:
         raise InputError(f"-ranks_per_lattice: scene {of} has one rank for each lattice only")
     if SCENES[scene].on_medium:
-        check_lattice(values, last, SCENES[of].draws)
+        check_lattice(values, last, SCENES[of].draws, several=scene == "ensemble")
     if of != scene:
         _check_repeated(scene, of, values, last)
     SCENES[scene].check(values, last)

@@ -9,7 +9,7 @@ from pgran.medium.units import warn_above_modes
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Caution
 from pgran.run.keywords import Asked
-from pgran.run.options import INTEGER, INTEGERS, REAL, TEXT, Option
+from pgran.run.options import INTEGER, INTEGERS, REAL, REALS, TEXT, Option
 
 log = logging.getLogger("pgran")
 UNSTABLE = "springs of negative constants (pre-stress) make this network unstable"
@@ -40,12 +40,25 @@ SITES = (
         low=0, high=2**63 - 1
     ),
     Option(
+        "detectors_at", REALS, None,
+        "of networks, places instead, x,y or x,y,x,y: the free ball nearest to each listens",
+    ),
+    Option(
         "detectors_component", TEXT, "drive",
         "of networks with vectors: what of a displacement is read, along the drive or an axis",
         choices=("drive", "x", "y", "z")
     ),
 )  # fmt: skip
-DETECTORS = Asked(SITES, lambda options, *others: options.detectors)
+
+
+def detectors_of(options, world, medium):
+    """Return the balls that the options of a run name, by numbers or places."""
+    if options.detectors_at is not None:
+        return medium.nearest_free(options.detectors_at)
+    return options.detectors
+
+
+DETECTORS = Asked(SITES, detectors_of)
 
 
 def steady(*values):

@@ -241,6 +241,16 @@ class Network(Elastic, Connected, Medium):
             raise InputError(f"{name}: one ball at least is needed")
         return sites
 
+    def nearest_free(self, places):
+        """Return the free balls nearest to places, x,y,x,y ..., as an array (nd, 1)."""
+        if self.position is None:
+            raise InputError("-detectors_at: this network has no positions; name balls, -detectors")
+        axes = self.position.shape[1]
+        if len(places) % axes:
+            raise InputError(f"-detectors_at: a place has {axes} coordinates here")
+        away = np.reshape(places, (-1, 1, axes)) - self.position[self.free]
+        return self.free[np.linalg.norm(away, axis=2).argmin(axis=1)][:, None]
+
     def readings(self, sites):
         """Return unknowns that detectors read and their weights, (nd, axes)."""
         first = np.searchsorted(self.free, np.asarray(sites)[:, 0]) * self.components

@@ -10,7 +10,7 @@ from pgran.medium.record import record_of
 from pgran.medium.redraw import REDRAWN, redrawn
 from pgran.medium.source import OF_SOURCE, with_source
 from pgran.run.agreement import on_root
-from pgran.run.options import FILE, INTEGER, INTEGERS, REAL, TEXT, Option, alternatives
+from pgran.run.options import FILE, FILES, INTEGER, INTEGERS, REAL, TEXT, Option, alternatives
 
 OF_LATTICE = (
     Option("lattice_shape", INTEGERS, (20, 20), "balls along each axis, 1 to 3 numbers", low=1),
@@ -47,8 +47,9 @@ OF_LATTICE = (
 )  # fmt: skip
 OF_NETWORK = (
     Option(
-        "network_file", FILE, None,
-        "HDF5 file with /network/bond, stiffness ..., instead of a lattice and its bonds"
+        "network_file", FILES, None,
+        "HDF5 file with /network/bond, stiffness ..., instead of a lattice and its bonds; of an "
+        "ensemble several, one a sample, a.h5,b.h5 or a quoted pattern, 'pack_*.h5'"
     ),
     Option(
         "network_damping", REAL, None, "damping beta of every contact; else the file's",
@@ -66,16 +67,21 @@ LATTICE = (*OF_LATTICE, *OF_NETWORK, *OF_SOURCE, *REDRAWN)
 OWN_KMAX = ("hertz", "file")  # laws of bonds whose largest constant is not known beforehand
 
 
-def check_lattice(values, given, draws=False):
+def check_lattice(values, given, draws=False, several=False):
     """Raise where the options of a medium contradict each other.
 
-    `draws` says that the experiment draws constants itself, of networks by the law, too.
+    `draws` says that the experiment draws constants itself, of networks by the law, too, `several`
+    that there may be more than one network.
     """
     law = LAW if draws else ()
     named = [option.name for option in OF_LATTICE if option.name not in law]
     alternatives([option.name for option in OF_NETWORK], named, values, given)
     draws = draws or values["bonds_redrawn"] > 0
+    if values.get("detectors_at") is not None:
+        alternatives(("detectors_at",), ("detectors",), values, given)
     if values["network_file"] is not None:
+        if len(values["network_file"]) > 1 and not several:
+            raise InputError("-network_file: several networks are samples of -scene ensemble")
         return
     if values["network_damping"] is not None:
         raise InputError("-network_damping belongs to -network_file; of a lattice -lattice_damping")
@@ -83,6 +89,8 @@ def check_lattice(values, given, draws=False):
         raise InputError("-network_rattlers belongs to -network_file: a lattice has none")
     if values.get("detectors_component") not in ("drive", None):
         raise InputError("-detectors_component: balls of a lattice have one displacement")
+    if values.get("detectors_at") is not None:
+        raise InputError("-detectors_at: balls of a lattice are named by their indices, -detectors")
     if len(values["lattice_shape"]) > 3:
         raise InputError("-lattice_shape: a lattice has 1 to 3 axes")
     if values["bonds_gravity"] and (draws or values["bonds_law"] != "hertz"):
@@ -124,10 +132,10 @@ def _network(options, world):
     """Return the network of a file, changed as the options ask. Collective."""
     from pgran.medium.network_file import read_network
 
-    network = on_root(world, lambda: read_network(options.network_file))
+    network = on_root(world, lambda: read_network(options.network_file[0]))
     if options.network_rattlers == "remove":
         network = with_rattlers_at_rest(network)
-    changes = {"component": getattr(options, "detectors_component", "drive")}
+    changes = {"component": getattr(options, "detectors_component", None) or "drive"}
     if network.displacement == "scalar":
         changes["component"] = "drive"
     if options.network_damping is not None:

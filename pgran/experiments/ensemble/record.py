@@ -5,7 +5,6 @@ that ranks send, the file and the bands follow; a `measure` is told and drawn be
 """
 
 import dataclasses
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -70,12 +69,6 @@ def logarithms(response, medium):
     unknown = (response.at_floor > 0) | (response.converged_reason <= 0)[:, None]
     with np.errstate(divide="ignore"):
         return np.where(unknown, np.nan, np.log(response.amplitude))
-
-
-def padded(values, medium):
-    """Return the values of modes, one for each unknown of the medium: NaN after the last."""
-    unknowns = math.prod(medium.shape)
-    return np.append(values, np.full(unknowns, np.nan))[:unknowns]
 
 
 def effective_bonds(sensitivity, medium):
@@ -147,13 +140,11 @@ class Ensemble(Record):
         words="bonds that matter, on the mean over frequencies,",
     )  # fmt: skip
     mode_omega: Array = sampled(
-        "modes", "mode frequencies, NaN after the last", "sqrt(k/m)", "seed", "mode",
-        read=lambda modes, medium: padded(modes.omega, medium),
-    )  # fmt: skip
+        "modes.omega", "mode frequencies, NaN after the last", "sqrt(k/m)", "seed", "mode"
+    )
     participation: Array = sampled(
-        "modes", "participation ratios", "1", "seed", "mode",
-        read=lambda modes, medium: padded(modes.participation, medium),
-    )  # fmt: skip
+        "modes.participation", "participation ratios", "1", "seed", "mode"
+    )
     displacement: Array = sampled(
         "response.displacement", "amplitudes of each sample", "1", "seed", *CURVE, dtype=complex
     )

@@ -1,7 +1,6 @@
 """One experiment on many samples: the task that repeats it, bands, and measures in words."""
 
 import logging
-import math
 
 import numpy as np
 
@@ -26,14 +25,14 @@ QUANTILES = (0.5, 0.1, 0.9)
 class Samples(Task):
     """The experiment `of` on each sample, a seed a unit.
 
-    Collective over a group of ranks, `draw(seed, group)` returns the medium of a sample, as large
-    as the `first`, and `experiment(medium, number, crew)` its records on the first rank.
+    Collective over a group of ranks, `draw(seed, group)` returns the medium of a sample, of `most`
+    unknowns or fewer, and `experiment(medium, number, crew)` its records on the first rank.
     `choices` are the experiment's keywords.
     """
 
     items = "samples"
 
-    def __init__(self, of, seeds, draw, experiment, first, keep, choices):
+    def __init__(self, of, seeds, draw, experiment, first, most, keep, choices):
         """Find what is read of a sample, and make the row that it travels in."""
         self.of, self.units, self.curves = of, list(seeds), keep == "curves"
         self.draw, self.experiment = draw, experiment
@@ -48,7 +47,7 @@ class Samples(Task):
         lengths = {
             "omega": () if omegas is None else self.omegas.shape,
             "detector_number": () if detectors is None else (len(self.sites),),
-            "mode": (math.prod(first.shape),),
+            "mode": (most,),
         }
         others = sampled_of().keys() - self.sampled
         self.row = np.dtype(row_of(Ensemble, others, **lengths))
@@ -75,7 +74,9 @@ class Samples(Task):
             groups = {record.group: record for record in records}
             for name, sampled in self.sampled.items():
                 if sampled.group in groups:  # too short a relaxation has no spectrum
-                    rows[name][0] = sampled.read(groups[sampled.group], medium)
+                    value = np.asarray(sampled.read(groups[sampled.group], medium))
+                    # samples may have fewer modes than the row has places
+                    rows[name][(0, *map(slice, value.shape))] = value
             rows["good"] = not any(record.failures for record in records)
         return rows
 

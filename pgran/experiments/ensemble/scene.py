@@ -2,6 +2,7 @@
 
 import logging
 import os
+from glob import glob
 
 import numpy as np
 
@@ -80,11 +81,10 @@ def check(values, given):
     values |= LEFT_OUT
     EXPERIMENTS[kind][0].check(values, given)
     check_kept(kind, values["ensemble_keep"])
-    if values["network_file"] is not None or values["bonds_law"] == "file":
-        raise InputError(
-            "-ensemble_of: samples are drawn by a law, and a file holds one only; in Python "
-            "pgran.ensemble takes a list of files"
-        )
+    if values["bonds_law"] == "file":
+        raise InputError("-ensemble_of: samples are drawn by a law, and a file holds one only")
+    if values["network_file"] is not None:
+        _check_files(values, given)
     jumps = values["bonds_law"] == "hertz" and values["bonds_kmax"] is None
     if jumps and values["sweep_unit"] == "omega_mx":
         raise InputError(
@@ -95,6 +95,23 @@ def check(values, given):
             needed = "-ensemble_of response and -ensemble_keep curves"
             raise InputError(f"-statistics_windows: needs {needed}")
         noise.windows_of(values["statistics_windows"])
+
+
+def _check_files(values, given):
+    """Let as many samples be as there are networks; raise unless there are several."""
+    files = [path for each in values["network_file"] for path in sorted(glob(each)) or [each]]
+    if len(files) < 2:
+        raise InputError(
+            f"-network_file {files[0]}: a file holds one sample only; give several, a.h5,b.h5 or a "
+            "quoted pattern, 'pack_*.h5'"
+        )
+    if given.get("ensemble_samples") and values["ensemble_samples"] != len(files):
+        raise InputError(
+            f"-ensemble_samples {values['ensemble_samples']}: -network_file names {len(files)}"
+        )
+    if values["sweep_unit"] == "omega_mx":
+        raise InputError("-sweep_unit omega_mx: differs between networks; give angular frequencies")
+    values["network_file"], values["ensemble_samples"] = tuple(files), len(files)
 
 
 def check_kept(of, keep):
@@ -129,7 +146,7 @@ def ensemble(
     lattice : dict, callable or list
         What `pgran.Lattice.random` takes besides the seed; or a function of the seed that returns
         a lattice or a network, the same on every rank; or the samples: lattices, networks, or paths
-        of networks' files or of results. All have as many unknowns.
+        of networks' files or of results. Lattices have one size.
     seed : int
         Of the first sample; the others' follow one by one. Samples of a list are numbered from 0.
     **experiment
@@ -153,33 +170,41 @@ def ensemble(
 
     def draw(seed, group):
         medium = _sample(lattice, seed)
-        if (type(medium), medium.shape) != (type(first), first.shape):
+        other = type(medium) is not type(first) or (medium.is_grid and medium.shape != first.shape)
+        if other or (of == "modes" and medium.size > first.size and not listed):
             raise InputError(f"ensemble: the sample of seed {seed} is of another size")
         return medium
 
-    return repeated(of, seeds, draw, first, keep, choices, crew, progress)
+    return repeated(of, seeds, draw, first, keep, choices, crew, progress, listed)
 
 
-def repeated(of, seeds, draw, first, keep, choices, crew, progress, changes=1, fit=None):
+def repeated(
+    of, seeds, draw, first, keep, choices, crew, progress, listed, changes=1, fit=None, places=None
+):
     """Return the Ensemble of an experiment with these keywords, on samples as `Samples` has them.
 
-    Collective. Of a relaxation the first sample's changes have the seed `changes`, and exponents
-    are fitted in the window `fit`.
+    Collective. Samples that are `listed` may differ in size. Of a relaxation the first sample's
+    changes have the seed `changes`, and exponents are fitted in the window `fit`. The balls nearest
+    to `places` listen in each sample.
     """
     function = EXPERIMENTS[of][1]
+    several = [draw(seed, crew.world) for seed in seeds] if listed and of == "modes" else [first]
+    most = max(medium.size for medium in several)
     if of == "response":
         choices |= {"resolve": 0.0, "keep_models": False}
 
     def one(medium, number, crew):
         # of one seed for all samples these would become the same network
         own = {"seed": changes + number} if of == "relaxation" else {}
-        record = function(medium, crew=crew, **choices, **own)
+        if places is not None:
+            own["detectors"] = medium.nearest_free(places)
+        record = function(medium, crew=crew, **choices | own)
         if record and of == "relaxation":
             return fluctuations.measured(record, fit or fluctuations.FIT, len(medium.existing))
         return record and [record]
 
     with agreeing(crew.world):
-        task = Samples(of, seeds, draw, one, first, keep, choices)
+        task = Samples(of, seeds, draw, one, first, most, keep, choices)
     return carry_out(task, crew, progress)
 
 
@@ -235,18 +260,22 @@ def summary(result):
 def run(lattice, options, crew):
     """Return the ensemble, its noise and transport; see `pgran.run.experiment.Scene`."""
     of, windows = options.ensemble_of, options.statistics_windows
-    seeds = seeds_of(options.bonds_seed, options.ensemble_samples)
+    files = crew.world.bcast(options.network_file)
+    seeds = seeds_of(0 if files else options.bonds_seed, options.ensemble_samples)
     seeds_of(options.relax_seed or 0, options.ensemble_samples)
     choices = asked_of(EXPERIMENTS[of][1], options, crew.world, lattice, without=NOT_TAKEN)
     if windows is not None:
         windows = noise.windows_of(windows, choices["omegas"])
 
     def draw(seed, group):
-        return make_lattice(options.changed(bonds_seed=seed), group)
+        own = {"network_file": files[seed : seed + 1]} if files else {"bonds_seed": seed}
+        return make_lattice(options.changed(**own), group)
 
     how = lattice, options.ensemble_keep, choices, crew, options.output_progress
     fit = options.spectrum_fit_min, options.spectrum_fit_max
-    record = repeated(of, seeds, draw, *how, options.relax_seed, fit)
+    record = repeated(
+        of, seeds, draw, *how, files is not None, options.relax_seed, fit, options.detectors_at
+    )
     if record is None or record.displacement is None or crew.dry:
         return record and [record]
     records = [record]
