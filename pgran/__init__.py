@@ -25,6 +25,7 @@ _HOMES = {
     "Lattice": "pgran.medium.lattice",
     "Network": "pgran.medium.network",
     "PgranError": "pgran.errors",
+    "compare": "pgran.experiments.likeness.compare",
     "continuum": "pgran.experiments.continuum.scene",
     "count_modes": "pgran.experiments.modes.density",
     "ensemble": "pgran.experiments.ensemble.scene",

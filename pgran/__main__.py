@@ -29,6 +29,7 @@ pgran: sound in a granular material, a lattice of balls and random springs
 
   pgran run FILE [-key value ...]     compute the experiment in an options file
   pgran plot RESULT [OTHER ...]       draw the figures of a result, or of several
+  pgran compare A B                   say how alike two responses or two codas are
   pgran export RESULT TO              write it as a table, or for ParaView
   pgran verify RESULT                 say whether it is as it was written
 
@@ -51,6 +52,7 @@ In parallel: mpirun -n 2 pgran run options/response.opts
 COMMANDS = {
     "run": ("run", "run"),
     "plot": ("plot", "run"),
+    "compare": ("compare", "run"),
     "export": ("export", "run"),
     "options": ("listing", "list_options"),
     "doctor": ("doctor", "examine"),

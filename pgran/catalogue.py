@@ -42,15 +42,19 @@ EXPERIMENTS = {
     "structure": Home("structure.scene", {"structure": "figures"}),
 }
 
+# what results of experiments are measured by, which no run does
+MEASURES = {"likeness": Home("likeness.compare", {"likeness": "figures"})}
+
 POINTS = ("sensitivity",)  # of their results a figure of several has points, which need no labels
 
+HOMES = [*EXPERIMENTS.values(), *MEASURES.values()]
 # Where records and figures of each group are; the medium, whose axes the others share, comes first.
 RECORDS = dict.fromkeys(("lattice", "network"), "pgran.medium.record") | {
-    group: f"{home.folder}.record" for home in EXPERIMENTS.values() for group in home.groups
+    group: f"{home.folder}.record" for home in HOMES for group in home.groups
 }
 FIGURES = {"network": "pgran.draw.network"} | {
     group: f"{home.folder}.{module}"
-    for home in EXPERIMENTS.values()
+    for home in HOMES
     for group, module in home.groups.items()
     if module
 }

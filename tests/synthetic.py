@@ -3,6 +3,9 @@
 import math
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline as Spline
+
+from pgran.experiments.likeness.stretching import Pair
 
 STEPS_OF_PERIOD = 2  # of what is made, to what is kept: FFTs repeat themselves
 
@@ -96,3 +99,24 @@ class BondSums:
             whole = self.bonds // k * k
             B = B + w * x[:, :whole].reshape(steps, -1, k).prod(axis=2).sum(axis=1)
         return B
+
+
+SPREAD, CODA = 0.2, (200.0, 400.0)  # of the power spectrum around 1, and the window of codas
+
+
+def codas(rng, alike, stretch, complex_ones=False):
+    """Return a pair of Gaussian codas, whose correlation is `alike` on the mean once stretched."""
+    time, omega = np.arange(190, 410, 0.4), np.linspace(0.001, 2, 160) + rng.uniform(0, 0.01)
+    g, n = np.exp(-((omega - 1) ** 2) / (4 * SPREAD**2)) * complex_normal(rng, 2, len(omega))
+    signals = []
+    for strength, speed in ((g, 1.0), (alike * g + math.sqrt(1 - alike**2) * n, 1 + stretch)):
+        turns = np.exp(1j * np.outer(time * speed, omega))
+        both = turns @ strength, turns @ (1j * omega * speed * strength)
+        signals.append(Spline(time, *(both if complex_ones else np.real(both))))
+    return Pair(*signals, np.linspace(*CODA, 500))
+
+
+def weaver(alike):
+    """The error of a stretch of these codas by Weaver et al., their T and omega_c^2 put in."""
+    squares = SPREAD * (1 + SPREAD**2) * (CODA[1] ** 3 - CODA[0] ** 3)
+    return math.sqrt((1 / alike**2 - 1) * 1.5 * math.sqrt(math.pi) / squares)

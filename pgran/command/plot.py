@@ -11,14 +11,13 @@ from pgran.command.words import Parser, positive
 from pgran.draw import pages as figures
 from pgran.errors import DONE, FileError, InputError
 from pgran.run.numbers import number, numbers
-from pgran.run.options import options_in
+from pgran.run.options import labels_of
 from pgran.store.columns import read_measured
 from pgran.store.si import SI
 
 log = logging.getLogger("pgran")
 
 NARROWEST, WIDEST = 60, 400  # mm
-LONGEST = 120  # characters of a label
 LAID_OVER = {"response": "modes", "pulse": "response"}  # and over what
 
 
@@ -169,30 +168,6 @@ def run(words):
     for path in _save(made, output, options.caption, options.plot_with):
         print(path)
     return DONE
-
-
-def labels_of(results, names):
-    """Return what tells results apart: the options in which they differ, else their files' names.
-
-    How a run was carried out, and what it stored, is no difference. Where options are too many for
-    a legend they are logged.
-    """
-    options = [options_in(str(getattr(result, "options", ""))) for result in results]
-    keys = dict.fromkeys(key for each in options for key in each)
-    differ = [key for key in keys if len({each.get(key) for each in options}) > 1]
-    labels = [" ".join(f"-{k} {each[k]}".strip() for k in differ if k in each) for each in options]
-    if max(map(len, labels)) > LONGEST:
-        for name, label in zip(names, labels, strict=True):
-            log.info("file %s: %s", name, label or "by default")
-        return [f"file {name}" for name in names]
-    alike = [label for label in labels if labels.count(label) > 1]
-    if alike:
-        same = [name for name, label in zip(names, labels, strict=True) if label in alike]
-        log.warning("%s: no option tells them apart; the figure names the files", ", ".join(same))
-    return [
-        " ".join(filter(None, [label, f"file {name}"])) if label in alike else label or "by default"
-        for name, label in zip(names, labels, strict=True)
-    ]
 
 
 def _pair(*results):

@@ -37,6 +37,24 @@ def number(name, value):
     return float(array)
 
 
+def windows_of(name, values, within=None, called="the sweep"):
+    """Return numbers low, high, low, high ... as windows, shape (n, 2).
+
+    Raises InputError, which calls them `name`, unless they are such, and within ascending numbers.
+    """
+    ends = numbers(name, values).ravel()
+    if not ends.size or ends.size % 2:
+        raise InputError(f"{name}: a window has two ends, so {ends.size} numbers make none")
+    windows = ends.reshape(-1, 2)
+    for low, high in windows:
+        if not low < high:
+            raise InputError(f"{name}: {low:g} is not below {high:g}")
+        if within is not None and not within[0] <= low < high <= within[-1]:
+            whole = f"{called}, {within[0]:g} to {within[-1]:g}"
+            raise InputError(f"{name}: {low:g} to {high:g} is not within {whole}")
+    return windows
+
+
 def _has_truth_values(value):
     """Return whether a list holds truth values, which NumPy takes for numbers among others."""
     if isinstance(value, (list, tuple)):

@@ -1,6 +1,7 @@
 """Options: how one is declared, read and written; those of every run; a run's own, resolved."""
 
 import difflib
+import logging
 import math
 import operator
 import re
@@ -10,6 +11,10 @@ from dataclasses import dataclass
 
 from pgran.arguments import shown
 from pgran.errors import InputError
+
+log = logging.getLogger("pgran")
+
+LONGEST = 120  # characters of what tells results apart
 
 
 @dataclass(frozen=True)
@@ -184,6 +189,30 @@ def options_in(text):
     how = ("output_", *(option.name for option in RUN))
     lines = [line.lstrip("-").partition(" ") for line in text.splitlines() if line]
     return {name: value for name, _, value in lines if not name.startswith(how)}
+
+
+def labels_of(results, names):
+    """Return what tells results apart: the options in which they differ, else their files' names.
+
+    How a run was carried out, and what it stored, is no difference. Where options are too many for
+    a legend they are logged.
+    """
+    options = [options_in(str(getattr(result, "options", ""))) for result in results]
+    keys = dict.fromkeys(key for each in options for key in each)
+    differ = [key for key in keys if len({each.get(key) for each in options}) > 1]
+    labels = [" ".join(f"-{k} {each[k]}".strip() for k in differ if k in each) for each in options]
+    if max(map(len, labels)) > LONGEST:
+        for name, label in zip(names, labels, strict=True):
+            log.info("file %s: %s", name, label or "by default")
+        return [f"file {name}" for name in names]
+    alike = [label for label in labels if labels.count(label) > 1]
+    if alike:
+        same = [name for name, label in zip(names, labels, strict=True) if label in alike]
+        log.warning("%s: no option tells them apart; the figure names the files", ", ".join(same))
+    return [
+        " ".join(filter(None, [label, f"file {name}"])) if label in alike else label or "by default"
+        for name, label in zip(names, labels, strict=True)
+    ]
 
 
 def alternatives(some, others, values, given):

@@ -18,11 +18,12 @@ from pathlib import Path
 sys.path.append(str(Path(__file__).parents[1]))
 
 import numpy as np
-from synthetic import BondSums, gaussian_fields, mean_intensity
+from synthetic import BondSums, codas, gaussian_fields, mean_intensity
 
 from pgran.errors import InputError
 from pgran.experiments.ensemble import intensity
 from pgran.experiments.ensemble.noise import MAXIMA_SPACING, NoisyCurves
+from pgran.experiments.likeness.stretching import MOVES
 from pgran.experiments.modes import levels
 from pgran.experiments.modes.levels import GOE_SPACING_RATIO, POISSON_SPACING_RATIO
 from pgran.experiments.relaxation import memory
@@ -113,6 +114,16 @@ def relaxations(rng, repeats, memories, trajectories):
     return judge(f"{trajectories} trajectories of {memories} M steps", found, truths)
 
 
+def stretches(rng, repeats, alike, complex_ones):
+    """Judge the stretch of codas, and their correlation under it."""
+    pairs = [codas(rng, alike, 0.003, complex_ones) for _ in range(repeats)]
+    move = MOVES["pulse"]["stretch"]
+    found = {"stretch": [pair.best(move, 0.02)[0] for pair in pairs]}
+    found["correlation"] = [pair.correlation(move, 0.003) for pair in pairs]
+    truths = {"stretch": 0.003, "correlation": alike}
+    return judge(f"codas, correlation {alike}, complex: {complex_ones}", found, truths)
+
+
 def main(repeats):
     """Print all tables, and return how many measures fail."""
     rng, failures = np.random.default_rng(1), 0
@@ -122,6 +133,8 @@ def main(repeats):
     failures += spectra(rng, repeats)
     for memories, trajectories in ((21, 1), (100, 1), (10, 10)):
         failures += relaxations(rng, repeats, memories, trajectories)
+    for alike in (0.8, 0.9, 0.99):
+        failures += stretches(rng, repeats, alike, alike == 0.9)
     print(f"\n{failures} fail")
     return failures
 

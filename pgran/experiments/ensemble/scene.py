@@ -26,6 +26,7 @@ from pgran.run.experiment import Caution, Scene
 from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, asked_of
+from pgran.run.numbers import windows_of
 from pgran.run.options import INTEGER, REALS, TEXT, Option
 from pgran.run.task import carry_out
 
@@ -94,7 +95,7 @@ def check(values, given):
         if (kind, values["ensemble_keep"]) != ("response", "curves"):
             needed = "-ensemble_of response and -ensemble_keep curves"
             raise InputError(f"-statistics_windows: needs {needed}")
-        noise.windows_of(values["statistics_windows"])
+        windows_of("-statistics_windows", values["statistics_windows"])
 
 
 def _check_files(values, given):
@@ -265,7 +266,7 @@ def run(lattice, options, crew):
     seeds_of(options.relax_seed or 0, options.ensemble_samples)
     choices = asked_of(EXPERIMENTS[of][1], options, crew.world, lattice, without=NOT_TAKEN)
     if windows is not None:
-        windows = noise.windows_of(windows, choices["omegas"])
+        windows = windows_of("-statistics_windows", windows, choices["omegas"])
 
     def draw(seed, group):
         own = {"network_file": files[seed : seed + 1]} if files else {"bonds_seed": seed}

@@ -10,7 +10,7 @@ from pgran.errors import InputError
 from pgran.experiments.ensemble import intensity
 from pgran.experiments.ensemble.noise import MAXIMA_SPACING, NoisyCurves
 from pgran.experiments.ensemble.record import Ensemble, NoiseStatistics
-from pgran.run.numbers import numbers
+from pgran.run.numbers import windows_of
 from pgran.store.estimate import Estimate, two_digits, with_errors
 from pgran.store.fields import ball_names
 
@@ -20,25 +20,6 @@ EDGES = np.append(np.arange(0.0, 4.0, 0.25), np.arange(4.0, 8.5, 0.5))  # of I/<
 SHIFTS = 60  # at which correlations are stored, as far as half of the window
 PARTS = "whole", "incoherent"
 MEASURED = "contrast", "spread", "half_width", "maxima_spacing"
-
-
-def windows_of(values, omegas=None):
-    """Return numbers low, high, low, high ... as windows, shape (n, 2).
-
-    Raises InputError unless they are such, and within the sweep if it is given.
-    """
-    name = "-statistics_windows"
-    ends = numbers(name, values).ravel()
-    if not ends.size or ends.size % 2:
-        raise InputError(f"{name}: a window has two ends, so {ends.size} numbers make none")
-    windows = ends.reshape(-1, 2)
-    for low, high in windows:
-        if not low < high:
-            raise InputError(f"{name}: {low:g} is not below {high:g}")
-        if omegas is not None and not omegas[0] <= low < high <= omegas[-1]:
-            sweep = f"the sweep, {omegas[0]:g} to {omegas[-1]:g}"
-            raise InputError(f"{name}: {low:g} to {high:g} is not within {sweep}")
-    return windows
 
 
 @called_right
@@ -66,7 +47,7 @@ def statistics(ensemble, windows):
     """
     if not isinstance(ensemble, Ensemble) or ensemble.displacement is None:
         raise InputError("statistics: no curves; -ensemble_keep curves keeps them")
-    windows = windows_of(windows, ensemble.omega)
+    windows = windows_of("-statistics_windows", windows, ensemble.omega)
     A = ensemble.displacement[ensemble.good > 0]
     detectors, missing = range(A.shape[2]), {}
     places = [

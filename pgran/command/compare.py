@@ -1,0 +1,80 @@
+"""`pgran compare`: how alike two response curves or two codas are."""
+
+import shlex
+from pathlib import Path
+
+import pgran
+from pgran.command.plot import plot
+from pgran.command.words import Parser, positive
+from pgran.errors import DONE
+from pgran.run.options import REALS
+from pgran.store import file as store
+from pgran.store.estimate import two_digits
+from pgran.store.fields import ball_names
+from pgran.store.record import Result
+
+ROW = "{:<19}{:<20}{:<22}{:<9}{:<22}"  # of the table
+
+
+def run(words):
+    """Say how alike two responses or two pulses are, and which stretch makes them most alike.
+
+    In windows of frequency or time. The stretch is the relative change of all frequencies, or of
+    speeds (coda wave interferometry).
+    """
+    parser = Parser(
+        "compare",
+        run.__doc__,
+        "pgran compare results/response.h5 results/after.h5",
+        "pgran compare results/pulse.h5 results/warm.h5 -windows 200,300,300,400",
+        "pgran compare results/response.h5 results/after.h5 -o results/likeness.h5",
+    )
+    add = parser.add_argument
+    add("a", metavar="A", help="HDF5 file of pgran run")
+    add("b", metavar="B", help="HDF5 file of pgran run, of the same scene")
+    kinds = "figure to draw (A-B.png), or file of a result to store instead, if it ends in .h5"
+    add("-o", "-output_file", dest="output", metavar="TO", help=kinds)
+    add("-output_overwrite", action="store_true", help="replace a result that is there")
+    ends = "low,high,low,high ... of frequencies or times"
+    add("-windows", metavar="ENDS", type=REALS.read, help=ends)
+    add("-stretch", type=positive, default=0.02, help="the largest that is tried (.02)")
+    options = parser.read(words)
+    output = options.output or f"{Path(options.a).with_suffix('')}-{Path(options.b).stem}.png"
+    stored = Path(output).suffix == ".h5"
+    if stored:
+        store.check_output(output, options.output_overwrite)
+    found = pgran.compare(options.a, options.b, options.windows, options.stretch)
+    told = {"scene": found.group, "status": "complete", "pgran_version": pgran.__version__}
+    told["command"] = shlex.join(["pgran", "compare", *words])
+    if stored:
+        store.write(output, told, [found], options.output_overwrite)
+    else:
+        plot(Result([found], **told), output)
+    print("\n".join(table(found)))
+    return DONE
+
+
+def table(found):
+    """Yield in words how alike two results are."""
+    yield f"A: {found.label_a}; B: {found.label_b}"
+    heads = ["time" if found.of == "pulse" else "omega", "correlation", "stretch of B", "then"]
+    heads.append("" if found.shift is None else "or a shift of B")
+    for d, ball in enumerate(ball_names(found.detector)):
+        for n, signal in enumerate(found.signal):
+            yield f"{ball}, {signal}"
+            yield ROW.format(*heads).rstrip()
+            for w, (low, high) in enumerate(zip(found.low, found.high, strict=True)):
+                numbers = [
+                    _told(found, name, (w, d, n)) for name in ("correlation", "stretch", "shift")
+                ]
+                numbers.insert(2, f"{found.stretched[w, d, n]:.4f}")
+                yield ROW.format(f"{low:.4g} to {high:.4g}", *numbers).rstrip()
+
+
+def _told(found, name, place):
+    """Return a number with its error; nothing where there is no such one."""
+    if getattr(found, name) is None:
+        return ""
+    value, error = getattr(found, name)[place], getattr(found, f"{name}_error")[place]
+    digits = ".4f" if name == "correlation" else "+.3g"
+    return f"{value:{digits}} +- {two_digits(error)}" if value == value else "unknown"

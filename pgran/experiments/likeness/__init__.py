@@ -1,0 +1,1 @@
+"""How alike two response curves, or two codas, are."""
