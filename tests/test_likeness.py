@@ -111,7 +111,6 @@ def test_relaxation_forgets_within_its_exact_bounds():
     low, high = memory.bounds(np.array(steps[1:]), M, M * (1 - found[0].value))
     for each, *ends in zip(found, low, high, strict=True):
         assert ends[0] - 3 * each.error < each.value < ends[1] + 3 * each.error
-    assert 0 < found[2].value < found[1].value < found[0].value < 1
 
 
 def changed(result, change):
@@ -122,7 +121,6 @@ def changed(result, change):
     ("kind", "change", "choices", "said"),
     [
         ("pulse", {}, {"stretch": 0.6}, "-stretch: a number between 0 and .5 is needed, not 0.6"),
-        ("pulse", {}, {"windows": [100, 200, 300]}, "-windows: .* 3 numbers make none"),
         ("pulse", {}, {"windows": [280, 299]}, "-windows: 280 to 299 is not within what both have"),
         ("pulse", {}, {"windows": [200, 202]}, "200 to 202 holds 5 good points of A, and needs 8"),
         ("pulse", {"wall": np.linspace(0, 1, 601)}, {}, "the wall moves until the end; listen"),

@@ -7,12 +7,13 @@ import pgran
 from pgran.command.plot import plot
 from pgran.command.words import Parser, positive
 from pgran.errors import DONE
-from pgran.run.options import REALS
+from pgran.run.options import REALS, Option
 from pgran.store import file as store
 from pgran.store.estimate import two_digits
 from pgran.store.fields import ball_names
 from pgran.store.record import Result
 
+WINDOWS = Option("windows", REALS, None, "low,high,low,high ... of frequencies, angular, or times")
 ROW = "{:<19}{:<20}{:<22}{:<9}{:<22}"  # of the table
 
 
@@ -35,8 +36,7 @@ def run(words):
     kinds = "figure to draw (A-B.png), or file of a result to store instead, if it ends in .h5"
     add("-o", "-output_file", dest="output", metavar="TO", help=kinds)
     add("-output_overwrite", action="store_true", help="replace a result that is there")
-    ends = "low,high,low,high ... of frequencies or times"
-    add("-windows", metavar="ENDS", type=REALS.read, help=ends)
+    add("-windows", type=WINDOWS.read, help=WINDOWS.meaning)
     add("-stretch", type=positive, default=0.02, help="the largest that is tried (.02)")
     options = parser.read(words)
     output = options.output or f"{Path(options.a).with_suffix('')}-{Path(options.b).stem}.png"

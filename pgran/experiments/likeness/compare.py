@@ -25,7 +25,7 @@ REST = 1e-3  # of its largest: how far from its last place a wall that rests may
 COARSE = 0.1  # of a signal's size: an error that hides it
 FEWEST = 8  # points of a window
 STEPS = 256, 8192  # of a window, at least and at most
-INSIDE = np.linspace(0, 1, 34)[1:-1, None]  # of an interval, where its model is evaluated
+INSIDE = np.linspace(0, 1, 18)[1:-1, None]  # of an interval, where its model is evaluated
 
 
 class Side(NamedTuple):
@@ -126,8 +126,10 @@ def compare(a, b, windows=None, stretch=0.02):
         log.info("A is heard at %s, B at %s", *(", ".join(each) for each in balls))
     sides = [read(record, unit) for record in records]
     windows = _windows(sides, windows, stretch, WIDTH * unit if kind == "response" else None)
-    places = [[_measure(sides, w, d, kind, stretch) for d in range(len(balls[0]))] for w in windows]
-    labels = labels_of(results, files)
+    labels, shape = labels_of(results, files), (len(windows), len(balls[0]), len(signals))
+    told = [
+        _measure(sides, windows[w], d, signals[n], kind, stretch) for w, d, n in np.ndindex(shape)
+    ]
     return Likeness(
         of=kind,
         label_a=labels[0],
@@ -138,7 +140,7 @@ def compare(a, b, windows=None, stretch=0.02):
         detector=records[0].detector,
         low=windows[:, 0] + sides[0].origin,
         high=windows[:, 1] + sides[0].origin,
-        **{n: np.array([[[x[n] for x in d] for d in w] for w in places]) for n in places[0][0][0]},
+        **{name: np.reshape([each[name] for each in told], shape) for name in told[0]},
     )
 
 
@@ -165,11 +167,11 @@ def _windows(sides, wanted, reach, width):
     return np.stack([edges[:-1], edges[1:]], axis=1)
 
 
-def _measure(sides, window, d, kind, reach):
-    """Return what a record has of each signal in a window at detector d; say what is left out."""
+def _measure(sides, window, d, signal, kind, reach):
+    """Return what a record has of a signal in a window at detector d; say what is left out."""
     from scipy.interpolate import CubicHermiteSpline  # here: SciPy takes its time
 
-    (low, high), splines, most = window, [], 0
+    (low, high), splines, steps = window, [], [STEPS[0]]
     where = "{:g} to {:g}".format(*(window + sides[0].origin))
     for side, name in zip(sides, "AB", strict=True):
         good, inside = side.good[:, d], (low <= side.time) & (side.time <= high)
@@ -183,15 +185,11 @@ def _measure(sides, window, d, kind, reach):
             log.warning("%s: errors hide %s of %s", where, counted(left, "point"), name)
         arrays = side.time, side.values[:, d], side.slopes[:, d]
         splines.append(CubicHermiteSpline(*(x[good] for x in arrays)))
-        most = max(most, points)
-    time, measured = np.linspace(low, high, int(np.clip(2 * most, *STEPS))), []
-    for signal in KINDS[kind][1]:
-        pair = Pair(*splines, time, signal == "ln|A|")
-        moves = {"stretch": reach, "shift": reach * low}
-        best = {name: pair.best(move, moves[name]) for name, move in MOVES[kind].items()}
-        if any(np.isinf(move.error) for move, _ in best.values()):
-            log.warning("the best is at the end of what -stretch %g tries in some windows", reach)
-        moves = {name: move for name, (move, _) in best.items()}
-        told = with_errors(correlation=pair.correlation(), **moves)
-        measured.append(told | {"stretched": best["stretch"][1]})
-    return measured
+        steps.append(2 * points)
+    pair = Pair(*splines, np.linspace(low, high, min(max(steps), STEPS[1])), signal == "ln|A|")
+    reaches = {"stretch": reach, "shift": reach * low}
+    best = {name: pair.best(move, reaches[name]) for name, move in MOVES[kind].items()}
+    moves = {name: move for name, (move, _) in best.items()}
+    if any(np.isinf(move.error) for move in moves.values()):
+        log.warning("the best is at the end of what -stretch %g tries in some windows", reach)
+    return with_errors(correlation=pair.correlation(), **moves) | {"stretched": best["stretch"][1]}

@@ -19,6 +19,7 @@ import numpy as np
 from pgran.store.estimate import Estimate
 
 TRIALS = 8, 400  # of moves of either sign, at least and at most
+ROUNDING = 1e-15  # of a stretch
 UNLIKE = 3.5  # errors of artanh CC within which strangers are: no move is known
 MOVES = {  # where x_b is read, and the derivative of that by e; a stretch makes all in B faster
     "response": {
@@ -90,14 +91,19 @@ class Pair:
         trials = np.linspace(-reach, reach, 2 * int(np.clip(2 * reach * steepness, *TRIALS)) + 1)
         found = [[np.vdot(self.x, y).real for y in self.moved(move, e)] for e in trials]
         values, slopes = np.transpose(found)
-        tops = np.flatnonzero((slopes[:-1] > 0) & (slopes[1:] <= 0))
-        heights = np.maximum(values[:-1], values[1:])[tops]
-        if values.max() > heights.max(initial=-1.0):
-            return Estimate(math.nan, math.inf), float(values.max())
-        ends = trials[tops[heights.argmax()] + np.arange(2)]
-        e = brentq(lambda e: np.vdot(self.x, self.moved(move, e)[1]).real, *ends, xtol=1e-15)
+        top = values.argmax()
+        if top in (0, len(trials) - 1):
+            return Estimate(math.nan, math.inf), float(values[top])
+
+        def slope(e):
+            return np.vdot(self.x, self.moved(move, e)[1]).real
+
+        near, far = trials[top], trials[top + (1 if slopes[top] > 0 else -1)]
+        while slope(far) * slopes[top] > 0 and abs(far - near) > ROUNDING:
+            far = 0.5 * (near + far)  # where deep minima of ln|x| meet the top is a cusp
+        e = near if slope(far) * slopes[top] > 0 else brentq(slope, near, far, xtol=ROUNDING)
         there = self.correlation(move, e).value
         if there < math.tanh(UNLIKE * math.sqrt(self.alone)):
             return Estimate(math.nan, math.nan), there
         less = (1 / there**2 - 1) * (1 + 4 * self.alone)
-        return Estimate(e, math.sqrt(max(less, 0.0) * self.noise(z)) / steepness**2), there
+        return Estimate(float(e), math.sqrt(max(less, 0.0) * self.noise(z)) / steepness**2), there
