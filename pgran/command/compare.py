@@ -3,6 +3,8 @@
 import shlex
 from pathlib import Path
 
+import numpy as np
+
 import pgran
 from pgran.command.plot import plot
 from pgran.command.words import Parser, positive
@@ -15,6 +17,7 @@ from pgran.store.record import Result
 
 WINDOWS = Option("windows", REALS, None, "low,high,low,high ... of frequencies, angular, or times")
 ROW = "{:<19}{:<20}{:<22}{:<9}{:<22}"  # of the table
+DIGITS = {"correlation": ".4f", "stretch": "+.3g", "stretched": ".4f", "shift": "+.3g"}
 
 
 def run(words):
@@ -59,22 +62,19 @@ def table(found):
     yield f"A: {found.label_a}; B: {found.label_b}"
     heads = ["time" if found.of == "pulse" else "omega", "correlation", "stretch of B", "then"]
     heads.append("" if found.shift is None else "or a shift of B")
-    for d, ball in enumerate(ball_names(found.detector)):
-        for n, signal in enumerate(found.signal):
-            yield f"{ball}, {signal}"
-            yield ROW.format(*heads).rstrip()
-            for w, (low, high) in enumerate(zip(found.low, found.high, strict=True)):
-                numbers = [
-                    _told(found, name, (w, d, n)) for name in ("correlation", "stretch", "shift")
-                ]
-                numbers.insert(2, f"{found.stretched[w, d, n]:.4f}")
-                yield ROW.format(f"{low:.4g} to {high:.4g}", *numbers).rstrip()
+    balls = ball_names(found.detector)
+    for d, n in np.ndindex(found.stretch.shape[1:]):
+        yield f"{balls[d]}, {found.signal[n]}"
+        yield ROW.format(*heads).rstrip()
+        for w, ends in enumerate(zip(found.low, found.high, strict=True)):
+            numbers = (_told(found, name, (w, d, n)) for name in DIGITS)
+            yield ROW.format("{:.4g} to {:.4g}".format(*ends), *numbers).rstrip()
 
 
 def _told(found, name, place):
-    """Return a number with its error; nothing where there is no such one."""
-    if getattr(found, name) is None:
-        return ""
-    value, error = getattr(found, name)[place], getattr(found, f"{name}_error")[place]
-    digits = ".4f" if name == "correlation" else "+.3g"
-    return f"{value:{digits}} +- {two_digits(error)}" if value == value else "unknown"
+    """Return a number, with its error if it has one; nothing where there is no such number."""
+    values, errors = getattr(found, name), getattr(found, f"{name}_error", None)
+    if values is None or np.isnan(values[place]):
+        return "" if values is None else "unknown"
+    text = f"{values[place]:{DIGITS[name]}}"
+    return text if errors is None else f"{text} +- {two_digits(errors[place])}"

@@ -162,7 +162,7 @@ def _windows(sides, wanted, reach, width):
     if begin >= high and width is None:
         raise InputError("compare: the wall moves until the end; listen longer, or give -windows")
     begin = begin if begin < high else low
-    count = WINDOWS if width is None else max(1, round((high - begin) / width))
+    count = max(1, round((high - begin) / width)) if width else WINDOWS
     edges = np.linspace(begin, high, count + 1)
     return np.stack([edges[:-1], edges[1:]], axis=1)
 

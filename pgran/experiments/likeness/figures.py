@@ -45,7 +45,8 @@ def decorrelation(ax, found):
 def _points(ax, found, label, values, errors, fill=None):
     """Draw values with their errors in windows: a colour a detector, a mark a signal."""
     pulse, drawn = found.of == "pulse", []
-    low, high = (x * found.omega_mx ** (1 if pulse else -1) for x in (found.low, found.high))
+    unit = (found.omega_mx or 1.0) ** (1 if pulse else -1)  # 0 without stiff bonds
+    low, high = found.low * unit, found.high * unit
     scales.label(ax.xaxis, scales.TIME if pulse else scales.FREQUENCY)
     ax.set(xlim=(low.min(), high.max()), ylabel=label)
     ax.axhline(0, color="black", linewidth=0.4)
