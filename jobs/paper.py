@@ -7,6 +7,7 @@ files that a row's function names as its parameters.
 """
 
 import inspect
+import logging
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from itertools import chain
@@ -19,7 +20,7 @@ import pgran
 from pgran.draw import pages as figures
 from pgran.errors import BAD_FILE, DONE, FileError, PgranError, reason_of
 
-HEAD = "| what | paper | pgran | from |\n|---|---|---|---|"
+HEAD = "| what | paper | pgran | verdict | from |\n|---|---|---|---|---|"
 INTRODUCTION = """\
 # The paper, figure by figure
 
@@ -27,12 +28,14 @@ M. Leibig, *A Model for the Propagation of Sound in Granular Materials*, cond-ma
 and equations go by their TeX labels. omega is in units of omega_mx, lengths are in ball spacings d
 unless a unit is given. The paper's sample of bonds is not known: where a number depends on it, it
 is given over several samples, too, as mean +- standard deviation. `bash jobs/paper.sh` has made
-this.
+this; the commands of the files are at the end. A verdict is on the paper: right, wrong, unclear, or
+how a question of it is answered.
 """
 BEADS = "beads"  # stands for the results of all packings of beads, which are made apart
 # Results whose figures are laid over each other.
 TOGETHER = {
     BEADS: ["beads_*"],
+    "expfreq": ["response", "response_after_100"],
     "geometry_response": ["geometry_response_packing", "geometry_response_ordered"],
     "geometry_modes": ["geometry_modes_packing", "geometry_modes_ordered"],
 }
@@ -48,6 +51,8 @@ def write(folder):
         lines += [f"## {section.title}\n", *(f"{image}\n" for image in images)]
         rows = [line(row, folder, opened, missing) for row in section.rows]
         lines += ["\n".join([HEAD, *rows, ""])] if rows else []
+    made = {name: result.command for name, result in opened.items() if hasattr(result, "command")}
+    lines += ["## Commands\n", *(f"- {name}.h5: `{made[name]}`" for name in sorted(made)), ""]
     folder.with_suffix(".md").write_text("\n".join(lines), encoding="utf-8")
     missing.pop(BEADS, None)
     return list(missing.values())
@@ -78,7 +83,7 @@ def line(row, folder, opened, missing):
         values = row.found(**{name: opened[name] for name in names})
         several = np.iterable(values) and not isinstance(values, str)
         found = row.form.format(*(values if several else [values]))
-    cells = [row.what, row.paper, found, ", ".join(files)]
+    cells = [row.what, row.paper, found, row.verdict, ", ".join(files)]
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
@@ -119,6 +124,7 @@ def drawings():
 
 def main(folder):
     """Draw, write the table, and say in a line each what is missing."""
+    logging.getLogger("pgran").setLevel(logging.ERROR)  # the runs have said the rest
     with ProcessPoolExecutor(2) as pool:
         drawn = [pool.submit(draw, folder, *each) for each in drawings().items()]
         missing = write(folder)

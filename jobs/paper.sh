@@ -28,11 +28,27 @@ fi
 
 same=(
   continuum_undamped continuum_damped response modes projection_one_frequency projection_dominant
-  projection_three_modes relaxation_long response_damping_small response_damping_large
+  projection_three_modes relaxation_long relaxation_seconds response_damping_small
+  response_damping_large
 )
 for name in "${same[@]}"; do
   run "$name" "$name"
 done
+for steps in 1 10 100 840; do
+  run "response_after_$steps" response -bonds_redrawn "$steps"
+done
+run response_other response -bonds_seed 1994
+run response_kmax_small response -bonds_kmax .0625 -sweep_unit omega_mx
+run response_kmax_large response -bonds_kmax 1 -sweep_unit omega_mx
+run response_damping_least response -lattice_damping .0003
+run response_damping_10 response -lattice_damping .01
+run response_damping_most response -lattice_damping .1
+balls=$(printf ',8,%s' {2..17})
+for beta in 1 3 10; do
+  run "dips_$beta" response -lattice_damping "${beta}e-3" -detectors "${balls:1}" \
+    -sweep_min .3 -sweep_max 1 -sweep_points 701
+done
+run continuum_smooth continuum_damped -sweep_min 1 -sweep_max 300 -sweep_points 6000
 run lattice response -lattice_shape 4,4 -detectors 1,2 -sweep_points 50
 run projection_damping_small projection_three_modes -lattice_damping .001
 

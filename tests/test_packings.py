@@ -121,7 +121,7 @@ def test_all_modes_of_the_packings(name):
 def test_experiments_on_packings_listen_to_free_balls(path, monkeypatch, here):
     monkeypatch.chdir(ROOT)
     options = resolve(read_file(path))
-    network = read_network(options.network_file)
+    network = read_network(options.network_file[0])
     assert np.all(network.held[list(getattr(options, "detectors", ()))] == FREE)
 
 
