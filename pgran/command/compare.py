@@ -1,5 +1,6 @@
 """`pgran compare`: how alike two response curves or two codas are."""
 
+import logging
 import shlex
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from pgran.store import file as store
 from pgran.store.estimate import two_digits
 from pgran.store.fields import ball_names
 from pgran.store.record import Result
+
+log = logging.getLogger("pgran")
 
 WINDOWS = Option("windows", REALS, None, "low,high,low,high ... of frequencies, angular, or times")
 ROW = "{:<19}{:<20}{:<22}{:<9}{:<22}"  # of the table
@@ -53,7 +56,9 @@ def run(words):
         store.write(output, told, [found], options.output_overwrite)
     else:
         plot(Result([found], **told), output)
+        output = Path(output).with_stem(f"{Path(output).stem}-{found.group}")
     print("\n".join(table(found)))
+    log.info("written to %s", output)
     return DONE
 
 
