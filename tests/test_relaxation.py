@@ -250,3 +250,9 @@ def test_a_medium_after_some_steps(law):
         found = pgran.sweep(later, [omega], detectors).displacement[0]
         np.testing.assert_allclose(found, steps.displacement[0, step], rtol=1e-6)
         assert later.omega_mx == medium.omega_mx
+
+
+def test_bonds_that_are_redrawn_in_vain(caplog):
+    same = pgran.Lattice.random((3, 3), law="constant")
+    assert pgran.redrawn(same, 5) == same
+    assert "-bonds_redrawn 5: each bond has its old constant again" in caplog.text

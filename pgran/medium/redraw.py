@@ -4,6 +4,7 @@ Both draws are a pure function of (seed, trajectory, step): the next changes are
 """
 
 import dataclasses
+import logging
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,6 +15,8 @@ from pgran.medium.base import medium as medium_of
 from pgran.medium.bonds import bond_arrays
 from pgran.medium.law import check_law, drawn, unit_numbers
 from pgran.run.options import INTEGER, Option
+
+log = logging.getLogger("pgran")
 
 REDRAWN = (
     Option(
@@ -106,6 +109,8 @@ def redrawn(medium, steps, seed=1, law=None):
     changes = Redraw(medium, check_law(law), SEED.check(seed))(0, 0, STEPS.check(steps))
     constants = medium.constants.copy()
     constants[changes.bond] = changes.stiffness  # of several of one bond the last holds
+    if len(changes) and np.array_equal(constants, medium.constants):
+        log.warning("-bonds_redrawn %d: each bond has its old constant again", len(changes))
     of_network = constants[: medium.bonds]  # whose tangential springs stay
     return dataclasses.replace(
         medium, stiffness=bond_arrays(medium.shape, constants) if medium.is_grid else of_network
