@@ -28,6 +28,7 @@ EXPERIMENTS = {
             "ensemble": "figures",
             "statistics": "figures_statistics",
             "transport": "figures_transport",
+            "diffusion": "figures_transport",
         },
     ),
     "green": Home("green.scene", {"green": "figures"}),

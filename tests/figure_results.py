@@ -94,6 +94,17 @@ def ensemble():
     return result
 
 
+def diffusing():
+    """Squares of pulses and a fit."""
+    numbers = "speed diffusivity absorption length free_path misfit"
+    numbers += " diffusivity_error absorption_error length_error free_path_error"
+    depth, time = np.arange(2.0, 12.0), np.linspace(100.0, 500.0, 24)
+    fit = np.exp(-0.01 * time[:, None] - 0.1 * depth)
+    arrays = {"mean_square": 1.1 * fit, "mean_square_error": 0.1 * fit, "fit": fit}
+    facts = dict.fromkeys(numbers.split(), 1.0)
+    return result_of(results.Diffusion(samples=8, depth=depth, time=time, **arrays, **facts))
+
+
 def compare(errors):
     """An accuracy study: configurations of one solver each, slower and slower."""
     seconds = np.arange(1.0, len(errors) + 1)

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("world")  # what all ranks call alike
         ("response", {"keep": "all"}, "choose measures"),
         ("response", {"samples": 1}, "1 is not >= 2"),
         ("response", {"seed": -1}, "bonds_seed"),
-        ("pulse", {"keep": "curves"}, "not of pulse"),
+        ("relaxation", {"keep": "curves"}, "not of relaxation"),
         ("modes", {"targets": [0.5], "count": 2}, "have no count"),
         ("response", {"fields": True}, "many samples have no fields"),
         ("response", {"lattice": LATTICE | {"seed": 3}}, "seed says which"),

@@ -12,6 +12,7 @@ from figure_results import (
     UNIT,
     compare,
     count_modes,
+    diffusing,
     ensemble,
     find_modes,
     listen,
@@ -94,6 +95,7 @@ SCENES = {
                            "shapes participation density reduced network"),
     "structure": (waves, "network structure dispersion"),
     "ensemble": (ensemble, "amplitude delay velocity intensity transport"),
+    "diffusion": (diffusing, "diffusion"),
     "accuracy": (lambda: compare([1e-3, 1e-5, 1e-4, 1e-6]), "front"),
     "one configuration": (lambda: compare([1e-3]), "front"),
     "equally accurate": (lambda: compare([1e-9, 2e-9, 1.5e-9]), "front"),
@@ -252,13 +254,14 @@ def test_transport_is_points_with_their_errors():
     ax = draw(transport.profile, found, unit)
     omegas = [float(name.split()[0]) for name in labels(ax)]
     at = [np.abs(found.omega / unit - omega).argmin() for omega in omegas]
-    known, ends, x = np.isfinite(found.length), [0, -1], found.omega / unit
-    late, error = found.group_delay * unit, found.group_delay_error * unit
+    x = found.omega / unit
+    falls = [(name, by) for name, (_, by) in transport.FALLS.items()]
+    falls = [(name, by) for name, by in falls if np.isfinite(getattr(found, name)).any()]
     expected = {
         "profile": (found.depth, found.ln_amplitude[at], found.ln_amplitude_error[at]),
-        "length": (x[known], found.length[None, known], found.length_error[None, known]),
+        "length": (x, *([by * getattr(found, n + e) for n, by in falls] for e in ("", "_error"))),
+        "wave_number": (x, found.wave_number[None], found.wave_number_error[None]),
         "band_delay": (found.depth, found.band_delay * unit, found.band_delay_error * unit),
-        "delay": (x, late.T[ends], error.T[ends]),
     }
     assert len(at) == transport.SHOWN
     for name, (x, values, errors) in expected.items():
@@ -267,19 +270,30 @@ def test_transport_is_points_with_their_errors():
             line, _, (bars,) = points.lines
             assert line.get_linestyle() == "None"
             assert line.get_xdata() == pytest.approx(x)
-            assert line.get_ydata() == pytest.approx(value)
-            low, high = np.transpose([path.vertices[:, 1] for path in bars.get_paths()])
-            assert high - low == pytest.approx(2 * error)
-        assert len({points.lines[0].get_marker() for points in ax.containers}) == len(values)
+            assert line.get_ydata() == pytest.approx(value, nan_ok=True)
+            ends = [path.vertices[:, 1] for path in bars.get_paths()]
+            low, high = np.transpose([end if len(end) == 2 else [np.nan] * 2 for end in ends])
+            assert high - low == pytest.approx(2 * error, nan_ok=True)
+        looks = [(p.lines[0].get_marker(), p.lines[0].get_color()) for p in ax.containers]
+        assert len(set(map(str, looks))) == len(values)
+        if name == "band_delay":
+            hollow = [
+                str(points.lines[0].get_markerfacecolor()) == "none" for points in ax.containers
+            ]
+            np.testing.assert_array_equal(hollow, ~found.propagates)
         if name == "length":
-            assert ax.get_xlim() == pytest.approx((found.omega / unit)[ends])
+            assert ax.get_xlim() == pytest.approx((found.omega / unit)[[0, -1]])
             verticals = [list(line.get_xdata()) for line in ax.get_lines()]
             assert [found.first_mode / unit] * 2 in verticals
 
 
 def test_transport_of_older_files_has_no_delays():
     result = ensemble()
-    new = [f.name for f in fields(result.transport) if f.metadata.get("since", 1) > 4]
+    new = [
+        f.name
+        for f in fields(result.transport)
+        if f.metadata.get("since", 1) > 4 or f.default is None
+    ]
     older = result_of(replace(result.transport, **dict.fromkeys(new)))
     assert len(figures.make(older)["transport"].axes) == 2
 

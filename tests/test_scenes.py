@@ -110,18 +110,14 @@ CHANGES = {
     "structure_width": ".3",
     "ensemble_samples": "4",
     "ensemble_keep": "measures",
+    "transport_depths": ("1,4", "-ensemble_samples 8 -detectors 4,2,3,2,2,2,1,2,0,2"),
 }
 # test_command_line.py, test_motion.py, test_network.py, test_ensemble.py, test_radii.py,
 # test_sound.py
 SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "network_rattlers"),
-    *(
-        "detectors_at",
-        "detectors_component",
-        "ensemble_of",
-        "statistics_windows",
-        "green_direction",
-    ),
+    *("detectors_at", "detectors_component", "ensemble_of", "statistics_windows"),
+    "green_direction",
     *("bonds_gravity", "drive_direction", "drive_force"),
     *("heat_radius", "heat_kelvin", "heat_expansion", "heat_relax"),
 }
@@ -144,6 +140,7 @@ def options_in(scene):
         for option in own_options(scene)
         if option.name in {o.name for o in (*ENSEMBLE, *own_options(repeated))}
         and (option.name != "ensemble_keep" or repeated in KEPT)
+        and (option.name != "transport_depths" or repeated == "response")
     ]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from pgran.draw import scales, style
 from pgran.draw.scales import Quantity
-from pgran.experiments.ensemble.record import measures
+from pgran.experiments.ensemble.record import ABOVE_FLOOR, measures
 from pgran.experiments.modes import figures as modes
 
 # Numbers of a sample, by their names in the record, which declares how they are called.
@@ -24,7 +24,6 @@ CAPTIONS = {
     "participation": "Participation ratio of the normal modes against their frequency: the band of "
     "80 % of them, and their median.",
 }
-ABOVE_FLOOR = 5.0  # of |<A>|^2: beyond e^-5 by chance
 BAND, BINS = "#C8C8C8", 30
 ROWS, NARROWEST = 5, 3.0  # of curves, before there is another column; inches of one
 

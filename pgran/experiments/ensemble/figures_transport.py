@@ -1,36 +1,57 @@
-"""Figures of transport: amplitude against depth, attenuation length, delay."""
+"""Figures of transport: amplitudes against depth, lengths, wave numbers, delays, diffusion."""
 
 from functools import partial
-from itertools import pairwise
+from itertools import cycle
 
 import numpy as np
 
 from pgran.draw import scales, style
 
-SHOWN = 4  # frequencies
-CAPTIONS = (
-    "Mean logarithm of the amplitude against the distance from the driven wall, at some driving "
-    "frequencies.",
-    "Attenuation length against the driving frequency, where it is known: above the first mode "
-    "(dashed).",
-    "Mean group delay in bands of frequencies against the distance.",
-    "Mean group delay against the driving frequency at the smallest and the largest distance, "
-    "linear up to a power of ten next to its median. Bars: standard errors over samples.",
+SHOWN = 4  # frequencies, depths or times
+CAPTIONS = {
+    "profile": "Mean logarithm of the amplitude against the distance from the driven wall, at some "
+    "driving frequencies; pale: where lines go through.",
+    "length": "Attenuation length against the driving frequency where sound propagates, above the "
+    "first mode (dashed): of the typical amplitude $e^{\\langle\\ln|A|\\rangle}$, of the root mean "
+    "square, twice the intensity's, and of the coherent $|\\langle A\\rangle|$, twice the "
+    "scattering length. Circled: $\\langle\\ln|A|\\rangle$ is not straight, p < .01.",
+    "wave_number": "Wave number of the coherent field against the driving frequency.",
+    "band_delay": "Mean group delay in bands of frequencies, by their middle, against the "
+    "distance. Hollow: it does not grow for certain.",
+}
+DIFFUSING = (
+    "Mean of $u^2 + (v/\\omega)^2$ over samples against time, at some distances from what is "
+    "driven; lines: the fit of diffusion between two walls. Bars: standard errors."
 )
+FALLS = {
+    "length": ("typical", 1),
+    "intensity_length": ("root mean square", 2),
+    "scattering_length": ("coherent", 2),
+}
 
 
 def figures(result, **_):
-    """Yield profiles over depth, the attenuation length by frequency, and delays by both."""
-    found, unit = result.transport, result.medium.omega_mx
-    delays = found.group_delay is not None  # files before version 5 have none
-    panels = [profile, length] + [band_delay, delay] * delays
-    draws = [partial(panel, found=found, unit=unit) for panel in panels]
-    yield "transport", style.stack(draws, CAPTIONS[: len(panels)])
+    """Yield profiles over depth, lengths and wave numbers by frequency, delays; or squares."""
+    unit = result.medium.omega_mx
+    if getattr(result, "diffusion", None):
+        draw = partial(decay, found=result.diffusion, unit=unit)
+        yield "diffusion", style.single(draw, DIFFUSING)
+        return
+    found, panels = result.transport, [profile, length]
+    if found.wave_number is not None and np.isfinite(found.wave_number).any():
+        panels.append(wave_number)
+    if found.band_delay is not None:  # files before version 5 have none
+        panels.append(band_delay)
+    captions = [CAPTIONS[panel.__name__] for panel in panels]
+    captions[-1] += " Bars: standard errors over samples."
+    yield "transport", style.stack([partial(p, found=found, unit=unit) for p in panels], captions)
 
 
 def profile(ax, found, unit):
     """Draw <ln|A|> against depth at a few frequencies; return the curves."""
-    chosen = np.unique(np.linspace(0, len(found.omega) - 1, SHOWN + 2).astype(int)[1:-1])
+    chosen = _some(found.omega)
+    if found.depth_low is not None:
+        ax.axvspan(found.depth_low, found.depth_high, color="#F0F0F0", zorder=0)
     scales.label(ax.xaxis, scales.DISTANCE)
     ax.set_ylabel(r"$\langle\ln|A|\rangle$")
     labels = [rf"{found.omega[n] / unit:.3g} $\omega_{{mx}}$" for n in chosen]
@@ -40,43 +61,76 @@ def profile(ax, found, unit):
 
 
 def length(ax, found, unit):
-    """Draw the attenuation length by frequency, where it is known; return what was drawn."""
-    known = np.isfinite(found.length)
+    """Draw the lengths of amplitudes by frequency, where they are known; return what was drawn."""
     ax.set_yscale("log")
     scales.label(ax.yaxis, scales.ATTENUATION)
-    scales.frequencies(ax, found.omega / unit)
-    look = {"fmt": ".", "markersize": 3, "linewidth": 0.6, "color": style.ACCENT}
-    values = found.omega[known] / unit, found.length[known], found.length_error[known]
     if found.first_mode is not None:
         ax.axvline(found.first_mode / unit, color="black", linestyle="--", linewidth=0.6)
-    return ax.errorbar(*values, **look)
+    drawn = _by_frequency(ax, found, unit, FALLS)
+    if found.straightness is not None:
+        refused = found.omega[found.refused] / unit, found.length[found.refused]
+        ax.plot(*refused, "o", markersize=4, color="black", markerfacecolor="none", linewidth=0.6)
+    return drawn
+
+
+def wave_number(ax, found, unit):
+    """Draw the wave number of the coherent field by frequency; return the points."""
+    ax.set_ylabel(r"wave number $k$ (rad/spacing)")
+    return _by_frequency(ax, found, unit, {"wave_number": (None, 1)})
 
 
 def band_delay(ax, found, unit):
     """Draw the mean delay of each band against depth; return the curves."""
     scales.label(ax.xaxis, scales.DISTANCE)
     scales.label(ax.yaxis, scales.DELAY)
-    pairs = pairwise(found.edge / unit)
-    labels = [rf"{low:.3g} to {high:.3g} $\omega_{{mx}}$" for low, high in pairs]
+    middles = 0.5 * (found.edge[1:] + found.edge[:-1]) / unit
+    labels = [rf"{middle:.2g} $\omega_{{mx}}$" for middle in middles]
     late, error = found.band_delay * unit, found.band_delay_error * unit
-    return _points(ax, found.depth, late, error, labels)
+    drawn = _points(ax, found.depth, late, error, labels)
+    for points, propagates in zip(drawn, found.propagates, strict=True):
+        if not propagates:
+            points.lines[0].set_markerfacecolor("none")
+    return drawn
 
 
-def delay(ax, found, unit):
-    """Draw the mean delay by frequency at the smallest and the largest depth; return the curves."""
+def decay(ax, found, unit):
+    """Draw the mean square against time at some depths, and its fit; return the points."""
+    chosen, time = _some(found.depth), found.time * unit
+    scales.label(ax.xaxis, scales.TIME)
+    ax.set(yscale="log", ylabel=r"$\langle u^2 + (v/\omega)^2\rangle$")
+    labels = [f"{depth:g} spacings" for depth in found.depth[chosen]]
+    square, error, fit = (
+        x[:, chosen] for x in (found.mean_square, found.mean_square_error, found.fit)
+    )
+    drawn = _points(ax, time, square.T, error.T, labels)
+    for points, line in zip(drawn, fit.T, strict=True):
+        ax.plot(time, line, color=points.lines[0].get_color(), linewidth=0.8)
+    return drawn
+
+
+def _by_frequency(ax, found, unit, named):
+    """Draw numbers of a record as far as it has them, so many times; return the points."""
     scales.frequencies(ax, found.omega / unit)
-    scales.label(ax.yaxis, scales.DELAY)
-    late, error = (x[:, [0, -1]].T * unit for x in (found.group_delay, found.group_delay_error))
-    scales.symmetric(ax, late, 10.0 ** np.round(np.log10(np.median(np.abs(late)))))
-    labels = [f"{depth:g} spacings" for depth in found.depth[[0, -1]]]
-    return _points(ax, found.omega / unit, late, error, labels, markersize=2, elinewidth=0.6)
+    rows = []
+    for name, (words, times) in named.items():
+        values, errors = (getattr(found, name + end) for end in ("", "_error"))
+        if values is not None and np.isfinite(values).any():
+            rows.append((times * values, times * errors, words))
+    x, look = found.omega / unit, {"markersize": 2, "elinewidth": 0.6}
+    return _points(ax, x, *zip(*rows, strict=True), **look) if rows else []
+
+
+def _some(values):
+    """Return the numbers of a few values, equally far from each other."""
+    return np.unique(np.linspace(0, len(values) - 1, SHOWN + 2).astype(int)[1:-1])
 
 
 def _points(ax, x, values, errors, labels, **look):
     """Draw rows of values with their errors, a colour and a mark each; return them."""
     look = {"linestyle": "none", "markersize": 3, "elinewidth": 0.8} | look
-    rows = zip(values, errors, labels, "osv^", style.colours(len(labels)), strict=False)
+    marks, shades = cycle("osv^"), style.colours(len(labels))
+    rows = zip(values, errors, labels, shades, strict=True)
     return [
-        ax.errorbar(x, value, error, marker=mark, label=label, color=shade, **look)
-        for value, error, label, mark, shade in rows
+        ax.errorbar(x, value, error, marker=next(marks), label=label, color=shade, **look)
+        for value, error, label, shade in rows
     ]

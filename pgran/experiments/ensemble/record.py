@@ -16,8 +16,11 @@ from pgran.store.fields import DETECTOR
 from pgran.store.record import Record, array, attribute, error_of
 
 Array = np.ndarray | None  # what not every ensemble has
+CERTAIN = 2.0  # standard errors that a number is above 0 by, if it is for certain
+ABOVE_FLOOR = 5.0  # times its floor of few samples |<A>|^2 is, if it counts: e^-5 by chance
 CURVE = "omega", "detector_number"
 VALUE = "seed", "detector_number"
+SIGNAL = "time", "detector_number"
 # Units of measures: as axes show them, in SI, and the power of omega_mx that numbers are in.
 UNITS = {
     "1": ("", None, 0),
@@ -75,6 +78,11 @@ def effective_bonds(sensitivity, medium):
     """Return (sum x)^2 / sum x^2 over the bonds, x = (d ln|A| / d ln k)^2, mean over omega."""
     x = sensitivity.log_amplitude**2
     return np.mean(x.sum(axis=2) ** 2 / (x**2).sum(axis=2), axis=0)
+
+
+def squares(pulse, medium):
+    """Return the envelope's square, u^2 + (v / omega)^2; NaN where it may be an error."""
+    return np.where(pulse.envelope > pulse.error, pulse.envelope, np.nan) ** 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -151,6 +159,13 @@ class Ensemble(Record):
     sample_delay: Array = array(
         "group delay of each sample", "sqrt(m/k)", "seed", *CURVE, optional=True
     )
+    time: Array = array("time", "sqrt(m/k)", optional=True)
+    drive: Array = sampled("pulse.wall", "motion of the drive in each part", "1", "part", "time")
+    square: Array = sampled(
+        "pulse", "mean of the envelope's square in each part", "1", "part", *SIGNAL, read=squares
+    )
+    mean_square: Array = array("mean over all samples", "1", *SIGNAL, optional=True)
+    mean_square_error: Array = error_of(mean_square)
 
     @property
     def failures(self):
@@ -214,16 +229,18 @@ DEPTH, BAND = ("omega", "depth"), ("band", "depth")
 class Transport(Record):
     """Means over the samples of an ensemble, against the distance from what is driven.
 
-    The straight line <ln|A|> = a - depth / length gives the attenuation length of the amplitude;
-    the intensity falls in half of it. It is NaN where nothing falls for certain, and below
-    `first_mode`, the lowest of the first sample, where no wave is excited and the walls alone make
-    the fall. The group delay is weighted by intensity; `band_delay` is its mean over the
-    frequencies between one `edge` and the next, which grows with depth by `delay_growth`. (Files
-    before version 5 have no more of delays than a mean over all frequencies, `delay`, which is not
-    read.) See `pgran.experiments.ensemble.transport`.
+    In depths from `depth_low` to `depth_high` straight lines tell how quantities fall: |A|, by <ln
+    |A|> = a - depth / length, which a `straightness` below REFUSED refuses; <|A|^2> ~ exp(-depth /
+    intensity_length); and the coherent <A> ~ exp(-i k depth - depth / (2 l)), less its floor of few
+    samples, k the wave number and l the scattering length. They are NaN where none is certain, or
+    waves stand: where the group delay does not grow with depth for certain, and so below the
+    `first_mode`, the lowest of the first sample. The delay is weighted by intensity; `band_delay`
+    is its mean over the frequencies between one `edge` and the next. See
+    `pgran.experiments.ensemble.profiles`.
     """
 
     group = "transport"
+    REFUSED = 0.01
     samples: int
     first_mode: float = attribute(since=5)
     depth: np.ndarray = array("distance from what is driven", "spacing")
@@ -245,3 +262,51 @@ class Transport(Record):
         "growth of the mean group delay of a band with depth", "sqrt(m/k)/spacing", "band", since=5
     )
     delay_growth_error: np.ndarray = error_of(delay_growth)
+    depth_low: float | None = attribute(optional=True)
+    depth_high: float | None = attribute(optional=True)
+    straightness: Array = array("p-value of that line", "1", "omega", optional=True)
+    intensity_length: Array = array("that of the intensity", "spacing", "omega", optional=True)
+    intensity_length_error: Array = error_of(intensity_length)
+    wave_number: Array = array("that of <A>", "rad/spacing", "omega", optional=True)
+    wave_number_error: Array = error_of(wave_number)
+    scattering_length: Array = array("that of |<A>|^2", "spacing", "omega", optional=True)
+    scattering_length_error: Array = error_of(scattering_length)
+
+    @property
+    def propagates(self):
+        """Whether the delay grows with depth for certain, by band."""
+        return self.delay_growth > CERTAIN * self.delay_growth_error
+
+    @property
+    def refused(self):
+        """Whether there is a length, and its line is refused, by frequency."""
+        return np.isfinite(self.length) & (self.straightness < self.REFUSED)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Diffusion(Record):
+    """The mean square of an ensemble's pulses, and the fit of `ensemble.diffusion` to it.
+
+    Energy diffuses with D, the `diffusivity`, and is absorbed at the rate 1/tau; `length` is sqrt(D
+    tau), `free_path` the transport mean free path d D / c in d dimensions, c the `speed` of fronts.
+    NaN is not certain. `misfit` is the root mean square of residuals over their errors.
+    """
+
+    group = "diffusion"
+    WRONG = 2.0  # misfit from which diffusion does not hold
+    samples: int
+    speed: float
+    diffusivity: float
+    diffusivity_error: float
+    absorption: float
+    absorption_error: float
+    length: float
+    length_error: float
+    free_path: float
+    free_path_error: float
+    misfit: float
+    depth: np.ndarray = array("distance from what is driven", "spacing")
+    time: np.ndarray = array("middle of a block of times", "sqrt(m/k)")
+    mean_square: np.ndarray = array("mean of u^2 + (v / omega)^2", "1", "time", "depth")
+    mean_square_error: np.ndarray = error_of(mean_square)
+    fit: np.ndarray = array("what the fit makes of it", "1", "time", "depth")

@@ -8,15 +8,16 @@ from pgran.errors import PgranError, is_bad_input, is_petsc
 from pgran.experiments.ensemble.record import Ensemble, measures, sampled_of
 from pgran.run.machine import check_memory
 from pgran.run.task import Task
-from pgran.store.estimate import two_digits
+from pgran.store.estimate import MOST, mean_of, two_digits, with_errors
 from pgran.store.fields import ball_names
 from pgran.store.record import columns_of, row_of
 from pgran.store.si import SI
 
 log = logging.getLogger("pgran")
 
-SPECTRA = "mode_omega", "participation"  # of modes, where curves are kept
-CURVES = "displacement", "sample_delay"  # of responses, likewise: their bands are kept always
+# What is kept with curves only: of modes, of pulses, and of responses, whose bands are kept always.
+LARGE = "mode_omega", "participation", "drive", "square"
+CURVES = "displacement", "sample_delay"
 # What `over_samples` returns: a tenth of the samples lies below `low`, a tenth above `high`.
 STATISTICS = ("mean", "error", "median", "low", "high")
 QUANTILES = (0.5, 0.1, 0.9)
@@ -40,11 +41,15 @@ class Samples(Task):
         self.omegas = None if omegas is None else np.asarray(omegas, dtype=float)
         self.sites = None if detectors is None else first.sites(detectors)
         self.sampled = sampled_of(of)
-        for name in () if self.curves else SPECTRA:
+        for name in () if self.curves else LARGE:
             self.sampled.pop(name, None)
         if choices.get("interval") is not None:  # there may be others above omega_mx
             self.sampled.pop("above", None)
+        self.time = None
+        if "square" in self.sampled:
+            self.time = np.linspace(0.0, choices["time"], choices["points"])
         lengths = {
+            "time": np.shape(self.time),
             "omega": () if omegas is None else self.omegas.shape,
             "detector_number": () if detectors is None else (len(self.sites),),
             "mode": (most,),
@@ -93,6 +98,8 @@ class Samples(Task):
             columns |= _bands(rows[good])
             for name in () if self.curves else CURVES:
                 columns.pop(name)
+        if self.time is not None:
+            columns |= _squares(rows[good])
         return Ensemble(
             of=self.of,
             solve_seconds=seconds,
@@ -100,6 +107,7 @@ class Samples(Task):
             seed=np.array(self.units),
             detector=self.sites,
             omega=self.omegas if self.of == "response" else None,
+            time=self.time,
             **columns,
         )
 
@@ -117,6 +125,17 @@ def _bands(rows):
         "coherent": coherent,
         "intensity": intensity,
     }
+
+
+def _squares(rows):
+    """Return what pulses have in common: means over all samples, and over each of some parts."""
+    parts = np.array_split(rows, max(1, min(len(rows), MOST)))
+    with np.errstate(invalid="ignore"):  # without any sample NaN
+        means = {
+            name: np.array([part[name].sum(axis=0) / np.float64(len(part)) for part in parts])
+            for name in ("drive", "square")
+        }
+    return means | with_errors(mean_square=mean_of(rows["square"]))
 
 
 def over_samples(curves):

@@ -40,7 +40,7 @@ EXPERIMENTS = {
     "pulse": (pulse.SCENE, pulse.pulse),
     "sensitivity": (sensitivity.SCENE, sensitivity.sensitivity),
 }
-KEPT = ("response", "modes")  # what has curves
+KEPT = ("response", "modes", "pulse")  # what has curves
 ENSEMBLE = (
     Option(
         "ensemble_of", TEXT, "response", "the experiment that is repeated",
@@ -53,13 +53,19 @@ ENSEMBLE = (
     Option(
         "ensemble_keep", TEXT, "measures",
         "what is stored of each sample: measures, a few numbers; curves, of a response its "
-        "amplitudes, of modes all frequencies and participation ratios, as well",
+        "amplitudes, of modes all frequencies and participation ratios, of pulses the mean square "
+        "in parts of the samples, as well",
         choices=("measures", "curves"),
     ),
     Option(
         "statistics_windows", REALS, None,
         "of responses: measure the noise of their curves in these windows, low,high or "
         "low,high,low,high; needs -ensemble_keep curves", "angular", above=0,
+    ),
+    Option(
+        "transport_depths", REALS, None,
+        "of responses and pulses: the lowest and the highest depth of lines and fits, low,high; "
+        "without it a seventh of the system is left out at both ends", "spacing", low=0,
     ),
 )  # fmt: skip
 OF, SAMPLES, KEEP = ENSEMBLE[:3]
@@ -96,6 +102,10 @@ def check(values, given):
             needed = "-ensemble_of response and -ensemble_keep curves"
             raise InputError(f"-statistics_windows: needs {needed}")
         windows_of("-statistics_windows", values["statistics_windows"])
+    if values["transport_depths"] is not None:
+        transport.window_of(values["transport_depths"])
+        if kind not in ("response", "pulse") or values["ensemble_keep"] != "curves":
+            raise InputError("-transport_depths: of responses and pulses, -ensemble_keep curves")
 
 
 def _check_files(values, given):
@@ -118,7 +128,7 @@ def _check_files(values, given):
 def check_kept(of, keep):
     """Raise unless an experiment has curves that are to be kept."""
     if keep == "curves" and of not in KEPT:
-        raise InputError(f"-ensemble_keep curves: of {' and '.join(KEPT)} only, not of {of}")
+        raise InputError(f"-ensemble_keep curves: of {', '.join(KEPT)} only, not of {of}")
 
 
 def seeds_of(first, samples):
@@ -166,8 +176,11 @@ def ensemble(
             raise InputError(f"ensemble: {samples} samples are asked for, {len(lattice)} given")
         first = _sample(lattice, seeds[0])
         asked["lattice"] = first.fingerprint
-        choices = function.check(first, **experiment).arguments
-        choices = {name: choices[name] for name in choices.keys() - {"lattice", "solver"}}
+        call = function.check(first, **experiment)
+        call.apply_defaults()
+        choices = {
+            name: call.arguments[name] for name in call.arguments.keys() - {"lattice"} - NOT_TAKEN
+        }
 
     def draw(seed, group):
         medium = _sample(lattice, seed)
@@ -254,7 +267,7 @@ def summary(result):
             yield f"group delays: up to {unknown.max()} samples have none that is certain"
     if getattr(result, "statistics", None):
         yield from noise.summary(result.statistics)
-    if getattr(result, "transport", None):
+    if getattr(result, "transport", None) or getattr(result, "diffusion", None):
         yield from transport.summary(result)
 
 
@@ -277,14 +290,14 @@ def run(lattice, options, crew):
     record = repeated(
         of, seeds, draw, *how, files is not None, options.relax_seed, fit, options.detectors_at
     )
-    if record is None or record.displacement is None or crew.dry:
+    if record is None or not transport.has_curves(record) or crew.dry:
         return record and [record]
     records = [record]
     if windows is not None:
         records.append(noise.statistics(record, windows))
     if transport.is_line(lattice, record.detector):
         try:
-            records.append(transport.transport(lattice, record))
+            records.append(transport.transport(lattice, record, options.transport_depths))
         except InputError as error:
             log.warning("no transport: %s", error)
     return records

@@ -1,192 +1,106 @@
-"""Transport through an ensemble: amplitude, attenuation length and group delay against depth."""
-
-import math
-from functools import cached_property
-from itertools import pairwise
+"""How far sound gets through an ensemble: of responses by depth, of pulses by diffusion."""
 
 import numpy as np
 
 from pgran.arguments import called_right
 from pgran.errors import InputError
-from pgran.experiments.ensemble.noise import finite_samples
-from pgran.experiments.ensemble.record import Ensemble, Transport
-from pgran.experiments.modes.levels import REGIMES, first_mode
+from pgran.experiments.ensemble.diffusion import diffusion
+from pgran.experiments.ensemble.profiles import FEWEST_DEPTHS, Profiles, certain
+from pgran.experiments.ensemble.record import CERTAIN, Ensemble, Transport
+from pgran.experiments.modes.levels import first_mode
 from pgran.medium.base import medium as medium_of
-from pgran.store import estimate
-from pgran.store.estimate import FEWEST_SAMPLES, Estimate, jackknife_samples, mean_of
+from pgran.run.experiment import Caution
+from pgran.run.numbers import windows_of
+from pgran.store.estimate import Estimate, mean_of, two_digits, with_errors
 from pgran.store.si import SI
 
-FEWEST_DEPTHS = 3  # of a straight line
-FALLS = 2.0  # errors that a slope is negative by, for an attenuation length
-
-
-class Profiles:
-    """Responses of samples at detectors of several depths, and their means against depth.
-
-    `depth` are those of the detectors, shape (nd,); `amplitude` and `derivative` are A and
-    dA/domega, shape (samples, nw, nd). Samples that are not finite everywhere are left out, aloud.
-    Means have the shape (nw, nx), of frequencies and of `depths`, ascending; detectors of one depth
-    are averaged in each sample. An InputError says what is too little.
-    """
-
-    def __init__(self, depth, amplitude, derivative):
-        """Check, leave out, and find which detectors are of one depth."""
-        if not np.all(np.isfinite(depth)):
-            raise InputError("depth: every one must be finite")
-        kept = finite_samples(np.where(np.isfinite(derivative), amplitude, math.nan))
-        self.samples = np.count_nonzero(kept)
-        if self.samples < FEWEST_SAMPLES:
-            few = f"{self.samples} samples are too few"
-            raise InputError(f"amplitude: {few}; {FEWEST_SAMPLES} are needed")
-        self.amplitude, self.derivative = amplitude[kept], derivative[kept]
-        self.depths, place = np.unique(depth, return_inverse=True)
-        # one column a depth: 1/n at each of its n detectors, so that numbers @ share are the means
-        self.share = (place[:, None] == np.arange(len(self.depths))) / np.bincount(place)
-        self.intensities = np.abs(self.amplitude) ** 2 @ self.share
-        if not np.all(self.intensities.any(axis=0)):
-            raise InputError("amplitude: it vanishes in all samples")
-        if len(self.depths) < FEWEST_DEPTHS:
-            few = f"{len(self.depths)} depths are too few for a line"
-            raise InputError(f"depth: {few}; {FEWEST_DEPTHS} are needed")
-
-    @cached_property
-    def levels(self):
-        """ln|A| of each sample, shape (samples, nw, nx), whose mean is the typical amplitude.
-
-        It averages itself where <|A|^2> is ruled by few samples (Sheng, Introduction to Wave
-        Scattering, Localization and Mesoscopic Phenomena, 2006, ch. 8).
-        """
-        size = np.abs(self.amplitude)
-        if np.any(size == 0):
-            sample, frequency, detector = np.argwhere(size == 0)[0]
-            where = f"sample {sample}, frequency {frequency}, detector {detector}"
-            raise InputError(f"amplitude: that of {where} vanishes and has no logarithm")
-        return np.log(size) @ self.share
-
-    def attenuation(self):
-        """Return 1 / length and length of the line <ln|A|> = a - depth / length, by frequency.
-
-        Depths weigh by the variance of their <ln|A|>. The line through the means is the mean of the
-        samples' lines, and its error is that over samples: depths of one sample are not
-        independent, so weights alone would claim too much. Depths should be those where the fall is
-        straight: not next to the walls, and not below the first mode, where walls alone make it.
-        The length is NaN where <ln|A|> does not fall by `FALLS` errors at least.
-        """
-        depths, levels = self.depths, self.levels
-        variance = levels.var(axis=0)
-        floor = 1e-12 * np.maximum(variance.max(axis=1, keepdims=True), np.finfo(float).tiny)
-        weights = 1 / np.maximum(variance, floor)
-        # least squares: slope = sum w (x - <x>) y / sum w (x - <x>)^2, <x> = sum w x / sum w
-        middle = np.average(np.broadcast_to(depths, weights.shape), 1, weights, keepdims=True)
-        along = weights * (depths - middle)
-        rate = mean_of(-np.sum(along * levels, axis=2) / np.sum(along * (depths - middle), axis=1))
-        with np.errstate(all="ignore"):
-            falls = rate.value > FALLS * rate.error
-            length = np.where(falls, 1 / rate.value, math.nan)
-            error = np.where(falls, rate.error / rate.value**2, math.nan)
-        return rate, Estimate(length, error)
-
-    def delay(self, over=None):
-        """Return the mean group delay, each sample's weighted by its intensity.
-
-            tau = < |A|^2 (-d arg A / d omega) > / < |A|^2 > = -< Im(A* dA/domega) > / < |A|^2 >
-
-        For a complex Gaussian field this is the mean delay itself, whose own distribution has no
-        variance (van Tiggelen, Sebbah, Stoytchev and Genack, Phys. Rev. E 59, 7166 (1999)); where
-        modes of one width Gamma overlap it is 1/Gamma. `over`, shape (n, nw), are averages over
-        frequencies, one a row, that are wanted in place of single frequencies.
-        """
-        return jackknife_samples(self._delay(over), self.samples)
-
-    def delay_growth(self, over=None):
-        """Return by how much the mean group delay grows with depth, 1 / speed, by frequency.
-
-        The slope of the straight line through `delay`, all depths alike, with the error over
-        samples. What stands and rings between walls has none; what propagates has.
-        """
-        measure, away = self._delay(over), self.depths - self.depths.mean()
-        return jackknife_samples(lambda some: measure(some) @ away / np.sum(away**2), self.samples)
-
-    def _delay(self, over):
-        """Return the function of a mask of samples that is their mean delay."""
-        flow = -np.imag(np.conj(self.amplitude) * self.derivative) @ self.share
-
-        def measure(some):
-            late = flow[some].mean(axis=0) / self.intensities[some].mean(axis=0)
-            return late if over is None else over @ late
-
-        return measure
+RIM = 1 / 7  # of the system at both ends, which walls bend: 3 spacings of 20 x 20, as measured
+BAND = 0.1  # omega_mx
 
 
 @called_right
-def transport(medium, ensemble):
-    """Return what an ensemble's responses say of transport.
+def transport(medium, ensemble, depths=None):
+    """Return what an ensemble's responses or pulses say of transport.
 
     Only samples count that are good. A delay that is not certain, as the amplitude may vanish
-    there, has no weight. Below the first mode walls alone make amplitudes fall, in a length that is
-    geometry, and there is none.
+    there, has no weight. Where the delay does not grow with depth for certain waves stand, and no
+    length is told.
 
     Parameters
     ----------
     medium : pgran.Lattice or pgran.Network
         One of the samples, or of their size.
     ensemble : pgran.results.Ensemble
-        Of responses at detectors of three depths or more, with their curves.
+        Of responses or pulses at detectors of three depths or more, with their curves.
+    depths : tuple of float, optional
+        The lowest and the highest depth of lines and fits; by default a seventh of the system is
+        left out at both ends.
 
     Returns
     -------
-    pgran.results.Transport
+    pgran.results.Transport or pgran.results.Diffusion
 
     Raises
     ------
     InputError
-        If there are no curves, or too few depths or samples, or an amplitude vanishes, or all
-        frequencies lie below the first mode.
+        If there are no curves, or too few depths, samples or times, or an amplitude vanishes, or
+        all frequencies lie below the first mode.
     """
-    if not isinstance(ensemble, Ensemble) or ensemble.displacement is None:
+    if not has_curves(ensemble):
         raise InputError("transport: this ensemble has no curves; -ensemble_keep curves keeps them")
     medium = medium_of(medium)
+    depth = np.asarray(medium.depths(ensemble.detector), dtype=float)
+    every = np.argwhere(np.ones(medium.shape)) if medium.is_grid else medium.free[:, None]
+    length = float(medium.depths(every).max() + medium.is_grid)  # to a lattice's wall at rest
+    rims = RIM * length, length - RIM * length
+    window = rims if depths is None else window_of(depths)
+    if ensemble.square is not None:
+        return diffusion(ensemble, depth, length, window, medium.axes)
     first, omega = first_mode(medium), ensemble.omega
-    waves = omega >= first
-    if not waves.any():
+    if not np.any(omega >= first):
         raise InputError(f"transport: all frequencies lie below the first mode, at {first:.4g}")
     good = ensemble.good > 0
     displacement = ensemble.displacement[good]
     # dA/domega along the circle |A| alone: d arg A / domega is minus the delay
     turned = -1j * np.nan_to_num(ensemble.sample_delay[good]) * displacement
-    depth = np.asarray(medium.depths(ensemble.detector), dtype=float)
-    profiles = Profiles(depth, displacement, turned)
-    rate, length = profiles.attenuation()
+    profiles = Profiles(depth, displacement, turned, window)
     edges, over = _bands(omega, first, medium.omega_mx)
+    growth = profiles.delay_growth(over)
+    waves = np.any(over[growth.value > CERTAIN * growth.error] > 0, axis=0)
+    rate, (wave_number, scattering) = profiles.attenuation(), profiles.coherent()
+
+    def length_of(rate):
+        rate = certain(rate, waves)
+        return Estimate(1 / rate.value, rate.error / rate.value**2)
+
     return Transport(
         samples=len(displacement),
         first_mode=first,
+        depth_low=float(window[0]),
+        depth_high=float(window[1]),
         depth=profiles.depths,
         omega=omega,
         edge=edges,
-        **estimate.with_errors(
+        straightness=profiles.straightness(),
+        **with_errors(
             ln_amplitude=mean_of(profiles.levels),
             intensity=mean_of(profiles.intensities),
             rate=rate,
-            length=Estimate(*(np.where(waves, x, np.nan) for x in (length.value, length.error))),
+            length=length_of(rate),
+            intensity_length=length_of(profiles.attenuation_of_intensity()),
+            wave_number=certain(wave_number, waves),
+            scattering_length=length_of(scattering),
             group_delay=profiles.delay(),
             band_delay=profiles.delay(over),
-            delay_growth=profiles.delay_growth(over),
+            delay_growth=growth,
         ),
     )
 
 
-def _bands(omega, first, unit):
-    """Return the edges of bands above the first mode, and the averages over each, (bands, nw)."""
-    ends, rows = [], []
-    for _, low, high in REGIMES:
-        inside = (omega >= max(first, low * unit)) & (omega < high * unit)
-        if inside.any():
-            lowest = max(first, low * unit, omega.min())
-            # the upper end of a band is the lower one of the next, which replaces it
-            ends[len(rows) :] = [lowest, min(high * unit, omega.max())]
-            rows.append(inside / np.count_nonzero(inside))
-    return np.array(ends), np.array(rows)
+def has_curves(ensemble):
+    """Return whether an ensemble has amplitudes or squares to be looked at against depth."""
+    curves = isinstance(ensemble, Ensemble) and (ensemble.displacement, ensemble.square)
+    return bool(curves) and any(curve is not None for curve in curves)
 
 
 def is_line(medium, detectors):
@@ -195,25 +109,76 @@ def is_line(medium, detectors):
     return bool(np.all(np.isfinite(depth)) and len(np.unique(depth)) >= FEWEST_DEPTHS)
 
 
+def window_of(depths):
+    """Return two depths that were handed in, checked."""
+    windows = windows_of("-transport_depths", depths)
+    if len(windows) > 1:
+        raise InputError("-transport_depths: one window of depths is needed, low,high")
+    return windows[0]
+
+
+def _bands(omega, first, unit):
+    """Return the edges of bands above the first mode, and the averages over each, (bands, nw).
+
+    As many as are about `BAND` wide, or fewer, so that there are frequencies in each.
+    """
+    waves, low = omega[omega >= first], max(first, omega.min())
+    count = max(1, round((omega.max() - low) / (BAND * unit)))
+    while not np.all(np.histogram(waves, edges := np.linspace(low, omega.max(), count + 1))[0]):
+        count -= 1
+    place = np.minimum(np.searchsorted(edges, omega, "right"), count) - 1
+    inside = (place == np.arange(count)[:, None]) & (omega >= first)
+    return edges, inside / np.count_nonzero(inside, axis=1, keepdims=True)
+
+
 def summary(result):
     """Return in words how far sound gets."""
-    found, si = result.transport, SI.of(result)
-    known, waves = np.isfinite(found.length), found.omega >= found.first_mode
-    if not known.any():
-        yield "no attenuation length: amplitudes do not fall with depth for certain"
-    else:
-        shortest = np.flatnonzero(known)[np.argmin(found.length[known])]
-        length, omega = found.length[shortest], found.omega[shortest]
-        error = estimate.two_digits(found.length_error[shortest])
-        yield (
-            f"amplitudes fall with depth at {np.count_nonzero(known)} of "
-            f"{np.count_nonzero(waves)} frequencies above the first mode, {found.first_mode:.4g}; "
-            f"the shortest attenuation length is {length:.3g} +- {error} "
-            f"spacings{si.say('m', length)}, at omega = {omega:.4g}{si.say('Hz', omega)}"
-        )
-    growths = zip(found.delay_growth, found.delay_growth_error, strict=True)
-    for (low, high), (growth, error) in zip(pairwise(found.edge), growths, strict=True):
-        yield (
-            f"from {low:.3g} to {high:.3g}{si.say('Hz', low, high)} the group delay grows by "
-            f"{growth:.3g} +- {estimate.two_digits(error)} a spacing"
-        )
+    si = SI.of(result)
+    if found := getattr(result, "diffusion", None):
+        yield from _diffusion(found, si)
+        return
+    found = result.transport
+    if not np.any(found.propagates):
+        yield "sound propagates nowhere: the group delay grows with depth in no band for certain"
+        return
+    ends = np.flatnonzero(np.diff(found.propagates, prepend=False, append=False)).reshape(-1, 2)
+    ranges = ", ".join(f"{low:.3g} to {high:.3g}" for low, high in found.edge[ends])
+    growth = np.where(found.propagates, found.delay_growth, np.nan)
+    least, most = (_told(found, "delay_growth", f(growth)) for f in (np.nanargmin, np.nanargmax))
+    yield (
+        f"sound propagates at omega from {ranges}: there the group delay grows with depth for "
+        f"certain, by {least} to {most} a spacing; elsewhere no lengths are told"
+    )
+    for name, words in (("length", "attenuation"), ("scattering_length", "scattering")):
+        values = getattr(found, name)
+        if known := np.count_nonzero(np.isfinite(values)):
+            n = np.nanargmin(values)
+            length, omega = si.say("m", values[n]), found.omega[n]
+            yield (
+                f"the {words} length is certain at {known} frequencies; the shortest is "
+                f"{_told(found, name, n)} spacings{length}, at omega = {omega:.4g}"
+                f"{si.say('Hz', omega)}"
+            )
+    if refused := np.count_nonzero(found.refused):
+        yield f"at {refused} frequencies <ln|A|> is not straight (p < {found.REFUSED:g})"
+
+
+def _diffusion(found, si):
+    """Return in words how energy diffuses."""
+    if found.misfit > found.WRONG:
+        yield Caution("no diffusion with one D and one tau: residuals are far beyond their errors")
+    (low, high), start = found.depth[[0, -1]], found.time[0]
+    yield (
+        f"energy diffuses with D = {_told(found, 'diffusivity')} and is absorbed at the rate "
+        f"{_told(found, 'absorption')}: sqrt(D tau) = {_told(found, 'length')} "
+        f"spacings{si.say('m', found.length)}; the transport mean free path is "
+        f"{_told(found, 'free_path')} spacings, as fronts run at {found.speed:.3g}; from {low:.3g} "
+        f"to {high:.3g} spacings deep and the time {start:.4g} on residuals are "
+        f"{found.misfit:.2g} of their errors"
+    )
+
+
+def _told(found, name, place=()):
+    """Return in words a number of a record with its error."""
+    value, error = (np.asarray(getattr(found, n))[place] for n in (name, f"{name}_error"))
+    return f"{value:.3g} +- {two_digits(error)}" if np.isfinite(value) else "unknown"
