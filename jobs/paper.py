@@ -124,7 +124,6 @@ def drawings():
 
 def main(folder):
     """Draw, write the table, and say in a line each what is missing."""
-    logging.getLogger("pgran").setLevel(logging.ERROR)  # the runs have said the rest
     with ProcessPoolExecutor(2) as pool:
         drawn = [pool.submit(draw, folder, *each) for each in drawings().items()]
         missing = write(folder)
@@ -137,4 +136,5 @@ def main(folder):
 
 
 if __name__ == "__main__":
+    logging.getLogger("pgran").setLevel(logging.ERROR)  # the runs have said the rest
     sys.exit(main(Path(sys.argv[1])))
