@@ -16,6 +16,7 @@ from pgran.run.numbers import number, windows_of
 from pgran.run.options import labels_of
 from pgran.store.estimate import counted, with_errors
 from pgran.store.fields import ball_names
+from pgran.store.record import Record, Result
 
 log = logging.getLogger("pgran")
 
@@ -87,12 +88,13 @@ def compare(a, b, windows=None, stretch=0.02):
 
     Parameters
     ----------
-    a, b : pgran.store.record.Result, str or os.PathLike
-        What `load` returns, or the path of its file: two responses or two pulses, heard at as many
-        balls each.
+    a, b : pgran.store.record.Result, str or os.PathLike, or pgran.results.Response, or Signals
+        What `load` returns, or the path of its file, or what `sweep` or `pulse` returns: two
+        responses or two pulses, heard at as many balls each.
     windows : array_like of float, shape (n, 2), optional
         Lowest and highest angular frequency, or time, of each. By default equal ones, .15 omega_mx
-        wide or so from .1 omega_mx on, or six from the end of the wall's motion on.
+        wide or so from .1 omega_mx on (of records alone, whose omega_mx is not known, six), or six
+        from the end of the wall's motion on.
     stretch : float
         Largest relative change of frequencies or speeds that is tried.
 
@@ -112,12 +114,14 @@ def compare(a, b, windows=None, stretch=0.02):
         raise InputError(f"-stretch: a number between 0 and .5 is needed, not {stretch:g}")
     is_path = [isinstance(each, (str, os.PathLike)) for each in (a, b)]
     results = [load(x) if path else x for x, path in zip((a, b), is_path, strict=True)]
+    results = [Result([each]) if isinstance(each, Record) else each for each in results]
     files = [Path(x).name if p else n for x, p, n in zip((a, b), is_path, "AB", strict=True)]
     kind = next((k for k in KINDS if all(hasattr(result, k) for result in results)), None)
     if kind is None:
         scenes = " and ".join(str(getattr(result, "scene", "none")) for result in results)
         raise FileError(f"compare: two responses or two pulses are needed, not scenes {scenes}")
-    (read, signals), unit = KINDS[kind], results[0].medium.omega_mx
+    read, signals = KINDS[kind]
+    unit = results[0].medium.omega_mx if hasattr(results[0], "medium") else 0.0
     records = [getattr(result, kind) for result in results]
     balls = [ball_names(record.detector) for record in records]
     if len(balls[0]) != len(balls[1]):
@@ -126,7 +130,8 @@ def compare(a, b, windows=None, stretch=0.02):
         log.info("A is heard at %s, B at %s", *(", ".join(each) for each in balls))
     sides = [read(record, unit) for record in records]
     windows = _windows(sides, windows, stretch, WIDTH * unit if kind == "response" else None)
-    labels, shape = labels_of(results, files), (len(windows), len(balls[0]), len(signals))
+    labels = labels_of(results, files) if all(hasattr(r, "options") for r in results) else files
+    shape = len(windows), len(balls[0]), len(signals)
     told = [
         _measure(sides, windows[w], d, signals[n], kind, stretch) for w, d, n in np.ndindex(shape)
     ]

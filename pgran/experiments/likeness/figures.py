@@ -45,9 +45,10 @@ def decorrelation(ax, found):
 def _points(ax, found, label, values, errors, fill=None):
     """Draw values with their errors in windows: a colour a detector, a mark a signal."""
     pulse, drawn = found.of == "pulse", []
-    unit = (found.omega_mx or 1.0) ** (1 if pulse else -1)  # 0 without stiff bonds
+    unit = (found.omega_mx or 1.0) ** (1 if pulse else -1)
     low, high = found.low * unit, found.high * unit
-    scales.label(ax.xaxis, scales.TIME if pulse else scales.FREQUENCY)
+    shown = scales.TIME if pulse else scales.FREQUENCY
+    scales.label(ax.xaxis, shown if found.omega_mx else shown._replace(own=""))
     ax.set(xlim=(low.min(), high.max()), ylabel=label)
     ax.axhline(0, color="black", linewidth=0.4)
     balls = style.ball_names(found.detector)

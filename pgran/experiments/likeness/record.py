@@ -25,7 +25,7 @@ class Likeness(Record):
     of: str
     label_a: str
     label_b: str
-    omega_mx: float
+    omega_mx: float  # 0: not known
     reach: float
     signal: np.ndarray = array("u; ln|A| less its line, A over exp of it", "1", dtype=str)
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
