@@ -275,8 +275,9 @@ def run(lattice, options, crew):
     """Return the ensemble, its noise and transport; see `pgran.run.experiment.Scene`."""
     of, windows = options.ensemble_of, options.statistics_windows
     files = crew.world.bcast(options.network_file)
-    seeds = seeds_of(0 if files else options.bonds_seed, options.ensemble_samples)
-    seeds_of(options.relax_seed or 0, options.ensemble_samples)
+    samples = len(files or ()) or options.ensemble_samples
+    seeds = seeds_of(0 if files else options.bonds_seed, samples)
+    seeds_of(options.relax_seed or 0, samples)
     choices = asked_of(EXPERIMENTS[of][1], options, crew.world, lattice, without=NOT_TAKEN)
     if windows is not None:
         windows = windows_of("-statistics_windows", windows, choices["omegas"])
@@ -295,7 +296,10 @@ def run(lattice, options, crew):
     records = [record]
     if windows is not None:
         records.append(noise.statistics(record, windows))
-    if transport.is_line(lattice, record.detector):
+    line = transport.is_line(lattice, record.detector)
+    if line and files and options.detectors_at is None:
+        log.info("no transport: a ball is elsewhere in each packing; -detectors_at names places")
+    elif line:
         try:
             records.append(transport.transport(lattice, record, options.transport_depths))
         except InputError as error:
