@@ -30,9 +30,9 @@ SWEEPS = (
           "2 from 1e-5 to 1e-1 Hz",
           "{:.2f} from {:.1g} to {:.1g} Hz; the corner 1/(2 pi M tau) is at {:.1e}, with kbar = "
           "{:.0f} bonds jointly at {:.1e} Hz", slow_spectrum,
-          "right in the exponent above the corner; 840 bonds, redrawn one by one, cannot fall for "
-          "the measured four decades: that takes M / kbar of 3200 or more, which a bed of 10^5 "
-          "beads has"),
+          "right in the exponent above both corners (timeres), below which this window reaches; "
+          "840 bonds, redrawn one by one, cannot fall for the measured four decades: that takes "
+          "M / kbar of 3200 or more"),
         R("(exptime) driving frequency, acceleration", "omega = 4 kHz, 1.4 g",
           "{:.3f} omega_mx of 200,000 / s if 4 kHz are cycles; the disc moves by {:.0f} nm",
           lambda units_weight: [TURN * 4e3 / OMEGA_MX, 1.4 * 9.81 / (TURN * 4e3) ** 2 * 1e9],
@@ -134,7 +134,7 @@ SWEEPS = (
         R("phase velocity X/mu (phsvel, velobs), d omega_mx", ".06", "{:.4f} +- {:.4f}",
           lambda response: (response.response.phase_velocity[0],
                             response.response.phase_velocity_error[0]), "right, see samples"),
-        R("phase velocity over samples", ".06 of one",
+        R("phase velocity over 10 samples, of those whose phase is certain", ".06 of one",
           "{:.4f} +- {:.4f}, {:.4f} to {:.4f}, {} samples",
           lambda ensemble_response: spread(ensemble_response.ensemble.velocity),
           "right for its sample; others differ by an eighth"),

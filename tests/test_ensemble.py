@@ -350,11 +350,20 @@ def test_samples_that_are_files_of_packings(world, shared_path, of):
             )
 
 
-def test_places_that_name_no_ball():
+def test_samples_stay_different_while_bonds_are_redrawn(world):
+    """Each by changes of its own: by the same ones all would become one network."""
+    found = ran("modes", "-bonds_redrawn 2000", world)[1]
+    assert len(set(found.mode_omega[:, 0].tolist())) == len(SEEDS)
+
+
+def test_places_that_name_no_ball(caplog):
     network = pgran.Network([[0, 1]], [1.0], [0, 1], position=[[0.0, 0.0], [1.0, 0.0]])
     for of, place, message in (
         (network, (1, 1, 1), "-detectors_at: a place has 2 coordinates"),
+        (network, (0, 0, 1, 1), "-detectors_at: two places have the same nearest ball"),
         (as_network(lattice_of(1)), (1, 1), "-detectors_at: this network has no positions"),
     ):
         with pytest.raises(InputError, match=message):
             of.nearest_free(place)
+    network.nearest_free((9.0, 0.0))
+    assert "-detectors_at: the nearest free ball, 0, is 9 away" in caplog.text

@@ -121,8 +121,17 @@ def test_another_run_is_refused_by_name(world, result, unfinished):
     world.Barrier()
     assert unfinished.read_bytes() == before
     world.Barrier()
-    with Journal(world, result, OTHER, overwrite=True) as journal:
+    with (
+        ended_by(StoppedError, "the same command"),
+        Journal(world, result, OTHER, overwrite=True) as journal,
+    ):
         assert not journal.kept(journal.stage(0, UNITS, ROW), ROW)
+        fill(journal, [2])
+        journal.stop("SIGTERM")
+    world.Barrier()
+    with Journal(world, result, OTHER) as journal:  # what replaced it goes on as any other does
+        kept = journal.kept(journal.stage(0, UNITS, ROW), ROW)
+        assert world.bcast(list(kept)) == [2]
 
 
 def test_a_run_that_finished_nothing_is_no_obstacle(world, result, unfinished):

@@ -127,7 +127,7 @@ def changed(result, change):
         ("pulse", {}, {"windows": [280, 299]}, "-windows: 280 to 299 is not within what both have"),
         ("pulse", {}, {"windows": [200, 202]}, "200 to 202 holds 5 good points of A, and needs 8"),
         ("pulse", {"wall": np.linspace(0, 1, 601)}, {}, "the wall moves until the end; listen"),
-        ("pulse", {"detector": np.ones((2, 2), int)}, {}, "A is heard at 1 balls, B at 2"),
+        ("pulse", {"detector": np.ones((2, 2), int)}, {}, "A is heard at 1 ball, B at 2 balls"),
         ("pulse", {"envelope": np.zeros((601, 1))}, {}, "B is nowhere larger than its errors"),
         ("pulse", {"envelope": np.eye(601, 1)}, {}, "and -48 to -48 have nothing in common"),
         ("response", {"derivative": None}, {}, "a response of this age has no derivatives"),
@@ -168,6 +168,9 @@ def test_the_command(call, shared_path, world, results):
     assert "A: -bonds_seed 97; B: -bonds_seed 98\nball (3, 2), u\ntime  " in done.stdout
     assert f"100 to 200         {found.correlation[0, 0, 0]:.4f} +- " in done.stdout
     assert f" {found.stretch[1, 0, 0]:+.3g} +- " in done.stdout
+    itself = call("compare", "a.h5", "b.h5", "-o", "a.h5", "-output_overwrite")
+    assert itself.returncode == 2
+    assert "-o a.h5: is what is compared" in itself.stderr
     again = [call("compare", "a.h5", "b.h5", "-o", "c.h5").returncode for _ in range(2)]
     assert again == [0, 4] or world.rank > 0
     kept, panels = (

@@ -1,6 +1,7 @@
 """`pgran compare`: how alike two response curves or two codas are."""
 
 import logging
+import os
 import shlex
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 import pgran
 from pgran.command.plot import plot
 from pgran.command.words import Parser, positive
-from pgran.errors import DONE
+from pgran.errors import DONE, InputError
 from pgran.run.options import REALS, Option
 from pgran.store import file as store
 from pgran.store.estimate import two_digits
@@ -48,6 +49,8 @@ def run(words):
     output = options.output or f"{Path(options.a).with_suffix('')}-{Path(options.b).stem}.png"
     stored = Path(output).suffix == ".h5"
     if stored:
+        if os.path.realpath(output) in map(os.path.realpath, (options.a, options.b)):
+            raise InputError(f"-o {output}: is what is compared")
         store.check_output(output, options.output_overwrite)
     found = pgran.compare(options.a, options.b, options.windows, options.stretch)
     told = {"scene": found.group, "status": "complete", "pgran_version": pgran.__version__}

@@ -8,6 +8,7 @@ mass m, and S stays symmetric.
 
 import dataclasses
 import hashlib
+import logging
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,6 +24,8 @@ from pgran.medium.source import nearest
 from pgran.medium.springs import AT_REST, DRIVEN, FREE, Elastic, springs_of
 from pgran.medium.units import check_magnitudes, own_unit
 from pgran.run.numbers import number, numbers
+
+log = logging.getLogger("pgran")
 
 
 @called_right
@@ -249,7 +252,15 @@ class Network(Elastic, Connected, Medium):
         if len(places) % axes:
             raise InputError(f"-detectors_at: a place has {axes} coordinates here")
         away = np.reshape(places, (-1, 1, axes)) - self.position[self.free]
-        return self.free[np.linalg.norm(away, axis=2).argmin(axis=1)][:, None]
+        away = np.linalg.norm(away, axis=2)
+        balls = self.free[away.argmin(axis=1)]
+        contact = np.linalg.norm(np.diff(self.position[self.bond], axis=1), axis=2).max()
+        for ball, far in zip(balls, away.min(axis=1), strict=True):
+            if far > contact:
+                log.warning("-detectors_at: the nearest free ball, %d, is %.3g away", ball, far)
+        if len(set(balls.tolist())) < len(balls):
+            raise InputError(f"-detectors_at: two places have the same nearest ball, of {balls}")
+        return balls[:, None]
 
     def readings(self, sites):
         """Return unknowns that detectors read and their weights, (nd, axes)."""

@@ -22,7 +22,7 @@ REDRAWN = (
     Option(
         "bonds_redrawn", INTEGER, 0,
         "so many steps of a relaxation have gone before: each has redrawn a bond by the law, or a "
-        "contact of a network from all of its constants", low=0
+        "contact of a network from all of its constants", low=0, high=10**7
     ),
     Option(
         "bonds_redrawn_seed", INTEGER, 1, "which sequence of changes, as -relax_seed has them",

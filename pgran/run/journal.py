@@ -141,7 +141,8 @@ class Journal:
             log.info("%s: another run; discarded as -output_overwrite asks", self.path)
         self._kept.clear()
         with writing(self.path):
-            self._file.truncate(0)
+            self._file.seek(0)
+            self._file.truncate()
             self._file.write(MAGIC)
         self._append(IDENTITY, json.dumps(identity).encode())
         del self._kept[IDENTITY]

@@ -8,6 +8,7 @@ import re
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
+from os.path import exists
 
 from pgran.arguments import shown
 from pgran.errors import InputError
@@ -51,7 +52,8 @@ TEXT = Kind("text", _only(len, str))
 INTEGERS, REALS = _several(INTEGER), _several(REAL)
 # Names of files that a run reads: what these hold is part of what the run is.
 FILE = Kind("file", TEXT.read)
-FILES = _several(FILE)
+# Several, or one with a comma in its name.
+FILES = Kind("files", lambda text: (text,) if exists(text) else _several(FILE).read(text))
 # Of a default, or of a tuple of them.
 KINDS = {bool: FLAG, int: INTEGER, float: REAL, str: TEXT, (int,): INTEGERS, (float,): REALS}
 

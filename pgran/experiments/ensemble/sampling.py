@@ -4,7 +4,7 @@ import logging
 
 import numpy as np
 
-from pgran.errors import PgranError, is_bad_input, is_petsc
+from pgran.errors import InputError, PgranError, is_bad_input, is_petsc
 from pgran.experiments.ensemble.record import Ensemble, measures, sampled_of
 from pgran.run.machine import check_memory
 from pgran.run.task import Task
@@ -70,6 +70,8 @@ class Samples(Task):
             with AgreeingCrew(group, group.size) as crew:
                 records = self.experiment(medium, unit - self.units[0], crew)
         except Exception as error:  # which all ranks of the group meet alike
+            if isinstance(error, InputError):
+                raise InputError(f"sample of seed {unit}: {error}") from error
             if type(error) is not PgranError and (not is_petsc(error) or is_bad_input(error)):
                 raise
             if group.rank == 0:

@@ -110,7 +110,14 @@ def check(values, given):
 
 def _check_files(values, given):
     """Let as many samples be as there are networks; raise unless there are several."""
-    files = [path for each in values["network_file"] for path in sorted(glob(each)) or [each]]
+    files = []
+    for each in values["network_file"]:
+        found = [each] if os.path.exists(each) else sorted(glob(each))
+        if not found:
+            raise InputError(f"-network_file {each}: no file is called so, or matches it")
+        files += found
+    if len(set(map(os.path.realpath, files))) < len(files):
+        raise InputError("-network_file: a file is named twice")
     if len(files) < 2:
         raise InputError(
             f"-network_file {files[0]}: a file holds one sample only; give several, a.h5,b.h5 or a "
@@ -277,13 +284,16 @@ def run(lattice, options, crew):
     files = crew.world.bcast(options.network_file)
     samples = len(files or ()) or options.ensemble_samples
     seeds = seeds_of(0 if files else options.bonds_seed, samples)
-    seeds_of(options.relax_seed or 0, samples)
+    for first in (options.relax_seed or 0, options.bonds_redrawn_seed):
+        seeds_of(first, samples)
     choices = asked_of(EXPERIMENTS[of][1], options, crew.world, lattice, without=NOT_TAKEN)
     if windows is not None:
         windows = windows_of("-statistics_windows", windows, choices["omegas"])
 
     def draw(seed, group):
         own = {"network_file": files[seed : seed + 1]} if files else {"bonds_seed": seed}
+        # by one sequence of changes all samples would become the same in the end
+        own["bonds_redrawn_seed"] = options.bonds_redrawn_seed + seed - seeds[0]
         return make_lattice(options.changed(**own), group)
 
     how = lattice, options.ensemble_keep, choices, crew, options.output_progress
@@ -299,6 +309,8 @@ def run(lattice, options, crew):
     line = transport.is_line(lattice, record.detector)
     if line and files and options.detectors_at is None:
         log.info("no transport: a ball is elsewhere in each packing; -detectors_at names places")
+    elif not line and options.transport_depths is not None:
+        log.warning("-transport_depths: no transport; detectors at three depths are needed")
     elif line:
         try:
             records.append(transport.transport(lattice, record, options.transport_depths))

@@ -49,12 +49,14 @@ def transport(medium, ensemble, depths=None):
     if not has_curves(ensemble):
         raise InputError("transport: this ensemble has no curves; -ensemble_keep curves keeps them")
     medium = medium_of(medium)
-    depth = np.asarray(medium.depths(ensemble.detector), dtype=float)
+    depth = np.asarray(medium.depths(medium.sites(ensemble.detector)), dtype=float)
     every = np.argwhere(np.ones(medium.shape)) if medium.is_grid else medium.free[:, None]
     length = float(medium.depths(every).max() + medium.is_grid)  # to a lattice's wall at rest
     rims = RIM * length, length - RIM * length
     window = rims if depths is None else window_of(depths)
     if ensemble.square is not None:
+        if medium.push is not None or getattr(medium, "wall", None) is not None:
+            raise InputError("transport: from a part of a wall, or a push, energy spreads sideways")
         return diffusion(ensemble, depth, length, window, medium.axes)
     first, omega = first_mode(medium), ensemble.omega
     if not np.any(omega >= first):

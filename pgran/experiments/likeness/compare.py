@@ -114,7 +114,7 @@ def compare(a, b, windows=None, stretch=0.02):
         raise InputError(f"-stretch: a number between 0 and .5 is needed, not {stretch:g}")
     is_path = [isinstance(each, (str, os.PathLike)) for each in (a, b)]
     results = [load(x) if path else x for x, path in zip((a, b), is_path, strict=True)]
-    results = [Result([each]) if isinstance(each, Record) else each for each in results]
+    results = [Result([x], scene=x.group) if isinstance(x, Record) else x for x in results]
     files = [Path(x).name if p else n for x, p, n in zip((a, b), is_path, "AB", strict=True)]
     kind = next((k for k in KINDS if all(hasattr(result, k) for result in results)), None)
     if kind is None:
@@ -125,7 +125,9 @@ def compare(a, b, windows=None, stretch=0.02):
     records = [getattr(result, kind) for result in results]
     balls = [ball_names(record.detector) for record in records]
     if len(balls[0]) != len(balls[1]):
-        raise FileError("compare: A is heard at {} balls, B at {}".format(*map(len, balls)))
+        raise FileError(
+            "compare: A is heard at {}, B at {}".format(*(counted(len(b), "ball") for b in balls))
+        )
     if balls[0] != balls[1]:
         log.info("A is heard at %s, B at %s", *(", ".join(each) for each in balls))
     sides = [read(record, unit) for record in records]

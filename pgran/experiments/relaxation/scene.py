@@ -39,6 +39,11 @@ def check(values, given):
         values["bonds_law"] = None  # the network's own constants
     if values["bonds_law"] == "file":
         raise InputError("-bonds_law file: a relaxation needs a law to draw new constants from")
+    if values["bonds_redrawn"] and values["bonds_redrawn_seed"] == values["relax_seed"]:
+        raise InputError(
+            "-bonds_redrawn: the relaxation would repeat these changes, of -relax_seed; let "
+            "-bonds_redrawn_seed be another one"
+        )
     check_ends("spectrum_fit", values)
     if values.get("spectrum_fit_min") is not None:  # a study of accuracy has no such window
         from pgran.experiments.relaxation.spectrum import check_window

@@ -3,6 +3,7 @@
 import numpy as np
 
 from pgran.driven import drive as driven
+from pgran.errors import InputError
 from pgran.experiments.sensitivity import heat
 from pgran.experiments.sensitivity.adjoint import MISSED, AdjointSweep
 from pgran.experiments.sensitivity.gradient import energy_flux, gradient
@@ -32,6 +33,9 @@ def check(values, given):
     """Raise where options contradict each other."""
     check_sweep(values, given)
     check_options(values)
+    loads = [name for name in WAYS if name != "heat_factor" and values[name] is not None]
+    if values["network_file"] is not None and values["bonds_redrawn"] and loads:
+        raise InputError(f"-{loads[0]}: a redrawn contact is not as stiff as its force makes it")
 
 
 def summary(result):
