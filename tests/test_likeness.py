@@ -169,7 +169,7 @@ def test_the_command(call, shared_path, world, results):
     assert f"100 to 200         {found.correlation[0, 0, 0]:.4f} +- " in done.stdout
     assert f" {found.stretch[1, 0, 0]:+.3g} +- " in done.stdout
     itself = call("compare", "a.h5", "b.h5", "-o", "a.h5", "-output_overwrite")
-    assert itself.returncode == 2
+    assert itself.returncode == 2 or world.rank > 0
     assert "-o a.h5: is what is compared" in itself.stderr
     again = [call("compare", "a.h5", "b.h5", "-o", "c.h5").returncode for _ in range(2)]
     assert again == [0, 4] or world.rank > 0
