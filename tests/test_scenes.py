@@ -112,7 +112,7 @@ CHANGES = {
     "ensemble_keep": "measures",
     "transport_depths": ("1,4", "-ensemble_samples 8 -detectors 4,2,3,2,2,2,1,2,0,2"),
 }
-# test_command_line.py, test_motion.py, test_network.py, test_ensemble.py, test_radii.py,
+# test_command_line.py, test_motion.py, test_network.py, test_ensemble_networks.py, test_radii.py,
 # test_sound.py
 SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "network_rattlers"),
