@@ -14,6 +14,9 @@ class Medium(Distinct):
     """What vibrates: a `pgran.Lattice` or a `pgran.Network`, which answer the same questions."""
 
     is_grid = False  # of nearest neighbours, which can be cut into boxes
+    # Drag: the rate alpha of each unknown, and the loss eta k of each spring; None where there is
+    # none.
+    drags = losses = None
 
     @property
     def free_balls(self):

@@ -91,6 +91,23 @@ def stiffness_matrix(medium):
     return (0.5 * (K + K.T)).tocsr()  # products of sparse matrices are symmetric but for rounding
 
 
+def quadratic(medium):
+    """Return K, C and m of S(s) = K + s C + s^2 m, sparse, all damping in C.
+
+    K is complex where springs lose energy by themselves, K (1 + i eta).
+    """
+    from scipy.sparse import diags
+
+    springs, K = medium.springs, stiffness_matrix(medium)
+    C = springs.B.T @ springs.B.multiply(medium.damping * springs.damped[:, None])
+    if medium.drags is not None:
+        C = C + diags(medium.mass * medium.drags)
+    if medium.losses is not None:
+        L = springs.B.T @ springs.B.multiply(medium.losses[:, None])
+        K = K + 0.5j * (L + L.T)
+    return K.tocsr(), (0.5 * (C + C.T)).tocsr(), medium.mass
+
+
 class Elastic:
     """The springs of a network; `bonds.ElasticBonds` answers the same for a lattice."""
 
