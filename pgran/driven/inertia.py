@@ -1,4 +1,4 @@
-"""Real factors of K - shift, how many eigenvalues they tell to lie below it, and how sure that is.
+"""Factors of K - shift, how many eigenvalues they tell to lie below it, and how sure that is.
 
 SuperLU eliminates without moving rows, as long as no pivot is zero: K - shift = L U. Rounding keeps
 U from being D L^T, D its diagonal, so that
@@ -25,6 +25,8 @@ ROUNDED = 1.01  # covers the rounding of the bound itself
 
 class RealFactors:
     """Factors of K - shift, K real and symmetric: `solve(b)`, and its negative pivots.
+
+    Of a complex symmetric K they are as good, but for these.
 
     Parameters
     ----------
@@ -54,35 +56,38 @@ class RealFactors:
 
     @cached_property
     def negative(self):
-        """How many pivots are negative; None where that tells nothing.
+        """How many pivots are negative; None where that tells nothing."""
+        return None if self.pivots is None else int(np.count_nonzero(self.pivots < 0))
 
-        Rows that were moved leave no L D L^T; and a pivot may be zero, or no number.
-        """
+    @cached_property
+    def pivots(self):
+        """The diagonal of D; None where rows were moved, or one is zero or no number."""
         pivots = self._factors.U.diagonal()
         moved = not np.array_equal(self._factors.perm_r, self._factors.perm_c)
         if moved or not np.all(np.isfinite(pivots)) or np.any(pivots == 0):
             return None
-        return int(np.count_nonzero(pivots < 0))
+        return pivots
 
     def error(self, enough=0.0):
         """Return a bound of |E|_2, infinite where none is known, as sharp as `enough` if possible.
 
         Small pivots make it large: in three dimensions 1e-6 of |K| is usual.
         """
-        if self.negative is None:
+        if self.pivots is None:
             return np.inf
         from scipy.sparse import csc_matrix, csr_matrix
 
         L, U = self._factors.L, self._factors.U
-        pivots = U.diagonal()
         # The columns of L are the rows of L^T.
-        scaled = L.data * np.repeat(pivots, np.diff(L.indptr))
+        scaled = L.data * np.repeat(self.pivots, np.diff(L.indptr))
         apart = U.tocsr() - csr_matrix((scaled, L.indices, L.indptr), L.shape)
         # abs() of a matrix would sort it first.
         lower, upper = (csc_matrix((np.abs(F.data), F.indices, F.indptr), F.shape) for F in (L, U))
-        np.abs(apart.data, out=apart.data)
-        # An entry of L U in row i is summed from no more terms than that row of L has entries.
-        unit = (np.bincount(L.indices, minlength=self.size) + 8) * (EPSILON / 2)
+        apart.data = np.abs(apart.data)
+        # An entry of L U in row i is summed from no more terms than that row of L has entries; an
+        # operation with complex numbers is as good as four with real ones.
+        rounded = EPSILON / 2 * (4 if np.iscomplexobj(self.pivots) else 1)
+        unit = (np.bincount(L.indices, minlength=self.size) + 8) * rounded
         weight = unit / (1 - unit)
         # Where F bounds |E| entry by entry, |E|_2 is no more than F's spectral radius, and that no
         # more than the largest (F v)_i / v_i of any positive v (Collatz and Wielandt).
