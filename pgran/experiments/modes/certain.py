@@ -39,6 +39,7 @@ PARTS = (0.9, 0.5, 0.1)  # of an estimate of the smallest singular value that ar
 NEAR = 1e-8  # of |C| and |K|: how sharply eigenvalues are counted
 ARCS, POINTS = 3000, 20_000  # of a circle, at most
 AHEAD = 1e-5  # rad: how far along a circle the phase tells its derivative
+TURN = 1.0  # rad: by how much a pivot may turn along an arc
 AGREE, CHANGE = 0.5, 2.0  # rad: how far a phase may be from its trapezoid, and that may bend
 OFF, WRONG = 0.1, 0.3  # how far the trapezoid rule and rounding may be from the number
 
@@ -249,17 +250,19 @@ def _counted(pencil, *circle):
 
     @cache
     def phase(angle):
-        here, ahead = (_factors(pencil, circle, a)[1] for a in (angle, angle + AHEAD))
-        return here, _wrapped(ahead - here) / AHEAD
+        (factors, here), (_, ahead) = (_factors(pencil, circle, a) for a in (angle, angle + AHEAD))
+        return factors.pivots, here, _wrapped(ahead - here) / AHEAD
 
     def grown(start, end):
-        (first, slope), (last, slope_last) = phase(start), phase(end)
+        (_, first, slope), (_, last, slope_last) = phase(start), phase(end)
         trapezoid, bent = (end - start) / 2 * np.array([slope + slope_last, slope - slope_last])
         return trapezoid, _wrapped(last - first - trapezoid), bent
 
     def fine(start, end):
         _, off, bent = grown(start, end)
-        return abs(off) <= AGREE and abs(bent) <= CHANGE
+        # two modes near one angle turn the sum by 2 pi, which no phase tells, but pivots by less
+        turned = np.abs(np.angle(phase(end)[0] / phase(start)[0])).max()
+        return abs(off) <= AGREE and abs(bent) <= CHANGE and turned <= TURN
 
     return round(sum(sum(grown(*arc)[:2]) for arc in _arcs(fine)) / (2 * math.pi))
 
