@@ -32,7 +32,10 @@ EXPERIMENTS = {
         },
     ),
     "green": Home("green.scene", {"green": "figures"}),
-    "modes": Home("modes.scene", {"modes": "figures", "density": "figures_density"}),
+    "modes": Home(
+        "modes.scene",
+        {"modes": "figures", "density": "figures_density", "damped_modes": "figures_damped"},
+    ),
     "projection": Home("modes.projection", {"projection": "figures_projection"}),
     "pulse": Home("pulse.scene", {"pulse": "figures"}),
     "relaxation": Home(

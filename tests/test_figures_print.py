@@ -76,6 +76,8 @@ SCENES = {
     "continuum": (respond_box, "exactpl"),
     "modes": (lambda: find_modes((12, 11)), "shapes participation density reduced"),
     "chain": (lambda: find_modes((30,)), "shapes participation density reduced"),
+    "damped": (lambda: find_modes((6, 5), damped=True, detectors=[(1, 1), (3, 0)]),
+               "widths swings residues"),
     "resonances": (lambda: find_modes((4, 3), detectors=[(1, 1), (3, 0)]),
                    "shapes participation resonances"),
     "few modes": (lambda: find_modes((2, 1)), "shapes participation"),

@@ -96,6 +96,7 @@ CHANGES = {
     "modes_count": ("4", NEAREST),
     "modes_method": "dense",
     "modes_detectors": "1,3",
+    "modes_damped": "true",
     "modes_density": ("7", "-modes_density 8"),
     "sensitivity_most": "7",
     "green_sources": "1,3",
@@ -117,7 +118,7 @@ CHANGES = {
 SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "network_rattlers"),
     *("detectors_at", "detectors_component", "ensemble_of", "statistics_windows"),
-    "green_direction",
+    *("green_direction", "modes_certificate"),
     *("bonds_gravity", "drive_direction", "drive_force"),
     *("heat_radius", "heat_kelvin", "heat_expansion", "heat_relax"),
 }

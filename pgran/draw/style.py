@@ -22,7 +22,8 @@ LETTERS = 15  # to an inch
 LETTERED, BESIDE = 0.25, 0.5  # inches that (a) needs before a title; left of it, and after it
 SIGNED = "cividis"  # from -1 to 1: the sign is seen in grey, too
 HEARD = (
-    "response", "modes", "pulse", "relaxation", "sensitivity", "heat", "ensemble", "green",
+    "response", "modes", "damped_modes", "pulse", "relaxation", "sensitivity", "heat", "ensemble",
+    "green",
 )  # fmt: skip
 LETTER = "abcdefghijklmnopqrstuvwxyz"  # of panels
 ACCENT, FAILED, MODE, UNRESOLVED = "#0072B2", "#D00000", "#555555", "#D55E00"

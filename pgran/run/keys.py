@@ -19,6 +19,7 @@ SMALLEST_SHIFT = 1e-14  # of pivots, against bond constants of about 1
 SOLVER_PREFIXES = {
     "steady_": "every driven steady state (KSP, PC)",
     "normal_": "normal modes (EPS, ST; count_pc for the factorizations that count them)",
+    "damped_": "damped modes near a target (PEP, ST)",
     "pulse_ts_": "pulses that are integrated (TS)",
     "pulse_snes_": "implicit steps of a pulse (SNES)",
     "pulse_ksp_": "their linear systems (KSP)",

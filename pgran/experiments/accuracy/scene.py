@@ -140,7 +140,7 @@ def run(lattice, options, crew):
 # how accurate results are, and what is kept of them.
 DECIDED = (
     "error_tolerance", "error_floor", "sweep_resolve", "phase_fit_min", "phase_fit_max",
-    "output_fields", "output_models", "modes_detectors",
+    "output_fields", "output_models", "modes_detectors", "modes_damped", "modes_certificate",
 )  # fmt: skip
 REPEATED = options_of(response.sweep, relaxation.relax, pulse.pulse, modes.find_modes)
 OPTIONS = tuple(option for option in (*STUDY, *REPEATED) if option.name not in DECIDED)

@@ -31,6 +31,19 @@ SITES = option(
     None, "balls at which residues of the modes are told, indices from 0, flat",
     key="modes_detectors", kind=INTEGERS, low=0, high=2**63 - 1,
 )  # fmt: skip
+DAMPED = (
+    option(
+        False,
+        "solutions of S(s) x = 0, with frequencies and widths: all by LAPACK, or those nearest to "
+        "i times -modes_target by SLEPc's PEP", key="modes_damped",
+    ),
+    option(
+        "counted",
+        "of damped modes near a target: counted, by the phase of det S around them; proven, each "
+        "mode too, which takes long; none", key="modes_certificate",
+        choices=("none", "counted", "proven"),
+    ),
+)  # fmt: skip
 DETECTORS = Asked((SITES,), SITES.of_run)
 
 
@@ -66,6 +79,8 @@ def find_modes(
         "of networks what is faster",
         choices=("auto", "eps", "dense"),
     ),
+    damped=DAMPED[0],
+    certificate=DAMPED[1],
     detectors=None,
     shapes=option(False, "store the shapes of the modes", key="output_fields"),
     progress=PROGRESS,
@@ -107,9 +122,14 @@ def find_modes(
     if interval is not None:
         warn_above_modes(lattice, crew.world, interval[0])
     resonances = Resonances(lattice, detectors)
+    wanted = {"interval": interval, "targets": targets, "count": count}
+    if damped:
+        from pgran.experiments.modes.damped import DampedSearch
+
+        task = DampedSearch(lattice, resonances, shapes, method, certificate, **wanted)
+        return carry_out(task, crew, progress)
     scaled, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
     check_frequency(scaled, max(targets or interval or (0.0,)))
-    wanted = {"interval": interval, "targets": targets, "count": count}
     method = on_root(crew.world, lambda: dense.method_of(method, scaled, **wanted))
     with contextlib.ExitStack() as held:
         if method == "dense":

@@ -7,7 +7,7 @@ from pgran.driven import drive as driven
 from pgran.driven.phase import fit_line
 from pgran.driven.sweep import FrequencySweep
 from pgran.errors import InputError
-from pgran.experiments.modes.find import SITES, find_modes
+from pgran.experiments.modes.find import DAMPED, SITES, find_modes
 from pgran.experiments.modes.record import Projection
 from pgran.experiments.modes.scene import certificate, check_modes
 from pgran.medium.base import medium
@@ -163,7 +163,7 @@ def summary(result):
 
 OPTIONS = (
     *SWEEP.options,
-    *options_of(find_modes, without=[find_modes.declared["shapes"], SITES]),
+    *options_of(find_modes, without=[find_modes.declared["shapes"], SITES, *DAMPED]),
     *(driven.STEADY["error_tolerance"], driven.STEADY["refresh_iterations"]),
 )
 SCENE = Scene(OPTIONS, run, summary, check)

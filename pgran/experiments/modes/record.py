@@ -65,6 +65,14 @@ class Density(Record):
         return (sides.prod() * waves**2 - 2 * sides.sum() * waves) / (4 * math.pi)
 
 
+CERTIFICATES = {
+    "discs": "none is missing, proven by discs",
+    "proven": "none is missing, proven by a ring of counts around them",
+    "counted": "none is missing, counted by the phase of det S around them",
+    "none": "not counted: others may be as near",
+}
+
+
 def exactness(record, number="{:.1e}".format):
     """Return in words how sure it is that a record's modes, its own or those it is on, are all."""
     bounds = [getattr(record, name, None) for name in ("omega_bound", "mode_omega_bound")]
@@ -161,6 +169,72 @@ class Modes(Record):
         }
         left = self.count_expected - np.count_nonzero(~here)
         return replace(self, count_expected=int(left), **along)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DampedModes(Record):
+    """Damped modes S(s) x = 0, s = -width / 2 + i omega with omega >= 0, `nm` of them.
+
+    Modes of omega = 0 are overdamped. With rigidity 0 several have become one (critical damping):
+    x^T (2 s m + C) x = 0 normalises nothing, and residue and vector are NaN. Where springs have a
+    loss, others than conj(s) lie below the real axis; they are not here.
+    """
+
+    group = "damped_modes"
+    complete: bool = attribute(long_name="whether these and all conj(s), conj(x) are all modes")
+    certificate: str = attribute(long_name="how sure it is that none is missing")
+    count_expected: int
+    count_certified: bool
+    solve_seconds: float
+    eigenvalue: np.ndarray = array("s", "sqrt(k/m)", "mode", dtype=complex, row=True)
+    residual: np.ndarray = array("|S x| / ((|K| + |s C| + |s^2 m|) |x|)", "1", "mode", row=True)
+    radius: np.ndarray = array(
+        "proven distance of s from a mode; inf: not proven, NaN: not asked for", "sqrt(k/m)",
+        "mode", row=True,
+    )  # fmt: skip
+    rigidity: np.ndarray = array("|x^T (2 s m + C) x| / (2 |s| m |x|^2)", "1", "mode", row=True)
+    participation: np.ndarray = array(
+        "how many balls take part, |x|^4 / sum |x_p|^4", "1", "mode", row=True
+    )
+    detector: np.ndarray | None = array(
+        DETECTOR, "1", "detector_number", "axis", dtype=int, optional=True
+    )
+    residue: np.ndarray | None = array(
+        "what the detectors read of x, times x^T f(s), f the drive", "sqrt(k/m)", "mode",
+        "detector_number", dtype=complex, optional=True, row=True,
+    )  # fmt: skip
+    vector: np.ndarray | None = array(
+        "x, x^T (2 s m + C) x = 1", "1", "mode", "balls", dtype=complex, optional=True, row=True
+    )
+
+    count_found = property(lambda self: len(self.eigenvalue), doc="How many modes there are here.")
+    omega = property(lambda self: self.eigenvalue.imag, doc="The angular frequency of each mode.")
+    width = property(lambda self: -2 * self.eigenvalue.real, doc="Full width at half power.")
+    quality = property(lambda self: np.abs(self.eigenvalue) / self.width, doc="|s| / width.")
+
+    @property
+    def failures(self):
+        """How many modes are missing, at least 1 unless that is certain, or nobody asks."""
+        return 0 if self.certificate == "none" else _missing(self)
+
+    def exactness(self, number="{:.1e}".format):
+        """Return in words how sure it is that no mode is missing."""
+        found, expected = self.count_found, self.count_expected
+        if not self.failures:
+            words, within = CERTIFICATES[self.certificate], np.nanmax(self.radius, initial=0.0)
+            return words + (f", each s within {number(within)}" if within > 0 else "")
+        if found != expected:
+            return f"NOT ALL MODES: {found} found where there are {expected}"
+        return f"NOT CERTIFIED: whether these {found} modes are all is not certain"
+
+    def response(self, omegas):
+        """Return A at each detector, (nw, nd), as far as these modes and their images make it.
+
+        Of `complete` modes it is right to some 1e-13 of the terms' magnitudes.
+        """
+        at, paired = 1j * np.asarray(omegas)[:, None], self.omega > 0
+        upper, lower = (self.residue / (x - self.eigenvalue)[..., None] for x in (at, -at))
+        return upper.sum(axis=1) + lower[:, paired].conj().sum(axis=1)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

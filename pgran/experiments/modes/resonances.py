@@ -16,6 +16,14 @@ from pgran.store.fields import ball_names
 LOUDEST = 3  # modes that a summary names
 
 
+def drive_of(medium):
+    """Return both parts of the drive f(s) = f + s f', over the unknowns."""
+    springs, rest = medium.springs, medium.driving.ravel()
+    if medium.losses is not None:
+        rest = rest - 1j * (springs.B.T @ (medium.losses * springs.drive))
+    return rest, -springs.B.T @ (medium.damping * springs.damped * springs.drive)
+
+
 class Resonances:
     """What the modes of a medium mean to its drive, if it has one, and to detectors, if any."""
 

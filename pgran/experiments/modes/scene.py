@@ -3,7 +3,7 @@
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.experiments.modes import density, resonances
+from pgran.experiments.modes import damped, density, resonances
 from pgran.experiments.modes.find import find_modes
 from pgran.experiments.modes.levels import spacings
 from pgran.experiments.modes.record import exactness
@@ -48,6 +48,9 @@ def summary(result):
     """Yield in words what a run found."""
     if hasattr(result, "density"):
         yield from density.summary(result)
+        return
+    if hasattr(result, "damped_modes"):
+        yield from damped.summary(result)
         return
     modes, medium, si = result.modes, result.medium, SI.of(result)
     yield f"{counted(len(modes.omega), 'mode')} in {modes.solve_seconds:.2f} s"

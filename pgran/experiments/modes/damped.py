@@ -1,0 +1,202 @@
+"""Damped modes S(s) x = 0, S(s) = K + s C + s^2 m: what rings in a medium, and dies away.
+
+A mode rings like exp(s t), s = -Gamma / 2 + i Omega. S is symmetric, so that left modes are right
+ones, and with x^T (2 s m + C) x = 1 all modes together, those below the real axis too, make
+
+    S(i omega)^-1 = sum x x^T / (i omega - s),    A_d = sum R_d / (i omega - s),
+
+R_d = (e_d^T x) (x^T f(s)) the residue of a mode at a detector. LAPACK finds all modes, as those of
+
+    [   0        1    ] [ x   ]       [ x   ]
+    [ -K / m   -C / m ] [ s x ]  =  s [ s x ],
+
+SLEPc those near a target (`near`).
+"""
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.experiments.modes import certain
+from pgran.experiments.modes.record import DampedModes
+from pgran.experiments.modes.resonances import drive_of
+from pgran.experiments.modes.shapes import least_frequency, participation
+from pgran.medium.springs import quadratic
+from pgran.run.experiment import Caution
+from pgran.run.machine import check_memory
+from pgran.run.task import Task
+from pgran.store.estimate import counted
+from pgran.store.fields import ball_names
+from pgran.store.record import columns_of, row_of
+from pgran.store.si import SI
+
+SMALL = 200  # unknowns up to which LAPACK has all modes sooner than a search has some
+BYTES = 400  # of all modes and their discs, times the square of the unknowns
+# Parts of the largest |s|: equal up to rounding; and what x^T (2 s m + C) x / 2 m is at most where
+# modes have become one (at critical damping, at rest).
+EQUAL, DEFECTIVE = 1e-10, 1e-6
+
+
+def companion(K, C, m):
+    """Return all s, shape (2 n,), and x, a column each."""
+    import scipy.linalg  # here: SciPy takes its time
+
+    n = K.shape[0]
+    unit = np.sqrt(abs(K).sum(axis=1).max() / m) or 1.0  # of s, which balances the blocks
+    A = np.zeros((2 * n, 2 * n), K.dtype, order="F")
+    A[:n, n:] = np.eye(n)
+    A[n:, :n] = -K.toarray() / (m * unit**2)
+    A[n:, n:] = -C.toarray() / (m * unit)
+    s, V = scipy.linalg.eig(A, overwrite_a=True, check_finite=False)
+    return unit * s, np.where(np.abs(s) > 1, V[n:], V[:n])
+
+
+def normalised(C, m, s, X):
+    """Return X with x^T (2 s m + C) x = 1 and x^T ((s + t) m + C) y = 0, and where that is so.
+
+    Of modes that share an s solvers return any vectors x of their space. Of these G, the matrix of
+    such products, is symmetric, and X G^(-1/2) is as it should be. Where G is singular to rounding
+    modes have length 1 instead.
+    """
+    X = X / np.linalg.norm(X, axis=0)
+    CX, good, largest = C @ X, np.ones(len(s), bool), np.abs(s).max()
+    near = np.abs(s[:, None] - s) <= EQUAL * largest
+    for first in np.unique(near.argmax(axis=1)):
+        equal = np.flatnonzero(near[first])
+        x, t = X[:, equal], s[equal]
+        G = x.T @ CX[:, equal] + m * (t[:, None] + t) * (x.T @ x)
+        good[equal] = np.linalg.svd(G, compute_uv=False)[-1] > DEFECTIVE * 2 * m * largest
+        if good[first]:
+            squares, V = np.linalg.eig(G)
+            X[:, equal] = x @ (V / np.sqrt(squares)) @ np.linalg.inv(V)
+    return X, good
+
+
+class DampedSearch(Task):
+    """The damped modes of a medium, all or the `count` nearest to i times a target."""
+
+    items = "modes"
+
+    def __init__(self, medium, resonances, shapes, method, certificate, interval, targets, count):
+        """Choose the method."""
+        self.medium, self.resonances = medium, resonances
+        self.interval, self.targets, self.count = interval, targets, count
+        self.scaled, self.unit = medium.in_own_unit()
+        self.system = quadratic(self.scaled)
+        if self.system[0].dtype.kind != "c" and not abs(self.system[1]).sum():
+            raise InputError("-modes_damped: nothing is damped here; leave it out")
+        few = targets is not None and len(targets) == 1 and 4 * count < medium.size
+        if method == "eps" and not few:
+            raise InputError(
+                "-modes_method eps: damped modes are searched for near one -modes_target, fewer "
+                "than a quarter of the unknowns; -modes_method dense finds all"
+            )
+        self.near = method == "eps" or (method == "auto" and few and medium.size > SMALL)
+        self.certificate = certificate if self.near else "discs"
+        self.units = [count if self.near else medium.size]
+        check_memory("modes_method", 0 if self.near else BYTES * medium.size**2)
+        heard = resonances.driven and resonances.sites is not None
+        without = ["residue"] * (not heard) + ["vector"] * (not shapes)
+        lengths = {"balls": medium.shape, "detector_number": np.shape(resonances.sites)[:1]}
+        columns = row_of(DampedModes, without, **lengths)
+        self.row = np.dtype([("missing", int), ("known", bool), *columns])
+
+    def length(self, unit):
+        """See `Task`."""
+        return unit
+
+    def work(self, unit, group):
+        """See `Task`."""
+        K, C, m = self.system
+        if self.near:
+            from pgran.experiments.modes.near import nearest
+
+            s, X = nearest(self.scaled, 1j * self.targets[0], self.count)
+        else:
+            s, X = companion(K, C, m)
+        s = np.where(np.abs(s.imag) <= EQUAL * np.abs(s).max(), s.real, s)
+        X, good = normalised(C, m, s, X)
+        rows, size, CX = np.zeros(len(s), self.row), np.linalg.norm(X, axis=0), C @ X
+        rows["eigenvalue"] = s
+        rows["radius"], missing = self.certified(s, X)
+        rows["missing"], rows["known"] = missing or 0, missing is not None
+        largest, damped = (abs(matrix).sum(axis=1).max() for matrix in (K, C))
+        largest = largest + np.abs(s) * damped + np.abs(s) ** 2 * m
+        residual = np.linalg.norm(K @ X + s * CX + m * s**2 * X, axis=0)
+        rows["residual"] = residual / (largest * size)
+        both = np.abs(np.sum(X * (2 * m * s * X + CX), axis=0))
+        rows["rigidity"] = good * both / (np.maximum(2 * np.abs(s), EQUAL) * m * size**2)
+        fields = (np.abs(X) / size).T.reshape(-1, *self.medium.shape)
+        rows["participation"] = participation(self.medium, fields)
+        # of the medium itself, whose K, C and m are larger by the unit
+        X = np.where(good, X / np.sqrt(self.unit), np.nan)
+        if "residue" in self.row.names:
+            heard = np.einsum("dw,dwn->nd", self.resonances.weights, X[self.resonances.unknowns])
+            rest, dashpots = drive_of(self.medium)
+            rows["residue"] = heard * (rest @ X + s * (dashpots @ X))[:, None]
+        if "vector" in self.row.names:
+            rows["vector"] = X.T.reshape(-1, *self.medium.shape)
+        return rows[s.imag >= 0]
+
+    def certified(self, s, X):
+        """Return within which radii modes are proven, and how many are missing, None: unknown."""
+        if not self.near:
+            radius = certain.discs(*self.system, s, X)
+            return radius, 0 if np.all(np.isfinite(radius)) else None
+        proven, centre = self.certificate == "proven", 1j * self.targets[0]
+        radius = certain.radii(*self.system, s, X) if proven else np.full(len(s), np.nan)
+        distance = np.abs(s - centre)
+        wanted = np.sort(distance[s.imag >= 0])[: self.count]
+        beyond = np.sort(distance[distance >= wanted[-1]])
+        if self.certificate == "none" or len(beyond) < 2:
+            return radius, None
+        gap = np.argmax(np.diff(beyond))  # the widest: there the count is the surest
+        reach = 0.5 * (beyond[gap] + beyond[gap + 1])
+        there = certain.number_within(*self.system, centre, reach, proven)
+        return radius, None if there is None else there - np.count_nonzero(distance < reach)
+
+    def collect(self, rows, seconds):
+        """See `Task`; modes that are not asked for are left out."""
+        s, (low, high) = rows["eigenvalue"], self.interval or (0.0, np.inf)
+        missing, known = int(rows["missing"][0]), bool(rows["known"][0])
+        wanted = (s.imag >= low) & (s.imag <= high) & (self.targets is None)
+        for target in self.targets or ():
+            wanted[np.argsort(np.abs(s - 1j * target), kind="stable")[: self.count]] = True
+        order = np.lexsort((-s.real, s.imag))
+        mirrored = self.system[0].dtype.kind != "c"
+        return DampedModes(
+            complete=mirrored and not self.near and bool(wanted.all()),
+            certificate=self.certificate,
+            count_expected=np.count_nonzero(wanted) + missing,
+            count_certified=known and missing == 0,
+            solve_seconds=seconds,
+            detector=self.resonances.sites,
+            **columns_of(DampedModes, rows[order][wanted[order]]),
+        )
+
+
+def summary(result):
+    """Yield in words what a run found."""
+    modes, si, s = result.damped_modes, SI.of(result), result.damped_modes.eigenvalue
+    words = f"{counted(len(s), 'damped mode')} in {modes.solve_seconds:.2f} s"
+    yield f"{words}, backward errors at most {modes.residual.max(initial=0.0):.1e}"
+    yield Caution(modes.exactness()) if modes.failures else modes.exactness()
+    moving = np.abs(s) > least_frequency(result.medium.built)
+    kinds = {
+        "grow: UNSTABLE": moving & (s.real > 0),
+        "are overdamped: they do not ring": moving & (s.imag == 0),
+        "are defective, at rest or critically damped: no residues": modes.rigidity == 0,
+    }
+    for kind, such in kinds.items():
+        if np.any(such):
+            text = f"{np.count_nonzero(such)} modes {kind}, as at s = {s[such][0]:.6g}"
+            yield Caution(text) if "UNSTABLE" in kind else text
+    rings = moving & (s.imag > 0) & (modes.rigidity > 0)
+    facts = [("omega", "Hz"), ("width", "1/s"), ("quality |s| / width", ""), ("rigidity", "")]
+    for fact, unit in facts if np.any(rings) else ():
+        low, middle, high = np.quantile(getattr(modes, fact.split()[0])[rings], (0, 0.5, 1))
+        in_si = si.say(unit, low, high) if unit else ""
+        yield f"{fact}: {low:.4g} to {high:.4g}{in_si}, median {middle:.4g}"
+    for d, ball in enumerate([] if modes.residue is None else ball_names(modes.detector)):
+        peaks = np.where(rings, 2 * np.abs(modes.residue[:, d]) / modes.width, 0.0)
+        at, peak = modes.omega[np.argmax(peaks)], peaks.max(initial=0.0)
+        yield f"{ball}: the strongest mode, alone, is at omega = {at:.6g} with |A| = {peak:.3g}"

@@ -1,0 +1,89 @@
+"""The figures of damped modes: their widths, their shapes, and the response as their sum."""
+
+from functools import partial
+
+import numpy as np
+
+from pgran.draw import balls, captions, marks, scales, style
+from pgran.experiments.modes.figures import pick
+from pgran.experiments.modes.resonances import drive_of
+from pgran.medium.springs import quadratic
+
+CAPTIONS = {
+    "widths": r"Damped modes $s = -\Gamma/2 + i \omega$.",
+    "swings": "Shapes of damped modes: where most moves, and a quarter period later.",
+    "residues": r"Response as the sum of the residues of all damped modes over $i\omega - s$ "
+    "(lines), and solved for (circles).",
+}
+WIDTH = scales.Quantity("width", r"$\Gamma/\omega_{mx}$", "1/s", 1)
+POINTS, CHECKED = 3000, 150  # frequencies of a sum, and every how many of them is solved for
+
+
+def figures(result, **_):
+    """Yield the widths, shapes if they are stored, and the response that all modes add up to."""
+    modes, medium = result.damped_modes, result.medium
+    style.check_any(modes.eigenvalue, "modes")
+    both, made = {"modes": modes, "medium": medium}, {}
+    made["widths"] = style.single(partial(widths, **both), CAPTIONS["widths"])
+    ringing = np.flatnonzero((modes.omega > 0) & (modes.rigidity > 0))
+    if modes.vector is not None and medium.has_places and len(ringing):
+        picked = pick(modes.omega[ringing] / medium.omega_mx, modes.participation[ringing])
+        panels = [(n, later) for n in ringing[picked][-2:] for later in (False, True)]
+        draws = [partial(swing, **both, mode=n, later=later) for n, later in panels]
+        made["swings"] = balls.motions(medium, draws, CAPTIONS["swings"])
+    if modes.complete and modes.residue is not None and np.isfinite(modes.residue).all():
+        made["residues"] = style.single(partial(residues, **both), CAPTIONS["residues"])
+    for name, figure in made.items():
+        if modes.failures:
+            style.note(figure, modes.exactness())
+        yield name, figure
+
+
+def errors(record, _):
+    """Return how sure it is that no mode is missing."""
+    return f"{record.count_found} damped modes: {record.exactness(captions.number)}."
+
+
+def widths(ax, modes, medium):
+    """Draw widths against frequencies, 0 of overdamped modes; return the points."""
+    x, y = modes.omega / medium.omega_mx, modes.width / medium.omega_mx
+    ax.set(yscale="log")
+    scales.frequencies(ax, x, scales.MODE_FREQUENCY)
+    scales.label(ax.yaxis, WIDTH)
+    look = {"linestyle": "none", "marker": ".", "markeredgewidth": 0, "clip_on": False}
+    (points,) = ax.plot(x[y > 0], y[y > 0], color="black", **look)
+    return points
+
+
+def swing(ax, modes, medium, mode, later):
+    """Draw the real part of a shape, turned to be the largest, or what moves later; return it."""
+    x = medium.built.displacements(modes.vector[mode])
+    x = x * np.exp(-0.5j * np.angle(np.sum(x * x)))
+    drawn, _, plane = balls.motion(ax, medium, x.imag if later else x.real)
+    told = rf"$\omega$ = {modes.omega[mode] / medium.omega_mx:.4f} $\omega_{{mx}}$"
+    if later:
+        told = rf"later: $\times$ {np.linalg.norm(x.imag) / np.linalg.norm(x.real):.2g}"
+    ax.set_title(", ".join(filter(None, [told, plane])))
+    return drawn
+
+
+def residues(ax, modes, medium):
+    """Draw |A| of each detector as the sum of residues, circles solved for; return the lines."""
+    from scipy.sparse import identity
+    from scipy.sparse.linalg import spsolve
+
+    built, omegas = medium.built, np.linspace(0.0, 1.1 * modes.omega.max(), POINTS + 1)[1:]
+    names = style.ball_names(modes.detector) if len(modes.detector) > 1 else None
+    ax.set(yscale="log", ylabel=scales.AMPLITUDE)
+    x, A = omegas / medium.omega_mx, np.abs(modes.response(omegas))
+    scales.frequencies(ax, x)
+    lines = marks.curves(ax, x, A, A > 0, names)
+    (K, C, m), (rest, dashpots) = quadratic(built), drive_of(built)
+    unknowns, weights = built.readings(modes.detector)
+    for place in range(CHECKED // 2, POINTS, CHECKED):
+        s = 1j * omegas[place]
+        field = spsolve((K + s * C + s * s * m * identity(built.size)).tocsc(), rest + s * dashpots)
+        exact = np.abs(np.sum(weights * field[unknowns], axis=1))
+        look = {"linestyle": "none", "marker": "o", "markersize": 3, "fillstyle": "none"}
+        ax.plot(np.full(len(exact), x[place]), exact, color=style.ACCENT, **look)
+    return lines

@@ -1,0 +1,148 @@
+"""Damped modes: closed forms, sums over all of them, what is defective, those near a target."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from figure_results import result_of
+from network_samples import NetworkReference
+from reference import Reference, uniform_frequencies
+from samples import random_lattice, uniform_lattice
+
+import pgran
+from pgran.draw import pages
+from pgran.errors import FileError, InputError
+from pgran.experiments.modes import certain, scene
+from pgran.medium import crystals
+from pgran.run.experiment import Caution
+
+
+def told(record, medium):
+    return list(scene.summary(result_of(record, medium)))
+
+
+def both_halves(modes):
+    """All s, those below the real axis too."""
+    return np.concatenate([modes.eigenvalue, modes.eigenvalue[modes.omega > 0].conj()])
+
+
+@pytest.mark.parametrize("damping", [0.05, 0.8])
+def test_equal_bonds_have_their_modes_on_a_circle(damping):
+    """|s + k / beta| = k / beta, twofold ones too, or real: most of .8, which are overdamped."""
+    lattice, rate = uniform_lattice((7, 7), damping=damping, mass=1.7), 0.25 / damping
+    modes = pgran.find_modes(lattice, damped=True, detectors=[(2, 3)])
+    ringing = modes.eigenvalue[modes.omega > 0]
+    np.testing.assert_allclose(np.abs(ringing + rate), rate, rtol=1e-12)
+    squares = uniform_frequencies((7, 7), 0.25, 1.7).ravel().astype(float) ** 2
+    found = both_halves(modes)
+    assert modes.complete
+    assert (len(found), modes.failures) == (98, 0)
+    for s in np.concatenate([np.roots([1, w / rate, w]) for w in squares]):
+        nearest = np.argmin(np.abs(found - s))
+        assert abs(found[nearest] - s) < 1e-12
+        found = np.delete(found, nearest)  # twofold ones are there twice
+    real = f"{len(modes.eigenvalue) - len(ringing)} modes are overdamped"
+    assert (real in " ".join(told(modes, lattice))) == (damping > 0.1)
+
+
+@pytest.mark.parametrize("damping", [0.003, 0.3])
+def test_sums_over_all_modes(damping):
+    """Widths add up to the trace of C / m, residues to the amplitude."""
+    lattice = random_lattice((9, 8), 3, damping, mass=1.7)
+    modes = pgran.find_modes(lattice, damped=True, detectors=[(2, 3), (7, 1)])
+    exact = Reference(lattice.stiffness, 1.7, damping)
+    trace = float(damping * np.trace(exact.C)) / 1.7
+    assert -both_halves(modes).real.sum() == pytest.approx(trace, rel=1e-12)
+    for omega in (0.01, 0.3, 0.9):
+        expected = exact.amplitudes(omega, [(2, 3), (7, 1)]).astype(complex)
+        size = np.abs(modes.residue / (1j * omega - modes.eigenvalue)[:, None]).sum(axis=0)
+        assert np.all(np.abs(modes.response([omega])[0] - expected) <= 1e-12 * size)
+
+
+def test_a_network_and_widths_to_first_order():
+    """Balls of any mass; shapes solve the equation of the reference, biorthonormal."""
+    rng = np.random.default_rng(4)
+    network = crystals.random_geometric(
+        30, 2, 6.0, masses=10 ** rng.uniform(-1, 1, 30), direction=[3.0, 4.0], damping=2e-4,
+        stiffness=lambda rng, count: rng.uniform(0.5, 1, count), seed=5
+    )  # fmt: skip
+    modes = pgran.find_modes(network, damped=True, shapes=True)
+    exact = NetworkReference(network)
+    mass = exact.M.astype(float)
+    M, K, C = np.diag(mass), exact.K.astype(float), 2e-4 * exact.C.astype(float)
+    s, x = modes.eigenvalue, modes.vector.T / np.sqrt(mass / network.mass)[:, None]
+    assert np.abs(K @ x + C @ x * s + M @ x * s**2).max() < 1e-11
+    gram = (s[:, None] + s) * (x.T @ M @ x) + x.T @ C @ x
+    np.testing.assert_allclose(gram, np.eye(len(s)), atol=1e-10)
+    first = pgran.find_modes(network)
+    assert np.median(np.abs(modes.width / first.width - 1)) < 1e-3
+
+
+def test_critical_damping_is_said_to_be_defective():
+    """One ball with K = 1, C = 2: s = -1 twice, with a single shape."""
+    lattice = pgran.Lattice((np.array([0.5, 0.5]),), 1.0, 1.0)
+    modes = pgran.find_modes(lattice, damped=True, detectors=[(0,)], shapes=True)
+    np.testing.assert_allclose(modes.eigenvalue, -1, atol=1e-7)
+    assert not modes.rigidity.any()
+    assert np.isnan([modes.residue, modes.vector]).all()
+    lines = told(modes, lattice)
+    assert "2 modes are defective" in " ".join(lines)
+    assert isinstance(lines[1], Caution)  # without discs
+
+
+@pytest.mark.parametrize("target", [0.0, 0.4])
+def test_a_search_finds_the_nearest_of_all(world, target):
+    """Near zero, too, where mirror images take part; whatever the number of ranks."""
+    lattice = random_lattice((9, 8), 3, 0.05)
+    wanted = {"damped": True, "detectors": [(2, 3)], "targets": [target], "count": 5}
+    near = pgran.find_modes(lattice, method="eps", **wanted)
+    dense = pgran.find_modes(lattice, method="dense", **wanted)
+    np.testing.assert_allclose(near.eigenvalue, dense.eigenvalue, atol=1e-12)
+    np.testing.assert_allclose(near.residue, dense.residue, atol=1e-10)
+    assert near.count_certified
+    some = pgran.find_modes(lattice, damped=True, interval=(0.2, 0.4))
+    every = both_halves(pgran.find_modes(lattice, damped=True))
+    assert len(some.omega) == np.count_nonzero((every.imag >= 0.2) & (every.imag <= 0.4))
+
+
+@pytest.mark.parametrize("certificate", ["none", "counted", "proven"])
+def test_modes_that_are_missed_are_missed(monkeypatch, certificate):
+    """Nothing is said where nobody asks."""
+    lattice = random_lattice((9, 8), 3, 0.05)
+    more = {"none": 0, "counted": np.nan, "proven": 1}[certificate]
+    number, wanted = certain.number_within, {"targets": [0.4], "count": 5, "method": "eps"}
+    monkeypatch.setattr(certain, "radii", lambda K, C, m, s, X: np.full(len(s), 1e-9))
+    monkeypatch.setattr(
+        certain, "number_within", lambda *a: number(*a[:-1]) + more if more == 1 else None
+    )
+    modes = pgran.find_modes(lattice, damped=True, certificate=certificate, **wanted)
+    assert modes.failures == (certificate != "none")
+    says = {"none": "not counted", "counted": "NOT CERTIFIED", "proven": "NOT ALL MODES: 5 found"}
+    (line,) = (line for line in told(modes, lattice) if line.startswith(says[certificate]))
+    heading = " ".join(pages.make(result_of(modes, lattice))["widths"].heading)
+    assert heading == (line if certificate != "none" else "")
+    assert np.all(modes.radius == 1e-9) == (certificate == "proven")
+
+
+def test_a_pulse_decays_with_its_slowest_mode():
+    """Late signals of a chain are that mode alone."""
+    lattice = uniform_lattice((3,), 1.0, 0.2)
+    modes = pgran.find_modes(lattice, damped=True)
+    found = pgran.pulse(lattice, [(0,)], shape="gauss", width=2.0, time=150.0, points=301)
+    late = found.time > 110
+    wave = np.exp(modes.eigenvalue[np.argmin(modes.width)] * found.time[late])
+    basis, signal = np.stack([wave.real, wave.imag], axis=1), found.displacement[late, 0]
+    left = signal - basis @ np.linalg.lstsq(basis, signal, rcond=None)[0]
+    assert np.linalg.norm(left) < 1e-5 * np.linalg.norm(signal)
+
+
+def test_what_is_refused():
+    lattice = random_lattice((4, 3))
+    with pytest.raises(InputError, match="nothing is damped"):
+        pgran.find_modes(dataclasses.replace(lattice, damping=0.0), damped=True)
+    with pytest.raises(InputError, match="near one -modes_target, fewer than a quarter"):
+        pgran.find_modes(lattice, damped=True, method="eps")
+    none = pgran.find_modes(lattice, damped=True, interval=(50.0, 51.0))
+    assert told(none, lattice)[0].startswith("0 damped modes")
+    with pytest.raises(FileError, match="no modes"):
+        pages.make(result_of(none, lattice))
