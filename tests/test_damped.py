@@ -136,6 +136,19 @@ def test_a_pulse_decays_with_its_slowest_mode():
     assert np.linalg.norm(left) < 1e-5 * np.linalg.norm(signal)
 
 
+def test_widths_of_samples():
+    """Overdamped modes are more than unknowns; P(Gamma) is of those that ring."""
+    law = {"shape": (5, 4), "damping": 0.8}
+    found = pgran.ensemble("modes", 2, lattice=law, keep="curves", damped=True)
+    medium = pgran.Lattice.random(seed=1993, **law)
+    modes = pgran.find_modes(medium, damped=True)
+    assert found.modes[0] == len(modes.width) > 20
+    np.testing.assert_array_equal(found.mode_width[0, : len(modes.width)], modes.width)
+    width, localized = found.widths(medium)
+    assert len(width) == np.count_nonzero(found.mode_omega > 0)
+    assert np.count_nonzero(localized) == 0  # a twentieth of 20 balls
+
+
 def test_what_is_refused():
     lattice = random_lattice((4, 3))
     with pytest.raises(InputError, match="nothing is damped"):

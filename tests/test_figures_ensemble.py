@@ -45,7 +45,7 @@ def result_of(found, **others):
     ("of", "keep", "expected"),
     [
         ("response", "measures", ["amplitude", "delay", "velocity"]),
-        ("modes", "curves", ["density", "participation", "above"]),
+        ("modes", "curves", ["density", "participation", "widths", "above"]),
         ("modes", "measures", ["above"]),
         ("relaxation", "measures", ["exponent", "order"]),
         ("pulse", "measures", ["arrival", "centre", "decay"]),

@@ -124,7 +124,7 @@ SEEN_ELSEWHERE = {
 }
 # Waves and forces on single balls ask for no drive, and modes of many samples have no sources.
 DRIVE = ["drive_part", "drive_balls"]
-IDLE = {"green": DRIVE, "structure": DRIVE, "ensemble modes": ["lattice_damping", *DRIVE]}
+IDLE = {"green": DRIVE, "structure": DRIVE, "ensemble modes": DRIVE}
 
 
 def own_options(scene):

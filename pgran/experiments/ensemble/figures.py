@@ -21,6 +21,8 @@ CAPTIONS = {
     "beyond.",
     "density": "Density of the normal modes of a sample per ball and $\\omega_{mx}$, with its "
     "standard error.",
+    "widths": r"Density of $\log_{10}\Gamma$ over all modes of samples that ring; filled: those in "
+    "which fewer than 5 % of the balls take part.",
     "participation": "Participation ratio of the normal modes against their frequency: the band of "
     "80 % of them, and their median.",
 }
@@ -45,7 +47,8 @@ def _pages(found, lattice):
         if found.omega is not None and np.isfinite(values).any():
             yield name, _curves_page(found, lattice, panel)
     if found.mode_omega is not None and len(np.unique(known(found, "mode_omega"))) > 1:
-        for panel in (density, participation):
+        several = len(np.unique(found.widths(lattice)[0])) > 1
+        for panel in (density, participation, *[widths] * several):
             draw = partial(panel, found=found, lattice=lattice)
             yield panel.__name__, style.single(draw, CAPTIONS[panel.__name__])
     for name, quantity in NUMBERS.items():
@@ -199,6 +202,23 @@ def density(ax, found, lattice):
     ax.stairs(mean + error, edges, baseline=mean - error, **shade)
     outline = ax.stairs(mean, edges, color="black", label=f"mean of {len(x)} samples")
     modes.density_axes(ax, edges)
+    return outline
+
+
+def widths(ax, found, lattice):
+    """Draw the density of the logarithm of the modes' widths, filled of localized ones' share.
+
+    Returns the outline.
+    """
+    width, localized = found.widths(lattice)
+    x = np.log10(width / lattice.omega_mx)
+    edges = np.linspace(x.min(), x.max(), 2 * BINS + 1)
+    all_of_them, few = (np.histogram(x[which], edges)[0] for which in (width > 0, localized))
+    of_one = len(x) * np.diff(edges)
+    ax.stairs(few / of_one, edges, fill=True, color=style.pale(style.ACCENT), label="localized")
+    outline = ax.stairs(all_of_them / of_one, edges, color="black", label="all modes")
+    ax.set(xlabel=r"$\log_{10}(\Gamma/\omega_{mx})$", ylabel="density")
+    ax.set_ylim(bottom=0)
     return outline
 
 

@@ -18,6 +18,7 @@ from pgran.store.record import Record, array, attribute, error_of
 Array = np.ndarray | None  # what not every ensemble has
 CERTAIN = 2.0  # standard errors that a number is above 0 by, if it is for certain
 ABOVE_FLOOR = 5.0  # times its floor of few samples |<A>|^2 is, if it counts: e^-5 by chance
+LOCALIZED = 0.05  # of the balls: modes in which fewer of them take part
 CURVE = "omega", "detector_number"
 VALUE = "seed", "detector_number"
 SIGNAL = "time", "detector_number"
@@ -153,6 +154,7 @@ class Ensemble(Record):
     participation: Array = sampled(
         "modes.participation", "participation ratios", "1", "seed", "mode"
     )
+    mode_width: Array = sampled("modes.width", "widths of the modes", "sqrt(k/m)", "seed", "mode")
     displacement: Array = sampled(
         "response.displacement", "amplitudes of each sample", "1", "seed", *CURVE, dtype=complex
     )
@@ -166,6 +168,15 @@ class Ensemble(Record):
     )
     mean_square: Array = array("mean over all samples", "1", *SIGNAL, optional=True)
     mean_square_error: Array = error_of(mean_square)
+
+    def widths(self, medium):
+        """Return the widths of all modes that ring, and which of them a few balls alone make."""
+        if self.mode_width is None:  # of an older file
+            return np.zeros(0), np.zeros(0, dtype=bool)
+        good = self.good > 0
+        rings = (self.mode_omega[good] > 0) & (self.mode_width[good] > 0)
+        few = self.participation[good][rings] < LOCALIZED * medium.free_balls
+        return self.mode_width[good][rings], few
 
     @property
     def failures(self):

@@ -16,7 +16,7 @@ from pgran.store.si import SI
 log = logging.getLogger("pgran")
 
 # What is kept with curves only: of modes, of pulses, and of responses, whose bands are kept always.
-LARGE = "mode_omega", "participation", "drive", "square"
+LARGE = "mode_omega", "participation", "mode_width", "drive", "square"
 CURVES = "displacement", "sample_delay"
 # What `over_samples` returns: a tenth of the samples lies below `low`, a tenth above `high`.
 STATISTICS = ("mean", "error", "median", "low", "high")
@@ -78,7 +78,8 @@ class Samples(Task):
                 log.warning("sample of seed %d is left out: %s", unit, error)
             return rows
         if records:
-            groups = {record.group: record for record in records}
+            # damped modes have what is read of modes
+            groups = {record.group.removeprefix("damped_"): record for record in records}
             for name, sampled in self.sampled.items():
                 if sampled.group in groups:  # too short a relaxation has no spectrum
                     value = np.asarray(sampled.read(groups[sampled.group], medium))

@@ -75,10 +75,11 @@ SEEDS = 2**63  # that options and files can hold
 LEFT_OUT = {
     "output_fields": False, "output_models": False, "sweep_resolve": 0.0,
     "modes_target": None, "modes_count": None, "modes_density": None, "modes_detectors": None,
+    "modes_certificate": None,
 }  # fmt: skip
 NOT_TAKEN = {
     "crew", "seed", "progress", "fields", "shapes", "resolve", "keep_models", "solver", "targets",
-    "count",
+    "count", "certificate",
 }  # fmt: skip
 
 
@@ -210,7 +211,8 @@ def repeated(
     """
     function = EXPERIMENTS[of][1]
     several = [draw(seed, crew.world) for seed in seeds] if listed and of == "modes" else [first]
-    most = max(medium.size for medium in several)
+    # overdamped modes are twice as many
+    most = max(medium.size for medium in several) * (1 + bool(choices.get("damped")))
     if of == "response":
         choices |= {"resolve": 0.0, "keep_models": False}
 
@@ -268,6 +270,7 @@ def summary(result):
     if found.mode_omega is not None:
         spectra = [omega[np.isfinite(omega)] for omega in found.mode_omega[found.good > 0]]
         yield from modes.spacings(spectra, result.medium.omega_mx)
+        yield from modes_widths(found, result.medium)
     if found.delay_samples is not None:
         unknown = np.count_nonzero(found.good) - found.delay_samples
         if unknown.any():
@@ -276,6 +279,16 @@ def summary(result):
         yield from noise.summary(result.statistics)
     if getattr(result, "transport", None) or getattr(result, "diffusion", None):
         yield from transport.summary(result)
+
+
+def modes_widths(found, medium):
+    """Yield in words how wide the modes of all samples are, and localized ones of them."""
+    width, localized = found.widths(medium)
+    for name, such in (("ringing", width > 0), ("localized", localized)):
+        if np.any(such):
+            low, middle, high = np.quantile(width[such], (0.1, 0.5, 0.9))
+            number = f"{np.count_nonzero(such)} {name} modes"
+            yield f"width of {number}: median {middle:.4g}, 80 % of them {low:.4g} to {high:.4g}"
 
 
 def run(lattice, options, crew):
