@@ -82,7 +82,7 @@ class DampedSearch(Task):
         self.interval, self.targets, self.count = interval, targets, count
         self.scaled, self.unit = medium.in_own_unit()
         self.system = quadratic(self.scaled)
-        if self.system[0].dtype.kind != "c" and not abs(self.system[1]).sum():
+        if not medium.dissipates:
             raise InputError("-modes_damped: nothing is damped here; leave it out")
         few = targets is not None and len(targets) == 1 and 4 * count < medium.size
         if method == "eps" and not few:
@@ -162,9 +162,8 @@ class DampedSearch(Task):
         for target in self.targets or ():
             wanted[np.argsort(np.abs(s - 1j * target), kind="stable")[: self.count]] = True
         order = np.lexsort((-s.real, s.imag))
-        mirrored = self.system[0].dtype.kind != "c"
         return DampedModes(
-            complete=mirrored and not self.near and bool(wanted.all()),
+            complete=self.medium.losses is None and not self.near and bool(wanted.all()),
             certificate=self.certificate,
             count_expected=np.count_nonzero(wanted) + missing,
             count_certified=known and missing == 0,

@@ -128,7 +128,7 @@ def find_modes(
 
         task = DampedSearch(lattice, resonances, shapes, method, certificate, **wanted)
         return carry_out(task, crew, progress)
-    scaled, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
+    scaled, _ = lattice.undamped().in_own_unit()
     check_frequency(scaled, max(targets or interval or (0.0,)))
     method = on_root(crew.world, lambda: dense.method_of(method, scaled, **wanted))
     with contextlib.ExitStack() as held:

@@ -18,10 +18,10 @@ LOUDEST = 3  # modes that a summary names
 
 def drive_of(medium):
     """Return both parts of the drive f(s) = f + s f', over the unknowns."""
-    springs, rest = medium.springs, medium.driving.ravel()
-    if medium.losses is not None:
-        rest = rest - 1j * (springs.B.T @ (medium.losses * springs.drive))
-    return rest, -springs.B.T @ (medium.damping * springs.damped * springs.drive)
+    springs = medium.springs
+    parts = medium.moduli, medium.damping * springs.damped
+    rest, dashpots = (-springs.B.T @ (part * springs.drive) for part in parts)
+    return rest + (0.0 if medium.pushed is None else np.ravel(medium.pushed)), dashpots
 
 
 class Resonances:
