@@ -45,6 +45,20 @@ def test_equal_bonds_have_their_modes_on_a_circle(damping):
     assert (real in " ".join(told(modes, lattice))) == (damping > 0.1)
 
 
+@pytest.mark.parametrize("loss", [0.0, 0.1])
+def test_laws_with_closed_forms(loss):
+    """C = b K + alpha m, K (1 + i eta): s^2 + (b w^2 + alpha) s + (1 + i eta) w^2 = 0, above."""
+    lattice = random_lattice((5, 4), 3, 0.05, mass=1.7)
+    lattice = dataclasses.replace(lattice, damping_power=1.0, drag=0.02, loss=loss)
+    modes = pgran.find_modes(lattice, damped=True, targets=[0.3], count=4, method="eps")
+    squares = pgran.find_modes(lattice.undamped()).omega ** 2
+    b = 0.05 / lattice.damping_reference
+    exact = np.array([np.roots([1, b * w + 0.02, (1 + 1j * loss) * w]) for w in squares]).ravel()
+    nearest = exact[np.argsort(np.abs(exact - 0.3j))[:4]]
+    found = modes.eigenvalue[np.argsort(np.abs(modes.eigenvalue - 0.3j))]
+    np.testing.assert_allclose(found, nearest, rtol=1e-13)
+
+
 @pytest.mark.parametrize("damping", [0.003, 0.3])
 def test_sums_over_all_modes(damping):
     """Widths add up to the trace of C / m, residues to the amplitude."""
