@@ -25,11 +25,11 @@ from pgran.run.experiment import Caution
 from pgran.run.machine import check_memory
 from pgran.run.task import Task
 from pgran.store.estimate import counted
-from pgran.store.fields import ball_names
 from pgran.store.record import columns_of, row_of
 from pgran.store.si import SI
 
 SMALL = 200  # unknowns up to which LAPACK has all modes sooner than a search has some
+COUNTED = 5000  # unknowns up to which modes are counted unasked
 BYTES = 400  # of all modes and their discs, times the square of the unknowns
 # Parts of the largest |s|: equal up to rounding; and what x^T (2 s m + C) x / 2 m is at most where
 # modes have become one (at critical damping, at rest).
@@ -91,6 +91,8 @@ class DampedSearch(Task):
                 "than a quarter of the unknowns; -modes_method dense finds all"
             )
         self.near = method == "eps" or (method == "auto" and few and medium.size > SMALL)
+        if certificate == "auto":
+            certificate = "counted" if medium.size <= COUNTED else "none"
         self.certificate = certificate if self.near else "discs"
         self.units = [count if self.near else medium.size]
         check_memory("modes_method", 0 if self.near else BYTES * medium.size**2)
@@ -195,7 +197,3 @@ def summary(result):
         low, middle, high = np.quantile(getattr(modes, fact.split()[0])[rings], (0, 0.5, 1))
         in_si = si.say(unit, low, high) if unit else ""
         yield f"{fact}: {low:.4g} to {high:.4g}{in_si}, median {middle:.4g}"
-    for d, ball in enumerate([] if modes.residue is None else ball_names(modes.detector)):
-        peaks = np.where(rings, 2 * np.abs(modes.residue[:, d]) / modes.width, 0.0)
-        at, peak = modes.omega[np.argmax(peaks)], peaks.max(initial=0.0)
-        yield f"{ball}: the strongest mode, alone, is at omega = {at:.6g} with |A| = {peak:.3g}"

@@ -23,8 +23,8 @@ def figures(result, **_):
     """Yield the widths, shapes if they are stored, and the response that all modes add up to."""
     modes, medium = result.damped_modes, result.medium
     style.check_any(modes.eigenvalue, "modes")
-    both, made = {"modes": modes, "medium": medium}, {}
-    made["widths"] = style.single(partial(widths, **both), CAPTIONS["widths"])
+    both = {"modes": modes, "medium": medium}
+    made = {"widths": style.single(partial(widths, **both), CAPTIONS["widths"])}
     ringing = np.flatnonzero((modes.omega > 0) & (modes.rigidity > 0))
     if modes.vector is not None and medium.has_places and len(ringing):
         picked = pick(modes.omega[ringing] / medium.omega_mx, modes.participation[ringing])
@@ -74,16 +74,16 @@ def residues(ax, modes, medium):
 
     built, omegas = medium.built, np.linspace(0.0, 1.1 * modes.omega.max(), POINTS + 1)[1:]
     names = style.ball_names(modes.detector) if len(modes.detector) > 1 else None
-    ax.set(yscale="log", ylabel=scales.AMPLITUDE)
     x, A = omegas / medium.omega_mx, np.abs(modes.response(omegas))
+    ax.set(yscale="log", ylabel=scales.AMPLITUDE)
     scales.frequencies(ax, x)
     lines = marks.curves(ax, x, A, A > 0, names)
     (K, C, m), (rest, dashpots) = quadratic(built), drive_of(built)
     unknowns, weights = built.readings(modes.detector)
+    look = {"color": style.ACCENT, "linestyle": "none", "marker": "o", "markersize": 3}
     for place in range(CHECKED // 2, POINTS, CHECKED):
         s = 1j * omegas[place]
         field = spsolve((K + s * C + s * s * m * identity(built.size)).tocsc(), rest + s * dashpots)
         exact = np.abs(np.sum(weights * field[unknowns], axis=1))
-        look = {"linestyle": "none", "marker": "o", "markersize": 3, "fillstyle": "none"}
-        ax.plot(np.full(len(exact), x[place]), exact, color=style.ACCENT, **look)
+        ax.plot(np.full(len(exact), x[place]), exact, fillstyle="none", **look)
     return lines

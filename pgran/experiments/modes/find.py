@@ -38,10 +38,10 @@ DAMPED = (
         "i times -modes_target by SLEPc's PEP", key="modes_damped",
     ),
     option(
-        "counted",
-        "of damped modes near a target: counted, by the phase of det S around them; proven, each "
-        "mode too, which takes long; none", key="modes_certificate",
-        choices=("none", "counted", "proven"),
+        "auto",
+        "whether damped modes near a target are all: counted, by the phase of det S around them; "
+        "proven, each mode too, which takes long; none; auto, counted up to 5000 unknowns",
+        key="modes_certificate", choices=("auto", "none", "counted", "proven"),
     ),
 )  # fmt: skip
 DETECTORS = Asked((SITES,), SITES.of_run)
@@ -123,13 +123,13 @@ def find_modes(
         warn_above_modes(lattice, crew.world, interval[0])
     resonances = Resonances(lattice, detectors)
     wanted = {"interval": interval, "targets": targets, "count": count}
+    scaled, _ = lattice.undamped().in_own_unit()
+    check_frequency(scaled, max(targets or interval or (0.0,)))
     if damped:
         from pgran.experiments.modes.damped import DampedSearch
 
         task = DampedSearch(lattice, resonances, shapes, method, certificate, **wanted)
         return carry_out(task, crew, progress)
-    scaled, _ = lattice.undamped().in_own_unit()
-    check_frequency(scaled, max(targets or interval or (0.0,)))
     method = on_root(crew.world, lambda: dense.method_of(method, scaled, **wanted))
     with contextlib.ExitStack() as held:
         if method == "dense":

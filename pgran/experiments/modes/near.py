@@ -5,14 +5,12 @@ import contextlib
 import numpy as np
 from mpi4py import MPI
 
-from pgran.driven.linear import factor_package, quick_ordering
 from pgran.driven.operators import SAME, Operators
 from pgran.errors import PgranError
-from pgran.experiments.modes.normal import SLEPc
+from pgran.experiments.modes.normal import SLEPc, invert
 from pgran.run.petsc import PETSc, plain_errors
 
-SPARE = 4  # modes that are searched for beyond those wanted, and a quarter more
-SPACE = 4  # vectors of the space for each mode
+SPARE, SPACE = 4, 3  # modes that are searched for beyond those wanted; vectors for each
 
 
 def nearest(medium, target, count):
@@ -20,14 +18,14 @@ def nearest(medium, target, count):
 
     Raises PgranError if there is none.
     """
-    wanted = count + count // 4 + SPARE
+    wanted = count + SPARE
     with Operators(medium, MPI.COMM_SELF) as operators:
         s, x = search(operators, target, wanted)
         # of what is mirrored below the axis some may take their places
         while len(s) >= wanted and np.count_nonzero(s.imag >= 0) < wanted < medium.size:
             wanted *= 2
             s, x = search(operators, target, wanted)
-        if not len(s):
+        if not np.any(s.imag >= 0):
             raise PgranError("SLEPc's PEP has found no damped mode; -damped_pep_* choose another")
         return s, operators.layout.fields(x).reshape(len(s), -1).T
 
@@ -36,11 +34,10 @@ def nearest(medium, target, count):
 def search(operators, target, count):
     """Return s and x, a row each as PETSc numbers unknowns, of modes nearest to a target."""
     K, lattice = operators.K, operators.lattice
-    M, x = K.duplicate(), K.createVecRight()
+    M, x, pep = K.duplicate(), K.createVecRight(), SLEPc.PEP().create(PETSc.COMM_SELF)
     M.setDiagonal(operators.M)
     C = M.duplicate() if operators.C is None else operators.C.copy()
     C.scale(operators.damping)
-    pep = SLEPc.PEP().create(PETSc.COMM_SELF)
     with contextlib.ExitStack() as held:
         for thing in (M, C, x, pep):
             held.callback(thing.destroy)
@@ -53,23 +50,14 @@ def search(operators, target, count):
         pep.setTarget(target)
         pep.setWhichEigenpairs(SLEPc.PEP.Which.TARGET_MAGNITUDE)
         pep.setDimensions(count, min(SPACE * count, 2 * lattice.size))
-        pep.setTolerances(1e-11, 200)
-        st = pep.getST()
-        st.setType("sinvert")
-        st.setTransform(True)
-        st.setMatStructure(SAME)
-        st.getKSP().setType("preonly")
-        pc = st.getKSP().getPC()
-        pc.setType("cholesky")
-        if factor_package(lattice, 1) == "petsc":
-            pc.setFactorOrdering(lattice.elimination.ordering)
-        else:
-            pc.setFactorSolverType("mumps")
+        pep.setTolerances(1e-13, 200)
+        invert(pep.getST(), lattice)
+        pep.getST().setTransform(True)
+        pep.getST().setMatStructure(SAME)
         pep.setFromOptions()
         x.setArray(np.random.Generator(np.random.Philox(0)).standard_normal(lattice.size))
         pep.setInitialSpace([x])
-        with quick_ordering(st.getKSP(), lattice):
-            pep.solve()
+        pep.solve()
         s, rows = np.empty(min(pep.getConverged(), 2 * count), complex), []
         for number in range(len(s)):
             s[number] = pep.getEigenpair(number, x)

@@ -177,25 +177,9 @@ class ModeSolver(Owner):
             eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
             if first and self.lattice.size >= ETA_BALLS:
                 eps.getBV().setOrthogonalization(eta=ETA)
-            self._invert(eps.getST(), first)
+            invert(eps.getST(), self.lattice)
         eps.setFromOptions()
         return eps
-
-    def _invert(self, st, first):
-        """Let the EPS see (K - sigma)^-1, by factors of K - sigma."""
-        st.setType("sinvert")
-        st.getKSP().setType("preonly")
-        pc = st.getKSP().getPC()
-        pc.setType("cholesky")
-        if not self.lattice.elimination.numbered:
-            return
-        pc.setFactorOrdering("natural")  # unknowns are numbered in the order of elimination
-        if self.lattice.is_grid:
-            return
-        own_slices = PETSc.Options("normal_").getBool("eps_all", False)
-        if self.lattice.graph.work > PETSC_SOLVES * self.lattice.size and not own_slices:
-            pc.setType("lu")  # MUMPS has no LDL^T of Hermitian matrices
-            pc.setFactorSolverType("mumps")
 
     def _search(self, eps, low, high, count, fraction):
         """Return eigenvectors of the slice, a row each, searching on while some are missing."""
@@ -277,6 +261,23 @@ class ModeSolver(Owner):
         x.destroy()
         residual.destroy()
         return refined
+
+
+def invert(st, medium):
+    """Let a solver see the inverse of a shifted matrix, by its factors."""
+    st.setType("sinvert")
+    st.getKSP().setType("preonly")
+    pc = st.getKSP().getPC()
+    pc.setType("cholesky")
+    if not medium.elimination.numbered:
+        return
+    pc.setFactorOrdering("natural")  # unknowns are numbered in the order of elimination
+    if medium.is_grid:
+        return
+    own_slices = PETSc.Options("normal_").getBool("eps_all", False)
+    if medium.graph.work > PETSC_SOLVES * medium.size and not own_slices:
+        pc.setType("lu")  # MUMPS has no LDL^T of Hermitian matrices
+        pc.setFactorSolverType("mumps")
 
 
 def _defects(modes, count):

@@ -189,19 +189,16 @@ class DampedModes(Record):
     eigenvalue: np.ndarray = array("s", "sqrt(k/m)", "mode", dtype=complex, row=True)
     residual: np.ndarray = array("|S x| / ((|K| + |s C| + |s^2 m|) |x|)", "1", "mode", row=True)
     radius: np.ndarray = array(
-        "proven distance of s from a mode; inf: not proven, NaN: not asked for", "sqrt(k/m)",
-        "mode", row=True,
-    )  # fmt: skip
-    rigidity: np.ndarray = array("|x^T (2 s m + C) x| / (2 |s| m |x|^2)", "1", "mode", row=True)
-    participation: np.ndarray = array(
-        "how many balls take part, |x|^4 / sum |x_p|^4", "1", "mode", row=True
+        "proven to be near s by; inf: not, NaN: not asked for", "sqrt(k/m)", "mode", row=True
     )
+    rigidity: np.ndarray = array("|x^T (2 s m + C) x| / (2 |s| m |x|^2)", "1", "mode", row=True)
+    participation: np.ndarray = array("how many balls take part", "1", "mode", row=True)
     detector: np.ndarray | None = array(
         DETECTOR, "1", "detector_number", "axis", dtype=int, optional=True
     )
     residue: np.ndarray | None = array(
-        "what the detectors read of x, times x^T f(s), f the drive", "sqrt(k/m)", "mode",
-        "detector_number", dtype=complex, optional=True, row=True,
+        "what the detectors read of x, times x^T f(s), f the drive", "sqrt(k/m)",
+        "mode", "detector_number", dtype=complex, optional=True, row=True,
     )  # fmt: skip
     vector: np.ndarray | None = array(
         "x, x^T (2 s m + C) x = 1", "1", "mode", "balls", dtype=complex, optional=True, row=True
