@@ -23,6 +23,7 @@ from change_faults import sensitivity_faults
 from growth_faults import growth_faults, random_growth
 from mode_faults import count_faults, mode_faults, nearest_faults
 from network_samples import (
+    lawful_network,
     random_network,
     small_network,
     unstable_network,
@@ -37,7 +38,7 @@ from samples import (
     random_pulse,
     random_relaxation,
 )
-from sensitivity_samples import random_sensitivity
+from sensitivity_samples import lawful_sensitivity, random_sensitivity
 from source_faults import random_source, source_faults
 
 
@@ -67,6 +68,8 @@ GUARANTEES = {
     "frequencies alone": Guarantee(random_case, dependence_faults, 12, good(0.5, "frequencies")),
     "sources": Guarantee(random_source, source_faults, 10, good(0.5)),
     "networks": Guarantee(random_network, network_faults, 16, good(0.5), shared=range(100, 106)),
+    "laws": Guarantee(lawful_network, network_faults, 10, good(0.5), shared=range(3)),
+    "laws, forces": Guarantee(lawful_network, force_faults, 6, (("bounded", 0.5, "forces"),)),
     "forces": Guarantee(small_network, force_faults, 16, (("bounded", 0.5, "forces"),)),
     "green": Guarantee(random_patterns, pattern_faults, 6, good(0.5, "pairs"), shared=range(3)),
     "curves": Guarantee(random_curve, curve_faults, 1, (("accurate", 1, "points"),), {"count": 9}),
@@ -80,6 +83,7 @@ GUARANTEES = {
         random_sensitivity, sensitivity_faults, 5,
         (*good(0.5, "points"), ("warmed bounded", 0.5, "warmed"), ("cut bounded", 0.5, "cut")),
     ),
+    "laws, derivatives": Guarantee(lawful_sensitivity, sensitivity_faults, 3),
     "growing balls": Guarantee(
         random_growth, growth_faults, 2,
         (("warmed bounded", 0.5, "warmed"), ("by_radius bounded", 0.5, "by_radius")),

@@ -13,6 +13,7 @@ from mpmath import mp, mpf
 from samples import SOLVERS
 
 from pgran.medium.bonds import bond_ends
+from pgran.medium.dissipation import FIELDS
 from pgran.medium.network import Network
 from pgran.medium.springs import AT_REST, DRIVEN
 
@@ -20,7 +21,10 @@ exactly = np.frompyfunc(lambda x: mpf(float(x)), 1, 1)
 
 
 class NetworkReference:
-    """K, C / beta and M of all balls, dense arrays of mpmath's numbers."""
+    """K, L, C / beta, drag and M of all balls, dense arrays of mpmath's numbers.
+
+    S = K + i L + s beta C + (s^2 + s drag) M, drag a number an unknown.
+    """
 
     def __init__(self, network):
         """Sum over the contacts."""
@@ -28,12 +32,13 @@ class NetworkReference:
         self.axes = d = 1 if network.displacement == "scalar" else network.normal.shape[1]
         self.turns = {2: 1, 3: 3}[d] if network.displacement == "rotations" else 0
         size = len(network.held) * (d + self.turns)
-        self.K, self.C = (np.full((size, size), mpf(0)) for _ in range(2))
+        self.K, self.C, self.L = (np.full((size, size), mpf(0)) for _ in range(3))
         self.contacts = [self._contact(number, bond) for number, bond in enumerate(network.bond)]
         for number in range(len(self.contacts)):
             here, elastic, lossy = self.contact(number)
             self.K[here] += elastic
             self.C[here] += lossy
+            self.L[here] += self.loss(number)
         inertia = np.repeat(exactly(network.masses)[:, None], d + self.turns, axis=1)
         if self.turns:
             part = mpf(1) / 2 if d == 2 else mpf(2) / 5
@@ -42,11 +47,14 @@ class NetworkReference:
         motion = np.full((len(network.held), d + self.turns), mpf(0))
         along = exactly(network.direction)
         motion[network.held == 2, :d] = along
-        self.drive_K, self.drive_C = (-(X @ motion.ravel())[free] for X in (self.K, self.C))
+        matrices = self.K, self.C, self.L
+        self.drive_K, self.drive_C, self.drive_L = (-(X @ motion.ravel())[free] for X in matrices)
         if network.push is not None:
             push = np.pad(network.push, ((0, 0), (0, self.turns)))
             self.drive_K = self.drive_K + exactly(push.ravel()[free])
-        self.K, self.C = (X[np.ix_(free, free)] for X in (self.K, self.C))
+        self.K, self.C, self.L = (X[np.ix_(free, free)] for X in matrices)
+        drag = np.zeros(len(network.held)) if network.drag is None else network.drag
+        self.drag = np.repeat(exactly(drag), d + self.turns)[free]
         self.M = inertia.ravel()[free]
         self.read = along if network.component == "drive" else None
         if self.read is None:
@@ -54,16 +62,51 @@ class NetworkReference:
 
     def contact(self, number):
         """Where a contact stands, and what it adds to K and to C / beta."""
-        (here, along, slip, bent, lossy), net = self.contacts[number], self.network
-        elastic = mpf(float(net.stiffness[number])) * along
-        if net.displacement != "scalar" and net.tangential is not None:
-            elastic = elastic + mpf(float(net.tangential[number])) * slip
+        (here, along, slip, bent), net = self.contacts[number], self.network
+        k, kt = self.stiffnesses(number)
+        elastic = k * along + kt * slip
         if net.displacement != "scalar" and net.force is not None:
             elastic = elastic + mpf(float(net.force[number])) * bent
-        return here, elastic, lossy
+        shares = self.shares(number)
+        return here, elastic, shares[0] * self.law(k) * along + shares[1] * self.law(kt) * slip
+
+    def shares(self, number):
+        """The parts of beta of a contact, along its normal and its tangents, before the law."""
+        net = self.network
+        share = across = 1.0 if net.dashpot is None else net.dashpot[number]
+        if net.tangential_dashpot is not None:
+            across = net.tangential_dashpot[number]
+        return mpf(float(share)), mpf(float(across if net.damped == "all" else 0.0))
+
+    def stiffnesses(self, number):
+        """The stiffness of a contact, and along its tangents."""
+        net, k = self.network, mpf(float(self.network.stiffness[number]))
+        if net.displacement == "scalar" or net.tangential is None:
+            return k, mpf(0)
+        return k, mpf(float(net.tangential[number]))
+
+    def kappa(self, number, k, tangent, s):
+        """What a spring of a contact pulls with at s, if its stiffness was k."""
+        eta = mpf(0) if self.network.loss is None else mpf(float(self.network.loss[number]))
+        beta = mpf(float(self.network.damping)) * self.shares(number)[tangent]
+        return k * mpmath.mpc(1, eta) + s * beta * self.law(k)
+
+    def law(self, k):
+        """(|k| / k_ref)^p."""
+        power = self.network.damping_power
+        if not power:
+            return mpf(1)
+        return (abs(k) / mpf(self.network.damping_reference)) ** mpf(power) if k else mpf(0)
+
+    def loss(self, number):
+        """What a contact adds to L."""
+        if self.network.loss is None:
+            return mpf(0)
+        (_, along, slip, _), (k, kt) = self.contacts[number], self.stiffnesses(number)
+        return mpf(float(self.network.loss[number])) * (k * along + kt * slip)
 
     def _contact(self, contact, bond):
-        """Where it stands; K's parts for a constant, a tangential one, a force of 1; C / beta's."""
+        """Where it stands; K's parts for a constant, a tangential one, a force of 1."""
         net, d, width = self.network, self.axes, self.axes + self.turns
         n = exactly(net.normal[contact] if net.displacement != "scalar" else np.ones(1))
         n = n / mp.sqrt(n @ n)
@@ -81,25 +124,29 @@ class NetworkReference:
                     )
                     slip[:, end * width + d + axis] -= lever * exactly(turned)
         places = np.concatenate([np.arange(ball * width, (ball + 1) * width) for ball in bond])
-        lossy = slip.T @ (along if net.damped == "normal" else along + across) @ slip
-        bent = 0 * lossy
+        sliding = slip.T @ across @ slip
+        bent = 0 * sliding
         if net.force is not None:
             bent = -(moved.T @ across @ moved) / mpf(float(net.distance[contact]))
-        parts = moved.T @ along @ moved, slip.T @ across @ slip, bent
-        return np.ix_(places, places), *parts, lossy
+        return np.ix_(places, places), moved.T @ along @ moved, sliding, bent
 
     def system(self, s):
         """S."""
         s = mpmath.mpmathify(complex(s))
         S = self.K + s * mpf(float(self.network.damping)) * self.C
-        S[np.diag_indices_from(S)] += s * s * self.M
+        if self.network.loss is not None:
+            S = S + mpmath.mpc(0, 1) * self.L
+        S[np.diag_indices_from(S)] += (s * s + s * self.drag) * self.M
         return S
 
     def amplitudes(self, s, sites):
         """What detectors read, by Gaussian elimination; infinite where S is singular."""
         S, s = self.system(s), mpmath.mpmathify(complex(s))
         beta = mpf(float(self.network.damping))
-        u = eliminated(S, self.drive_K + s * beta * self.drive_C)
+        force = self.drive_K + s * beta * self.drive_C
+        if self.network.loss is not None:
+            force = force + mpmath.mpc(0, 1) * self.drive_L
+        u = eliminated(S, force)
         if u is None:
             return [mp.inf] * len(sites)
         u, free = u.reshape(-1, self.axes + self.turns), np.flatnonzero(self.network.held == 0)
@@ -120,8 +167,9 @@ class NetworkReference:
         return np.median(self.network.masses)
 
     def damping_exceeds(self, least):
-        """Whether C - least M / median is positive definite, by Cholesky."""
-        A = self.C - np.diag(self.M) * (mpf(float(least)) / mpf(float(self.median)))
+        """Whether C, drag in it, - least M / median is positive definite, by Cholesky."""
+        A = self.C + np.diag(self.M * self.drag) / mpf(float(self.network.damping))
+        A = A - np.diag(self.M) * (mpf(float(least)) / mpf(float(self.median)))
         for n in range(len(A)):
             if not A[n, n] > 0:
                 return False
@@ -151,7 +199,8 @@ def as_network(lattice, **others):
     ends[ends < 0] = balls
     held = np.zeros(balls + 2, int)
     held[balls:] = AT_REST, DRIVEN if lattice.push is None else AT_REST
-    same = {"masses": lattice.mass, "damping": lattice.damping, "kmax": lattice.kmax}
+    same = {name: getattr(lattice, name) for name in FIELDS}
+    same |= {"masses": lattice.mass, "kmax": lattice.kmax}
     if lattice.push is not None:
         same["push"] = np.append(lattice.push, [0.0, 0.0])[:, None]
     return Network(ends[there], lattice.constants[there], held, **same | others)
@@ -248,6 +297,30 @@ def small_network(seed):
     return random_network(seed, balls=7)
 
 
+def lawful_network(seed):
+    """A random network with laws of damping: any of them, singular C and floating parts among."""
+    case = random_network(seed, balls=7)
+    return dataclasses.replace(case, network=with_laws(case.network, seed))
+
+
+def with_laws(network, seed):
+    """Return a network that loses sound by random laws."""
+    rng = np.random.default_rng([19, seed])
+    contacts, balls = len(network.bond), len(network.held)
+    laws = {}
+    if rng.random() < 0.6:
+        laws["damping_power"] = rng.choice([-0.5, 0.5, 1.0, 2.0])
+    if rng.random() < 0.5:
+        laws["drag"] = 10 ** rng.uniform(-4, 0, balls) * rng.integers(0, 2, balls)
+    if rng.random() < 0.4:
+        laws["loss"] = 10 ** rng.uniform(-4, -0.5) * (1 + 0.5 * rng.random(contacts))
+    if rng.random() < 0.3:
+        laws["dashpot"] = rng.random(contacts) * rng.integers(0, 2, contacts)
+    if network.displacement != "scalar" and network.damped == "all" and rng.random() < 0.3:
+        laws["tangential_dashpot"] = rng.random(contacts)
+    return dataclasses.replace(network, **laws)
+
+
 def unstable_network(seed):
     """Return a random network with springs of negative constants, over twelve decades."""
     case, rng = random_network(seed), np.random.default_rng([18, seed])
@@ -263,11 +336,15 @@ def exact_network_force(network, s):
     whole = NetworkReference(dataclasses.replace(network, held=0 * network.held))
     width, s = whole.axes + whole.turns, mpmath.mpmathify(complex(s))
     spring = whole.K + s * mpf(network.damping) * whole.C
+    if network.loss is not None:
+        spring = spring + mpmath.mpc(0, 1) * whole.L
     motion = np.full((len(network.held), width), mpf(0))
     motion[network.held == 2, : whole.axes] = [mpf(float(x)) for x in network.direction]
     motion, free = motion.ravel(), np.repeat(network.held == 0, width)
     S = spring[np.ix_(free, free)].astype(object)
-    S[np.diag_indices_from(S)] += s * s * whole.M[free]
+    drag = 0.0 if network.drag is None else exactly(network.drag)
+    drag = np.repeat(drag * np.ones(len(network.held)), width)[free]
+    S[np.diag_indices_from(S)] += (s * s + s * drag) * whole.M[free]
     u = eliminated(S, -(spring @ motion)[free])
     moved = motion + 0
     moved[free] = u

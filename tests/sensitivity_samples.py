@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from mpmath import mp, mpf
-from network_samples import NetworkReference, as_network, exactly, random_network
+from network_samples import NetworkReference, as_network, exactly, random_network, with_laws
 from samples import SOLVERS, assert_same, bond_arrays
 
 from pgran.errors import InputError
@@ -83,7 +83,11 @@ class Exact(NetworkReference):
         for n in range(len(self.contacts)):
             here, elastic, lossy = self.contact(n)
             self.elastic[here] += elastic
+            if net.loss is not None:
+                self.elastic[here] += mpmath.mpc(0, 1) * self.loss(n)
             self.lossy[here] += lossy
+        self.dragged = np.full((len(net.held), width), mpf(0))
+        self.dragged.ravel()[self.free] = self.drag
 
     def states(self, s, sites, changes=()):
         """The amplitudes A, and each detector's adjoint, of all balls; None if S is singular.
@@ -92,7 +96,7 @@ class Exact(NetworkReference):
         """
         s = mpmath.mpmathify(complex(s))
         S = self.elastic + s * self.beta * self.lossy
-        S[np.diag_indices_from(S)] += s * s * self.inertia.ravel()
+        S[np.diag_indices_from(S)] += (s * s + s * self.dragged.ravel()) * self.inertia.ravel()
         for here, added in changes:
             S[here] += added
         reading = np.full((len(sites), *self.inertia.shape), mpf(0))
@@ -114,20 +118,27 @@ class Exact(NetworkReference):
         """Derivatives of what detectors read, by name, exact because S is linear in everything."""
         s, width = mpmath.mpmathify(complex(s)), self.axes + self.turns
         found = {name: [] for name in ("stiffness", "tangential", "force", "damping", "mass")}
-        for here, *parts, lossy in self.contacts:
-            at = here[1].ravel()
-            for name, part in zip(found, [*parts, s * lossy], strict=False):
+        for n, (here, along, slip, bent) in enumerate(self.contacts):
+            at, (k, kt) = here[1].ravel(), self.stiffnesses(n)
+            parts = along * self.slope(n, k, 0, s), slip * self.slope(n, kt, 1, s), bent
+            for name, part in zip(found, [*parts, s * self.contact(n)[2]], strict=False):
                 found[name].append(-(z[:, at] @ part @ A[at]))
         found = {name: np.array(rows).T for name, rows in found.items() if rows}
         found["damping"] = found["damping"].sum(axis=1)
-        products = -s * s * z * A
+        products = -(s * s + s * self.dragged.ravel()) * z * A
         inertia = self.inertia.ravel() / np.repeat(exactly(self.network.masses), width)
         found["mass"] = (products * inertia).reshape(len(z), -1, width).sum(axis=2)
         found["mass"] = found["mass"][:, self.network.held == 0]
         return found
 
-    def grown(self, contact, factor=None, overlap=None, hertz=None):
-        """What heating a contact adds to K: Hertz's law, as it stands in the paper."""
+    def slope(self, contact, k, tangent, s):
+        """d kappa / d k of a spring."""
+        if not (k and self.network.damping_power):
+            return mpmath.mpc(1, 0 if self.network.loss is None else self.network.loss[contact])
+        return mpmath.diff(lambda k: self.kappa(contact, k, tangent, s), k)
+
+    def grown(self, contact, s, factor=None, overlap=None, hertz=None):
+        """What heating a contact adds to S: Hertz's law, as it stands in the paper."""
         here, along, slip, *_ = self.contacts[contact]
         net = self.network
         k = mpf(float(net.stiffness[contact]))
@@ -137,22 +148,27 @@ class Exact(NetworkReference):
                 h = mpf(3) / 2 * mpf(float(net.force[contact])) / k
             factor = mp.sqrt((h + mpf(overlap)) / h) if h + overlap > 0 and h else mpf(not h)
         elif factor is None:
-            return here, mpf(3) / 2 * hertz * mp.sqrt(overlap) * along
-        added = k * along
-        if net.displacement != "scalar" and net.tangential is not None:
-            added = added + mpf(float(net.tangential[contact])) * slip
-        return here, (mpf(factor) - 1) * added
+            grown = mpf(3) / 2 * hertz * mp.sqrt(overlap)
+            added = self.kappa(contact, grown, 0, s) - self.kappa(contact, mpf(0), 0, s)
+            return here, added * along
+        changes = [
+            self.kappa(contact, mpf(factor) * k, tangent, s) - self.kappa(contact, k, tangent, s)
+            for tangent, k in enumerate(self.stiffnesses(contact))
+        ]
+        return here, changes[0] * along + changes[1] * slip
 
     def warmed(self, s, sites, ball, **by):
         """The amplitudes with a ball warm; None if S is singular."""
-        warm = np.flatnonzero(np.any(self.ends == ball, axis=1))
-        found = self.states(s, sites, [self.grown(contact, **by) for contact in warm])
+        warm, s = np.flatnonzero(np.any(self.ends == ball, axis=1)), mpmath.mpmathify(complex(s))
+        found = self.states(s, sites, [self.grown(contact, s, **by) for contact in warm])
         return found and found[2]
 
     def cut(self, s, sites, contact):
         """The amplitudes without a contact; None if S is singular."""
         here, elastic, lossy = self.contact(contact)
         added = -elastic - mpmath.mpmathify(complex(s)) * self.beta * lossy
+        if self.network.loss is not None:
+            added = added - mpmath.mpc(0, 1) * self.loss(contact)
         found = self.states(s, sites, [(here, added)])
         return found and found[2]
 
@@ -210,6 +226,17 @@ class SensitivityCase:
     solver: str
     tolerance: float
     by: dict
+
+
+def lawful_sensitivity(seed):
+    """The same with laws of damping."""
+    case, rng = random_sensitivity(seed), np.random.default_rng([29, seed])
+    if isinstance(case.medium, Network):
+        return dataclasses.replace(case, medium=with_laws(case.medium, seed))
+    laws = {"damping_power": rng.choice([-0.5, 0.5, 1.0, 2.0])} if rng.random() < 0.6 else {}
+    laws["drag"] = case.medium.omega_mx * rng.choice([0.0, 0.001, 0.1])
+    laws["loss"] = rng.choice([0.0, 0.001, 0.1])
+    return dataclasses.replace(case, medium=dataclasses.replace(case.medium, **laws))
 
 
 def random_sensitivity(seed):

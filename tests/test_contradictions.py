@@ -26,6 +26,7 @@ REFUSED = {  # of each scene, words and what is said of them
         "-detectors_at 1,1": "-detectors_at: balls of a lattice are named by their indices",
         "-network_damping .1": "belongs to -network_file",
         "-detectors_component x": "balls of a lattice have one displacement",
+        "-damping_part normal": "-damping_part belongs to -network_file",
         "-bonds_gravity 1": "-bonds_gravity: it needs -bonds_law hertz",
         "-bonds_redrawn 1 -bonds_law hertz -bonds_gravity 1": "-bonds_gravity: a bond that is",
         "-bonds_redrawn 1 -bonds_law file -bonds_file x.h5": "-bonds_redrawn: -bonds_law file",

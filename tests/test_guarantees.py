@@ -49,6 +49,8 @@ SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt
     ),
     "sources": (judge.Judge, "assess", too_small),
     "networks": (judge.Judge, "assess", too_small),
+    "laws": (judge.Judge, "assess", too_small),
+    "laws, forces": (amplitude_faults, "exact_network_force", lambda force: 1.01 * force),
     "forces": (amplitude_faults, "exact_network_force", lambda force: 1.01 * force),
     "green": (
         pattern_faults.PatternSolver, "products", lambda found: ((1 + 1e-9) * found[0], found[1])
@@ -66,6 +68,7 @@ SPOILT = {  # of each kind of numbers what is computed, and how it is spoilt
         amplitude_faults, "listened", lambda run: replace(run, displacement=1.01 * run.displacement)
     ),
     "derivatives": (judge.Judge, "assess", too_small),
+    "laws, derivatives": (judge.Judge, "assess", too_small),
     "growing balls": (
         growth_faults, "heated", lambda run: replace(run, warmed=(1 + 1e-7) * run.warmed)
     ),

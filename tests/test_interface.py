@@ -83,9 +83,9 @@ def test_a_network_is_loaded_and_said_in_a_line():
     assert isinstance(network, pgran.Network)
     assert repr(network) == (
         "Network(381 balls, 343 of them free, 835 contacts, vector in 2 dimensions, "
-        f"damping=0.003, omega_mx={network.omega_mx:.6g})"
+        f"beta 0.003, omega_mx={network.omega_mx:.6g})"
     )
-    assert repr(LATTICE) == f"Lattice(6 x 5, mass=1, damping={LATTICE.damping:g}, omega_mx=1)"
+    assert repr(LATTICE) == f"Lattice(6 x 5, mass=1, beta {LATTICE.damping:g}, omega_mx=1)"
 
 
 @pytest.mark.parametrize(

@@ -35,8 +35,8 @@ def test_a_failure_inside_petsc_is_marked(alone, monkeypatch, caplog):
         assert np.allclose(solver.diagonal(balls)[0], np.diag(exact), rtol=1e-11)
 
 
-def test_balls_that_float_have_no_bound(comm):
-    """Values are right, and residuals say so."""
+def test_balls_that_float_have_bounds_by_a_count(comm):
+    """Where ranks share them residuals alone say that values are right."""
     network = random_network(3).network
     network = dataclasses.replace(network, held=0 * network.held, damping=0.1, damped="all")
     with Operators(network, comm) as operators, PatternSolver(operators) as solver:
@@ -46,4 +46,5 @@ def test_balls_that_float_have_no_bound(comm):
     reference = NetworkReference(network)
     exact = np.linalg.inv(reference.weighted(reference.system(0.7j)).astype(complex))
     assert np.allclose(G, exact, rtol=1e-9)
-    assert np.isinf(bound).all()
+    assert np.isinf(bound).all() if comm.size > 1 else np.all(np.abs(G - exact) <= bound)
+    assert comm.size > 1 or np.isfinite(bound).all()

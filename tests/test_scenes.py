@@ -59,6 +59,8 @@ CHANGES = {
     "sweep_min": ".2",
     "sweep_max": ".9",
     "sweep_points": "8",
+    "damping_power": "1",
+    "damping_mass": ".1",
     "sweep_omega": (".3,.4", "-sweep_omega .3,.5"),
     "sweep_unit": ("omega_mx", "-lattice_mass 2"),
     "sweep_method": "curve",
@@ -113,17 +115,18 @@ CHANGES = {
     "transport_depths": ("1,4", "-ensemble_samples 8 -detectors 4,2,3,2,2,2,1,2,0,2"),
 }
 # test_command_line.py, test_motion.py, test_network.py, test_ensemble_networks.py, test_radii.py,
-# test_sound.py
+# test_sound.py, test_damping.py
 SEEN_ELSEWHERE = {
     *("bonds_file", "pulse_file", "network_file", "network_damping", "network_rattlers"),
     *("detectors_at", "detectors_component", "ensemble_of", "statistics_windows"),
     "green_direction",
-    *("bonds_gravity", "drive_direction", "drive_force"),
+    *("bonds_gravity", "drive_direction", "drive_force", "damping_loss", "damping_part"),
     *("heat_radius", "heat_kelvin", "heat_expansion", "heat_relax"),
 }
 # Waves and forces on single balls ask for no drive, and modes of many samples have no sources.
 DRIVE = ["drive_part", "drive_balls"]
-IDLE = {"green": DRIVE, "structure": DRIVE, "ensemble modes": ["lattice_damping", *DRIVE]}
+DAMPING = ["lattice_damping", "damping_power", "damping_mass"]
+IDLE = {"green": DRIVE, "structure": DRIVE, "ensemble modes": [*DAMPING, *DRIVE]}
 
 
 def own_options(scene):

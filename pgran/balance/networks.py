@@ -11,6 +11,7 @@ from pgran.balance.contacts import ContactLaw, pair_numbers
 from pgran.balance.equilibrium import BALANCED, at_rest
 from pgran.balance.motion import Balls, Contacts, listed
 from pgran.errors import InputError
+from pgran.medium.dissipation import of_new
 from pgran.medium.network import Network
 from pgran.medium.packing import nearest_images
 from pgran.medium.rounding import EPSILON
@@ -38,6 +39,7 @@ def law_of(network):
         raise InputError("balls under a contact law need positions, normals and radii")
     if network.tangential is not None:
         raise InputError("the contact law has no friction, and the network has tangential springs")
+    of_new(network)
     pressed = network.overlap > 0
     if not np.any(pressed):
         raise InputError("no contact of the network bears a force: there is nothing to balance")
@@ -97,7 +99,8 @@ def network_of(rest, like=None, **values):
     } | values  # fmt: skip
     if like is None:
         return Network(power=balls.law.power, **values)
-    return dataclasses.replace(like, **values)
+    values["loss"] = of_new(like)["loss"]
+    return dataclasses.replace(like, dashpot=None, tangential_dashpot=None, **values)
 
 
 def grown(balls, contacts, radius, growth=GROWTH):

@@ -5,6 +5,7 @@ import numpy as np
 from pgran.arguments import called_right, whole_number
 from pgran.balance.contacts import near_pairs
 from pgran.errors import InputError
+from pgran.medium.dissipation import of_new
 from pgran.medium.network import Network
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
 
@@ -75,7 +76,6 @@ def ordered(packing, seed=1993):
         np.resize(rng.permutation(packing.stiffness), contacts),
         held,
         masses,
-        packing.damping,
         position=spacing * places,
         normal=away[chosen] / distance[chosen, None],
         distance=distance[chosen],
@@ -83,6 +83,7 @@ def ordered(packing, seed=1993):
         box=np.where(periodic, box, 0.0),
         kmax=packing.kmax,
         median_mass=packing.median_mass,
+        **of_new(packing),
     )
 
 

@@ -19,7 +19,7 @@ def opening(options, ranks, lattice=None):
         facts = [*(_lattice if options.network_file is None else _network)(options, lattice)]
         facts += in_words(lattice)
         if of != "modes":  # samples keep no widths of theirs
-            facts.append(f"beta {lattice.damping:g}")
+            facts.append(lattice.law_in_words)
         unit = SI.of(options).say("Hz", lattice.omega_mx)
         facts.append(f"omega_mx {lattice.omega_mx:.6g}{unit}")
     facts.append(counted(ranks, "rank"))

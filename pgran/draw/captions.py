@@ -13,6 +13,7 @@ from pgran.medium.source import in_words
 
 SAMPLES = "bonds", "network"  # figures that show what was computed on
 NAMED = 6  # detectors
+LETTERS = {"beta": r"\beta", "p": "p", "alpha": r"\alpha", "eta": r"\eta"}  # of damping
 AXES = {1: "chain", 2: "square lattice", 3: "cubic lattice"}
 
 
@@ -68,7 +69,11 @@ def sample(result, si):
         facts.append(f"seed {bonds['seed']}")
     else:
         facts.append(f"SHA-256 of the bonds {medium.bonds_sha256[:12]}")
-    facts.append(rf"damping $\beta$ = {number(medium.damping)}")
+    damping = [
+        rf"${LETTERS[name]}$ = {number(low)}" + (f" to {number(high)}" if high > low else "")
+        for name, (low, high) in medium.built.damping_facts.items()
+    ]
+    facts.append(f"damping {', '.join(damping)}")
     unit = f"{number(medium.omega_mx, 4)}{si.say('Hz', medium.omega_mx)}"
     facts.append(rf"$\omega_{{mx}}$ = {unit}")
     sites = style.heard(result)
@@ -89,7 +94,8 @@ def _plain(text):
 
 def bound(result):
     """Return what is proven of the errors of a result, or how they were estimated."""
-    how = "proven" if getattr(getattr(result, "medium", None), "damping", 0.0) else "certified"
+    medium = getattr(result, "medium", None)
+    how = "proven" if medium is not None and medium.built.dissipates else "certified"
     words = []
     for group in catalogue.FIGURES:
         record = getattr(result, group, None)

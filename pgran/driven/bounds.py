@@ -1,12 +1,14 @@
 """Rigorous error bounds of driven amplitudes, rounding included.
 
-S(s) = K + s beta C + s^2 m with C positive definite and K semidefinite. For s = sigma + i omega
+S(s) = K + i L + s beta C + s^2 m with C and L positive definite and K semidefinite; drag is a part
+of C. For s = sigma + i omega
 
-    Re(conj(s) x^H S x) = sigma x^H K x + |s|^2 (beta x^H C x + sigma m x^H x),
+    Re(conj(s) x^H S x) = sigma x^H K x + omega x^H L x + |s|^2 (beta x^H C x + sigma m x^H x),
 
-so that |S x|_2 >= c |x|_2 with c = |s| (beta lambda_min(C) + sigma m) wherever sigma >= 0; where
-springs of negative constants may make K indefinite, c loses sigma |lambda_min(K)| / |s|. C is the
-Laplacian of the uniform lattice, whose smallest eigenvalue is known.
+so that |S x|_2 >= c |x|_2 with c = |s| (beta lambda_min(C) + sigma m) + omega lambda_min(L) / |s|
+wherever sigma >= 0; where springs of negative constants may make K indefinite, c loses
+sigma |lambda_min(K)| / |s|. Where all dashpots are alike C is the Laplacian of the uniform lattice,
+whose smallest eigenvalue is known.
 
 Take approximate solutions A~ of S A = f and z~ of S z = e_d with residuals r and q. Because S is
 symmetric, A_d - (A~_d + z~^T r) = q^T S^-1 r, and so the corrected amplitude A~_d + z~^T r is wrong
@@ -15,7 +17,8 @@ by at most |r|_2 |q|_2 / c: a product of two residuals, each of which needs half
 Without damping, at s = i omega, |x|_2 <= |S x|_2 / delta, delta the distance of m omega^2 to the
 nearest eigenvalue of K; with very little damping delta - omega beta |C| still does better than
 damping alone. That no eigenvalue is nearer than delta is certified by counting those below
-m omega^2 - delta and below m omega^2 + delta (`counting`).
+m omega^2 - delta and below m omega^2 + delta (`counting`). Where all this proves nothing, or too
+little, `sharpen` counts how near to singular S itself is, whatever damps (`singular`).
 
 Residuals are known up to rounding only; what rounding can change is bounded in terms of
 |f| + |S| |A~|, ball by ball, because amplitudes fall by many orders across a lattice. What is lost
@@ -24,16 +27,24 @@ below the smallest normal double, of a square above all, is counted too.
 Where the product of norms says too little, `comparison` bounds the errors ball by ball.
 """
 
+import logging
 import math
 from functools import cached_property
 
 import numpy as np
 
-from pgran.driven.certify import smallest_damping, smallest_stiffness
+from pgran.driven.certify import smallest_damping, smallest_loss, smallest_stiffness
 from pgran.driven.counting import ModeCounter
+from pgran.driven.inertia import complex_matrix
+from pgran.driven.linear import FACTORIZATIONS
 from pgran.driven.owner import Owner
+from pgran.driven.singular import least_estimate, proven_least
 from pgran.medium.law import unit_numbers
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
+
+log = logging.getLogger("pgran")
+
+WORTHWHILE = 2.0  # times as sharp a bound of |S^-1| is worth a count
 
 
 class ErrorBounds(Owner):
@@ -52,8 +63,8 @@ class ErrorBounds(Owner):
         """Make the work vectors."""
         self.operators = operators
         self._alone = operators.comm.size == 1
-        self._always = self.proven = self._alone or operators.damping > 0
-        self.unit = operators.rounding
+        self._always = self.proven = self._alone or operators.lattice.dissipates
+        self.unit, self._told = operators.rounding, False
         # What a 2-norm may miss because the squares of small numbers are lost.
         self.lost = 2 * math.sqrt(2 * operators.size * SMALLEST_NORMAL)
         self._product, self._work = operators.f.duplicate(), operators.f.duplicate()
@@ -75,6 +86,8 @@ class ErrorBounds(Owner):
             abs(s) * smallest_damping(self.operators.lattice)
         )
         least = damping + abs(s) * s.real * self.operators.mass
+        if s:
+            least += s.imag / abs(s) * smallest_loss(self.operators.lattice)
         if s.real > 0:
             least += s.real / abs(s) * smallest_stiffness(self.operators)
         return max(least, 0.0)
@@ -93,9 +106,41 @@ class ErrorBounds(Owner):
         self._combine_sizes(s)
         self._imaginary = s.imag / (size + s.real) if s else 0.0
         stability = self.stability(s) if self.proven else math.nan
-        if self._alone and s.real == 0:
+        if self._alone and s.real == 0 and np.isrealobj(operators.constants):
             stability = max(stability, self._distance(inertia, spread, tolerance) - spread)
         self.inverse_norm = 1.0 / stability if stability else math.inf
+        if not self._alone and not stability and not self._told:
+            self._told = True
+            log.warning(
+                "what damps leaves some motions undamped, and where ranks share a medium no error "
+                "bound can be proven then: amplitudes will be marked as not accurate; "
+                "-ranks_per_lattice 1 proves bounds by counts, so does damped = all"
+            )
+
+    def sharpen(self, krylov):
+        """Bound |S^-1| by a count of S itself, where no rank shares it; say if that helps.
+
+        `krylov` has factored S. The bound is about 1.2 times |S^-1|, of the S that the sums of
+        springs round to.
+        """
+        if not self._alone or krylov.pc.getType() not in FACTORIZATIONS:
+            return False
+        x, y = self._work, self._product
+
+        def solve(b):
+            x.setArray(b)
+            krylov.pc.apply(x, y)
+            return y.getArray(readonly=True).copy()
+
+        S = complex_matrix(self.operators.S)
+        guess = 0.9 * least_estimate(solve, self.operators.size)
+        if not guess * self.inverse_norm > WORTHWHILE:
+            return False
+        least = proven_least(S, guess, self.unit * self.scale)
+        if least * self.inverse_norm > 1:
+            self.inverse_norm = 1.0 / least
+            return True
+        return False
 
     def _combine_sizes(self, s):
         """Combine |f|, and what `rounding` multiplies |x| by besides matrices."""

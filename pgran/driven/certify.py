@@ -18,26 +18,50 @@ FLOORS = (1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1)  # of |K|: how far below zero its 
 
 
 def smallest_damping(lattice):
-    """Return a number that no eigenvalue of C = B^T diag(damped) B is below; 0 if none is certain.
+    """Return a number that no eigenvalue of C is below, drag included; 0 if none is certain.
 
-    The same on every rank. Of a network it is computed once, on a copy of this rank's own.
+    The same on every rank. It is counted once where no closed form is known, on a copy of this
+    rank's own.
     """
-    if lattice.isotropic:
-        return lattice.least_damping
     cache = vars(lattice)
     if "smallest_damping" not in cache:
-        with NetworkLayout(lattice, MPI.COMM_SELF) as layout:
-            cache["smallest_damping"] = _certified(
-                lattice, lattice.damping_norm, *layout.csr(layout.damped)
-            )
+        least, drag = 0.0, np.ravel(lattice.dragged)
+        if lattice.isotropic:
+            least = (lattice.least_damping if lattice.damping else 0.0) + drag.min()
+        if not lattice.isotropic or (least <= 0 and lattice.drags is not None):
+            least = _least(lattice, lattice.dashpots, lattice.damping_norm, drag)
+        cache["smallest_damping"] = least
     return cache["smallest_damping"]
+
+
+def smallest_loss(lattice):
+    """Return a number that no eigenvalue of L is below, 0 if none above 0 is certain; counted once.
+
+    L = B^T diag(eta k) B of what springs lose by themselves, which negative eigenvalues would feed.
+    """
+    if lattice.losses is None:
+        return 0.0
+    cache = vars(lattice)
+    if "smallest_loss" not in cache:
+        B = abs(lattice.springs.B)
+        norm = 1.01 * float((B.T @ (np.abs(lattice.losses) * (B @ np.ones(lattice.size)))).max())
+        cache["smallest_loss"] = _least(lattice, lattice.losses, norm)
+    return cache["smallest_loss"]
 
 
 def least_stiffness(network):
     """Return a number that no eigenvalue of K is below; 0 if none above 0 is certain."""
-    with NetworkLayout(network, MPI.COMM_SELF) as layout:
-        matrix = layout.csr(network.constants)
-    return _certified(network, network.stiffness_norm, *matrix)
+    return _least(network, network.constants, network.stiffness_norm)
+
+
+def _least(medium, constants, norm, diagonal=0.0):
+    """Return what no eigenvalue of B^T diag(constants) B + diag(diagonal) is below; see below."""
+    with NetworkLayout(medium, MPI.COMM_SELF) as layout:
+        pointer, columns, values = layout.csr(constants)
+    if np.any(diagonal):
+        rows = np.repeat(np.arange(medium.size), np.diff(pointer))
+        values[rows == columns] += np.broadcast_to(diagonal, medium.size)[medium.order]
+    return _certified(medium, norm, pointer, columns, values)
 
 
 def smallest_stiffness(operators):
@@ -46,7 +70,7 @@ def smallest_stiffness(operators):
     The same on every rank; computed once for the constants that operators have.
     """
     if operators.softest is None:
-        constants, operators.softest = operators.constants, 0.0
+        constants, operators.softest = operators.constants.real, 0.0
         if constants.min(initial=0.0) < 0:
             part, norm = _floor(operators.lattice, constants)
             operators.softest = -part * norm

@@ -74,9 +74,12 @@ def check_driven(lattice, world, lowest, in_time=False):
     motions would grow.
     """
     lattice.check_driven()
+    if in_time and lattice.losses is not None:
+        raise InputError(
+            "-damping_loss: a loss angle belongs to steady states; in time springs would answer "
+            "before they are moved. Pulses take -damping_power 1, or drag, -damping_mass"
+        )
     warn_above_modes(lattice, world, lowest)
-    if not in_time:
-        _say_unprovable(lattice, world)
     if not is_unstable(lattice, world):
         return
     if in_time:
@@ -95,21 +98,6 @@ def is_unstable(lattice, world):
     from pgran.driven.certify import is_stable
 
     return not on_root(world, lambda: is_stable(lattice.in_own_unit()[0]))
-
-
-def _say_unprovable(lattice, world):
-    """Warn where dashpots leave motions undamped: no bound can then be proven. Collective."""
-    if lattice.isotropic or not lattice.damping:
-        return
-    from pgran.driven.certify import smallest_damping
-
-    certain = on_root(world, lambda: smallest_damping(lattice.in_own_unit()[0]) > 0)
-    if not certain and world.rank == 0:
-        log.warning(
-            "damped = normal: %s undamped, so that no error bound can be proven, and every "
-            "amplitude will be marked as not accurate; with damped = all they have bounds",
-            "balls turn" if lattice.turns else "some motions are",
-        )
 
 
 def reached_accuracy(record, good):

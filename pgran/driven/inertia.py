@@ -102,8 +102,13 @@ class RealFactors:
 
 
 def real_matrix(K):
-    """Return a real symmetric PETSc.Mat of this rank alone as a scipy.sparse.csc_matrix."""
+    """Return the real part of a symmetric PETSc.Mat of this rank alone, sparse by columns."""
+    return complex_matrix(K).real.copy()  # which SuperLU needs in one piece
+
+
+def complex_matrix(S):
+    """Return a symmetric PETSc.Mat of this rank alone as a scipy.sparse.csc_matrix."""
     from scipy.sparse import csc_matrix
 
-    pointer, columns, values = K.getValuesCSR()  # symmetric: rows are columns
-    return csc_matrix((values.real.copy(), columns, pointer), K.getSize())
+    pointer, columns, values = S.getValuesCSR()  # symmetric: rows are columns
+    return csc_matrix((values, columns, pointer), S.getSize())

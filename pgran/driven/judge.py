@@ -161,12 +161,17 @@ class Judge(Owner):
             bound = np.fmin(bound, 1.01 * (self.detectors.read_errors(errors) + corrected))
             if self.whole_field:
                 field_bound = np.fmin(field_bound, 1.01 * errors.norm() + bounds.lost)
+        state = state._replace(error_bound=bound, field_bound=field_bound)
+        return self.by_floor(state, primal, krylov)
+
+    def by_floor(self, state, primal, krylov):
+        """Return a state judged by its accuracy or the floor. Collective."""
+        bound, field_bound = state.error_bound, state.field_bound
         good = is_accurate(bound, state.displacement, self.tolerance) | (bound <= self.floor)
         good = np.all(good)
         if self.whole_field:
             good = good and is_accurate(field_bound, primal.solution.norm(), self.tolerance)
-        reason = _reason(good, krylov.reason)
-        return state._replace(error_bound=bound, field_bound=field_bound, converged_reason=reason)
+        return state._replace(converged_reason=_reason(good, krylov.reason))
 
     def with_derivatives(self, state, systems):
         """Return a state with the derivatives dA_d/domega, the reaction f^T A, and their bounds.

@@ -11,7 +11,6 @@ import numpy as np
 from pgran.driven.owner import Owner
 from pgran.errors import InputError
 from pgran.medium.bonds import SIGNS, bond_ends
-from pgran.medium.dissection import dissected
 from pgran.run.petsc import PETSc
 
 
@@ -21,8 +20,8 @@ class Layout(Owner):
     This rank has the unknowns from `first` to `last`; `like` is a vector of them, to duplicate. Of
     each spring `ends` (springs, w) are the unknowns in its row of B, PETSc's numbers, -1 for none,
     and `entries`, which may be one row for all, B's entries there; `drive` is how far it is
-    stretched when what is driven moves by 1, `damped` which part of beta it has. `laplacian` says
-    that a spring of positive constant has no positive entry beside the diagonal.
+    stretched when what is driven moves by 1. `laplacian` says that a spring of positive constant
+    has no positive entry beside the diagonal.
     """
 
     owns = ("like",)
@@ -47,9 +46,13 @@ class Layout(Owner):
         `size` is applied to each spring's part before these are summed up.
         """
         springs = np.flatnonzero(self.drive)
-        pull, total = -constants[springs] * self.drive[springs], np.zeros(self.last - self.first)
+        pull = -constants[springs] * self.drive[springs]
+        total = np.zeros(self.last - self.first)
         for entries, rows, mine in self.own_entries(springs):
-            total += np.bincount(rows, size(entries * pull[mine]), len(total))
+            forces = size(entries * pull[mine])
+            total = total + np.bincount(rows, forces.real, len(total))
+            if np.iscomplexobj(forces):
+                total = total + 1j * np.bincount(rows, forces.imag, len(total))
         return total
 
 
@@ -75,14 +78,14 @@ class LatticeLayout(Layout):
         self.first, self.last = self.like.getOwnershipRange()
         self._number = self._numbered(lattice)
         self.ends, self.entries = bond_ends(self._number), SIGNS[None]
-        self.drive, self.damped = lattice.drive, lattice.damped
+        self.drive = lattice.drive
         self._find_rows()
 
     def _numbered(self, lattice):
         """Return PETSc's numbers of all balls: on one rank in the order of elimination."""
         if self.comm.size == 1 and lattice.elimination.numbered:
             number = np.empty(lattice.size, dtype=PETSc.IntType)
-            number[dissected(self.shape)] = np.arange(lattice.size)
+            number[lattice.order] = np.arange(lattice.size)
             return number.reshape(self.shape)
         natural = np.arange(lattice.size, dtype=PETSc.IntType).reshape(self.shape, order="F")
         return self.da.getAO().app2petsc(natural.ravel()).reshape(self.shape)
@@ -136,6 +139,11 @@ class LatticeLayout(Layout):
         columns, values = self._columns[self._exists], self._values(constants)[self._exists]
         return pointer.astype(PETSc.IntType), columns, values
 
+    def sizes(self, constants):
+        """Return the same of the sums of all bonds' magnitudes."""
+        pointer, columns, values = self.csr(np.abs(constants))
+        return pointer, columns, np.abs(values)
+
     def change(self, matrix, bonds, constants):
         """Set in a matrix, to be assembled, the rows of all balls at some bonds.
 
@@ -158,11 +166,10 @@ class NetworkLayout(Layout):
         """Share out the unknowns, ball by ball, and find the pattern of this rank's rows."""
         self.network, self.comm, self.shape = network, comm, network.shape
         springs = network.springs
-        self.drive, self.damped = springs.drive, springs.damped
+        self.drive = springs.drive
         self.laplacian = network.components == 1
         if comm.size == 1:  # PETSc's factorizations take the unknowns as they are numbered
-            parts, width = np.zeros(network.size, dtype=int), network.components
-            order = (network.graph.order[:, None] * width + np.arange(width)).ravel()
+            parts, order = np.zeros(network.size, dtype=int), network.order
         else:
             parts = partition(network, comm.size)
             order = np.argsort(parts, kind="stable")

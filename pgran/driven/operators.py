@@ -1,7 +1,8 @@
 """One system for everything: S(s) = K + s beta C + s^2 m, with K = B^T diag(k) B and C = B^T B.
 
-B has a row for each bond: what lengthens it. Walls are no unknowns; the driven one's bonds give the
-drive f(s), the sum of k + s beta at their balls, a push a constant one (`pgran.medium.source`). All
+B has a row for each bond: what lengthens it. Loss angles make k complex, drag adds to C's diagonal
+(`pgran.medium.dissipation`). Walls are no unknowns; the driven one's bonds give the drive f(s), the
+sum of k + s beta at their balls, a push a constant one (`pgran.medium.source`). All
 matrices share one nonzero pattern, so that S is combined anew for each s without assembly, and
 factored symbolically only once. How unknowns are numbered and shared out, and which of them a bond
 joins, a layout knows (`layout`).
@@ -14,6 +15,7 @@ from mpi4py import MPI
 
 from pgran.driven.layout import layout_of
 from pgran.driven.owner import Owner
+from pgran.medium.redraw import with_constants
 from pgran.run.petsc import PETSc
 
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
@@ -22,10 +24,10 @@ SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 class Operators(Owner):
     """A driven medium, the same on all ranks that share it, as distributed matrices. Collective.
 
-    K is the graph Laplacian weighted by the constants, C that of the parts of beta, None without
-    damping; the vector M holds the masses. S and f are the driven system at the s of the last
-    `combine`. No eigenvalue of K is below `softest`, which is None while that is unknown. `layout`
-    numbers the unknowns. Destroy with `destroy` or `with`.
+    K is the graph Laplacian weighted by the constants, `damping` times C all that damps in
+    proportion to s, None where nothing damps; the vector M holds the masses. S and f are the driven
+    system at the s of the last `combine`. No eigenvalue of K is below `softest`, which is None
+    while that is unknown. `layout` numbers the unknowns. Destroy with `destroy` or `with`.
     """
 
     owns = ("K", "C", "M", "_inertia", "S", "f", "f_stiffness", "f_damping", "sizes", "layout")
@@ -34,21 +36,20 @@ class Operators(Owner):
         """Assemble K, and C where there is damping."""
         self.lattice, self.comm = lattice, comm
         self.shape, self.size = lattice.shape, lattice.size
-        self.mass, self.damping, self.axes = lattice.mass, lattice.damping, lattice.axes
+        self.mass, self.damping, self.axes = lattice.mass, lattice.damping_unit, lattice.axes
         self.rounding = lattice.rounding
         self.layout = layout_of(lattice, comm)
         self.first, self.last = self.layout.first, self.layout.last
         self.f_stiffness, self.M, self._inertia = (self.layout.like.duplicate() for _ in range(3))
         self.M.set(self.mass)
-        self.constants, self.softest = lattice.constants, None
+        self.constants, self.softest = lattice.moduli, None
         self.K = self._assemble(self.constants)
         self._push = self._pushed_rows()
         self.f_stiffness.setArray(self.layout.driving(self.constants) + self._push)
         self.C = self.f_damping = None
         if self.damping > 0:
-            damped = self.layout.damped
-            self.C, self.f_damping = self._assemble(damped), self.f_stiffness.duplicate()
-            self.f_damping.setArray(self.layout.driving(damped))
+            self.C, self.f_damping = self._assemble(lattice.dashpots), self.f_stiffness.duplicate()
+            self._set_damping()
 
     @cached_property
     def S(self):  # noqa: N802
@@ -66,7 +67,8 @@ class Operators(Owner):
 
         Then |K| x = 2 diag(K) x - K x, and the forces that drive a ball are all of one sign.
         """
-        return self.layout.laplacian and bool(self.constants.min() >= 0)
+        real = np.isrealobj(self.constants)  # else magnitudes of sums are not sums of magnitudes
+        return self.layout.laplacian and real and bool(self.constants.min() >= 0)
 
     @cached_property
     def doubled_diagonals(self):
@@ -106,11 +108,13 @@ class Operators(Owner):
         Collective when first asked for; they say what rounding does to what is no Laplacian.
         """
         matrices = []
-        parts = (self.constants, self._push), (self.layout.damped, 0.0)
+        parts = (self.constants, self._push), (self.lattice.dashpots, 0.0)
         for constants, push in parts[: 1 + (self.C is not None)]:
             drive = self.f_stiffness.duplicate()
             drive.setArray(self.layout.driving(constants, np.abs) + np.abs(push))
             matrices += [self._assemble(constants, self.layout.sizes), drive]
+        if self.C is not None:
+            self._drag(matrices[2])
         return matrices
 
     def combine(self, s):
@@ -168,8 +172,16 @@ class Operators(Owner):
     def set_stiffness(self, constants, bonds=None):
         """Set all constants in K and in the drive; only some `bonds` differ, if these are given.
 
-        Collective. S waits for `combine`; what follows from K is computed anew.
+        Collective. S waits for `combine`; what follows from K is computed anew. Where dashpots or
+        losses depend on the constants, they change with them.
         """
+        if self.lattice.has_law:
+            self.lattice, bonds = with_constants(self.lattice, constants), None
+            constants = self.lattice.moduli
+            if self.C is not None:
+                self.C.setValuesCSR(*self.layout.csr(self.lattice.dashpots))
+                self.C.assemble()
+                self._set_damping()
         self.constants, self.softest = constants, None
         self.forget("sizes")
         for name in ("laplacian", "doubled_diagonals", "stiffness_norm"):
@@ -181,6 +193,19 @@ class Operators(Owner):
         self.K.assemble()
         if bonds is None or self.layout.drive[bonds].any():
             self.f_stiffness.setArray(self.layout.driving(constants) + self._push)
+
+    def _set_damping(self):
+        """Complete C by the drag, and set the drive's dashpots. Collective."""
+        self._drag(self.C)
+        self.f_damping.setArray(self.layout.driving(self.lattice.dashpots))
+
+    def _drag(self, C):
+        """Add what drag there is to a matrix like C. Collective."""
+        if self.lattice.drags is None:
+            return
+        drag = self.layout.vector(np.reshape(self.lattice.dragged, self.shape))
+        C.setDiagonal(drag, addv=PETSc.InsertMode.ADD_VALUES)
+        drag.destroy()
 
     def _pushed_rows(self):
         """Return this rank's rows of the push, 0 where none drives. Collective."""

@@ -179,9 +179,20 @@ class SteadySolver(Owner):
             state = self._attempt(s, fresh)
         if state.converged_reason <= 0:
             state = self._judge.compared(state, self.primal, self._krylov)
+        if state.converged_reason <= 0 or math.isinf(self.bounds.inverse_norm):
+            state = self._sharpened(state)
         self._policy.count(fresh, state.iterations)
         self._earlier, self._size = [*self._earlier[-1:], s], np.abs(state.displacement)
         return state
+
+    def _sharpened(self, state):
+        """Return the state with bounds by a count of S, refined by these if they are worth it."""
+        if not math.isfinite(state.backward_error) or not self.bounds.sharpen(self._krylov):
+            return state
+        sharper = self._refined(state.s, False, state)
+        sharper = self._judge.by_floor(sharper, self.primal, self._krylov)
+        known = np.all(sharper.error_bound <= state.error_bound)
+        return sharper if sharper.converged_reason > 0 or known else state
 
     def _tell(self, s, error):
         """Say why PETSc fails at an s, each reason once; raise what ends the run.
@@ -217,7 +228,11 @@ class SteadySolver(Owner):
         if fresh and not self._factor():
             return self._nothing(s)
         self._guess(s, fresh)
-        state, size = None, self._size
+        return self._refined(s, fresh)
+
+    def _refined(self, s, fresh, state=None):
+        """Return the state after as many passes of refinement as help, from one before or none."""
+        krylov, size = self._krylov, self._size if state is None else np.abs(state.displacement)
         for attempt in range(PASSES):
             previous = state
             if attempt or not fresh:

@@ -6,17 +6,20 @@ import numpy as np
 
 from pgran.arguments import shown
 from pgran.errors import InputError
+from pgran.medium.dissipation import Dissipation
 from pgran.medium.units import einstein_frequency
 from pgran.run.numbers import Distinct
 
 
-class Medium(Distinct):
+class Medium(Dissipation, Distinct):
     """What vibrates: a `pgran.Lattice` or a `pgran.Network`, which answer the same questions."""
 
     is_grid = False  # of nearest neighbours, which can be cut into boxes
-    # Drag: the rate alpha of each unknown, and the loss eta k of each spring; None where there is
-    # none.
-    drags = losses = None
+
+    @property
+    def built(self):
+        """The medium itself, which its record in a result knows by this name, too."""
+        return self
 
     @property
     def free_balls(self):
@@ -45,7 +48,7 @@ class Medium(Distinct):
     def pull(self, s):
         """Return the force that moves what is driven by 1 while all balls stay.
 
-        It is the sum of (k + s beta d) w^2 over the springs, which that stretches by w.
+        It is the sum of kappa(s) w^2 over the springs, which that stretches by w.
         """
         stiffness, damping = self.pulls
         return stiffness + s * damping

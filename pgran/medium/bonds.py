@@ -133,16 +133,31 @@ class ElasticBonds:
         return total
 
     @cached_property
-    def damped(self):
-        """The part of beta that each bond has, 1, or 0 where there is no wall, shape (bonds,)."""
+    def shares(self):
+        """1 of each bond, 0 where there is no wall, shape (bonds,)."""
         parts = [np.ones_like(k) for k in self.stiffness]
         cut_sides(parts, self.free)
         return np.concatenate([part.ravel() for part in parts])
 
     @cached_property
+    def damped_springs(self):
+        """The part of beta that each bond has, shape (bonds,)."""
+        return self.shares * self.law(self.constants) if self.damping_power else self.shares
+
+    @property
+    def losses(self):
+        """eta k of all bonds, None where there is no loss angle."""
+        return self.loss * self.constants if self.loss else None
+
+    @property
+    def drags(self):
+        """The rate alpha of each ball, None where there is no drag."""
+        return np.full(self.size, self.drag) if self.drag else None
+
+    @cached_property
     def existing(self):
         """The numbers of the bonds that exist: all but those at free sides."""
-        return np.flatnonzero(self.damped)
+        return np.flatnonzero(self.shares)
 
     @cached_property
     def moved(self):
@@ -167,8 +182,8 @@ class ElasticBonds:
             if axis == 0:
                 wall = wall.reshape(-1, *[1] * (self.axes - 1))
                 longer[:, -1] += wall * self.moved  # above the last bond
-            k, damped = self.stiffness[axis].ravel(), bond_arrays(self.shape, self.damped)[axis]
-            yield longer.reshape(len(fields), -1), k, damped.ravel()
+            damped = bond_arrays(self.shape, self.damped_springs)[axis]
+            yield longer.reshape(len(fields), -1), self.stiffness[axis].ravel(), damped.ravel()
 
     semidefinite = True  # K has no negative eigenvalues
 
@@ -192,27 +207,39 @@ class ElasticBonds:
     @property
     def drive_norms(self):
         """|f|_2 at rest, and of what dashpots add to it for beta = 1."""
-        return float(np.linalg.norm(self.driving)), float(np.linalg.norm(self.moved))
+        damped = self._wall_parts * self.moved
+        return float(np.linalg.norm(self.driving)), float(np.linalg.norm(damped))
+
+    @property
+    def _wall_parts(self):
+        """The parts of beta of the bonds at the driven wall, shape (ny, ...)."""
+        return bond_arrays(self.shape, self.damped_springs)[0][-1]
 
     @property
     def pulls(self):
         """What `pull` is at s = 0, and by how much it grows with s: sum k and sum beta."""
-        squares = self.moved**2
-        return np.sum(self.stiffness[0][-1] * squares), self.damping * squares.sum()
+        squares, k = self.moved**2, self.stiffness[0][-1] * (1 + 1j * self.loss if self.loss else 1)
+        return np.sum(k * squares), self.damping * np.sum(self._wall_parts * squares)
 
     def pull_rounding(self, size):
         """Return how much rounding changes `pull(s)`, at most, for an |s|."""
-        return (self.stiffness[0][-1].size + 8) * EPSILON * self.pull(size)
+        return (self.stiffness[0][-1].size + 8) * EPSILON * abs(self.pull(size))
 
     @property
-    def damping_norm(self):
-        """No less than |C|_2."""
-        return 4 * self.axes
+    def dashpot_norm(self):
+        """No less than |B^T diag(d) B|_2."""
+        return 4 * self.axes * (self.damped_springs.max() if self.damping_power else 1)
 
     @property
     def relaxation_rate(self):
-        """The largest k / beta of a bond, infinite without damping."""
-        return self.stiffest / self.damping if self.damping else math.inf
+        """The largest k / beta of a bond, infinite without dashpots."""
+        if self.loss or not self.damping:
+            return math.inf  # with a loss angle no disc holds all damped modes
+        if not self.damping_power:
+            return self.stiffest / self.damping
+        with np.errstate(all="ignore"):
+            rates = self.constants / (self.damping * self.damped_springs)
+        return float(np.max(rates, where=self.constants > 0, initial=0.0))
 
     @property
     def diagonal(self):

@@ -12,6 +12,7 @@ from pgran.run.numbers import number, numbers
 
 KINDS = ("scalar", "vector", "rotations")
 REQUIRED = ("held", "bond", "stiffness")
+OF_CONTACTS = ("dashpot", "tangential_dashpot", "loss")  # numbers that damping has of each
 
 
 def checked_values(network):
@@ -31,9 +32,10 @@ def checked_values(network):
     check(int, (), None, "held")
     check(int, (2,), None, "bond")
     contacts, balls = len(values["bond"]), len(values["held"])
-    masses = numbers("network: masses", network.masses)
-    if masses.ndim == 0:
-        values["masses"] = np.full(balls, masses)
+    for name, count in (("masses", balls), ("drag", balls), ("loss", contacts)):
+        value = getattr(network, name)
+        if value is not None and numbers(f"network: {name}", value).ndim == 0:
+            values[name] = np.full(count, value, float)  # one number for all
     values["damping"] = number("network: damping", network.damping)
     choice("network: displacement", network.displacement, KINDS)
     check(float, (None,), balls, "position")
@@ -42,8 +44,14 @@ def checked_values(network):
         if network.distance is None:
             values["distance"] = distance
     check(float, (None,), contacts, "normal")
-    check(float, (), contacts, "stiffness", "distance", "force", "tangential")
-    check(float, (), balls, "masses", "radius")
+    check(float, (), contacts, "stiffness", "distance", "force", "tangential", *OF_CONTACTS)
+    check(float, (), balls, "masses", "radius", "drag")
+    for name in (*OF_CONTACTS, "drag"):
+        value = values.get(name)
+        if value is not None and np.any(value < 0):
+            raise InputError(f"network: {name}: must be 0 or more")
+        if value is not None and name in ("drag", "loss") and not np.any(value):
+            values[name] = None  # as if it was not given
     axes = 1 if network.displacement == "scalar" else values["normal"].shape[1]
     check(float, (axes,), balls, "push")
     if network.power is not None:
@@ -104,6 +112,8 @@ def check_network(network):
     if not np.all(network.masses[held == FREE] > 0):
         raise InputError("network: masses must be positive")
     choice("network: damped", network.damped, ("all", "normal"))
+    if network.tangential_dashpot is not None and network.damped == "normal":
+        raise InputError("network: tangential_dashpot contradicts damped = normal")
     if network.displacement != "scalar":
         if network.normal.shape[1] not in (2, 3):
             raise InputError("network: vectors have 2 or 3 components")

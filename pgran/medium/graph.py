@@ -12,6 +12,7 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.medium.base import Elimination
+from pgran.medium.checks import OF_CONTACTS
 from pgran.medium.ordering import elimination_order
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 from pgran.medium.springs import AT_REST, DRIVEN, FREE
@@ -108,6 +109,12 @@ class Connected:
         return Graph(self)
 
     @property
+    def order(self):
+        """The unknowns in the order of elimination."""
+        width = self.components
+        return (self.graph.order[:, None] * width + np.arange(width)).ravel()
+
+    @property
     def is_large(self):
         """Whether all ranks should share it."""
         return self.graph.work > LARGE_WORK
@@ -128,7 +135,7 @@ class Connected:
 
     @property
     def least_damping(self):
-        """A number that no eigenvalue of C is below where damping is isotropic."""
+        """A number that no eigenvalue of the dashpots' C is below where they are isotropic."""
         return 0.999 * self.graph.smallest  # normals have the length 1 but for 1e-6
 
     def check_driven(self):
@@ -138,11 +145,12 @@ class Connected:
                 "network: no ball is driven; /network/held has 2 for those that are, and "
                 "-drive_balls names balls that a force drives"
             )
-        floating = np.flatnonzero(~anchored(self.bond, self.held))
+        floating = ~anchored(self.bond, self.held)
+        floating = np.flatnonzero(floating if self.drag is None else floating & (self.drag == 0))
         if len(floating):
             raise InputError(
-                f"network: {len(floating)} balls float, ball {floating[0]} first: no path of "
-                "contacts leads to a held one; pgran import leaves them out, and "
+                f"network: {len(floating)} of the balls float, ball {floating[0]} first: no path "
+                "of contacts leads to a held one; pgran import leaves them out, and "
                 "pgran.medium.graph.without_floating"
             )
 
@@ -222,8 +230,8 @@ def part(network, balls=None, contacts=None):
     whole = np.all(bond >= 0, axis=1)
     values_left = {"bond": bond[whole]}
     for names, which in (
-        (("held", "masses", "position", "radius", "push"), balls),
-        (("stiffness", "normal", "distance", "force", "tangential"), contacts[whole]),
+        (("held", "masses", "position", "radius", "push", "drag"), balls),
+        (("stiffness", "normal", "distance", "force", "tangential", *OF_CONTACTS), contacts[whole]),
     ):
         values = {name: getattr(network, name) for name in names}
         values_left |= {name: value[which] for name, value in values.items() if value is not None}

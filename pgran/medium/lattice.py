@@ -8,6 +8,7 @@ there, which keep their places in the arrays, do not exist. Instead of a wall's 
 balls, a push, may drive.
 """
 
+import dataclasses
 import hashlib
 import math
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ from pgran.medium.bonds import (
     bond_shape,
     cut_sides,
 )
+from pgran.medium.dissection import dissected
 from pgran.medium.law import BondLaw, unit_numbers
 from pgran.medium.source import checked_drive, checked_sides, nearest
 from pgran.medium.springs import Springs
@@ -62,6 +64,12 @@ class Lattice(ElasticBonds, Medium):
         m of a ball, positive.
     damping : float
         beta of every bond, not negative.
+    damping_power : float
+        p of dashpots beta (k / k_ref)^p.
+    damping_reference : float, optional
+        k_ref, the mean of all bonds unless given.
+    drag, loss : float
+        alpha of each ball, eta of each bond: see `pgran.medium.dissipation`.
     kmax : float, optional
         The stiffness that sets the unit of frequency; the largest one unless given.
     wall : array_like of float, shape (ny, ...), optional
@@ -84,6 +92,10 @@ class Lattice(ElasticBonds, Medium):
     wall: np.ndarray | None = None
     push: np.ndarray | None = None
     free: tuple = ()
+    damping_power: float = 0.0
+    damping_reference: float | None = None
+    drag: float = 0.0
+    loss: float = 0.0
 
     def __post_init__(self):
         """Check shapes and values; copy arrays, so that nobody can change them."""
@@ -91,7 +103,7 @@ class Lattice(ElasticBonds, Medium):
         arrays = tuple(np.array(numbers("stiffness", k), order="C") for k in stiffness)
         if not 1 <= len(arrays) <= 3 or any(k.ndim != len(arrays) for k in arrays):
             raise InputError("stiffness: one array for each of 1 to 3 axes is needed")
-        for name in ("mass", "damping"):
+        for name in ("mass", "damping", "drag", "loss"):
             object.__setattr__(self, name, number(f"lattice_{name}", getattr(self, name)))
         shape = tuple(n - (axis == 0) for axis, n in enumerate(arrays[0].shape))
         for axis, k in enumerate(arrays):
@@ -112,19 +124,20 @@ class Lattice(ElasticBonds, Medium):
         kmax = self.stiffest if self.kmax is None else number("bonds_kmax", self.kmax)
         object.__setattr__(self, "kmax", kmax)
         check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, kmax)
+        self._check_dissipation(self.constants[self.existing])
 
     def __repr__(self):
         """Say in a line how large it is, and what its unit is."""
         return (
             f"Lattice({' x '.join(map(str, self.shape))}, mass={self.mass:g}, "
-            f"damping={self.damping:g}, omega_mx={self.omega_mx:.6g})"
+            f"{self.law_in_words}, omega_mx={self.omega_mx:.6g})"
         )
 
     @classmethod
     @called_right
     def random(
         cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=0.003, free=(), gravity=0.0,
-        **parameters,
+        damping_power=0.0, drag=0.0, loss=0.0, **parameters,
     ):  # fmt: skip
         """Return the lattice that the options of a run describe, the same on every rank.
 
@@ -136,8 +149,8 @@ class Lattice(ElasticBonds, Medium):
             Which sample, 0 to 2^64 - 1.
         law : str or BondLaw
             What bond constants are drawn from; its kmax, where it has one, is the lattice's.
-        mass, damping : float
-            m of a ball, beta of every bond.
+        mass, damping, damping_power, drag, loss : float
+            m of a ball, beta of every bond, p, alpha and eta.
         free : sequence of str
             Sides without a wall.
         gravity : float
@@ -166,7 +179,8 @@ class Lattice(ElasticBonds, Medium):
         if gravity:
             above = balls_above(shape)
             bonds = tuple(k * law.deeper(gravity, n) for k, n in zip(bonds, above, strict=True))
-        return cls(bonds, mass, damping, law.kmax, free=free)
+        dissipation = {"damping_power": damping_power, "drag": drag, "loss": loss}
+        return cls(bonds, mass, damping, law.kmax, free=free, **dissipation)
 
     @property
     def shape(self):
@@ -185,9 +199,13 @@ class Lattice(ElasticBonds, Medium):
         return math.prod(self.shape)
 
     is_grid = True
-    isotropic = True  # C is the graph's Laplacian
     components = 1  # unknowns of a ball
     inertia_ratio = 1.0  # the unit of mass over that of each ball
+
+    @property
+    def isotropic(self):
+        """Whether the dashpots make the graph's Laplacian."""
+        return not self.damping_power
 
     @property
     def is_large(self):
@@ -204,6 +222,11 @@ class Lattice(ElasticBonds, Medium):
         small = self.size <= PETSC_FACTORS[self.axes]
         ordering = "qmd" if by_degree else "natural"
         return Elimination(not by_degree, ordering, small, False, False, seconds)
+
+    @property
+    def order(self):
+        """The balls in the order of elimination."""
+        return dissected(self.shape)
 
     @property
     def nonzeros(self):
@@ -228,11 +251,11 @@ class Lattice(ElasticBonds, Medium):
     def springs(self):
         """See `springs.Springs`."""
         ends = bond_ends(np.arange(self.size).reshape(self.shape))
-        ends[self.damped == 0] = -1
+        ends[self.shares == 0] = -1
         constants = self.constants
         return Springs(
             self.size, ("normal",), ends, SIGNS[None], self.drive, self.drive, constants,
-            self.damped, constants,
+            constants, self.shares, self.damped_springs, np.full(self.bonds, self.loss),
         )  # fmt: skip
 
     @property
@@ -251,7 +274,7 @@ class Lattice(ElasticBonds, Medium):
 
     def check_driven(self):
         """Raise InputError if nothing is driven, or if no side has a wall."""
-        if self.least_damping == 0:
+        if self.least_damping == 0 and not self.drag:
             raise InputError("-lattice_free: without any wall the lattice floats; leave one")
         if self.push is None and not np.any(self.moved):
             raise InputError(
@@ -326,7 +349,9 @@ class Lattice(ElasticBonds, Medium):
         mass, damping, kmax = self.mass / unit, self.damping / unit, self.kmax / unit
         stiffness = tuple(k / unit for k in self.stiffness)
         push = None if self.push is None else self.push / unit
-        return Lattice(stiffness, mass, damping, kmax, self.wall, push, self.free), unit
+        reference = self.damping_reference and self.damping_reference / unit
+        scaled = {"damping": damping, "kmax": kmax, "damping_reference": reference}
+        return dataclasses.replace(self, stiffness=stiffness, mass=mass, push=push, **scaled), unit
 
     @cached_property
     def bonds_sha256(self):

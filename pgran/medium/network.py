@@ -46,6 +46,14 @@ class Network(Elastic, Connected, Medium):
     masses : array_like of float, shape (N,), or float
     damping : float
         beta of each contact.
+    dashpot, tangential_dashpot : array_like of float, shape (nb,), optional
+        Parts of beta, along normals and tangents: 1 unless given, of tangents as `damped` says.
+    damping_power, damping_reference : float, optional
+        p of dashpots beta (k / k_ref)^p, and k_ref, the mean stiffness unless given.
+    drag : array_like of float, shape (N,), or float, optional
+        alpha of each ball.
+    loss : array_like of float, shape (nb,), or float, optional
+        eta of each contact: see `pgran.medium.dissipation`.
     displacement : str
         `scalar`, `vector` or `rotations`.
     position : array_like of float, shape (N, d), optional
@@ -104,6 +112,12 @@ class Network(Elastic, Connected, Medium):
     component: str = "drive"
     kmax: float | None = None
     median_mass: float | None = None
+    dashpot: np.ndarray | None = None
+    tangential_dashpot: np.ndarray | None = None
+    damping_power: float = 0.0
+    damping_reference: float | None = None
+    drag: np.ndarray | None = None
+    loss: np.ndarray | None = None
 
     def __post_init__(self):
         """Check shapes and values; copy arrays, so that nobody can change them."""
@@ -116,6 +130,7 @@ class Network(Elastic, Connected, Medium):
         else:
             median = number("network: median_mass", self.median_mass)
         object.__setattr__(self, "median_mass", median)
+        self._check_dissipation(self.stiffness)
         kmax = self.stiffest if self.kmax is None else number("network: kmax", self.kmax)
         object.__setattr__(self, "kmax", kmax)
         check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, abs(kmax))
@@ -125,7 +140,7 @@ class Network(Elastic, Connected, Medium):
         plane = "" if self.displacement == "scalar" else f" in {self.axes} dimensions"
         return (
             f"Network({len(self.held)} balls, {len(self.free)} of them free, {self.bonds} "
-            f"contacts, {self.displacement}{plane}, damping={self.damping:g}, "
+            f"contacts, {self.displacement}{plane}, {self.law_in_words}, "
             f"omega_mx={self.omega_mx:.6g})"
         )
 
@@ -223,8 +238,15 @@ class Network(Elastic, Connected, Medium):
 
     @property
     def isotropic(self):
-        """Whether damping acts on each component alike: C is the graph's Laplacian for each."""
-        return self.displacement == "scalar" or (self.damped == "all" and not self.turns)
+        """Whether dashpots act on each component alike: C is the graph's Laplacian for each."""
+        alike = self.dashpot is self.tangential_dashpot is None and not self.damping_power
+        all_ways = self.displacement == "scalar" or (self.damped == "all" and not self.turns)
+        return alike and all_ways
+
+    @cached_property
+    def drags(self):
+        """The rate alpha of each unknown, None where there is no drag."""
+        return None if self.drag is None else np.repeat(self.drag[self.free], self.components)
 
     def sites(self, detectors, name="detectors"):
         """Return ball numbers as an array (nd, 1).
@@ -319,6 +341,7 @@ class Network(Elastic, Connected, Medium):
         """Return the same network in its own unit, and that: see `Lattice.in_own_unit`."""
         unit = own_unit(self.stiffest, self.mass, self.damping)
         names = "stiffness", "masses", "damping", "force", "tangential", "push", "kmax"
-        values = {name: getattr(self, name) for name in (*names, "median_mass")}
+        more = "median_mass", "damping_reference"
+        values = {name: getattr(self, name) for name in (*names, *more)}
         scaled = {name: value / unit for name, value in values.items() if value is not None}
         return dataclasses.replace(self, **scaled), unit

@@ -42,11 +42,16 @@ DATASETS = {
     "distance": (float, "length", "distance of the centres of each contact"),
     "force": (float, "force", "repulsive force that each contact bears: the pre-stress"),
     "push": (float, "force", "force on each ball, which drives instead of held balls"),
+    "dashpot": (float, "1", "part of damping that the dashpot of each contact has"),
+    "tangential_dashpot": (float, "1", "part of damping along the tangents of each contact"),
+    "drag": (float, "1/time", "alpha of each ball, on which a force -alpha m v acts"),
+    "loss": (float, "1", "loss factor eta of each contact, k (1 + i eta)"),
     "id": (int, "1", "numbers of the balls in the program that they come from"),
 }
 ATTRIBUTES = {
     "displacement": str, "damped": str, "damping": float, "kmax": float, "median_mass": float,
     "direction": np.ndarray, "power": float, "box": np.ndarray, "gravity": np.ndarray,
+    "damping_power": float, "damping_reference": float,
 }  # fmt: skip
 CHECKED = ("v108", "v108")  # versions of HDF5's structures: the first ones with checksums
 
@@ -82,6 +87,8 @@ def parts_of(network):
     members = {name: getattr(network, name) for name in DATASETS if hasattr(network, name)}
     attributes = {name: getattr(network, name) for name in ATTRIBUTES}
     attributes = {name: value for name, value in attributes.items() if value is not None}
+    if not network.damping_power:
+        del attributes["damping_power"]
     if network.displacement == "scalar":
         del attributes["direction"]
     return members | {"mass": network.masses}, attributes

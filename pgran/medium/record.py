@@ -37,6 +37,10 @@ class LatticeRecord(Record):
         "force on each ball, which drives instead of the wall", "k", "balls", optional=True
     )
     free: str | None = attribute(optional=True)  # sides without a wall, "y+,y-"
+    damping_power: float | None = attribute(optional=True)
+    damping_reference: float | None = attribute(optional=True)
+    drag: float | None = attribute(optional=True)
+    loss: float | None = attribute(optional=True)
 
     def __post_init__(self):
         """Hold one array of bonds for each axis."""
@@ -69,9 +73,11 @@ class LatticeRecord(Record):
         """The lattice itself, a `lattice.Lattice`."""
         kmax = self.mass * self.omega_mx**2 / (2 * len(self.shape))
         wall = None if self.wall is None else self.wall.reshape(self.shape[1:])
+        laws = {name: getattr(self, name) or 0.0 for name in ("damping_power", "drag", "loss")}
         return Lattice(
-            self.stiffness, self.mass, self.damping, kmax, wall, self.push, self.free or ()
-        )
+            self.stiffness, self.mass, self.damping, kmax, wall, self.push, self.free or (),
+            damping_reference=self.damping_reference, **laws,
+        )  # fmt: skip
 
     @classmethod
     def of(cls, lattice):
@@ -82,6 +88,8 @@ class LatticeRecord(Record):
             arrays["wall"] = lattice.wall.ravel()
         if lattice.free:
             arrays["free"] = ",".join(lattice.free)
+        laws = ("damping_power", "damping_reference", "drag", "loss")
+        arrays |= {name: getattr(lattice, name) or None for name in laws}  # only what there is
         return cls(**{name: getattr(lattice, name) for name in same}, **arrays)
 
 
@@ -126,6 +134,14 @@ class NetworkRecord(Record):
         optional=True,
     )  # fmt: skip
 
+    dashpot: np.ndarray | None = array("part of the damping", "1", "contact", optional=True)
+    tangential_dashpot: np.ndarray | None = array(
+        "part of the damping along tangents", "1", "contact", optional=True
+    )
+    drag: np.ndarray | None = array("alpha of the balls", "sqrt(k/m)", "ball", optional=True)
+    loss: np.ndarray | None = array("eta of the contacts", "1", "contact", optional=True)
+    damping_power: float | None = attribute(optional=True)
+    damping_reference: float | None = attribute(optional=True)
     power: float | None = attribute(optional=True)
     box: np.ndarray | None = attribute_array("coordinate", optional=True)
     gravity: np.ndarray | None = attribute_array("coordinate", optional=True)
@@ -166,6 +182,7 @@ class NetworkRecord(Record):
         """Return the record of a `network.Network`."""
         same = [item.name for item in fields(cls) if item.name not in ("mass", "unknowns")]
         values = {name: getattr(network, name) for name in same}
+        values["damping_power"] = network.damping_power or None
         return cls(mass=network.masses, unknowns=network.size, **values)
 
 

@@ -111,7 +111,13 @@ def redrawn(medium, steps, seed=1, law=None):
     constants[changes.bond] = changes.stiffness  # of several of one bond the last holds
     if len(changes) and np.array_equal(constants, medium.constants):
         log.warning("-bonds_redrawn %d: each bond has its old constant again", len(changes))
-    of_network = constants[: medium.bonds]  # whose tangential springs stay
-    return dataclasses.replace(
-        medium, stiffness=bond_arrays(medium.shape, constants) if medium.is_grid else of_network
-    )
+    return with_constants(medium, constants)
+
+
+def with_constants(medium, constants):
+    """Return a medium of other constants; the tangential springs of a network stay."""
+    if medium.is_grid:
+        return dataclasses.replace(medium, stiffness=bond_arrays(medium.shape, constants))
+    changed = dataclasses.replace(medium, stiffness=constants[: medium.bonds])
+    vars(changed)["graph"] = medium.graph  # who touches whom is the same
+    return changed

@@ -3,6 +3,7 @@
 import dataclasses
 
 from pgran.errors import InputError, PgranError
+from pgran.medium.dissipation import OF_DAMPING
 from pgran.medium.graph import with_rattlers_at_rest
 from pgran.medium.lattice import Lattice
 from pgran.medium.law import DEFAULTS, HERTZ, LAWS, make_law
@@ -63,7 +64,7 @@ OF_NETWORK = (
     ),
 )  # fmt: skip
 LAW = ("bonds_law", "bonds_kmin", "bonds_kmax", "bonds_fraction", "bonds_force", "bonds_hertz")
-LATTICE = (*OF_LATTICE, *OF_NETWORK, *OF_SOURCE, *REDRAWN)
+LATTICE = (*OF_LATTICE, *OF_NETWORK, *OF_DAMPING, *OF_SOURCE, *REDRAWN)
 OWN_KMAX = ("hertz", "file")  # laws of bonds whose largest constant is not known beforehand
 
 
@@ -85,6 +86,8 @@ def check_lattice(values, given, draws=False, several=False):
         return
     if values["network_damping"] is not None:
         raise InputError("-network_damping belongs to -network_file; of a lattice -lattice_damping")
+    if values["damping_part"] is not None:
+        raise InputError("-damping_part belongs to -network_file: bonds of a lattice have one part")
     if values["network_rattlers"] is not None:
         raise InputError("-network_rattlers belongs to -network_file: a lattice has none")
     if values.get("detectors_component") not in ("drive", None):
@@ -138,23 +141,30 @@ def _network(options, world):
     changes = {"component": getattr(options, "detectors_component", None) or "drive"}
     if network.displacement == "scalar":
         changes["component"] = "drive"
-    if options.network_damping is not None:
-        changes["damping"] = options.network_damping
+    asked = {"damping": options.network_damping, "damped": options.damping_part} | _laws(options)
+    changes |= {name: value for name, value in asked.items() if value is not None}
     return dataclasses.replace(network, **changes)
+
+
+def _laws(options):
+    """Return the laws of damping that options ask for, None where they do not, by their fields."""
+    power = options.damping_power
+    return {"damping_power": power, "drag": options.damping_mass, "loss": options.damping_loss}
 
 
 def _lattice(options, world):
     """Return the lattice of a bonds file or of a law. Collective."""
     mass, damping, free = options.lattice_mass, options.lattice_damping, options.lattice_free or ()
+    laws = {name: value or 0.0 for name, value in _laws(options).items()}
     if options.bonds_law == "file":
         from pgran.medium.bonds_file import read_bonds
 
         stiffness, kmax = on_root(world, lambda: read_bonds(options.bonds_file))
-        lattice = Lattice(stiffness, mass, damping, kmax, free=free)
+        lattice = Lattice(stiffness, mass, damping, kmax, free=free, **laws)
     else:
         law, shape, seed = make_law(options), options.lattice_shape, options.bonds_seed
         chosen = {"mass": mass, "damping": damping, "free": free, "gravity": options.bonds_gravity}
-        lattice = Lattice.random(shape, seed, law, **chosen)
+        lattice = Lattice.random(shape, seed, law, **chosen, **laws)
     if options.bonds_law in OWN_KMAX and options.bonds_kmax:
         lattice = dataclasses.replace(lattice, kmax=options.bonds_kmax)
     return lattice

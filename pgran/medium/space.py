@@ -3,6 +3,7 @@
 import numpy as np
 
 from pgran.medium.bonds import bond_ends
+from pgran.medium.dissipation import FIELDS
 from pgran.medium.network import Network
 from pgran.medium.record import NetworkRecord
 
@@ -93,7 +94,8 @@ def as_network(medium):
     held = np.append(np.zeros(count, dtype=int), np.where(driven[wall] & (end == 1), 2, 1))
     mass = np.append(np.full(count, medium.mass), np.zeros(len(wall)))
     position = np.concatenate([sites, beside]).astype(float)
-    network = Network(bond, built.constants, held, mass, medium.damping, position=position)
+    dissipation = {name: getattr(built, name) for name in FIELDS}
+    network = Network(bond, built.constants, held, mass, position=position, **dissipation)
     return NetworkRecord.of(network)
 
 

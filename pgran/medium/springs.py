@@ -8,8 +8,8 @@ A contact of the balls i and j is a few springs; b u is how far each is stretche
 - along each tangent, of the constant -F / d, if the contact bears a force F at a distance d:
   b u = t . (u_j - u_i) (pre-stress).
 
-So K = B^T diag(k) B. Damping is beta on the relative velocity at each contact, or on its normal
-part. Balls at rest and driven ones are no unknowns.
+So K = B^T diag(k) B. Dashpots act on the relative velocity at each contact, or on its normal part
+(`pgran.medium.dissipation`). Balls at rest and driven ones are no unknowns.
 """
 
 from dataclasses import dataclass
@@ -35,13 +35,16 @@ class Springs:
     columns: np.ndarray
     values: np.ndarray
     # Shapes (springs,): how far the driven balls' motion, of size 1, stretches each; the same with
-    # the first ball's part turned around, as in `D`; constants; parts of beta; constants without
-    # pre-stress, which grow with a contact's stiffness.
+    # the first ball's part turned around, as in `D`; constants; constants without pre-stress, which
+    # grow with a contact's stiffness; parts of beta, before the law that depends on stiffness and
+    # by it; loss angles eta.
     drive: np.ndarray
     drive_apart: np.ndarray
     constants: np.ndarray
-    damped: np.ndarray
     elastic: np.ndarray
+    shares: np.ndarray
+    damped: np.ndarray
+    loss_angles: np.ndarray
 
     @cached_property
     def B(self):  # noqa: N802
@@ -124,6 +127,16 @@ class Elastic:
         longer = (self.B @ fields.T).T + wall[:, None] * self.springs.drive
         yield longer, self.springs.constants, self.springs.damped
 
+    @property
+    def damped_springs(self):
+        """The parts of beta of all springs."""
+        return self.springs.damped
+
+    @cached_property
+    def losses(self):
+        """eta k of all springs, None where there is no loss angle."""
+        return None if self.loss is None else self.springs.loss_angles * self.springs.elastic
+
     @cached_property
     def semidefinite(self):
         """Whether K has no negative eigenvalues for certain, as all constants are positive."""
@@ -157,8 +170,8 @@ class Elastic:
         """Sums of k w^2, of d w^2 and of |k| w^2 over the springs that the drive stretches by w."""
         springs = self.springs
         squares = springs.drive**2
-        parts = springs.constants, springs.damped, np.abs(springs.constants)
-        return [float(part @ squares) for part in parts]
+        parts = self.moduli, springs.damped, np.abs(self.moduli)
+        return [(part @ squares).item() for part in parts]
 
     @property
     def pulls(self):
@@ -173,14 +186,16 @@ class Elastic:
         return (stretched + 8) * EPSILON * (stiffness + size * (self.damping * damped))
 
     @cached_property
-    def damping_norm(self):
-        """No less than |C|_2."""
+    def dashpot_norm(self):
+        """No less than |B^T diag(d) B|_2."""
         B = abs(self.B)
         return 1.01 * float((B.T @ (self.springs.damped * (B @ np.ones(self.size)))).max())
 
     @cached_property
     def relaxation_rate(self):
         """The largest k / beta of a spring that pulls back, infinite if one has no dashpot."""
+        if self.losses is not None:
+            return np.inf  # no disc holds all damped modes then
         pulls = self.springs.constants > 0
         with np.errstate(divide="ignore", over="ignore"):
             rates = self.springs.constants[pulls] / (self.damping * self.springs.damped[pulls])
@@ -215,8 +230,10 @@ def springs_of(network):
     moving[network.held == DRIVEN, : network.axes] = network.direction
     first, second = moving[i], moving[j]
     weights = np.append(network.weights, 0.0)[columns]
-    blocks, rows, constants, elastic, damped = zip(*_rows(network, i, j), strict=True)
-    values = np.concatenate(rows)
+    blocks, rows, constants, elastic, shares = zip(*_rows(network, i, j), strict=True)
+    values, elastic = np.concatenate(rows), np.concatenate(elastic)
+    shares = np.concatenate([np.broadcast_to(share, len(i)) for share in shares])
+    angles = np.zeros(len(i)) if network.loss is None else network.loss
 
     def stretched(*moving):
         moving = np.concatenate(moving, axis=1)
@@ -230,28 +247,33 @@ def springs_of(network):
         stretched(first, second),
         stretched(-first, second),
         np.concatenate(constants),
-        np.repeat(damped, len(i)),
-        np.concatenate(elastic),
+        elastic,
+        shares,
+        shares * network.law(elastic),
+        np.tile(angles, len(blocks)),
     )
 
 
 def _rows(network, i, j):
-    """Return blocks: name, rows of B, constants, those without pre-stress, the part of beta."""
+    """Return blocks: name, rows of B, constants, those without pre-stress, shares of beta."""
     # A row of a contact: -t (of u_i), the first ball's rotation, t (of u_j), the second's.
     still = np.zeros((len(i), network.turns))
 
     def row(t, first=still, second=still):
         return np.concatenate([-t, first, t, second], axis=1)
 
+    share = 1.0 if network.dashpot is None else network.dashpot
     if network.displacement == "scalar":
-        return [("normal", row(np.ones((len(i), 1))), network.stiffness, network.stiffness, 1.0)]
-    blocks = [("normal", row(network.normal), network.stiffness, network.stiffness, 1.0)]
+        return [("normal", row(np.ones((len(i), 1))), network.stiffness, network.stiffness, share)]
+    blocks = [("normal", row(network.normal), network.stiffness, network.stiffness, share)]
     nothing = np.zeros(len(i))
     pre_stress = nothing if network.force is None else -network.force / network.distance
     shear = nothing if network.tangential is None else network.tangential
-    damped = float(network.damped == "all")
+    damped = share * float(network.damped == "all")
+    if network.tangential_dashpot is not None:
+        damped = network.tangential_dashpot
     # constants that are given, zeros too: amplitudes have derivatives by them
-    bent, sheared = network.force is not None, network.tangential is not None or damped
+    bent, sheared = network.force is not None, network.tangential is not None or np.any(damped)
     across = tangents(network.normal)
     # n x t: of two tangents each is the other's, exactly
     levers = [np.ones((len(i), 1))] if len(across) == 1 else [across[1], -across[0]]

@@ -22,7 +22,7 @@ def figures(result, **_):
     """Yield magnitudes of pairs and, with damping, local densities of the balls that are pushed."""
     shown = {"record": result.green, "medium": result.medium}
     panels = [partial(panel, **shown) for panel in (magnitude, local_density)]
-    count = 2 if result.medium.damping else 1  # without it densities are lines at the modes
+    count = 1 + result.medium.built.dissipates  # undamped densities are lines at the modes
     yield "green", style.stack(panels[:count], CAPTIONS[:count])
 
 

@@ -63,7 +63,7 @@ def summary(result):
     if not np.isfinite(record.error_bound[good]).all():
         yield f"backward errors at most {record.backward_error[good].max():.1e} (backward_error)"
     # without damping densities are lines at the modes
-    whole = nw > 1 and good.all() and result.medium.damping
+    whole = nw > 1 and good.all() and result.medium.built.dissipates
     for p, ball in enumerate(ball_names(record.source) if whole else []):
         integral = np.diff(omega) @ (density[1:, p] + density[:-1, p]) / 2
         yield (

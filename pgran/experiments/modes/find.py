@@ -107,7 +107,7 @@ def find_modes(
     if interval is not None:
         warn_above_modes(lattice, crew.world, interval[0])
     resonances = Resonances(lattice, detectors)
-    scaled, _ = dataclasses.replace(lattice, damping=0.0).in_own_unit()
+    scaled, _ = lattice.undamped().in_own_unit()
     check_frequency(scaled, max(targets or interval or (0.0,)))
     wanted = {"interval": interval, "targets": targets, "count": count}
     method = on_root(crew.world, lambda: dense.method_of(method, scaled, **wanted))

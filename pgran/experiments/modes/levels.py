@@ -115,7 +115,8 @@ def modal_widths(lattice, vectors):
 
     The full width at half power of |A|^2 along omega where the mode stands alone, to first order in
     beta: S f = (m omega_i^2 - m omega^2 + i omega beta C) f, so that
-    |f^T A|^2 ~ 1 / ((omega_i - omega)^2 + (Gamma/2)^2). The vectors, shape (nm, *lattice.shape),
+    |f^T A|^2 ~ 1 / ((omega_i - omega)^2 + (Gamma/2)^2). Drag adds f^T alpha f, loss angles
+    f^T L f / (m omega_i). The vectors, shape (nm, *lattice.shape),
     may have any length.
     """
     widths, at_once = np.empty(len(vectors)), max(1, NUMBERS_AT_ONCE // lattice.bonds)
@@ -124,8 +125,23 @@ def modal_widths(lattice, vectors):
         springs = lattice.stretched(chunk, np.zeros(len(chunk)))
         power = sum(longer**2 @ damped for longer, _, damped in springs)
         size = np.sum(chunk.reshape(len(chunk), -1) ** 2, axis=1)
-        widths[first : first + at_once] = lattice.damping * power / (lattice.mass * size)
+        some = lattice.damping * power / (lattice.mass * size)
+        if lattice.has_law or lattice.drags is not None:
+            some = some + _other_widths(lattice, chunk.reshape(len(chunk), -1)) / size
+        widths[first : first + at_once] = some
     return widths
+
+
+def _other_widths(lattice, vectors):
+    """Return what drag and loss angles add to the widths of modes, times their |f|^2."""
+    width = 0.0 if lattice.drags is None else vectors**2 @ lattice.drags
+    if lattice.losses is not None:
+        stretched = (lattice.springs.B @ vectors.T) ** 2
+        omega = np.sqrt(np.maximum(lattice.constants @ stretched, 0.0) / lattice.mass)
+        with np.errstate(all="ignore"):  # of modes at rest
+            omega = omega / np.linalg.norm(vectors, axis=1)
+            width = width + np.nan_to_num(lattice.losses @ stretched / (lattice.mass * omega))
+    return width
 
 
 def modal_overlap(omega, width, window):

@@ -159,6 +159,8 @@ def energies(lattice, line, field, time, fine):
         energy += _squares(line, longer, 0.5 * k, time)
         if lattice.damping:
             power += _squares(line, s * longer, lattice.damping * damped, fine)
+    if lattice.drags is not None:
+        power += _squares(line, s * flat, lattice.mass * lattice.drags, fine)
     return energy, power
 
 
@@ -271,12 +273,12 @@ def limits_of(lattice):
     """Return what bounds the motion of a lattice."""
     from pgran.driven.certify import smallest_damping
 
-    (drive, damped), beta = lattice.drive_norms, lattice.damping
+    (drive, damped), unit = lattice.drive_norms, lattice.damping_unit
     return Limits(
         mass=lattice.mass,
-        stability=beta and beta * smallest_damping(lattice),
+        stability=unit and unit * smallest_damping(lattice),
         stiffness=lattice.stiffness_norm,
-        damping=beta * lattice.damping_norm,
+        damping=unit * lattice.damping_norm,
         drive=1.01 * drive,
-        drive_damping=1.01 * beta * damped,
+        drive_damping=1.01 * lattice.damping * damped,
     )

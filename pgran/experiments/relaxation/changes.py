@@ -23,14 +23,15 @@ class ChangingBonds:
         self.trajectory, self.step = trajectory, step
         self.operators.set_stiffness(self.constants)
 
-    def differences(self, changes):
-        """Return how far each change moves its bond, which may repeat."""
+    def differences(self, changes, s):
+        """Return how far each change moves kappa of its bond, which may repeat, at s."""
         before = self.constants[changes.bond]
         # Sorted by bond, stably: where a bond repeats, it starts from its change before.
         order = np.argsort(changes.bond, kind="stable")
         again = changes.bond[order][1:] == changes.bond[order][:-1]
         before[order[1:][again]] = changes.stiffness[order[:-1][again]]
-        return changes.stiffness - before
+        growth, lattice = changes.stiffness - before, self.operators.lattice
+        return lattice.stiffer(growth, s, changes.bond, before)
 
     def apply(self, changes):
         """Carry out the changes of the next steps. Collective."""

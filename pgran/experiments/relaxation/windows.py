@@ -107,7 +107,7 @@ class Windows(Owner):
         fields = np.stack([system.solution.getArray(readonly=True) for system in systems], axis=1)
         # b^T x0 and b^T z0, in rows of their own: see SHORTEST
         starts = np.ascontiguousarray(self.operators.stretch(fields, changes.bond).T)
-        delta = self.changing.differences(changes)
+        delta = self._delta = self.changing.differences(changes, self.s)
         T, c = march(G, delta)
         walls = [self.operators.layout.drive[changes.bond], *[0.0] * len(self.solver.adjoints)]
         primal, *adjoints = (
@@ -132,12 +132,20 @@ class Windows(Owner):
         ):
             q0 = bounds.adjoint_residual(system)
             amplitude, rounding = amplitudes(before, primal, adjoint)
-            theory = r * adjoint.residual(q0, residuals) / bounds.stability(self.s)
+            theory = r * adjoint.residual(q0, residuals) / self._stability()
             # products of residuals with Y, which the amplitude leaves out
             left_out = q0 * moved + (norms @ adjoint.coefficient_sizes) * (r0 + missed)
             bound = 1.01 * (theory + left_out + rounding)
             bound += bounds.evaluation(r0, terms, system, before)
             yield amplitude, bound + 64 * len(r) ** 2 * SMALLEST_NORMAL
+
+    def _stability(self):
+        """Return what bounds |S^-1| after each step: less where kappa lost a part of what damps."""
+        stability = self.solver.bounds.stability(self.s)
+        if not self.operators.lattice.has_law:
+            return stability
+        lost = np.cumsum(np.maximum(-self._delta.imag, 0.0))
+        return np.maximum(stability - self._rows[0] ** 2 * lost, 0.0)
 
     def _are_accurate(self, after, error_bound):
         """Return which steps are accurate at all detectors, or as accurate as their start."""

@@ -33,6 +33,10 @@ def interval_length(lattice, omega):
     """
     unit = lattice.omega_mx
     overlapping = lattice.damping / lattice.mass * (1 + 3 * np.asarray(omega) / unit)
+    if lattice.drags is not None:
+        overlapping = overlapping + np.mean(lattice.drags)
+    if lattice.losses is not None:
+        overlapping = overlapping + np.mean(lattice.loss) * np.asarray(omega)
     return np.maximum(overlapping, 5 * unit / lattice.size)
 
 
@@ -68,10 +72,13 @@ def choose_method(method, lattice, omegas, tolerance, fields):
 
 def _why_no_curve(lattice, omegas, fields):
     """Return in words what makes models impossible, or None."""
+    from pgran.driven.certify import smallest_damping, smallest_loss
     from pgran.driven.linear import is_factored
 
-    if lattice.damping == 0:
+    if not lattice.dissipates:
         return "without damping the curve has poles, and nothing bounds it between frequencies"
+    if not lattice.isotropic and smallest_damping(lattice) == smallest_loss(lattice) == 0:
+        return "what damps leaves some motions undamped, and bounds S^-1 at no whole interval"
     if fields:
         return "whole fields (-output_fields) belong to frequencies solved for one by one"
     if not is_factored():

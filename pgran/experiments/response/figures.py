@@ -43,7 +43,8 @@ def figures(result, modes=None, **_):
     figure = page(phase)
     figure.caption += _slopes(response)
     yield "phase", figure
-    if lattice.damping and response.delay is not None and np.isfinite(response.delay).any():
+    damped = lattice.built.dissipates and response.delay is not None
+    if damped and np.isfinite(response.delay).any():
         yield "delay", page(delay)
     if response.force is not None and np.any(known_force(response)):
         panels = (force, force_phase, power)[: 3 if np.any(known_power(response)) else 2]

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pgran.driven.certify import smallest_damping
+from pgran.driven.certify import smallest_damping, smallest_loss
 from pgran.driven.judge import Detectors
 from pgran.driven.linear import LEAST_NORM, make_ksp, set_up
 from pgran.driven.owner import Owner
@@ -93,6 +93,7 @@ class IntervalModels(Owner):
             rounding=rounding + 4 * qr_rounding(2 + 2 * self.width),
             sum_rounding=2 * rounding + 4 * EPSILON * terms,
             receiver=float(operators.lattice.reading_norms(sites).max()),
+            steady_stability=smallest_loss(operators.lattice) or None,
         )
 
     def _total(self, part):

@@ -51,12 +51,14 @@ class ModelLimits(Limits):
 
     By rounding a residual's norm misses the part `rounding` of |f| + (|K| + omega |C| + omega^2
     |M|) |x|, a sum over all balls `sum_rounding`. |e_d| is at most `receiver`: 1 unless a
-    detector's ball has another mass than the unit; None in files before format version 5.
+    detector's ball has another mass than the unit; None in files before format version 5. Loss
+    angles add `steady_stability`, lambda_min(L), to omega stability.
     """
 
     rounding: float
     sum_rounding: float
     receiver: float = field(metadata={"since": 5})
+    steady_stability: float | None = field(default=None, kw_only=True, metadata={"optional": True})
 
 
 def moments_of(medium):
@@ -139,7 +141,7 @@ class SmallSystems:
             self.drive[1:] = 1.01 * np.sqrt(squares(model["triangle"][1:, :, :1]))
         else:
             self.drive[1:] = limits.receiver
-        self.inverse = 1.01 / (omega * limits.stability)
+        self.inverse = 1.01 / (omega * limits.stability + (limits.steady_stability or 0.0))
         self.rounding = limits.rounding * (self.drive + 1.01 * self.norm * self.size) + LOST_NORM
         self.r = self._residual(self.c) + self.rounding
         self.theory = self.inverse * self.r[0] * self.r[1:]  # |q| |r| |S^-1|

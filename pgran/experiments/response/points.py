@@ -62,7 +62,7 @@ class ResponseSweep(FrequencySweep):
         at_floor[failed] = 0
         # only what is accurate relative to itself has a phase
         accurate = np.where(failed[:, None] | (at_floor > 0), np.nan, displacement)
-        unwrapped = phases.unwrap if self.lattice.damping else phases.phase_of_sign
+        unwrapped = phases.unwrap if self.lattice.dissipates else phases.phase_of_sign
         phase = unwrapped(accurate)
         slope = columns["derivative"]
         delay, delay_bound = phases.group_delay(accurate, slope, bound, columns["derivative_bound"])
@@ -134,7 +134,7 @@ def phase_slopes(lattice, sites, omega, phase, line_error, window):
 
 def phase_lines(lattice, omega, phase, line_error, window):
     """Return the PhaseLine of each detector, within a window in units of omega_mx."""
-    if lattice.damping == 0:
+    if not lattice.built.dissipates:
         why = "without damping amplitudes are real, and their phase is 0 or pi"
         return [phases.PhaseLine(why_not=why) for _ in phase.T]
     columns = zip(phase.T, line_error.T, strict=True)

@@ -45,7 +45,7 @@ def summary(result):
         f"{counted(response.factorizations, 'factorization')} in {response.solve_seconds:.2f} s"
     )
     yield from driven.reached_accuracy(response, response.converged_reason > 0)
-    yield from unresolved(response, lattice.damping > 0)
+    yield from unresolved(response, lattice.built.dissipates)
     window = response.phase_fit_min, response.phase_fit_max
     lines = phase_lines(lattice, response.omega, response.phase, response.line_error, window)
     for d, (ball, line) in enumerate(zip(ball_names(response.detector), lines, strict=True)):

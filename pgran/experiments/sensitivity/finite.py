@@ -1,7 +1,7 @@
 """Amplitudes after finite changes of a few springs, exact, from one steady state.
 
-With the rows U = B_J of r springs J whose kappa = k + s beta d change by Delta, A the amplitudes
-before and z a detector's adjoint,
+With the rows U = B_J of r springs J whose kappa, what they pull with at s, change by Delta, A the
+amplitudes before and z a detector's adjoint,
 
     A'_d = A_d - y^T Delta P^-1 t,    P = I + G Delta,    G = U S^-1 U^T,
 
@@ -144,7 +144,7 @@ def cuts(medium, s):
 
     Its dashpots, too. As `changes` does; what is zero at one s > 0 is so at any other one.
     """
-    constants = medium.springs.constants + s * medium.damping * medium.springs.damped
+    constants = medium.kappa(s)
     springs = np.arange(len(constants)).reshape(-1, medium.bonds).T
     return _changed(springs, -constants[springs])
 

@@ -5,8 +5,10 @@ springs, t = B A + w with the driven balls' motion w, and y = B z (they stay at 
 
     dA_d/dk_b = -y_b t_b,    dA_d/dm_p = -s^2 z_p A_p,    dA_d/dbeta = -s sum_b d_b y_b t_b,
 
-d_b being the part of beta that a spring has. A is homogeneous of degree 0 in all constants, masses
-and beta: the sum of each derivative times what it is by vanishes (Euler).
+d_b being the part of beta that a spring has. Where loss angles and dashpots depend on k_b, the
+first is times dkappa_b/dk_b; drag makes s^2 + s alpha_p of s^2. A is homogeneous of degree 0 in all
+constants, masses and dashpots: the sum of each derivative times what it is by, (1 - p) beta of
+dashpots (k / k_ref)^p, vanishes (Euler).
 
 Where A and z are known to errors a and c in the 2-norm, y_b t_b is wrong by at most
 |b| (|y_b| a + |t_b| c) + |b|^2 a c, and likewise for the rest. NumPy only.
@@ -22,7 +24,7 @@ from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 class Gradient(NamedTuple):
     """Derivatives of the amplitudes at nd detectors for n drives, with the bounds of their errors.
 
-    `springs` (n, nd, springs) by the constants of all springs, `masses` (n, nd, free balls),
+    `springs` (n, nd, springs) by the pulls kappa of all springs at s, `masses` (n, nd, free balls),
     `damping` (n, nd) by beta.
     """
 
@@ -51,7 +53,10 @@ def gradient(medium, s, fields, errors):
     mass_errors = _product_error(_size(z), _size(A), c, a)
     # what rounds while the sum over the springs is formed
     summing = (len(springs.damped) + 8) * EPSILON * (_size(products) @ springs.damped)
-    inertia = -(s[..., None] ** 2) * medium.inertia_ratio
+    inertia = -(s[..., None] ** 2)
+    if medium.drags is not None:  # a number a ball
+        inertia = inertia - s[..., None] * medium.drags[:: medium.components]
+    inertia = inertia * medium.inertia_ratio
     return Gradient(
         -products,
         spring_errors,
@@ -66,20 +71,26 @@ def energy_flux(medium, s, fields):
     """Return the mean power through each contact, and what it loses, for drives s = i omega.
 
     The power that the springs of a contact give to one of its balls is
-    -(omega/2) Im(kappa t conj(b u)), kappa = k + s beta d and b u the ball's part of the stretch;
-    both powers sum up to minus the loss (1/2) beta omega^2 d |t|^2. What flows from the first ball
-    to the second is half their difference. What all contacts give to a free ball vanishes.
+    -(omega/2) Im(kappa t conj(b u)), kappa = k (1 + i eta) + s beta d and b u the ball's part of
+    the stretch; both powers sum up to minus the loss (omega/2) Im(kappa) |t|^2. What flows from the
+    first ball to the second is half their difference. What all contacts give to a free ball is what
+    its drag takes.
 
     Fields have the shape (n, unknowns), flux and loss (n, contacts), in units of the constants
     times frequency, for a driven motion of amplitude 1.
     """
     springs, beta, s = medium.springs, medium.damping, s[:, None]
+    lossy = s.imag * beta * springs.damped
+    if medium.losses is not None:
+        lossy = lossy + medium.losses
     t = _applied(springs.B, fields) + springs.drive
     moved = t * (_applied(springs.D, fields) + springs.drive_apart).conj()
-    # Im((k + i omega beta d) moved)
-    tension = springs.constants * moved.imag + s.imag * beta * springs.damped * moved.real
+    # Im(kappa moved)
+    tension = springs.constants * moved.imag + lossy * moved.real
     flux = -0.25 * s.imag * tension
     loss = 0.5 * beta * s.imag**2 * springs.damped * (t.real**2 + t.imag**2)
+    if medium.losses is not None:
+        loss = loss + 0.5 * s.imag * medium.losses * (t.real**2 + t.imag**2)
     return tuple(x.reshape(len(s), -1, medium.bonds).sum(axis=1) for x in (flux, loss))
 
 

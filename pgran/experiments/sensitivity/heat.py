@@ -159,7 +159,7 @@ def check_solver(lattice, crew):
 
     if not is_factored():
         raise InputError("-heat_*: needs a factorization (-steady_pc_type cholesky or lu)")
-    if lattice.damping == 0 and crew.group.size > 1:
+    if not lattice.dissipates and crew.group.size > 1:
         raise InputError(
             "-heat_*: no error bounds are known of an undamped lattice that ranks share; "
             "-ranks_per_lattice 1 gives them"
@@ -239,6 +239,9 @@ class HeatSweep(AdjointSweep):
                     _, delta = finite.cuts(self.scaled, solver.operators.s)
                 else:
                     delta = self.delta / self.unit
+                    there = flexibility.groups >= 0
+                    growth = self.scaled.stiffer(delta, solver.operators.s, flexibility.groups)
+                    delta = np.where(there, growth, 0.0)
                 after = finite.changed_amplitudes(before, stretched, matrices, delta)
                 point[name], point[f"{name}_bound"] = after
 

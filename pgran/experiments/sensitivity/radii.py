@@ -11,6 +11,8 @@ sees a contact by its spring k along n and its pre-stress -F / d across, and so 
     n      a_n = -kappa P [(n . Delta) zeta + (n . zeta) Delta],  kappa = k + F / d, with s beta
            where dashpots act along n only; the scalar model knows of a_k = -zeta Delta alone.
 
+By laws of damping k moves what the contact pulls with by more, which multiplies a_k.
+
 Radii that grow by r press neighbours apart by w, K w = B_n^T (k ds + F dln c), with K the stiffness
 of the packing, pre-stress in it, B_n w = n . (w_j - w_i), and ds = r_i + r_j. Then dh = ds - B_n w,
 dF = k dh + F dln c, dk = (alpha - 1) k dh / h + k dln c, dd = B_n w, dn = P (w_j - w_i) / d. So one
@@ -95,6 +97,9 @@ class Radii:
         product = sizes[1] * errors[0] + sizes[0] * errors[1] + errors[0] * errors[1]
         product = 1.01 * product + ROUNDED * sizes[0] * sizes[1]
         a_k, a_F, a_d, a_n = self._slopes(s, delta, zeta)
+        if net.has_law:  # of kappa, which the stiffness moves
+            slope = net.slope(s)[: net.bonds]
+            a_k, product = a_k * slope, product * np.maximum(1.01 * np.abs(slope), 1.0)
         if not self.relax:
             return self._summed(a_k * hardening), self._summed(np.abs(product * hardening))
         q = a_k * hardening + a_F * k
@@ -124,6 +129,9 @@ class Radii:
     def _turning(self, s):
         """Return kappa of all contacts."""
         net = self.network
+        if net.has_law:
+            kappa = net.kappa(s).reshape(-1, net.bonds)
+            return kappa[0] - kappa[1]  # that of a tangent bears the pre-stress, -F / d
         dashpots = s * net.damping if net.damped == "normal" else 0.0
         return net.stiffness + net.force / net.distance + dashpots
 

@@ -147,7 +147,7 @@ class GradientSweep(AdjointSweep):
         self._waiting.clear()
         s, fields = np.array(s), np.stack(fields)
         with np.errstate(all="ignore"):  # what failed is marked below
-            values = self._by_name(gradient(self.scaled, s, fields, np.stack(errors)))
+            values = self._by_name(gradient(self.scaled, s, fields, np.stack(errors)), s)
             values["flux"], values["loss"] = energy_flux(self.scaled, s, fields[:, 0])
         good = np.ones(len(rows), dtype=bool)
         for name in ("by_stiffness", "by_mass"):  # each as accurate as asked of the largest
@@ -161,14 +161,21 @@ class GradientSweep(AdjointSweep):
             if not missed and not good[number]:
                 row["converged_reason"] = MISSED
 
-    def _by_name(self, derivatives):
-        """Return what rows keep of a Gradient, by the names of the record's arrays."""
+    def _by_name(self, derivatives, s):
+        """Return what rows keep of a Gradient at some s, by the names of the record's arrays."""
         medium, bonds = self.scaled, self.scaled.bonds
         # Springs stand block by block, one of each for every contact: (n, nd, blocks, bonds).
         shape = (*derivatives.damping.shape, -1, bonds)
         by_spring = [x.reshape(shape) for x in (derivatives.springs, derivatives.springs_bound)]
+        by_stiffness = by_spring
+        if medium.has_law:  # kappa follows the stiffness by the law, not that of pre-stress
+            slopes = np.array([medium.slope(one) for one in s]).reshape(len(s), 1, -1, bonds)
+            by_stiffness = [by_spring[0] * slopes, 1.01 * by_spring[1] * np.abs(slopes)]
         pairs = {
-            name: [x[..., blocks, :].sum(axis=-2) for x in by_spring]
+            name: [
+                x[..., blocks, :].sum(axis=-2)
+                for x in (by_spring if name == "force" else by_stiffness)
+            ]
             for name, blocks in self.blocks.items()
         }
         if "force" in pairs:  # the constant is -F / d

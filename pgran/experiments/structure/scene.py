@@ -80,7 +80,7 @@ def structure(
             raise InputError("-sweep_points: a spectrum takes two frequencies at least")
         if width is None:
             width = 2 * np.gradient(omegas)
-        elif not (width or lattice.damping):
+        elif not (width or lattice.dissipates):
             raise InputError("-structure_width 0: without dashpots peaks have no width")
         waves, asked = Waves(lattice), wavevectors
         groups = waves.given(asked) if np.ndim(asked) else waves.first(asked, direction)
@@ -90,7 +90,7 @@ def structure(
     if is_unstable(lattice, crew.world) and crew.world.rank == 0:
         log.warning("%s: motions that would grow have no place in structure factors", UNSTABLE)
     swept = elastic = carry_out(task, crew, progress)
-    if lattice.damping and np.all(width):
+    if lattice.dissipates and np.all(width):
         elastic = carry_out(task.without_dashpots(), crew, progress)
 
     def record():

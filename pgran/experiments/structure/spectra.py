@@ -1,7 +1,6 @@
 """The structure factor, frequency by frequency, and the record of it with its oscillators."""
 
 import contextlib
-from dataclasses import replace
 
 import numpy as np
 
@@ -30,8 +29,9 @@ class Spectra(FrequencySweep):
 
     def without_dashpots(self):
         """Return the same task for the medium without damping."""
-        elastic = replace(self.lattice, damping=0.0)
-        return Spectra(elastic, self.omegas, self.sigma, self.waves, self.groups, self.choices)
+        return Spectra(
+            self.lattice.undamped(), self.omegas, self.sigma, self.waves, self.groups, self.choices
+        )
 
     @contextlib.contextmanager
     def open(self, group):
@@ -74,8 +74,7 @@ class Spectra(FrequencySweep):
         columns["converged_reason"] = np.min([rows["converged_reason"] for rows in sweeps], axis=0)
         frequency, width = self._oscillators(swept)
         _, scattering = self._oscillators(elastic)
-        springs, waves = self.lattice.springs, self.waves
-        losses = springs.damped @ (springs.B @ self.patterns.T) ** 2  # f^T B^T d B f
+        waves = self.waves
         limits = zip(frequency.value, scattering.value, strict=True)
         return Structure(
             **columns,
@@ -88,9 +87,20 @@ class Spectra(FrequencySweep):
             q=np.array([waves.magnitude(group[0]) for group in self.groups]),
             wavevector=np.array([waves.unit * group[0] for group in self.groups]),
             directions=np.array([len(group) for group in self.groups]),
-            dashpots=self._summed(losses) * self.lattice.damping / self.lattice.mass,
+            dashpots=self._dashpots(frequency.value),
             ioffe_regel=np.array([ioffe_regel(*branch)[0] for branch in limits]),
         )
+
+    def _dashpots(self, omega):
+        """Return f^T C f / m, drag included, and f^T L f / (m omega) of loss angles, summed."""
+        lattice = self.lattice
+        stretched = (lattice.springs.B @ self.patterns.T) ** 2
+        widths = self._summed(lattice.springs.damped @ stretched) * lattice.damping / lattice.mass
+        if lattice.drags is not None:
+            widths = widths + self._summed(self.patterns**2 @ lattice.drags)
+        if lattice.losses is not None:
+            widths = widths + self._summed(lattice.losses @ stretched) / (lattice.mass * omega)
+        return widths
 
     def _oscillators(self, rows):
         """Return Omega and Gamma of each branch and group, an Estimate each."""

@@ -1,0 +1,179 @@
+"""How a medium loses sound: dashpots at contacts, drag on balls, loss angles of springs.
+
+    S(s) = K + i L + s (C + alpha M) + s^2 M,    C = B^T diag(beta d) B,    L = B^T diag(eta k) B.
+
+The dashpot of a spring of stiffness k, pre-stress left out, is beta d, d = part (|k| / k_ref)^p: of
+p = 0 they are all alike, of p = 1 all springs have the same loss angle, contacts of simulations
+have p = 1/2. k_ref is the mean stiffness of the normal springs as they were first: it stays when
+bonds are redrawn. A spring of no stiffness has no dashpot unless p = 0.
+"""
+
+import dataclasses
+
+import numpy as np
+
+from pgran.errors import InputError
+from pgran.medium.units import check_size
+from pgran.run.options import REAL, TEXT, Option
+
+OF_DAMPING = (
+    Option(
+        "damping_power", REAL, None,
+        "p of dashpots beta (k / k_ref)^p, k_ref the mean k: 0 all alike; 1 equal loss angles; "
+        "0.5 as contacts in simulations; else the file's, or 0",
+    ),
+    Option(
+        "damping_mass", REAL, None, "alpha: drag -alpha m v on each ball; else the file's, or 0",
+        "angular", low=0
+    ),
+    Option(
+        "damping_loss", REAL, None,
+        "eta: springs k (1 + i eta), which lose the same part a cycle at all frequencies; else the "
+        "file's, or 0", low=0
+    ),
+    Option(
+        "damping_part", TEXT, None,
+        "of networks with vectors: dashpots act on all of the relative velocity at a contact, or "
+        "on its normal part; else as the file says", choices=("all", "normal")
+    ),
+)  # fmt: skip
+
+
+FIELDS = ("damping", "damping_power", "damping_reference", "drag", "loss")
+
+
+class Dissipation:
+    """What follows from the `FIELDS` that lattices and networks have.
+
+    These are beta, p, k_ref, alpha and eta. `drags` and `losses` are alpha of each unknown and
+    eta k of each spring, None where there is none.
+    """
+
+    def _check_dissipation(self, stiffness):
+        """Set k_ref where it is not given; raise InputError where the law makes no dashpots."""
+        for name in ("drag", "loss"):
+            if np.ndim(getattr(self, name)) == 0 and getattr(self, name) is not None:
+                check_size(f"damping: {name}", getattr(self, name))
+        power, reference = float(self.damping_power or 0.0), self.damping_reference
+        if not np.isfinite(power):
+            raise InputError(f"damping_power: must be finite, not {power}")
+        if not power:
+            reference = None
+        elif reference is None:
+            reference = float(np.abs(stiffness).mean())
+        object.__setattr__(self, "damping_power", power)
+        object.__setattr__(self, "damping_reference", reference)
+        if power:
+            check_size("damping_reference", reference, positive=True)
+            with np.errstate(all="ignore"):
+                most = self.law(np.asarray(stiffness)).max()
+            if not np.isfinite(most * self.damping):
+                raise InputError(
+                    f"damping_power {power:g}: (k / k_ref)^p is too large of some bonds; take p "
+                    "nearer to 0"
+                )
+
+    def law(self, elastic):
+        """Return (|k| / k_ref)^p of springs of some stiffness."""
+        if not self.damping_power:
+            return np.ones(np.shape(elastic))
+        size = np.abs(elastic)
+        there = size > 0
+        part = np.where(there, size, self.damping_reference) / self.damping_reference
+        return np.where(there, part**self.damping_power, 0.0)
+
+    @property
+    def has_law(self):
+        """Whether kappa of a spring is other than k + s beta d with the same d for all k."""
+        return bool(self.damping_power) or self.losses is not None
+
+    @property
+    def dissipates(self):
+        """Whether anything damps."""
+        return self.damping > 0 or self.drags is not None or self.losses is not None
+
+    @property
+    def damping_unit(self):
+        """What all of C is given in: beta, 1 where something else damps, 0 where nothing does."""
+        return self.damping or float(self.dissipates)
+
+    @property
+    def dragged(self):
+        """alpha m of all unknowns in units of `damping_unit`, 0 where there is no drag."""
+        return 0.0 if self.drags is None else self.mass * self.drags / self.damping_unit
+
+    @property
+    def dashpots(self):
+        """The parts of `damping_unit` of all springs' dashpots, shape (springs,)."""
+        return self.damped_springs if self.damping else np.zeros(len(self.damped_springs))
+
+    @property
+    def damping_norm(self):
+        """No less than |C|_2, drag included, in units of `damping_unit`."""
+        return (self.dashpot_norm if self.damping else 0.0) + np.max(self.dragged)
+
+    @property
+    def moduli(self):
+        """k (1 + i eta) of all springs, real where there is no loss angle."""
+        return self.constants if self.losses is None else self.constants + 1j * self.losses
+
+    def kappa(self, s):
+        """Return what each spring pulls with at s, k (1 + i eta) + s beta d."""
+        return self.moduli + s * self.damping * self.damped_springs
+
+    def stiffer(self, growth, s, springs=..., elastic=None):
+        """Return how far kappa of some springs changes where their stiffness grows by so much.
+
+        `elastic` is the stiffness that they have, the medium's unless given.
+        """
+        if not self.has_law:
+            return growth
+        elastic = self.springs.elastic[springs] if elastic is None else elastic
+        eta = self.springs.loss_angles[springs]
+        dashpots = self.springs.shares[springs] * (self.law(elastic + growth) - self.law(elastic))
+        return growth * (1 + 1j * eta) + s * self.damping * dashpots
+
+    def slope(self, s):
+        """Return d kappa / d k by each spring's stiffness, shape (springs,)."""
+        springs, power = self.springs, self.damping_power
+        there = springs.elastic != 0
+        ratio = np.divide(springs.damped, springs.elastic, out=0.0 * springs.elastic, where=there)
+        return 1 + 1j * springs.loss_angles + s * self.damping * power * ratio
+
+    @property
+    def damping_facts(self):
+        """What damps, by name: beta, and p, alpha and eta where they are not 0, each low and high.
+
+        A single number is both.
+        """
+        named = {"beta": self.damping, "p": self.damping_power}
+        named |= {"alpha": self.drag, "eta": self.loss}
+        there = {name: value for name, value in named.items() if name == "beta" or np.any(value)}
+        return {name: (np.min(value), np.max(value)) for name, value in there.items()}
+
+    @property
+    def law_in_words(self):
+        """The same as text."""
+        facts = self.damping_facts.items()
+        return ", ".join(
+            f"{name} {low:g}" + (f" to {high:g}" if high > low else "")
+            for name, (low, high) in facts
+        )
+
+    def undamped(self):
+        """Return the medium without anything that damps."""
+        return dataclasses.replace(self, damping=0.0, drag=0.0, loss=0.0)
+
+
+def of_new(medium):
+    """Return as `FIELDS` the damping of contacts and balls that are made anew, like the old ones.
+
+    Raises InputError where these differ by more than the law says.
+    """
+    fields = {name: getattr(medium, name) for name in FIELDS}
+    arrays = {name: fields[name] for name in ("drag", "loss") if fields[name] is not None}
+    named = {name: getattr(medium, name) for name in ("dashpot", "tangential_dashpot")}
+    for name, values in (arrays | named).items():
+        if values is not None and np.ptp(values):
+            raise InputError(f"network: {name}: what contacts or balls made anew have is not known")
+    return fields | {name: float(values[0]) for name, values in arrays.items()}
