@@ -32,10 +32,9 @@ from pgran.medium.ordering import elimination_order
 from pgran.medium.rounding import EPSILON
 
 MARGIN = 1.01  # covers the rounding of the bounds themselves
-PARTS = (0.9, 0.5, 0.1)  # of an estimate of the smallest singular value that are tried
 NEAR = 1e-8  # of |C| and |K|: how sharply eigenvalues are counted
 AHEAD = 1e-5  # rad: how far the phase tells its derivative; no arc is shorter
-LEVELS = np.array([256, 64, 16, 4])  # at which singular values are counted
+LEVELS = 12  # at which singular values are counted, each four times the last one
 POINTS = 2000  # of an arc at most
 AGREE, CHANGE = 0.5, 2.0  # rad: how far a phase may be from its trapezoid, and that may bend
 
@@ -107,32 +106,16 @@ class Quadratic:
         return 8 * EPSILON * (self.norms[0] + size * self.norms[1] + size * size * self.m)
 
 
-def _least(S, rounding, threshold=0.0):
-    """Return what no singular value of S, known but for `rounding`, is below; 0 if uncertain.
-
-    Factors, whose rows are moved where pivots are below a threshold, tell where to count.
-    """
-    from scipy.sparse.linalg import splu
-
-    try:
-        factors = splu(S, "NATURAL", **SYMMETRIC | {"diag_pivot_thresh": threshold})
-    except RuntimeError:  # S is singular
-        return 0.0
-    estimate = least_estimate(factors.solve, S.shape[0])
-    proven = (proven_least(S, part * estimate, rounding) for part in PARTS)
-    return next((least for least in proven if least > 0), 0.0)
-
-
 def radii(K, C, m, s, X):
     """Return how near to each of some modes one is for certain; infinite where none is proven."""
-    pencil = Quadratic(K, C, m)
-    X = X[pencil.order] / np.linalg.norm(X, axis=0)
-    return np.array([_radius(pencil, *mode) for mode in zip(s, X.T, strict=True)])
+    pencil, X = Quadratic(K, C, m), X / np.linalg.norm(X, axis=0)
+    return np.array([_radius(pencil, *mode) for mode in zip(s, X[pencil.order].T, strict=True)])
 
 
 def _radius(pencil, s, x):
     """Return how near to s a mode is; infinite if none is proven."""
     from scipy.sparse import bmat
+    from scipy.sparse.linalg import splu
 
     m, size, w = pencil.m, abs(s), abs(s) or 1.0
     (K, C), a = pencil.sizes, np.abs(x)
@@ -142,8 +125,12 @@ def _radius(pencil, s, x):
     border = (w * v)[:, None]
     J = bmat([[pencil.at(s), border], [border.T, None]], "csc")
     J.sort_indices()
-    # at a mode the last pivot of S is nearly zero: its row is moved
-    c = _least(J, pencil.rounding(size) + w * wrong_v, 1e-8)
+    try:  # at a mode the last pivot of S is nearly zero: its row is moved
+        factors = splu(J, "NATURAL", **SYMMETRIC | {"diag_pivot_thresh": 1e-8})
+    except RuntimeError:  # as SuperLU says of what is singular
+        return np.inf
+    estimate = least_estimate(factors.solve, len(x) + 1)
+    c = proven_least(J, 0.5 * estimate, pencil.rounding(size) + w * wrong_v)
     norm_r = MARGIN * (np.linalg.norm(r) + wrong_r)
     eta = norm_r / c if c > 0 else np.inf
     dx, ds = 2 * eta, 2 * w * eta
@@ -237,33 +224,29 @@ def _proven(pencil, centre, radius, at):
     slope = radius * pencil.slope(size)  # for each rad
     blur = pencil.rounding(size) + 32 * EPSILON * size * pencil.slope(size)
 
-    def few_and_far(S, levels, apart, few, far):
-        """As near to S as `apart` at most so `few` sigma are small, the others' 1 / sigma `far`."""
-        for level in levels:
+    def inverses(S, apart):
+        """Return what the sum of 1 / sigma is no more than so near to S; None if it may diverge."""
+        total, counted, clear = 0.0, 0, np.inf
+        for level in 2 * apart * 4.0 ** np.arange(LEVELS):
             factors = RealFactors(doubled(S), level)
-            clear = level - factors.error(0.1 * level) - blur - apart
-            if clear > 0 and (below := factors.negative - pencil.size) < few:
-                few, far = below, far + (few - below) / clear
-        return few, far
-
-    everywhere = few_and_far(pencil.at(centre), slope * LEVELS, slope, pencil.size, 0.0)
-
-    @cache
-    def least(angle):
-        return _least(at(angle), blur)
+            last, clear = clear, level - factors.error(0.1 * level) - blur - apart
+            if not clear > 0 or (last == np.inf and factors.negative > pencil.size):
+                return None
+            total += (factors.negative - pencil.size - counted) / last
+            counted = factors.negative - pencil.size
+            if pencil.size - counted < clear * total:
+                break
+        return MARGIN * (total + (pencil.size - counted) / clear)
 
     def growth(start, end):
-        ends, apart = least(start) + least(end), slope * (end - start) / 2
-        lowest = ends / 2 - apart  # of all singular values between
-        if lowest <= 0.25 * ends:
+        apart = slope * (end - start) / 2
+        most = inverses(at((start + end) / 2), apart)
+        if most is None:
             return None
-        few, far = few_and_far(at((start + end) / 2), lowest * LEVELS, apart, *everywhere)
-        inverses, phases = MARGIN * (few / lowest + far), []
-        points = 2 + int(apart * inverses)
+        points, phases = 2 + int(apart * most), []
         for angle in np.linspace(start, end, min(points, POINTS)):
             factors = RealFactors(at(angle), 0.0)
-            error = factors.error(0.1 / inverses) + blur
-            wrong = 2 * error * inverses + 100 * EPSILON * pencil.size  # of the phase
+            wrong = 2 * most * (factors.error(0.1 / most) + blur) + 100 * EPSILON * pencil.size
             if points > POINTS or not wrong < 0.5:
                 raise ArithmeticError("too many points, or inaccurate factors")
             phases.append(_phase(factors))
