@@ -15,8 +15,9 @@ definite. A mode of K + s t C + s^2 m, 0 <= t <= 1, with |s| = R is then not rea
 as many modes are within R for t = 1 as for t = 0: two for each eigenvalue of K below m R^2.
 
 Those in a circle. Around it, the phase of det S grows by 2 pi for each, at any place by no more
-than |tr(S^-1 S')|, so than |S'| times the sum of 1 / sigma over all singular values of S, which
-counts bound. Where that leaves less than pi from point to point, phases tell the growth.
+than |tr(S^-1 S')|, so than |S'| times the sum of 1 / sigma over all singular values of S: counts
+tell how many are below a level, and none changes faster than S. Where that leaves less than pi from
+point to point, phases tell the growth.
 """
 
 import contextlib
@@ -42,9 +43,9 @@ AGREE, CHANGE = 0.5, 2.0  # rad: how far a phase may be from its trapezoid, and 
 def discs(K, C, m, s, X):
     """Return radii of discs around all modes of a small system; infinite where nothing is proven.
 
-    Discs that overlap, and are apart from all others, hold as many modes as they are discs. Where
-    modes do not span, as at critical damping, none is proven. K and C are sparse and symmetric, K
-    may be complex; s (2 n,) and X (n, 2 n) are approximate, columns of X of any length.
+    As many modes as discs are in each part that overlapping discs cover. Where modes do not span,
+    as at critical damping, none is proven. K and C are sparse and symmetric, K may be complex;
+    s (2 n,) and X (n, 2 n) are approximate, columns of X of any length.
     """
     from scipy.sparse import diags
 
@@ -219,13 +220,13 @@ def _counted(at):
 
 
 def _proven(pencil, centre, radius, at):
-    """Return the same, proven, None where counts are too far from one another."""
+    """Return the same, proven, None where an arc is too long for that."""
     size = abs(centre) + radius
     slope = radius * pencil.slope(size)  # for each rad
     blur = pencil.rounding(size) + 32 * EPSILON * size * pencil.slope(size)
 
     def inverses(S, apart):
-        """Return what the sum of 1 / sigma is no more than so near to S; None if it may diverge."""
+        """Return what no sum of 1 / sigma, so near to S, is above; None if it may be infinite."""
         total, counted, clear = 0.0, 0, np.inf
         for level in 2 * apart * 4.0 ** np.arange(LEVELS):
             factors = RealFactors(doubled(S), level)
