@@ -30,7 +30,7 @@ FOLDER = Path(__file__).parent / "campaigns"
 # by those of jobs/.
 SHORT = {
     "comparison": "400 9,11",
-    "damped": "9 12",
+    "damped": "13 15",
     "guarantees": "sweeps 1 2",
     "jamming": "2 80 2 1",
     "slopes": "1 1",

@@ -10,6 +10,7 @@ from pgran.command.export import result_of
 from pgran.command.words import Parser, positive
 from pgran.draw import pages as figures
 from pgran.errors import DONE, FileError, InputError
+from pgran.medium.dissipation import FIELDS
 from pgran.run.numbers import number, numbers
 from pgran.run.options import labels_of
 from pgran.store.columns import read_measured
@@ -181,7 +182,7 @@ def _pair(*results):
                 continue
             same = ["shape", "mass", "bonds_sha256"]
             if name == "response":  # modes have neither damping nor drive
-                same += ["damping", "damped", "held", "direction", "component"]
+                same += [*FIELDS, "damped", "held", "direction", "component"]
             for fact in same:
                 values = [getattr(result.medium, fact, None) for result in (drawn, over)]
                 if not np.array_equal(*values):

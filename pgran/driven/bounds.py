@@ -117,11 +117,11 @@ class ErrorBounds(Owner):
                 "-ranks_per_lattice 1 proves bounds by counts, so does damped = all"
             )
 
-    def sharpen(self, krylov):
+    def sharpen(self, krylov, needed):
         """Bound |S^-1| by a count of S itself, where no rank shares it; say if that helps.
 
-        `krylov` has factored S. The bound is about 1.2 times |S^-1|, of the S that the sums of
-        springs round to.
+        `krylov` has factored S. The bound is about 1.2 times |S^-1|; what cannot become `needed`
+        times as sharp by it is left as it is.
         """
         if not self._alone or krylov.pc.getType() not in FACTORIZATIONS:
             return False
@@ -132,10 +132,11 @@ class ErrorBounds(Owner):
             krylov.pc.apply(x, y)
             return y.getArray(readonly=True).copy()
 
-        S = complex_matrix(self.operators.S)
-        guess = 0.9 * least_estimate(solve, self.operators.size)
-        if not guess * self.inverse_norm > WORTHWHILE:
+        wanted = max(needed, WORTHWHILE) / self.inverse_norm
+        guess = 0.9 * least_estimate(solve, self.operators.size, wanted)
+        if not guess > wanted:
             return False
+        S = complex_matrix(self.operators.S)
         least = proven_least(S, guess, self.unit * self.scale)
         if least * self.inverse_norm > 1:
             self.inverse_norm = 1.0 / least

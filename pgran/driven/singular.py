@@ -44,10 +44,11 @@ def doubled(S):
     return T
 
 
-def least_estimate(solve, size, steps=8):
+def least_estimate(solve, size, enough=0.0, steps=8):
     """Return an estimate of the smallest singular value of S from above; `solve` is by S.
 
-    Inverse iteration of S conj(S): y becomes S^-1 conj(S^-1 conj(y)).
+    Inverse iteration of S conj(S): y becomes S^-1 conj(S^-1 conj(y)). It ends where the value is
+    below what would be `enough`.
     """
     y = np.random.Generator(np.random.Philox(1)).standard_normal(size) + 0j
     y /= np.linalg.norm(y)
@@ -55,6 +56,8 @@ def least_estimate(solve, size, steps=8):
     for _ in range(steps):
         x = solve(y.conj())
         length = np.linalg.norm(x)
+        if not length * enough < 1:
+            break
         y = solve(x.conj())
         y /= np.linalg.norm(y)
     return 1.0 / length

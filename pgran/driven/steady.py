@@ -187,7 +187,11 @@ class SteadySolver(Owner):
 
     def _sharpened(self, state):
         """Return the state with bounds by a count of S, refined by these if they are worth it."""
-        if not math.isfinite(state.backward_error) or not self.bounds.sharpen(self._krylov):
+        if not math.isfinite(state.backward_error):
+            return state
+        allowed = np.maximum(self.tolerance * np.abs(state.displacement), self.floor)
+        needed = np.max(state.error_bound / allowed, initial=0.0)
+        if not self.bounds.sharpen(self._krylov, needed if math.isfinite(needed) else 0.0):
             return state
         sharper = self._refined(state.s, False, state)
         sharper = self._judge.by_floor(sharper, self.primal, self._krylov)
