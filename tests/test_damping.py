@@ -17,6 +17,7 @@ from pgran.medium.record import record_of
 from pgran.medium.redraw import with_constants
 from pgran.medium.sample import make_lattice
 from pgran.medium.springs import quadratic
+from pgran.run.crew import Crew
 from pgran.run.reading import read_words
 
 ETA, ALPHA, BETA = 0.02, 0.03, 0.005
@@ -48,19 +49,23 @@ def test_amplitudes_are_those_without_damping_elsewhere(law, s_of, s):
 
 
 @pytest.mark.parametrize("law", [{"damping_power": 1.0}, {"damping_power": -0.5, "loss": 0.01}])
-def test_each_step_of_a_relaxation_has_the_dashpots_of_its_bonds(law):
-    """C changes with every bond, and so does its smallest eigenvalue."""
+def test_each_step_of_a_relaxation_has_the_dashpots_of_its_bonds(law, world):
+    """C changes with every bond, and so does its smallest eigenvalue; ranks share the lattice."""
     lattice, steps = pgran.Lattice.random((5, 4), damping=0.02, **law), 30
     asked = {"omega": 0.5, "detectors": [(2, 1)], "steps": steps, "error_tolerance": 1e-8}
-    ways = {m: pgran.relax(lattice, None, method=m, **asked) for m in ("window", "direct")}
+    with Crew(world, world.size) as crew:
+        ways = [
+            world.bcast(pgran.relax(lattice, None, crew=crew, method=method, **asked))
+            for method in ("window", "direct")
+        ]
     for step in (0, 1, 7, steps):
         changed = pgran.redrawn(lattice, step)
         eigenvalues = np.linalg.eigvalsh(quadratic(changed)[1].toarray())
         assert 0.4 * eigenvalues[0] <= 0.02 * smallest_damping(changed) <= eigenvalues[0]
         exact = pgran.sweep(changed, [0.5], [(2, 1)], error_tolerance=1e-11).displacement[0, 0]
-        for way, found in ways.items():
+        for found in ways:
             error = abs(found.displacement[0, step, 0] - exact)
-            assert error <= found.error_bound[0, step, 0] + 1e-11 * abs(exact), way
+            assert error <= found.error_bound[0, step, 0] + 1e-11 * abs(exact)
     changed = with_constants(lattice, lattice.constants[::-1])
     assert changed.damping_reference == lattice.damping_reference
 
@@ -68,7 +73,7 @@ def test_each_step_of_a_relaxation_has_the_dashpots_of_its_bonds(law):
 @pytest.mark.parametrize("law", [{"damping_power": 1.0}, {"drag": 0.05, "damping": 0.0}])
 def test_pulses_are_alike_by_both_methods(law):
     lattice = pgran.Lattice.random((3, 2), **{"damping": 0.01} | law)
-    asked = {"time": 100.0, "omega": 0.5, "width": 0.15, "points": 61, "fields": True}
+    asked = {"time": 40.0, "omega": 0.5, "width": 0.4, "points": 41, "fields": True}
     one, other = (
         pgran.pulse(lattice, [(1, 1)], method=method, error_tolerance=1e-4, **asked)
         for method in ("laplace", "integrate")
@@ -121,7 +126,7 @@ def test_drag_holds_what_floats():
         pgran.sweep(dataclasses.replace(chain, drag=[0.1, 0.1, 0.1, 0.0]), [0.3], [1])
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_laws_go_through_records_and_files(seed, tmp_path):
     network = with_laws(random_network(seed).network, seed)
     lattice = pgran.Lattice.random((3, 2), damping_power=0.5, drag=0.1, loss=0.2)
@@ -135,13 +140,9 @@ def test_laws_go_through_records_and_files(seed, tmp_path):
         assert abs(one - other).max() <= 1e-14 * abs(one).max()
 
 
-def test_bounds_of_turning_balls_are_counted(world):
+def test_bounds_of_turning_balls_are_counted():
     """Dashpots along normals leave rotations undamped: C is singular, S is not."""
-    for seed in range(40):
-        network = random_network(seed).network
-        if network.turns and network.semidefinite and network.damped == "normal":
-            break
-    network = dataclasses.replace(network, damping=0.1)
+    network = dataclasses.replace(packing("rotations"), damped="normal", force=None)
     assert smallest_damping(network) == 0
     sites = np.flatnonzero(network.held == 0)[:1]
     with steady(network, sites[:, None]) as (_, solver):
