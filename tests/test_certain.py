@@ -61,25 +61,34 @@ def test_where_modes_do_not_span_or_are_none_nothing_is_proven():
     assert np.all(radii(*quadratic, s + 0.1, x) == np.inf)
 
 
-@pytest.mark.parametrize("proven", [False, True])
-def test_a_mode_just_inside_a_circle_counts_and_one_just_outside_does_not(proven):
-    quadratic, s, _ = chain(5)
+@pytest.mark.parametrize(("proven", "chains"), [(False, 1), (False, 2), (True, 1)])
+def test_a_mode_just_inside_a_circle_counts_and_one_just_outside_does_not(proven, chains):
+    (K, C, m), s, _ = chain(5)  # of two chains all modes are double: phases turn by 2 pi there
+    quadratic = *(sp.block_diag([A] * chains).tocsr() for A in (K, C)), m
     radius = 0.4 * abs(s[1] - s[2])
     for far, number in ((0.8, 1), (1.2, 0)) if proven else ((0.99, 1), (1.01, 0)):
         centre = s[1] + far * radius * np.exp(0.3j)
-        assert number_within(*quadratic, centre, radius, proven) == number
+        assert number_within(*quadratic, centre, radius, proven) == number * chains
     assert number_within(*quadratic, s[1] + radius, radius, proven) is None
 
 
 def test_what_a_circle_leaves_open(monkeypatch):
     quadratic, s, _ = chain(5)
-    for name, value in ("AHEAD", 0.5), ("POINTS", 3), ("EPSILON", 1e-4):
+    for name, value in ("AHEAD", 0.5), ("MOST", 50), ("EPSILON", 1e-4):
         with monkeypatch.context() as less:
             less.setattr(certain, name, value)
             assert number_within(*quadratic, s[1], 0.9 * abs(s[1] - s[2]), True) is None
     assert number_within(*quadratic, 0.0, 3.0) == 10
     swapped = sp.csr_matrix([[0.0, 1.0], [1.0, 0.0]])
     assert number_within(swapped, 0 * swapped, 0.0, 1.0, 0.5) is None
+
+
+def test_overdamped_modes_are_proven_like_others():
+    s, x = np.array([-3 - 5**0.5, -3 + 5**0.5]) / 2, np.ones((1, 2))  # real, as LAPACK tells them
+    quadratic = CRITICAL[0], 1.5 * CRITICAL[1], 1.0
+    assert discs(*quadratic, s, x).max() < 1e-13
+    assert radii(*quadratic, s, x).max() < 1e-13
+    assert number_within(*quadratic, s[0], 1.0) == number_within(*quadratic, s[1], 1.0, True) == 1
 
 
 def test_modes_below_are_counted_in_gaps_alone():

@@ -21,6 +21,7 @@ point to point, phases tell the growth.
 """
 
 import contextlib
+import itertools
 import math
 from functools import cache
 
@@ -36,9 +37,8 @@ MARGIN = 1.01  # covers the rounding of the bounds themselves
 NEAR = 1e-8  # of |C| and |K|: how sharply eigenvalues are counted
 AHEAD = 1e-5  # rad: how far the phase tells its derivative; no arc is shorter
 LEVELS = 12  # at which singular values are counted, each four times the last one
-POINTS = 2000  # of an arc at most
-TURN = 1.0  # rad: by how much a pivot may turn along an arc
-AGREE, CHANGE = 0.5, 2.0  # rad: how far a phase may be from its trapezoid, and that may bend
+MOST = 10_000  # points of a circle at which S is factored
+AGREE, CHANGE = 0.5, 2.0  # how far log det S may be from its trapezoid, and that may bend
 
 
 def discs(K, C, m, s, X):
@@ -94,7 +94,8 @@ class Quadratic:
         self.norms = [MARGIN * float(A.sum(axis=0).max()) for A in self.sizes]
 
     def at(self, s):
-        """Return S(s)."""
+        """Return S(s), complex."""
+        s = complex(s)
         S = (self.K + s * self.C + (s * s * self.m) * self.one).tocsc()
         S.sort_indices()
         return S
@@ -172,9 +173,11 @@ def number_within(K, C, m, centre, radius, proven=False):
     They are counted by the phase of det S and its derivative; or proven, which takes some counts
     and a thousand factorizations and more, the nearer modes are to the rim.
     """
-    pencil = Quadratic(K, C, m)
+    pencil, points = Quadratic(K, C, m), itertools.count()
 
     def at(angle):
+        if next(points) == MOST:
+            raise ArithmeticError("too many points")
         return pencil.at(centre + radius * np.exp(1j * angle))
 
     try:
@@ -195,30 +198,35 @@ def _grown(growth, start, end):
     return _grown(growth, start, middle) + _grown(growth, middle, end)
 
 
-def _phase(factors):
-    """Return the phase of a determinant."""
+def _logarithm(factors):
+    """Return the logarithm of a determinant."""
     if factors.pivots is None:
         raise ArithmeticError("rows were moved")
-    return float(np.angle(factors.pivots).sum())
+    return complex(np.log(factors.pivots).sum())
+
+
+def _wrapped(step):
+    """Return a step of a logarithm, its phase between -pi and pi."""
+    return complex(step.real, math.remainder(step.imag, 2 * math.pi))
 
 
 def _counted(at):
-    """Return what tells by how much the phase grows, None where its trapezoid is too coarse."""
+    """Return what tells by how much the phase grows, None where a trapezoid is too coarse.
+
+    A mode within half the arc of it would bend the logarithm's derivative by more than CHANGE.
+    """
 
     @cache
-    def phase(angle):
-        here, ahead = (RealFactors(at(a), 0.0) for a in (angle, angle + AHEAD))
-        slope = math.remainder(_phase(ahead) - _phase(here), 2 * math.pi) / AHEAD
-        return here.pivots, _phase(here), slope
+    def logarithm(angle):
+        here, ahead = (_logarithm(RealFactors(at(a), 0.0)) for a in (angle, angle + AHEAD))
+        return here, _wrapped(ahead - here) / AHEAD
 
     def growth(start, end):
-        (pivots, first, slope), (others, last, slope_last) = phase(start), phase(end)
+        (first, slope), (last, slope_last) = logarithm(start), logarithm(end)
         trapezoid = (end - start) * (slope + slope_last) / 2
-        off = math.remainder(last - first - trapezoid, 2 * math.pi)
+        off = _wrapped(last - first - trapezoid)
         coarse = abs(off) > AGREE or (end - start) * abs(slope - slope_last) > CHANGE
-        # two modes near one angle turn the sum by 2 pi, which looks like nothing, but pivots less
-        coarse = coarse or np.abs(np.angle(others / pivots)).max() > TURN
-        return None if coarse else trapezoid + off
+        return None if coarse else (trapezoid + off).imag
 
     return growth
 
@@ -248,13 +256,13 @@ def _proven(pencil, centre, radius, at):
         most = inverses(at((start + end) / 2), apart)
         if most is None:
             return None
-        points, phases = 2 + int(apart * most), []
-        for angle in np.linspace(start, end, min(points, POINTS)):
+        phases = []
+        for angle in np.linspace(start, end, 2 + int(apart * most)):
             factors = RealFactors(at(angle), 0.0)
             wrong = 2 * most * (factors.error(0.1 / most) + blur) + 100 * EPSILON * pencil.size
-            if points > POINTS or not wrong < 0.5:
-                raise ArithmeticError("too many points, or inaccurate factors")
-            phases.append(_phase(factors))
+            if not wrong < 0.5:
+                raise ArithmeticError("inaccurate factors")
+            phases.append(_logarithm(factors).imag)
         return sum(math.remainder(step, 2 * math.pi) for step in np.diff(phases))
 
     return growth
