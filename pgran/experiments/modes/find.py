@@ -102,7 +102,7 @@ def find_modes(
 
     Returns
     -------
-    pgran.results.Modes or None
+    pgran.results.Modes, pgran.results.DampedModes or None
         With a crew of the caller's None on all ranks but rank 0. `count_certified` is False if
         modes are missing; with an `omega_bound` it is proven, else it rests on counts.
 

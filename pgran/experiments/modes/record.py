@@ -207,7 +207,12 @@ class DampedModes(Record):
     count_found = property(lambda self: len(self.eigenvalue), doc="How many modes there are here.")
     omega = property(lambda self: self.eigenvalue.imag, doc="The angular frequency of each mode.")
     width = property(lambda self: -2 * self.eigenvalue.real, doc="Full width at half power.")
-    quality = property(lambda self: np.abs(self.eigenvalue) / self.width, doc="|s| / width.")
+
+    @property
+    def quality(self):
+        """|s| / width of each mode, infinite where nothing damps it."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.abs(self.eigenvalue) / self.width
 
     @property
     def failures(self):
