@@ -102,9 +102,10 @@ def find_modes(
 
     Returns
     -------
-    pgran.results.Modes, pgran.results.DampedModes or None
-        With a crew of the caller's None on all ranks but rank 0. `count_certified` is False if
-        modes are missing; with an `omega_bound` it is proven, else it rests on counts.
+    pgran.results.Modes or None
+        With a crew of the caller's None on all ranks but rank 0; `DampedModes` if `damped`.
+        `count_certified` is False if modes are missing; with an `omega_bound` it is proven, else it
+        rests on counts.
 
     Raises
     ------
