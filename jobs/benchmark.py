@@ -105,6 +105,11 @@ def of_near_modes(peer, own):
     return of_modes(peer[: len(peer) // 2], own)
 
 
+def of_damped_modes(peer, own):
+    """Return the largest relative distance of a mode from the peer's nearest."""
+    return max(np.min(np.abs(peer - s)) / abs(s) for s in own.eigenvalue)
+
+
 def sweep(side, low, high, count):
     """Compare a sweep with a splu a frequency."""
     (lattice, site), omegas = lattice_of(side), np.linspace(low, high, count)
@@ -192,6 +197,18 @@ def modes(side, interval):
     return Pair(lambda: Peer(lattice, site).modes_near(middle, count), own, of_near_modes)
 
 
+def damped_modes(balls, axes, displacement, count=None):
+    """Compare all damped modes of a network, or some near a frequency, with SciPy's."""
+    network, site = network_of(balls, axes, displacement)
+    near = {} if count is None else {"targets": [0.2 * network.omega_mx], "count": count}
+    if count is None:
+        peer = Peer(network, site).all_damped_modes
+    else:
+        peer = partial(Peer(network, site).damped_modes_near, near["targets"][0], count)
+    own = by_pgran(pgran.find_modes, network, damped=True, **near)
+    return Pair(peer, own, of_damped_modes, repeats=3)
+
+
 def relaxation(side, method, taken, steps):
     """Compare a relaxation with a splu a step, of which the peer takes fewer.
 
@@ -263,6 +280,14 @@ ROWS = {  # named as in README.md
     "all modes of 252 spheres that turn, 1512 unknowns, proven": (packing_modes, "spheres", True),
     "all modes of 1000 spheres, 2370 unknowns, proven": (random_modes, 1000),
     "210 modes of 100 x 100, certified": (modes, 100, (0.5, 0.518)),
+    "all damped modes of 500 spheres, proven": (damped_modes, 500, 3, "scalar"),
+    "network of 10,000 spheres with vectors, 25 damped modes": (
+        damped_modes,
+        10_000,
+        3,
+        "vector",
+        25,
+    ),
     "relaxation, 20 x 20, a step": (relaxation, 20, "window", 20_000, 500),
     "relaxation, 20 x 20, a step by krylov": (relaxation, 20, "krylov", 2000, 500),
     "relaxation, 20 x 20, a step by direct": (relaxation, 20, "direct", 2000, 500),
@@ -293,6 +318,7 @@ SMALL = {  # what makes each row a trial of itself
     packing_modes: {"balls": 100},
     random_modes: {"balls": 100},
     modes: {"side": 10, "interval": (0.4, 0.8)},
+    damped_modes: {"balls": 100},
     relaxation: {"side": 6, "taken": 8, "steps": 4},
     network_states: {"balls": 100},
     network_modes: {"balls": 100, "count": 8},

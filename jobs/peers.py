@@ -1,8 +1,9 @@
 """What a careful user would write with NumPy and SciPy, for the benchmark."""
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
-from scipy.sparse.linalg import LinearOperator, eigsh, splu
+from scipy.sparse.linalg import LinearOperator, eigs, eigsh, splu
 
 # No pivoting: with it SymmetricMode fills in completely on these matrices.
 SPLU = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
@@ -56,6 +57,29 @@ class Peer:
         """Return omega^2 of all modes, found with their shapes."""
         squares, _ = np.linalg.eigh(self.K.toarray())
         return squares / self.medium.mass
+
+    def all_damped_modes(self):
+        """Return all s of S(s) x = 0, found with their shapes, by the dense linearisation."""
+        m, n = self.medium.mass, self.K.shape[0]
+        C = self.medium.damping * self.C
+        blocks = [[None, sp.identity(n)], [-self.K / m, -C / m]]
+        s, _ = scipy.linalg.eig(sp.bmat(blocks).toarray())
+        return s
+
+    def damped_modes_near(self, omega, count):
+        """Return the s nearest to i omega, by eigs of the linearisation on a splu of S."""
+        m, n, sigma = self.medium.mass, self.K.shape[0], 1j * omega
+        C = self.medium.damping * self.C
+        factor = splu((self.K + sigma * C + sigma**2 * m * self.identity).tocsc(), **SPLU)
+
+        def solve(b):
+            b = b.ravel()
+            x = -factor.solve(m * b[n:] + C @ b[:n] + sigma * m * b[:n])
+            return np.concatenate([x, sigma * x + b[:n]])
+
+        inverse = LinearOperator((2 * n, 2 * n), solve, dtype=complex)
+        t, _ = eigs(inverse, k=count)
+        return sigma + 1 / t
 
     def modes_near(self, omega, count):
         """Return the frequencies of the modes nearest to one, in this order, by eigsh on a splu."""

@@ -76,7 +76,7 @@ def test_derivatives_against_central_differences(name):
         assert not list(derivative_faults(case, found, 0, exact, states, Counter()))
         derivatives = exact.derivatives(s, *states[:2])
         for contact in np.random.default_rng(0).choice(len(exact.contacts), 2, replace=False):
-            here, *parts, _ = exact.contacts[contact]
+            here, *parts = exact.contacts[contact]
             for kind, part in zip(("stiffness", "tangential", "force"), parts, strict=True):
                 same(derivatives[kind][:, contact], slope(here, part))
         ball, width = int(exact.ends[1].min()), exact.axes + exact.turns
