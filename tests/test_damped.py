@@ -114,6 +114,12 @@ def test_a_search_finds_the_nearest_of_all(world, target):
     np.testing.assert_allclose(near.eigenvalue, dense.eigenvalue, atol=1e-12)
     np.testing.assert_allclose(near.residue, dense.residue, atol=1e-10)
     assert near.count_certified
+    del wanted["detectors"]
+    weak = random_lattice((9, 8), 3, 0.001)  # its lowest ones are counted by undamped modes
+    lowest = pgran.find_modes(weak, method="eps", certificate="none", **wanted)
+    assert (lowest.certificate, lowest.count_certified) == (
+        ("none", False) if target else ("below", True)
+    )
     some = pgran.find_modes(lattice, damped=True, interval=(0.2, 0.4))
     every = both_halves(pgran.find_modes(lattice, damped=True))
     assert len(some.omega) == np.count_nonzero((every.imag >= 0.2) & (every.imag <= 0.4))

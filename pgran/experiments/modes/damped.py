@@ -100,7 +100,7 @@ class DampedSearch(Task):
         without = ["residue"] * (not heard) + ["vector"] * (not shapes)
         lengths = {"balls": medium.shape, "detector_number": np.shape(resonances.sites)[:1]}
         columns = row_of(DampedModes, without, **lengths)
-        self.row = np.dtype([("missing", int), ("known", bool), *columns])
+        self.row = np.dtype([("missing", int), ("known", "U8"), *columns])
 
     def length(self, unit):
         """See `Task`."""
@@ -119,8 +119,8 @@ class DampedSearch(Task):
         X, good = normalised(C, m, s, X)
         rows, size, CX = np.zeros(len(s), self.row), np.linalg.norm(X, axis=0), C @ X
         rows["eigenvalue"] = s
-        rows["radius"], missing = self.certified(s, X)
-        rows["missing"], rows["known"] = missing or 0, missing is not None
+        rows["radius"], missing, known = self.certified(s, X)
+        rows["missing"], rows["known"] = missing or 0, known if missing is not None else ""
         largest, damped = (abs(matrix).sum(axis=1).max() for matrix in (K, C))
         largest = largest + np.abs(s) * damped + np.abs(s) ** 2 * m
         residual = np.linalg.norm(K @ X + s * CX + m * s**2 * X, axis=0)
@@ -140,35 +140,42 @@ class DampedSearch(Task):
         return rows[s.imag >= 0]
 
     def certified(self, s, X):
-        """Return within which radii modes are proven, and how many are missing, None: unknown."""
+        """Return within which radii modes are proven, how many are missing, and how that is known.
+
+        None are unknown.
+        """
         if not self.near:
             radius = certain.discs(*self.system, s, X)
-            return radius, 0 if np.all(np.isfinite(radius)) else None
+            return radius, 0 if np.all(np.isfinite(radius)) else None, "discs"
         proven, centre = self.certificate == "proven", 1j * self.targets[0]
         radius = certain.radii(*self.system, s, X) if proven else np.full(len(s), np.nan)
         distance = np.abs(s - centre)
         wanted = np.sort(distance[s.imag >= 0])[: self.count]
         beyond = np.sort(distance[distance >= wanted[-1]])
-        if self.certificate == "none" or len(beyond) < 2:
-            return radius, None
+        if len(beyond) < 2:
+            return radius, None, ""
         gap = np.argmax(np.diff(beyond))  # the widest: there the count is the surest
         reach = 0.5 * (beyond[gap] + beyond[gap + 1])
-        there = certain.number_within(*self.system, centre, reach, proven)
-        return radius, None if there is None else there - np.count_nonzero(distance < reach)
+        found, known = np.count_nonzero(distance < reach), "below"
+        there = None if centre else certain.number_below(*self.system, reach)
+        if there is None and self.certificate != "none":
+            known = self.certificate
+            there = certain.number_within(*self.system, centre, reach, proven)
+        return radius, None if there is None else there - found, known
 
     def collect(self, rows, seconds):
         """See `Task`; modes that are not asked for are left out."""
         s, (low, high) = rows["eigenvalue"], self.interval or (0.0, np.inf)
-        missing, known = int(rows["missing"][0]), bool(rows["known"][0])
+        missing, known = int(rows["missing"][0]), str(rows["known"][0])
         wanted = (s.imag >= low) & (s.imag <= high) & (self.targets is None)
         for target in self.targets or ():
             wanted[np.argsort(np.abs(s - 1j * target), kind="stable")[: self.count]] = True
         order = np.lexsort((-s.real, s.imag))
         return DampedModes(
             complete=self.medium.losses is None and not self.near and bool(wanted.all()),
-            certificate=self.certificate,
+            certificate=known or self.certificate,
             count_expected=np.count_nonzero(wanted) + missing,
-            count_certified=known and missing == 0,
+            count_certified=bool(known) and missing == 0,
             solve_seconds=seconds,
             detector=self.resonances.sites,
             **columns_of(DampedModes, rows[order][wanted[order]]),

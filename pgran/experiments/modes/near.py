@@ -11,6 +11,7 @@ from pgran.experiments.modes.normal import SLEPc, invert
 from pgran.run.petsc import PETSc, plain_errors
 
 SPARE, SPACE = 4, 3  # modes that are searched for beyond those wanted; vectors for each
+BESIDE = 1e-3  # omega_mx from a target: modes at rest would make S(0) singular
 
 
 def nearest(medium, target, count):
@@ -19,6 +20,7 @@ def nearest(medium, target, count):
     Raises PgranError if there is none.
     """
     wanted = count + SPARE
+    target += BESIDE * 1j * medium.omega_mx
     with Operators(medium, MPI.COMM_SELF) as operators:
         s, x = search(operators, target, wanted)
         # of what is mirrored below the axis some may take their places
@@ -26,7 +28,10 @@ def nearest(medium, target, count):
             wanted *= 2
             s, x = search(operators, target, wanted)
         if not np.any(s.imag >= 0):
-            raise PgranError("SLEPc's PEP has found no damped mode; -damped_pep_* choose another")
+            raise PgranError(
+                "SLEPc's PEP has found no damped mode: many at rest, of rattlers, may hide others "
+                "(-network_rattlers remove); else -modes_target or -damped_pep_* choose otherwise"
+            )
         return s, operators.layout.fields(x).reshape(len(s), -1).T
 
 

@@ -68,6 +68,7 @@ class Density(Record):
 CERTIFICATES = {
     "discs": "none is missing, proven by discs",
     "proven": "none is missing, proven by a ring of counts around them",
+    "below": "none is missing, proven by two counts of undamped modes",
     "counted": "none is missing, counted by the phase of det S around them",
     "none": "not counted: others may be as near",
 }
