@@ -116,6 +116,14 @@ def test_what_makes_no_law_is_refused():
         dataclasses.replace(network, damped="normal", tangential_dashpot=across)
 
 
+def test_widths_to_first_order():
+    lossy = dataclasses.replace(UNDAMPED, drag=ALPHA, loss=ETA)
+    modes = pgran.find_modes(lossy)
+    np.testing.assert_allclose(modes.width, ALPHA + ETA * modes.omega, rtol=1e-12)
+    found = pgran.structure(lossy, 1, [0.2, 0.3, 0.4])
+    assert np.all(found.dashpots > ALPHA)
+
+
 def test_drag_holds_what_floats():
     """Bounds of parts that no contact leads to a held ball take no count."""
     chain = pgran.Network([[0, 1], [2, 3]], [1.0, 2.0], [2, 0, 0, 0], drag=0.1, damping=0.0)

@@ -140,6 +140,22 @@ class Dissipation:
         ratio = np.divide(springs.damped, springs.elastic, out=0.0 * springs.elastic, where=there)
         return 1 + 1j * springs.loss_angles + s * self.damping * power * ratio
 
+    def other_widths(self, vectors):
+        """Return what drag and loss angles add to the widths of motions, arrays over unknowns.
+
+        f^T alpha f / |f|^2 and f^T L f / (m omega |f|^2), with omega^2 = f^T K f / (m |f|^2).
+        """
+        flat = vectors.reshape(len(vectors), self.size)
+        width, squares = np.zeros(len(flat)), np.sum(flat**2, axis=1)
+        if self.drags is not None:
+            width += flat**2 @ self.drags / squares
+        if self.losses is not None:
+            stretched = (self.springs.B @ flat.T) ** 2
+            size = self.mass * squares * np.maximum(self.constants @ stretched, 0.0)
+            with np.errstate(all="ignore"):  # of modes at rest
+                width += np.nan_to_num(self.losses @ stretched / np.sqrt(size))
+        return width
+
     @property
     def damping_facts(self):
         """What damps, by name: beta, and p, alpha and eta where they are not 0, each low and high.

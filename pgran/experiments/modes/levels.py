@@ -126,22 +126,8 @@ def modal_widths(lattice, vectors):
         power = sum(longer**2 @ damped for longer, _, damped in springs)
         size = np.sum(chunk.reshape(len(chunk), -1) ** 2, axis=1)
         some = lattice.damping * power / (lattice.mass * size)
-        if lattice.has_law or lattice.drags is not None:
-            some = some + _other_widths(lattice, chunk.reshape(len(chunk), -1)) / size
-        widths[first : first + at_once] = some
+        widths[first : first + at_once] = some + lattice.other_widths(chunk)
     return widths
-
-
-def _other_widths(lattice, vectors):
-    """Return what drag and loss angles add to the widths of modes, times their |f|^2."""
-    width = 0.0 if lattice.drags is None else vectors**2 @ lattice.drags
-    if lattice.losses is not None:
-        stretched = (lattice.springs.B @ vectors.T) ** 2
-        omega = np.sqrt(np.maximum(lattice.constants @ stretched, 0.0) / lattice.mass)
-        with np.errstate(all="ignore"):  # of modes at rest
-            omega = omega / np.linalg.norm(vectors, axis=1)
-            width = width + np.nan_to_num(lattice.losses @ stretched / (lattice.mass * omega))
-    return width
 
 
 def modal_overlap(omega, width, window):

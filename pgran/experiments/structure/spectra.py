@@ -74,7 +74,9 @@ class Spectra(FrequencySweep):
         columns["converged_reason"] = np.min([rows["converged_reason"] for rows in sweeps], axis=0)
         frequency, width = self._oscillators(swept)
         _, scattering = self._oscillators(elastic)
-        waves = self.waves
+        lattice, waves = self.lattice, self.waves
+        power = lattice.springs.damped @ (lattice.springs.B @ self.patterns.T) ** 2  # f^T B^T d B f
+        dashpots = self._summed(power) * lattice.damping / lattice.mass
         limits = zip(frequency.value, scattering.value, strict=True)
         return Structure(
             **columns,
@@ -87,20 +89,9 @@ class Spectra(FrequencySweep):
             q=np.array([waves.magnitude(group[0]) for group in self.groups]),
             wavevector=np.array([waves.unit * group[0] for group in self.groups]),
             directions=np.array([len(group) for group in self.groups]),
-            dashpots=self._dashpots(frequency.value),
+            dashpots=dashpots + self._summed(lattice.other_widths(self.patterns)),
             ioffe_regel=np.array([ioffe_regel(*branch)[0] for branch in limits]),
         )
-
-    def _dashpots(self, omega):
-        """Return f^T C f / m, drag included, and f^T L f / (m omega) of loss angles, summed."""
-        lattice = self.lattice
-        stretched = (lattice.springs.B @ self.patterns.T) ** 2
-        widths = self._summed(lattice.springs.damped @ stretched) * lattice.damping / lattice.mass
-        if lattice.drags is not None:
-            widths = widths + self._summed(self.patterns**2 @ lattice.drags)
-        if lattice.losses is not None:
-            widths = widths + self._summed(lattice.losses @ stretched) / (lattice.mass * omega)
-        return widths
 
     def _oscillators(self, rows):
         """Return Omega and Gamma of each branch and group, an Estimate each."""
