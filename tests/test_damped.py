@@ -104,6 +104,29 @@ def test_critical_damping_is_said_to_be_defective():
     assert isinstance(lines[1], Caution)  # without discs
 
 
+@pytest.mark.parametrize("law", [{"drag": 4.0}, {"damping": 5.0, "drag": 8.0}])
+def test_where_no_mode_rings(law):
+    """Half of the real modes have x^T (2 s m + C) x < 0, and so an imaginary x."""
+    lattice = pgran.Lattice.random((3, 2), **{"damping": 0.0} | law)
+    modes = pgran.find_modes(lattice, damped=True, detectors=[(1, 1)])
+    assert not modes.omega.any()
+    exact = pgran.sweep(lattice, [0.3, 0.9], [(1, 1)], error_tolerance=1e-10).displacement
+    np.testing.assert_allclose(modes.response([0.3, 0.9]), exact, rtol=1e-9)
+
+
+def test_modes_that_ring_beside_much_faster_ones():
+    """What is small against the largest |s| is not defective."""
+    drag = np.zeros(4)
+    drag[1] = 1e6
+    chain = pgran.Network([[0, 1], [1, 2], [2, 3]], [1.0, 1.0, 2.0], [2, 0, 0, 0], drag=drag)
+    modes = pgran.find_modes(chain, damped=True, detectors=[2])
+    assert np.abs(modes.eigenvalue).max() > 9e5
+    assert np.count_nonzero(modes.omega) == 2
+    assert np.isfinite(modes.residue).all()
+    exact = pgran.sweep(chain, [0.3], [2], error_tolerance=1e-10).displacement
+    np.testing.assert_allclose(modes.response([0.3]), exact, atol=1e-9)
+
+
 @pytest.mark.parametrize("target", [0.0, 0.4])
 def test_a_search_finds_the_nearest_of_all(world, target):
     """Near zero, too, where mirror images take part; whatever the number of ranks."""

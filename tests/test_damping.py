@@ -1,6 +1,7 @@
 """Laws of damping: what solves S for one of them from another, in time, along steps, in files."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -122,6 +123,20 @@ def test_widths_to_first_order():
     np.testing.assert_allclose(modes.width, ALPHA + ETA * modes.omega, rtol=1e-12)
     found = pgran.structure(lossy, 1, [0.2, 0.3, 0.4])
     assert np.all(found.dashpots > ALPHA)
+
+
+def test_contacts_made_anew_have_the_dashpots_of_the_old_ones():
+    discs = Path(__file__).parents[1] / "options" / "packings" / "discs.h5"
+    packed = read_network(discs, damping=0.01)
+    contacts = len(packed.bond)
+    weak = dataclasses.replace(packed, dashpot=0.25, loss=0.1, drag=0.2)
+    for made in (pgran.equilibrate(weak), pgran.ordered(weak)):
+        assert np.all(made.dashpot == 0.25)
+        assert np.all(made.loss == 0.1)
+        assert np.all(made.drag == 0.2)
+    varied = dataclasses.replace(packed, dashpot=np.linspace(0, 1, contacts))
+    with pytest.raises(InputError, match=r"dashpot differs.*heat_relax false"):
+        pgran.heat(varied, [0.9], [193], radius=1e-9, balls=[200])
 
 
 def test_drag_holds_what_floats():

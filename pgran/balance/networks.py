@@ -39,7 +39,6 @@ def law_of(network):
         raise InputError("balls under a contact law need positions, normals and radii")
     if network.tangential is not None:
         raise InputError("the contact law has no friction, and the network has tangential springs")
-    of_new(network)
     pressed = network.overlap > 0
     if not np.any(pressed):
         raise InputError("no contact of the network bears a force: there is nothing to balance")
@@ -99,8 +98,7 @@ def network_of(rest, like=None, **values):
     } | values  # fmt: skip
     if like is None:
         return Network(power=balls.law.power, **values)
-    values["loss"] = of_new(like)["loss"]
-    return dataclasses.replace(like, dashpot=None, tangential_dashpot=None, **values)
+    return dataclasses.replace(like, **values, **of_new(like))
 
 
 def grown(balls, contacts, radius, growth=GROWTH):

@@ -83,7 +83,10 @@ def ordered(packing, seed=1993):
         box=np.where(periodic, box, 0.0),
         kmax=packing.kmax,
         median_mass=packing.median_mass,
-        **of_new(packing),
+        damping=packing.damping,
+        damping_power=packing.damping_power,
+        damping_reference=packing.damping_reference,
+        **of_new(packing, balls=True),
     )
 
 

@@ -182,12 +182,15 @@ def _pair(*results):
                 continue
             same = ["shape", "mass", "bonds_sha256"]
             if name == "response":  # modes have neither damping nor drive
-                same += [*FIELDS, "damped", "held", "direction", "component"]
+                same += [*FIELDS, "damped", "dashpot", "tangential_dashpot"]
+                same += ["held", "direction", "component"]
             for fact in same:
                 values = [getattr(result.medium, fact, None) for result in (drawn, over)]
                 if not np.array_equal(*values):
                     raise FileError(f"the {group} and the {name} belong to different lattices")
             return place, name, getattr(over, name)
     pairs = " or ".join(f"{group} and {name}" for group, name in LAID_OVER.items())
-    scenes = " and ".join(result.scene for result in results)
-    raise FileError(f"results are drawn together if of one scene, or {pairs}; not {scenes}")
+    groups = [next(g for g in catalogue.FIGURES if hasattr(result, g)) for result in results]
+    raise FileError(
+        f"results are drawn together if of one scene, or {pairs}; not {' and '.join(groups)}"
+    )

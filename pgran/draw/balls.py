@@ -36,23 +36,25 @@ def beyond(drawn):
     return values is not None and np.abs(values).max() > 1
 
 
-def motion(ax, medium, values, drive=0.0, detectors=(), few_beyond=False):
+def motion(ax, medium, values, drive=0.0, detectors=(), few_beyond=False, of=None):
     """Draw displacements `values` in units of the largest, or of the drive's where that is larger.
 
-    Of three dimensions the plane of the first detector, or of the ball that moves farthest. With
+    Of three dimensions the plane of the first detector, or of the ball that moves farthest, in the
+    motion `of` if that is another one. With
     `few_beyond` a few of many numbers may be beyond the colours (`scale_of`). Returns the image,
     the line of a chain, or arrows or balls of a network; the unit; and the plane in words.
     """
+    of = values if of is None else of
     if medium.group == "network":
         ball = detectors[0][0] if len(detectors) else None
         if ball is None:
-            moved = everywhere(medium, values[None])[0, :, : medium.built.axes]
+            moved = everywhere(medium, of[None])[0, :, : medium.built.axes]
             ball = np.linalg.norm(moved, axis=1).argmax()
         view = View(medium, ball)
         drawn, unit = arrows(ax, medium, view, values, drive, few_beyond)
         xy, plane = view.xy[[each for (each,) in detectors if view.seen[each]]], view.plane
     else:
-        largest = np.unravel_index(np.abs(values).argmax(), values.shape)
+        largest = np.unravel_index(np.abs(of).argmax(), of.shape)
         through = tuple((detectors[0] if len(detectors) else largest)[2:])
         values = values[(..., *through)]
         chain, moves = values.ndim == 1, np.append(values, drive)

@@ -32,7 +32,7 @@ def checked_values(network):
     check(int, (), None, "held")
     check(int, (2,), None, "bond")
     contacts, balls = len(values["bond"]), len(values["held"])
-    for name, count in (("masses", balls), ("drag", balls), ("loss", contacts)):
+    for name, count in (("masses", balls), ("drag", balls), *((n, contacts) for n in OF_CONTACTS)):
         value = getattr(network, name)
         if value is not None and numbers(f"network: {name}", value).ndim == 0:
             values[name] = np.full(count, value, float)  # one number for all

@@ -29,7 +29,7 @@ OF_DAMPING = (
     Option(
         "damping_loss", REAL, None,
         "eta: springs k (1 + i eta), which lose the same part a cycle at all frequencies; else the "
-        "file's, or 0", low=0
+        "file's, or 0", low=0, high=1e6
     ),
     Option(
         "damping_part", TEXT, None,
@@ -49,7 +49,7 @@ class Dissipation:
     eta k of each spring, None where there is none.
     """
 
-    def _check_dissipation(self, stiffness):
+    def _check_dissipation(self, stiffness, tangential=None):
         """Set k_ref where it is not given; raise InputError where the law makes no dashpots."""
         for name in ("drag", "loss"):
             if np.ndim(getattr(self, name)) == 0 and getattr(self, name) is not None:
@@ -65,8 +65,9 @@ class Dissipation:
         object.__setattr__(self, "damping_reference", reference)
         if power:
             check_size("damping_reference", reference, positive=True)
+            every = stiffness if tangential is None else np.append(stiffness, tangential)
             with np.errstate(all="ignore"):
-                most = self.law(np.asarray(stiffness)).max()
+                most = self.law(every).max()
             if not np.isfinite(most * self.damping):
                 raise InputError(
                     f"damping_power {power:g}: (k / k_ref)^p is too large of some bonds; take p "
@@ -181,15 +182,15 @@ class Dissipation:
         return dataclasses.replace(self, damping=0.0, drag=0.0, loss=0.0)
 
 
-def of_new(medium):
-    """Return as `FIELDS` the damping of contacts and balls that are made anew, like the old ones.
+def of_new(medium, balls=False):
+    """Return what damps contacts that are made anew, balls too if asked, by fields of a network.
 
-    Raises InputError where these differ by more than the law says.
+    Raises InputError where what there is differs by more than the law says.
     """
-    fields = {name: getattr(medium, name) for name in FIELDS}
-    arrays = {name: fields[name] for name in ("drag", "loss") if fields[name] is not None}
-    named = {name: getattr(medium, name) for name in ("dashpot", "tangential_dashpot")}
-    for name, values in (arrays | named).items():
+    names = ["dashpot", "tangential_dashpot", "loss"] + ["drag"] * balls
+    found = {name: getattr(medium, name) for name in names}
+    for name, values in found.items():
         if values is not None and np.ptp(values):
-            raise InputError(f"network: {name}: what contacts or balls made anew have is not known")
-    return fields | {name: float(values[0]) for name, values in arrays.items()}
+            what = "balls" if name == "drag" else "contacts"
+            raise InputError(f"network: {name} differs, and is not known of {what} made anew")
+    return {name: None if v is None else float(v[0]) for name, v in found.items()}

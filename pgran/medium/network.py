@@ -130,7 +130,7 @@ class Network(Elastic, Connected, Medium):
         else:
             median = number("network: median_mass", self.median_mass)
         object.__setattr__(self, "median_mass", median)
-        self._check_dissipation(self.stiffness)
+        self._check_dissipation(self.stiffness, self.tangential)
         kmax = self.stiffest if self.kmax is None else number("network: kmax", self.kmax)
         object.__setattr__(self, "kmax", kmax)
         check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, abs(kmax))

@@ -215,7 +215,8 @@ def widths(ax, found, lattice):
     edges = np.linspace(x.min(), x.max(), 2 * BINS + 1)
     all_of_them, few = (np.histogram(x[which], edges)[0] for which in (width > 0, localized))
     of_one = len(x) * np.diff(edges)
-    ax.stairs(few / of_one, edges, fill=True, color=style.pale(style.ACCENT), label="localized")
+    if few.any():
+        ax.stairs(few / of_one, edges, fill=True, color=style.pale(style.ACCENT), label="localized")
     outline = ax.stairs(all_of_them / of_one, edges, color="black", label="all modes")
     ax.set(xlabel=r"$\log_{10}(\Gamma/\omega_{mx})$", ylabel="density")
     ax.set_ylim(bottom=0)

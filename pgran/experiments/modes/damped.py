@@ -31,9 +31,9 @@ from pgran.store.si import SI
 SMALL = 200  # unknowns up to which LAPACK has all modes sooner than a search has some
 COUNTED = 5000  # unknowns up to which modes are counted unasked
 BYTES = 400  # of all modes and their discs, times the square of the unknowns
-# Parts of the largest |s|: equal up to rounding; and what x^T (2 s m + C) x / 2 m is at most where
-# modes have become one (at critical damping, at rest).
-EQUAL, DEFECTIVE = 1e-10, 1e-6
+# Of the largest |s|: equal up to rounding; and of a mode's own what x^T (2 s m + C) x / 2 m is at
+# most where modes have become one (at critical damping, at rest).
+EQUAL, DEFECTIVE = 1e-12, 1e-6
 
 
 def companion(K, C, m):
@@ -47,7 +47,7 @@ def companion(K, C, m):
     A[n:, :n] = -K.toarray() / (m * unit**2)
     A[n:, n:] = -C.toarray() / (m * unit)
     s, V = scipy.linalg.eig(A, overwrite_a=True, check_finite=False)
-    return unit * s, np.where(np.abs(s) > 1, V[n:], V[:n])
+    return unit * s + 0j, np.where(np.abs(s) > 1, V[n:], V[:n]) + 0j
 
 
 def normalised(C, m, s, X):
@@ -64,7 +64,8 @@ def normalised(C, m, s, X):
         equal = np.flatnonzero(near[first])
         x, t = X[:, equal], s[equal]
         G = x.T @ CX[:, equal] + m * (t[:, None] + t) * (x.T @ x)
-        good[equal] = np.linalg.svd(G, compute_uv=False)[-1] > DEFECTIVE * 2 * m * largest
+        least = max(DEFECTIVE * np.abs(t).max(), 1e2 * EQUAL * largest)
+        good[equal] = np.linalg.svd(G, compute_uv=False)[-1] > 2 * m * least
         if good[first]:
             squares, V = np.linalg.eig(G)
             X[:, equal] = x @ (V / np.sqrt(squares)) @ np.linalg.inv(V)
@@ -92,8 +93,8 @@ class DampedSearch(Task):
             )
         self.near = method == "eps" or (method == "auto" and few and medium.size > SMALL)
         if certificate == "auto":
-            certificate = "counted" if medium.size <= COUNTED else "none"
-        self.certificate = certificate if self.near else "discs"
+            certificate = "counted" if medium.size <= COUNTED or not self.near else "none"
+        self.certificate = certificate if self.near or certificate == "none" else "discs"
         self.units = [count if self.near else medium.size]
         check_memory("modes_method", 0 if self.near else BYTES * medium.size**2)
         heard = resonances.driven and resonances.sites is not None
@@ -144,6 +145,8 @@ class DampedSearch(Task):
 
         None are unknown.
         """
+        if self.certificate == "none" and not self.near:
+            return np.full(len(s), np.nan), None, ""
         if not self.near:
             radius = certain.discs(*self.system, s, X)
             return radius, 0 if np.all(np.isfinite(radius)) else None, "discs"
@@ -190,7 +193,7 @@ def summary(result):
     yield Caution(modes.exactness()) if modes.failures else modes.exactness()
     moving = np.abs(s) > least_frequency(result.medium.built)
     kinds = {
-        "grow: UNSTABLE": moving & (s.real > 0),
+        "grow: UNSTABLE": moving & (s.real > 0) & (not modes.failures),
         "are overdamped: they do not ring": moving & (s.imag == 0),
         "are defective, at rest or critically damped: no residues": modes.rigidity == 0,
     }

@@ -13,9 +13,10 @@ CAPTIONS = {
     "widths": r"Damped modes $s = -\Gamma/2 + i \omega$.",
     "swings": "Shapes of damped modes: where most moves, and a quarter period later.",
     "residues": r"Response as the sum of the residues of all damped modes over $i\omega - s$ "
-    "(lines), and solved for (circles).",
+    "(lines, where rounding leaves it), and solved for (circles).",
 }
 WIDTH = scales.Quantity("width", r"$\Gamma/\omega_{mx}$", "1/s", 1)
+SEEN = 1e-13  # of the terms of a sum: what rounding leaves of it
 POINTS, CHECKED = 3000, 150  # frequencies of a sum, and every how many of them is solved for
 
 
@@ -48,7 +49,7 @@ def widths(ax, modes, medium):
     """Draw widths against frequencies, 0 of overdamped modes; return the points."""
     x, y = modes.omega / medium.omega_mx, modes.width / medium.omega_mx
     ax.set(yscale="log")
-    scales.frequencies(ax, x, scales.MODE_FREQUENCY)
+    scales.frequencies(ax, x if x.any() else np.append(x, 1.0), scales.MODE_FREQUENCY)
     scales.label(ax.yaxis, WIDTH)
     look = {"linestyle": "none", "marker": ".", "markeredgewidth": 0, "clip_on": False}
     (points,) = ax.plot(x[y > 0], y[y > 0], color="black", **look)
@@ -59,7 +60,7 @@ def swing(ax, modes, medium, mode, later):
     """Draw the real part of a shape, turned to be the largest, or what moves later; return it."""
     x = medium.built.displacements(modes.vector[mode])
     x = x * np.exp(-0.5j * np.angle(np.sum(x * x)))
-    drawn, _, plane = balls.motion(ax, medium, x.imag if later else x.real)
+    drawn, _, plane = balls.motion(ax, medium, -x.imag if later else x.real, of=x.real)
     told = rf"$\omega$ = {modes.omega[mode] / medium.omega_mx:.4f} $\omega_{{mx}}$"
     if later:
         told = rf"later: $\times$ {np.linalg.norm(x.imag) / np.linalg.norm(x.real):.2g}"
@@ -72,12 +73,14 @@ def residues(ax, modes, medium):
     from scipy.sparse import identity
     from scipy.sparse.linalg import spsolve
 
-    built, omegas = medium.built, np.linspace(0.0, 1.1 * modes.omega.max(), POINTS + 1)[1:]
+    built, highest = medium.built, 1.1 * (modes.omega.max() or medium.omega_mx)
+    omegas = np.linspace(0.0, highest, POINTS + 1)[1:]
+    terms = modes.residue / (1j * omegas[:, None] - modes.eigenvalue)[..., None]
     names = style.ball_names(modes.detector) if len(modes.detector) > 1 else None
     x, A = omegas / medium.omega_mx, np.abs(modes.response(omegas))
     ax.set(yscale="log", ylabel=scales.AMPLITUDE)
     scales.frequencies(ax, x)
-    lines = marks.curves(ax, x, A, A > 0, names)
+    lines = marks.curves(ax, x, A, SEEN * np.abs(terms).sum(axis=1) < A, names)
     (K, C, m), (rest, dashpots) = quadratic(built), drive_of(built)
     unknowns, weights = built.readings(modes.detector)
     look = {"color": style.ACCENT, "linestyle": "none", "marker": "o", "markersize": 3}

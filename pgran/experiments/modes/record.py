@@ -224,10 +224,16 @@ class DampedModes(Record):
         """Return in words how sure it is that no mode is missing."""
         found, expected = self.count_found, self.count_expected
         if not self.failures:
-            words, within = CERTIFICATES[self.certificate], np.nanmax(self.radius, initial=0.0)
-            return words + (f", each s within {number(within)}" if within > 0 else "")
+            words, known = CERTIFICATES[self.certificate], self.radius[np.isfinite(self.radius)]
+            alone = np.count_nonzero(np.isinf(self.radius))
+            if len(known):
+                words += f", each s within {number(known.max())}"
+            return words + (f", but {alone} of which no s is proven" if alone else "")
         if found != expected:
-            return f"NOT ALL MODES: {found} found where there are {expected}"
+            return (
+                f"NOT ALL MODES: {found} found where there are {expected}; -modes_method dense "
+                "finds all, of equal ones too"
+            )
         return f"NOT CERTIFIED: whether these {found} modes are all is not certain"
 
     def response(self, omegas):

@@ -25,6 +25,8 @@ def check(values, given):
 
 def check_modes(values, given):
     """Raise where the options that choose modes contradict each other."""
+    if "modes_certificate" in given and not values.get("modes_damped"):
+        raise InputError("-modes_certificate belongs to -modes_damped")
     interval, nearest = ("modes_omega_min", "modes_omega_max"), ("modes_target", "modes_count")
     alternatives(interval, nearest, values, given)
     if (values["modes_omega_min"] is None) != (values["modes_omega_max"] is None):

@@ -8,6 +8,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.experiments.sensitivity import finite
 from pgran.experiments.sensitivity.record import OUTCOMES
+from pgran.medium.dissipation import of_new
 from pgran.medium.network import Network
 from pgran.run.experiment import Caution
 from pgran.store.estimate import counted
@@ -127,6 +128,10 @@ def relaxes(medium, relax):
         if relax:
             raise
         return False
+    try:
+        of_new(medium)
+    except InputError as error:
+        raise InputError(f"{error}; -heat_relax false keeps neighbours in place") from None
     return True
 
 
