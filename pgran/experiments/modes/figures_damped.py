@@ -16,7 +16,7 @@ CAPTIONS = {
     "(lines, where rounding leaves it), and solved for (circles).",
 }
 WIDTH = scales.Quantity("width", r"$\Gamma/\omega_{mx}$", "1/s", 1)
-SEEN = 1e-13  # of the terms of a sum: what rounding leaves of it
+LOST = 2e-15  # of |e_d| |f| |x|^2: what rounding takes of a residue
 POINTS, CHECKED = 3000, 150  # frequencies of a sum, and every how many of them is solved for
 
 
@@ -74,14 +74,17 @@ def residues(ax, modes, medium):
     from scipy.sparse.linalg import spsolve
 
     built, highest = medium.built, 1.1 * (modes.omega.max() or medium.omega_mx)
+    (K, C, m), (rest, dashpots) = quadratic(built), drive_of(built)
     omegas = np.linspace(0.0, highest, POINTS + 1)[1:]
-    terms = modes.residue / (1j * omegas[:, None] - modes.eigenvalue)[..., None]
     names = style.ball_names(modes.detector) if len(modes.detector) > 1 else None
     x, A = omegas / medium.omega_mx, np.abs(modes.response(omegas))
+    # |x|^2 of each mode, and what rounding of x takes of the sum
+    size = 1 / (2 * m * np.abs(modes.eigenvalue) * modes.rigidity)
+    lost = np.sum(size / np.abs(1j * omegas[:, None] - modes.eigenvalue), axis=1)
+    lost = LOST * np.linalg.norm(rest) * lost[:, None] * built.reading_norms(modes.detector)
     ax.set(yscale="log", ylabel=scales.AMPLITUDE)
     scales.frequencies(ax, x)
-    lines = marks.curves(ax, x, A, SEEN * np.abs(terms).sum(axis=1) < A, names)
-    (K, C, m), (rest, dashpots) = quadratic(built), drive_of(built)
+    lines = marks.curves(ax, x, A, lost < A, names)
     unknowns, weights = built.readings(modes.detector)
     look = {"color": style.ACCENT, "linestyle": "none", "marker": "o", "markersize": 3}
     for place in range(CHECKED // 2, POINTS, CHECKED):

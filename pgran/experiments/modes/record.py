@@ -239,7 +239,7 @@ class DampedModes(Record):
     def response(self, omegas):
         """Return A at each detector, (nw, nd), as far as these modes and their images make it.
 
-        Of `complete` modes it is right to some 1e-13 of the terms' magnitudes.
+        Of `complete` modes it is right to some 1e-15 of the sum of |e_d| |f| |x|^2 / |i omega - s|.
         """
         at, paired = 1j * np.asarray(omegas)[:, None], self.omega > 0
         upper, lower = (self.residue / (x - self.eigenvalue)[..., None] for x in (at, -at))
