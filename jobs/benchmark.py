@@ -106,8 +106,13 @@ def of_near_modes(peer, own):
 
 
 def of_damped_modes(peer, own):
-    """Return the largest relative distance of a mode from the peer's nearest."""
-    return max(np.min(np.abs(peer - s)) / abs(s) for s in own.eigenvalue)
+    """Return the largest relative distance of a mode from the other's nearest one.
+
+    The peer has all modes, or some, of which the nearer half are compared.
+    """
+    if len(peer) > len(own.eigenvalue):
+        return max(np.min(np.abs(peer - s)) / abs(s) for s in own.eigenvalue)
+    return max(np.min(np.abs(own.eigenvalue - s)) / abs(s) for s in peer[: len(peer) // 2])
 
 
 def sweep(side, low, high, count):

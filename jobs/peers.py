@@ -79,7 +79,7 @@ class Peer:
 
         inverse = LinearOperator((2 * n, 2 * n), solve, dtype=complex)
         t, _ = eigs(inverse, k=count)
-        return sigma + 1 / t
+        return sigma + 1 / t[np.argsort(-np.abs(t))]
 
     def modes_near(self, omega, count):
         """Return the frequencies of the modes nearest to one, in this order, by eigsh on a splu."""

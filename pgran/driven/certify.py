@@ -39,9 +39,9 @@ def smallest_loss(lattice):
 
     L = B^T diag(eta k) B of what springs lose by themselves, which negative eigenvalues would feed.
     """
-    if lattice.losses is None:
-        return 0.0
     cache = vars(lattice)
+    if "smallest_loss" not in cache and lattice.losses is None:
+        cache["smallest_loss"] = 0.0
     if "smallest_loss" not in cache:
         B = abs(lattice.springs.B)
         norm = 1.01 * float((B.T @ (np.abs(lattice.losses) * (B @ np.ones(lattice.size)))).max())

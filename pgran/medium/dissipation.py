@@ -9,6 +9,7 @@ bonds are redrawn. A spring of no stiffness has no dashpot unless p = 0.
 """
 
 import dataclasses
+from functools import cached_property
 
 import numpy as np
 
@@ -108,7 +109,7 @@ class Dissipation:
         """The parts of `damping_unit` of all springs' dashpots, shape (springs,)."""
         return self.damped_springs if self.damping else np.zeros(len(self.damped_springs))
 
-    @property
+    @cached_property
     def damping_norm(self):
         """No less than |C|_2, drag included, in units of `damping_unit`."""
         return (self.dashpot_norm if self.damping else 0.0) + np.max(self.dragged)
