@@ -125,6 +125,15 @@ def test_widths_to_first_order():
     assert np.all(found.dashpots > ALPHA)
 
 
+def test_derivatives_by_all_that_scales_vanish():
+    """Euler's sum, with k_ref kept, and alpha and eta."""
+    p, lattice = 0.5, pgran.Lattice.random((4, 3), damping=0.1, damping_power=0.5, loss=ETA)
+    found = pgran.sensitivity(dataclasses.replace(lattice, drag=ALPHA), [0.4], [(1, 1)])
+    terms = found.by_stiffness[0, 0] * lattice.constants, found.by_mass[0, 0].ravel()
+    sums = [term.sum() for term in terms] + [(1 - p) * 0.1 * found.by_damping[0, 0]]
+    assert abs(sum(sums)) <= 1e-12 * sum(map(abs, sums))
+
+
 def test_contacts_made_anew_have_the_dashpots_of_the_old_ones():
     discs = Path(__file__).parents[1] / "options" / "packings" / "discs.h5"
     packed = read_network(discs, damping=0.01)
