@@ -21,9 +21,9 @@ from amplitude_faults import (
 )
 from change_faults import sensitivity_faults
 from growth_faults import growth_faults, random_growth
+from law_samples import lawful_network
 from mode_faults import count_faults, mode_faults, nearest_faults
 from network_samples import (
-    lawful_network,
     random_network,
     small_network,
     unstable_network,

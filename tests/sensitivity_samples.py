@@ -6,9 +6,10 @@ import functools
 import mpmath
 import numpy as np
 import pytest
+from law_samples import with_laws
 from mpi4py import MPI
 from mpmath import mp, mpf
-from network_samples import NetworkReference, as_network, exactly, random_network, with_laws
+from network_samples import NetworkReference, as_network, exactly, random_network
 from samples import SOLVERS, assert_same, bond_arrays
 
 from pgran.errors import InputError

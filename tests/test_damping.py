@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from network_samples import random_network, with_laws
+from law_samples import with_laws
+from network_samples import random_network
 from samples import steady
 from sensitivity_samples import packing
 

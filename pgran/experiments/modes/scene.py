@@ -3,7 +3,7 @@
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.experiments.modes import damped, density, resonances
+from pgran.experiments.modes import density, resonances
 from pgran.experiments.modes.find import find_modes
 from pgran.experiments.modes.levels import spacings
 from pgran.experiments.modes.record import exactness
@@ -52,6 +52,8 @@ def summary(result):
         yield from density.summary(result)
         return
     if hasattr(result, "damped_modes"):
+        from pgran.experiments.modes import damped  # here: normal modes need none of it
+
         yield from damped.summary(result)
         return
     modes, medium, si = result.modes, result.medium, SI.of(result)
