@@ -264,6 +264,7 @@ def network_modes(balls, axes, displacement, count=20):
 
 
 PAPER = 0.01, 1.3, 1291
+VECTORS = 10_000, 3, "vector"
 ONE_BY_ONE = "(peer: pgran, one by one)"
 ROWS = {  # named as in README.md
     "20 x 20, the paper's 1291 frequencies, with bounds": (sweep, 20, *PAPER),
@@ -286,13 +287,7 @@ ROWS = {  # named as in README.md
     "all modes of 1000 spheres, 2370 unknowns, proven": (random_modes, 1000),
     "210 modes of 100 x 100, certified": (modes, 100, (0.5, 0.518)),
     "all damped modes of 500 spheres, proven": (damped_modes, 500, 3, "scalar"),
-    "network of 10,000 spheres with vectors, 25 damped modes": (
-        damped_modes,
-        10_000,
-        3,
-        "vector",
-        25,
-    ),
+    "network of 10,000 spheres with vectors, 25 damped modes": (damped_modes, *VECTORS, 25),
     "relaxation, 20 x 20, a step": (relaxation, 20, "window", 20_000, 500),
     "relaxation, 20 x 20, a step by krylov": (relaxation, 20, "krylov", 2000, 500),
     "relaxation, 20 x 20, a step by direct": (relaxation, 20, "direct", 2000, 500),
@@ -307,7 +302,7 @@ for balls, axes, displacement, kind in (
     (200_000, 2, "scalar", "discs"),
     (50_000, 2, "vector", "discs with vectors"),
     (30_000, 3, "scalar", "spheres"),
-    (10_000, 3, "vector", "spheres with vectors"),
+    (*VECTORS, "spheres with vectors"),
 ):
     network = f"network of {balls:,} {kind}"
     ROWS |= {

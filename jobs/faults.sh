@@ -6,6 +6,7 @@ set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 export PYTHONPATH=tests${PYTHONPATH:+:$PYTHONPATH}
 percent=${1:-100}
+[[ $percent =~ ^[0-9]+$ ]] || { echo "faults: $percent: it takes a percentage" >&2; exit 2; }
 python -m campaigns.faults "$percent"
 python -m campaigns.changes $((percent + percent / 10))
 python -m campaigns.fuzz $((10 * percent))

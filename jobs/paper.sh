@@ -7,6 +7,7 @@
 #                                 their weights: four minutes. The table takes up what it finds.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
+[[ ${1:-} =~ ^(--beads)?$ ]] || { echo "paper: $1: it takes --beads only" >&2; exit 2; }
 
 folder=results/paper
 mkdir -p "$folder"

@@ -1,16 +1,7 @@
 """What the paper says of normal modes and of their projection coefficients."""
 
 import numpy as np
-from paper_measures import (
-    audible,
-    count,
-    excited,
-    nearest,
-    off_drive,
-    participation,
-    spread,
-    usual,
-)
+from paper_measures import audible, count, excited, nearest, off_drive, participation, spread, usual
 from paper_rows import Row, Section
 
 R = Row

@@ -3,6 +3,7 @@
 # into results/. Under a minute after the installation.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
+[ $# -eq 0 ] || { echo "quickstart: $1: it takes no words" >&2; exit 2; }
 
 for experiment in modes response relaxation; do
   mpirun -n 2 pgran run "options/$experiment.opts" -output_overwrite

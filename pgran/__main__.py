@@ -13,30 +13,29 @@ from pathlib import Path
 
 import pgran
 from pgran import errors
-from pgran.arguments import saying_once
+from pgran.arguments import meant, nearest, saying_once
 from pgran.command.run import name_rank
-from pgran.errors import InputError, PgranError, is_bad_input, is_petsc, petsc_message
+from pgran.errors import FileError, InputError, PgranError, is_bad_input, is_petsc, petsc_message
 from pgran.run import launch, streams
 from pgran.run.agreement import met_by_all
-from pgran.run.options import nearest
 
 log = logging.getLogger("pgran")
 
 SECONDS_FOR_MPIRUN = 0.1  # to hand on a message: MPICH's loses some that an abort follows at once
 SECONDS_TO_BE_ENDED = 5.0  # that a rank waits for another one's abort
 USAGE = """\
-pgran: sound in a granular material, a lattice of balls and random springs
+pgran: sound in a granular material, balls joined by springs of random strength
 
   pgran run FILE [-key value ...]     compute the experiment in an options file
   pgran plot RESULT [OTHER ...]       draw the figures of a result, or of several
   pgran compare A B                   say how alike two responses or two codas are
   pgran export RESULT TO              write it as a table, or for ParaView
-  pgran verify RESULT                 say whether it is as it was written
+  pgran verify RESULT                 say whether it is unchanged
 
-  pgran import ATOMS CONTACTS -o TO   make a network of another program's balls
+  pgran import ATOMS CONTACTS -o TO   make a network of the balls of another program
   pgran pack --balls N -o TO          make a packing in mechanical equilibrium
-  pgran units --diameter M ...        say what the numbers are in SI units
-  pgran sound FILE                    say how fast long waves are, by statics
+  pgran units --diameter M ...        say what its numbers are in SI units
+  pgran sound FILE                    compute the speeds of long waves, by statics
 
   pgran options [SCENE]               list every option
   pgran manual [TOPIC]                show a page of the manual, or list them
@@ -70,8 +69,9 @@ def main(words):
     """Carry out one command and return its exit code."""
     if words[:1] == ["help"] and words[1:]:
         words = [words[1], "--help"]
-    if not words or words[0] in ("-h", "--help", "help"):
-        print(USAGE, end="")
+    if not words or words[0] in ("-h", "-help", "--help", "help"):
+        if launch.rank() == 0:
+            print(USAGE, end="")
         return errors.DONE if words else errors.BAD_INPUT
     if words[0] == "--version":
         print(f"pgran {pgran.__version__}")
@@ -79,8 +79,8 @@ def main(words):
     if words[0] not in COMMANDS:
         file = {".opts": f"run {words[0]}", ".h5": f"plot {words[0]}"}.get(Path(words[0]).suffix)
         near = file or nearest(words[0], [*COMMANDS, "--help", "--version"])
-        hint = f"did you mean pgran {near}?" if near else "pgran --help lists them"
-        raise InputError(f"{words[0]}: no such command; {hint}")
+        hint = meant(near and f"pgran {near}", "; pgran --help lists them")
+        raise InputError(f"{words[0] or repr('')}: no such command{hint}")
     if sys.version_info < (3, 11) and words[0] != "doctor":
         raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
     module, function = COMMANDS[words[0]]
@@ -130,7 +130,7 @@ def end_all_ranks(error):
                 text = None
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
                 time.sleep(SECONDS_TO_BE_ENDED)
-        elif isinstance(error, InputError) and launch.rank() > 0:
+        elif isinstance(error, (InputError, FileError)) and launch.rank() > 0:
             text = None  # before MPI joined them all copies met it alike; the first one says it
         elif isinstance(error, SystemExit) and isinstance(error.code, int):
             text = None  # whoever called sys.exit has said why
@@ -157,6 +157,8 @@ def explain(error):
         return code, f"ended by sys.exit({error.code!r})"
     if isinstance(error, KeyboardInterrupt):
         return errors.INTERRUPTED, str(error) or "interrupted"
+    if isinstance(error, MemoryError):
+        return 1, str(PgranError(f"out of memory: {type(error).__name__}: {error}"))
     if isinstance(error, ImportError):
         return 1, str(PgranError(f"{error}: pgran doctor says how to mend it"))
     if is_petsc(error) and error.__cause__:

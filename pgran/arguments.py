@@ -4,10 +4,12 @@ And what a call says: each warning once.
 """
 
 import contextlib
+import difflib
 import functools
 import inspect
 import logging
 import operator
+import re
 import reprlib
 
 from pgran.errors import InputError
@@ -19,6 +21,17 @@ def shown(value):
         return reprlib.repr(value)
     except Exception:  # whole numbers of thousands of digits, or whatever an object's own raises
         return f"a {type(value).__name__}"
+
+
+def nearest(word, words):
+    """Return the word most like `word`, in letters of either case, or None."""
+    lower = {each.lower(): each for each in words}
+    return lower.get(*difflib.get_close_matches(word.lower(), lower, n=1, cutoff=0.6) or [None])
+
+
+def meant(word, otherwise=""):
+    """Return how a message ends that suggests a word, or what else to do where there is none."""
+    return f"; did you mean {word}?" if word else otherwise
 
 
 def whole_number(name, value):
@@ -34,7 +47,8 @@ def whole_number(name, value):
 def choice(name, value, choices):
     """Return a text that is one of the choices; raise an InputError if it is none."""
     if not isinstance(value, str) or value not in choices:
-        raise InputError(f"{name}: {shown(value)} is none of {', '.join(choices)}")
+        near = isinstance(value, str) and nearest(value, choices)
+        raise InputError(f"{name}: {shown(value)} is none of {', '.join(choices)}{meant(near)}")
     return value
 
 
@@ -46,7 +60,9 @@ def bound(function, arguments, choices):
     except TypeError as error:
         name = function.__qualname__.removesuffix(".__init__")
         takes = ", ".join(n for n in signature.parameters if n not in ("self", "cls", "crew"))
-        raise InputError(f"{name}: {error}; it takes {takes}") from None
+        wrong = re.search("unexpected keyword argument '(.*)'", str(error))
+        hint = meant(wrong and nearest(wrong[1], takes.split(", ")), f"; it takes {takes}")
+        raise InputError(f"{name}: {error}{hint}") from None
 
 
 @contextlib.contextmanager

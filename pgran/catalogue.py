@@ -8,7 +8,10 @@ from typing import NamedTuple
 
 
 class Home(NamedTuple):
-    """Where an experiment lives, below `pgran.experiments`; its records are in `record`."""
+    """Where an experiment lives, below `pgran.experiments`; its records are in `record`.
+
+    It has the facts of its SCENE, too, which is loaded for them.
+    """
 
     scene: str  # the module of its SCENE
     groups: dict  # of each group of its results the module that draws it, or None
@@ -17,6 +20,10 @@ class Home(NamedTuple):
     def folder(self):
         """Its package."""
         return f"pgran.experiments.{self.scene.partition('.')[0]}"
+
+    def __getattr__(self, fact):
+        """Return a fact of the experiment."""
+        return getattr(import_module(f"pgran.experiments.{self.scene}").SCENE, fact)
 
 
 EXPERIMENTS = {
@@ -62,11 +69,6 @@ FIGURES = {"network": "pgran.draw.network"} | {
     for group, module in home.groups.items()
     if module
 }
-
-
-def scene(name):
-    """Return the facts of an experiment."""
-    return import_module(f"pgran.experiments.{EXPERIMENTS[name].scene}").SCENE
 
 
 def record_kind(group):

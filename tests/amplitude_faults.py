@@ -9,10 +9,7 @@ import mpmath
 import numpy as np
 from mpi4py import MPI
 from mpmath import mp
-from network_samples import (
-    NetworkReference,
-    exact_network_force,
-)
+from network_samples import NetworkReference, exact_network_force
 from reference import exact_amplitudes
 from samples import (
     SOLVERS,

@@ -3,13 +3,8 @@
 import numpy as np
 from mpi4py import MPI
 from mpmath import mp
-from network_samples import (
-    exactly,
-)
-from samples import (
-    SOLVERS,
-    option_values,
-)
+from network_samples import exactly
+from samples import SOLVERS, option_values
 from sensitivity_samples import Exact, missed
 
 from pgran.errors import InputError

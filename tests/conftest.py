@@ -205,12 +205,16 @@ def solver_options():
 
 @pytest.fixture
 def place(shared_path, world):
-    """Return what writes a text into a file of the shared folder: `place("a.opts", text)`."""
+    """Return what lets rank 0 write a file of the shared folder: `place("a.opts", text)`.
 
-    def place(name, text):
+    Instead of a text there may be a function that writes, and what it takes after the path.
+    """
+
+    def place(name, content, *words):
         world.Barrier()
         if world.rank == 0:
-            (shared_path / name).write_text(text)
+            write, given = (content, words) if callable(content) else (Path.write_text, [content])
+            write(shared_path / name, *given)
         world.Barrier()
         return shared_path / name
 

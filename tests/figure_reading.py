@@ -63,14 +63,20 @@ def lay_out(figure):
 
 
 def legend(figure):
-    """What the legend of a page lists, which lies above its panels, whole and within the page."""
+    """What the legend of a page lists, which lies above its panels, whole and within the page.
+
+    Besides the dotted line of omega_mx, which it lists if there is one.
+    """
     lay_out(figure)
     (shown,) = (ax.get_legend() for ax in figure.axes if ax.get_legend())
     box = shown.get_window_extent()
     assert all(ax.bbox.y1 <= box.y0 for ax in figure.panels if ax.get_legend())
     assert figure.bbox.padded(1).contains(*box.min)
     assert figure.bbox.padded(1).contains(*box.max)
-    return [text.get_text() for text in shown.get_texts()]
+    texts = [text.get_text() for text in shown.get_texts()]
+    if any(lines(ax, gid=style.UNIT) for ax in figure.panels):
+        assert texts.pop() == r"$\omega_{mx}$"
+    return texts
 
 
 def saving(monkeypatch):

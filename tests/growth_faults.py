@@ -9,6 +9,7 @@ import dataclasses
 import itertools
 
 import numpy as np
+from packing_samples import pushes
 from scipy.linalg import lu_factor, lu_solve
 from sensitivity_samples import heated
 
@@ -114,12 +115,7 @@ def growth_faults(case, seen):
 
 def rest_faults(before, after, ball, size):
     """What keeps a network from being a packing at rest, after a ball of another one has grown."""
-    totals = []
-    for network in (before, after):
-        push, total = network.force[:, None] * network.normal, np.zeros(network.position.shape)
-        np.add.at(total, network.bond[:, 0], -push)
-        np.add.at(total, network.bond[:, 1], push)
-        totals.append(total[network.free])
+    totals = [pushes(network)[network.free] for network in (before, after)]
     left = np.linalg.norm(totals[1] - totals[0][np.isin(before.free, after.free)], axis=1)
     length = 2 * before.radius.mean()
     if not left.max() <= 3e-12 * after.force.mean():

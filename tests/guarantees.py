@@ -23,11 +23,7 @@ from change_faults import sensitivity_faults
 from growth_faults import growth_faults, random_growth
 from law_samples import lawful_network
 from mode_faults import count_faults, mode_faults, nearest_faults
-from network_samples import (
-    random_network,
-    small_network,
-    unstable_network,
-)
+from network_samples import random_network, small_network, unstable_network
 from packing_faults import packing_faults, random_packing
 from pattern_faults import pattern_faults, random_patterns
 from samples import (

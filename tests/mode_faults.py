@@ -3,9 +3,7 @@
 import numpy as np
 from mpi4py import MPI
 from mpmath import mp
-from network_samples import (
-    NetworkReference,
-)
+from network_samples import NetworkReference
 
 from pgran.driven.operators import Operators
 from pgran.experiments.modes.density import count_modes

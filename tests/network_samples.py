@@ -177,18 +177,21 @@ class NetworkReference:
         return True
 
 
-def eliminated(S, f):
-    """The solution of S x = f with row pivoting; None where S is singular."""
+def eliminated(S, f, least=0):
+    """The solutions of S x = f, a column each, with row pivoting; None where S is singular.
+
+    So it is where a pivot is no larger than the part `least` of its row.
+    """
     A, order = np.column_stack([S, f]), len(S)
     for n in range(order):
-        pivot = n + int(np.argmax([float(abs(x)) for x in A[n:, n]]))
+        pivot = n + int(np.argmax([abs(x) for x in A[n:, n]]))
         A[[n, pivot]] = A[[pivot, n]]
-        if not A[n, n]:
+        if not abs(A[n, n]) > least * max(map(abs, S[n])):
             return None
-        A[n] /= A[n, n]
+        A[n, n:] /= A[n, n]
         rows = [p for p in range(order) if p != n and A[p, n]]
-        A[rows] -= np.multiply.outer(A[rows, n], A[n])
-    return A[:, -1]
+        A[rows, n:] -= np.multiply.outer(A[rows, n], A[n, n:])
+    return A[:, order:].reshape(np.shape(f))
 
 
 def as_network(lattice, **others):

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from packing_samples import pushes
 
 from pgran.balance.contacts import near_pairs
 from pgran.balance.pack import packed_network
@@ -38,11 +39,9 @@ def packing_faults(case, seen):
     what, axes = f"case {case.seed} {case.choices}", network.axes
     seen["packings"] += 1
     mean = network.force.mean()
-    total = np.zeros_like(network.position)
+    total = pushes(network)
     if network.gravity is not None:
         total += network.masses[:, None] * network.gravity
-    np.add.at(total, network.bond[:, 0], -network.force[:, None] * network.normal)
-    np.add.at(total, network.bond[:, 1], network.force[:, None] * network.normal)
     left = np.linalg.norm(total[network.free], axis=1).max() / mean
     if not left < 1e-13 * (1 + 1 / np.sqrt(len(network.free))) + 4e-15:
         yield f"UNBALANCED {what}: {left:.1e} of the mean force"

@@ -100,7 +100,7 @@ def bring(call, *words):
 def assert_same(sample, stress=True):
     """K of the network in n.h5 is that of the sample, in its mass-weighted unknowns; return it."""
     network, ids = read_network("n.h5"), ids_of("n.h5")
-    K = (network.B.T.multiply(network.springs.constants) @ network.B).toarray()
+    K = (network.springs.B.T.multiply(network.springs.constants) @ network.springs.B).toarray()
     rows = {name: row for row, name in enumerate(sample.id)}
     at = [rows[name] for name in ids[network.held == 0]]
     np.testing.assert_allclose(sample.mass[at], network.masses[network.held == 0])
@@ -114,6 +114,14 @@ def assert_same(sample, stress=True):
 def ids_of(path):
     with h5py.File(path) as file:
         return file["network/id"][()]
+
+
+def pushes(network):
+    """The sum of all contacts' forces on each ball of a network, or of what has its arrays."""
+    total, each = np.zeros_like(network.position), network.force[:, None] * network.normal
+    for end, sign in zip(network.bond.T, (-1, 1), strict=True):
+        np.add.at(total, end, sign * each)
+    return total
 
 
 def csv_of(place, sample, **contacts):

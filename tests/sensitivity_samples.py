@@ -9,7 +9,7 @@ import pytest
 from law_samples import with_laws
 from mpi4py import MPI
 from mpmath import mp, mpf
-from network_samples import NetworkReference, as_network, exactly, random_network
+from network_samples import NetworkReference, as_network, eliminated, exactly, random_network
 from samples import SOLVERS, assert_same, bond_arrays
 
 from pgran.errors import InputError
@@ -106,9 +106,8 @@ class Exact(NetworkReference):
         reading = reading.reshape(len(sites), -1).T
         fixed = ~self.free
         force = -S[np.ix_(self.free, fixed)] @ self.motion[fixed] + s * 0
-        found = solved(
-            S[np.ix_(self.free, self.free)], np.column_stack([force, reading[self.free]])
-        )
+        right, least = np.column_stack([force, reading[self.free]]), mpf(10) ** (5 - mp.dps)
+        found = eliminated(S[np.ix_(self.free, self.free)], right, least)
         if found is None:
             return None
         A, z = self.motion.copy() + s * 0, reading * 0
@@ -172,20 +171,6 @@ class Exact(NetworkReference):
             added = added - mpmath.mpc(0, 1) * self.loss(contact)
         found = self.states(s, sites, [(here, added)])
         return found and found[2]
-
-
-def solved(S, f):
-    """The solutions of S x = f, a column each, with row pivoting; None where S is singular."""
-    A, order = np.column_stack([S, f]), len(S)
-    for n in range(order):
-        pivot = n + int(np.argmax([abs(x) for x in A[n:, n]]))
-        A[[n, pivot]] = A[[pivot, n]]
-        if not abs(A[n, n]) > mpf(10) ** (5 - mp.dps) * max(map(abs, S[n])):
-            return None
-        A[n, n:] /= A[n, n]
-        rows = [p for p in range(order) if p != n and A[p, n]]
-        A[rows, n:] -= np.multiply.outer(A[rows, n], A[n, n:])
-    return A[:, order:]
 
 
 def assert_exact(found, medium, sites, **by):

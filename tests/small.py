@@ -10,6 +10,7 @@ SMALL = {
     r"detectors 8,10": "detectors 2,3",
     r"-lattice_shape 56,30": "-lattice_shape 9,6",
     r"-drive_part .*": "-drive_part 'y>=2 and y<4'",
+    r"-detectors 12,10,4,10": "-detectors 4,3,2,3",
     r"-detectors 48,15": "-detectors 5,3",
     r"-detectors 19,10.*": "-detectors 5,3,2,3",
     r"-green_sources 8,10,12,10": "-green_sources 2,3,4,3",

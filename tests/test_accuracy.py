@@ -31,17 +31,13 @@ ITERATIVE, MISSING = "-steady_pc_type jacobi", "-steady_pc_factor_mat_solver_typ
 
 
 @pytest.fixture
-def ask(world, shared_path):
+def ask(place):
     """Return what resolves the options of a study by solvers, the text of a file each."""
 
     def asked(text, tolerances="1e-4", **solvers):
-        if world.rank == 0:
-            for name, keys in solvers.items():
-                (shared_path / f"{name}.opts").write_text(f"\n{keys}\n")
-        world.Barrier()
-        paths = ",".join(str(shared_path / f"{name}.opts") for name in solvers)
+        paths = [place(f"{name}.opts", f"\n{keys}\n") for name, keys in solvers.items()]
         words = f"-scene accuracy -accuracy_repeats 1 {text} -output_progress none"
-        words += f" -accuracy_tolerances {tolerances} -accuracy_solvers {paths}"
+        words += f" -accuracy_tolerances {tolerances} -accuracy_solvers {','.join(map(str, paths))}"
         return resolve(read_words(words.split()))
 
     return asked

@@ -62,6 +62,7 @@ def test_numbers_come_as_they_like():
     [
         (lambda: pgran.sweep(LATTICE), "sweep: missing .* 'omegas'; it takes lattice, omegas, det"),
         (lambda: pgran.sweep(LATTICE, OMEGAS, [2, 1], tol=1), "'tol'; it takes .*error_t"),
+        (lambda: pgran.sweep(LATTICE, OMEGAS, [2, 1], methd="curve"), "did you mean method?"),
         (lambda: pgran.sweep(LATTICE, [], [2, 1]), "frequencies must"),
         (lambda: pgran.sweep(LATTICE, [-1.0, 1.0], [2, 1]), "frequencies must"),
         (lambda: pgran.sweep(LATTICE, [np.nan], [2, 1]), "frequencies must"),

@@ -31,7 +31,7 @@ def test_what_names_a_file_that_is_read_is_of_the_kind_whose_contents_count():
 
 
 @pytest.fixture
-def stopped(call, place, shared_path, monkeypatch, world):
+def stopped(call, place, monkeypatch, world):
     """Return what runs a scene, or its last command again, which is stopped after one more unit."""
     write = Journal.write
 
@@ -43,12 +43,7 @@ def stopped(call, place, shared_path, monkeypatch, world):
 
     def run(scene, seed):
         place("b.opts", changes.SCENES[scene].replace("FILE", "read"))
-        if world.rank == 0:
-            (shared_path / "read").unlink(missing_ok=True)
-            changes.WRITERS[changes.option_of(scene)](
-                shared_path / "read", np.random.default_rng(seed)
-            )
-        world.Barrier()
+        place("read", changes.WRITERS[changes.option_of(scene)], np.random.default_rng(seed))
         words = ["-output_file", "a.h5", "-output_progress", "none"]
         if "integrated" in scene:  # of its two units each group would do one
             words += ["-ranks_per_lattice", str(world.size)]

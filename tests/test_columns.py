@@ -27,18 +27,18 @@ def test_measurements(written, text):
 
 COLUMNS = {  # text -> what is said of it
     "0\n1\n\n# end\n2 three\n": "a.txt:5: '2 three' is no number; begin comments with #",
-    "0 0\n1\n": "a.txt:2: 1 numbers; each line has one, or a time and one",
-    "0 0 0\n": "a.txt:1: 3 numbers",
+    "0 0\n1\n": "a.txt:2: numbers: 1; each line has one, or a time and one",
+    "0 0 0\n": "a.txt:1: numbers: 3",
     "0\nnan\n1\n": "a.txt:2: 'nan' is not finite; fill the gap",
     "0,1\n1,1e999": "a.txt:2: '1,1e999' is not finite",
     "# nothing\n\n": "a.txt: holds no numbers",
 }
 MEASURED = {
-    "omega,amplitude\n1,2\n3\n": "a.txt:3: 1 numbers; each line has omega, amplitude and",
-    "1 2\n1 2 3\n": "a.txt:2: 3 numbers",
-    "1\n2\n": "a.txt:1: 1 numbers",
-    "omega amplitude\n1 2 3\n": "a.txt:2: 3 numbers",
-    "f,A\n1,2\n": "a.txt:1: a header names omega, amplitude and maybe phase",
+    "omega,amplitude\n1,2\n3\n": "a.txt:3: numbers: 1; each line has frequency, amplitude and",
+    "1 2\n1 2 3\n": "a.txt:2: numbers: 3",
+    "1\n2\n": "a.txt:1: numbers: 1",
+    "omega amplitude\n1 2 3\n": "a.txt:2: numbers: 3",
+    "f,A\n1,2\n": "a.txt:1: a header names frequency, amplitude and maybe",
     "omega amplitude omega\n1 2 1\n": "a.txt:1: a header names",
     "omega amplitude\n": "a.txt: holds no numbers",
     "": "a.txt: holds no numbers",

@@ -10,8 +10,6 @@ from pgran.run.reading import read_words
 
 REFUSED = {  # of each scene, words and what is said of them
     "response": {
-        "-lattice_damping -1": "-lattice_damping -1",
-        "-sweep_min -.5": "-sweep_min -.5",
         "-lattice_shape 2,2,2,2": "-lattice_shape",
         "-phase_fit_min 1": "-phase_fit_min",
         "-sweep_min 1 -sweep_max 1": "-sweep_min",
@@ -43,7 +41,6 @@ REFUSED = {  # of each scene, words and what is said of them
         "-modes_target .5": "-modes_count",
         "-modes_count 3": "-modes_target",
         "-modes_omega_min 0 -modes_omega_max 1 -modes_count 3": "-modes_count",
-        "-modes_density 1": "-modes_density 1",
         "-modes_density 9 -modes_target .5 -modes_count 3": "-modes_target",
         "-modes_density 9 -modes_method dense": "-modes_method",
         "-modes_density 9 -modes_detectors 2,2": "-modes_detectors",
@@ -64,11 +61,9 @@ REFUSED = {  # of each scene, words and what is said of them
     "sensitivity": {
         "-heat_factor 2 -heat_overlap .1": "-heat_factor, -heat_overlap: .* one of these ways",
         "-heat_radius .1 -heat_kelvin 1": "-heat_radius, -heat_kelvin: a ball is warmed in one",
-        "-heat_factor 2 -heat_relax true": "-heat_relax: of balls that grow",
-        "-heat_balls 1,1 -heat_cut": "-heat_balls: by how much",
+        "-heat_factor 2 -heat_relax true": "-heat_relax: only for balls that grow",
+        "-heat_balls 1,1 -heat_cut": "-heat_balls: say by how much",
         "-network_file a.h5 -heat_radius .1 -bonds_redrawn 1": "-heat_radius: a redrawn contact",
-        "-heat_factor -1": "-heat_factor -1",
-        "-sensitivity_most -1": "-sensitivity_most -1",
     },
     "ensemble": {
         "-ensemble_of modes -detectors 2,2": "-detectors: -ensemble_of modes does not use it",
@@ -77,23 +72,16 @@ REFUSED = {  # of each scene, words and what is said of them
         "-network_file README.md": "a file holds one sample only; give several",
         "-network_file README.md,README.md": "-network_file: a file is named twice",
         "-network_file a*.h5,b.h5": "-network_file a.*: no file is called so, or matches it",
-        "-network_file README.md,pyproject.toml -ensemble_samples 3": "-network_file names 2",
+        "-network_file README.md,pyproject.toml -ensemble_samples 3": "-network_file lists 2",
         "-network_file README.md,pyproject.toml -sweep_unit omega_mx": "-sweep_unit omega_mx: diff",
         "-bonds_law file -bonds_file a.h5": "a file holds one only",
-        "-output_fields": "-output_fields: scene ensemble does not use it",
-        "-sweep_resolve .1": "-sweep_resolve: scene ensemble does not use it",
-        "-output_models": "-output_models: scene ensemble does not use it",
-        "-ensemble_samples 1": "1 is not >= 2",
-        "-ensemble_of heat": "choose response, modes",
         "-ensemble_of modes -ranks_per_lattice 2": "scene modes has one rank for each lattice",
-        "-ensemble_of sensitivity -ensemble_keep curves": "of response, modes, pulse only, not of",
-        "-transport_depths 3,9": "of responses and pulses, -ensemble_keep curves",
+        "-ensemble_of sensitivity -ensemble_keep curves": "only response, modes, pulse have some",
+        "-transport_depths 3,9": "needs responses or pulses",
         "-transport_depths 9,3 -ensemble_keep curves": "9 is not below 3",
         "-transport_depths 1,2,3,4 -ensemble_keep curves": "one window of depths is needed",
-        "-ensemble_of modes -modes_target .5 -modes_count 3": "-modes_target: scene ensemble does",
-        "-ensemble_of modes -modes_density 9": "-modes_density: scene ensemble does not",
         "-statistics_windows .4,.5": "needs -ensemble_of response and -ensemble_keep curves",
-        "-ensemble_keep curves -statistics_windows .4,.5,.6": "so 3 numbers make none",
+        "-ensemble_keep curves -statistics_windows .4,.5,.6": "numbers given: 3",
     },
 }
 

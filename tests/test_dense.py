@@ -59,15 +59,15 @@ def test_each_eigenvalue_lies_within_the_radius():
         assert found.radius <= 1e-11 * max(abs(K).sum(axis=1).max(), 1e-300)
 
 
-def planted(fault, values, vectors):
-    """A spectrum with one mode missing, doubled, turned or misplaced."""
+def planted(fault, values, vectors, off=0.01):
+    """A spectrum with one mode missing, turned or misplaced."""
     values, vectors = values.copy(), vectors.copy()
     if fault == "missing":  # another one stands in its place
         values[3], vectors[:, 3] = values[4], vectors[:, 4]
     elif fault == "turned":
         vectors[:, 3] = np.cos(0.02) * vectors[:, 3] + np.sin(0.02) * vectors[:, 7]
     elif fault == "misplaced":
-        values[3] += 0.01
+        values[3] += off
     elif fault == "not finite":
         vectors[2, 3] = np.nan
     return values, vectors
@@ -247,19 +247,12 @@ def test_what_lapack_meets_is_raised_on_all_ranks(error, monkeypatch, world):
         pgran.find_modes(random_lattice((5, 4)), method="dense")
 
 
-@pytest.mark.parametrize("fault", ["doubled", "not finite", "misplaced"])
+@pytest.mark.parametrize("fault", ["missing", "not finite", "misplaced"])
 def test_wrong_spectra_are_not_certified(fault, monkeypatch, world):
     eigh = scipy.linalg.eigh
 
     def spoilt(*arguments, **choices):
-        values, vectors = eigh(*arguments, **choices)
-        if fault == "doubled":
-            values[3], vectors[:, 3] = values[4], vectors[:, 4]
-        elif fault == "not finite":
-            vectors[:, 2] = np.nan
-        else:
-            values[2] += 1e-8
-        return values, vectors
+        return planted(fault, *eigh(*arguments, **choices), off=1e-8)
 
     monkeypatch.setattr(scipy.linalg, "eigh", spoilt)
     modes = pgran.find_modes(random_lattice((5, 4)), method="dense")

@@ -29,40 +29,34 @@ def test_samples_of_networks(world):
     assert found.seed.tolist() == [4, 5, 6]
 
 
-def test_samples_of_a_list(world, shared_path):
+def test_samples_of_a_list(place):
     """Lattices, networks, results and files of both."""
     lattices = [lattice_of(seed) for seed in (7, 8, 9)]
     asked = {"omegas": OMEGAS, "detectors": (2, 2), "keep": "curves"}
     expected = pgran.ensemble("response", 3, lattice=LATTICE, seed=7, **asked)
-    if world.rank == 0:
-        run = {"scene": "modes", "bonds_sha256": ""}
-        store.write(shared_path / "a.h5", run, [record_of(lattices[2])])
-        balls = {"held": [2, 0, 0], "bond": [[0, 1], [1, 2]], "stiffness": [1.0, 0.5]}
-        write_network(shared_path / "n.h5", balls, {})
-    world.Barrier()
-    stored = pgran.load(shared_path / "a.h5")
-    for listed in ([*lattices[:2], shared_path / "a.h5"], [*lattices[:2], stored]):
+    run = {"scene": "modes", "bonds_sha256": ""}
+    path = place("a.h5", store.write, run, [record_of(lattices[2])])
+    for listed in ([*lattices[:2], path], [*lattices[:2], pgran.load(path)]):
         found = pgran.ensemble("response", 3, lattice=listed, **asked)
         assert np.array_equal(found.displacement, expected.displacement)
         assert found.seed.tolist() == [0, 1, 2]
-    network = pgran.load(shared_path / "n.h5")
-    found = pgran.ensemble("modes", 2, lattice=[network, str(shared_path / "n.h5")], keep="curves")
+    balls = {"held": [2, 0, 0], "bond": [[0, 1], [1, 2]], "stiffness": [1.0, 0.5]}
+    path = place("n.h5", write_network, balls, {})
+    network = pgran.load(path)
+    found = pgran.ensemble("modes", 2, lattice=[network, str(path)], keep="curves")
     assert np.array_equal(found.mode_omega, [pgran.find_modes(network).omega] * 2)
 
 
 @pytest.mark.parametrize("of", ["response", "modes"])
-def test_samples_that_are_files_of_packings(world, shared_path, caplog, of):
+def test_samples_that_are_files_of_packings(world, place, caplog, of):
     """Each of its own size, heard by the free balls nearest to a place."""
     packed = [pgran.pack(30, pressure=0.05, walls="x", seed=seed) for seed in (1, 2)]
     assert packed[0].size != packed[1].size
-    paths = [shared_path / f"pack_{n}.h5" for n in range(2)]
-    if world.rank == 0:
-        for network, path in zip(packed, paths, strict=True):
-            write_network(path, *parts_of(network))
-    world.Barrier()
+    for n, network in enumerate(packed):
+        path = place(f"pack_{n}.h5", write_network, *parts_of(network))
     words = "-sweep_omega .3,.5 -detectors_at 3,2,2,3 -transport_depths 1,2"
     words = words if of == "response" else ""
-    keep = f"-network_file {shared_path}/pack_*.h5 -ensemble_keep curves"
+    keep = f"-network_file {path.parent}/pack_*.h5 -ensemble_keep curves"
     options = resolve(read_words(f"-scene ensemble -ensemble_of {of} {keep} {words}".split()))
     _, found = world.bcast(run_scene(options, world))
     told = "-transport_depths: no transport; detectors at three depths" in caplog.text

@@ -8,28 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from figure_reading import (
-    curves,
-    draw,
-    gaps,
-    labels,
-    legend,
-    lines,
-    marks,
-    note,
-    page_of,
-    saving,
-)
-from figure_results import (
-    SWEEP,
-    UNIT,
-    count_modes,
-    find_modes,
-    listen,
-    project,
-    respond,
-    result_of,
-)
+from figure_reading import curves, draw, gaps, labels, legend, lines, marks, page_of, saving
+from figure_results import SWEEP, UNIT, count_modes, find_modes, listen, project, respond, result_of
 from matplotlib.figure import Figure
 from matplotlib.markers import TICKUP
 from result_samples import no_room_beyond
@@ -39,12 +19,12 @@ import pgran
 from pgran import draw as drawing
 from pgran import errors
 from pgran.command.plot import run as plot
-from pgran.draw import bonds
+from pgran.draw import bonds, style
 from pgran.draw import pages as figures
 from pgran.errors import FileError, InputError, PgranError
 from pgran.experiments.response import figures as response
 from pgran.medium.record import LatticeRecord
-from pgran.store.estimate import two_digits
+from pgran.store.estimate import with_error
 
 
 def test_the_regimes_hold_every_point_of_every_detector():
@@ -77,6 +57,15 @@ def test_where_the_curve_is_not_resolved():
         assert labels(ax)[-1] == "curve not resolved"
 
 
+def test_delays_have_a_panel_a_detector_and_a_band_where_the_axis_is_linear():
+    balls = [(1, 1), (3, 0)]
+    for ax, ball in zip(page_of(respond(detectors=balls), "delay").panels, balls, strict=True):
+        assert ax.get_title(loc="left") == f"ball {ball}"
+        ends = ax.transData.inverted().transform(ax.patches[0].get_window_extent())[:, 1]
+        linear = ax.yaxis.get_transform().linthresh
+        assert ends == pytest.approx([-linear, linear])
+
+
 def test_the_force_of_the_wall_and_its_power():
     """Gaps where a bound is no small part of it; no power without damping; None in older files."""
     result = respond()
@@ -106,8 +95,8 @@ def test_phase_and_its_fit():
         assert fit.get_ydata() == pytest.approx(
             shown.phase_slope[d] * ends + shown.phase_intercept[d]
         )
-        velocity, error = shown.phase_velocity[d], shown.phase_velocity_error[d]
-        assert rf"v = {velocity:.3g} \pm {two_digits(error)}$" in labels(ax)[d]
+        number = with_error(shown.phase_velocity[d], shown.phase_velocity_error[d])
+        assert number.replace("+-", r"\pm") in figures.make(result)["phase"].caption
     newer = ("phase_used_min", "phase_used_max", "phase_slope_error", "phase_velocity_error")
     older = replace(shown, **dict.fromkeys(newer))
     ends = SWEEP[(SWEEP > 0.3) & (SWEEP < 1.0)][[0, -1]]
@@ -123,7 +112,8 @@ def test_phase_and_its_fit():
 )
 def test_every_bond_is_a_segment_of_its_grey(shape, detector, count):
     lattice = LatticeRecord.of(random_lattice(shape))
-    figure = bonds.page(lattice, [detector, (0,) * len(shape)])
+    with style.applied():
+        figure = bonds.page(lattice, [detector, (0,) * len(shape)])
     figure.draw_without_rendering()
     (drawn,) = (c for c in figure.axes[0].collections if c.get_array() is not None)
     seen = set()
@@ -141,7 +131,7 @@ def test_every_bond_is_a_segment_of_its_grey(shape, detector, count):
     if len(shape) > 1:  # so small that all balls are drawn
         (balls,) = every
         assert set(zip(*balls.get_data(), strict=True)) == set(np.ndindex(shape[:2]))
-    assert ("z = 2" in note(figure)) == (len(shape) == 3)
+    assert ("$z$ = 2" in figure.axes[0].get_title(loc="left")) == (len(shape) == 3)
 
 
 @pytest.mark.parametrize("part", [1e-6, 0.4, 0.6, 1.9, 2.1, 1e6])
@@ -282,7 +272,7 @@ def test_two_results_that_are_no_pair(files):
     with pytest.raises(InputError, match="the same result is given twice"):
         plot(["response.h5", "response.h5"])
     for words in (["pulse.h5", "modes.h5"], ["response.h5", "modes.h5", "pulse.h5"]):
-        with pytest.raises(FileError, match="if of one scene, or response and modes or pulse and"):
+        with pytest.raises(FileError, match="but results of one scene, or response and modes or"):
             plot(words)
     for other in ({"seed": 2}, {"seed": 5, "damping": 0.01}):
         files["response.h5"] = respond([0.5], lattice=random_lattice((4, 3), mass=0.25, **other))

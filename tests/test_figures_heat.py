@@ -11,6 +11,7 @@ from small import OPTIONS
 
 import pgran
 from pgran.draw import pages as figures
+from pgran.draw.view import BARRED
 from pgran.errors import FileError
 from pgran.experiments.sensitivity import figures_heat as heat
 from pgran.experiments.sensitivity import maps
@@ -28,7 +29,7 @@ def test_the_heaters_map():
     largest = np.abs(grown).max()
     assert largest * colours.compressed() == pytest.approx(grown)
     assert f"largest {100 * largest:.3g} %" in title(ax)
-    below = grown < -maps.FAINT * largest
+    below = grown < -BARRED * largest
     assert 0 < np.count_nonzero(below) < 4
     (bars,) = lines(ax, label="negative")
     assert np.transpose(bars.get_data()) == pytest.approx(balls[below])

@@ -23,6 +23,7 @@ from pgran.experiments.response import figures as response
 from pgran.medium.crystals import crystal
 from pgran.medium.network_file import write_network
 from pgran.medium.record import record_of
+from pgran.medium.source import with_source
 from pgran.medium.space import reaches
 
 HEIGHT = 3 * np.sqrt(3)  # of the periodic strip
@@ -112,10 +113,18 @@ def test_balls_are_circles_and_those_that_are_held_or_heard_are_marked():
     for ball, name in zip(net.free, names, strict=False):
         (dot,) = lines(ax, label=name)
         assert (*dot.get_xdata(), *dot.get_ydata()) == pytest.approx(net.position[ball])
-    tips = [text.xyann for text in ax.texts]
-    assert np.sum(tips, axis=0) == pytest.approx([0, 0])
-    (x, y), (along, across) = tips[0], net.direction
-    assert x * across - y * along == 0
+    (arrow,) = ax.texts
+    (x, y), (along, across) = np.subtract(arrow.xy, arrow.xyann), net.direction
+    assert x * across == pytest.approx(y * along)
+    for tip in (arrow.xy, arrow.xyann):
+        assert ax.viewLim.padded(1e-9).contains(*tip)
+
+
+def test_what_drives_is_marked_where_it_does():
+    net = strip()
+    pushed = record_of(with_source(net, balls=net.free[[3]]))
+    assert np.array_equal(np.flatnonzero(View(pushed).kind == 2), net.free[[3]])
+    assert np.array_equal(View(record_of(net), driven=False).kind, np.minimum(net.held, 1))
 
 
 def test_without_radii_and_forces_dots_and_stiffness():
@@ -141,6 +150,15 @@ def test_of_spheres_a_plane_along_the_drive_is_drawn(direction, across):
     assert f"{'xyz'[across]}$ = {net.position[7, across]:.3g}" in note(figure)
     (drawn,) = of_kind(figure.axes[0], LineCollection)
     assert len(drawn.get_segments()) == np.count_nonzero(cut[net.bond].all(axis=1))
+
+
+def test_a_plane_that_is_low_is_within_the_page():
+    """As it is drawn first: only then it is known how high the panel is."""
+    net = gas([1, 0, 0])
+    net = replace(net, position=net.position * [2, 1, 1], kmax=None, median_mass=None)
+    figure = network.page(record_of(net), [7])
+    figure.draw_without_rendering()
+    assert figure.panels[0].get_tightbbox().y0 > 0
 
 
 def test_contacts_of_unknown_distance_cross_where_the_normal_points_elsewhere():
@@ -175,13 +193,12 @@ def test_arrows_are_displacements_of_the_modes_chosen(displacement):
         drawn = np.stack([arrows.U, arrows.V], axis=1)
         longest = np.linalg.norm(drawn, axis=1).max()
         assert drawn / longest == pytest.approx(moves[shown, :2] / size.max())
-        assert f"= {x[mode]:.4f}" in ax.get_title(loc="left")
+        assert f"{x[mode]:.4g} " in ax.get_title(loc="left")
         if displacement == "rotations":
             colours = circles(ax)[0].get_array().data
             assert colours == pytest.approx(moves[:, 2] / largest)
     ax = draw(modes.participation, result.modes, result.medium)
-    assert f"(of {len(net.free)} balls)" in ax.get_ylabel()
-    assert ax.get_ylim() == (1, len(net.free))
+    assert ax.child_axes[0].get_ylabel() == f"$P_i/N$, of $N$ = {len(net.free)} balls"
 
 
 def test_scalar_fields_are_colours():
@@ -274,7 +291,9 @@ def test_a_velocity_is_given_where_there_is_a_distance():
         assert labels(ax)[0].startswith(f"ball {ball}:")
         assert ("v =" in labels(ax)[0]) == np.isfinite(velocity)
         assert ("s = -3" in labels(ax)[0]) != np.isfinite(velocity)
-    assert "unit of length" in figures.make(result)["phase"].caption
+        unit = r"$v$ in lengths $\times" if np.isfinite(velocity) else "$s$ in rad/"
+        assert any(unit in label for label in labels(ax))
+        assert ("2.00 " in figures.make(result)["phase"].caption) == np.isfinite(velocity)
 
 
 def test_two_results_of_one_network(monkeypatch, capsys):

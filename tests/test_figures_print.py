@@ -22,14 +22,14 @@ from figure_results import (
     respond_box,
     result_of,
 )
-from matplotlib import colormaps
 from matplotlib.collections import PolyCollection
 from matplotlib.markers import TICKUP
 from samples import random_lattice
 
 import pgran
-from pgran.draw import bonds, style
+from pgran.draw import bonds, style, view
 from pgran.draw import pages as figures
+from pgran.draw.marks import points as errorbars
 from pgran.experiments.accuracy import figures as accuracy
 from pgran.experiments.ensemble import figures_transport as transport
 from pgran.experiments.modes import figures as modes
@@ -163,7 +163,7 @@ def _check_texts(name, figure, part=0.15):
 
 def _check_panels(figure):
     for ax in figure.panels:
-        data = [line.get_xdata() for line in curves(ax)]
+        data = [line.get_xdata() for line in curves(ax) if line.get_linestyle() != "None"]
         if data and len(data[0]) > style.HANDFUL and "time" not in ax.get_xlabel():
             every = np.concatenate(data)
             assert every.min() <= ax.get_xlim()[0] < ax.get_xlim()[1] <= every.max()
@@ -209,16 +209,22 @@ def test_few_points_that_are_no_curve_are_points():
     assert line.get_linestyle() == "-"
 
 
-def test_signs_are_seen_in_grey_and_the_driven_wall_is_marked():
-    """Colours get lighter all the way from -1 to 1, in the luminance of a print in grey."""
-    grey = colormaps[style.SIGNED](np.linspace(0, 1, 101))[:, :3] @ [0.299, 0.587, 0.114]
-    assert np.all(np.diff(grey) > 0)
-    assert grey[-1] - grey[50] == pytest.approx(grey[50] - grey[0], abs=0.1)
-    result = find_modes((6, 5))
-    ax = draw(modes.shape, result.modes, result.lattice, 3)
-    (wall,) = lines(ax, color=style.ACCENT)
-    assert list(wall.get_xdata()) == [5.5, 5.5]
-    assert ax.images[0].get_cmap().name == style.SIGNED
+def test_signs_are_seen_in_grey_and_a_wall_is_marked_where_it_is_driven():
+    """Numbers are the darker the larger they are, negative ones more, and these have bars."""
+    grey = style.SIGNED(np.linspace(0, 1, 101))[:, :3] @ [0.299, 0.587, 0.114]
+    assert np.all(np.diff(grey[:51]) > 0)
+    assert np.all(np.diff(grey[50:]) < 0)
+    assert np.all((grey[::-1] - grey)[:25] > 0.1)
+    found, pulse = find_modes((6, 5)), listen()
+    ax = draw(modes.shape, found.modes, found.lattice, 3)
+    assert not lines(ax, color=style.DRIVEN)  # walls are at rest
+    assert ax.images[0].get_cmap() is style.SIGNED
+    (bars,) = lines(ax, label="negative")
+    shown = np.argwhere(ax.images[0].get_array().T < -view.BARRED)
+    assert np.array_equal(np.transpose(bars.get_data()), shown)
+    ax = page_of(pulse, "field").panels[0]
+    (wall,) = lines(ax, color=style.DRIVEN)
+    assert list(wall.get_xdata()) == [3.5, 3.5]
 
 
 @pytest.mark.parametrize(("shape", "count"), [((6,), 1), ((4, 3), 3), ((4, 3, 5), 3)])
@@ -253,7 +259,7 @@ def test_equally_accurate_configurations_are_bars_of_their_run_times():
 def test_transport_is_points_with_their_errors():
     result = ensemble()
     found, unit = result.transport, result.medium.omega_mx
-    ax = draw(transport.profile, found, unit)
+    ax = draw(transport.profile, found, result.medium)
     omegas = [float(name.split()[0]) for name in labels(ax)]
     at = [np.abs(found.omega / unit - omega).argmin() for omega in omegas]
     x = found.omega / unit
@@ -267,7 +273,7 @@ def test_transport_is_points_with_their_errors():
     }
     assert len(at) == transport.SHOWN
     for name, (x, values, errors) in expected.items():
-        ax = draw(getattr(transport, name), found, unit)
+        ax = draw(getattr(transport, name), found, result.medium)
         for points, value, error in zip(ax.containers, values, errors, strict=True):
             line, _, (bars,) = points.lines
             assert line.get_linestyle() == "None"
@@ -287,6 +293,13 @@ def test_transport_is_points_with_their_errors():
             assert ax.get_xlim() == pytest.approx((found.omega / unit)[[0, -1]])
             verticals = [list(line.get_xdata()) for line in ax.get_lines()]
             assert [found.first_mode / unit] * 2 in verticals
+
+
+@pytest.mark.filterwarnings("error")
+def test_rows_of_which_nothing_is_known_are_empty():
+    values = np.array([[np.nan, np.nan], [1.0, np.nan]])
+    drawn = draw(errorbars, [1.0, 2.0], values, 0 * values, "ab", xerr=0.1).containers
+    assert [len(row.lines[0].get_xdata()) for row in drawn] == [0, 2]
 
 
 def test_transport_of_older_files_has_no_delays():

@@ -8,7 +8,7 @@ from figure_reading import curves, draw, gaps, labels, legend, lines, page_of
 from figure_results import UNIT, listen, respond
 from samples import random_lattice
 
-from pgran.draw import balls
+from pgran.draw import balls, style
 from pgran.draw import pages as figures
 from pgran.errors import FileError
 from pgran.experiments.pulse import figures as pulse
@@ -23,7 +23,7 @@ def test_signals_above_each_other_by_distance(method):
     ax = draw(pulse.seismogram, shown, result.lattice)
     names = [text.get_text().split("\n")[0] for text in ax.get_yticklabels()]
     assert names == ["driven wall", "ball (3, 2)", "ball (1, 1)", "ball (0, 0)"]
-    (wall,), signals = lines(ax, color="#0072B2"), lines(ax, color="black")
+    (wall,), signals = lines(ax, color=style.DRIVEN), lines(ax, color="black")
     assert wall.get_ydata() == pytest.approx(0.45 * shown.wall / np.abs(shown.wall).max())
     assert wall.get_xdata() == pytest.approx(shown.time * UNIT)
     for row, (d, signal, above) in enumerate(
@@ -133,7 +133,7 @@ def test_spectra_and_what_is_left_of_their_signals():
     assert curve.get_xdata() == pytest.approx(omega / UNIT)
     assert gaps(curve) == list(np.flatnonzero(~good))
     assert np.array_equal(curve.get_ydata(orig=True).data, size, equal_nan=True)
-    title = f"ball (3, 0), {speed[601:].max() / speed.max():.1%} left"
+    title = f"ball (3, 0), depth 1; {100 * speed[601:].max() / speed.max():.3g} % left"
     assert ax.get_title(loc="center") == title
     shown.error[0, 1] = np.inf
     assert not draw(transfer.spectrum, shown, result.lattice, 1).yaxis.get_visible()
@@ -155,13 +155,13 @@ def test_a_steady_response_is_laid_over_the_detectors_that_it_shares():
     other = respond(detectors=[(2, 2), (3, 0)])
     other.response.converged_reason[[120, 130]] = -3
     made = figures.make(result, response=other.response)
-    upper, lower = made["spectrum"].axes
-    (steady,) = lines(lower, linewidth=2.5)
-    assert not lines(upper, linewidth=2.5)
+    near, deep = made["spectrum"].axes
+    (steady,) = lines(near, linewidth=2.5)
+    assert not lines(deep, linewidth=2.5)
     assert steady.get_xdata() == pytest.approx(other.response.omega / UNIT)
     values = steady.get_ydata(orig=True)
     assert np.array_equal(values.data, other.response.amplitude[:, 1])
-    low, high = lower.get_xlim()
+    low, high = near.get_xlim()
     outside = np.flatnonzero((steady.get_xdata() < low) | (steady.get_xdata() > high))
     assert set(gaps(steady)) == {120, 130, *outside}
     assert sorted(legend(made["spectrum"])) == ["signal / drive", "steady response"]

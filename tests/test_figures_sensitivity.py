@@ -23,8 +23,9 @@ from map_samples import (
 from samples import random_lattice
 
 import pgran
-from pgran.draw import balls, style
+from pgran.draw import balls, captions, style
 from pgran.draw import pages as figures
+from pgran.draw.view import BARRED
 from pgran.errors import FileError
 from pgran.experiments.sensitivity import figures as sensitivity
 from pgran.experiments.sensitivity import figures_heat as heat
@@ -56,7 +57,7 @@ def test_derivatives_are_lines_on_the_bonds(shape, site):
     assert {k: v * largest for k, v in drawn.items()} == pytest.approx(expected)
     widths = np.array(coloured.get_linewidths())
     assert (widths / widths.max()) ** 2 == pytest.approx(np.abs(coloured.get_array()))
-    negative = sum(v < -maps.FAINT * largest for v in expected.values())
+    negative = sum(v < -BARRED * largest for v in expected.values())
     assert len(hollow.get_segments()) == negative
     assert negative or len(shape) == 1
     assert f"largest {largest:.3g}" in title(ax)
@@ -123,6 +124,9 @@ def test_what_flows_into_a_ball_is_lost_there(make, monkeypatch):
     assert balance[free] == pytest.approx(lost[free], abs=1e-6 * power.max())
     assert np.array(discs(ax).get_array()) == pytest.approx(lost[free] / lost[free].max())
     assert np.all(balance[network.held == 2] < 0)
+    ball = np.ravel_multi_index(site[0], LATTICE.shape) if medium is LATTICE else site[0]
+    near = np.abs(found.flux[1][(network.bond == ball).any(axis=1)]).max()
+    assert [text.get_text() for text in ax.texts] == [captions.number(near, 1)]
 
 
 def test_many_fluxes_are_summed_in_cells(monkeypatch):
@@ -146,12 +150,12 @@ def test_shares_of_bonds_and_balls():
         for x, share in curve.get_xydata():
             assert share == pytest.approx(np.mean(size >= x))
     ax = draw(heat.distribution, warm)
-    (mark,) = lines(ax, label="a quarter")
+    (mark,) = lines(ax, color=style.UNRESOLVED)
     assert set(mark.get_xdata()) == {25.0}
     assert ax.get_xlim()[1] > 25
     moved = np.abs(warm.warmed / warm.displacement[..., None] - 1)[:, 1]
     quarter = np.mean(moved >= 0.25)
-    assert f"ball (3, 2), ball warmed: {100 * quarter:.2g} % of cases above" in labels(ax)
+    assert f"ball (3, 2), ball warmed: {100 * quarter:.3g} % of cases above a quarter" in labels(ax)
     assert quarter == pytest.approx(warm.heard[:, 1].mean())
 
 
@@ -175,8 +179,8 @@ def test_pages():
         shown = zip("abc", sensitivity.few(both.heat), made[name].panels, strict=True)
         for letter, n, ax in shown:
             x = OMEGAS[n] / LATTICE.omega_mx
-            assert title(ax).startswith(f"({letter}) $\\omega$ = {x:.4g} ")
-        assert "circle: ball (1, 1); what drives: blue" in note(made[name])
+            assert title(ax).startswith(f"({letter}) {x:.4g} ")
+        assert "circle: ball (1, 1); green: what drives" in note(made[name])
     assert len([ax for ax in made["changes"].axes if ax.lines]) == 2
 
 
@@ -188,7 +192,7 @@ def test_pages_of_networks_and_of_several_detectors(caplog):
     assert "the first 3 of 4 detectors" in caplog.text
     names = [f"sensitivity_{ball}" for ball in sites[:3]]
     assert list(made) == ["network", *names, "flux", "distribution"]
-    assert "balls at rest: dark" in note(made["flux"])
+    assert "dark: at rest; green: driven" in note(made["flux"])
     assert f"ball {sites[3]}" in labels(made["network"].axes[0])
 
 

@@ -1,13 +1,22 @@
 """Results over each other, labelled by what tells them apart, and measurements over responses."""
 
-import re
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from figure_reading import curves, labels, lay_out, legend, lines, note, saving
-from figure_results import UNIT, find_modes, listen, relax, respond, respond_box, result_of
+from figure_results import (
+    UNIT,
+    count_modes,
+    find_modes,
+    listen,
+    relax,
+    respond,
+    respond_box,
+    result_of,
+)
 from samples import random_lattice
 
 import pgran
@@ -57,14 +66,20 @@ def compared(damped):
     ("words", "expected"),
     [
         (("-lattice_damping .001", "", "-lattice_damping .01"),
-         ["-lattice_damping 0.001", "-lattice_damping 0.003", "-lattice_damping 0.01"]),
+         ["beta = 0.001", "beta = 0.003", "beta = 0.01"]),
         (("-lattice_shape 20,20", "-lattice_shape 9,8 -bonds_seed 7"),
-         ["-lattice_shape 20,20 -bonds_seed 1993", "-lattice_shape 9,8 -bonds_seed 7"]),
+         ["20 x 20 balls, seed 1993", "9 x 8 balls, seed 7"]),
         (("-output_file a.h5 -output_fields", "-ranks_per_lattice 2 -bonds_seed 7"),
-         ["-bonds_seed 1993", "-bonds_seed 7"]),  # not what a run keeps, and how
-        (("", "-steady_pc_type lu"), ["by default", "-steady_pc_type lu"]),
+         ["seed 1993", "seed 7"]),  # not what a run keeps, and how
+        (("", "-steady_pc_type lu"), ["by default", "pc type lu"]),
         (("-network_file a.h5", "-network_file c.h5 -detectors 8,10"),
-         ["-network_file a.h5", "-network_file c.h5"]),
+         ["network a.h5", "network c.h5"]),
+        (("", "-bonds_law constant -sweep_points 9", "-bonds_kmin .2 -damping_loss 1e-5"),
+         ["bonds uniform on [0, 0.25], seed 1993", "bonds all 0.25",
+          "bonds uniform on [0.2, 0.25], seed 1993, eta = 1e-05"]),
+        (("-sweep_points 9", "-sweep_points 99"), ["9 points", "99 points"]),
+        (("-drive_part y>2", "-drive_balls 1,1 -bonds_redrawn 3", "-bonds_redrawn 3"),
+         ["driven at 'y>2', 0 redrawn", "3 redrawn, force on 1,1", "3 redrawn"]),
     ],
 )  # fmt: skip
 def test_labels_are_the_options_that_differ(words, expected, caplog):
@@ -73,31 +88,17 @@ def test_labels_are_the_options_that_differ(words, expected, caplog):
     assert not caplog.text
 
 
-def test_results_of_the_same_options_are_named(caplog):
+def test_results_that_no_short_words_tell_apart_are_named(caplog):
     shown = [told("-bonds_seed 7"), told("-bonds_seed 8"), told("-bonds_seed 7 -output_file b.h5")]
+    many = SimpleNamespace(options="".join(f"-solver_key_{n} {n}\n" for n in range(20)))
     with caplog.at_level("WARNING", logger="pgran"):
         found = labels_of(shown, ["a.h5", "b.h5", "c.h5"])
-    assert found == ["-bonds_seed 7 file a.h5", "-bonds_seed 8", "-bonds_seed 7 file c.h5"]
-    assert "a.h5, c.h5: no option tells them apart" in caplog.text
-    assert labels_of(shown[::2], ["a.h5", "c.h5"]) == ["file a.h5", "file c.h5"]
-
-
-def test_options_that_are_too_many_for_a_legend_are_told(caplog):
-    shown = [told("-network_file a.h5"), told("-bonds_seed 7")]
-    with caplog.at_level("INFO", logger="pgran"):
-        assert labels_of(shown, ["a.h5", "b.h5"]) == ["file a.h5", "file b.h5"]
-    assert "file a.h5: -network_file a.h5" in caplog.text
-    assert "-bonds_seed 7" in caplog.text
-
-
-def test_long_labels_are_wrapped_between_options():
-    result = respond(X, [(1, 1), (3, 0)])
-    words = " ".join(f"-bonds_seed_number_{n} {n}" for n in range(5))
-    made = figures.compare([result, result], [words, f"{words}0"])
-    for figure in made.values():
-        for line in legend(figure)[0].split("\n"):
-            assert not re.search(r"-\w+$", line)
-        assert figure.axes[0].bbox.height > 0.9 * figure.dpi  # room for the curves is left
+        assert found == ["file a.h5", "seed 8", "file c.h5"]
+        assert labels_of([many, SimpleNamespace()], ["a.h5", "b.h5"]) == ["file a.h5", "by default"]
+        assert labels_of(2 * [many], ["d.h5", "e.h5"]) == ["file d.h5", "file e.h5"]
+    assert "c.h5 is named by its file: no short words tell it apart: seed 7" in caplog.text
+    assert "a.h5 is named by its file: no short words tell it apart: key 0 0, key" in caplog.text
+    assert "e.h5 is named by its file: no option differs" in caplog.text
 
 
 def test_what_a_result_says_of_its_options_is_read_back():
@@ -123,7 +124,7 @@ def test_responses_over_each_other(damped, compared):
     """Each curve has the numbers of its result, and colour, line style and label of its own."""
     made = compared
     assert list(made) == ["amplitude", "phase"]
-    expected = [f"-lattice_damping {beta}" for beta in BETAS]
+    expected = [rf"$\beta$ = {beta}" for beta in BETAS]
     for result, label in zip(damped, expected, strict=True):
         seen = []
         for ax in made["amplitude"].axes:
@@ -134,7 +135,7 @@ def test_responses_over_each_other(damped, compared):
     drawn = curves(made["phase"].axes[0])
     for line, result, label in zip(drawn, damped, expected, strict=True):
         assert np.array_equal(line.get_ydata(), result.response.phase[:, 0])
-        assert line.get_label().partition(":")[0] == label
+        assert line.get_label() == label
     assert len({line.get_color() for line in drawn}) == 3
     assert len({str(line._unscaled_dash_pattern) for line in drawn}) == 3
     assert [legend(figure) for figure in made.values()] == [expected] * 2
@@ -152,6 +153,30 @@ def test_of_several_detectors_colours_are_balls_and_styles_are_results():
     assert len({colour for colour, _ in styles}) == len({style for _, style in styles}) == 2
     assert labels(made["amplitude"].axes[0])[1:3] == [r"one \$, ball (3, 0)", "two, ball (1, 1)"]
     lay_out(made["amplitude"])  # a $ of a file's name begins no formula
+
+
+def test_labels_of_the_user(damped, monkeypatch):
+    """One for each result, in their order; what is between dollars is a formula if it is one."""
+    given = ["loose, $P$ = .02" + 4 * " and packed", r"$\nonsense$", "1e-5"]
+    made = pgran.plot(damped, labels=given)
+    expected = [
+        "loose, $P$ = .02 and packed and packed and\npacked and packed",
+        r"\$\nonsense\$",
+        r"$1\times10^{-5}$",
+    ]
+    assert [legend(figure) for figure in made.values()] == [expected] * 2
+    monkeypatch.setattr(pgran, "load", dict(zip(["a.h5", "b.h5"], damped, strict=False)).get)
+    saved = saving(monkeypatch)
+    plot(["a.h5", "b.h5", "-label", "one", "--label", "two"])
+    assert legend(saved[0]["phase"]) == ["one", "two"]
+    with pytest.raises(InputError, match="-label: 1 label for 2 results; of several over"):
+        plot(["a.h5", "b.h5", "-label", "one"])
+    with pytest.raises(InputError, match="-label: 1 label for 1 result; of"):
+        pgran.plot(damped[0], labels=["one"])
+    assert legend(pgran.plot(damped, labels=["_a", "b", "c"])["phase"]) == [" _a", "b", "c"]
+    for same in (["one", "one", "b"], ["one", " ", "b"]):
+        with pytest.raises(InputError, match="a label of its own, which is not empty"):
+            pgran.plot(damped, labels=same)
 
 
 def test_sweeps_of_different_ranges():
@@ -232,6 +257,9 @@ def test_results_that_are_not_laid_over_each_other():
     result.medium = replace(result.medium, omega_mx=0.0)
     with pytest.raises(FileError, match="omega_mx is 0"):
         figures.compare([result, result], ["a", "b"])
+    counts = SimpleNamespace(**vars(count_modes()) | {"scene": "modes"})
+    with pytest.raises(FileError, match="normal modes alone are laid over each other"):
+        figures.compare([counts] * 2, ["a", "b"])
     with pytest.raises(FileError, match="no modes"):
         figures.compare([find_modes(interval=(50.0, 51.0))] * 2, ["a", "b"])
 
@@ -249,6 +277,28 @@ def test_what_was_measured_lies_over_a_response(written, damped, several, caplog
         assert legend(made[name]).count(r"measured\$.csv") == 1
 
 
+@pytest.mark.parametrize(("unit", "omega"), [("Hz", 2e-3 * math.pi), ("omega_mx", 2.0)])
+def test_what_was_measured_in_other_units(written, damped, unit, omega):
+    """Frequencies in Hz where the unit of time is known; amplitudes by the volt."""
+    path = written(f"Frequency;amplitude\n{0.4 / omega};4000\n", "a.csv")
+    look = {"measured": path, "measured_unit": unit, "measured_scale": 5e-4}
+    figure = pgran.plot(damped[0], units=(None, 1e-3), **look)["amplitude"]
+    (dots,) = lines(figure.axes[0], marker="o")
+    assert dots.get_xydata()[0] == pytest.approx([0.2, 2.0])
+    assert r"measured (a.csv) $\times$ 0.0005." in figure.caption
+    if unit == "Hz":
+        with pytest.raises(InputError, match="-plot_unit Hz: the result has no unit of time"):
+            pgran.plot(damped[0], **look)
+        for changed, words in (
+            ({"measured_unit": "kHz"}, "-plot_unit kHz: ch"),
+            ({"measured_scale": -1}, "scale -1:"),
+            ({"measured_scale": 1e99, "measured_unit": "absolute"}, "cannot be drawn; -plot_scale"),
+            ({"measured": None}, "-plot_with, which is missing"),
+        ):
+            with pytest.raises(InputError, match=words):
+                pgran.plot(damped[0], **look | changed)
+
+
 def test_measurements_that_fit_no_figure(written, damped):
     """Without phases that of phases is left alone."""
     path = written("0.4 2\n", "a.csv")
@@ -259,7 +309,7 @@ def test_measurements_that_fit_no_figure(written, damped):
     other = respond(X, lattice=random_lattice((4, 3), seed=5, mass=1.0))
     with pytest.raises(FileError, match=r"a\.csv: the results have different omega_mx"):
         pgran.plot([damped[0], with_options(other, "-lattice_mass 4")], measured=path)
-    with pytest.raises(FileError, match=r"b\.csv: none of its frequencies is one of the sweep"):
+    with pytest.raises(FileError, match=r"b\.csv: none of its frequencies is within"):
         pgran.plot(damped[0], measured=written("40 2\n", "b.csv"))
 
 

@@ -54,7 +54,7 @@ def floating():
 
 def damping_matrix(network):
     """C / beta by the springs, dense."""
-    springs, stretch = network.springs, network.B.toarray()
+    springs, stretch = network.springs, network.springs.B.toarray()
     return stretch.T @ (springs.damped[:, None] * stretch)
 
 

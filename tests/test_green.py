@@ -122,7 +122,7 @@ def test_what_misses_its_accuracy_is_marked(solver_options):
     ("choices", "said"),
     [
         ({"sources": [4, 3]}, "green_sources: ball (4, 3) is outside"),
-        ({"sources": [1, 1], "receivers": [1]}, "green_receivers: a ball of this lattice has 2"),
+        ({"sources": [1, 1], "receivers": [1]}, "green_receivers: needs 2 indices"),
         ({"sources": [1, 1], "direction": "x"}, "balls of this medium have one displacement"),
     ],
 )

@@ -234,17 +234,13 @@ def test_the_frequencies_that_the_paper_estimates(capsys):
         (f"{GIVEN} --pressure 3", "--pressure: not allowed with argument --load"),
         ("--diameter 0 --material glass --load 1", "--diameter: 0 is no positive number"),
         ("--diameter 1 --material glass --load inf", "--load: inf is no positive number"),
-        ("--diameter 1 --material cheese --load 1", "--material: invalid choice: 'cheese'"),
         ("--diameter 1 --load 1 --poisson .2", "is needed, or else --modulus, --density"),
         (f"{GIVEN} --poisson .6", "poisson: must lie above -1 and up to 0.5, not 0.6"),
-        (f"{GIVEN} --dimensions 4", "--dimensions: invalid choice: 4"),
         (f"{GIVEN} --fraction 1.1", "--fraction 1.1: is a part of the volume"),
         (f"{GIVEN} --quality 3", "--quality and --frequency go together"),
-        (f"{GIVEN} --restitution 1.5", "--restitution 1.5: two balls part at most as fast"),
-        (f"{GIVEN} --restitution .5 --quality 3", "not allowed with"),
+        (f"{GIVEN} --restitution 1.5", "--restitution 1.5: is at most 1"),
         ("--diameter 1e-200 --material glass --load 1", "too far apart to compute with"),
         (f"{GIVEN} --quality 1e-300 --frequency 1e-300", "too far apart to compute with"),
-        (f"{GIVEN} rest", "unrecognized arguments: rest"),
     ],
 )
 def test_words_that_are_refused(words, said):
@@ -265,4 +261,4 @@ def test_large_contacts_are_told(capsys, caplog):
         say(capsys, GIVEN)
         assert not caplog.text
         say(capsys, "--diameter 5e-3 --material acrylic --load 1e4")
-    assert "Hertz's law is for smaller ones" in caplog.text
+    assert "Hertz's law is for small contacts" in caplog.text

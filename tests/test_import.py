@@ -237,16 +237,16 @@ def test_conditions():
         "x<2 or x>6 and y>=4": (x < 2) | ((x > 6) & (y >= 4)),
         "x>2 and x<6 and y<5 or y==8": ((x > 2) & (x < 6) & (y < 5)) | (y == 8),
     }.items():  # fmt: skip
-        np.testing.assert_array_equal(choose(text, np.arange(50), table.get), wanted, text)
+        np.testing.assert_array_equal(choose("rest", text, np.arange(50), table.get), wanted, text)
     ids = rng.permutation(50)
-    listed = choose("3, 7-9,40 - 60", ids, table.get)
+    listed = choose("rest", "3, 7-9,40 - 60", ids, table.get)
     assert set(ids[listed]) == {3, 7, 8, 9, *range(40, 50)}
     for wrong in (
         "", "x", "x<", "x<1.5.2", "x<1 and", "x<1 xor y<2", "__import__('os')", "x<y", "x<min1",
         "1<x", "x=1", "50-60", "3,77", "x>100", "x<nan", "3,,4", "9" * 30,
     ):  # fmt: skip
         with pytest.raises(InputError):
-            choose(wrong, np.arange(50), table.__getitem__)
+            choose("rest", wrong, np.arange(50), table.__getitem__)
 
 
 # GraphML
@@ -268,7 +268,7 @@ def test_graphs(call, place, here):
     assert network.stiffness.tolist() == [3.0, 1.5]
     assert network.held.tolist() == [2, 0, 1]
     assert ids_of("n.h5").tolist() == [b"top", b"middle", b"bottom"]
-    (K,) = (network.B.T.multiply(network.springs.constants) @ network.B).toarray()
+    (K,) = (network.springs.B.T.multiply(network.springs.constants) @ network.springs.B).toarray()
     np.testing.assert_allclose(K, 4.5)
     del graph.nodes["top"]["mass"]
     networkx.write_graphml(graph, "a.graphml")

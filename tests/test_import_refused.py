@@ -62,7 +62,6 @@ WORDS = [  # words of the command, and what is said
     ("--law linear", "--law linear: there is no such column; it is hertz, harmonic, or one of i"),
     ("--law hertz", "needs forces"),
     ("--hertz 2", "--hertz goes with --law hertz"),
-    ("--law hertz --hertz 0", "0 is no positive number"),
     ("--columns i,j,k,l", "--columns l"),
     ("--columns id1=q", "--columns id1=q"),
     ("--rest z<1", "balls have no column z; there are x, y"),
@@ -76,16 +75,15 @@ WORDS = [  # words of the command, and what is said
     ("--direction 0,0", "neither x, y, z"),
     ("--prestress", "--prestress needs forces"),
     ("--displacement scalar --tangential 1", "need vector displacements"),
-    ("--displacement tensor", "invalid choice"),
     ("--damping -1", "-1 is no finite number of 0 or more"),
-    ("--nonsense", "unrecognized arguments"),
+    ("--nonsense", "--nonsense: unknown option; see pgran import --help"),
 ]
 NO_RADII = {ATOMS: "id,x,y\n1,0,0\n2,1,0\n3,2,0\n", CONTACTS: "i,j,force\n1,2,1\n"}
 BOTH = [  # files and words together, the exit code, and what is said
     ({CONTACTS: "i,j,force\n1,2,1\n2,3,-1\n"}, "--law harmonic", 4,
-     "a.contacts:3: a force of -1 at an overlap of 0.2"),
+     "a.contacts:3: a harmonic contact has no force of -1 at an overlap of 0.2"),
     ({CONTACTS: "i,j,force\n1,2,1\n1,3,1\n"}, "--law harmonic", 4,
-     "a.contacts:3: a force of 1 at an overlap of -0.8"),
+     "a.contacts:3: a harmonic contact has no force of 1 at an overlap of -0.8"),
     (NO_RADII, "--law hertz", 2, "needs overlaps"),
     ({}, "-o a.atoms", 4, "a.atoms: exists and is no network"),
     ({}, "-o missing\0/n.h5", 4, "cannot be written"),

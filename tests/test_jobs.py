@@ -71,9 +71,7 @@ def project(clean_environment, tmp_path):
     (tmp_path / "jobs" / "setup.sh").write_text(INSTALLED)
     copy_options(tmp_path)
     (tmp_path / "tests").symlink_to(ROOT / "tests")
-    page = tmp_path / "pgran" / "manual" / "options.md"
-    page.parent.mkdir(parents=True)
-    shutil.copy(ROOT / "pgran" / "manual" / "options.md", page)
+    shutil.copytree(ROOT / "pgran" / "manual", tmp_path / "pgran" / "manual")
     (tmp_path / "bin").mkdir()
     (tmp_path / "lmp.py").write_text(LMP)
 

@@ -258,6 +258,21 @@ def stop_at(journal, writes, rank):
         os.kill(os.getpid(), signal.SIGTERM)
 
 
+def stopped_again_and_again(world, path, identity, compute):
+    """What a run computes with its journal that is stopped after each unit, and goes on."""
+    stopped = 0
+    while True:
+        try:
+            with Journal(world, path, identity) as journal:
+                stop_at(journal, 1, 0)
+                found = compute(journal)
+            break
+        except StoppedError:
+            stopped += 1
+    assert stopped > 0
+    return found
+
+
 @pytest.mark.parametrize("whom", [0, -1])
 @pytest.mark.parametrize("together", [False, True])
 def test_share_stops_within_a_unit_and_goes_on(world, result, whom, together):
@@ -326,15 +341,11 @@ def test_a_run_that_went_on_equals_one_never_stopped(world, result, name):
     """Bit for bit, whole scenes, stopped after each unit."""
     with Crew(world, 1) as crew:
         expected = SCENES[name](crew)
-    stopped = 0
-    while True:
-        try:
-            with Journal(world, result, RUN) as journal, Crew(world, 1, journal) as crew:
-                stop_at(journal, 1, 0)
-                found = SCENES[name](crew)
-            break
-        except StoppedError:
-            stopped += 1
-    assert stopped > 0
+
+    def compute(journal):
+        with Crew(world, 1, journal) as crew:
+            return SCENES[name](crew)
+
+    found = stopped_again_and_again(world, result, RUN, compute)
     if world.rank == 0:
         assert_same(found, expected)

@@ -8,7 +8,7 @@ from reference import balls, bonds
 from samples import bond_arrays, random_lattice, uniform_lattice
 
 from pgran.errors import InputError
-from pgran.medium.bonds import bond_count, bond_ends, bond_places, bond_shape
+from pgran.medium.bonds import bond_count, bond_ends, bond_shape
 from pgran.medium.lattice import Lattice
 from pgran.medium.units import check_frequency
 
@@ -29,7 +29,7 @@ def test_shapes_counts_and_numbers(shape):
     ends = [[number.get(end, -1) for end in row[2:]] for row in table]
     assert bond_ends(np.arange(lattice.size).reshape(shape)).tolist() == ends
     assert (Lattice.random(shape).drive > 0).tolist() == [above == "driven" for *_, above in table]
-    axes, places = bond_places(shape, np.arange(len(table)))
+    axes, places = lattice.bond_places(np.arange(len(table)))
     assert list(zip(axes, map(tuple, places), strict=True)) == [row[:2] for row in table]
 
 
@@ -116,8 +116,9 @@ def test_detectors():
     assert lattice.sites((8, 10, 3, 4)).tolist() == [[8, 10], [3, 4]]
     assert lattice.sites([[0, 19], [19, 0]]).tolist() == [[0, 19], [19, 0]]
     for detectors, said in (
-        ((), "no balls"),
-        ((3, 4, 3), "no balls"),
+        ((), "not 0 numbers"),
+        (3, "needs 2 indices for each ball of this lattice, not 1 number"),
+        ([[3], [4]], "not 2 numbers in 2 rows"),
         ((-1, 0), "outside"),
         ((1, 1, 3, 6), r"ball \(3, 6\) is outside the lattice of 4 x 6"),
     ):

@@ -16,7 +16,7 @@ from pgran.errors import PgranError
 from pgran.experiments.likeness.stretching import MOVES, Pair
 from pgran.experiments.relaxation import memory
 from pgran.store import file as store
-from pgran.store.estimate import jackknife_samples
+from pgran.store.estimate import jackknife_samples, with_error
 
 LATTICE, X, SWEEP = random_lattice((6, 5), damping=0.01), 0.01, np.linspace(0.05, 1.3, 300)
 SPEED = np.sqrt(1 + X)
@@ -131,7 +131,7 @@ def changed(result, change):
         ("pulse", {"envelope": np.zeros((601, 1))}, {}, "B is nowhere larger than its errors"),
         ("pulse", {"envelope": np.eye(601, 1)}, {}, "and -48 to -48 have nothing in common"),
         ("response", {"derivative": None}, {}, "a response of this age has no derivatives"),
-        ("modes", {}, {}, "two pulses are needed, not scenes response and modes"),
+        ("modes", {}, {}, "two pulses are needed, not response and modes"),
     ],
 )
 def test_what_cannot_be_compared(results, kind, change, choices, said):
@@ -154,28 +154,29 @@ def test_what_is_left_out_is_said(results, caplog):
         assert re.search(said, caplog.text)
 
 
-def test_the_command(call, shared_path, world, results):
+def test_the_command(call, place, world, results):
     """Tells in words what the record has, draws it, or stores it, and replaces nothing unasked."""
     pytest.importorskip("matplotlib")
     for name, result in (("a", results["pulse"]), ("b", heard(STIFFER))):
         told = {"scene": "pulse", "bonds_sha256": "", "options": f"-bonds_seed {ord(name)}\n"}
-        if world.rank == 0:
-            store.write(shared_path / f"{name}.h5", told, [result.medium, result.pulse])
-    world.Barrier()
+        told |= {"units_time": 1e-6, "units_length": ord(name)}  # these disagree
+        place(f"{name}.h5", store.write, told, [result.medium, result.pulse])
     done = call("compare", "a.h5", "b.h5", "-windows", "100,200,200,290", "-stretch", ".03")
     assert done.returncode == 0, done.stderr
     found = pgran.compare("a.h5", "b.h5", [[100, 200], [200, 290]], 0.03)
-    assert "A: -bonds_seed 97; B: -bonds_seed 98\nball (3, 2), u\ntime  " in done.stdout
-    assert f"100 to 200         {found.correlation[0, 0, 0]:.4f} +- " in done.stdout
-    assert f" {found.stretch[1, 0, 0]:+.3g} +- " in done.stdout
+    assert "A: seed 97; B: seed 98\nball (3, 2), u\ntime  " in done.stdout
+    for name, sign, at in (("correlation", "", (0, 0, 0)), ("stretch", "+", (1, 0, 0))):
+        number = with_error(getattr(found, name)[at], getattr(found, f"{name}_error")[at])
+        assert f" {sign}{number} " in done.stdout
     itself = call("compare", "a.h5", "b.h5", "-o", "a.h5", "-output_overwrite")
     assert itself.returncode == 2 or world.rank > 0
-    assert "-o a.h5: is what is compared" in itself.stderr
+    assert "-o a.h5: this result is compared" in itself.stderr
     again = [call("compare", "a.h5", "b.h5", "-o", "c.h5").returncode for _ in range(2)]
     assert again == [0, 4] or world.rank > 0
     kept, panels = (
         pgran.load("c.h5").likeness.correlation[:, 0, 0],
         pgran.plot("c.h5")["likeness"].panels,
     )
+    assert panels[-1].get_xlabel() == "time (µs)"
     for panel, expected in ((panels[0], kept), (panels[2], -np.log(kept))):
         assert panel.containers[-1].lines[0].get_ydata() == pytest.approx(expected)

@@ -18,11 +18,13 @@ from small import copy_options, made_small
 import pgran
 from pgran.__main__ import COMMANDS
 from pgran.command import manual
-from pgran.command.listing import tables
+from pgran.command.listing import files, tables
 from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.draw import pages
+from pgran.medium import network_file
 from pgran.run import keys as solver_keys
 from pgran.run.reading import read_file, read_words
+from pgran.store import file
 from pgran.store.record import Record
 
 ROOT = Path(__file__).parents[1]
@@ -98,7 +100,8 @@ def test_commands_run(scratch, block):
     if ".vtu" in block.lines:
         pytest.importorskip("meshio")
     scratch.prepare(block.lines)
-    subprocess.run(["bash", "-euo", "pipefail", "-c", STAND_INS + block.lines], check=True)
+    lines = STAND_INS + made_small(block.lines)
+    subprocess.run(["bash", "-euo", "pipefail", "-c", lines], check=True)
     for line in Path("words").read_text().splitlines():
         scratch.run(*shlex.split(line))
 
@@ -160,7 +163,7 @@ def test_what_is_named_exists(path, monkeypatch):
         if re.fullmatch(r"(options|jobs|tests|pgran)/[\w./]+", span):
             assert (ROOT / span).exists(), span
         if key := re.match(r"-([a-z]+_\w+)", span):
-            known = key[1] in OPTIONS or key[1] == "plot_with" or span.endswith("_*")
+            known = key[1] in OPTIONS or key[1].startswith("plot_") or span.endswith("_*")
             solver = solver_keys.is_solver_key(key[1]) or solver_keys.is_petsc_key(key[1])
             assert known or solver or key[1].endswith("_"), span
         if topic := re.match(r"pgran manual ([a-z]+)", span):
@@ -171,13 +174,14 @@ def test_what_is_named_exists(path, monkeypatch):
 
 def test_all_experiments_are_named():
     page = TEXT[FOLDER / "experiments.md"]
-    paths = sorted((ROOT / "options").rglob("*.opts"))
+    paths = sorted((ROOT / "options").glob("*.opts"))
     assert [p for p in paths if f"`{p.relative_to(ROOT).as_posix()}`" not in page] == []
 
 
-def test_all_options_are_listed():
+@pytest.mark.parametrize(("page", "lines"), [("options", tables()), ("files", files())])
+def test_tables_are_those_of_the_program(page, lines):
     """As `bash jobs/manual.sh` writes them."""
-    assert TEXT[FOLDER / "options.md"].endswith("\n".join(["", *tables(), ""]))
+    assert TEXT[FOLDER / f"{page}.md"].endswith("\n".join(["\n", *lines]).rstrip() + "\n")
 
 
 def kinds(kind=Record):
@@ -241,6 +245,14 @@ def test_a_pager_on_a_terminal_only(call, clean_environment, monkeypatch):
     shown.wait(timeout=60)
     os.close(master)
     assert said.startswith(b"paged:# The curve")
+
+
+def test_formats_of_files_are_told():
+    newest, kind = {}, None
+    for name, version in re.findall(r"^\| (\w*) ?\| (\d) \|", manual.page("changes"), re.MULTILINE):
+        kind = name or kind
+        newest[kind] = int(version)
+    assert newest == {"result": file.FORMAT_VERSION, "network": network_file.FORMAT_VERSION}
 
 
 def test_what_to_cite(call, start):

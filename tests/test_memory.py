@@ -91,6 +91,7 @@ RANDOM = np.random.default_rng(6).standard_normal(200)
         (np.full(200, 0.1), 4, "^series: .* never changes"),
         (RANDOM, 10, "^series: 200 steps .* 210 are needed"),
         (RANDOM.reshape(4, 50), 9, "^series: 50 steps .* 54 are needed"),
+        (RANDOM.reshape(4, 50)[:, 50:], 60, "^series: 0 steps .* 360 are needed"),
     ],
 )
 def test_series_without_a_memory(values, bonds, message):

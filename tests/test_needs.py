@@ -43,7 +43,7 @@ MAKES = {
     "blocks of solves": "Windows._flexibility",
     "counts of modes": "ModeCounter._inertia",
     "searches for modes": "ModeSolver._search",
-    "fields gathered": "LatticeLayout.field",
+    "fields gathered": "Layout.field",
     "spectra": "power_spectrum",
 }
 SMALL = "-lattice_shape 6,5 -detectors 3,2 -sweep_min .1 -sweep_max 1 -sweep_points 3"

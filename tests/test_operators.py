@@ -25,7 +25,7 @@ def shape(request, comm):
 def dense(matrix, operators):
     """A distributed matrix, or a vector, on every rank, in C order of the balls."""
     numbers, rows = (
-        operators.layout._numbers(balls(operators.shape)),
+        operators.layout.readings(balls(operators.shape))[0][:, 0],
         slice(*matrix.getOwnershipRange()),
     )
     if isinstance(matrix, PETSc.Vec):

@@ -68,7 +68,8 @@ def test_wrong_types_are_refused(option):
             option.read(text, " (here)")
         message = str(caught.value)
         assert message.startswith(f"-{option.name} {text[:99]}".rstrip())
-        assert message.endswith(f" (here): needs a value of the type `{option.kind.name}`")
+        assert " (here): needs " in message
+        assert option.choices or option.kind.words in message
         assert len(message) < 1100
     for value in values:
         with pytest.raises(InputError, match=f"^-{option.name}[ :]"):
@@ -106,11 +107,16 @@ def test_more_than_fits_into_memory():
 
 @pytest.mark.parametrize(
     ("name", "text", "meant"),
-    [("lattice_shape", "20x30", "20,30"), ("sweep_points", "1.5e3", "1500")],
-)
+    [
+        ("lattice_shape", "20x30", "did you mean 20,30?"), ("detectors", "(1, 2)", "mean 1,2?"),
+        ("detectors", "1,2;3,4", "mean 1,2,3,4?"), ("sweep_points", "1.5e3", "mean 1500?"),
+        ("sweep_min", "0,5", "mean 0.5?"), ("sweep_min", ".1Hz", "a number (unit: angular)"),
+        ("sweep_points", "9" * 30, "too large"), ("sweep_points", "1.5e0", "a whole number"),
+    ],
+)  # fmt: skip
 def test_a_number_written_otherwise_is_told_how(name, text, meant):
     option = next(option for option in OPTIONS if option.name == name)
-    with pytest.raises(InputError, match=f"did you mean {meant}"):
+    with pytest.raises(InputError, match=f"{re.escape(meant)}$"):
         option.read(text)
 
 
@@ -132,7 +138,7 @@ def test_missing_and_wrong_scene():
     """Nor are ranks an option."""
     assert "mpirun -n N" in refusal("-scene response -n 2", "n")
     assert "-scene is missing" in refusal("-lattice_shape 3,3", "scene")
-    assert "did you mean response?" in refusal("-scene respons", "scene")
+    assert "did you mean response?" in refusal("-scene RESPONS", "scene")
     with pytest.raises(AttributeError, match="scene response has no option -relax_steps"):
         options("-scene response").relax_steps  # noqa: B018
 

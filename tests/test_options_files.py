@@ -25,6 +25,7 @@ SHIPPED = sorted((Path(__file__).parents[1] / "options").rglob("*.opts"))
         ("\u2013scene response", "long dash; keys begin with -"),
         ("-sc\u00e8ne response", "no key has such a name"),
         ("-steady_a'b 3", "No closing quotation"),
+        ("'-detectors 3,4'", "leave out the quotes around a key and its value"),
         ("7", "keys look like -key"),
     ],
 )
@@ -148,7 +149,10 @@ def test_files_of_solvers_hold_the_same_keys(written):
     own = {"relax_window": options_of("relaxation")["relax_window"]}
     path = written("-relax_window 3\n-steady_pc_type lu\n")
     assert read_solver(path, own) == ({"relax_window": 3}, {"steady_pc_type": "lu"})
-    for text, said in (("pc_type python", "could load code"), ("relax_window x", "of the type")):
+    for text, said in (
+        ("pc_type python", "could load code"),
+        ("relax_window x", "needs a whole number"),
+    ):
         with pytest.raises(InputError, match=f"line 1.*{said}"):
             read_solver(written(f"-{text}\n".replace("pc_", "steady_pc_")), own)
     with pytest.raises(InputError, match=r"holds -relax_window, -steady_\*, .*-pulse_pc_\* only"):

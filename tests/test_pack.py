@@ -110,7 +110,7 @@ def test_balls_that_fall_through_the_floor_are_an_error(monkeypatch):
 
 def test_bad_packings_are_refused():
     refused = {
-        "give a pressure": [{}, {"pressure": 1, "gravity": 1}],
+        "either a pressure or gravity": [{}, {"pressure": 1, "gravity": 1}],
         "must be positive": [{"pressure": 0}, {"gravity": -1.0}],
         "discs have 2": [{"pressure": 1, "dimension": 4}],
         "power from 1": [{"pressure": 1, "law": 0.5}],
@@ -120,7 +120,10 @@ def test_bad_packings_are_refused():
         "shape": [{"pressure": 1, "shape": s} for s in ([1], [1, -1], [[1, 1]])],
         "more balls": [{"pressure": 1e-3, "balls": 4}],
         "whole number": [{"pressure": 1, "balls": 2.5}],
-        "balls and seed": [{"pressure": 1, "balls": 0}, {"pressure": 1, "seed": -1}],
+        "(balls: must be 1|seed: must be 0) or more": [
+            {"pressure": 1, "balls": 0},
+            {"pressure": 1, "seed": -1},
+        ],
         "pack: rest: a column: .*x, y, radius": [{"gravity": 1e-3, "rest": "z<1"}],
         "'upwards' is no condition": [{"gravity": 1e-3, "drive": "upwards"}],
         "cannot be both": [{"gravity": 1e-3, "drive": "x<2", "rest": "x<1"}],

@@ -6,6 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from packing_samples import pushes
 
 import pgran
 from pgran.command import imports
@@ -43,20 +44,13 @@ class Dumps:
         self.normal = away / np.linalg.norm(away, axis=1)[:, None]
         self.overlap = np.maximum(self.radius[self.bond].sum(axis=1) - self.distance, 0)
 
-    def on_balls(self):
-        """Return the sum of the contacts' forces on each ball."""
-        total = np.zeros_like(self.position)
-        np.add.at(total, self.bond[:, 0], -self.force[:, None] * self.normal)
-        np.add.at(total, self.bond[:, 1], self.force[:, None] * self.normal)
-        return total
-
 
 def test_the_discs_bear_the_pressure():
     """F = h; by the virial, the pressure is sum F d / (2 A)."""
     discs = Dumps("discs")
     limit = 1e-10 * discs.force.mean()
     assert np.allclose(discs.force, discs.overlap, rtol=0, atol=limit)
-    assert np.abs(discs.on_balls()).max() < limit
+    assert np.abs(pushes(discs)).max() < limit
     virial = discs.force @ discs.distance / (2 * discs.size.prod())
     assert virial == pytest.approx(0.02, rel=1e-9)
 
@@ -68,7 +62,7 @@ def test_the_spheres_bear_the_piston():
     hertz = np.sqrt(one * other / (one + other)) * spheres.overlap**1.5
     limit = 1e-10 * spheres.force.max()
     assert np.allclose(spheres.force, hertz, rtol=0, atol=limit)
-    total = spheres.on_balls()
+    total = pushes(spheres)
     assert np.abs(total[spheres.type < 3]).max() < limit
     for wall, force in ((3, -0.036), (4, 0.036)):
         assert total[spheres.type == wall].sum(axis=0)[0] == pytest.approx(force, rel=1e-9)
@@ -132,10 +126,7 @@ def test_the_beads_are_at_rest_under_their_load():
     one, other = beads.radius[beads.bond].T
     overlap = (beads.force / np.sqrt(one * other / (one + other))) ** (2 / 3)
     assert np.allclose(beads.stiffness, 1.5 * beads.force / overlap, rtol=1e-12, atol=0)
-    total = np.zeros_like(beads.position)
-    for end, sign in zip(beads.bond.T, (-1, 1), strict=True):
-        np.add.at(total, end, sign * beads.force[:, None] * beads.normal)
-    assert np.abs(total[beads.free]).max() <= 1e-12 * beads.force.mean()
+    assert np.abs(pushes(beads)[beads.free]).max() <= 1e-12 * beads.force.mean()
     gaps = np.linalg.norm(
         beads.position[beads.bond[:, 1]] - beads.position[beads.bond[:, 0]], axis=1
     )

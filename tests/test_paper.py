@@ -156,7 +156,8 @@ def test_the_table_holds_what_the_files_hold(folder, here, monkeypatch):
     assert numbers(rows[name][1])[0] == numbers(weight)[1]
 
 
-def test_what_is_missing_is_said_in_a_line_each(tmp_path, capsys):
+def test_what_is_missing_is_said_in_a_line_each(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where no results of the user's are named instead
     assert paper.main(tmp_path / "paper") == 4
     rows = cells((tmp_path / "paper.md").read_text()).values()
     files = {name for row in rows for name in row[2].split(", ")} - {"", BEADS}

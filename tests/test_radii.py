@@ -5,6 +5,7 @@ import functools
 
 import numpy as np
 import pytest
+from packing_samples import pushes
 from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.linalg import splu
 from sensitivity_samples import heated
@@ -29,14 +30,6 @@ def medium(name):
     return read_network(OPTIONS / "packings" / f"{file}.h5", **others), detector
 
 
-def pushes(network):
-    """The sum of all forces on each free ball."""
-    total, each = np.zeros(network.position.shape), network.force[:, None] * network.normal
-    for end, sign in zip(network.bond.T, (-1, 1), strict=True):
-        np.add.at(total, end, sign * each)
-    return total[network.free]
-
-
 def stiffness(network, s=0.0):
     """K + s C of mass-weighted unknowns."""
     springs = network.springs
@@ -59,7 +52,7 @@ def rest(net, ball, size):
         assert h.min() > 0
         F, n = c * h**net.power, (away + moved) / d[:, None]
         now = dataclasses.replace(net, force=F, stiffness=net.power * F / h, normal=n, distance=d)
-        left = pushes(now) - pushes(net)
+        left = (pushes(now) - pushes(net))[net.free]
         if np.abs(left).max() < 1e-14 * F.mean():
             break
         solid = dataclasses.replace(now, displacement="vector", direction=None)

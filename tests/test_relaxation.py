@@ -17,7 +17,7 @@ from pgran.experiments.relaxation import windows
 from pgran.experiments.relaxation.changes import ChangingBonds
 from pgran.experiments.relaxation.spectrum import power_spectrum
 from pgran.experiments.relaxation.windows import Windows, march
-from pgran.medium.bonds import bond_arrays, bond_count, bond_places
+from pgran.medium.bonds import bond_arrays, bond_count
 from pgran.medium.law import BondLaw
 from pgran.medium.redraw import draw_changes
 from pgran.run.reading import read_words
@@ -59,7 +59,7 @@ def follow(lattice, omega, sites, changes, tolerance=1e-4):
     ):
         followed.start()
         after, bound = followed.follow(changes)
-    places, steps = bond_places(lattice.shape, changes.bond), range(1, len(after) + 1)
+    places, steps = lattice.bond_places(changes.bond), range(1, len(after) + 1)
     known = [*exact_amplitudes(lattice, omega, sites, places, changes.stiffness, steps)]
     exact = np.array(known, dtype=complex).reshape(after.shape)
     assert np.all(np.abs(after - exact) <= bound)

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from figure_reading import labels
 from figure_results import result_of
 from network_samples import NetworkReference
 from samples import random_lattice, uniform_lattice
@@ -86,7 +87,7 @@ def test_modes_at_rest_are_set_aside_by_name():
     loose = crystals.part(network, contacts=np.setdiff1d(np.arange(network.bonds), cut))
     result = result_of(pgran.find_modes(loose), loose)
     assert "3 modes at rest" in (said := " ".join(scene.summary(result)))
-    assert "which nothing holds and what is loose" in said
+    assert "which nothing holds and balls that are loose" in said
     none = pgran.Lattice.random((3, 2), law="bimodal", fraction=0.0)
     still = result_of(pgran.find_modes(none), none)
     assert list(scene.summary(still))[-1].startswith("6 modes at rest")
@@ -100,26 +101,34 @@ def test_density_over_that_of_long_waves():
     """Debye's line is that of the statics; none where walls forbid it; bins hold all modes."""
     lattice = random_lattice((12, 11), 5, mass=0.25)
     modes = pgran.find_modes(lattice)
-    edges, counts = figures_density.log_bins(modes.omega / lattice.omega_mx)
+    edges, counts = figures_density.log_bins(modes.omega / lattice.omega_mx).values()
     assert counts.sum() == 132
     np.testing.assert_allclose(np.diff(np.log(edges)), np.log(edges[1] / edges[0]))
-    ax = pages.make(result_of(modes, lattice))["reduced"].panels[0]
-    (line,) = (line for line in ax.get_lines() if "Debye" in str(line.get_label()))
+    made = pages.make(result_of(modes, lattice))
     speed = pgran.sound(lattice).longitudinal.speed / lattice.omega_mx
-    assert line.get_ydata()[0] == pytest.approx(1 / (2 * np.pi * speed**2))
+    for name in ("density", "reduced"):
+        ax = made[name].panels[0]
+        (line,) = (line for line in ax.get_lines() if "Debye" in str(line.get_label()))
+        waves = np.asarray(line.get_ydata()) / (line.get_xdata() if name == "density" else 1)
+        assert waves == pytest.approx(1 / (2 * np.pi * speed**2))
+    (bars,) = made["density"].panels[0].collections[:1]
+    size = np.ptp(np.array(bars.get_segments())[:, :, 1], axis=1)
+    values, bins, _ = made["density"].panels[0].patches[0].get_data()
+    share = 132 * np.diff(bins)
+    np.testing.assert_allclose(size, 2 * np.sqrt(values * share) / share)
     points = ax.containers[0][0].get_xydata()
     widths = np.diff(edges**2)[counts > 0] / 2
     np.testing.assert_allclose(points[:, 1] * widths * 132, counts[counts > 0])
     network = crystals.triangular((6, 4))
     made = pages.make(result_of(pgran.find_modes(network), network))
-    assert not made["reduced"].panels[0].get_legend()
+    assert not labels(made["reduced"].panels[0])
 
 
 def test_detectors_of_modes_are_checked():
     lattice = random_lattice((4, 3))
     with pytest.raises(InputError, match="modes_detectors: ball"):
         pgran.find_modes(lattice, detectors=[(4, 1)])
-    with pytest.raises(InputError, match="no detectors of their own"):
+    with pytest.raises(InputError, match="detectors cannot be kept of each sample"):
         pgran.ensemble("modes", 2, lattice={"shape": (4, 3)}, detectors=[(1, 1)])
     still = pgran.find_modes(dataclasses.replace(lattice, damping=0.0), detectors=[(1, 1)])
     assert np.all(np.isinf(still.quality))

@@ -21,7 +21,6 @@ from sensitivity_samples import (
 
 from pgran.driven import sweep as sweeping
 from pgran.medium.lattice import Lattice
-from pgran.medium.network import Network
 
 CASE = random_sensitivity(0)  # of another tolerance and frequencies
 DERIVATIVES = "by_stiffness", "by_mass", "by_damping", "by_tangential", "by_force"
@@ -117,36 +116,6 @@ def test_amplitudes_do_not_change_with_all_units_of_mass(name):
     assert np.all(np.abs(total) <= bound)
     assert np.all(np.abs(total) <= 1e-10 * size)
     assert np.all(found.converged_reason > 0)
-
-
-@pytest.mark.parametrize("displacement", ["scalar", "vector"])
-def test_drive_and_detector_change_places(displacement):
-    """What the transfer between two balls depends on is the same both ways.
-
-    Balls 0 and 4 are driven in turn, by springs that are alike in all directions; 3 or 1 is read.
-    """
-    rng, ends = np.random.default_rng(1), [[1, 2], [2, 3], [3, 1], [2, 1], [0, 1], [3, 4]]
-    stiffness, shared = np.append(rng.uniform(0.5, 1, 4), [0.7, 0.7]), {}
-    if displacement == "vector":
-        shared = {"position": rng.uniform(0, 2, (5, 2)), "tangential": rng.uniform(0.2, 1, 6)}
-        shared["force"] = np.array([0.03, 0.02, 0.01, 0.02, 0.0, 0.0])
-        shared["tangential"][4:] = 0.7
-    both = []
-    for held, drive, read, site in (
-        ([2, 0, 0, 0, 1], [1, 0], "y", 3), ([1, 0, 0, 0, 2], [0, 1], "x", 1)
-    ):  # fmt: skip
-        along = {"direction": drive, "component": read} if shared else {}
-        medium = Network(
-            ends, stiffness, held, [1, 2, 3, 0.5, 1], 0.02, displacement, **along, **shared
-        )
-        both.append(derived(medium, [0.2, 0.7], [site]))
-        assert np.all(both[-1].converged_reason > 0)
-    for kind in ("displacement", *DERIVATIVES):
-        if getattr(both[0], kind) is not None:
-            one, other = (getattr(found, kind) for found in both)
-            if kind in ("by_stiffness", "by_tangential", "by_force"):  # but the drives' own
-                one, other = one[..., :4], other[..., :4]
-            assert np.abs(one - other).max() <= 1e-10 * np.abs(one).max(), kind
 
 
 # Power

@@ -3,11 +3,14 @@
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from functools import partial
 from pathlib import Path
 
 import pytest
+
+import pgran
 
 PROJECT = Path(__file__).parents[1]
 
@@ -71,14 +74,17 @@ def test_what_cannot_be_is_said(setup, tmp_path, stack, words):
 
 
 def test_a_wheel(setup, clean_environment, tmp_path):
-    """It holds every file of the package, and the options files run where they are put."""
-    run = partial(subprocess.run, capture_output=True, text=True)
-    build = "from setuptools import build_meta; build_meta.build_wheel('../wheels')"
-    built = run([sys.executable, "-c", build], cwd=setup.clone)
-    assert built.returncode == 0, built.stderr
-    (wheel,) = (tmp_path / "wheels").iterdir()
-    installed = tmp_path / "installed"
-    zipfile.ZipFile(wheel).extractall(installed)
+    """Made of the source archive it holds every file, and options files run where they are put."""
+    run, folder = partial(subprocess.run, capture_output=True, text=True), setup.clone
+    for kind, unpack in (("sdist", tarfile.open), ("wheel", zipfile.ZipFile)):
+        build = f"from setuptools import build_meta; build_meta.build_{kind}('{tmp_path / kind}')"
+        built = run([sys.executable, "-c", build], cwd=folder)
+        assert built.returncode == 0, built.stderr
+        (archive,) = (tmp_path / kind).iterdir()
+        assert archive.name.startswith(f"pgran-{pgran.__version__}")
+        unpack(archive).extractall(tmp_path / f"from_{kind}")
+        folder = tmp_path / "from_sdist" / f"pgran-{pgran.__version__}"
+    installed = tmp_path / "from_wheel"
     for folder in ("pgran", "pgran/options"):  # which is a link
         files = [p.relative_to(setup.clone) for p in (setup.clone / folder).rglob("*.*")]
         assert len(files) > 5

@@ -225,7 +225,7 @@ BOUNDS = "-units_length: a unit lies between 1e-99 and 1e+99"
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("continuum -units_time 1", "the box has its own"),
+        ("continuum -units_time 1", "the box has units by"),
         ("response -units_time 0", "units_time 0"),
         ("response -units_length -1", "units_length -1"),
         ("modes -units_length 5e-324", BOUNDS),

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from samples import Naive, listened, random_lattice, reference_of, swept, uniform_lattice
+from samples import Naive, listened, random_lattice, reference_of, uniform_lattice
 from scipy.integrate import trapezoid
 from scipy.special import jv
 from synthetic import fair
@@ -216,22 +216,6 @@ def test_a_uniform_chain_against_bessel_functions(alone, method):
             u, v = once + back
             assert abs(found.displacement[place, d] - u) <= errors[0][place, d] + 1e-12
             assert abs(found.velocity[place, d] - v) <= errors[1][place, d] + 1e-12
-
-
-def test_the_spectrum_of_a_long_signal_is_the_steady_response(alone):
-    """A damped lattice, listened to until it is quiet."""
-    lattice, sites = random_lattice((5, 4), 3, 0.5), (3, 1, 1, 2)
-    choices = {"shape": "gauss", "width": 2.0, "time": 300.0, "points": 301}
-    found = listened(lattice, sites, alone, **choices, error_tolerance=1e-8)
-    assert np.abs(found.displacement[-1]).max() < 1e-9
-    omegas = 2 * np.pi / 301 * np.arange(3, 60, 4)
-    turning = np.exp(-1j * np.outer(omegas, found.time))
-    moved = turning @ found.wall
-    response = swept(lattice, omegas, sites, alone, error_tolerance=1e-8)
-    wrong = np.abs(turning @ found.displacement / moved[:, None] - response.displacement)
-    allowed = (found.error_bound.sum(axis=0) + 1e-7) / np.abs(moved)[:, None]
-    assert np.all(wrong <= allowed + response.error_bound)
-    assert allowed.max() < 1e-3 * np.abs(response.displacement).max()
 
 
 def test_an_integration_that_gives_up_is_not_passed(place, call, world):

@@ -128,7 +128,7 @@ NAN = np.where(ONE, np.nan, GOOD)
 def test_samples_that_are_not_finite_are_left_out_aloud(caplog, amplitude, derivative):
     found = Profiles(DEPTH, amplitude, derivative)
     assert "1 of 10 samples are left out" in caplog.text
-    assert "sample 4 is the first" in caplog.text
+    assert "sample 4 first" in caplog.text
     others = profiles_of(np.delete(GOOD, 4, axis=0))
     for name in ("levels", "intensities"):
         np.testing.assert_array_equal(getattr(found, name), getattr(others, name))
@@ -146,8 +146,8 @@ def test_samples_that_are_not_finite_are_left_out_aloud(caplog, amplitude, deriv
             (DEPTH, np.where(ONE, 0, GOOD), GOOD),
             "^amplitude: that of sample 4, frequency 1, detector 2 vanishes",
         ),
-        ("attenuation", (DEPTH[1:4], *[GOOD[..., 1:4]] * 2), "^depth: 2 depths"),
-        ("delay_growth", (DEPTH[1:4], *[GOOD[..., 1:4]] * 2), "^depth: 2 depths"),
+        ("attenuation", (DEPTH[1:4], *[GOOD[..., 1:4]] * 2), "^depth: .* there are 2"),
+        ("delay_growth", (DEPTH[1:4], *[GOOD[..., 1:4]] * 2), "^depth: .* there are 2"),
     ],
 )
 def test_what_has_no_profile(measure, arguments, message):

@@ -43,6 +43,25 @@ def test_frequencies_in_omega_mx(shape):
         assert found == pytest.approx(unit * expected, rel=1e-15)
 
 
+@pytest.mark.parametrize("asked", ["-sweep_min 100 -sweep_max 900", "-sweep_omega 100,900"])
+def test_frequencies_in_hertz(asked):
+    """They are 2 pi f in units of 1 over that of time, for whatever omega_mx."""
+    points = " -sweep_points 2" * ("min" in asked)
+    found = lattice_of(f"-units_time 1e-5 -sweep_unit Hz -lattice_mass 3 {asked}{points}")[1]
+    assert found == pytest.approx(2e-5 * math.pi * np.array([100, 900]), rel=1e-15)
+
+
+def test_hertz_that_are_none(tmp_path):
+    """Without a unit of time; and frequencies of a file that knows nothing of Hz."""
+    with pytest.raises(InputError, match="sweep_unit Hz: -units_time is needed"):
+        lattice_of("-sweep_unit Hz -sweep_omega 100")
+    path = tmp_path / "run.opts"
+    path.write_text("-scene response -sweep_max 2 -units_time 1e-5")
+    for words, missing in (("", "min"), ("-sweep_min 100", "max")):
+        with pytest.raises(InputError, match=f"sweep_unit Hz: give -sweep_{missing} in Hz"):
+            resolve(read_file(path) + read_words(["-sweep_unit", "Hz", *words.split()]))
+
+
 def test_largest_bond_or_kmax_of_a_file(bonds_file):
     """Without a word on it omega_mx jumps with the largest bond; kmax fixes it."""
     assert lattice_of(bonds_file)[0].omega_mx == pytest.approx(math.sqrt(4 * 0.5))

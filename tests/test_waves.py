@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -186,7 +187,7 @@ def test_where_waves_end(ratio, limit, said):
     ("change", "wavevectors", "choices", "said"),
     [
         ({"position": None, "box": None}, 3, {}, "need the positions"),
-        ({"box": None}, 3, {}, "no wave fits into this medium"),
+        ({"box": None}, 3, {}, "no wave fits: "),
         ({}, 3, {"direction": "z"}, "-structure_direction z: no wave fits"),
         ({}, [[1.0, 0.0]], {}, r"\[1. 0.\] does not fit"),
         ({}, [[0.0, 0.0]], {}, "does not fit"),
@@ -250,6 +251,11 @@ def test_panels_show_the_numbers_of_the_record():
     )
     assert shown == pytest.approx(np.maximum(exact / exact.max(), 1e-3))
     assert lines(ax, marker="o")[0].get_ydata() == pytest.approx(found.frequency[1] / unit)
+    unfit = dataclasses.replace(found, frequency=found.frequency.copy())
+    unfit.frequency[1, 0] = np.nan
+    with warnings.catch_warnings(action="error"):
+        (fit,) = lines(draw(figures.spectra, unfit, TRIANGULAR, 1), marker="o")
+    assert fit.get_ydata() == pytest.approx(found.frequency[1, 1:] / unit)
     curve = lines(draw(figures.speed, found, TRIANGULAR), linestyle="-")[0]
     assert curve.get_ydata() == pytest.approx(found.velocity[0])
     ax = draw(figures.scattering, found, TRIANGULAR)

@@ -63,14 +63,3 @@ def near_pairs(position, radius, box, reach):
 def pair_numbers(pairs, balls):
     """Return a number of each pair (n, 2), the same in whichever order its two balls are."""
     return np.sort(pairs, axis=1) @ [balls, 1]
-
-
-def loose_balls(pairs, held, least):
-    """Return which free balls have fewer than `least` contacts, rattlers left out: rattlers."""
-    kept = np.ones(len(held), dtype=bool)
-    while True:
-        carrying = pairs[kept[pairs].all(axis=1)]
-        rattling = kept & ~held & (np.bincount(carrying.ravel(), minlength=len(held)) < least)
-        if not rattling.any():
-            return ~kept
-        kept &= ~rattling

@@ -31,9 +31,8 @@ def law_of(network):
     """
     if network.overlap is None:
         raise InputError(
-            "the network does not know its contact law and forces: pgran pack makes networks that "
-            "do, and pgran import does with --law hertz or --law harmonic, where forces are known "
-            "and kept as pre-stress"
+            "the network does not know its contact law and forces: pgran pack makes some that do, "
+            "and pgran import with --law hertz or harmonic and forces as pre-stress"
         )
     if network.radius is None or network.position is None or network.normal is None:
         raise InputError("balls under a contact law need positions, normals and radii")
@@ -66,8 +65,8 @@ def balls_of(network):
     astray = np.linalg.norm(images - away, axis=1) > ASTRAY * network.distance
     for contact in np.flatnonzero(astray)[:1]:
         raise InputError(
-            f"contact {contact} does not lead from ball to ball as their positions do: periods of "
-            "the box that are missing, or positions of another packing?"
+            f"contact {contact} does not lead from ball to ball as their positions do: are periods "
+            "of the box missing, or are these positions of another packing?"
         )
     load = 0.0 if network.gravity is None else network.masses[:, None] * network.gravity
     held = network.held != FREE
@@ -156,7 +155,7 @@ def equilibrate(network, radius=None):
     network : pgran.Network
         With `power`, `force`, `radius` and `position`.
     radius : array_like of float, shape (N,), optional
-        The radii that the balls shall have.
+        New radii of the balls.
 
     Returns
     -------

@@ -35,7 +35,7 @@ def ordered(packing, seed=1993):
     Returns
     -------
     pgran.Network
-        About as many balls, as wide, and as far from wall to wall, each but for half a spacing.
+        With about as many balls, as wide, and as far from wall to wall, to half a spacing.
 
     Raises
     ------

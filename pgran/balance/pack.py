@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from pgran.arguments import called_right, choice, whole_number
+from pgran.arguments import called_right, choice, meant, nearest, whole_number
 from pgran.balance.contacts import ContactLaw
 from pgran.balance.networks import network_of
 from pgran.balance.settle import DENSITY, under_gravity, under_pressure
@@ -61,27 +61,27 @@ def pack(
     Parameters
     ----------
     balls : int
-        How many there are; rattlers are left out.
+        How many balls are packed; the rattlers among them are left out of the network.
     dimension : int
         2: discs, 3: spheres.
     law : str or float
         `harmonic`, `hertz`, or the power of the overlap.
     pressure : float, optional
-        In a box that is periodic along all axes.
+        Pressure, in a box that is periodic along all axes.
     gravity : float, optional
         The acceleration, instead of a pressure: on a floor of held balls, under a free surface,
         down the last axis.
     seed : int
         Which packing.
     sizes : str, float or array_like of float, shape (balls,)
-        Of the diameters: `bidisperse`, half of them 1.4 times as large; `equal`; a spread to both
+        Diameters: `bidisperse`, half of them 1.4 times as large; `equal`; a spread to both
         sides, such as .1; a list.
     shape : array_like of float, shape (dimension,), optional
         Ratios of the sides of the box; all equal unless given.
     walls : str, optional
         `x`, `y` or `z`: balls at both ends of this axis are held, those at the far end driven.
     rest, drive : str, optional
-        Which balls are held besides, at rest or driven, by place or radius: `y<1.5`, `x>max-1 and
+        Which other balls are held, at rest or driven, by place or radius: `y<1.5`, `x>max-1 and
         y>2`. Walls are at rest where a `drive` is given.
 
     Returns
@@ -111,20 +111,22 @@ def packed_network(
     if dimension not in DENSITY:
         raise InputError(f"pack: dimension: discs have 2 and spheres 3, not {dimension}")
     if balls < 1 or seed < 0:
-        raise InputError("pack: balls and seed: a positive number and one that is not negative")
+        name, value = ("balls", balls) if balls < 1 else ("seed", seed)
+        raise InputError(f"pack: {name}: must be {'1' if balls < 1 else '0'} or more, not {value}")
     if (pressure is None) == (gravity is None):
-        raise InputError("pack: give a pressure, or gravity")
+        raise InputError("pack: give either a pressure or gravity")
     name, push = ("pressure", pressure) if gravity is None else ("gravity", gravity)
     push = number(f"pack: {name}", push)
     if not push > 0:
         raise InputError(f"pack: {name}: must be positive, not {push}")
-    power = POWERS[law] if isinstance(law, str) and law in POWERS else number("pack: law", law)
+    power = POWERS.get(law, 0) if isinstance(law, str) else number("pack: law", law)
     if not 1 <= power <= 4:
-        raise InputError(f"pack: law: harmonic, hertz, or a power from 1 to 4, not {law}")
+        hint = meant(nearest(str(law), POWERS))
+        raise InputError(f"pack: law: {law} is not harmonic, hertz or a power from 1 to 4{hint}")
     if shape is not None:
         sides = numbers("pack: shape", shape)
         if sides.shape != (dimension,) or not np.all(sides > 0) or gravity is not None:
-            raise InputError(f"pack: shape: {dimension} positive ratios, of a box under a pressure")
+            raise InputError(f"pack: shape: needs {dimension} positive ratios, and a pressure")
     axes = "xyz"[:dimension]
     choice("pack: walls", "x" if walls is None else walls, axes if gravity is None else axes[:-1])
     for name, condition in (("rest", rest), ("drive", drive)):

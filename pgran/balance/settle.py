@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgran.balance.contacts import loose_balls
 from pgran.balance.equilibrium import NotBalancedError, Rest, at_rest
 from pgran.balance.fire import fire
 from pgran.balance.motion import Balls, listed
+from pgran.medium.graph import loose_balls
 
 DENSITY = {2: 0.9, 3: 0.7}  # of random positions: the part of the box that balls fill
 FIRST = {1.0: 1e-2}  # the pressure where a descent begins, of laws by their power
@@ -117,22 +117,21 @@ def _rattlers_placed(balls, carriers, carrying):
     position[:, periodic] *= carriers.box[periodic] / balls.box[periodic]
     position[carrying] = carriers.position
     placed = dataclasses.replace(balls, position=position, box=carriers.box, held=carrying)
-    if carrying.all():
-        return dataclasses.replace(placed, held=balls.held), False
-    placed, _, _ = fire(placed, tolerance=0.0, steps=2000)
-    contacts = listed(placed, reach=0.0)
-    deepest = contacts.overlap.max(initial=0.0)
+    deepest = 0.0
+    if not carrying.all():
+        placed, _, _ = fire(placed, tolerance=0.0, steps=2000)
+        deepest = listed(placed, reach=0.0).overlap.max(initial=0.0)
     return dataclasses.replace(placed, held=balls.held), deepest > TOUCHING
 
 
-def under_gravity(diameter, dimension, law, gravity, rng, width=None):
+def under_gravity(diameter, dimension, law, gravity, rng):
     """Return a `Packed` of balls on a floor of held ones, along the last axis; sides are periodic.
 
     The surface is free. The floor's balls, of mean diameter, come last.
     """
     fraction = math.pi / (4 if dimension == 2 else 6)
     volume = fraction * np.sum(diameter**dimension) / DENSITY[dimension]
-    width = volume ** (1 / dimension) if width is None else width
+    width = volume ** (1 / dimension)
     across = max(round(width / FLOOR), 1)
     spots = np.stack(np.meshgrid(*[np.arange(across) * width / across] * (dimension - 1)), axis=-1)
     floor = np.zeros((across ** (dimension - 1), dimension))

@@ -13,22 +13,23 @@ from pgran.command.words import Parser, positive
 from pgran.errors import DONE, InputError
 from pgran.run.options import REALS, Option
 from pgran.store import file as store
-from pgran.store.estimate import two_digits
+from pgran.store.estimate import with_error
 from pgran.store.fields import ball_names
 from pgran.store.record import Result
 
 log = logging.getLogger("pgran")
 
-WINDOWS = Option("windows", REALS, None, "low,high,low,high ... of frequencies, angular, or times")
+WINDOWS = Option("windows", REALS, None, "low,high,low,high ... of angular frequencies or times")
+UNITS = "units_length", "units_time"  # of figures, where both agree
 ROW = "{:<19}{:<20}{:<22}{:<9}{:<22}"  # of the table
 DIGITS = {"correlation": ".4f", "stretch": "+.3g", "stretched": ".4f", "shift": "+.3g"}
 
 
 def run(words):
-    """Say how alike two responses or two pulses are, and which stretch makes them most alike.
+    """Say how alike two responses or two pulses are in windows of frequency or time.
 
-    In windows of frequency or time. The stretch is the relative change of all frequencies, or of
-    speeds (coda wave interferometry).
+    It also finds the stretch that makes them most alike: the relative change of all frequencies, or
+    of speeds (coda wave interferometry).
     """
     parser = Parser(
         "compare",
@@ -40,21 +41,23 @@ def run(words):
     add = parser.add_argument
     add("a", metavar="A", help="HDF5 file of pgran run")
     add("b", metavar="B", help="HDF5 file of pgran run, of the same scene")
-    kinds = "figure to draw (A-B.png), or file of a result to store instead, if it ends in .h5"
+    kinds = "figure to draw (A-B.png), or result to store instead, if it ends in .h5"
     add("-o", "-output_file", dest="output", metavar="TO", help=kinds)
-    add("-output_overwrite", action="store_true", help="replace a result that is there")
+    add("-output_overwrite", action="store_true", help="replace an existing result")
     add("-windows", type=WINDOWS.read, help=WINDOWS.meaning)
-    add("-stretch", type=positive, default=0.02, help="the largest that is tried (.02)")
+    add("-stretch", type=positive, default=0.02, help="largest stretch that is tried (.02)")
     options = parser.read(words)
     output = options.output or f"{Path(options.a).with_suffix('')}-{Path(options.b).stem}.png"
     stored = Path(output).suffix == ".h5"
     if stored:
         if os.path.realpath(output) in map(os.path.realpath, (options.a, options.b)):
-            raise InputError(f"-o {output}: is what is compared")
+            raise InputError(f"-o {output}: this result is compared; give another name")
         store.check_output(output, options.output_overwrite)
     found = pgran.compare(options.a, options.b, options.windows, options.stretch)
     told = {"scene": found.group, "status": "complete", "pgran_version": pgran.__version__}
     told["command"] = shlex.join(["pgran", "compare", *words])
+    first, other = (pgran.load(path).attributes for path in (options.a, options.b))
+    told |= {x: first[x] for x in UNITS if x in first and first[x] == other.get(x)}
     if stored:
         store.write(output, told, [found], options.output_overwrite)
     else:
@@ -84,5 +87,7 @@ def _told(found, name, place):
     values, errors = getattr(found, name), getattr(found, f"{name}_error", None)
     if values is None or np.isnan(values[place]):
         return "" if values is None else "unknown"
-    text = f"{values[place]:{DIGITS[name]}}"
-    return text if errors is None else f"{text} +- {two_digits(errors[place])}"
+    if errors is None:
+        return f"{values[place]:{DIGITS[name]}}"
+    sign = "+" if DIGITS[name].startswith("+") and values[place] > 0 else ""
+    return sign + with_error(values[place], errors[place])

@@ -16,6 +16,8 @@ from pgran.command.words import Parser
 from pgran.run import blas, launch
 
 INSTALL = "bash jobs/setup.sh makes .venv, and .venv/bin/pgran has all it needs"
+if not (Path(__file__).parents[2] / "jobs").exists():  # installed without the scripts
+    INSTALL = "pgran manual installing says how to get it"
 OLDEST_PYTHON, OLDEST_NUMPY = (3, 11), (1, 24)
 NEEDED, EXTRAS = ("numpy", "scipy", "h5py"), ("matplotlib", "tqdm")
 

@@ -22,7 +22,7 @@ HELD = 1e-3  # of the mean force: how exactly positions must hold the forces of 
 def export(result, output):
     """Write a result for other programs: `export("modes.h5", "modes.vtu")`.
 
-    What the file is follows from its ending:
+    The ending of its name says what is written:
 
     - `.vtu`, for ParaView and whatever reads VTK, by meshio: balls as points with `mass`, `radius`,
       `held`; contacts as lines with `stiffness` and so on, `crosses` where one goes across the end
@@ -30,8 +30,8 @@ def export(result, output):
       `field_0001`, rotations apart; of a sensitivity `log_amplitude_0001_17` (ball 17), `flux_0001`
       and `loss_0001` of the contacts at each frequency that succeeded. On a lattice positions are
       indices, and the walls have points where bonds end, of mass 0.
-    - `.csv`: a row a frequency, time or mode, a column all that the record of the scene has there.
-      What else the result has, other records and arrays along other axes, goes to files beside it:
+    - `.csv`: a row for each frequency, time or mode, with all that the scene's record has there.
+      Other records, and arrays along other axes, go to files beside it:
       `a-spectrum.csv`, `a-memory.csv` of a relaxation, `a-omega-ball.csv` of the heat at each ball.
     - `.lmp`, a data file of LAMMPS (atom_style sphere): the packing of a result, or a network by
       itself, that knows its contact law. A script beside it, `a.in`, reads it and writes the dumps
@@ -47,7 +47,7 @@ def export(result, output):
     Returns
     -------
     list of pathlib.Path
-        What has been written.
+        The files that were written.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def run(words):
     )
     target = (
         "file to write; NAME.vtu: balls, contacts and displacements, for ParaView and others; "
-        "NAME.csv: a row a frequency, time or mode, and what else there is in files beside it; "
+        "NAME.csv: a row for each frequency, time or mode, and other arrays in files beside it; "
         "NAME.lmp: a packing, for LAMMPS, and the script NAME.in beside it"
     )
     parser = Parser("export", run.__doc__, *examples)
@@ -97,28 +97,26 @@ def run(words):
 
 
 def _write_tables(result, output):
-    """Write the tables of a result, each to a file of its own, and return the paths."""
+    """Write the tables of a result, each to a file of its own, and return the paths.
+
+    Their numbers are read back as they are.
+    """
     named = tables(result)
     paths = [output.with_stem("-".join(filter(None, [output.stem, name]))) for name in named]
     for path, columns in zip(paths, named.values(), strict=True):
-        _write_table(columns, path)
+        real = {}
+        for name, column in columns.items():
+            if column.dtype.kind == "c":
+                real |= {f"{name}_real": column.real, f"{name}_imag": column.imag}
+            else:
+                real[name] = column
+        with whole(path) as stream:
+            text = io.TextIOWrapper(stream, newline="", encoding="utf-8")
+            writer = csv.writer(text)
+            writer.writerow(real)
+            writer.writerows(zip(*(column.tolist() for column in real.values()), strict=True))
+            text.detach()  # which leaves the stream open
     return paths
-
-
-def _write_table(columns, output):
-    """Write a table; its numbers are read back as they are."""
-    real = {}
-    for name, column in columns.items():
-        if column.dtype.kind == "c":
-            real |= {f"{name}_real": column.real, f"{name}_imag": column.imag}
-        else:
-            real[name] = column
-    with whole(output) as stream:
-        text = io.TextIOWrapper(stream, newline="", encoding="utf-8")
-        writer = csv.writer(text)
-        writer.writerow(real)
-        writer.writerows(zip(*(column.tolist() for column in real.values()), strict=True))
-        text.detach()  # which leaves the stream open
 
 
 def _write_mesh(result, output):

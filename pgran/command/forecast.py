@@ -59,9 +59,8 @@ class Rehearsal(Crew):
             for position, unit in enumerate(task.units):
                 rows = tried.get(position)
                 deliver(position, task.blank(unit) if rows is None else rows)
-        self.spent += time.perf_counter() - began
-        if self.world.rank == 0:
             self.untried = max(self.untried, task.untried)
+        self.spent += time.perf_counter() - began
 
     def _try(self, task, work):
         """Time some units; return the rows of those that were done whole. Collective."""

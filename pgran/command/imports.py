@@ -60,23 +60,23 @@ def _parser():
         "pgran import graph.graphml -o graph.h5 --drive 1",
     )
     columns = (
-        "what the columns of contacts are, in their order, such as id1,id2,distance,force "
-        "(_ for none), or id1=c_p[1],force=4; else they are recognised"
+        "names of the columns of contacts, in their order, such as id1,id2,distance,force "
+        "(_ for none), or id1=c_p[1],force=4; by default they are recognised"
     )
-    prestress = "whether the forces act in the network (yes for vectors, if they are known)"
+    prestress = "keep the forces as pre-stress (by default for vectors, where they are known)"
     add = parser.add_argument
     add("balls", metavar="ATOMS", help="dump custom, CSV (id,x,y[,z],radius,mass) or GraphML")
     add("contacts", metavar="CONTACTS", nargs="?", help="dump local, or CSV (i,j,force or ...)")
     add("-o", "--output", required=True, help="HDF5 file to write")
-    add("--overwrite", action="store_true", help="replace a network that is there")
+    add("--overwrite", action="store_true", help="replace an existing network")
     add("--law", help="stiffness: hertz (3/2 F/h), harmonic (F/h), or the column that holds it")
-    add("--hertz", type=positive, metavar="C", help="of F = C h^(3/2): stiffness by force alone")
+    add("--hertz", type=positive, metavar="C", help="C of F = C h^(3/2): stiffness by force alone")
     add("--columns", help=columns)
     add("--rest", metavar="CONDITION", help="balls that are held at rest")
     add("--drive", metavar="CONDITION", help="balls that are driven")
-    add("--direction", type=_direction, help="of the drive: x, y, z or components 1,0.5 (x)")
-    add("--cut", metavar="AXES", help="cut the contacts across these ends of a periodic box: x")
-    add("--displacement", choices=KINDS, help="of a ball (vector where there are positions)")
+    add("--direction", type=_direction, help="direction of the drive: x, y, z or 1,0.5 (x)")
+    add("--cut", metavar="AXES", help="axes of a periodic box whose ends are cut: x or xy")
+    add("--displacement", choices=KINDS, help="what a ball has (vector where there are positions)")
     add("--prestress", action=argparse.BooleanOptionalAction, help=prestress)
     add("--tangential", type=magnitude, metavar="RATIO", help="tangential over normal stiffness")
     add("--damping", type=magnitude, metavar="BETA", default=0.003, help="of each contact (.003)")
@@ -103,7 +103,7 @@ def _check(options):
     of_vectors = options.prestress or options.tangential or options.direction is not None
     if options.displacement == "scalar" and of_vectors:
         raise InputError("--prestress, --tangential and --direction need vector displacements")
-    if graphs.is_graph(options.balls) == (options.contacts is not None):
+    if options.balls.lower().endswith(".graphml") == (options.contacts is not None):
         missing = "" if options.contacts else "CONTACTS is missing: "
         raise InputError(f"{missing}one GraphML file holds both, dumps and CSV are two")
 

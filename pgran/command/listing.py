@@ -14,6 +14,7 @@ from pgran.command.words import WIDTH, Parser
 from pgran.errors import DONE, FileError, InputError
 from pgran.run import keys as solver_keys
 from pgran.run.options import text_of
+from pgran.store.paths import writing
 
 FILES = Path(__file__).parents[1] / "options"
 NAMED = re.compile(r"^(#?-\w+ )(options/.*)$", re.MULTILINE)  # values of options that are files
@@ -33,7 +34,7 @@ def list_options(words):
     examples = "pgran options", "pgran options response", "pgran options --copy options"
     parser = Parser("options", list_options.__doc__, *examples)
     scenes = ", ".join(SCENES)
-    parser.add_argument("scene", metavar="SCENE", nargs="?", type=_scene, help=scenes)
+    parser.add_argument("scene", metavar="SCENE", nargs="?", type=SCENE_OPTION.read, help=scenes)
     copies = "copy the options files of pgran into a folder"
     parser.add_argument("--copy", metavar="DIR", type=Path, help=copies)
     asked = parser.read(words)
@@ -45,17 +46,10 @@ def list_options(words):
     return DONE
 
 
-def _scene(name):
-    """Return the name of a scene, if it is one."""
-    if name not in SCENES:
-        raise InputError(f"options: there is no scene {name}; there are {', '.join(SCENES)}")
-    return name
-
-
 def copy_files(folder):
     """Copy the options files, and what they name, into a folder, whose files they name then."""
     if "," in str(folder):  # which ends a name in a list
-        raise InputError(f"--copy {folder}: there is a comma in it")
+        raise InputError(f"--copy {folder}: has a comma, which ends a name in a list; take another")
     sources = [path for path in sorted(FILES.rglob("*")) if path.is_file()]
     targets = [folder / path.relative_to(FILES) for path in sources]
     for target in filter(Path.exists, targets):
@@ -64,14 +58,12 @@ def copy_files(folder):
     def named_there(line):
         return line[1] + shlex.quote(line[2].replace("options/", f"{folder}/"))
 
-    try:
+    with writing(folder):
         for source, target in zip(sources, targets, strict=True):
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, target)
             if target.suffix == ".opts":
                 target.write_text(NAMED.sub(named_there, source.read_text("utf-8")))
-    except OSError as error:
-        raise FileError(f"{folder}: cannot be written: {error.strerror}") from None
 
 
 def describe_options(scene=None):
@@ -172,3 +164,14 @@ def _meaning(option):
     if not all(choice in meaning for choice in option.choices):
         meaning += f": {', '.join(f'`{choice}`' for choice in option.choices)}"
     return meaning + (f" ({option.unit})" if option.unit else "")
+
+
+def files():
+    """Yield the tables of the manual's page on files: the first sentence of each about itself."""
+    for folder in ("solvers", "extreme"):
+        yield from (f"| file of `options/{folder}/` | what it is |", "|---|---|")
+        for path in sorted((FILES / folder).glob("*.opts")):
+            text = path.read_text("utf-8").removeprefix("# ").replace("\n#", "")
+            first = re.split(r"\.\s", text)[0]
+            yield f"| `options/{folder}/{path.name}` | {first} |"
+        yield ""

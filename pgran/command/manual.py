@@ -4,9 +4,10 @@ import pydoc
 import re
 from pathlib import Path
 
+import pgran
+from pgran.arguments import nearest
 from pgran.command.words import Parser
 from pgran.errors import DONE, InputError
-from pgran.run.options import nearest
 
 PAGES = Path(__file__).parents[1] / "manual"
 LISTED = re.compile(r"- \[(\w+)\]\(\1\.md\): (.+)")
@@ -29,7 +30,7 @@ def run(words):
 def cite(words):
     """Say how to cite pgran, the paper whose model it computes, and the libraries it stands on."""
     Parser("cite", cite.__doc__, "pgran cite").read(words)
-    print((PAGES / "CITATION").read_text(encoding="utf-8"), end="")
+    print((PAGES / "CITATION").read_text("utf-8").replace("VERSION", pgran.__version__), end="")
     return DONE
 
 
@@ -42,7 +43,7 @@ def page(topic):
     """Return a page of the manual, Markdown."""
     if topic not in topics():
         about = (name for name, line in topics().items() if topic.lower() in line.lower())
-        near = nearest(topic.lower(), topics()) or next(about, None)
+        near = nearest(topic, topics()) or next(about, None)
         hint = f"see {near}" if near else "pgran manual lists the topics"
         raise InputError(f"manual: there is no topic {topic}; {hint}")
     return (PAGES / f"{topic}.md").read_text(encoding="utf-8")

@@ -45,11 +45,8 @@ def _lattice(options, lattice):
     bonds = "bonds " + IN_WORDS[options.bonds_law].format(**values).replace("$", "")
     if options.scene == "ensemble":
         samples = options.ensemble_samples
-        yield from (
-            f"{samples} lattices of {size}",
-            bonds,
-            f"seeds {first} to {first + samples - 1}",
-        )
+        yield from (f"{samples} lattices of {size}", bonds)
+        yield f"seeds {first} to {first + samples - 1}"
     else:
         yield from (f"a {size} lattice", bonds)
         if options.bonds_law != "file":

@@ -1,6 +1,5 @@
 """`pgran pack`: a packing in mechanical equilibrium, made here."""
 
-import argparse
 import contextlib
 import dataclasses
 
@@ -13,13 +12,14 @@ from pgran.command.imports import next_step
 from pgran.command.words import Parser, positive
 from pgran.errors import DONE, InputError
 from pgran.medium.network_file import check_output, parts_of, write_network
-from pgran.medium.packing import POWERS
+from pgran.run.options import REALS, Option
 from pgran.store.estimate import counted
 
+SHAPE = Option("shape", REALS, None, "ratios of the sides of the box, such as 2,1 (all equal)")
 DESCRIPTION = """\
 Make a packing of discs or spheres in mechanical equilibrium: in a periodic box under a pressure, or
 under gravity on a floor of held balls, with a free surface. Lengths are in mean diameters, masses
-in that of a ball of this diameter, and forces in the law's constant: F = h is harmonic,
+in that of a ball of this diameter, and forces in those of the law: F = h is harmonic,
 F = sqrt(R_i R_j / (R_i + R_j)) h^(3/2) is Hertz, h the overlap. There is no friction. A CONDITION
 compares a coordinate or the radius of balls, 'x<1.5', 'x>max-1 and y<4'."""
 
@@ -55,46 +55,30 @@ def _parser():
         "pgran pack --balls 400 --gravity 1e-5 --walls x --drive 'x>max-1 and y<4' -o box.h5",
     )
     add = parser.add_argument
-    add("--balls", type=int, required=True, metavar="N", help="how many")
+    add("--balls", type=int, required=True, metavar="N", help="number of balls, rattlers included")
     add("--dimension", type=int, choices=(2, 3), help="2: discs, 3: spheres (2)")
-    add("--law", type=_law, help="harmonic, hertz, or a power of the overlap (harmonic)")
-    add("--pressure", type=positive, metavar="P", help="in a box that is periodic along all axes")
-    add("--gravity", type=positive, metavar="G", help="instead: down the last axis, on a floor")
-    add("--sizes", type=_sizes, help="bidisperse (1 : 1.4), equal, or a spread such as .1")
-    add("--shape", type=_shape, help="ratios of the sides of the box, such as 2,1 (all equal)")
+    add("--law", type=_named, help="harmonic, hertz, or a power of the overlap (harmonic)")
+    add("--pressure", type=positive, metavar="P", help="pressure, in a periodic box")
+    add("--gravity", type=positive, metavar="G", help="gravity down the last axis, on a floor")
+    add("--sizes", type=_named, help="bidisperse (1 : 1.4), equal, or a spread such as .1")
+    add("--shape", type=SHAPE.read, help=SHAPE.meaning)
     add("--walls", choices=tuple("xyz"), help="hold both ends of this axis, and drive the far one")
-    add("--rest", metavar="CONDITION", help="balls that are held at rest besides")
+    add("--rest", metavar="CONDITION", help="more balls that are held at rest")
     add("--drive", metavar="CONDITION", help="balls that drive; those of walls are then at rest")
-    add("--seed", type=int, help="which packing (1993)")
+    add("--seed", type=int, help="seed of the random positions: which packing (1993)")
     kinds = ("vector", "scalar")
-    add("--displacement", choices=kinds, help="scalar: one a ball, the paper's model (vector)")
-    add("--ordered", action="store_true", help="its stiffnesses at random on a lattice")
+    add("--displacement", choices=kinds, help="scalar: one component, the paper's model (vector)")
+    add("--ordered", action="store_true", help="put its stiffnesses at random on a lattice")
     add("-o", "--output", required=True, help="HDF5 file to write")
-    add("--overwrite", action="store_true", help="replace a network that is there")
+    add("--overwrite", action="store_true", help="replace an existing network")
     return parser
 
 
-def _law(text):
-    """Return the name of a law, or its power."""
-    if text in POWERS:
-        return text
-    with contextlib.suppress(ValueError):
-        return float(text)
-    raise argparse.ArgumentTypeError(f"{text} is neither {' nor '.join(POWERS)} nor a power")
-
-
-def _sizes(text):
-    """Return the name of a distribution of diameters, or its spread."""
+def _named(text):
+    """Return a name, of a law or of a distribution of diameters, or else a number."""
     with contextlib.suppress(ValueError):
         return float(text)
     return text
-
-
-def _shape(text):
-    """Return the ratios of the sides."""
-    with contextlib.suppress(ValueError):
-        return [float(word) for word in text.split(",")]
-    raise argparse.ArgumentTypeError(f"{text} is no list of numbers")
 
 
 def _summary(output, network, packing, packed):

@@ -2,33 +2,16 @@
 
 import hashlib
 import shlex
-from collections.abc import Mapping
 
 from pgran import catalogue
+from pgran.arguments import meant, nearest
 from pgran.errors import InputError
 from pgran.medium.sample import LATTICE, check_lattice
 from pgran.run import keys as solver_keys
-from pgran.run.options import FILE, FILES, RUN, TEXT, Option, nearest, text_of
+from pgran.run.options import FILE, FILES, RUN, TEXT, Option, text_of
 from pgran.store.paths import open_regular
 
-
-class Scenes(Mapping):
-    """The facts of each experiment by name; none is loaded before it is asked for."""
-
-    def __getitem__(self, name):
-        """Load one."""
-        return catalogue.scene(name)
-
-    def __iter__(self):
-        """Name all."""
-        return iter(catalogue.EXPERIMENTS)
-
-    def __len__(self):
-        """Count them."""
-        return len(catalogue.EXPERIMENTS)
-
-
-SCENES = Scenes()
+SCENES = catalogue.EXPERIMENTS  # the facts of each by name, loaded as they are asked for
 SCENE_OPTION = Option("scene", TEXT, None, "the experiment", choices=tuple(SCENES))
 
 
@@ -97,12 +80,14 @@ def _check_foreign(key, item, scene):
         return
     if key in ("n", "np"):
         raise InputError(f"-{key}{item.where}: ranks are started by mpirun -n N pgran run ...")
-    near = "output_file" if key == "o" else nearest(key, ["scene", *options_of(scene)])
+    name = "output_file" if key in ("o", "out", "output") else key
+    ends = [known for known in options_of(scene) if known.endswith(f"_{name}")]
+    near = min(ends, key=len, default=None) or nearest(name, ["scene", *options_of(scene)])
     if key.startswith(("ksp_", "pc_")):
         near = f"steady_{key}"
     elif key.startswith(("eps_", "st_")):
         near = f"normal_{key}"
-    hint = f"; did you mean -{near}?" if near else ""
+    hint = meant(near and f"-{near}")
     raise InputError(f"-{key}{item.where}: unknown option{hint} (pgran options {scene} lists all)")
 
 

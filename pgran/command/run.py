@@ -1,6 +1,5 @@
 """`pgran run`: MPI and PETSc started, a scene computed under its journal, its result written."""
 
-import contextlib
 import faulthandler
 import importlib
 import logging
@@ -13,10 +12,10 @@ from pathlib import Path
 
 import pgran
 from pgran import errors
+from pgran.command.words import Parser
 from pgran.errors import FileError, InputError, PgranError
 from pgran.run import blas, launch, streams
 from pgran.run.agreement import on_root
-from pgran.run.options import nearest
 
 log = logging.getLogger("pgran")
 
@@ -30,7 +29,7 @@ EXAMPLES = (
 )
 MORE = """\
 keys:
-  pgran options {scene} lists all, with their units, ranges and defaults.
+  pgran options SCENE lists all, with their units, ranges and defaults.
   pgran manual options says how they are written, pgran manual experiments which
   options files there are.
 
@@ -48,7 +47,8 @@ exit codes:
 def run(words):
     """Run the experiment of an options file, and return the exit code. Collective."""
     if {"-h", "--help", "-help"} & set(words):
-        _help(words[0]).print_help()
+        usage = "pgran run FILE [-key value ...]"
+        Parser("run", DOES, *EXAMPLES, more=MORE, usage=usage, add_help=False).print_help()
         return errors.DONE
     # Signals to stop wait until the journal listens, and do no harm once the result is written;
     # blocked before anything starts threads, which else would get them.
@@ -56,7 +56,7 @@ def run(words):
     faulthandler.enable()  # a crash in a library names the line that called it
 
     from pgran.command.resolve import SCENES, resolve
-    from pgran.run.reading import check_word, read_environment, read_words
+    from pgran.run.reading import check_word, read_environment, read_file, read_words
 
     started = time.perf_counter()
     world = start_mpi()  # before any error: without MPI mpirun would have more to say of it
@@ -65,7 +65,7 @@ def run(words):
     path, *rest = words
     check_word(path)
     environment = world.bcast(read_environment())  # each rank's own is not to be read by PETSc
-    given = environment + on_root(world, lambda: _read_or_hint(path)) + read_words(rest)
+    given = environment + on_root(world, lambda: read_file(path)) + read_words(rest)
     options = resolve(given, output_file=f"results/{Path(path).stem}.h5")
     if options.output_log:
         _start_log(options, words, world)
@@ -83,31 +83,6 @@ def run(words):
     except KeyboardInterrupt:
         text = "interrupted; what is finished is kept, and the same command goes on"
         raise KeyboardInterrupt(text) from None
-
-
-def _read_or_hint(path):
-    """Return what an options file gives; where there is none, name one that is called alike."""
-    from pgran.run.reading import read_file
-
-    try:
-        return read_file(path)
-    except FileError as error:
-        folders = [] if Path(path).exists() else (Path(path).parent, Path("options"))
-        files = {each.stem: each for folder in folders for each in folder.glob("*.opts")}
-        near = nearest(Path(path).stem, sorted(files))
-        raise FileError(f"{error}; did you mean {files[near]}?" if near else error) from None
-
-
-def _help(path):
-    """Return what prints a help; it names the scene of an options file, if that is one."""
-    from pgran.command.words import Parser
-    from pgran.run.reading import read_file
-
-    scene = None
-    with contextlib.suppress(PgranError):
-        scene = next((i.text for i in read_file(path) if i.key.lower() == "scene"), None)
-    usage, more = "pgran run FILE [-key value ...]", MORE.format(scene=scene or "SCENE")
-    return Parser("run", DOES, *EXAMPLES, more=more, usage=usage, add_help=False)
 
 
 def _foresee(scene, options, world, started):
@@ -165,7 +140,9 @@ def _compute(scene, options, words, world, started):
             attributes = _run_attributes(options, words, world, failures, seconds)
             store.write(output, attributes, records, overwrite)
             if failures:
-                log.warning("%d results miss the accuracy asked for; the file marks them", failures)
+                log.warning(
+                    "results that miss the accuracy asked for, and are marked: %d", failures
+                )
             try:
                 _warn_of_unused(options)
                 lines = scene.summary(Result(records, **attributes))

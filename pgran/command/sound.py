@@ -13,9 +13,9 @@ log = logging.getLogger("pgran")
 
 DESCRIPTION = """\
 Say how fast long waves run in a periodic packing, or in the lattice of a result, and what its
-elastic moduli are, by static deformations: affine, where balls stay as a uniform deformation takes
-them, and relaxed, where forces balance, which is what waves feel. Speeds are means over directions;
-a single direction's lie in between two ends."""
+elastic moduli are, by static deformations: affine ones, where balls move with a uniform
+deformation, and relaxed ones, where forces balance, as they do in waves. Speeds are means over
+directions, with the smallest and the largest one."""
 
 
 def run(words):

@@ -35,7 +35,7 @@ def run(words):
     except (OverflowError, ZeroDivisionError):
         raise InputError("units: these numbers are too far apart to compute with") from None
     if scale.contact_radius > hertz.LARGE:
-        text = "contacts have %.2g of the balls' radius: Hertz's law is for smaller ones"
+        text = "a contact has %.2g of a ball's radius: Hertz's law is for small contacts"
         log.warning(text, scale.contact_radius)
     for name, si, own in rows:
         print(f"{name:<37}{si:<22}{own}".rstrip())
@@ -53,24 +53,24 @@ def _parser():
         "pgran units --diameter 5e-3 --material glass --load 1.6e-3 --growth 1e-7",
     )
     add = parser.add_argument
-    add("--diameter", type=positive, required=True, metavar="M", help="of a ball, in m")
+    add("--diameter", type=positive, required=True, metavar="M", help="diameter of a ball, in m")
     named = "its modulus, Poisson's ratio and density"
     add("--material", type=str.lower, choices=hertz.MATERIALS, help=named)
     add("--modulus", type=positive, metavar="PA", help="Young's modulus, in Pa")
     add("--poisson", type=float, metavar="NU", help="Poisson's ratio")
-    add("--density", type=positive, metavar="RHO", help="in kg/m^3")
+    add("--density", type=positive, metavar="RHO", help="density of the material, in kg/m^3")
     load = parser.add_mutually_exclusive_group(required=True).add_argument
     load("--load", type=positive, metavar="N", help="force of the strongest contacts, in N")
-    load("--pressure", type=positive, metavar="PA", help="on the bed, in Pa: 4 x the mean force")
-    load("--omega_mx", type=positive, metavar="RAD/S", help="measured: the load that makes it so")
-    add("--fraction", type=positive, default=0.64, help="of the volume filled by balls (.64)")
-    add("--contacts", type=positive, default=6.0, help="of a ball, on the mean (6)")
-    add("--dimensions", type=int, choices=(1, 2, 3), default=2, help="of the lattice (2)")
+    load("--pressure", type=positive, metavar="PA", help="pressure on the bed, in Pa")
+    load("--omega_mx", type=positive, metavar="RAD/S", help="measured omega_mx, in rad/s")
+    add("--fraction", type=positive, default=0.64, help="part of the volume that balls fill (.64)")
+    add("--contacts", type=positive, default=6.0, help="mean number of contacts of a ball (6)")
+    add("--dimensions", type=int, choices=(1, 2, 3), default=2, help="axes of the lattice (2)")
     loss = parser.add_mutually_exclusive_group().add_argument
     loss("--quality", type=positive, metavar="Q", help="quality factor at --frequency")
-    loss("--restitution", type=positive, metavar="E", help="of two balls, up to 1")
-    add("--growth", type=positive, metavar="M", help="of the radius of one ball, in m")
-    add("--frequency", type=positive, metavar="HZ", help="at which --quality holds, in Hz")
+    loss("--restitution", type=positive, metavar="E", help="restitution of two balls, up to 1")
+    add("--growth", type=positive, metavar="M", help="growth of the radius of one ball, in m")
+    add("--frequency", type=positive, metavar="HZ", help="frequency of --quality, in Hz")
     return parser
 
 
@@ -110,7 +110,7 @@ def _damping(options, scale):
     if options.restitution is None:
         return None
     if options.restitution > 1:
-        raise InputError(f"--restitution {options.restitution:g}: two balls part at most as fast")
+        raise InputError(f"--restitution {options.restitution:g}: is at most 1, for elastic balls")
     return hertz.damping_of_restitution(scale.stiffness, scale.mass, options.restitution)
 
 

@@ -2,15 +2,24 @@
 
 import argparse
 import contextlib
+import functools
 import math
 import re
 import sys
 import textwrap
 
+from pgran.arguments import meant, nearest
 from pgran.errors import DONE, InputError
 from pgran.run import launch
+from pgran.run.reading import KEY
 
 WIDTH = 80
+# What argparse says, and what it means.
+PLAIN = {
+    "^argument ": "",
+    "invalid int value: '(.*)'": r"\1 is no whole number",
+    "invalid float value: '(.*)'": r"\1 is no number",
+}
 
 
 class Parser(argparse.ArgumentParser):
@@ -31,8 +40,32 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message):
         """Raise an InputError."""
-        message = re.sub("^argument ", "", message)
-        raise InputError(f"{self.command}: {message}; see {self.prog} --help")
+        for pattern, plain in PLAIN.items():
+            message = re.sub(pattern, plain, message)
+        choice = re.search("choice: '(.*)' .choose from (.*)\\)", message)
+        near = choice and nearest(choice[1], re.findall("[^', ]+", choice[2]))
+        self._refuse(message, near)
+
+    def _refuse(self, message, near):
+        """Raise an InputError, with what was meant or where to read on."""
+        raise InputError(f"{self.command}: {message}{meant(near, f'; see {self.prog} --help')}")
+
+    def parse_known_args(self, words=None, namespace=None):
+        """Return what words say; of options one dash is as good as two."""
+        stop = words.index("--") if "--" in words else len(words)
+        words = [*map(self._spelled, words[:stop]), *words[stop:]]
+        return super().parse_known_args(words, namespace)
+
+    def _spelled(self, word):
+        """Return a word, an option as it was declared; raise an InputError if none has its name."""
+        name, sign, value = word.partition("=")
+        if not KEY.fullmatch(name):
+            return word
+        for known in (name, f"-{name}", name[1:]):
+            if known in self._option_string_actions:
+                return f"{known}{sign}{value}"
+        names = {known.lstrip("-"): known for known in self._option_string_actions}
+        self._refuse(f"{name}: unknown option", names.get(nearest(name.lstrip("-"), names)))
 
     def read(self, words):
         """Return what words in any order say; on ranks after the first the command ends here."""
@@ -47,17 +80,13 @@ class Parser(argparse.ArgumentParser):
             super().print_help(file)
 
 
-def magnitude(text):
-    """Return a number that is 0 or more."""
+def positive(text, zero=False):
+    """Return a positive number, or a `zero` too."""
     with contextlib.suppress(ValueError):
-        if 0 <= float(text) < math.inf:
+        if 0 < float(text) < math.inf or (zero and float(text) == 0):
             return float(text)
-    raise argparse.ArgumentTypeError(f"{text} is no finite number of 0 or more")
+    kind = "finite number of 0 or more" if zero else "positive number"
+    raise argparse.ArgumentTypeError(f"{text} is no {kind}")
 
 
-def positive(text):
-    """Return a positive number."""
-    with contextlib.suppress(ValueError):
-        if 0 < float(text) < math.inf:
-            return float(text)
-    raise argparse.ArgumentTypeError(f"{text} is no positive number")
+magnitude = functools.partial(positive, zero=True)

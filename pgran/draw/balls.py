@@ -8,14 +8,14 @@ import math
 import numpy as np
 
 from pgran.draw import bonds, style
-from pgran.draw.view import View
+from pgran.draw.view import BARRED, View, bars
 from pgran.medium.space import everywhere, in_space
 
 STILL = 1e-3  # of the largest: what moves less does not count among the balls that move
 NARROWEST = 1.3  # inches of a panel
+BAR = 9.0  # to an inch: how many times as long as thick a colour bar is
 MANY = 1000  # balls that move; the colours of fewer reach to the largest
 FAINT = 0.02  # of the largest: no arrow for what is smaller
-SCALED = "each panel scaled by itself"
 ARROWS = "arrows: displacements, scaled in each panel to the largest"
 
 
@@ -36,11 +36,11 @@ def beyond(drawn):
     return values is not None and np.abs(values).max() > 1
 
 
-def motion(ax, medium, values, drive=0.0, detectors=(), few_beyond=False, of=None):
+def motion(ax, medium, values, drive=None, detectors=(), few_beyond=False, of=None):
     """Draw displacements `values` in units of the largest, or of the drive's where that is larger.
 
-    Of three dimensions the plane of the first detector, or of the ball that moves farthest, in the
-    motion `of` if that is another one. With
+    Without a drive all that is held is at rest. Of three dimensions the plane of the first
+    detector, or of the ball that moves farthest, in the motion `of` if that is another one. With
     `few_beyond` a few of many numbers may be beyond the colours (`scale_of`). Returns the image,
     the line of a chain, or arrows or balls of a network; the unit; and the plane in words.
     """
@@ -50,31 +50,31 @@ def motion(ax, medium, values, drive=0.0, detectors=(), few_beyond=False, of=Non
         if ball is None:
             moved = everywhere(medium, of[None])[0, :, : medium.built.axes]
             ball = np.linalg.norm(moved, axis=1).argmax()
-        view = View(medium, ball)
-        drawn, unit = arrows(ax, medium, view, values, drive, few_beyond)
+        view = View(medium, ball, drive is not None)
+        drawn, unit = arrows(ax, medium, view, values, drive or 0.0, few_beyond)
         xy, plane = view.xy[[each for (each,) in detectors if view.seen[each]]], view.plane
     else:
         largest = np.unravel_index(np.abs(of).argmax(), of.shape)
         through = tuple((detectors[0] if len(detectors) else largest)[2:])
         values = values[(..., *through)]
-        chain, moves = values.ndim == 1, np.append(values, drive)
+        chain, moves = values.ndim == 1, np.append(values, drive or 0.0)
         few = few_beyond and not chain
         unit = scale_of(moves) if few else float(np.abs(moves).max()) or 1.0
-        drawn = image(ax, values / unit, drive / unit)
-        bonds.source(ax, medium, values.shape[0] - (0.0 if chain else 0.5), through)
+        drawn = image(ax, values / unit, (drive or 0.0) / unit)
+        if drive is not None:
+            bonds.source(ax, medium, values.shape[0] - (0.0 if chain else 0.5), through)
         xy = np.array([site[:2] for site in detectors if tuple(site[2:]) == through])
         if chain and len(xy):  # on the line
             xy = np.stack([xy[:, 0], values[xy[:, 0]] / unit], axis=1)
         plane = "".join(f"plane $z$ = {z}" for z in through)
     if len(xy):
-        look = {"linestyle": "none", "marker": "o", "markersize": 3, "markeredgewidth": 0.6}
-        look |= {"markerfacecolor": "white", "markeredgecolor": "black", "zorder": 4}
+        look = style.RING | {"markersize": 3, "markeredgewidth": 0.6, "zorder": 4}
         ax.plot(*xy.T, label="detectors", **look)
     return drawn, unit, plane
 
 
 def image(ax, values, wall=0.0):
-    """Draw numbers from -1, dark blue, to 1, yellow, shape (nx,) or (nx, ny).
+    """Draw numbers from -1, blue, to 1, red, shape (nx,) or (nx, ny); negative ones have bars.
 
     The line of one axis ends at the number `wall`. Returns the image or the line.
     """
@@ -89,6 +89,7 @@ def image(ax, values, wall=0.0):
         colours = {"cmap": style.SIGNED, "vmin": -1.0, "vmax": 1.0, "interpolation": "nearest"}
         drawn = ax.imshow(values.T, **place, **colours)
         ax.set(aspect="equal" if 1 / 8 <= ny / nx <= 3 else "auto", ylabel="ball $j$")
+        bars(ax, np.argwhere(values < -BARRED), 72 * ax.bbox.width / ax.figure.dpi / nx)
     ax.set_xlabel("ball $i$")
     ax.locator_params("x" if chain else "both", nbins=6, steps=[1, 2, 5, 10], integer=True)
     return drawn
@@ -101,42 +102,44 @@ def arrows(ax, network, view, values, drive=0.0, few_beyond=False):
     radius times angle. Returns the balls, or the arrows if there are no colours, and the unit.
     """
     moves, axes = everywhere(network, values[None], [drive])[0], network.built.axes
-    longest = max(1.2 * view.spacing, 0.09 * math.sqrt(math.prod(view.extent))) if axes > 1 else 0.0
-    view.frame(ax, 0.9 * longest)
+    longest = max(1.5 * view.spacing, 0.14 * math.sqrt(math.prod(view.extent))) if axes > 1 else 0.0
+    view.frame(ax, 0.3 * longest)
     turned = moves[:, axes:] * (network.radius[:, None] if network.built.turns else 1.0)
     numbers = moves if axes == 1 else turned if turned.shape[1] == 1 else None
     size = np.linalg.norm(moves[:, :axes], axis=1)
     unit = max(size.max(), 0.0 if numbers is None else np.abs(numbers).max()) or 1.0
     if few_beyond and axes == 1:
         unit = scale_of(moves[view.seen])
-    look = {}
-    if numbers is not None:
-        look = {"array": numbers[view.seen, 0] / unit, "cmap": style.SIGNED, "clim": (-1.0, 1.0)}
-    drawn = view.draw(ax, **look)
+    coloured = numbers is not None
+    drawn = view.coloured(ax, numbers[:, 0] / unit, view.seen) if coloured else view.draw(ax)
     if axes == 1:
         return drawn, unit
     chosen = view.seen & (size > FAINT * unit)
     tips = longest * in_space(moves[:, :axes])[chosen][:, view.axes] / unit
-    look = {"angles": "xy", "scale_units": "xy", "scale": 1, "units": "inches", "width": 0.008}
-    look |= {"minlength": 0, "zorder": 3, "clip_on": False, "in_layout": False}
-    if numbers is not None:  # seen on dark balls, too
+    view.ground(ax, 1.5)
+    thick = min(max(0.1 * view.points(ax), 0.5), 1.2) / 72
+    look = {"angles": "xy", "scale_units": "xy", "scale": 1, "units": "inches", "width": thick}
+    look |= {"headwidth": 3.5, "headlength": 4, "headaxislength": 3.8, "minlength": 0, "zorder": 3}
+    look |= {"clip_on": False, "in_layout": False}
+    if coloured:  # seen on dark balls, too
         look |= {"edgecolor": "white", "linewidth": 0.3}
     drawn_arrows = ax.quiver(*view.xy[chosen].T, *tips.T, **look)
-    return (drawn_arrows if numbers is None else drawn), unit
+    return (drawn if coloured else drawn_arrows), unit
 
 
-def motions(medium, draws, caption, *more):
+def motions(medium, draws, caption, *more, driven=False):
     """Return a figure of some panels of `motion`, with what is drawn, and more, said above."""
     network = medium.group == "network"
     figure = page(View(medium).extent if network else medium.shape, draws)
     kind = getattr(medium, "displacement", "scalar")
     turns = "; colours: radius times angle" if network and medium.built.turns == 1 else ""
-    scaled = SCALED if kind == "scalar" else ARROWS + turns
+    scaled = "each panel scaled by itself" if kind == "scalar" else ARROWS + turns
     rim = " rim" if turns or kind == "scalar" else ""
-    held = "" if network else "blue: what drives"
-    if network and medium.held.any():
-        held = f"dark{rim}: balls at rest; blue{rim}: driven balls"
-    text = "; ".join(filter(None, [scaled, *more, held]))
+    rest = f"dark{rim}: balls at rest" if network and medium.held.any() else ""
+    drives = f"green{rim}: driven balls" if network else "green: what drives"
+    marked = any(line.get_label() == "negative" for ax in figure.panels for line in ax.get_lines())
+    text = [scaled, *more, "blue, with bars: negative" * marked, rest, drives * driven]
+    text = "; ".join(filter(None, text))
     style.above(figure, text)
     figure.caption = f"{caption} {text.capitalize()}."
     return figure
@@ -155,9 +158,9 @@ def page(extent, draws, what="displacement"):
     rows = -(-len(draws) // columns)
     width = room if flat else min(2.2, room / columns)
     height = 1.1 if chain else min(max(width * ny / nx, 0.7), 7.0 / rows)
-    size = columns * width + 1.2, rows * (height + 0.35) + 0.5
+    size = columns * width + 1.2, rows * (height + 0.4) + 0.6
     figure, panels = style.page(*size, nrows=rows, ncols=columns, sharex=True, sharey=True)
-    figure.set_layout_engine("compressed")  # as many panels as fit, next to each other
+    figure.set_layout_engine("compressed", h_pad=0.07)  # as many panels as fit, next to each other
     for ax in panels[len(draws) :]:
         ax.remove()
     panels = figure.panels = panels[: len(draws)]
@@ -171,7 +174,8 @@ def page(extent, draws, what="displacement"):
         figure.supylabel(f"{what} / largest", fontsize="medium")
     elif shown[0].get_array() is not None:
         few = any(map(beyond, shown))
-        bar = {"ticks": [-1, -0.5, 0, 0.5, 1], "pad": 0.02, "extend": "both" if few else "neither"}
+        bar = {"ticks": [-1, -0.5, 0, 0.5, 1], "pad": 0.1 / width, "fraction": 0.1}
+        bar |= {"aspect": BAR * rows * height, "extend": "both" if few else "neither"}
         of = "99th percentile" + "\nof balls that move" * (what == "displacement")
         of = of if few else "largest"
         figure.colorbar(shown[0], ax=list(panels), label=f"{what} / {of}", **bar)

@@ -9,6 +9,7 @@ from matplotlib.ticker import MaxNLocator
 from pgran.draw import style
 
 WALL, WALL_SHADE = 0.05, "#888888"  # inches
+TALLEST = 6.5  # inches of a panel
 ROOMY = 25  # points from ball to ball; with more, all balls are drawn
 
 
@@ -17,22 +18,31 @@ def page(lattice, detectors):
     chain, (nx, ny) = len(lattice.shape) == 1, (*lattice.shape, 1)[:2]
     ratio, plane = (ny + 1) / (nx + 1), tuple(detectors[0][2:])
     width = style.wide(style.PAGE if chain or nx > 40 or ratio < 0.5 else style.COLUMN)
-    height = 0.35 if chain else min(max((width - 0.8) * ratio, 0.8), 6.5)
+    height = 0.35 if chain else min(max((width - 0.8) * ratio, 0.8), TALLEST)
     figure, (ax,) = style.page(width, height + 1.0)
     drawn = bonds(ax, lattice, detectors)
     beyond = np.max(drawn.get_array()) > drawn.norm.vmax * (1 + 1e-9)
-    look = {"aspect": 9 * width, "pad": 0.05, "extend": "max" if beyond else "neither"}
+    look = {"aspect": 9 * width, "pad": 0.02, "extend": "max" if beyond else "neither"}
     bar = figure.colorbar(drawn, ax=ax, orientation="horizontal", **look)
     bar.set_label("bond constant $K$" + (", mean of each ball" if ax.images else ""))
     bar.outline.set_linewidth(0.6)
+    ax.set_title(f"plane $z$ = {plane[0]}" if plane else "")
     style.legend_above([ax])
+    _fit(figure, ax)
     figure.caption = (
         "The lattice: a line is a bond, the darker the larger its constant $K$; hatched: walls at "
-        "rest; blue: what drives; dots: detectors."
+        "rest; green: what drives; dots: detectors."
     )
-    if plane:
-        style.above(figure, f"bonds in the plane $z = {plane[0]}$")
     return figure
+
+
+def _fit(figure, ax):
+    """Make a page as high as its panel of equal axes needs, which is as wide as there is room."""
+    figure.get_layout_engine().execute(figure)
+    room, used = ax.get_position(original=True), ax.get_position()
+    wider = room.width / used.width  # of a panel that is as high as there is room
+    higher = min(wider * used.height * figure.get_figheight(), TALLEST) / figure.get_figheight()
+    figure.grow((higher - room.height) * figure.get_figheight())
 
 
 def bonds(ax, lattice, detectors):
@@ -63,11 +73,10 @@ def bonds(ax, lattice, detectors):
     equal = axes > 1 and 1 / 8 <= (ny + 1) / (nx + 1) <= 8
     ax.set(xlim=(-1, nx), ylim=(-1, ny), aspect="equal" if equal else "auto")
     names, shades = style.ball_names(detectors), style.colours(len(detectors))
-    dot = {"marker": "o", "markeredgecolor": "white", "linestyle": "none"}
+    dot = {"marker": "o", "markeredgecolor": "white", "linestyle": "none", "clip_on": False}
     dot["markersize"] = min(max(0.7 * spacing, 5.0), 8.0)
     if axes > 1 and spacing > ROOMY:
-        look = {"markerfacecolor": "white", "markeredgecolor": "black", "markersize": ROOMY / 2}
-        ax.plot(*np.indices((nx, ny)).reshape(2, -1), marker="o", linestyle="none", **look)
+        ax.plot(*np.indices((nx, ny)).reshape(2, -1), markersize=ROOMY / 2, **style.RING)
     for site, name, shade in zip(detectors, names, shades, strict=True):
         if tuple(site[2:]) == plane:
             ax.plot(*(*site, 0)[:2], color=shade, label=name, **dot)
@@ -87,7 +96,7 @@ def _segments(stiffness):
 
 
 def walls(ax, lattice, plane=(), arrow=True):
-    """Draw the walls, those at rest hatched, what drives in blue, and number the balls.
+    """Draw the walls, those at rest hatched, what drives in green, and number the balls.
 
     Of three dimensions in a plane; a double arrow says that a wall is driven.
     """
@@ -111,7 +120,7 @@ def walls(ax, lattice, plane=(), arrow=True):
     ax.set_ylim(-1 - (axes > 1) * thick[1], ny + (axes > 1) * thick[1])
     source(ax, lattice, nx, plane)
     if arrow and whole:
-        look = {"arrowstyle": "<->", "color": style.ACCENT, "shrinkA": 0, "shrinkB": 4}
+        look = {"arrowstyle": "<->", "color": style.DRIVEN, "shrinkA": 0, "shrinkB": 4}
         place = {"xytext": (22, 0), "textcoords": "offset points"}
         ax.annotate("", xy=(nx, (ny - 1) / 2), arrowprops=look, **place)
     for axis, count, name in ((ax.xaxis, nx, "i"), (ax.yaxis, ny, "j")):
@@ -123,8 +132,8 @@ def walls(ax, lattice, plane=(), arrow=True):
 
 
 def source(ax, lattice, x, plane=()):
-    """Draw in blue what drives a lattice: its wall at x, places of that, or balls under a force."""
-    look = {"color": style.ACCENT, "clip_on": False, "zorder": 3}
+    """Draw what drives a lattice: its wall at x, places of that, or balls under a force."""
+    look = {"color": style.DRIVEN, "clip_on": False, "zorder": 3}
     if lattice.push is not None:
         balls = np.argwhere(lattice.push[(..., *plane)]).T
         look |= {"marker": ">", "markersize": 5, "linestyle": "none", "label": "force"}

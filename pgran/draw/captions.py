@@ -4,16 +4,17 @@ A figure's own words are its `caption`, set where it is drawn; what is proven of
 group is said by `errors(record, how)` beside its figures. Formulas are LaTeX's.
 """
 
+import re
+
 import numpy as np
 
 from pgran import catalogue
-from pgran.draw import marks, style
-from pgran.medium.law import IN_WORDS
+from pgran.draw import marks, scales, style
+from pgran.medium.labels import facts_of
 from pgran.medium.source import in_words
 
 SAMPLES = "bonds", "network"  # figures that show what was computed on
 NAMED = 6  # detectors
-LETTERS = {"beta": r"\beta", "p": "p", "alpha": r"\alpha", "eta": r"\eta"}  # of damping
 AXES = {1: "chain", 2: "square lattice", 3: "cubic lattice"}
 
 
@@ -26,16 +27,25 @@ def number(value, digits=2):
     return rf"${mantissa}\times10^{{{int(exponent)}}}$"
 
 
+def formulas(text):
+    """Return words with their letters, products of numbers and powers of ten as formulas."""
+    text = re.sub(r"\b(alpha|beta|eta) =", r"$\\\1$ =", text)
+    text = re.sub(r"\bp =", "$p$ =", text)
+    text = re.sub(r"(?<=\d) x (?=\d)", r" $\\times$ ", text)
+    return re.sub(r"\b\d(\.\d+)?e[+-]\d+\b", lambda found: number(float(found[0]), 6), text)
+
+
 def complete(figure, results, si, sampled=False):
     """Return a figure's own caption with the sample, and the bound reached, of each result.
 
     A figure of the sample itself (`sampled`) has no error; `si` are the program's units.
     """
-    samples = dict.fromkeys(sample(result, si) for result in results)
+    facts = [sample(result, si).split("; ") for result in results]
+    if len(set(map(len, facts))) == 1:  # each fact once, and in what it differs
+        facts = [[" or ".join(dict.fromkeys(alike)) for alike in zip(*facts, strict=True)]]
+    samples = [f"Sample: {'; '.join(told)}." if any(told) else "" for told in facts]
     reached = [] if sampled else dict.fromkeys(bound(result) for result in results)
-    marked = any(line.get_gid() == style.UNIT for ax in figure.panels for line in ax.get_lines())
-    unit = r"Dotted line: $\omega_{mx}$." if marked else ""
-    return " ".join(filter(None, [figure.caption, *samples, *reached, unit]))
+    return " ".join(filter(None, [figure.caption, *samples, *reached]))
 
 
 def sample(result, si):
@@ -43,11 +53,8 @@ def sample(result, si):
     medium = getattr(result, "medium", None)
     if medium is None:
         return ""  # the box says what it is
-    lines = str(getattr(result, "options", "")).splitlines()
-    options = dict(line.lstrip("-").partition(" ")[::2] for line in lines)
-    bonds = {key[6:]: _plain(value) for key, value in options.items() if key.startswith("bonds_")}
+    options = facts_of(result)
     if medium.group == "network":
-        law = ""
         facts = [f"network of {len(medium.held)} balls, {medium.free_balls} of them free, and "
                  f"{len(medium.bond)} contacts"]  # fmt: skip
         if "network_file" in options:
@@ -56,24 +63,24 @@ def sample(result, si):
     else:
         count = r" \times ".join(map(str, medium.shape))
         driven = ", one of which is driven" * bool(np.any(medium.built.moved))
-        law = IN_WORDS.get(bonds.get("law"), "")
         facts = [f"{AXES[len(medium.shape)]} of ${count}$ balls of mass {number(medium.mass)} "
                  f"between walls{driven}"]  # fmt: skip
-        facts += [f"bonds {law.format(**bonds)}"] * bool(law)
+        if "bonds_law" in options:
+            facts.append(formulas(f"bonds {options['bonds_law']}"))
     facts += in_words(medium.built)
     ensemble = getattr(result, "ensemble", None)
     if ensemble is not None:
         seeds = ensemble.seed
         facts.append(f"{len(seeds)} samples, seeds {seeds.min()} to {seeds.max()}")
-    elif law and bonds["law"] not in ("file", "constant"):
-        facts.append(f"seed {bonds['seed']}")
+    elif "bonds_seed" in options:
+        facts.append(f"seed {options['bonds_seed']}")
     else:
         facts.append(f"SHA-256 of the bonds {medium.bonds_sha256[:12]}")
     damping = [
-        rf"${LETTERS[name]}$ = {number(low)}" + (f" to {number(high)}" if high > low else "")
+        f"{name} = {number(low)}" + (f" to {number(high)}" if high > low else "")
         for name, (low, high) in medium.built.damping_facts.items()
     ]
-    facts.append(f"damping {', '.join(damping)}")
+    facts.append(formulas(f"damping {', '.join(damping)}"))
     unit = f"{number(medium.omega_mx, 4)}{si.say('Hz', medium.omega_mx)}"
     facts.append(rf"$\omega_{{mx}}$ = {unit}")
     sites = style.heard(result)
@@ -81,15 +88,17 @@ def sample(result, si):
         names = style.ball_names(sites)
         more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
         facts.append(f"heard at {', '.join(names[:NAMED])}{more}")
-    return f"Sample: {'; '.join(facts)}."
+    return "; ".join(facts)
 
 
-def _plain(text):
-    """Return a number of an options file as a caption has it, other texts as they are."""
-    try:
-        return text if text.isdigit() else number(float(text), 6)
-    except ValueError:
-        return text
+def by_depth(medium, sites, between=", "):
+    """Return the order of balls by their distance from what drives, and all their names with it."""
+    depths, names = medium.built.depths(sites), style.ball_names(sites)
+    factor, unit = scales.unit_of(scales.DISTANCE._replace(own=""), medium, depths.max())
+    if np.isfinite(depths).all():
+        words = [f"{between}depth {factor * depth:.3g} {unit}".rstrip() for depth in depths]
+        names = [name + depth for name, depth in zip(names, words, strict=True)]
+    return np.argsort(depths, kind="stable"), names
 
 
 def bound(result):

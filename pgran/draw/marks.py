@@ -1,5 +1,7 @@
 """Curves with gaps where results are not good, and what is marked along the frequency axis."""
 
+from itertools import cycle
+
 import numpy as np
 from matplotlib.markers import TICKUP
 
@@ -34,6 +36,23 @@ def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
         label = None
     if not np.isfinite(ax.dataLim.height):
         ax.yaxis.set_visible(False)
+    return drawn
+
+
+def points(ax, x, values, errors, labels, marks="osv^", xerr=0.0, **look):
+    """Draw rows of values with their errors, a colour and a mark each; return them.
+
+    `x`, and `xerr` if any, is that of all rows, or has a row for each.
+    """
+    look = {"linestyle": "none", "markersize": 3, "elinewidth": 0.8} | look
+    x, xerr, shades = *np.broadcast_arrays(x, xerr, values)[:2], style.colours(len(labels))
+    drawn = []
+    for n, (label, shade, mark) in enumerate(zip(labels, shades, cycle(marks), strict=False)):
+        # of bars that are all NaN matplotlib warns
+        known = slice(None if np.isfinite(values[n]).any() else 0)
+        row = [each[n][known] for each in (x, values, errors, xerr)]
+        row[3] = row[3] if np.any(xerr) else None
+        drawn.append(ax.errorbar(*row, label=label, color=shade, marker=mark, **look))
     return drawn
 
 

@@ -9,9 +9,10 @@ from matplotlib.lines import Line2D
 from pgran.draw import style
 from pgran.draw.view import EDGES, FACES, MANY, View
 from pgran.medium.space import in_space
+from pgran.medium.springs import AT_REST, DRIVEN
 
 log = logging.getLogger("pgran")
-AT_REST, DRIVEN = 1, 2  # what `held` says, 0: free
+ARROW = 14  # points, half of the double arrow of the drive
 
 
 def figures(result, **_):
@@ -36,7 +37,7 @@ def page(network, balls):
     dots = "; dots: detectors" if len(balls) else ""
     figure.caption = (
         f"The network: a line is a contact, as thick as its {what}; circles: balls, dark ones at "
-        f"rest, blue ones driven along the double arrow{dots}."
+        f"rest, green ones driven along the double arrow{dots}."
     )
     if view.plane:
         style.above(figure, f"network in the {view.plane}")
@@ -54,13 +55,12 @@ def contacts(ax, network, balls=()):
     view.frame(ax)
     view.draw(ax)
     for kind, name in ((AT_REST, "at rest"), (DRIVEN, "driven")):
-        if np.any(network.held == kind):
+        if np.any(view.kind == kind):
             look = {"color": FACES[kind], "markeredgecolor": EDGES[kind], "markeredgewidth": 0.4}
             _entry(ax, name, marker="o", linestyle="none", **look)
     what = "stiffness" if network.force is None else "force"
     values = getattr(network, what)
-    points = 72 * ax.bbox.width / ax.figure.dpi * view.spacing / view.extent[0]  # ball to ball
-    thickest, largest = min(max(0.2 * points, 0.3), 2.5), np.abs(values).max() or 1.0
+    thickest, largest = min(max(0.2 * view.points(ax), 0.3), 2.5), np.abs(values).max() or 1.0
     segments, numbers = view.lines(network.bond)
     widths = np.maximum(thickest * np.abs(values) / largest, 0.1)[numbers]
     shades = np.where(values < 0, style.UNRESOLVED, "black")[numbers]
@@ -85,15 +85,15 @@ def _entry(ax, label, **look):
 
 
 def _arrow(ax, network, view):
-    """Draw a double arrow along the drive at the ball in the middle of those that drive."""
-    drives = network.held == DRIVEN if network.push is None else np.any(network.push, axis=1)
-    driven = np.flatnonzero(view.seen & drives)
-    if not driven.size or len(network.direction) == 1:
+    """Draw a double arrow along the drive at the middle one of the driven balls, in the frame."""
+    driven = view.xy[view.seen & (view.kind == DRIVEN)]
+    if not len(driven) or len(network.direction) == 1:
         return
-    middle = view.xy[driven].mean(axis=0)
-    ball = driven[np.linalg.norm(view.xy[driven] - middle, axis=1).argmin()]
-    along = 14 * in_space(network.direction)[view.axes]
-    look = {"arrowstyle": "<-", "color": style.ACCENT, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}
-    for tip in (along, -along):
-        place = {"xy": view.xy[ball], "xytext": tip, "textcoords": "offset points"}
-        ax.annotate("", **place, arrowprops=look)
+    half = ARROW / view.points(ax) * view.spacing * in_space(network.direction)[view.axes]
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    inside = np.array([left, bottom]) + np.abs(half), np.array([right, top]) - np.abs(half)
+    nearest = np.linalg.norm(driven - driven.mean(axis=0), axis=1).argmin()
+    middle = np.clip(driven[nearest], *inside)
+    look = {"arrowstyle": "<->", "color": style.DRIVEN, "linewidth": 1.8, "mutation_scale": 9}
+    look |= {"shrinkA": 0, "shrinkB": 0, "path_effects": [style.HALO]}
+    ax.annotate("", xy=middle + half, xytext=middle - half, arrowprops=look)

@@ -18,44 +18,49 @@ from pgran.store.si import SI
 def make(result, si=None, width=None, **over):
     """Return all figures of a result by their names. See `pgran.plot`."""
     groups = [group for group in sorted(catalogue.FIGURES) if hasattr(result, group)]
-    made = {}
-    with _style([result], width):
+    made, si = {}, si or SI.of(result)
+    with _style([result], width, si):
         for group in groups:
             made |= dict(catalogue.figures(group).figures(result, **over))
         if not made:
             raise FileError(f"nothing to draw in this result (scene {result.scene})")
-        return _finished(made, [result], si or SI.of(result))
+        return _finished(made, [result], si)
 
 
 def compare(results, labels, si=None, width=None):
     """Return figures of results of one scene over each other. See `pgran.plot`."""
-    with _style(results, width):
+    si = si or SI()
+    with _style(results, width, si):
         from pgran.draw import together
 
-        return _finished(dict(together.figures(results, labels)), results, si or SI())
+        return _finished(dict(together.figures(results, labels)), results, si)
 
 
 def _finished(made, results, si):
     """Return figures with what all of them have: SI units, letters of panels, whole captions."""
     from pgran.draw import captions, scales, style
 
+    unit_of = getattr(results[0], "medium", getattr(results[0], "likeness", None))
     for name, figure in made.items():
-        if hasattr(results[0], "medium"):
-            scales.in_si(figure, results[0].medium, si)
+        if unit_of is not None and unit_of.omega_mx:
+            scales.in_si(figure, unit_of)
         style.letter(figure.panels)
         figure.caption = captions.complete(figure, results, si, name in captions.SAMPLES)
     return made
 
 
-def add_measured(made, results, data, label):
-    """Draw what was measured into figures of responses; see `together`."""
+def add_measured(made, results, data, label, scale=1.0):
+    """Draw what was measured into figures of responses; see the response's."""
     with _style(results):
-        return catalogue.figures("response").add_measured(made, results, data, label)
+        return catalogue.figures("response").add_measured(made, results, data, label, scale)
 
 
 @contextlib.contextmanager
-def _style(results, width=None):
-    """Make the figures' style hold for a while; raise a FileError without a unit of frequency."""
+def _style(results, width=None, si=None):
+    """Make the figures' style hold for a while; raise a FileError without a unit of frequency.
+
+    And their units, those of the program where `si` is None.
+    """
     if any(hasattr(each, "medium") and not each.medium.omega_mx > 0 for each in results):
         raise FileError("nothing to draw in this result: without stiff bonds omega_mx is 0")
     try:
@@ -69,7 +74,7 @@ def _style(results, width=None):
         raise FileError(
             f"matplotlib needs a folder that it can write to ({error}): let MPLCONFIGDIR name one"
         ) from None
-    with style.applied(width):
+    with style.applied(width, si):
         yield
 
 

@@ -1,6 +1,6 @@
 """What axes show, where their ends and ticks are, and the same axes in SI units.
 
-What is drawn stays in units of omega_mx: in SI ticks and labels are in Hz, s, m.
+What is drawn stays in units of omega_mx: in SI ticks, labels and numbers in words are in Hz, s, m.
 """
 
 import math
@@ -27,12 +27,51 @@ PHASE = "phase (rad)"
 FREQUENCY = Quantity("driving frequency", r"$\omega/\omega_{mx}$", "Hz", 1)
 ANY_FREQUENCY = Quantity("frequency", r"$\omega/\omega_{mx}$", "Hz", 1)
 MODE_FREQUENCY = Quantity("mode frequency", r"$\omega_i/\omega_{mx}$", "Hz", 1)
+DOMINANT = MODE_FREQUENCY._replace(name="dominant mode")
 DENSITY = Quantity("density of modes per ball", r"($1/\omega_{mx}$)", "1/Hz", -1)
 TIME = Quantity("time", r"($1/\omega_{mx}$)", "s", -1)
 DELAY = Quantity("group delay", r"($1/\omega_{mx}$)", "s", -1)
 DISTANCE = Quantity("distance from the driven wall", "(spacings)", "m")
 ATTENUATION = Quantity("attenuation length", "(spacings)", "m")
+IN_WORDS = ANY_FREQUENCY._replace(own=r"$\omega_{mx}$")
+TIME_IN_WORDS = TIME._replace(own=r"$\omega_{mx}^{-1}$")
+SLOPE = Quantity("slope of the phase", r"rad/$\omega_{mx}$", "rad/Hz", -1)
+VELOCITY = Quantity("phase velocity", r"$d\,\omega_{mx}$", "m/s", 1)
 PLACES = [Quantity(f"${name}$", unit="m") for name in "xyz"]
+
+
+def unit_of(quantity, medium, largest):
+    """Return what numbers of a quantity up to the `largest` are multiplied with, and their unit.
+
+    That is SI's where these are shown and known, else the program's.
+    """
+    factor = quantity.unit and style.units().factor(quantity.unit)
+    if factor is None:
+        return 1.0, quantity.own
+    factor *= medium.omega_mx**quantity.power
+    shift, unit = prefix_of(factor * largest, quantity.unit)
+    return factor * shift, unit
+
+
+def said(x, medium, quantity, digits=4):
+    """Return a number of a quantity with its unit, in words."""
+    factor, unit = unit_of(quantity, medium, x)
+    return f"{factor * x:.{digits}g} {unit}".rstrip()
+
+
+def frequency(x, medium, digits=4):
+    """Return a frequency in words, which is `x` in units of omega_mx."""
+    return said(x, medium, IN_WORDS, digits)
+
+
+def time(x, medium):
+    """Return a time in words, which is `x` in units of 1 / omega_mx."""
+    return said(x, medium, TIME_IN_WORDS)
+
+
+def length(x, medium):
+    """Return a length of a network in words."""
+    return said(x, medium, PLACES[0], 3)
 
 
 def label(axis, quantity):
@@ -48,12 +87,14 @@ def limits(x):
     return np.min(x) - margin, np.max(x) + margin
 
 
-def frequencies(ax, x, quantity=FREQUENCY, within=(0.0, np.inf)):
+def frequencies(ax, x, quantity=FREQUENCY, within=(0.0, np.inf), aside=0.0):
     """Make an axis one of the frequencies `x`, in units of omega_mx, which is a dotted line.
 
-    Only those `within` two ends are shown. An axis of frequencies gets as long as it must be.
+    Only those `within` two ends are shown, and `aside` of them that part of the axis. An axis of
+    frequencies gets as long as it must be.
     """
     low, high = limits(x)
+    low, high = low - aside * (high - low), high + aside * (high - low)
     low, high = max(low, within[0]), min(high, within[1])
     if hasattr(ax.xaxis, "quantity"):
         low, high = min(low, ax.get_xlim()[0]), max(high, ax.get_xlim()[1])
@@ -107,19 +148,18 @@ class Ticks(ticker.Locator):
         return np.asarray(ticks) / self.factor
 
 
-def in_si(figure, medium, si):
+def in_si(figure, medium):
     """Give the axes of a figure SI units where these are known; axes of a quantity are alike."""
     shown = {}
     for axis in [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]:
         quantity = getattr(axis, "quantity", None)
-        if quantity and quantity.unit and si.factor(quantity.unit) is not None:
+        if quantity and quantity.unit and style.units().factor(quantity.unit) is not None:
             shown.setdefault(quantity, []).append(axis)
     for quantity, alike in shown.items():
-        factor = si.factor(quantity.unit) * medium.omega_mx**quantity.power
         largest = max(np.abs(axis.get_view_interval()).max() for axis in alike)
-        shift, unit = prefix_of(factor * largest, quantity.unit)
+        factor, unit = unit_of(quantity, medium, largest)
         for axis in alike:
-            convert(axis, factor * shift)
+            convert(axis, factor)
             if axis.get_label_text():  # else the panel below has the label
                 axis.set_label_text(f"{quantity.name} ({unit})")
 

@@ -7,12 +7,15 @@ from itertools import product
 
 import matplotlib
 import numpy as np
-from matplotlib.colors import to_rgb
+from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.transforms import offset_copy
 
+from pgran import catalogue
 from pgran.errors import FileError
 from pgran.store.fields import ball_names as ball_names
+from pgran.store.si import SI
 
 MM = 1 / 25.4  # in inches
 COLUMN, PAGE = 85 * MM, 170 * MM  # widths: one column of a journal, and two
@@ -20,13 +23,14 @@ UNIT = "omega_mx"  # how the line that marks it is found
 FEW, HANDFUL = 100, 10  # points that are marked by dots, and that make no curve
 LETTERS = 15  # to an inch
 LETTERED, BESIDE = 0.25, 0.5  # inches that (a) needs before a title; left of it, and after it
-SIGNED = "cividis"  # from -1 to 1: the sign is seen in grey, too
-HEARD = (
-    "response", "modes", "damped_modes", "pulse", "relaxation", "sensitivity", "heat", "ensemble",
-    "green",
-)  # fmt: skip
+# from -1 to 1: negative numbers are the darker ones in grey
+SIGNED = ["#041c4a", "#1f5fa8", "#8fc1e0", "#ffffff", "#fcb398", "#ee6a4a", "#d7301f"]
+SIGNED = LinearSegmentedColormap.from_list("signed", SIGNED).with_extremes(bad="#e4e4e4")
 LETTER = "abcdefghijklmnopqrstuvwxyz"  # of panels
 ACCENT, FAILED, MODE, UNRESOLVED = "#0072B2", "#D00000", "#555555", "#D55E00"
+DRIVEN = "#009E73"  # what drives: walls, balls, their motion
+RING = {"marker": "o", "linestyle": "none", "markerfacecolor": "white", "markeredgecolor": "black"}
+HALO = withStroke(linewidth=3, foreground="white")  # around what lies over data
 COLOURS = ("black", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")
 
 RC = {
@@ -50,16 +54,17 @@ for _tick in ("xtick", "ytick"):
     RC |= {f"{_tick}.labelsize": 7, f"{_tick}.major.size": 3, f"{_tick}.major.width": 0.6}
 
 
-_asked = ContextVar("width", default=None)
+_asked = ContextVar("width and units", default=(None, None))
 
 
 @contextlib.contextmanager
-def applied(width=None):
+def applied(width=None, si=None):
     """Make this style hold for a while, whatever the user's matplotlibrc says.
 
-    `width`: of all pages, in mm, instead of their own.
+    `width`: of all pages, in mm, instead of their own. `si`: units of numbers in words, as axes
+    will have by `scales.in_si`, instead of the program's.
     """
-    before = _asked.set(width and width * MM)
+    before = _asked.set((width and width * MM, si))
     try:
         with matplotlib.rc_context():
             matplotlib.rcdefaults()
@@ -71,7 +76,12 @@ def applied(width=None):
 
 def wide(width):
     """Return how wide a page is in inches: as is asked for, else `width`."""
-    return _asked.get() or width
+    return _asked.get()[0] or width
+
+
+def units():
+    """Return the SI units that are shown."""
+    return _asked.get()[1] or SI()
 
 
 class Page(Figure):
@@ -85,6 +95,9 @@ class Page(Figure):
     def draw(self, renderer):
         """Draw: matplotlib makes ticks only now, in the style that holds now."""
         with applied():
+            # balls keep their shape: only a second layout knows how high such panels are
+            if self.get_layout_engine() and any(ax.get_aspect() != "auto" for ax in self.axes):
+                self.get_layout_engine().execute(self)
             super().draw(renderer)
 
     def grow(self, inches):
@@ -99,25 +112,32 @@ def page(width, height, **panels):
     return figure, figure.panels
 
 
-def single(draw, caption="", width=COLUMN, height=2.3):
-    """Return the page of one panel, `draw(ax)`, with its legend above."""
-    return stack([draw], [caption], width, height)
+def single(draw, captions, width=COLUMN, height=2.3, **shown):
+    """Return the page of one panel; see `stack`."""
+    return stack([draw], captions, width, height, **shown)
 
 
-def stack(draws, captions, width=COLUMN, height=2.1, shared=False):
+def stack(draws, captions, width=COLUMN, height=2.1, shared=False, **shown):
     """Return a page of panels below each other, each as high as said, with its legend above.
 
+    A panel is `draw(ax, **shown)`; captions are a text, or one a panel, or by the panels' names.
     `shared`: they have one axis of x and one legend.
     """
     figure, panels = page(width, height * len(draws), nrows=len(draws))
     for draw, ax in zip(draws, panels, strict=True):
-        draw(ax)
+        draw(ax, **shown)
         if shared:
             ax.label_outer()
+    if shared:
+        figure.get_layout_engine().set(h_pad=0.01, hspace=0)
     for group in [panels] if shared else [[ax] for ax in panels]:
         legend_above(group)
     figure.align_ylabels()
-    figure.caption = lettered(captions)
+    if isinstance(captions, dict):
+        captions = [captions[draw.__name__] for draw in draws]
+    captions = [captions] if isinstance(captions, str) else captions
+    letters = [f"({letter}) " for letter in LETTER] if len(captions) > 1 else [""]
+    figure.caption = " ".join(map("".join, zip(letters, captions, strict=False)))
     return figure
 
 
@@ -156,7 +176,7 @@ def pale(colour):
 
 def heard(result):
     """Return the detectors of a result, shape (nd, dim), None if it has none."""
-    records = (getattr(result, name, None) for name in HEARD)
+    records = (getattr(result, group, None) for group in catalogue.RECORDS)
     sites = (getattr(record, "detector", None) for record in records)
     return next((each for each in sites if each is not None), None)
 
@@ -165,13 +185,6 @@ def letter(panels):
     """Put (a), (b) and so on before the titles of several panels."""
     for name, ax in zip(LETTER, panels if len(panels) > 1 else (), strict=False):
         ax.set_title(f"({name}) {ax.get_title(loc='left')}".strip())
-
-
-def lettered(captions):
-    """Return the captions of several panels as one text."""
-    if len(captions) == 1:
-        return captions[0]
-    return " ".join(f"({name}) {text}" for name, text in zip(LETTER, captions, strict=False))
 
 
 def above(figure, *lines, **look):
@@ -186,9 +199,9 @@ def above(figure, *lines, **look):
 def legend_above(panels):
     """Put one legend of all panels above the upper right of the first, where no data can be.
 
-    What several curves of a panel have in common comes last. It is beside the title, or above that
-    if there is no room or another panel beside, in as many columns as fit: give the last panel of
-    a row first. The figure gets higher by as much as the legend is.
+    What several curves of a panel have in common comes last, and the dotted line of omega_mx. It is
+    beside the title, or above that if there is no room or another panel beside, in as many columns
+    as fit: give the last panel of a row first. The figure gets higher by as much as the legend is.
     """
     handles, shared = {}, {}
     for ax in panels:
@@ -196,6 +209,8 @@ def legend_above(panels):
         for handle, label in zip(drawn, labels, strict=True):
             (shared if labels.count(label) > 1 else handles).setdefault(label, handle)
     handles |= shared
+    dotted = (line for ax in panels for line in ax.get_lines() if line.get_gid() == UNIT)
+    handles |= dict(zip([r"$\omega_{mx}$"], dotted, strict=False))
     if not handles:
         return
     first, figure = panels[0], panels[0].figure
@@ -206,7 +221,7 @@ def legend_above(panels):
         title = _size(first.set_title(first.get_title(loc="left"), loc="left"))[0]
         title += LETTERED * (len(getattr(figure, "panels", ())) > 1)
         places.insert(0, (first.transAxes, room - title - BESIDE * (title > 0)))
-    for (place, width), columns in product(places, (4, 3, 2, 1)):
+    for (place, width), columns in product(places, (5, 4, 3, 2, 1)):
         look = {"loc": "lower right", "bbox_to_anchor": (1, 1), "bbox_transform": place}
         legend = first.legend(handles.values(), handles, ncol=columns, columnspacing=1.2, **look)
         if _size(legend)[0] <= width:

@@ -3,11 +3,12 @@
 Curves differ by colour and, for print in grey, by line style; points by their marks.
 """
 
-import re
 import textwrap
 
+from matplotlib.mathtext import MathTextParser
+
 from pgran import catalogue
-from pgran.draw import style
+from pgran.draw import captions, style
 from pgran.errors import FileError
 
 LINES = ("-", (0, (4, 1)), (0, (1, 0.8)), (0, (4, 1, 1, 1)), (0, (1.5, 2)), (0, (3, 1, 1, 1, 1, 1)))
@@ -26,7 +27,7 @@ def figures(results, labels):
                         f"{', '.join(PAGES)}")  # fmt: skip
     if len(results) > MOST and scene not in catalogue.POINTS:
         raise FileError(f"{len(results)} results: at most {MOST} are told apart in one figure")
-    labels = [_wrap(label) for label in labels]
+    labels = [_typeset(label) for label in labels]
     units = [f"{result.medium.omega_mx:.6g}" for result in results]
     differ = len(set(units)) > 1  # axes are in units of each one's own
     if differ:
@@ -37,11 +38,14 @@ def figures(results, labels):
         yield name, figure
 
 
-def _wrap(label):
-    """Return a label in lines, no key of an option parted from its value."""
-    joined = re.sub(r"(?<!\S)(-\w+) (?=[^-])", "\\1\xa0", label.replace("$", r"\$"))
-    lines = textwrap.wrap(joined, WIDE, break_long_words=False, break_on_hyphens=False)
-    return "\n".join(lines).replace("\xa0", " ")
+def _typeset(label):
+    """Return a label in lines, with formulas where dollars enclose some."""
+    try:
+        MathTextParser("path").parse(label)
+    except ValueError:
+        label = label.replace("$", r"\$")
+    text = captions.formulas("\n".join(textwrap.wrap(label, WIDE)))
+    return f" {text}" if text.startswith("_") else text  # which no legend would list
 
 
 def curve_look(number):

@@ -57,7 +57,7 @@ class ErrorBounds(Owner):
     but what rounding does to the amplitudes can be tried (`random_rounding`).
     """
 
-    owns = ("_product", "_work", "_counter", "_signs")
+    owns = ("_product", "_work", "_counter")
 
     def __init__(self, operators):
         """Make the work vectors."""
@@ -76,9 +76,9 @@ class ErrorBounds(Owner):
 
     @cached_property
     def _signs(self):
-        """A random sign for each ball. Collective when first asked for."""
+        """A random sign for each of this rank's balls."""
         signs = np.where(unit_numbers(0, 0, self.operators.size) < 0.5, -1.0, 1.0)
-        return self.operators.layout.vector(signs.reshape(self.operators.shape))
+        return self.operators.layout.rows(signs.reshape(self.operators.shape))
 
     def stability(self, s):
         """Return a c with |S x|_2 >= c |x|_2 for every x; 0 if none is certain."""
@@ -112,9 +112,8 @@ class ErrorBounds(Owner):
         if not self._alone and not stability and not self._told:
             self._told = True
             log.warning(
-                "what damps leaves some motions undamped, and where ranks share a medium no error "
-                "bound can be proven then: amplitudes will be marked as not accurate; "
-                "-ranks_per_lattice 1 proves bounds by counts, so does damped = all"
+                "some motions are undamped: where ranks share a medium no error bound is proven, "
+                "and amplitudes are marked; -ranks_per_lattice 1 and damped = all give bounds"
             )
 
     def sharpen(self, krylov, needed):
@@ -216,7 +215,7 @@ class ErrorBounds(Owner):
 
         Collective; the next call overwrites it.
         """
-        self._work.setArray(self.unit * terms * self._signs.getArray(readonly=True))
+        self._work.setArray(self.unit * terms * self._signs)
         return self._work
 
     def primal_residual(self, primal, terms):

@@ -1,13 +1,12 @@
 """The smallest eigenvalues of damping, proven by factors, and of stiffness, certified by counts."""
 
-import contextlib
-
 import numpy as np
 from mpi4py import MPI
 
 from pgran.driven.counting import ModeCounter
 from pgran.driven.inertia import RealFactors
 from pgran.driven.layout import NetworkLayout
+from pgran.medium.springs import norm_of
 from pgran.run.petsc import PETSc
 
 PARTS = (0.9, 0.5, 0.1, 0.01)  # of an estimate of the smallest eigenvalue that are tried
@@ -40,11 +39,10 @@ def smallest_loss(lattice):
     L = B^T diag(eta k) B of what springs lose by themselves, which negative eigenvalues would feed.
     """
     cache = vars(lattice)
-    if "smallest_loss" not in cache and lattice.losses is None:
-        cache["smallest_loss"] = 0.0
+    if lattice.losses is None:
+        return 0.0
     if "smallest_loss" not in cache:
-        B = abs(lattice.springs.B)
-        norm = 1.01 * float((B.T @ (np.abs(lattice.losses) * (B @ np.ones(lattice.size)))).max())
+        norm = norm_of(lattice.springs.B, np.abs(lattice.losses))
         cache["smallest_loss"] = _least(lattice, lattice.losses, norm)
     return cache["smallest_loss"]
 
@@ -52,16 +50,6 @@ def smallest_loss(lattice):
 def least_stiffness(network):
     """Return a number that no eigenvalue of K is below; 0 if none above 0 is certain."""
     return _least(network, network.constants, network.stiffness_norm)
-
-
-def _least(medium, constants, norm, diagonal=0.0):
-    """Return what no eigenvalue of B^T diag(constants) B + diag(diagonal) is below; see below."""
-    with NetworkLayout(medium, MPI.COMM_SELF) as layout:
-        pointer, columns, values = layout.csr(constants)
-    if np.any(diagonal):
-        rows = np.repeat(np.arange(medium.size), np.diff(pointer))
-        values[rows == columns] += np.broadcast_to(diagonal, medium.size)[medium.order]
-    return _certified(medium, norm, pointer, columns, values)
 
 
 def smallest_stiffness(operators):
@@ -86,24 +74,17 @@ def is_stable(network):
 def _floor(network, constants):
     """Return how far below zero eigenvalues of K may be in units of its norm, and that norm."""
     with NetworkLayout(network, MPI.COMM_SELF) as layout:
-        matrix = layout.csr(constants)
-    with _counter(network, *matrix) as counter:
-        certain = (p for p in FLOORS if counter.below(-p * counter.norm, p / 2 * counter.norm) == 0)
-        return next(certain, 1.01), counter.norm
-
-
-@contextlib.contextmanager
-def _counter(network, pointer, columns, values):
-    """Return, for a `with`, what counts the eigenvalues of a real symmetric matrix."""
-    size = (len(pointer) - 1,) * 2
-    matrix = PETSc.Mat().createAIJ(size, csr=(pointer, columns, values), comm=MPI.COMM_SELF)
+        csr = layout.csr(constants)
+    matrix = PETSc.Mat().createAIJ((network.size,) * 2, csr=csr, comm=MPI.COMM_SELF)
     with ModeCounter(matrix, network) as counter:
-        yield counter
+        certain = (p for p in FLOORS if counter.below(-p * counter.norm, p / 2 * counter.norm) == 0)
+        part = next(certain, 1.01)
     matrix.destroy()
+    return part, counter.norm
 
 
-def _certified(network, norm, pointer, columns, values):
-    """Return a number that no eigenvalue of a matrix of a network is below; 0 if none is certain.
+def _least(medium, constants, norm, diagonal=0.0):
+    """Return what no eigenvalue of B^T diag(constants) B + diag(diagonal) is below; 0 if unknown.
 
     Its magnitudes sum up to `norm`. Inverse iteration estimates the smallest eigenvalue from above.
     None is below a part of it, but for the error of factors of the matrix less that part, if these
@@ -111,8 +92,13 @@ def _certified(network, norm, pointer, columns, values):
     """
     from scipy.sparse import csc_matrix
 
+    with NetworkLayout(medium, MPI.COMM_SELF) as layout:
+        pointer, columns, values = layout.csr(constants)
+    if np.any(diagonal):
+        rows = np.repeat(np.arange(medium.size), np.diff(pointer))
+        values[rows == columns] += np.broadcast_to(diagonal, medium.size)[medium.order]
     matrix = csc_matrix((values.real.copy(), columns, pointer))  # symmetric: rows are columns
-    rounding = network.rounding * norm  # of the sums that its entries are
+    rounding = medium.rounding * norm  # of the sums that its entries are
     try:
         # Were it singular, pivots that rounding leaves would exchange rows and fill the factors.
         estimate = _estimate(matrix, RealFactors(matrix, -8 * rounding))

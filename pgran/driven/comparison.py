@@ -54,14 +54,6 @@ class Comparison(Owner):
         """Free what PETSc may have marked as failed for good. Collective."""
         self.forget("_ksp", "_matrix")
 
-    def errors(self, residual, bounds):
-        """Return a vector that no error of an amplitude exceeds, or None where there is none.
-
-        Collective; the next call overwrites it. `residual` is positive and no less than |f - S A~|,
-        rounding included, at each of this rank's balls; `bounds` are prepared for this s.
-        """
-        return self.verified(residual, bounds) if self.prepare() else None
-
     def prepare(self):
         """Set and factor <S> for this s; return whether it may prove anything. Collective."""
         if self._compare() <= 0:
@@ -72,7 +64,12 @@ class Comparison(Owner):
         return works
 
     def verified(self, residual, bounds):
-        """Return what `errors` does, of one residual after the other once <S> is prepared."""
+        """Return a vector that no error of an amplitude exceeds, or None where there is none.
+
+        Collective, after `prepare`; the next call overwrites it. `residual` is positive and no less
+        than |f - S A~|, rounding included, at each of this rank's balls; `bounds` are prepared for
+        this s.
+        """
         # Room for the rounding of the product below; and no v so small that it vanishes.
         self._target.setArray(4 * residual + LEAST_PROVEN * bounds.scale)
         self._ksp.solve(self._target, self.v)

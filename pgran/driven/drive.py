@@ -36,16 +36,16 @@ STEADY = {
 
 SITES = (
     Option(
-        "detectors", INTEGERS, (8, 10), "ball indices from 0, flat: 8,10 or 8,10,3,4",
+        "detectors", INTEGERS, (8, 10), "indices of balls, from 0: 8,10, or of two balls 8,10,3,4",
         low=0, high=2**63 - 1
     ),
     Option(
         "detectors_at", REALS, None,
-        "of networks, places instead, x,y or x,y,x,y: the free ball nearest to each listens",
+        "of networks, places instead: x,y or x,y,x,y; the free ball nearest to each is heard",
     ),
     Option(
         "detectors_component", TEXT, "drive",
-        "of networks with vectors: what of a displacement is read, along the drive or an axis",
+        "of networks with vectors: which component of a displacement is read",
         choices=("drive", "x", "y", "z")
     ),
 )  # fmt: skip
@@ -76,8 +76,7 @@ def check_driven(lattice, world, lowest, in_time=False):
     lattice.check_driven()
     if in_time and lattice.losses is not None:
         raise InputError(
-            "-damping_loss: a loss angle belongs to steady states; in time springs would answer "
-            "before they are moved. Pulses take -damping_power 1, or drag, -damping_mass"
+            "-damping_loss: only for steady states; pulses take -damping_power 1 or -damping_mass"
         )
     warn_above_modes(lattice, world, lowest)
     if not is_unstable(lattice, world):
@@ -85,10 +84,7 @@ def check_driven(lattice, world, lowest, in_time=False):
     if in_time:
         raise InputError(f"-network_file: {UNSTABLE}; after a pulse it would move without bound")
     if world.rank == 0:
-        log.warning(
-            "%s: its steady states are computed as if it stayed where it is; scene modes says how "
-            "unstable", UNSTABLE,
-        )  # fmt: skip
+        log.warning("%s: steady states are as if it stayed; scene modes says more", UNSTABLE)
 
 
 def is_unstable(lattice, world):
@@ -106,8 +102,8 @@ def reached_accuracy(record, good):
     bound, amplitude = record.error_bound[good][~floored], record.amplitude[good][~floored]
     if not np.isfinite(bound).all():
         yield Caution(
-            "no error bounds: none is known where balls float or turn undamped, nor of an undamped "
-            "lattice that ranks share (-ranks_per_lattice 1 gives them)"
+            "no error bounds are known where balls float or turn without damping, or of an "
+            "undamped lattice that ranks share (-ranks_per_lattice 1 gives them there)"
         )
     elif bound.size:
         relative = np.divide(bound, amplitude, out=np.zeros_like(bound), where=bound > 0).max()
@@ -118,6 +114,6 @@ def reached_accuracy(record, good):
         yield Caution("no amplitude has the relative accuracy asked for")
     if floored.any():
         yield Caution(
-            f"{np.count_nonzero(floored)} of {record.at_floor.size} amplitudes are known to "
-            "-error_floor of the drive's only, not relative to themselves (at_floor)"
+            f"{np.count_nonzero(floored)} of {record.at_floor.size} amplitudes are tiny: only an "
+            "upper limit is known, -error_floor of the drive's amplitude (at_floor)"
         )

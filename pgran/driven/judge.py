@@ -155,7 +155,9 @@ class Judge(Owner):
         if not math.isfinite(state.backward_error) or not np.all(np.isfinite(state.displacement)):
             return state
         bounds, bound, field_bound = self.bounds, state.error_bound, state.field_bound
-        errors = self.comparison.errors(bounds.residuals(primal), bounds)
+        errors = None
+        if self.comparison.prepare():
+            errors = self.comparison.verified(bounds.residuals(primal), bounds)
         if errors is not None:
             corrected = np.abs(state.displacement - self.detectors.read(primal.solution))
             bound = np.fmin(bound, 1.01 * (self.detectors.read_errors(errors) + corrected))

@@ -17,14 +17,39 @@ from pgran.run.petsc import PETSc
 class Layout(Owner):
     """What the layouts of lattices and of other networks have in common.
 
-    This rank has the unknowns from `first` to `last`; `like` is a vector of them, to duplicate. Of
-    each spring `ends` (springs, w) are the unknowns in its row of B, PETSc's numbers, -1 for none,
-    and `entries`, which may be one row for all, B's entries there; `drive` is how far it is
-    stretched when what is driven moves by 1. `laplacian` says that a spring of positive constant
-    has no positive entry beside the diagonal.
+    `numbers` are PETSc's of the medium's unknowns, of which this rank has those from `first` to
+    `last`; `like` is a vector of them, to duplicate. Of each spring `ends` (springs, w) are the
+    unknowns in its row of B, PETSc's numbers, -1 for none, and `entries`, which may be one row for
+    all, B's entries there; `drive` is how far it is stretched when what is driven moves by 1.
+    `laplacian` says that a spring of positive constant has no positive entry beside the diagonal.
     """
 
     owns = ("like",)
+
+    def rows(self, field):
+        """Return this rank's entries of an array over all unknowns, the same on every rank."""
+        values = np.empty(np.size(field), dtype=field.dtype)
+        values[self.numbers] = field
+        return values[self.first : self.last]
+
+    def vector(self, field):
+        """Return an array over all unknowns, the same on every rank, as a vector. Collective."""
+        x = self.like.duplicate()
+        x.setArray(self.rows(field))
+        return x
+
+    def field(self, x):
+        """Return a vector as an array over all unknowns on rank 0, else None. Collective."""
+        scatter, gathered = PETSc.Scatter.toZero(x)
+        scatter.scatter(x, gathered)
+        field = gathered.getArray()[self.numbers] if self.comm.rank == 0 else None
+        scatter.destroy()
+        gathered.destroy()
+        return field
+
+    def fields(self, rows):
+        """Return rows over all unknowns, of one rank alone, as the medium numbers them."""
+        return rows[:, self.numbers]
 
     def gathered(self, vectors):
         """Return vectors as arrays, one after the other, on rank 0, None on others. Collective."""
@@ -32,6 +57,11 @@ class Layout(Owner):
             return self.fields(np.stack([x.getArray(readonly=True) for x in vectors]))
         fields = [self.field(x) for x in vectors]
         return None if fields[0] is None else np.stack(fields)
+
+    def readings(self, sites):
+        """Return the unknowns that detectors read, and their weights, shape (nd, axes)."""
+        unknowns, weights = self.medium.readings(sites)
+        return self.numbers.ravel()[unknowns], weights
 
     def own_entries(self, springs):
         """Yield, side by side, B's entries, this rank's rows that they are in, of which springs."""
@@ -64,7 +94,7 @@ class LatticeLayout(Layout):
 
     def __init__(self, lattice, comm):
         """Number the balls, and find the bonds of each."""
-        self.shape, self.comm = lattice.shape, comm
+        self.medium, self.comm, self.shape = lattice, comm, lattice.shape
         try:
             self.da = PETSc.DMDA().create(
                 sizes=self.shape, dof=1, stencil_width=1, stencil_type="star", comm=comm
@@ -76,8 +106,8 @@ class LatticeLayout(Layout):
             ) from error
         self.like = self.da.createGlobalVec()
         self.first, self.last = self.like.getOwnershipRange()
-        self._number = self._numbered(lattice)
-        self.ends, self.entries = bond_ends(self._number), SIGNS[None]
+        self.numbers = self._numbered(lattice)
+        self.ends, self.entries = bond_ends(self.numbers), SIGNS[None]
         self.drive = lattice.drive
         self._find_rows()
 
@@ -89,30 +119,6 @@ class LatticeLayout(Layout):
             return number.reshape(self.shape)
         natural = np.arange(lattice.size, dtype=PETSc.IntType).reshape(self.shape, order="F")
         return self.da.getAO().app2petsc(natural.ravel()).reshape(self.shape)
-
-    def _numbers(self, sites):
-        """Return PETSc's numbers of balls given by their indices, shape (count, dim)."""
-        return self._number[tuple(np.asarray(sites).T)]
-
-    def readings(self, sites):
-        """Return the unknowns that detectors read, and their weights, shape (nd, 1). Collective."""
-        return self._numbers(sites)[:, None], np.ones((len(sites), 1))
-
-    def vector(self, field):
-        """Return an array over the lattice, the same on every rank, as a vector. Collective."""
-        x, values = self.like.duplicate(), np.empty(field.size, dtype=PETSc.ScalarType)
-        values[self._number] = field
-        x.setArray(values[self.first : self.last])
-        return x
-
-    def field(self, x):
-        """Return a vector as an array over the lattice on rank 0, else None. Collective."""
-        values = on_rank_0(x)
-        return values[self._number] if self.comm.rank == 0 else None
-
-    def fields(self, rows):
-        """Return rows over all unknowns, of one rank alone, as arrays over the lattice."""
-        return rows[:, self._number]
 
     def _find_rows(self):
         """Find the bonds of each of this rank's balls, and its row's columns: itself, the others.
@@ -164,7 +170,7 @@ class NetworkLayout(Layout):
 
     def __init__(self, network, comm):
         """Share out the unknowns, ball by ball, and find the pattern of this rank's rows."""
-        self.network, self.comm, self.shape = network, comm, network.shape
+        self.medium, self.comm, self.shape = network, comm, network.shape
         springs = network.springs
         self.drive = springs.drive
         self.laplacian = network.components == 1
@@ -173,11 +179,12 @@ class NetworkLayout(Layout):
         else:
             parts = partition(network, comm.size)
             order = np.argsort(parts, kind="stable")
-        self._number = np.empty(len(order) + 1, dtype=PETSc.IntType)
-        self._number[order], self._number[-1] = np.arange(len(order)), -1
+        number = np.empty(len(order) + 1, dtype=PETSc.IntType)
+        number[order], number[-1] = np.arange(len(order)), -1
+        self.numbers = number[:-1]
         self.like = PETSc.Vec().createMPI((np.count_nonzero(parts == comm.rank), None), comm=comm)
         self.first, self.last = self.like.getOwnershipRange()
-        self.ends, self.entries = self._number[springs.columns], springs.values
+        self.ends, self.entries = number[springs.columns], springs.values
         self._contribute()
 
     def _contribute(self):
@@ -187,7 +194,7 @@ class NetworkLayout(Layout):
         """
         from scipy.sparse import csc_matrix, csr_matrix
 
-        width, contacts = self.network.components, self.network.bonds
+        width, contacts = self.medium.components, self.medium.bonds
         first, last = self.first // width, self.last // width
         balls = self.ends[:contacts, ::width] // width  # -1 stays
         mine = (balls >= first) & (balls < last)
@@ -197,7 +204,7 @@ class NetworkLayout(Layout):
         ahead, back = (np.flatnonzero(both & mine[:, end]) for end in (0, 1))
         rows = np.concatenate([own, balls[ahead, 0], balls[back, 1]]) - first
         columns = np.concatenate([own, balls[ahead, 1], balls[back, 0]])
-        shape = len(own), self.network.free_balls
+        shape = len(own), self.medium.free_balls
         blocks = csr_matrix((np.ones(len(rows), dtype=bool), (rows, columns)), shape)
         places = self._number_nonzeros(blocks, width)
         blocks.data = np.arange(blocks.nnz, dtype=np.int32)  # look up which block is where
@@ -254,42 +261,6 @@ class NetworkLayout(Layout):
     def change(self, matrix, bonds, constants):
         """Set in a matrix what all springs contribute; it is to be assembled."""
         matrix.setValuesCSR(*self.csr(constants))
-
-    def readings(self, sites):
-        """Return the unknowns that detectors read, and their weights, shape (nd, axes)."""
-        unknowns, weights = self.network.readings(sites)
-        return self._number[unknowns], weights
-
-    def vector(self, field):
-        """Return an array over all unknowns, the same on every rank, as a vector. Collective."""
-        x, values = self.like.duplicate(), np.empty(len(field), dtype=PETSc.ScalarType)
-        values[self._number[:-1]] = field
-        x.setArray(values[self.first : self.last])
-        return x
-
-    def field(self, x):
-        """Return a vector as an array over all unknowns on rank 0, else None. Collective."""
-        values = on_rank_0(x)
-        return values[self._number[:-1]] if self.comm.rank == 0 else None
-
-    def fields(self, rows):
-        """Return rows over all unknowns, of one rank alone, as the network numbers them."""
-        return rows[:, self._number[:-1]]
-
-
-def layout_of(medium, comm):
-    """Return the layout of a medium on the ranks that share it. Collective."""
-    return (LatticeLayout if medium.is_grid else NetworkLayout)(medium, comm)
-
-
-def on_rank_0(x):
-    """Return the entries of a vector on rank 0, none on others. Collective."""
-    scatter, gathered = PETSc.Scatter.toZero(x)
-    scatter.scatter(x, gathered)
-    values = gathered.getArray().copy()
-    scatter.destroy()
-    gathered.destroy()
-    return values
 
 
 def partition(network, parts):

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from mpi4py import MPI
 
-from pgran.driven.layout import layout_of
+from pgran.driven.layout import LatticeLayout, NetworkLayout
 from pgran.driven.owner import Owner
 from pgran.medium.redraw import with_constants
 from pgran.run.petsc import PETSc
@@ -38,13 +38,14 @@ class Operators(Owner):
         self.shape, self.size = lattice.shape, lattice.size
         self.mass, self.damping, self.axes = lattice.mass, lattice.damping_unit, lattice.axes
         self.rounding = lattice.rounding
-        self.layout = layout_of(lattice, comm)
+        self.layout = (LatticeLayout if lattice.is_grid else NetworkLayout)(lattice, comm)
         self.first, self.last = self.layout.first, self.layout.last
         self.f_stiffness, self.M, self._inertia = (self.layout.like.duplicate() for _ in range(3))
         self.M.set(self.mass)
         self.constants, self.softest = lattice.moduli, None
         self.K = self._assemble(self.constants)
-        self._push = self._pushed_rows()
+        # this rank's rows of the push, 0 where none drives
+        self._push = 0.0 if lattice.pushed is None else self.layout.rows(lattice.pushed)
         self.f_stiffness.setArray(self.layout.driving(self.constants) + self._push)
         self.C = self.f_damping = None
         if self.damping > 0:
@@ -206,15 +207,6 @@ class Operators(Owner):
         drag = self.layout.vector(np.reshape(self.lattice.dragged, self.shape))
         C.setDiagonal(drag, addv=PETSc.InsertMode.ADD_VALUES)
         drag.destroy()
-
-    def _pushed_rows(self):
-        """Return this rank's rows of the push, 0 where none drives. Collective."""
-        if self.lattice.pushed is None:
-            return 0.0
-        push = self.layout.vector(self.lattice.pushed)
-        rows = push.getArray().real.copy()
-        push.destroy()
-        return rows
 
     def _assemble(self, constants, csr=None):
         """Return the matrix B^T diag(k) B."""

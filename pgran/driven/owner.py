@@ -1,9 +1,11 @@
 """Who frees PETSc's objects."""
 
+from contextlib import AbstractContextManager
+
 from pgran.run.petsc import PETSc
 
 
-class Owner:
+class Owner(AbstractContextManager):
     """Owns what its attributes `owns` hold: PETSc objects, other owners, or lists of them.
 
     `destroy` or the end of a `with` frees it on the ranks `comm`. An attribute that is a
@@ -11,10 +13,6 @@ class Owner:
     """
 
     owns = ()
-
-    def __enter__(self):
-        """Return the owner."""
-        return self
 
     def __exit__(self, *error):
         """Destroy, but with an error on its way only alone: other ranks may not share it."""

@@ -80,13 +80,9 @@ class PatternSolver(SteadySolver):
 
     @cached_property
     def _places(self):
-        """Which of the medium's unknowns this rank's rows are. Collective when first asked for."""
-        numbers = self.operators.layout.vector(
-            np.arange(self.operators.size).reshape(self.operators.shape)
-        )
-        places = numbers.getArray().real.astype(int)
-        numbers.destroy()
-        return places
+        """Which of the medium's unknowns this rank's rows are."""
+        unknowns = np.arange(self.operators.size).reshape(self.operators.shape)
+        return self.operators.layout.rows(unknowns)
 
     def _carried_out(self, compute, shape, *patterns):
         """Return what is computed of patterns, or nothing known if this s, or PETSc, has failed."""

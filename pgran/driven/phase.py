@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgran.store.estimate import counted
+
 # Where the curve stays within this part of the amplitude of the straight line between two points,
 # its phase turns as that line's does.
 CERTAIN = 0.25
@@ -83,7 +85,7 @@ def fit_phase(x, phase, line_error, low, high):
         return PhaseLine(why_not=why + and_more(uncertain.size - 1))
     x, phase = x[inside], phase[inside]
     if len(x) < BLOCKS or np.ptp(x) < 1e-10 * x[-1]:
-        why = f"{len(x)} frequencies lie in the window of the fit, and {BLOCKS} apart are needed"
+        why = f"the window of the fit holds {len(x)} frequencies, and {BLOCKS} apart are needed"
         return PhaseLine(why_not=why)
     slope, intercept, along = _least_squares(x, phase)
     middle = 0.5 * (x[0] + x[-1])
@@ -96,7 +98,7 @@ def fit_phase(x, phase, line_error, low, high):
     less, more = sorted([abs(lower), abs(upper)])
     if not (lower * upper > 0 and more <= BENT * less):
         why = f"its slope is {lower:.4g} in the lower half of the window, {upper:.4g} in the upper"
-        return PhaseLine(why_not=f"the phase is no line: {why} (rad per omega_mx)")
+        return PhaseLine(why_not=f"the phase is not a straight line: {why} (rad per omega_mx)")
     missed = along * (phase - intercept - slope * x)
     block = np.minimum((x - x[0]) / (x[-1] - x[0]) * BLOCKS, BLOCKS - 1).astype(int)
     spread = np.sum(np.bincount(block, missed, BLOCKS) ** 2) * BLOCKS / (BLOCKS - 2)
@@ -115,7 +117,7 @@ def _least_squares(x, phase):
 
 def and_more(count):
     """Say in words that a place is not the only one."""
-    return f", and in {count} more places" if count else ""
+    return f", and in {counted(count, 'more place')}" if count else ""
 
 
 def group_delay(amplitude, derivative, error_bound, derivative_bound):

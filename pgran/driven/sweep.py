@@ -23,8 +23,8 @@ class FrequencySweep(Task):
 
     def __init__(self, lattice, omegas, sites, kept, choices, sigma=0.0):
         """Cut the sweep into ranges of frequencies."""
-        self.lattice, self.sites, self.sigma = lattice, sites, sigma
-        self.omegas = np.asarray(omegas)
+        self.lattice, self.sites, self.omegas = lattice, sites, np.asarray(omegas)
+        self.s = sigma + 1j * self.omegas
         self.row, self.choices = np.dtype([*kept, ("factorizations", np.int64)]), choices
         check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
         self.scaled, self.unit = lattice.in_own_unit()
@@ -43,32 +43,35 @@ class FrequencySweep(Task):
     @contextlib.contextmanager
     def open(self, group):
         """See `Task`."""
-        from pgran.driven.judge import SteadyState
         from pgran.driven.operators import Operators
-        from pgran.driven.steady import SteadySolver
 
-        same = [name for name in SteadyState._fields if name in self.row.names]
-        with (
-            Operators(self.scaled, group) as operators,
-            SteadySolver(operators, self.sites, **self.choices) as solver,
-        ):
+        with Operators(self.scaled, group) as operators, self.solver(operators) as solver:
             self.prepare(operators)
 
             def work(unit):
                 solver.restart()
                 points = np.zeros(len(unit), self.row)
-                columns = [(points[name], name) for name in same]
-                for n, index in enumerate(unit):
+                for point, s in zip(points, self.s[unit.start : unit.stop], strict=True):
                     before = solver.factorizations
-                    state = solver.solve(complex(self.sigma, self.omegas[index]))
-                    for column, name in columns:
-                        column[n] = getattr(state, name)
-                    points["factorizations"][n] = solver.factorizations - before
-                    self.keep(points[n], solver)
+                    self.solve(point, solver, s)
+                    point["factorizations"] = solver.factorizations - before
                 self.complete(points)
                 return points
 
             yield work
+
+    def solver(self, operators):
+        """Return what solves. Collective over a group."""
+        from pgran.driven.steady import SteadySolver
+
+        return SteadySolver(operators, self.sites, **self.choices)
+
+    def solve(self, point, solver, s):
+        """Solve at an s, and put into a row what is wanted. Collective over a group."""
+        state = solver.solve(s)
+        for name in set(state._fields) & set(self.row.names):
+            point[name] = getattr(state, name)
+        self.keep(point, solver)
 
     def sample(self, unit):
         """See `Task`."""

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pgran.arguments import meant, nearest
 from pgran.errors import InputError
 from pgran.foreign.tables import Table
 from pgran.medium import packing
@@ -60,7 +61,7 @@ class Balls:
         if name in AXES[: self.axes]:
             return self.position[:, AXES.index(name)]
         if name not in self.table:
-            there = ", ".join([*AXES[: self.axes], *self.table.columns][:30])
+            there = ", ".join(dict.fromkeys([*AXES[: self.axes], *self.table.columns][:30]))
             raise InputError(f"balls have no column {name}; there are {there}")
         return self.table.numbers(name)
 
@@ -216,7 +217,8 @@ class Contacts:
         name = law or self.roles.get("stiffness")
         if name is None or name not in self.table:
             lacks = "is needed" if law is None else f"{law}: there is no such column"
-            raise InputError(f"--law {lacks}; it is hertz, harmonic, or one of {self.table}")
+            hint = meant(nearest(law or "", packing.POWERS))
+            raise InputError(f"--law {lacks}; it is hertz, harmonic, or one of {self.table}{hint}")
         apart = np.zeros(len(self.bond), dtype=bool)
         if self.force is not None and self.overlap is not None:
             apart = (self.force == 0) & (self.overlap <= 0)
@@ -234,8 +236,8 @@ class Contacts:
         touch = force != 0
         self.table.refuse_any(
             touch & ~((force > 0) & (overlap > 0)),
-            lambda row: f"a force of {force[row]:.6g} at an overlap of {overlap[row]:.6g} is none "
-            f"of a {law} contact",
+            lambda row: f"a {law} contact has no force of {force[row]:.6g} at an overlap of "
+            f"{overlap[row]:.6g}",
         )
         stiffness = np.zeros(len(force))
         if c is not None:

@@ -1,7 +1,5 @@
 """Networks in GraphML files, as tables of their nodes and edges."""
 
-import os
-
 import numpy as np
 
 from pgran.errors import FileError, PgranError
@@ -12,20 +10,13 @@ from pgran.store.paths import open_regular
 LARGEST_GRAPH = 2**28  # bytes; NetworkX keeps all of a graph as Python objects
 
 
-def is_graph(path):
-    """Return whether a file is to be read as GraphML, by its name."""
-    return str(path).lower().endswith(".graphml")
-
-
 def read_graph(path):
     """Return the tables of the nodes and of the edges of a GraphML file, and the nodes' names.
 
     The columns `id` and `id1`, `id2` are the names where these are all integers, else numbers from
     0 in the order of the file.
     """
-    open_regular(path).close()
-    if os.path.getsize(path) > LARGEST_GRAPH:
-        raise FileError(f"{path}: a GraphML file has at most {LARGEST_GRAPH} bytes")
+    open_regular(path, what="a GraphML file", most=LARGEST_GRAPH).close()
     try:
         import networkx
     except ImportError:

@@ -49,8 +49,7 @@ def input_script(network, law, name):
         raise InputError(f"LAMMPS takes no name like {name!r}: letters, digits, . _ + - will do")
     if law.power not in STYLES:
         raise InputError(
-            f"contacts repel by the power {law.power:g} of the overlap, and LAMMPS has the laws of "
-            "1 (harmonic) and 3/2 (hertz)"
+            f"contacts repel by the power {law.power:g}: LAMMPS has 1, harmonic, and 3/2, hertz"
         )
     style, called = STYLES[law.power]
     axes, diameter = network.position.shape[1], 2 * float(network.radius.mean())

@@ -1,5 +1,7 @@
 """What lattices and other networks have in common, whatever asks them."""
 
+import dataclasses
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +11,12 @@ from pgran.errors import InputError
 from pgran.medium.dissipation import Dissipation
 from pgran.medium.units import einstein_frequency
 from pgran.run.numbers import Distinct
+
+# what the unit of stiffness, mass and damping changes
+SCALED = (
+    "stiffness", "mass", "masses", "damping", "force", "tangential", "push", "kmax", "median_mass",
+    "damping_reference",
+)  # fmt: skip
 
 
 class Medium(Dissipation, Distinct):
@@ -52,6 +60,32 @@ class Medium(Dissipation, Distinct):
         """
         stiffness, damping = self.pulls
         return stiffness + s * damping
+
+    def per_ball(self, squares):
+        """Return sums over the components of each free ball, shape (n, balls)."""
+        return squares.reshape(len(squares), self.free_balls, self.components).sum(axis=2)
+
+    def in_own_unit(self):
+        """Return the same medium with its largest constant between 1 and 2, and the unit.
+
+        Stiffness, mass and damping lose the same factor, so amplitudes and frequencies stay as they
+        are; it is a power of two, which rounds nothing but bonds 1e-308 times softer than the
+        stiffest. PETSc and SLEPc take small pivots for zero by absolute thresholds, and squares of
+        small numbers vanish. Raises InputError if mass or damping do not fit into doubles in that
+        unit.
+        """
+        unit = 2.0 ** (math.frexp(self.stiffest)[1] - 1)
+        for name, value in (("mass", self.mass), ("damping", self.damping)):
+            if value / unit * unit != value:
+                far = f"{value:g} and bond constants of about {unit:g} are too far apart"
+                raise InputError(f"-lattice_{name}: {far}")
+        names = [item.name for item in dataclasses.fields(self) if item.name in SCALED]
+        values = {name: getattr(self, name) for name in names}
+        for name, value in values.items():
+            if value is not None:  # a lattice has an array of constants for each axis
+                each = isinstance(value, tuple)
+                values[name] = tuple(k / unit for k in value) if each else value / unit
+        return dataclasses.replace(self, **values), unit
 
 
 class Elimination(NamedTuple):

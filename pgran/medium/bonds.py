@@ -82,21 +82,6 @@ def balls_above(shape):
     return [shape[-1] - above for above in height]
 
 
-def bond_places(shape, bonds):
-    """Return the axis of each numbered bond, and its index into that axis's array.
-
-    The indices are an array with one axis more, of the length of `shape`.
-    """
-    first = np.cumsum([0, *_bond_counts(shape)[:-1]])
-    axis = np.searchsorted(first, bonds, side="right") - 1
-    index = np.empty((*bonds.shape, len(shape)), dtype=np.int64)
-    for a in range(len(shape)):
-        here = axis == a
-        places = np.unravel_index(bonds[here] - first[a], bond_shape(shape, a))
-        index[here] = np.stack(places, axis=-1)
-    return axis, index
-
-
 def stretch(fields, axes):
     """Yield B x for the bonds along each axis, the last ones of `fields`, walls at rest."""
     for axis in range(-axes, 0):
@@ -117,6 +102,20 @@ def spread(tensions):
 
 class ElasticBonds:
     """The bonds of a lattice as springs; `springs.Elastic` answers the same for a network."""
+
+    def bond_places(self, bonds):
+        """Return the axis of each numbered bond, and its index into that axis's array.
+
+        The indices are an array with one axis more, of the length of `shape`.
+        """
+        first = np.cumsum([0, *_bond_counts(self.shape)[:-1]])
+        axis = np.searchsorted(first, bonds, side="right") - 1
+        index = np.empty((*bonds.shape, self.axes), dtype=np.int64)
+        for a in range(self.axes):
+            here = axis == a
+            places = np.unravel_index(bonds[here] - first[a], bond_shape(self.shape, a))
+            index[here] = np.stack(places, axis=-1)
+        return axis, index
 
     @cached_property
     def least_damping(self):

@@ -28,10 +28,7 @@ def hold(held, ids, column, *, rest=None, drive=None):
     held, chosen = held.copy(), []
     for name, condition, kind in (("rest", rest, AT_REST), ("drive", drive, DRIVEN)):
         if condition is not None:
-            try:
-                chosen.append(choose(str(condition), ids, column))
-            except InputError as error:
-                raise InputError(f"--{name}: {error}") from None
+            chosen.append(choose(f"--{name}", str(condition), ids, column))
             held[chosen[-1]] = kind
     if len(chosen) == 2:
         for ball in ids[np.logical_and(*chosen)][:1]:
@@ -39,20 +36,22 @@ def hold(held, ids, column, *, rest=None, drive=None):
     return held
 
 
-def choose(condition, ids, column):
+def choose(name, condition, ids, column):
     """Return which balls of some ids a condition chooses, shape (N,).
 
     `column` returns the numbers, shape (N,), of a column by its name. `and` binds closer than `or`;
-    `min` and `max` are those of the column.
+    `min` and `max` are those of the column. Raises InputError, which calls it by its `name`.
     """
-    if LIST.fullmatch(condition):
-        chosen = _listed(condition, ids)
-    else:
+    try:
+        if LIST.fullmatch(condition):
+            return _listed(condition, ids)
         chosen = np.zeros(len(ids), dtype=bool)
         for alternative in _alternatives(condition):
             chosen |= np.logical_and.reduce([_holds(column, *each) for each in alternative])
-    if not np.any(chosen):
-        raise InputError(f"{condition!r} chooses no ball")
+        if not np.any(chosen):
+            raise InputError(f"{condition!r} chooses no ball")
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
     return chosen
 
 

@@ -81,11 +81,8 @@ def crystal(name, shape, stiffness=1.0, *, periodic=False, held=None, seed=1993,
         held = np.zeros(balls.shape, dtype=int)
         if not periodic[0]:
             held[0], held[-1] = AT_REST, DRIVEN
-    if others.setdefault("displacement", "vector") == "rotations":
-        others.setdefault("radius", np.full(balls.size, HALF))
-    others = {"position": position, "normal": normal, "distance": np.ones(len(bond))} | others
-    stiffness = _drawn(stiffness, len(bond), seed)
-    return _moving(Network(bond, stiffness, np.ravel(held), **others))
+    geometry = {"position": position, "normal": normal, "distance": np.ones(len(bond))}
+    return _made(bond, stiffness, held, seed, HALF, geometry | others)
 
 
 # makers of each kind, of the parameters of `crystal` after the name
@@ -124,15 +121,11 @@ def random_geometric(
         if not box[0]:
             held[position[:, 0] < radius] = AT_REST
             held[position[:, 0] > edge - radius] = DRIVEN
-    others.setdefault("displacement", "vector")
-    if others["displacement"] == "rotations":
-        others.setdefault("radius", np.full(count, radius / 2))
-    stiffness = _drawn(stiffness, len(bond), seed)
     away = position[bond[:, 1]] - position[bond[:, 0]]
     away, _ = nearest_images(away, np.where(box > 0, box, np.inf))
     distance = np.linalg.norm(away, axis=1)
     geometry = {"position": position, "normal": away / distance[:, None], "distance": distance}
-    return without_floating(_moving(Network(bond, stiffness, held, **(geometry | others))))[0]
+    return without_floating(_made(bond, stiffness, held, seed, radius / 2, geometry | others))[0]
 
 
 def diluted(network, missing, seed=1993):
@@ -148,16 +141,19 @@ def diluted(network, missing, seed=1993):
     return without_floating(part(network, contacts=left))[0]
 
 
-def _drawn(stiffness, count, seed):
-    """Return as many bond constants: given, or drawn by a law."""
+def _made(bond, stiffness, held, seed, radius, others):
+    """Return a network by rule, without the contacts of two held balls, which move nothing.
+
+    Constants are given, or drawn by a law; balls that turn have a `radius` unless others say more.
+    """
     if isinstance(stiffness, BondLaw):
-        return stiffness(unit_numbers(seed, 0, count, generation=1))
-    if callable(stiffness):
-        return stiffness(np.random.Generator(np.random.Philox(seed)), count)
-    return np.broadcast_to(stiffness, (count,)) if np.ndim(stiffness) == 0 else stiffness
-
-
-def _moving(network):
-    """Return a network without the contacts of two held balls, which move nothing."""
+        stiffness = stiffness(unit_numbers(seed, 0, len(bond), generation=1))
+    elif callable(stiffness):
+        stiffness = stiffness(np.random.Generator(np.random.Philox(seed)), len(bond))
+    elif np.ndim(stiffness) == 0:
+        stiffness = np.full(len(bond), stiffness)
+    if others.setdefault("displacement", "vector") == "rotations":
+        others.setdefault("radius", np.full(np.size(held), radius))
+    network = Network(bond, stiffness, np.ravel(held), **others)
     moving = np.any(network.held[network.bond] == FREE, axis=1)
     return network if np.all(moving) else part(network, contacts=np.flatnonzero(moving))

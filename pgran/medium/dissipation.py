@@ -20,26 +20,29 @@ from pgran.run.options import REAL, TEXT, Option
 OF_DAMPING = (
     Option(
         "damping_power", REAL, None,
-        "p of dashpots beta (k / k_ref)^p, k_ref the mean k: 0 all alike; 1 equal loss angles; "
-        "0.5 as contacts in simulations; else the file's, or 0",
+        "p of dashpots beta (k / k_ref)^p, k_ref the mean k: 0, all alike; 1, in proportion to "
+        "stiffness; 0.5, as usual in simulations of contacts; by default the file's, or 0",
     ),
     Option(
-        "damping_mass", REAL, None, "alpha: drag -alpha m v on each ball; else the file's, or 0",
+        "damping_mass", REAL, None, "alpha of a drag -alpha m v; by default the file's, or 0",
         "angular", low=0
     ),
     Option(
         "damping_loss", REAL, None,
-        "eta: springs k (1 + i eta), which lose the same part a cycle at all frequencies; else the "
-        "file's, or 0", low=0, high=1e6
+        "eta of springs k (1 + i eta), which lose the same part of the energy in a cycle at all "
+        "frequencies; by default the file's, or 0", low=0, high=1e6
     ),
     Option(
         "damping_part", TEXT, None,
         "of networks with vectors: dashpots act on all of the relative velocity at a contact, or "
-        "on its normal part; else as the file says", choices=("all", "normal")
+        "on its normal part; by default as the file says", choices=("all", "normal")
     ),
 )  # fmt: skip
 
-
+# of what damps, by option
+LETTERS = {
+    "lattice_damping": "beta", "damping_power": "p", "damping_mass": "alpha", "damping_loss": "eta",
+}  # fmt: skip
 FIELDS = ("damping", "damping_power", "damping_reference", "drag", "loss")
 
 
@@ -57,7 +60,7 @@ class Dissipation:
                 check_size(f"damping: {name}", getattr(self, name))
         power, reference = float(self.damping_power or 0.0), self.damping_reference
         if not np.isfinite(power):
-            raise InputError(f"damping_power: must be finite, not {power}")
+            raise InputError(f"-damping_power: must be finite, not {power}")
         if not power:
             reference = None
         elif reference is None:
@@ -71,8 +74,7 @@ class Dissipation:
                 most = self.law(every).max()
             if not np.isfinite(most * self.damping):
                 raise InputError(
-                    f"damping_power {power:g}: (k / k_ref)^p is too large of some bonds; take p "
-                    "nearer to 0"
+                    f"-damping_power {power:g}: (k / k_ref)^p is too large; take p nearer to 0"
                 )
 
     def law(self, elastic):
@@ -164,18 +166,17 @@ class Dissipation:
 
         A single number is both.
         """
-        named = {"beta": self.damping, "p": self.damping_power}
-        named |= {"alpha": self.drag, "eta": self.loss}
+        values = self.damping, self.damping_power, self.drag, self.loss
+        named = dict(zip(LETTERS.values(), values, strict=True))
         there = {name: value for name, value in named.items() if name == "beta" or np.any(value)}
         return {name: (np.min(value), np.max(value)) for name, value in there.items()}
 
     @property
     def law_in_words(self):
         """The same as text."""
-        facts = self.damping_facts.items()
         return ", ".join(
             f"{name} {low:g}" + (f" to {high:g}" if high > low else "")
-            for name, (low, high) in facts
+            for name, (low, high) in self.damping_facts.items()
         )
 
     def undamped(self):

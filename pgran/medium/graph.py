@@ -142,16 +142,14 @@ class Connected:
         """Raise InputError if nothing is driven, or if balls float."""
         if self.push is None and not np.any(self.held == DRIVEN):
             raise InputError(
-                "network: no ball is driven; /network/held has 2 for those that are, and "
-                "-drive_balls names balls that a force drives"
+                "network: no ball is driven: make it with --drive or --walls, or give -drive_balls"
             )
         floating = ~anchored(self.bond, self.held)
         floating = np.flatnonzero(floating if self.drag is None else floating & (self.drag == 0))
         if len(floating):
             raise InputError(
                 f"network: {len(floating)} of the balls float, ball {floating[0]} first: no path "
-                "of contacts leads to a held one; pgran import leaves them out, and "
-                "pgran.medium.graph.without_floating"
+                "to a held one; pgran import and pgran.medium.graph.without_floating drop them"
             )
 
 
@@ -175,13 +173,18 @@ def rattlers(network):
     least = network.axes + (network.tangential is None)
     if network.displacement == "scalar":
         least = 1
-    loose, free = np.zeros(len(network.held), dtype=bool), network.held == FREE
+    return loose_balls(network.bond, network.held != FREE, least)
+
+
+def loose_balls(pairs, held, least):
+    """Return which free balls have fewer than `least` contacts, rattlers left out: rattlers."""
+    kept = np.ones(len(held), dtype=bool)
     while True:
-        whole = network.bond[~np.any(loose[network.bond], axis=1)]
-        few = free & (np.bincount(whole.ravel(), minlength=len(loose)) < least)
-        if np.array_equal(few, loose):  # balls that are loose have no whole contact
-            return loose
-        loose = few
+        carrying = pairs[kept[pairs].all(axis=1)]
+        rattling = kept & ~held & (np.bincount(carrying.ravel(), minlength=len(held)) < least)
+        if not rattling.any():
+            return ~kept
+        kept &= ~rattling
 
 
 def without_rattlers(network):

@@ -8,7 +8,6 @@ there, which keep their places in the arrays, do not exist. Instead of a wall's 
 balls, a push, may drive.
 """
 
-import dataclasses
 import hashlib
 import math
 from dataclasses import dataclass
@@ -27,7 +26,6 @@ from pgran.medium.bonds import (
     bond_arrays,
     bond_count,
     bond_ends,
-    bond_places,
     bond_shape,
     cut_sides,
 )
@@ -35,9 +33,10 @@ from pgran.medium.dissection import dissected
 from pgran.medium.law import BondLaw, unit_numbers
 from pgran.medium.source import checked_drive, checked_sides, nearest
 from pgran.medium.springs import Springs
-from pgran.medium.units import check_magnitudes, own_unit
+from pgran.medium.units import check_magnitudes
 from pgran.run.machine import check_memory
 from pgran.run.numbers import number, numbers
+from pgran.store.estimate import counted
 
 # By axes, up to how many balls: one rank has the lattice; PETSc factors it faster than MUMPS; the
 # order of minimum degree suits lattices better that are `LONG` times as long as wide, or more.
@@ -53,7 +52,7 @@ SECONDS = {1: (1.5e-6, 1.0), 2: (2.4e-8, 1.5), 3: (2.7e-9, 2.0)}
 class Lattice(ElasticBonds, Medium):
     """Balls of one mass, springs of individual stiffness, one damping constant.
 
-    Lattices are equal if all that they are made of is.
+    Lattices are equal if all of their numbers are.
 
     Parameters
     ----------
@@ -67,15 +66,15 @@ class Lattice(ElasticBonds, Medium):
     damping_power : float
         p of dashpots beta (k / k_ref)^p.
     damping_reference : float, optional
-        k_ref, the mean of all bonds unless given.
+        k_ref; by default the mean of all bonds.
     drag, loss : float
         alpha of each ball, eta of each bond: see `pgran.medium.dissipation`.
     kmax : float, optional
-        The stiffness that sets the unit of frequency; the largest one unless given.
+        The stiffness in omega_mx; by default the largest one.
     wall : array_like of float, shape (ny, ...), optional
-        How far each place of the driven wall moves, 1 unless given.
+        How far each place of the driven wall moves; by default 1.
     push : array_like of float, shape (nx, ny, ...), optional
-        A force on each ball, which drives instead of the wall: that stays at rest.
+        A force on each ball, which drives instead of the wall; the wall is then at rest.
     free : sequence of str
         Sides without a wall, such as `("y+",)`: the constants of bonds there become 0.
 
@@ -121,7 +120,7 @@ class Lattice(ElasticBonds, Medium):
             object.__setattr__(self, name, checked_drive(name, getattr(self, name), wanted))
         if self.wall is not None and self.push is not None:
             raise InputError("lattice: either a wall moves or a push drives, not both")
-        kmax = self.stiffest if self.kmax is None else number("bonds_kmax", self.kmax)
+        kmax = self.stiffest if self.kmax is None else number("-bonds_kmax", self.kmax)
         object.__setattr__(self, "kmax", kmax)
         check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, kmax)
         self._check_dissipation(self.constants[self.existing])
@@ -146,9 +145,9 @@ class Lattice(ElasticBonds, Medium):
         shape : sequence of int
             Balls along each of 1 to 3 axes.
         seed : int
-            Which sample, 0 to 2^64 - 1.
+            Seed of the bond constants, 0 to 2^64 - 1.
         law : str or BondLaw
-            What bond constants are drawn from; its kmax, where it has one, is the lattice's.
+            The law of the bond constants; its kmax, where it has one, is the lattice's.
         mass, damping, damping_power, drag, loss : float
             m of a ball, beta of every bond, p, alpha and eta.
         free : sequence of str
@@ -167,13 +166,14 @@ class Lattice(ElasticBonds, Medium):
         if not isinstance(law, BondLaw):
             law = BondLaw(law, **parameters)
         elif parameters:
-            raise InputError(f"bonds_law: this law has its parameters, and takes no {parameters}")
-        shape, seed = numbers("lattice_shape", shape, whole=True), whole_number("bonds_seed", seed)
+            raise InputError(f"-bonds_law: this law has its parameters, and takes no {parameters}")
+        shape = numbers("-lattice_shape", shape, whole=True)
+        seed = whole_number("-bonds_seed", seed)
         if shape.ndim != 1 or not 1 <= len(shape) <= 3 or min(shape) < 1:
-            raise InputError(f"lattice_shape: 1 to 3 positive numbers are needed, not {shape}")
+            raise InputError(f"-lattice_shape: 1 to 3 positive numbers are needed, not {shape}")
         shape = tuple(shape.tolist())
         if not 0 <= seed < 2**64:
-            raise InputError(f"bonds_seed: must lie between 0 and 2^64 - 1, not {shown(seed)}")
+            raise InputError(f"-bonds_seed: must lie between 0 and 2^64 - 1, not {shown(seed)}")
         check_memory("lattice_shape", 8 * bond_count(shape))
         bonds = bond_arrays(shape, law(unit_numbers(seed, 0, bond_count(shape))))
         if gravity:
@@ -268,10 +268,6 @@ class Lattice(ElasticBonds, Medium):
         """How many bonds there are, wall bonds included."""
         return bond_count(self.shape)
 
-    def bond_places(self, bonds):
-        """Return axis and index of numbered bonds: see `bond_places`."""
-        return bond_places(self.shape, bonds)
-
     def check_driven(self):
         """Raise InputError if nothing is driven, or if no side has a wall."""
         if self.least_damping == 0 and not self.drag:
@@ -281,7 +277,7 @@ class Lattice(ElasticBonds, Medium):
                 "-lattice_free: x+ is the wall that drives; keep it, or let -drive_balls drive"
             )
 
-    def sites(self, detectors, name="detectors"):
+    def sites(self, detectors, name="-detectors"):
         """Return ball indices, flat (`8, 10, 3, 4`) or one row a detector, as an array (nd, dim).
 
         Raises InputError, which calls them by their `name`, if an index is missing or a ball lies
@@ -291,11 +287,10 @@ class Lattice(ElasticBonds, Medium):
         indices = numbers(name, detectors, whole=True)
         misshapen = indices.ndim > 1 and indices.shape[1:] != (axes,)
         if indices.size == 0 or indices.size % axes or misshapen:
-            size = " x ".join(map(str, indices.shape)) or "1"
+            rows = f" in {len(indices)} rows" if indices.ndim > 1 else ""
+            there = counted(indices.size, "number") + rows
             each = f"{axes} {'index' if axes == 1 else 'indices'}"
-            raise InputError(
-                f"{name}: a ball of this lattice has {each}, so {size} numbers name no balls"
-            )
+            raise InputError(f"{name}: needs {each} for each ball of this lattice, not {there}")
         sites = indices.reshape(-1, axes)
         outside = sites[np.any((sites < 0) | (sites >= shape), axis=1)]
         if len(outside):
@@ -331,27 +326,6 @@ class Lattice(ElasticBonds, Medium):
     def numbers_of(self, sites):
         """Return the numbers of balls given by their indices, (count, dim)."""
         return np.ravel_multi_index(sites.T, self.shape)
-
-    def per_ball(self, squares):
-        """Return squares by ball, which has one unknown, shape (n, balls)."""
-        return squares.reshape(len(squares), math.prod(squares.shape[1:]))
-
-    def in_own_unit(self):
-        """Return the same lattice with its largest bond constant between 1 and 2, and the unit.
-
-        Stiffness, mass and damping lose the same factor, so amplitudes and frequencies stay as they
-        are; it is a power of two, which rounds nothing but bonds 1e-308 times softer than the
-        stiffest. PETSc and SLEPc take small pivots for zero by absolute thresholds, and squares of
-        small numbers vanish. Raises InputError if mass or damping do not fit into doubles in that
-        unit.
-        """
-        unit = own_unit(self.stiffest, self.mass, self.damping)
-        mass, damping, kmax = self.mass / unit, self.damping / unit, self.kmax / unit
-        stiffness = tuple(k / unit for k in self.stiffness)
-        push = None if self.push is None else self.push / unit
-        reference = self.damping_reference and self.damping_reference / unit
-        scaled = {"damping": damping, "kmax": kmax, "damping_reference": reference}
-        return dataclasses.replace(self, stiffness=stiffness, mass=mass, push=push, **scaled), unit
 
     @cached_property
     def bonds_sha256(self):

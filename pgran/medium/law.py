@@ -92,7 +92,7 @@ class BondLaw:
     name : str
         A key of `LAWS`.
     kmin, kmax, fraction, force, hertz : float, optional
-        The options `-bonds_kmin` and so on, those of this law; as `DEFAULTS` unless given.
+        Parameters of this law, the options `-bonds_kmin` and so on; by default as `DEFAULTS`.
 
     Raises
     ------
@@ -102,23 +102,23 @@ class BondLaw:
 
     def __init__(self, name, *, kmin=None, kmax=None, fraction=None, force=None, hertz=None):
         """Check and keep the parameters."""
-        self.function, names = LAWS[choice("bonds_law", name, LAWS)]
+        self.function, names = LAWS[choice("-bonds_law", name, LAWS)]
         own = {"kmin": kmin, "kmax": kmax, "fraction": fraction, "force": force, "hertz": hertz}
         own = {key: value for key, value in own.items() if value is not None}
         for key in own:
             if key not in names:
                 raise InputError(
-                    f"bonds_{key}: no parameter of the law {name}; it has {' and '.join(names)}"
+                    f"-bonds_{key}: no parameter of the law {name}; it has {' and '.join(names)}"
                 )
         values = {key: number(f"bonds_{key}", own.get(key, DEFAULTS[key])) for key in names}
         for key, value in values.items():
-            check_size(f"bonds_{key}", value, positive=key not in ("kmin", "fraction"))
+            check_size(f"-bonds_{key}", value, positive=key not in ("kmin", "fraction"))
         if "kmin" in names and values["kmin"] > values["kmax"]:
-            raise InputError(f"bonds_kmin: {values['kmin']} is above bonds_kmax, {values['kmax']}")
+            raise InputError(f"-bonds_kmin: {values['kmin']} exceeds -bonds_kmax {values['kmax']}")
         if name == "loguniform" and values["kmin"] == 0:
-            raise InputError("bonds_kmin: must be positive for -bonds_law loguniform")
+            raise InputError("-bonds_kmin: must be positive for -bonds_law loguniform")
         if name == "bimodal" and values["fraction"] > 1:
-            raise InputError(f"bonds_fraction: must lie in [0, 1], not {values['fraction']}")
+            raise InputError(f"-bonds_fraction: must lie in [0, 1], not {values['fraction']}")
         self.name, self.parameters, self.kmax = name, values, values.get("kmax")
 
     def __call__(self, u):
@@ -131,9 +131,9 @@ class BondLaw:
         The mean force grows from `force` to force + weight * above, k like its cube root. Raises
         InputError of another law, or of an impossible weight.
         """
-        check_size("bonds_gravity", number("bonds_gravity", weight), positive=False)
+        check_size("-bonds_gravity", number("-bonds_gravity", weight), positive=False)
         if self.name != "hertz":
-            raise InputError("bonds_gravity: forces make constants by -bonds_law hertz only")
+            raise InputError("-bonds_gravity: forces make constants by -bonds_law hertz only")
         return np.cbrt(1 + weight * above / self.parameters["force"])
 
     def __repr__(self):

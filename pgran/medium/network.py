@@ -6,7 +6,6 @@ is computed in mass-weighted unknowns sqrt(m_p / m) u_p, m the median of all bal
 mass m, and S stays symmetric.
 """
 
-import dataclasses
 import hashlib
 import logging
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from pgran.medium.checks import check_network, checked_values, unit_direction
 from pgran.medium.graph import Connected
 from pgran.medium.source import nearest
 from pgran.medium.springs import AT_REST, DRIVEN, FREE, Elastic, springs_of
-from pgran.medium.units import check_magnitudes, own_unit
+from pgran.medium.units import check_magnitudes
 from pgran.run.numbers import number, numbers
 
 log = logging.getLogger("pgran")
@@ -33,7 +32,7 @@ log = logging.getLogger("pgran")
 class Network(Elastic, Connected, Medium):
     """Balls, the contacts between them, and which of them are held.
 
-    Networks are equal if all that they are made of is.
+    Networks are equal if all of their numbers are.
 
     Parameters
     ----------
@@ -47,9 +46,9 @@ class Network(Elastic, Connected, Medium):
     damping : float
         beta of each contact.
     dashpot, tangential_dashpot : array_like of float, shape (nb,), optional
-        Parts of beta, along normals and tangents: 1 unless given, of tangents as `damped` says.
+        Multiples of beta, along normals and tangents; by default 1, for tangents as `damped` says.
     damping_power, damping_reference : float, optional
-        p of dashpots beta (k / k_ref)^p, and k_ref, the mean stiffness unless given.
+        p of dashpots beta (k / k_ref)^p, and k_ref, by default the mean stiffness.
     drag : array_like of float, shape (N,), or float, optional
         alpha of each ball.
     loss : array_like of float, shape (nb,), or float, optional
@@ -57,15 +56,15 @@ class Network(Elastic, Connected, Medium):
     displacement : str
         `scalar`, `vector` or `rotations`.
     position : array_like of float, shape (N, d), optional
-        For pictures, and for normals and distances that are not given.
+        For figures, and for normals and distances that are not given.
     normal : array_like of float, shape (nb, d), optional
         Of length 1, from the first ball of a contact to the second.
     distance, force, tangential : array_like of float, shape (nb,), optional
-        Of the centres, repulsive, of the tangential spring.
+        Distance of the centres, repulsive force, stiffness of the tangential spring.
     radius : array_like of float, shape (N,), optional
-        With rotations: of discs or spheres of uniform density.
+        Radii of discs or spheres of uniform density, which rotations need.
     direction : array_like of float, shape (d,), optional
-        Of the drive; along x unless given.
+        Direction of the drive; by default along x.
     damped : str
         `all` of the relative velocity at a contact, or its `normal` part.
     power : float, optional
@@ -74,16 +73,16 @@ class Network(Elastic, Connected, Medium):
     box : array_like of float, shape (d,), optional
         Periods along each axis, 0 where there is none.
     gravity : array_like of float, shape (d,), optional
-        The acceleration that forces of contacts balance, if one does.
+        The acceleration that the contacts' forces balance, if there is one.
     push : array_like of float, shape (N, axes), optional
         A force on each free ball, which drives instead of held balls.
     component : str
-        What of a displacement is read: `drive`, `x`, `y` or `z`.
+        Which component of a displacement is read: `drive`, `x`, `y` or `z`.
     kmax : float, optional
-        The stiffness that sets the unit of frequency; the largest one unless given.
+        The stiffness in omega_mx; by default the largest one.
     median_mass : float, optional
-        The mass that does; the median of all balls, free or held, unless given: of the whole
-        packing, where this is what is left of it.
+        The mass in omega_mx; by default the median of all balls, free or held. It may be that of a
+        whole packing, of which this network is a part.
 
     Raises
     ------
@@ -248,20 +247,20 @@ class Network(Elastic, Connected, Medium):
         """The rate alpha of each unknown, None where there is no drag."""
         return None if self.drag is None else np.repeat(self.drag[self.free], self.components)
 
-    def sites(self, detectors, name="detectors"):
+    def sites(self, detectors, name="-detectors"):
         """Return ball numbers as an array (nd, 1).
 
         Raises InputError, which calls them by their `name`, unless these balls are free.
         """
         balls = numbers(name, detectors, whole=True)
         if balls.ndim > 1 and balls.shape[1:] != (1,):
-            raise InputError(f"{name}: balls of a network have one number each, from 0")
+            raise InputError(f"{name}: a ball of a network has one number, from 0 on")
         sites = balls.reshape(-1, 1)
         for ball in sites[:, 0]:
             if not 0 <= ball < len(self.held):
-                raise InputError(f"{name}: no ball {ball} among {len(self.held)}, from 0")
+                raise InputError(f"{name}: no ball {ball}; the last is {len(self.held) - 1}")
             if self.held[ball] != FREE:
-                raise InputError(f"{name}: ball {ball} is held")
+                raise InputError(f"{name}: ball {ball} is held; name free balls")
         if not len(sites):
             raise InputError(f"{name}: one ball at least is needed")
         return sites
@@ -332,16 +331,3 @@ class Network(Elastic, Connected, Medium):
         push = np.zeros((len(self.held), self.axes))
         push[self.free] = forces[:, None] * self.direction
         return {"push": push, "held": np.where(self.held == FREE, FREE, AT_REST)}
-
-    def per_ball(self, squares):
-        """Return sums over the components of each free ball, (n, balls)."""
-        return squares.reshape(len(squares), -1, self.components).sum(axis=2)
-
-    def in_own_unit(self):
-        """Return the same network in its own unit, and that: see `Lattice.in_own_unit`."""
-        unit = own_unit(self.stiffest, self.mass, self.damping)
-        names = "stiffness", "masses", "damping", "force", "tangential", "push", "kmax"
-        more = "median_mass", "damping_reference"
-        values = {name: getattr(self, name) for name in (*names, *more)}
-        scaled = {name: value / unit for name, value in values.items() if value is not None}
-        return dataclasses.replace(self, **scaled), unit

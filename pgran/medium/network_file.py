@@ -25,7 +25,7 @@ from pgran.medium.network import Network
 from pgran.medium.springs import FREE
 from pgran.store import careful as hdf5
 from pgran.store import file as store
-from pgran.store.paths import open_regular, whole
+from pgran.store.paths import open_regular, whole, writing
 from pgran.store.seal import check_seal, has_seal
 
 FORMAT, FORMAT_VERSION = "pgran network", 1
@@ -42,8 +42,8 @@ DATASETS = {
     "distance": (float, "length", "distance of the centres of each contact"),
     "force": (float, "force", "repulsive force that each contact bears: the pre-stress"),
     "push": (float, "force", "force on each ball, which drives instead of held balls"),
-    "dashpot": (float, "1", "part of damping that the dashpot of each contact has"),
-    "tangential_dashpot": (float, "1", "part of damping along the tangents of each contact"),
+    "dashpot": (float, "1", "dashpot of each contact as a multiple of damping"),
+    "tangential_dashpot": (float, "1", "tangential dashpot as a multiple of damping"),
     "drag": (float, "1/time", "alpha of each ball, on which a force -alpha m v acts"),
     "loss": (float, "1", "loss factor eta of each contact, k (1 + i eta)"),
     "id": (int, "1", "numbers of the balls in the program that they come from"),
@@ -96,12 +96,10 @@ def parts_of(network):
 
 def check_output(path, overwrite):
     """Raise a FileError unless a network can be written there."""
-    try:
+    ours = False
+    with writing(path):
         if not os.path.lexists(path):
             return
-    except ValueError as error:
-        raise FileError(f"{path}: cannot be written: {error}") from None
-    ours = False
     with contextlib.suppress(FileError), hdf5.opened(path) as file:
         ours = str(file.attributes("/").get("format")) == FORMAT
     if not ours:
@@ -192,7 +190,7 @@ def _unit_vector(path, values):
 
 @called_right
 def load(path):
-    """Return a result, `load(path).response.omega`, or the network in a file of one.
+    """Return the result in a file, `load(path).response.omega`, or the network.
 
     The structure of the file is checked; its checksum only where that costs nothing, in a small
     file that still has its seal, because HDF5 can crash on damage. Groups that pgran does not know
@@ -209,7 +207,7 @@ def load(path):
     FileError
         If the file is neither, is damaged, or lacks what its records declare.
     """
-    open_regular(path).close()
+    open_regular(path, ".h5").close()
     if os.path.getsize(path) <= hdf5.MODEST and has_seal(path):
         check_seal(path)
     with hdf5.opened(path) as file:

@@ -31,7 +31,7 @@ class LatticeRecord(Record):
         "constants of the bonds along z", "k", "bonds_z", optional=True
     )
     wall: np.ndarray | None = array(
-        "how far each place of the driven wall moves; 1 unless there", "1", "place", optional=True
+        "how far each place of the driven wall moves; by default 1", "1", "place", optional=True
     )
     push: np.ndarray | None = array(
         "force on each ball, which drives instead of the wall", "k", "balls", optional=True

@@ -21,11 +21,11 @@ log = logging.getLogger("pgran")
 REDRAWN = (
     Option(
         "bonds_redrawn", INTEGER, 0,
-        "so many steps of a relaxation have gone before: each has redrawn a bond by the law, or a "
-        "contact of a network from all of its constants", low=0, high=10**7
+        "how many steps of a relaxation come before: each redraws a bond by the law, or a contact "
+        "of a network from all of its constants", low=0, high=10**7
     ),
     Option(
-        "bonds_redrawn_seed", INTEGER, 1, "which sequence of changes, as -relax_seed has them",
+        "bonds_redrawn_seed", INTEGER, 1, "seed of these changes, like -relax_seed",
         low=0, high=2**63 - 1
     ),
 )  # fmt: skip
@@ -68,7 +68,11 @@ class Redraw:
     def __init__(self, medium, law, seed):
         """Find which bonds there are to be redrawn."""
         self.bonds, self.seed = medium.existing, seed
-        own = partial(_one_of, medium.constants[self.bonds])
+        constants = medium.constants[self.bonds]
+
+        def own(u):
+            return constants[(u * len(constants)).astype(np.int64)]
+
         self.law = own if law is None else partial(drawn, law)
 
     def __call__(self, trajectory, first, count, unit=1.0):
@@ -77,22 +81,17 @@ class Redraw:
         return dataclasses.replace(drawn, bond=self.bonds[drawn.bond])
 
 
-def _one_of(constants, numbers):
-    """Return some of the constants, drawn by numbers uniform on [0, 1)."""
-    return constants[(numbers * len(constants)).astype(np.int64)]
-
-
 @called_right
 def redrawn(medium, steps, seed=1, law=None):
-    """Return a medium as it is after so many steps of `relax`, of its first trajectory.
+    """Return a medium after so many steps of the first trajectory of `relax`.
 
     Parameters
     ----------
     medium : pgran.Lattice or pgran.Network
     steps : int
-        One bond each is redrawn; its other bonds, and the unit of frequency, stay.
+        Each redraws one bond; other bonds, and omega_mx, stay.
     seed : int
-        Which sequence of changes: that of `relax`.
+        Seed of the changes, as of `relax`.
     law : callable, optional
         As of `relax`: None draws from the constants that the medium has.
 

@@ -20,8 +20,8 @@ OF_LATTICE = (
     Option("lattice_free", TEXT, None, "sides without a wall, y+ or x-,y-,y+"),
     Option(
         "bonds_law", TEXT, "uniform",
-        "uniform on [kmin, kmax]; constant kmax; loguniform on [kmin, kmax]; bimodal, kmin or "
-        "kmax; hertz, 3/2 c^(2/3) F^(1/3) with exponential forces F; file",
+        "uniform on [kmin, kmax]; constant, kmax; loguniform on [kmin, kmax]; bimodal, kmin or "
+        "kmax; hertz, 3/2 c^(2/3) F^(1/3) with exponential forces F; file, of -bonds_file",
         choices=(*LAWS, "file"),
     ),
     Option(
@@ -29,7 +29,7 @@ OF_LATTICE = (
     ),
     Option(
         "bonds_kmax", REAL, DEFAULTS["kmax"],
-        "largest bond constant; of hertz and file what omega_mx belongs to, where given",
+        "largest bond constant; of hertz and file that of omega_mx, by default the largest",
         "mass x frequency^2", above=0
     ),
     Option(
@@ -43,23 +43,23 @@ OF_LATTICE = (
         "force", low=0
     ),
     HERTZ,
-    Option("bonds_seed", INTEGER, 1993, "which sample", low=0, high=2**63 - 1),
-    Option("bonds_file", FILE, None, "law file: HDF5 file with /lattice/stiffness_x ..."),
+    Option("bonds_seed", INTEGER, 1993, "which sample: seed of its bonds", low=0, high=2**63 - 1),
+    Option("bonds_file", FILE, None, "of law file: HDF5 file with /lattice/stiffness_x ..."),
 )  # fmt: skip
 OF_NETWORK = (
     Option(
         "network_file", FILES, None,
-        "HDF5 file with /network/bond, stiffness ..., instead of a lattice and its bonds; of an "
-        "ensemble several, one a sample, a.h5,b.h5 or a quoted pattern, 'pack_*.h5'"
+        "HDF5 file of a network, which takes the place of a lattice; for an ensemble several "
+        "files, one for each sample, a.h5,b.h5 or a quoted pattern, 'pack_*.h5'"
     ),
     Option(
-        "network_damping", REAL, None, "damping beta of every contact; else the file's",
+        "network_damping", REAL, None, "damping beta of every contact; by default the file's",
         "mass x frequency", low=0
     ),
     Option(
         "network_rattlers", TEXT, None,
-        "balls that too few contacts hold: keep, or remove, which leaves their contacts out and "
-        "holds them at rest, so that all balls keep their numbers",
+        "balls that too few contacts hold: keep them, or remove, which leaves out their contacts "
+        "and holds them at rest, so that all balls keep their numbers",
         choices=("keep", "remove")
     ),
 )  # fmt: skip
@@ -154,17 +154,17 @@ def _laws(options):
 
 def _lattice(options, world):
     """Return the lattice of a bonds file or of a law. Collective."""
-    mass, damping, free = options.lattice_mass, options.lattice_damping, options.lattice_free or ()
-    laws = {name: value or 0.0 for name, value in _laws(options).items()}
+    facts = {name: value or 0.0 for name, value in _laws(options).items()}
+    facts |= {"mass": options.lattice_mass, "damping": options.lattice_damping}
+    facts |= {"free": options.lattice_free or ()}
     if options.bonds_law == "file":
         from pgran.medium.bonds_file import read_bonds
 
         stiffness, kmax = on_root(world, lambda: read_bonds(options.bonds_file))
-        lattice = Lattice(stiffness, mass, damping, kmax, free=free, **laws)
+        lattice = Lattice(stiffness, kmax=kmax, **facts)
     else:
-        law, shape, seed = make_law(options), options.lattice_shape, options.bonds_seed
-        chosen = {"mass": mass, "damping": damping, "free": free, "gravity": options.bonds_gravity}
-        lattice = Lattice.random(shape, seed, law, **chosen, **laws)
+        drawn = options.lattice_shape, options.bonds_seed, make_law(options)
+        lattice = Lattice.random(*drawn, gravity=options.bonds_gravity, **facts)
     if options.bonds_law in OWN_KMAX and options.bonds_kmax:
         lattice = dataclasses.replace(lattice, kmax=options.bonds_kmax)
     return lattice

@@ -23,7 +23,7 @@ from pgran.run.numbers import numbers
 from pgran.run.options import INTEGERS, TEXT, Option
 from pgran.store.estimate import counted
 
-ALONG = "the drive's direction, x, y, z, or components as 1,0,1"
+ALONG = "the direction in the file (drive), x, y, z, or components as 1,0,1"
 OF_SOURCE = (
     Option(
         "drive_part", TEXT, None,
@@ -31,21 +31,21 @@ OF_SOURCE = (
         "y<15'; all else is at rest"
     ),
     Option(
-        "drive_direction", TEXT, "drive", f"of networks with vectors: how held balls move, {ALONG}"
+        "drive_direction", TEXT, "drive", f"of networks with vectors: how held balls move: {ALONG}"
     ),
     Option(
         "drive_balls", INTEGERS, None,
-        "a force on these balls drives instead: indices from 0, flat, as of detectors; in all it "
-        "has the size kmax, amplitudes are in units of that force over kmax",
+        "a force on these balls drives instead: indices from 0, as of -detectors; in all it has "
+        "the size kmax, and amplitudes are in units of that force over kmax",
         low=0, high=2**63 - 1
     ),
-    Option("drive_force", TEXT, "drive", f"of networks with vectors: along what it is, {ALONG}"),
+    Option("drive_force", TEXT, "drive", f"of networks with vectors: how it acts: {ALONG}"),
 )  # fmt: skip
 
 
 @called_right
 def with_source(medium, part=None, direction="drive", balls=None, force="drive"):
-    """Return a medium that something else drives: the options `-drive_part` and so on.
+    """Return a medium with another drive: the options `-drive_part` and so on.
 
     Parameters
     ----------
@@ -53,10 +53,10 @@ def with_source(medium, part=None, direction="drive", balls=None, force="drive")
     part : str, optional
         A condition on places of the wall, or on held balls: these move, the others are at rest.
     direction : str or array_like of float, shape (d,)
-        How held balls move, of networks with vectors: `drive`, as they do, `x`, `y`, `z`, or
+        How held balls of networks with vectors move: `drive` (as before), `x`, `y`, `z`, or
         components.
     balls : array_like of int, optional
-        Balls under a force, which drives instead of what is held: of the size kmax, in equal
+        Balls under a force, which drives instead of held balls or walls: kmax in all, in equal
         shares.
     force : str or array_like of float, shape (d,)
         The direction of that force, likewise.
@@ -71,16 +71,16 @@ def with_source(medium, part=None, direction="drive", balls=None, force="drive")
         If there are no such balls or places, or the choices contradict each other.
     """
     if part is not None and balls is not None:
-        raise InputError("-drive_part and -drive_balls: either a wall moves or a force drives")
+        raise InputError("-drive_part and -drive_balls: give one, a wall or a force drives")
     if balls is None and not is_drive(force):
-        raise InputError("-drive_force: points a force that no -drive_balls has")
+        raise InputError("-drive_force: points the force on -drive_balls; give them too")
     for name, chosen in (("drive_direction", direction), ("drive_force", force)):
         if not is_drive(chosen):
             medium = dataclasses.replace(medium, direction=along(medium, chosen, name))
     if part is not None:
         medium = dataclasses.replace(medium, **_part(medium, part))
     if balls is not None:
-        places = medium.numbers_of(medium.sites(balls, "drive_balls"))
+        places = medium.numbers_of(medium.sites(balls, "-drive_balls"))
         shares = np.bincount(places, minlength=medium.free_balls) / len(places)
         medium = dataclasses.replace(medium, **medium.pushed_by(medium.kmax * shares))
     return medium
@@ -130,10 +130,7 @@ def _part(medium, condition):
             raise InputError(f"there is no {name} along what is held; coordinates are: {there}")
         return columns[name]
 
-    try:
-        chosen = choose(condition, held, column)
-    except InputError as error:
-        raise InputError(f"-drive_part: {error}") from None
+    chosen = choose("-drive_part", condition, held, column)
     if medium.is_grid:
         return {"wall": chosen.astype(float).reshape(medium.shape[1:])}
     kinds = medium.held.copy()

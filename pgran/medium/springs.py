@@ -87,6 +87,12 @@ def differences(ends, axes, balls):
     return sparse_rows(columns, np.array([-1.0, 1.0]), axes * balls)
 
 
+def norm_of(B, constants):
+    """Return no less than |B^T diag(constants) B|_2, of constants that are not negative."""
+    B = abs(B)
+    return 1.01 * float((B.T @ (constants * (B @ np.ones(B.shape[1])))).max())
+
+
 def stiffness_matrix(medium):
     """Return K, sparse, exactly symmetric as it is stored."""
     springs = medium.springs
@@ -114,17 +120,12 @@ def quadratic(medium):
 class Elastic:
     """The springs of a network; `bonds.ElasticBonds` answers the same for a lattice."""
 
-    @property
-    def B(self):  # noqa: N802
-        """The rows of B, sparse, shape (springs, unknowns)."""
-        return self.springs.B
-
     def stretched(self, fields, wall):
         """Yield how far fields (n, unknowns) lengthen springs, constants, parts of beta.
 
         What is driven moves by `wall`, shape (n,).
         """
-        longer = (self.B @ fields.T).T + wall[:, None] * self.springs.drive
+        longer = (self.springs.B @ fields.T).T + wall[:, None] * self.springs.drive
         yield longer, self.springs.constants, self.springs.damped
 
     @property
@@ -144,7 +145,8 @@ class Elastic:
 
     def restoring_forces(self, fields):
         """Return K f = B^T diag(k) B f for fields of shape (count, unknowns)."""
-        return (self.B.T @ (self.springs.constants[:, None] * (self.B @ fields.T))).T
+        B, constants = self.springs.B, self.springs.constants
+        return (B.T @ (constants[:, None] * (B @ fields.T))).T
 
     @property
     def rows(self):
@@ -156,13 +158,13 @@ class Elastic:
     @property
     def driving(self):
         """The force of the drive at rest on each unknown."""
-        force = -(self.B.T @ (self.springs.constants * self.springs.drive))
+        force = -(self.springs.B.T @ (self.springs.constants * self.springs.drive))
         return force if self.pushed is None else force + self.pushed
 
     @cached_property
     def drive_norms(self):
         """|f|_2 at rest, and of what dashpots add to it for beta = 1."""
-        damped = self.B.T @ (self.springs.damped * self.springs.drive)
+        damped = self.springs.B.T @ (self.springs.damped * self.springs.drive)
         return float(np.linalg.norm(self.driving)), float(np.linalg.norm(damped))
 
     @cached_property
@@ -188,8 +190,7 @@ class Elastic:
     @cached_property
     def dashpot_norm(self):
         """No less than |B^T diag(d) B|_2."""
-        B = abs(self.B)
-        return 1.01 * float((B.T @ (self.springs.damped * (B @ np.ones(self.size)))).max())
+        return norm_of(self.springs.B, self.springs.damped)
 
     @cached_property
     def relaxation_rate(self):
@@ -204,7 +205,7 @@ class Elastic:
     @cached_property
     def stiffness_norm(self):
         """No less than |K|_2: the largest sum of magnitudes in a row."""
-        B = abs(self.B)
+        B = abs(self.springs.B)
         sums = np.abs(self.springs.constants) * np.asarray(B.sum(axis=1)).ravel()
         return float((B.T @ sums).max())
 
@@ -215,7 +216,7 @@ class Elastic:
         As `residual_rounding`: sums over the springs at an unknown, and over the unknowns that
         these couple it to.
         """
-        met = int(np.bincount(self.B.indices).max())
+        met = int(np.bincount(self.springs.B.indices).max())
         return (met * (1 + self.springs.columns.shape[1]) + 12) * EPSILON
 
 

@@ -88,8 +88,8 @@ class Sound(NamedTuple):
 def sound(medium):
     """Return the speeds of long waves and the elastic moduli of a medium, by statics.
 
-    Rattlers of a network are left out. A lattice is pulled between walls, its sides free: its
-    speeds are along the axes that have two. Not parallel: each rank that calls it computes the
+    Rattlers of a network are left out. A lattice is pulled between walls with its sides free, along
+    the axes that have two walls. Not parallel: each rank that calls it computes the
     same.
 
     Parameters
@@ -140,9 +140,8 @@ def _of_network(network):
     entries = springs.values[:, second] / network.weights[springs.columns[:, second]]
     distances = np.tile(reaches, (len(springs.blocks), 1))
     stretches = (entries[:, :, None] * distances[:, None, :]).reshape(len(entries), -1)
-    unknowns = network.graph.order[:, None] * network.components + np.arange(network.components)
     # the first ball in this order stays: nothing else holds the box where it is
-    free = springs.B[:, unknowns.ravel()[axes:]]
+    free = springs.B[:, network.order[axes:]]
     mass, shape = network.masses[network.held == FREE].sum(), 2 * (axes, reaches.shape[1])
     affine, relaxed = (
         energies.reshape(shape) / mass for energies in _energies(free, springs.constants, stretches)
@@ -161,8 +160,7 @@ def _reaches(network):
     if network.box is None or not np.all(network.box) or held:
         raise InputError(
             "sound: long waves need a box that is periodic along all axes, and no ball that is "
-            "held: next to walls and surfaces deformations are not uniform. pgran pack without "
-            "--walls makes such networks, and pgran import without --cut, --rest and --drive"
+            "held: pgran pack without --walls, or pgran import without --cut, --rest and --drive"
         )
     if network.normal is not None and network.distance is not None:
         return network.normal * network.distance[:, None]
@@ -232,6 +230,6 @@ def _waves(relaxed, affine, of_directions):
     if not np.all(squares[:2] > 0):  # NaN too
         raise InputError(
             f"sound: c^2 = {min(squares[:2]):.3g} in the mean over directions: the medium does not "
-            "resist these waves"
+            "resist these waves; a larger packing, or a higher pressure, may"
         )
     return Waves(*(np.sign(squares) * np.sqrt(np.abs(squares))).tolist())

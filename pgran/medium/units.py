@@ -20,13 +20,12 @@ def check_magnitudes(axes, mass, damping, stiffest, kmax):
 
     `stiffest` is the largest constant, `kmax` that which sets the unit of frequency.
     """
-    check_size("bonds_kmax", kmax)
-    check_size("lattice_mass", mass, positive=True)
-    check_size("lattice_damping", damping)
+    check_size("-bonds_kmax", kmax)
+    check_size("-lattice_mass", mass, positive=True)
+    check_size("-lattice_damping", damping)
     if not math.isfinite(4 * axes * max(kmax, stiffest) / mass):
         raise InputError(
-            "lattice_mass, bonds: the frequencies, up to sqrt(4 d kmax / m), are too large to "
-            "compute with; choose other units"
+            "-lattice_mass, -bonds_kmax: frequencies are too large to compute with; use other units"
         )
 
 
@@ -36,21 +35,6 @@ def einstein_frequency(axes, stiffness, mass):
     With k = kmax it is the unit of frequency; d is the number of axes.
     """
     return math.sqrt(2 * axes * stiffness / mass)
-
-
-def own_unit(stiffest, mass, damping):
-    """Return the unit, a power of two, in which the largest bond constant lies between 1 and 2.
-
-    Raises InputError if mass or damping do not fit into doubles in that unit.
-    """
-    unit = 2.0 ** (math.frexp(stiffest)[1] - 1)
-    for name, value in (("mass", mass), ("damping", damping)):
-        if value / unit * unit != value:
-            raise InputError(
-                f"lattice_{name}: {value:g} and bond constants of about {unit:g} are numbers "
-                "too far apart to compute with"
-            )
-    return unit
 
 
 def check_frequency(lattice, omega):
@@ -63,8 +47,7 @@ def check_frequency(lattice, omega):
     largest = springs + lattice.mass * omega * omega
     if not math.isfinite(largest * largest):
         raise InputError(
-            f"lattice_mass, lattice_damping, bonds: at the frequency {omega:g} the equations hold "
-            "numbers too large to compute with; choose other units"
+            f"the frequency {omega:g} is too large to compute with; use a lower one, or other units"
         )
 
 
@@ -72,6 +55,7 @@ def warn_above_modes(lattice, world, lowest):
     """Warn on rank 0 where no mode is above the lowest frequency, which is then often in Hz."""
     if world.rank == 0 and lowest > math.sqrt(lattice.stiffness_norm / lattice.mass):
         log.warning(
-            "omega = %.6g, the lowest asked for, is above all modes (omega_mx is %.6g); if it is "
-            "in Hz: frequencies are angular, omega = 2 pi f", lowest, lattice.omega_mx,
+            "omega = %.6g, the lowest asked for, is above all modes (omega_mx is %.6g); "
+            "frequencies are angular, omega = 2 pi f, but for sweeps with -sweep_unit Hz",
+            lowest, lattice.omega_mx,
         )  # fmt: skip

@@ -67,8 +67,7 @@ def agree(comm, failure, asked=None):
         if names:
             raise InputError(
                 f"the ranks ask for different things: {', '.join(names)} of rank {rank} differs "
-                "from rank 0's; under mpirun all ranks run the same script, and nothing that they "
-                "hand in may depend on the rank"
+                "from rank 0's; under mpirun nothing that is handed in may depend on the rank"
             )
 
 

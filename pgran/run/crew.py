@@ -16,7 +16,7 @@ from pgran.run.agreement import agree, agreeing, on_root
 WORD, FIRST_TAG = 1, 2  # tags of messages: a word to stop; results, a tag for each call of `share`
 
 
-class Crew:
+class Crew(contextlib.AbstractContextManager):
     """All ranks of a run, cut into groups that share a lattice. Collective; use with `with`.
 
     `group` is the communicator of this rank's group, which is `number` of `groups`. The journal, if
@@ -29,17 +29,13 @@ class Crew:
     def __init__(self, world, ranks_per_lattice, journal=None, begins=None):
         """Split the world."""
         if world.size % ranks_per_lattice:
-            groups = f"{world.size} ranks cannot be cut into groups of that size"
-            raise InputError(f"-ranks_per_lattice {ranks_per_lattice}: {groups}")
+            why = f"does not divide the number of ranks, {world.size}"
+            raise InputError(f"-ranks_per_lattice {ranks_per_lattice}: {why}")
         self.world, self.journal, self._begins = world, journal, begins
         self.groups = world.size // ranks_per_lattice
         self.number = world.rank // ranks_per_lattice
         self.group = world.Split(self.number, world.rank)
         self._shared, self._stopped_by, self._words = 0, None, []
-
-    def __enter__(self):
-        """Return the crew."""
-        return self
 
     def __exit__(self, *error):
         """Free the group's communicator, unless an error is on its way: others may not follow."""

@@ -7,6 +7,7 @@ from pgran.run.keywords import Asked
 from pgran.run.machine import check_memory
 from pgran.run.numbers import numbers
 from pgran.run.options import INTEGER, REAL, REALS, TEXT, Option, alternatives, check_ends
+from pgran.store.si import FREQUENCIES_IN, SI
 
 GRID = (
     Option("sweep_min", REAL, 0.01, "lowest driving frequency", "angular", above=0),
@@ -17,18 +18,40 @@ GRID = (
     ),
 )
 UNIT = Option(
-    "sweep_unit", TEXT, "absolute", "what the frequencies of a sweep are given in",
-    choices=("absolute", "omega_mx")
+    "sweep_unit", TEXT, "absolute",
+    "what the frequencies of a sweep are given in; `Hz` needs `-units_time`",
+    choices=FREQUENCIES_IN,
 )  # fmt: skip
 
 
 def check_sweep(values, given):
-    """Raise where the options of a sweep contradict each other."""
+    """Raise where the options of a sweep contradict each other; make frequencies in Hz angular."""
     alternatives(("sweep_omega",), ("sweep_min", "sweep_max", "sweep_points"), values, given)
+    asked = ("sweep_min", "sweep_max") if values["sweep_omega"] is None else ("sweep_omega",)
+    hertz = _hertz(asked, values, given) if values.get("sweep_unit") == "Hz" else None
     if values["sweep_omega"] is None:
         check_ends("sweep", values)
     else:
         checked_frequencies(values["sweep_omega"])
+    if hertz:
+        for name in asked:
+            angular = (hertz * np.array(values[name])).tolist()
+            values[name] = tuple(angular) if isinstance(angular, list) else angular
+        values["sweep_unit"] = "absolute"
+
+
+def _hertz(asked, values, given):
+    """Return the angular frequency of 1 Hz; raise unless options `asked` for are in Hz."""
+    hertz = SI(time=values["units_time"]).angular("Hz")
+    if hertz is None:
+        raise InputError(
+            "-sweep_unit Hz: -units_time is needed, the unit of time in s (pgran units computes it)"
+        )
+    for name in asked:
+        # a default, or an options file that a later word gives another unit, is not in Hz
+        if name not in given or given[name].rank < given["sweep_unit"].rank:
+            raise InputError(f"-sweep_unit Hz: give -{name} in Hz, too")
+    return hertz
 
 
 def driving_frequencies(options, lattice=None):

@@ -34,7 +34,7 @@ IDENTITY = (0, 0)  # stage and position of the record that says what the run is
 SECONDS_BETWEEN_SYNCS = 1.0  # a kill loses nothing in between, only a power failure does
 
 
-class Journal:
+class Journal(contextlib.AbstractContextManager):
     """Keeps finished units, and says when a signal asks the run to stop; use with `with`.
 
     Collective. Rank 0 holds the file; every rank takes note of signals. `path` is the result's. An
@@ -56,10 +56,6 @@ class Journal:
             raise
         self._handlers = [(number, signal.signal(number, self._note)) for number in SIGNALS]
         self._mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
-
-    def __enter__(self):
-        """Return the journal."""
-        return self
 
     def __exit__(self, kind, error, trace):
         """Close the journal; remove it if the run is complete, or nothing was finished yet.
@@ -135,8 +131,7 @@ class Journal:
                 was, now = (run.get(key, "not given") for run in (earlier, identity))
                 raise InputError(
                     f"{key}: {self.path} holds an unfinished run with {was}, and now it is {now}; "
-                    "give what was given then to go on, take another -output_file, or begin anew "
-                    "with -output_overwrite"
+                    "-output_overwrite begins anew, and another -output_file leaves that one alone"
                 )
             log.info("%s: another run; discarded as -output_overwrite asks", self.path)
         self._kept.clear()
@@ -158,8 +153,7 @@ class Journal:
             except BlockingIOError:
                 file.close()
                 raise FileError(
-                    f"{self.path}: another run is writing this result; wait for it, stop it, or "
-                    "take another -output_file"
+                    f"{self.path}: another run is writing this result; give another -output_file"
                 ) from None
             except OSError as error:
                 log.warning("%s: this file system has no locks (%s)", self.path, error.strerror)

@@ -10,10 +10,10 @@ import inspect
 import re
 from types import SimpleNamespace
 
-from pgran.arguments import shown
+from pgran.arguments import meant, nearest, shown
 from pgran.errors import InputError
 from pgran.run import launch
-from pgran.run.options import nearest, text_of
+from pgran.run.options import text_of
 
 SMALLEST_SHIFT = 1e-14  # of pivots, against bond constants of about 1
 SOLVER_PREFIXES = {
@@ -22,8 +22,8 @@ SOLVER_PREFIXES = {
     "damped_": "damped modes near a target (PEP, ST)",
     "pulse_ts_": "pulses that are integrated (TS)",
     "pulse_snes_": "implicit steps of a pulse (SNES)",
-    "pulse_ksp_": "their linear systems (KSP)",
-    "pulse_pc_": "and preconditioners (PC)",
+    "pulse_ksp_": "linear systems of these steps (KSP)",
+    "pulse_pc_": "preconditioners of these systems (PC)",
 }
 
 # What values a file may give, in letters of either case. Long numbers need an exponent, which PETSc
@@ -195,9 +195,8 @@ def check_in_file(key, item):
     if item.where and not any(values.fullmatch(item.text) for values in listed):
         setting = f"-{key} {item.text}".rstrip()
         raise InputError(
-            f"{setting}{item.where}: not on the list of solvers, numbers and flags that a file may "
-            "set (others could load code, start a program or write a file); give it on the command "
-            "line if you mean it"
+            f"{setting}{item.where}: not on the list of what a file may set (others could load "
+            "code, start a program or write a file); give it on the command line if you mean it"
         )
 
 
@@ -213,9 +212,8 @@ def check_pivot_shifts(keys):
         with contextlib.suppress(ValueError):  # PETSc says itself what is no number
             if float(text) < SMALLEST_SHIFT and shift not in ("none", "nonzero"):
                 raise InputError(
-                    f"-{key} {text}: PETSc may shift the pivots of a singular matrix by as little, "
-                    f"and never end; leave it out, give {SMALLEST_SHIFT:g} or more, or say "
-                    f"-{pc}factor_shift_type none"
+                    f"-{key} {text}: shifting pivots by so little PETSc may never end; leave it "
+                    f"out, give {SMALLEST_SHIFT:g} or more, or say -{pc}factor_shift_type none"
                 )
 
 
@@ -245,8 +243,7 @@ def solver_keys_of(solver):
         key = str(key).lower()
         if not (key.isidentifier() and is_solver_key(key)):
             near = nearest(key, [prefix + key for prefix in SOLVER_PREFIXES])
-            hint = f"; did you mean {near!r}?" if near else ""
-            raise InputError(f"solver: {key!r} belongs to no solver{hint}")
+            raise InputError(f"solver: {key!r} belongs to no solver{meant(near and repr(near))}")
         keys[key] = "" if value is None or value is True else text_of(value)
         if not keys[key].isprintable():
             raise InputError(f"solver: {keys[key]!r} is no value of {key!r}")

@@ -44,7 +44,7 @@ def windows_of(name, values, within=None, called="the sweep"):
     """
     ends = numbers(name, values).ravel()
     if not ends.size or ends.size % 2:
-        raise InputError(f"{name}: a window has two ends, so {ends.size} numbers make none")
+        raise InputError(f"{name}: a window has two ends, low,high; numbers given: {ends.size}")
     windows = ends.reshape(-1, 2)
     for low, high in windows:
         if not low < high:

@@ -1,29 +1,26 @@
 """Options: how one is declared, read and written; those of every run; a run's own, resolved."""
 
-import difflib
-import logging
+import contextlib
 import math
 import operator
 import re
 import shlex
+import unicodedata
 from collections.abc import Callable
 from dataclasses import dataclass
 from os.path import exists
 
-from pgran.arguments import shown
+from pgran.arguments import meant, nearest, shown
 from pgran.errors import InputError
-
-log = logging.getLogger("pgran")
-
-LONGEST = 120  # characters of what tells results apart
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A type of option, and how its text is read."""
+    """A type of option, how its text is read, and what a text must be in words."""
 
     name: str
     read: Callable
+    words: str
 
 
 def _only(possible, read):
@@ -38,22 +35,24 @@ def _only(possible, read):
     return checked
 
 
-def _several(kind):
-    return Kind(f"{kind.name}s", lambda text: tuple(map(kind.read, text.split(","))))
+def _several(kind, words):
+    read = lambda text: tuple(map(kind.read, text.split(",")))  # noqa: E731
+    return Kind(f"{kind.name}s", read, f"{words} with commas between them")
 
 
 # A key without a value is true.
 FLAGS = dict.fromkeys(("", "true", "yes", "1", "on"), True)
 FLAGS |= dict.fromkeys(("false", "no", "0", "off"), False)
-INTEGER = Kind("integer", _only(lambda value: abs(value) < 2**64, int))
-REAL = Kind("real", _only(math.isfinite, float))
-FLAG = Kind("flag", lambda text: FLAGS[text.lower()])
-TEXT = Kind("text", _only(len, str))
-INTEGERS, REALS = _several(INTEGER), _several(REAL)
+INTEGER = Kind("integer", _only(lambda value: abs(value) < 2**64, int), "a whole number")
+REAL = Kind("real", _only(math.isfinite, float), "a number")
+FLAG = Kind("flag", lambda text: FLAGS[text.lower()], "true or false")
+TEXT = Kind("text", _only(len, str), "a value")
+INTEGERS, REALS = _several(INTEGER, "whole numbers"), _several(REAL, "numbers")
 # Names of files that a run reads: what these hold is part of what the run is.
-FILE = Kind("file", TEXT.read)
+FILE = Kind("file", TEXT.read, "the name of a file")
+LISTED = _several(FILE, "names of files")
 # Several, or one with a comma in its name.
-FILES = Kind("files", lambda text: (text,) if exists(text) else _several(FILE).read(text))
+FILES = Kind("files", lambda text: (text,) if exists(text) else LISTED.read(text), LISTED.words)
 # Of a default, or of a tuple of them.
 KINDS = {bool: FLAG, int: INTEGER, float: REAL, str: TEXT, (int,): INTEGERS, (float,): REALS}
 
@@ -75,13 +74,20 @@ def _without_numpy(value):
     return tuple(map(_without_numpy, value)) if isinstance(value, (list, tuple)) else value
 
 
-def _meant(text):
-    """Return how to write 20x20, or 1e3 where a whole number is needed, or None."""
-    if re.fullmatch(r"\d+(x\d+)+", text):
-        return text.replace("x", ",")
-    if re.fullmatch(r"\d(\.\d*)?e\+?\d{1,2}|\d+\.0*", text) and float(text).is_integer():
-        return f"{float(text):.0f}"
-    return None
+def _hint(text, kind):
+    """Return what to say of 20x20, (1, 2), 0,5 or 1e3 where another type of number is needed."""
+    plain = unicodedata.normalize("NFKC", text).strip("()[], ")
+    if not re.fullmatch(r"[\d\s.,;xe+-]+", plain):
+        return ""
+    if re.fullmatch(r"\d{20,}", plain):
+        return "; this one is too large"
+    whole = re.fullmatch(r"\d(\.\d*)?e\+?\d\d?|\d+\.0*", plain) and float(plain)
+    whole = f"{whole:.0f}" if whole == round(whole or 0) else ""
+    for other in (re.sub(r"[\s,;x]+", ",", plain), plain.replace(",", "."), whole):
+        with contextlib.suppress(ValueError, KeyError):
+            kind.read(other)
+            return meant(other if other != text else "")
+    return ""
 
 
 @dataclass(frozen=True)
@@ -109,8 +115,7 @@ class Option:
         except (ValueError, KeyError):
             raise self._wrong_type(text, where) from None
         if self.choices and value not in self.choices:
-            near = nearest(value, self.choices)
-            hint = f"; did you mean {near}?" if near else ""
+            hint = meant(nearest(value, self.choices))
             choices = ", ".join(self.choices)
             raise InputError(f"-{self.name} {text}{where}: choose {choices}{hint}")
         for number in value if isinstance(value, tuple) else (value,):
@@ -154,15 +159,10 @@ class Option:
         return read
 
     def _wrong_type(self, text, where=""):
-        meant = _meant(text.strip())
-        hint = f"; did you mean {meant}?" if meant else ""
         key = f"-{self.name} {text}".rstrip()
-        return InputError(f"{key}{where}: needs a value of the type `{self.kind.name}`{hint}")
-
-
-def nearest(word, words):
-    """Return the word most like `word`, or None."""
-    return next(iter(difflib.get_close_matches(word, words, n=1, cutoff=0.5)), None)
+        unit = f" (unit: {self.unit})" if self.unit else ""
+        needs = f"one of {', '.join(self.choices)}" if self.choices else self.kind.words
+        return InputError(f"{key}{where}: needs {needs}{unit}{_hint(text, self.kind)}")
 
 
 # The options of every run.
@@ -179,7 +179,7 @@ RUN = (
         "output_progress", TEXT, "auto", "auto = a bar on a terminal, lines elsewhere",
         choices=("auto", "bar", "lines", "none"),
     ),
-    Option("output_log", TEXT, None, "log file; a log that is there already goes on"),
+    Option("output_log", TEXT, None, "log file; an existing log is continued"),
     Option("units_length", REAL, None, "unit of length, the spacing of a lattice", "m", above=0),
     Option("units_time", REAL, None, "unit of time: figures and summaries in Hz", "s", above=0),
     Option("dry_run", FLAG, False, "say what the run will need, and stop"),
@@ -191,30 +191,6 @@ def options_in(text):
     how = ("output_", *(option.name for option in RUN))
     lines = [line.lstrip("-").partition(" ") for line in text.splitlines() if line]
     return {name: value for name, _, value in lines if not name.startswith(how)}
-
-
-def labels_of(results, names):
-    """Return what tells results apart: the options in which they differ, else their files' names.
-
-    How a run was carried out, and what it stored, is no difference. Where options are too many for
-    a legend they are logged.
-    """
-    options = [options_in(str(getattr(result, "options", ""))) for result in results]
-    keys = dict.fromkeys(key for each in options for key in each)
-    differ = [key for key in keys if len({each.get(key) for each in options}) > 1]
-    labels = [" ".join(f"-{k} {each[k]}".strip() for k in differ if k in each) for each in options]
-    if max(map(len, labels)) > LONGEST:
-        for name, label in zip(names, labels, strict=True):
-            log.info("file %s: %s", name, label or "by default")
-        return [f"file {name}" for name in names]
-    alike = [label for label in labels if labels.count(label) > 1]
-    if alike:
-        same = [name for name, label in zip(names, labels, strict=True) if label in alike]
-        log.warning("%s: no option tells them apart; the figure names the files", ", ".join(same))
-    return [
-        " ".join(filter(None, [label, f"file {name}"])) if label in alike else label or "by default"
-        for name, label in zip(names, labels, strict=True)
-    ]
 
 
 def alternatives(some, others, values, given):

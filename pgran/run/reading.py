@@ -39,10 +39,12 @@ class Given:
 
 def read_file(path):
     """Return what an options file gives, in order; an error names what is no `-key value`."""
-    with open_regular(path) as stream:
+    with open_regular(path, ".opts") as stream:
         content = stream.read(LONGEST_FILE + 1)
     if len(content) > LONGEST_FILE:
         raise FileError(f"{path}: an options file has at most {LONGEST_FILE} bytes")
+    if content.startswith(b"\x89HDF"):
+        raise FileError(f"{path}: not a text file, as options files are, but a result or a network")
     text = content.decode("utf-8-sig", errors="surrogateescape")  # editors may put a mark in front
     if strange := NO_TEXT.search(text):
         line = 1 + text.count("\n", 0, strange.start())
@@ -73,6 +75,8 @@ def read_words(words, where=""):
         elif re.match("--?[A-Za-z]", word):
             key, sign, value = word.partition("=")
             hint = f"write {key} {value}" if sign else "no key has such a name"
+            if " " in word:
+                hint = "leave out the quotes around a key and its value"
             raise InputError(f"{word}{where}: {hint}")
         elif items and not items[-1].text:
             items[-1] = Given(items[-1].key, word, where)
@@ -93,6 +97,8 @@ def _hint(word, items=()):
     """Return what a word may have been meant to be that is no value, or None."""
     if word.startswith(COMMENTS):
         return "a comment begins with #"
+    if word.endswith(".opts"):
+        return "a second options file; a run takes one"
     if word.startswith(DASHES):
         return "begins with a long dash; keys begin with -"
     if re.fullmatch("[a-z]+(_[a-z]+)+|scene|detectors", word.lower()):

@@ -31,8 +31,8 @@ class Task:
         return contextlib.nullcontext(lambda unit: self.work(unit, group))
 
     def length(self, unit):
-        """Return how many items a unit has."""
-        return len(unit)
+        """Return how many items a unit has, one if it is a number."""
+        return len(unit) if hasattr(unit, "__len__") else 1
 
     def blank(self, unit):
         """Return rows of zeros for a unit that a dry run does not do."""
@@ -78,7 +78,7 @@ def _joined(parts, row):
     return rows
 
 
-class Progress:
+class Progress(contextlib.AbstractContextManager):
     """Shows how many items are done: `bar`, `lines`, `none`, or `auto`, a bar on a terminal."""
 
     seconds_between_lines = 10.0
@@ -97,10 +97,6 @@ class Progress:
                 self.bar = tqdm(total=total, unit=f" {what}", leave=False)
             except ImportError:
                 self.lines = True
-
-    def __enter__(self):
-        """Return the counter."""
-        return self
 
     def __exit__(self, *error):
         """Remove the bar."""

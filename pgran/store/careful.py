@@ -25,20 +25,23 @@ MODEST = 64 * 2**20  # bytes that the data of a smaller file may be when they ar
 MEMORY, SECONDS = 512 * 2**20, 60
 # Variables that would make that process take part in this MPI job.
 LAUNCHERS = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL", "SLURM_")
+# Who writes groups that a file of another kind lacks.
+WRITERS = {"/lattice": ": runs on lattices write it", "/network": ": pgran pack writes it"}
 TROUBLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
 
 
 @contextlib.contextmanager
 def opened(path):
     """Open an HDF5 file as a `CarefulFile`, every trouble a FileError."""
-    open_regular(path).close()
+    open_regular(path, ".h5").close()
     try:
         if not h5py.is_hdf5(path):
             raise FileError(f"{path}: not an HDF5 file")
         with h5py.File(path, "r") as file:
             yield CarefulFile(file, path)
     except TROUBLE as error:
-        raise FileError(f"{path}: damaged: {error}") from None
+        cut = "cut off before its end" if "truncated" in str(error) else error
+        raise FileError(f"{path}: damaged: {cut}") from None
 
 
 class CarefulFile:
@@ -60,7 +63,7 @@ class CarefulFile:
         for part in name.strip("/").split("/") if name != "/" else []:
             way = f"{way}/{part}"
             if not isinstance(member, h5py.Group) or not member.id.links.exists(part.encode()):
-                self.refuse(way, "is missing")
+                self.refuse(way, f"is missing{WRITERS.get(way, '')}")
             if member.id.links.get_info(part.encode()).type != h5py.h5l.TYPE_HARD:
                 self.refuse(way, "is a link; links are not read")
             member = member[part]

@@ -1,7 +1,5 @@
 """Columns of numbers in a text file: motions of the wall, and what was measured."""
 
-import os
-
 import numpy as np
 
 from pgran.errors import FileError
@@ -9,7 +7,7 @@ from pgran.store.lines import Lines, is_number
 from pgran.store.paths import open_regular
 
 LONGEST_FILE = 2**26  # bytes
-MEASURED = ("omega", "amplitude", "phase")
+MEASURED = ("omega", "amplitude", "phase")  # omega: what a header may call frequency, too
 
 
 def read_columns(path):
@@ -24,17 +22,17 @@ def read_columns(path):
 def read_measured(path):
     """Return what was measured at some frequencies, columns by their names.
 
-    Two columns, `omega` (angular, in the unit of a result) and `amplitude` relative
-    to the drive, or three, `phase` in rad too. A header may name them in another order.
+    Two columns, `omega` (a frequency, in any unit) and `amplitude` relative to the drive, or three,
+    `phase` in rad too. A header may name them in another order.
     """
     lines, names, widths = _lines(path), MEASURED, (2, 3)
     if lines and not any(map(is_number, lines[0][1])):
         place, header, _ = lines.pop(0)
-        names = [word.strip("\"'").lower() for word in header]
+        names = [word.strip("\"'").lower().replace("frequency", "omega") for word in header]
         widths = (len(names),)
         if sorted(names) not in (sorted(MEASURED), sorted(MEASURED[:2])):
-            raise FileError(f"{place}: a header names omega, amplitude and maybe phase")
-    rows = _numbers(path, lines, widths, "omega, amplitude and maybe phase, as the first one")
+            raise FileError(f"{place}: a header names frequency, amplitude and maybe phase")
+    rows = _numbers(path, lines, widths, "frequency, amplitude and maybe phase, as the first one")
     columns = dict(zip(names, np.transpose([row for _, row in rows]), strict=False))
     for name in MEASURED[:2]:
         if (wrong := np.flatnonzero(columns[name] <= 0)).size:
@@ -44,9 +42,7 @@ def read_measured(path):
 
 def _lines(path):
     """Return of each line that is not empty its place, its words, and itself."""
-    with open_regular(path) as stream:
-        if os.path.getsize(path) > LONGEST_FILE:
-            raise FileError(f"{path}: a file of numbers has at most {LONGEST_FILE} bytes")
+    with open_regular(path, what="a file of numbers", most=LONGEST_FILE) as stream:
         lines = Lines(path, stream)
         blanks = str.maketrans(",;", "  ")
         return [
@@ -65,7 +61,7 @@ def _numbers(path, lines, widths, meaning):
         if not np.all(np.isfinite(row)):
             raise FileError(f"{place}: {line} is not finite; fill the gap, or leave its end away")
         if len(row) != len(rows[0][1] if rows else row) or len(row) not in widths:
-            raise FileError(f"{place}: {len(row)} numbers; each line has {meaning}")
+            raise FileError(f"{place}: numbers: {len(row)}; each line has {meaning}")
         rows.append((place, row))
     if not rows:
         raise FileError(f"{path}: holds no numbers")

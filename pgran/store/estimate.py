@@ -64,9 +64,26 @@ def with_errors(**estimates):
     return {name: estimate.value for name, estimate in estimates.items()} | errors
 
 
-def two_digits(error):
-    """Return an error with two digits, as it stands after +-: 13, 0.0023, 2600, 1.2e-05."""
-    return f"{float(f'{error:.2g}'):g}"
+def with_error(value, error, sign="+-"):
+    """Return a number and its error, both as far as two digits of the error reach.
+
+    As "0.0717 +- 0.0022", "1980 +- 140", "(3.10 +- 0.12)e-05"; no digits by an error of 0 or NaN.
+    """
+    if not (error > 0 and math.isfinite(error) and math.isfinite(value)):
+        return f"{value:.4g} {sign} {error:g}"
+    power = math.floor(math.log10(max(abs(value), error)))
+    power = power if power < -4 else 0  # as few numbers need
+    value, error = value / 10.0**power, float(f"{error / 10.0**power:.1e}")
+    places = 1 - math.floor(math.log10(error))
+    both = f" {sign} ".join(f"{round(x, places):.{max(places, 0)}f}" for x in (value, error))
+    exponent = f"e{power:03d}" if sign == "+-" else rf"\times10^{{{power}}}"  # of a formula
+    return f"({both}){exponent}" if power else both
+
+
+def told(record, name, place=()):
+    """Return a measured number of a record with its error, or that it is unknown."""
+    value, error = (np.asarray(getattr(record, each))[place] for each in (name, f"{name}_error"))
+    return with_error(value, error) if np.isfinite(error) else "unknown"
 
 
 def counted(count, name):

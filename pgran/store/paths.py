@@ -1,26 +1,46 @@
 """Paths of files that users name: read with care, and written whole."""
 
 import contextlib
+import glob
+import math
 import os
 import stat
 from pathlib import Path
 
-from pgran.arguments import shown
+from pgran.arguments import meant, nearest, shown
 from pgran.errors import FileError, reason_of
 
 
-def open_regular(path):
-    """Return a file opened for reading bytes; refuse what could block or never end."""
+def open_regular(path, ending="", what="", most=math.inf):
+    """Return a file opened for reading bytes; refuse what could block or never end.
+
+    Or has more than `most` bytes: `what` it is. Where there is none a file called alike is named,
+    of the same ending or of `ending`.
+    """
     try:
-        mode = os.stat(os.fspath(path)).st_mode
-        if not stat.S_ISREG(mode):
-            kind = "directory" if stat.S_ISDIR(mode) else "pipe or a device, not a file"
+        facts = os.stat(os.fspath(path))
+        if not stat.S_ISREG(facts.st_mode):
+            kind = "directory" if stat.S_ISDIR(facts.st_mode) else "pipe or a device, not a file"
             raise FileError(f"{path}: is a {kind}")
+        if facts.st_size > most:
+            raise FileError(f"{path}: {what} has at most {most} bytes")
         return open(path, "rb")
+    except FileNotFoundError as error:
+        raise FileError(f"{reason_of(error)}{_alike(Path(path), ending)}") from None
     except OSError as error:
         raise FileError(reason_of(error)) from None
     except (TypeError, ValueError) as error:
         raise FileError(f"{shown(path)}: no name of a file: {error}") from None
+
+
+def _alike(path, ending):
+    """Return which file may be meant by a name that there is none of, in words."""
+    files = {}
+    for folder in (Path("results"), Path("options"), path.expanduser().parent):
+        with contextlib.suppress(OSError):
+            for suffix in filter(None, (path.suffix, ending)):
+                files |= {file.stem: file for file in folder.glob(f"*{glob.escape(suffix)}")}
+    return meant(files.get(nearest(path.stem, sorted(files))))
 
 
 @contextlib.contextmanager

@@ -47,7 +47,7 @@ def has_seal(path):
 
 def check_seal(path):
     """Raise a FileError unless a file is a result, unchanged since written."""
-    with open_regular(path) as stream:
+    with open_regular(path, ".h5") as stream:
         seal, version, content = _read_seal(stream)
         if not seal:
             raise FileError(f"{path}: not a result of pgran, or damaged or changed since (no seal)")

@@ -10,12 +10,14 @@ from pgran.errors import InputError
 QUANTITIES = {
     "Hz": (0, -1, 1 / (2 * math.pi)),
     "1/Hz": (0, 1, 2 * math.pi),
+    "rad/Hz": (0, 1, 2 * math.pi),
     "s": (0, 1, 1.0),
     "1/s": (0, -1, 1.0),
     "m": (1, 0, 1.0),
     "m/s": (1, -1, 1.0),
 }
 PREFIXES = {-4: "p", -3: "n", -2: "µ", -1: "m", 0: "", 1: "k", 2: "M", 3: "G", 4: "T"}
+FREQUENCIES_IN = "absolute", "omega_mx", "Hz"  # that users give
 SMALLEST, LARGEST = 1e-99, 1e99  # units whose powers, times frequencies, are numbers
 
 
@@ -51,6 +53,11 @@ class SI:
                 factor *= own**power
         return factor
 
+    def angular(self, unit, omega_mx=None):
+        """Return the program's angular frequency of one of FREQUENCIES_IN, None if unknown."""
+        factor = self.factor("Hz")
+        return {"absolute": 1.0, "omega_mx": omega_mx, "Hz": factor and 1 / factor}[unit]
+
     def say(self, unit, *values):
         """Return numbers of the program in SI units, in parentheses; nothing if unknown.
 
@@ -70,8 +77,8 @@ def prefix_of(value, unit):
     """Return what to multiply with so that a value reads well, and the unit with its prefix."""
     if not (math.isfinite(value) and value) or unit == "1/s":
         return 1.0, unit
-    inverse = unit.startswith("1/")
+    inverse = unit.endswith("/Hz")
     step = math.floor(math.log10(abs(value)) / 3 + 1e-9)
     step = max(min(PREFIXES), min(max(PREFIXES), step))
-    name = f"1/{PREFIXES[-step]}{unit[2:]}" if inverse else PREFIXES[step] + unit
+    name = unit.replace("/", f"/{PREFIXES[-step]}") if inverse else PREFIXES[step] + unit
     return 1000.0**-step, name

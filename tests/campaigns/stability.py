@@ -263,6 +263,8 @@ def examine(path):
 def main(names):
     """Print the table and the verdict; return the exit code."""
     names = [Path(name).stem for name in names] or list(FILES)
+    if unknown := set(names) - set(FILES):
+        sys.exit(f"stability: no extreme case is called {', '.join(unknown)}")
     print(f"{'file':27} {'must be':18} {'is':18} {'error':8}  marked")
     failed = [name for name in names if examine(FILES[name])]
     print(f"{len(names)} cases, {len(failed)} failed: {', '.join(failed) or 'none'}")

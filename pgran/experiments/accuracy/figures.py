@@ -1,7 +1,5 @@
 """The figure of an accuracy study: error against run time, a colour and a mark a solver."""
 
-from functools import partial
-
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -24,7 +22,7 @@ def figures(result, **_):
         f"tolerances given to them; median of {accuracy.repeats} runs, bars: from the shortest to "
         "the longest."
     )
-    figure = style.single(partial(panel, accuracy=accuracy), caption, style.PAGE, height)
+    figure = style.single(panel, caption, style.PAGE, height, accuracy=accuracy)
     if not np.all(drawn):
         nothing = ", ".join(dict.fromkeys(accuracy.solver[~drawn]))
         style.note(figure, f"without a result, at some tolerance: {nothing}")

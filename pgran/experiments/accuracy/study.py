@@ -76,9 +76,8 @@ class Reference(Task):
         good = np.count_nonzero(reference["good"])
         if good == 0:
             raise PgranError(
-                f"no reference to compare with: of its {len(reference)} numbers none has an error "
-                f"certified to be below {allowed:g}; the experiment's own solver keys, or larger "
-                "-accuracy_tolerances, may help"
+                f"no reference to compare with: none of {len(reference)} numbers has an error "
+                f"certified below {allowed:g}; change its solver keys or raise -accuracy_tolerances"
             )
         if good < len(reference):
             log.warning(

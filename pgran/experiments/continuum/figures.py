@@ -21,8 +21,7 @@ def figures(result, **_):
         f"against the driving frequency, by the exact series; ticks: resonances{end}",
         "Its phase.",
     ]
-    draws = [lambda ax: amplitude(ax, box), lambda ax: phase(ax, box)]
-    figure = style.stack(draws, captions, style.PAGE, shared=True)
+    figure = style.stack([amplitude, phase], captions, style.PAGE, shared=True, continuum=box)
     style.above(figure, numbers)
     yield "exactpl", figure
 

@@ -20,7 +20,7 @@ def check(values, given):
     """Raise where options contradict each other."""
     check_sweep(values, given)
     if values["units_length"] is not None or values["units_time"] is not None:
-        raise InputError("-units_length, -units_time: the box has its own, -continuum_size ...")
+        raise InputError("-units_length, -units_time: the box has units by -continuum_size ...")
 
 
 def summary(result):
@@ -37,8 +37,8 @@ def continuum(
     *,
     size=option((1.0, 1.0), "extent of the box along x, y", "length", **POSITIVE),
     mass=option(1.0, "mass per area", **POSITIVE),
-    stiffness=option(1.0, "K0", **POSITIVE),
-    damping=option(0.003, "beta", low=0, high=1e100),
+    stiffness=option(1.0, "stiffness K0", **POSITIVE),
+    damping=option(0.003, "damping beta", low=0, high=1e100),
     progress=PROGRESS,
 ) -> ContinuumResponse:
     """Evaluate the exact response of the homogeneous box over a sweep (paper: axysol, exactpl)."""

@@ -56,7 +56,9 @@ class Continuum:
     def __post_init__(self):
         """Raise InputError unless there are two lengths."""
         if len(self.size) != 2:
-            raise InputError(f"continuum_size: two lengths are needed, not {len(self.size)}")
+            raise InputError(
+                f"-continuum_size: two lengths are needed; numbers given: {len(self.size)}"
+            )
 
     def response(self, omega, point):
         """Return the amplitude at (x, y) for each driving frequency, 0 or more (paper: axysol).
@@ -75,10 +77,10 @@ class Continuum:
         """
         omega = np.asarray(omega, dtype=float)
         if len(point) != 2:
-            raise InputError(f"continuum_point: x and y are needed, not {len(point)} numbers")
+            raise InputError(f"-continuum_point: x and y are needed; numbers given: {len(point)}")
         for name, value, length in zip("xy", point, self.size, strict=True):
             if not 0 <= value <= length:
-                raise InputError(f"continuum_point: {name} = {value} is outside [0, {length}]")
+                raise InputError(f"-continuum_point: {name} = {value} is outside [0, {length}]")
         x, y = (np.longdouble(float(value)) for value in point)
         amplitude = np.empty(omega.size, dtype=complex)
         with localcontext(EXACT):

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from pgran.draw import scales, style
+from pgran.draw import captions, scales, style
 from pgran.draw.scales import Quantity
 from pgran.experiments.ensemble.record import ABOVE_FLOOR, measures
 from pgran.experiments.modes import figures as modes
@@ -26,7 +26,9 @@ CAPTIONS = {
     "participation": "Participation ratio of the normal modes against their frequency: the band of "
     "80 % of them, and their median.",
 }
+SINGLE = " Thin lines: single samples; dots: where lines from point to point are not their curve."
 BAND, BINS = "#C8C8C8", 30
+COARSE = 0.1  # of an amplitude, that such a line may be wrong
 ROWS, NARROWEST = 5, 3.0  # of curves, before there is another column; inches of one
 
 
@@ -49,15 +51,14 @@ def _pages(found, lattice):
     if found.mode_omega is not None and len(np.unique(known(found, "mode_omega"))) > 1:
         several = len(np.unique(found.widths(lattice)[0])) > 1
         for panel in (density, participation, *[widths] * several):
-            draw = partial(panel, found=found, lattice=lattice)
-            yield panel.__name__, style.single(draw, CAPTIONS[panel.__name__])
+            yield panel.__name__, style.single(panel, CAPTIONS, found=found, lattice=lattice)
     for name, quantity in NUMBERS.items():
         values = getattr(found, name)
         columns = range(0 if values is None else np.size(values[:1]))
         shown = [d for d in columns if len(np.unique(known(found, name, d))) > 1]
         if shown:
-            draws = [partial(histogram, found=found, name=name, detector=d) for d in shown]
-            figure = style.stack(draws, [""], height=2.0)
+            draws = [partial(histogram, detector=d) for d in shown]
+            figure = style.stack(draws, "", height=2.0, found=found, name=name)
             what = f"{quantity.name} {quantity.own}".strip()
             figure.caption = (
                 f"Histogram over samples: {what}; line and band: mean and its standard error."
@@ -88,9 +89,8 @@ def withheld(found, name, detector=None):
 
 def amplitude(ax, found, lattice, detector=0):
     """Draw the band, the median, some samples, and the `coherent` part; return the median."""
-    values = found.displacement
-    single = None if values is None else np.abs(values[:, :, detector])
-    drawn = _band(ax, found, lattice, np.exp(found.ln_amplitude[:, :, detector]), single)
+    each = None if found.displacement is None else np.abs(found.displacement)
+    drawn = _band(ax, found, lattice, np.exp(found.ln_amplitude), each, detector)
     part = coherent(found, detector)
     if np.isfinite(part).any():
         look = {"color": style.UNRESOLVED, "linestyle": (0, (3, 1)), "linewidth": 1.2}
@@ -118,9 +118,10 @@ def delay(ax, found, lattice, detector=0):
 
     Linear up to the power of ten next to the median, logarithmic beyond.
     """
-    values, each = found.delay[:, :, detector] * lattice.omega_mx, found.sample_delay
-    single = None if each is None else each[:, :, detector] * lattice.omega_mx
-    drawn = _band(ax, found, lattice, values, single)
+    values, each = found.delay * lattice.omega_mx, found.sample_delay
+    each = None if each is None else each * lattice.omega_mx
+    drawn = _band(ax, found, lattice, values, each, detector)
+    values = values[:, :, detector]
     middle = np.nanmedian(np.abs(values[found.statistic.tolist().index("median")]))
     threshold = 10.0 ** round(math.log10(middle)) if middle > 0 else 1.0
     scales.symmetric(ax, values[np.isfinite(values)], threshold)
@@ -128,14 +129,29 @@ def delay(ax, found, lattice, detector=0):
     return drawn
 
 
-def _band(ax, found, lattice, values, single):
+def resolved(found, sample, detector):
+    """Return where lines from point to point are right to COARSE of a sample's amplitude, about.
+
+    Without a point the line between its neighbours is four times as wrong as those to them.
+    """
+    x, y = found.omega, found.displacement[sample, :, detector]
+    part = (x[1:-1] - x[:-2]) / (x[2:] - x[:-2])
+    bend = np.abs(y[1:-1] - (1 - part) * y[:-2] - part * y[2:])
+    return np.pad(bend <= 4 * COARSE * np.abs(y[1:-1]), 1, constant_values=True)
+
+
+def _band(ax, found, lattice, values, each, detector):
     """Draw the band of curves, shape (statistics, nw), three of them, and their median."""
     x, row = found.omega / lattice.omega_mx, found.statistic.tolist().index
+    values = values[:, :, detector]
     band = values[row("low")], values[row("high")]
     ax.fill_between(x, *band, color=BAND, linewidth=0, label="10 to 90 % of the samples")
-    if single is not None:
+    if each is not None:
         for n, shade in zip(np.flatnonzero(found.good), style.COLOURS[1:4], strict=False):
-            ax.plot(x, single[n], color=shade, linewidth=0.4, label=f"seed {found.seed[n]}")
+            good = resolved(found, n, detector)
+            y, look = each[n, :, detector], {"color": shade, "linewidth": 0.4, "markersize": 1.2}
+            ax.plot(x, np.ma.masked_where(~good, y), label=f"seed {found.seed[n]}", **look)
+            ax.plot(x[~good], y[~good], ".", **look)
     (median,) = ax.plot(x, values[row("median")], color="black", linewidth=1.0, label="median")
     scales.frequencies(ax, x)
     return median
@@ -143,17 +159,17 @@ def _band(ax, found, lattice, values, single):
 
 def _curves_page(found, lattice, panel):
     """Return a figure with a panel a detector."""
-    names, count = style.ball_names(found.detector), len(found.detector)
+    (order, names), count = captions.by_depth(lattice, found.detector), len(found.detector)
     figure, panels, columns = style.grid(
         count, ROWS, NARROWEST, lambda rows: 0.5 + rows * (2.4 if rows <= 3 else 1.7)
     )
-    for d, ax in enumerate(panels):
+    for d, ax in zip(order, panels, strict=True):
         panel(ax, found, lattice, d)
         if count > 1:
             ax.set_title(names[d])
     style.legend_above([panels[columns - 1]])
     single = any("seed" in str(line.get_label()) for line in panels[0].get_lines())
-    figure.caption = CAPTIONS[panel.__name__] + " Thin lines: single samples." * single
+    figure.caption = CAPTIONS[panel.__name__] + SINGLE * single
     return figure
 
 
@@ -196,12 +212,13 @@ def density(ax, found, lattice):
     """Draw the density of modes a sample, with its standard error; return the outline."""
     x = found.mode_omega[found.good > 0] / lattice.omega_mx
     edges = modes.bin_edges(x)
-    each = np.array([modes.density_of(row, edges, lattice) for row in x])
+    each = np.array([np.histogram(row, edges)[0] for row in x])
+    each = each / np.diff(edges) / lattice.free_balls
     mean, error = each.mean(axis=0), each.std(axis=0, ddof=1) / math.sqrt(len(x))
     shade = {"fill": True, "color": "#999999", "label": "its standard error"}
     ax.stairs(mean + error, edges, baseline=mean - error, **shade)
     outline = ax.stairs(mean, edges, color="black", label=f"mean of {len(x)} samples")
-    modes.density_axes(ax, edges)
+    modes.counts.density_axes(ax, edges)
     return outline
 
 

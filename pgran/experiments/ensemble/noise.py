@@ -46,12 +46,11 @@ class NoisyCurves:
         if not np.all(np.isfinite(amplitude)):
             omega, amplitude = _finite(omega, amplitude)
         if len(omega) < 3:
-            raise InputError(f"window: {len(omega)} amplitudes lie in it, 3 are needed")
+            raise InputError(f"window: it needs 3 amplitudes or more, and holds {len(omega)}")
         if 1 < len(amplitude) < FEWEST_SAMPLES or (incoherent and len(amplitude) == 1):
             alone = "" if incoherent else ", or one curve at a time"
             raise InputError(
-                f"amplitude: {len(amplitude)} samples are too few for means over samples; "
-                f"{FEWEST_SAMPLES} are needed{alone}"
+                f"amplitude: means over samples need {FEWEST_SAMPLES}, not {len(amplitude)}{alone}"
             )
         if not np.all(np.any(np.abs(amplitude) ** 2 > 0, axis=0 if len(amplitude) > 1 else 1)):
             raise InputError(
@@ -173,8 +172,7 @@ def finite_samples(amplitude):
     kept = np.isfinite(amplitude).reshape(len(amplitude), -1).all(axis=1)
     if not np.all(kept):
         log.warning(
-            "amplitude: %d of %d samples are left out, as some amplitudes are not finite; sample "
-            "%d is the first",
+            "amplitude: %d of %d samples are left out, sample %d first, as they are not finite",
             *(np.count_nonzero(~kept), len(kept), np.argmin(kept)),
         )
     return kept

@@ -26,8 +26,8 @@ def along(depth, window):
     share = (place[:, None] == np.arange(len(depths))) / np.bincount(place)
     inside = np.flatnonzero((window[0] <= depths) & (depths <= window[1]))
     if len(inside) < FEWEST_DEPTHS:
-        few = f"{len(inside)} depths from {window[0]:.3g} to {window[1]:.3g} are too few for a line"
-        raise InputError(f"depth: {few}; {FEWEST_DEPTHS} are needed")
+        few = f"from {window[0]:.3g} to {window[1]:.3g} there are {len(inside)}"
+        raise InputError(f"depth: a line needs {FEWEST_DEPTHS} depths, and {few}")
     return depths, share, inside
 
 

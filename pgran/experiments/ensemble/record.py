@@ -103,7 +103,7 @@ class Ensemble(Record):
     detector: Array = array(DETECTOR, "1", "detector_number", "axis", dtype=int, optional=True)
     omega: Array = array("driving frequency, angular", "sqrt(k/m)", optional=True)
     statistic: Array = array(
-        "what over the samples: mean, its standard error, median, what a tenth of the samples is "
+        "over the samples: mean, its standard error, median, what a tenth of the samples is "
         "below (low) and above (high)", "1", dtype=str, optional=True,
     )  # fmt: skip
     ln_amplitude: Array = sampled("response", "ln|A|", "1", "statistic", *CURVE, read=logarithms)
@@ -213,7 +213,7 @@ class NoiseStatistics(Record):
     samples: int
     low: np.ndarray = array("lower end of the window, angular", "sqrt(k/m)", "window")
     high: np.ndarray = array("upper end of the window, angular", "sqrt(k/m)", "window")
-    part: np.ndarray = array("of which part of the field A", "1", dtype=str)
+    part: np.ndarray = array("part of the field A", "1", dtype=str)
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)
     edge: np.ndarray = array("edges of the bins of I/<I>", "1")
     shift: np.ndarray = array("shift along omega", "sqrt(k/m)", "window", "shift_number")
@@ -320,4 +320,4 @@ class Diffusion(Record):
     time: np.ndarray = array("middle of a block of times", "sqrt(m/k)")
     mean_square: np.ndarray = array("mean of u^2 + (v / omega)^2", "1", "time", "depth")
     mean_square_error: np.ndarray = error_of(mean_square)
-    fit: np.ndarray = array("what the fit makes of it", "1", "time", "depth")
+    fit: np.ndarray = array("the fit to it", "1", "time", "depth")

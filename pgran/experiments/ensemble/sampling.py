@@ -8,7 +8,7 @@ from pgran.errors import InputError, PgranError, is_bad_input, is_petsc
 from pgran.experiments.ensemble.record import Ensemble, measures, sampled_of
 from pgran.run.machine import check_memory
 from pgran.run.task import Task
-from pgran.store.estimate import MOST, mean_of, two_digits, with_errors
+from pgran.store.estimate import MOST, counted, mean_of, with_error, with_errors
 from pgran.store.fields import ball_names
 from pgran.store.record import columns_of, row_of
 from pgran.store.si import SI
@@ -87,10 +87,6 @@ class Samples(Task):
                     rows[name][(0, *map(slice, value.shape))] = value
             rows["good"] = not any(record.failures for record in records)
         return rows
-
-    def length(self, unit):
-        """See `Task`."""
-        return 1
 
     def collect(self, rows, seconds):
         """See `Task`; bands are over those samples that are good."""
@@ -195,7 +191,7 @@ def _told(result, name, measure):
             mean, spread = values.mean(), values.std(ddof=1)
             error = spread / np.sqrt(len(values))
             in_si = si.say(physical, medium.omega_mx**power * mean) if physical else ""
-            line += f" {mean:.4g} +- {two_digits(error)}{unit}{in_si}, spread {spread:.2g}"
+            line += f" {with_error(mean, error)}{unit}{in_si}, spread {spread:.2g}"
         elif len(few) == 1:
             line += " unknown"
         else:
@@ -208,4 +204,4 @@ def _told(result, name, measure):
 
 def _uncertain(most, samples):
     """Return in words in how many samples a measure is not certain."""
-    return f"; {most}{samples} samples have none that is certain" if samples else ""
+    return f"; not certain in {most}{counted(samples, 'sample')}" if samples else ""

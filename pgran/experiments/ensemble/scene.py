@@ -29,6 +29,7 @@ from pgran.run.keywords import PROGRESS, asked_of
 from pgran.run.numbers import windows_of
 from pgran.run.options import INTEGER, REALS, TEXT, Option
 from pgran.run.task import carry_out
+from pgran.store.estimate import counted
 
 log = logging.getLogger("pgran")
 
@@ -48,7 +49,7 @@ ENSEMBLE = (
     ),
     Option(
         "ensemble_samples", INTEGER, 100,
-        "samples, of seeds from -bonds_seed on, of a relaxation from -relax_seed on, too", low=2
+        "number of samples; seeds go up from -bonds_seed, of relaxations -relax_seed too", low=2
     ),
     Option(
         "ensemble_keep", TEXT, "measures",
@@ -106,7 +107,7 @@ def check(values, given):
     if values["transport_depths"] is not None:
         transport.window_of(values["transport_depths"])
         if kind not in ("response", "pulse") or values["ensemble_keep"] != "curves":
-            raise InputError("-transport_depths: of responses and pulses, -ensemble_keep curves")
+            raise InputError("-transport_depths: needs responses or pulses, -ensemble_keep curves")
 
 
 def _check_files(values, given):
@@ -126,7 +127,7 @@ def _check_files(values, given):
         )
     if given.get("ensemble_samples") and values["ensemble_samples"] != len(files):
         raise InputError(
-            f"-ensemble_samples {values['ensemble_samples']}: -network_file names {len(files)}"
+            f"-ensemble_samples {values['ensemble_samples']}: -network_file lists {len(files)}"
         )
     if values["sweep_unit"] == "omega_mx":
         raise InputError("-sweep_unit omega_mx: differs between networks; give angular frequencies")
@@ -136,7 +137,7 @@ def _check_files(values, given):
 def check_kept(of, keep):
     """Raise unless an experiment has curves that are to be kept."""
     if keep == "curves" and of not in KEPT:
-        raise InputError(f"-ensemble_keep curves: of {', '.join(KEPT)} only, not of {of}")
+        raise InputError(f"-ensemble_keep curves: only {', '.join(KEPT)} have some, not {of}")
 
 
 def seeds_of(first, samples):
@@ -179,7 +180,7 @@ def ensemble(
     with agreeing(crew.world) as asked:
         of_modes = {"detectors"} if of == "modes" else set()
         if refused := (NOT_TAKEN | of_modes) & experiment.keys():
-            raise InputError(f"ensemble: many samples have no {sorted(refused)[0]} of their own")
+            raise InputError(f"ensemble: {sorted(refused)[0]} cannot be kept of each sample")
         if listed and len(lattice) != samples:
             raise InputError(f"ensemble: {samples} samples are asked for, {len(lattice)} given")
         first = _sample(lattice, seeds[0])
@@ -274,7 +275,7 @@ def summary(result):
     if found.delay_samples is not None:
         unknown = np.count_nonzero(found.good) - found.delay_samples
         if unknown.any():
-            yield f"group delays: up to {unknown.max()} samples have none that is certain"
+            yield f"group delays: not certain in up to {counted(unknown.max(), 'sample')}"
     if getattr(result, "statistics", None):
         yield from noise.summary(result.statistics)
     if getattr(result, "transport", None) or getattr(result, "diffusion", None):
@@ -287,7 +288,7 @@ def modes_widths(found, medium):
     for name, such in (("ringing", width > 0), ("localized", localized)):
         if np.any(such):
             low, middle, high = np.quantile(width[such], (0.1, 0.5, 0.9))
-            number = f"{np.count_nonzero(such)} {name} modes"
+            number = counted(np.count_nonzero(such), f"{name} mode")
             yield f"width of {number}: median {middle:.4g}, 80 % of them {low:.4g} to {high:.4g}"
 
 
@@ -328,14 +329,11 @@ def run(lattice, options, crew):
         try:
             records.append(transport.transport(lattice, record, options.transport_depths))
         except InputError as error:
-            log.warning("no transport: %s", error)
+            log.warning("no transport: %s", str(error).removeprefix("transport: "))
     return records
 
 
-def _options():
-    """Return the options of an ensemble and of all that it repeats, each once."""
-    every = [*ENSEMBLE, *(o for scene, _ in EXPERIMENTS.values() for o in scene.options)]
-    return tuple({o.name: o for o in every if o.name not in LEFT_OUT}.values())
-
-
-SCENE = Scene(_options(), run, summary, check, shares_lattice=True)
+# with those of all that is repeated, each once
+EVERY = [*ENSEMBLE, *(o for scene, _ in EXPERIMENTS.values() for o in scene.options)]
+OPTIONS = tuple({o.name: o for o in EVERY if o.name not in LEFT_OUT}.values())
+SCENE = Scene(OPTIONS, run, summary, check, shares_lattice=True)

@@ -11,7 +11,7 @@ from pgran.experiments.ensemble import intensity
 from pgran.experiments.ensemble.noise import MAXIMA_SPACING, NoisyCurves
 from pgran.experiments.ensemble.record import Ensemble, NoiseStatistics
 from pgran.run.numbers import windows_of
-from pgran.store.estimate import Estimate, two_digits, with_errors
+from pgran.store.estimate import Estimate, told, with_errors
 from pgran.store.fields import ball_names
 
 log = logging.getLogger("pgran")
@@ -26,8 +26,8 @@ MEASURED = "contrast", "spread", "half_width", "maxima_spacing"
 def statistics(ensemble, windows):
     """Measure the noise of an ensemble's responses (paper: freqres, "noisy").
 
-    Only samples count that are good. What cannot be measured, because a curve is not resolved, say,
-    is NaN, which is said.
+    Samples that are not good are left out. A measure that cannot be computed, such as that of a
+    curve that is not resolved, is NaN, with a warning.
 
     Parameters
     ----------
@@ -117,10 +117,10 @@ def summary(found):
     for w, d in np.ndindex(found.coherent_part.shape):
         yield (
             f"{ball_names(found.detector)[d]}, {found.low[w]:g} to {found.high[w]:g}: "
-            f"{_with_error(found, 'coherent_part', (w, d))} of <|A|^2> is coherent, |<A>|^2"
+            f"{told(found, 'coherent_part', (w, d))} of <|A|^2> is coherent, |<A>|^2"
         )
         for p, part in enumerate(found.part):
-            contrast, spread, width, spacing = (_with_error(found, n, (w, d, p)) for n in MEASURED)
+            contrast, spread, width, spacing = (told(found, n, (w, d, p)) for n in MEASURED)
             ratio = found.maxima_spacing[w, d, p] / found.half_width[w, d, p]
             beside = f", {ratio:.3g} half widths ({MAXIMA_SPACING:.3g})" if ratio > 0 else ""
             yield (
@@ -128,9 +128,3 @@ def summary(found):
                 f"spread {spread} dB ({intensity.GAUSSIAN_SPREAD:.3g}), half width of the "
                 f"correlation {width}, spacing of maxima {spacing}{beside}"
             )
-
-
-def _with_error(found, name, place):
-    """Return in words a measure with its error."""
-    value, error = getattr(found, name)[place], getattr(found, f"{name}_error")[place]
-    return f"{value:.3g} +- {two_digits(error)}" if np.isfinite(error) else "unknown"

@@ -11,7 +11,7 @@ from pgran.experiments.modes.levels import first_mode
 from pgran.medium.base import medium as medium_of
 from pgran.run.experiment import Caution
 from pgran.run.numbers import windows_of
-from pgran.store.estimate import Estimate, mean_of, two_digits, with_errors
+from pgran.store.estimate import Estimate, mean_of, told, with_errors
 from pgran.store.si import SI
 
 RIM = 1 / 7  # of the system at both ends, which walls bend: 3 spacings of 20 x 20, as measured
@@ -20,11 +20,11 @@ BAND = 0.1  # omega_mx
 
 @called_right
 def transport(medium, ensemble, depths=None):
-    """Return what an ensemble's responses or pulses say of transport.
+    """Compute the transport of sound or energy from an ensemble of responses or pulses.
 
-    Only samples count that are good. A delay that is not certain, as the amplitude may vanish
-    there, has no weight. Where the delay does not grow with depth for certain waves stand, and no
-    length is told.
+    Samples that are not good are left out. A delay that is not certain, as the amplitude may vanish
+    there, has no weight. Where it is not certain that the delay grows with depth, waves are
+    standing, and no length is given.
 
     Parameters
     ----------
@@ -141,15 +141,15 @@ def summary(result):
         return
     found = result.transport
     if not np.any(found.propagates):
-        yield "sound propagates nowhere: the group delay grows with depth in no band for certain"
+        yield "sound propagates nowhere: in no band the group delay grows with depth for certain"
         return
     ends = np.flatnonzero(np.diff(found.propagates, prepend=False, append=False)).reshape(-1, 2)
     ranges = ", ".join(f"{low:.3g} to {high:.3g}" for low, high in found.edge[ends])
     growth = np.where(found.propagates, found.delay_growth, np.nan)
-    least, most = (_told(found, "delay_growth", f(growth)) for f in (np.nanargmin, np.nanargmax))
+    least, most = (told(found, "delay_growth", f(growth)) for f in (np.nanargmin, np.nanargmax))
     yield (
         f"sound propagates at omega from {ranges}: there the group delay grows with depth for "
-        f"certain, by {least} to {most} a spacing; elsewhere no lengths are told"
+        f"certain, by {least} to {most} a spacing; elsewhere no lengths are given"
     )
     for name, words in (("length", "attenuation"), ("scattering_length", "scattering")):
         values = getattr(found, name)
@@ -158,7 +158,7 @@ def summary(result):
             length, omega = si.say("m", values[n]), found.omega[n]
             yield (
                 f"the {words} length is certain at {known} frequencies; the shortest is "
-                f"{_told(found, name, n)} spacings{length}, at omega = {omega:.4g}"
+                f"{told(found, name, n)} spacings{length}, at omega = {omega:.4g}"
                 f"{si.say('Hz', omega)}"
             )
     if refused := np.count_nonzero(found.refused):
@@ -171,16 +171,10 @@ def _diffusion(found, si):
         yield Caution("no diffusion with one D and one tau: residuals are far beyond their errors")
     (low, high), start = found.depth[[0, -1]], found.time[0]
     yield (
-        f"energy diffuses with D = {_told(found, 'diffusivity')} and is absorbed at the rate "
-        f"{_told(found, 'absorption')}: sqrt(D tau) = {_told(found, 'length')} "
+        f"energy diffuses with D = {told(found, 'diffusivity')} and is absorbed at the rate "
+        f"{told(found, 'absorption')}: sqrt(D tau) = {told(found, 'length')} "
         f"spacings{si.say('m', found.length)}; the transport mean free path is "
-        f"{_told(found, 'free_path')} spacings, as fronts run at {found.speed:.3g}; from {low:.3g} "
+        f"{told(found, 'free_path')} spacings, as fronts run at {found.speed:.3g}; from {low:.3g} "
         f"to {high:.3g} spacings deep and the time {start:.4g} on residuals are "
         f"{found.misfit:.2g} of their errors"
     )
-
-
-def _told(found, name, place=()):
-    """Return in words a number of a record with its error."""
-    value, error = (np.asarray(getattr(found, n))[place] for n in (name, f"{name}_error"))
-    return f"{value:.3g} +- {two_digits(error)}" if np.isfinite(value) else "unknown"

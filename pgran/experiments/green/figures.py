@@ -1,7 +1,5 @@
 """The figures of Green's functions: their magnitudes, and local densities of states."""
 
-from functools import partial
-
 import numpy as np
 
 from pgran.draw import captions, marks, scales, style
@@ -21,9 +19,8 @@ errors = captions.amplitudes
 def figures(result, **_):
     """Yield magnitudes of pairs and, with damping, local densities of the balls that are pushed."""
     shown = {"record": result.green, "medium": result.medium}
-    panels = [partial(panel, **shown) for panel in (magnitude, local_density)]
     count = 1 + result.medium.built.dissipates  # undamped densities are lines at the modes
-    yield "green", style.stack(panels[:count], CAPTIONS[:count])
+    yield "green", style.stack((magnitude, local_density)[:count], CAPTIONS[:count], **shown)
 
 
 def magnitude(ax, record, medium):

@@ -1,12 +1,10 @@
 """Scene `green`: how far a unit force on one ball moves another, and local densities of states."""
 
-import contextlib
-
 import numpy as np
 
 from pgran.driven.accurate import below_relative_accuracy, is_accurate
 from pgran.driven.drive import STEADY, reached_accuracy
-from pgran.driven.sweep import FrequencySweep
+from pgran.driven.pattern_sweep import PatternSweep
 from pgran.experiments.green.record import Green
 from pgran.medium.base import medium
 from pgran.medium.rounding import EPSILON
@@ -30,22 +28,17 @@ BYTES = 200  # of an unknown under each pattern, while a frequency is solved
 
 PLACES = {"low": 0, "high": 2**63 - 1}
 SOURCES = Option(
-    "green_sources", INTEGERS, (8, 10), "balls that are pushed, indices from 0, flat", **PLACES
+    "green_sources", INTEGERS, (8, 10), "balls that are pushed, indices from 0", **PLACES
 )
 RECEIVERS = Option(
-    "green_receivers", INTEGERS, None, "balls that are heard; unless given those pushed", **PLACES
+    "green_receivers", INTEGERS, None, "balls that are heard; by default those pushed", **PLACES
 )
 DIRECTION = Option(
     "green_direction",
     TEXT,
     "drive",
-    f"of networks with vectors: along what balls are pushed and heard, {ALONG}",
+    f"of networks with vectors: how balls are pushed and heard: {ALONG}",
 )
-
-
-def as_option(option):
-    """Declare what Python may say in other words than an option."""
-    return Asked((option,), lambda options, *_: getattr(options, option.name))
 
 
 def summary(result):
@@ -77,9 +70,9 @@ def summary(result):
     shares_lattice=True,
     lattice=medium,
     omegas=SWEEP,
-    sources=as_option(SOURCES),
-    receivers=as_option(RECEIVERS),
-    direction=as_option(DIRECTION),
+    sources=Asked((SOURCES,), SOURCES.of_run),
+    receivers=Asked((RECEIVERS,), RECEIVERS.of_run),
+    direction=Asked((DIRECTION,), DIRECTION.of_run),
 )
 @with_solver
 def green(
@@ -117,7 +110,7 @@ def green(
     return carry_out(task, crew, progress)
 
 
-class GreenSweep(FrequencySweep):
+class GreenSweep(PatternSweep):
     """Green's functions at each frequency, in the lattice's own unit."""
 
     def __init__(self, lattice, omegas, sources, receivers, direction, choices):
@@ -142,29 +135,9 @@ class GreenSweep(FrequencySweep):
         fields = self.scaled.displacements(force.reshape(-1, *self.scaled.shape))
         return fields.reshape(force.shape)
 
-    @contextlib.contextmanager
-    def open(self, group):
-        """See `Task`."""
-        from pgran.driven.operators import Operators
-        from pgran.driven.patterns import PatternSolver
-
-        with (
-            Operators(self.scaled, group) as operators,
-            PatternSolver(operators, **self.choices) as solver,
-        ):
-
-            def work(unit):
-                points = np.zeros(len(unit), self.row)
-                for point, index in zip(points, unit, strict=True):
-                    self.compute(point, solver, 1j * self.omegas[index])
-                return points
-
-            yield work
-
     def compute(self, point, solver, s):
-        """Put into a row what there is at one s. Collective over a group."""
-        before, heard = solver.factorizations, len(self.receivers)
-        solver.solve(s)
+        """See `PatternSweep`."""
+        heard = len(self.receivers)
         values, bounds = solver.products(self.heard, self.pushed)
         point["green"], point["error_bound"] = values[:heard], bounds[:heard]
         for name, found in (("own", values), ("own_bound", bounds)):
@@ -173,9 +146,7 @@ class GreenSweep(FrequencySweep):
         good |= bounds <= self.choices["error_floor"] / abs(self.scaled.kmax)
         if np.isinf(bounds).all():
             good = solver.solved
-        point["backward_error"] = solver.backward_error
         point["converged_reason"] = GOOD if np.all(good) else MISSED
-        point["factorizations"] = solver.factorizations - before
 
     def collect(self, rows, seconds):
         """See `Task`."""

@@ -11,9 +11,9 @@ from pgran.arguments import called_right
 from pgran.errors import FileError, InputError
 from pgran.experiments.likeness.record import Likeness
 from pgran.experiments.likeness.stretching import MOVES, Pair
+from pgran.medium.labels import labels_of
 from pgran.medium.network_file import load
 from pgran.run.numbers import number, windows_of
-from pgran.run.options import labels_of
 from pgran.store.estimate import counted, with_errors
 from pgran.store.fields import ball_names
 from pgran.store.record import Record, Result
@@ -118,8 +118,8 @@ def compare(a, b, windows=None, stretch=0.02):
     files = [Path(x).name if p else n for x, p, n in zip((a, b), is_path, "AB", strict=True)]
     kind = next((k for k in KINDS if all(hasattr(result, k) for result in results)), None)
     if kind is None:
-        scenes = " and ".join(str(getattr(result, "scene", "none")) for result in results)
-        raise FileError(f"compare: two responses or two pulses are needed, not scenes {scenes}")
+        scenes = " and ".join(str(getattr(result, "scene", "network")) for result in results)
+        raise FileError(f"compare: two responses or two pulses are needed, not {scenes}")
     read, signals = KINDS[kind]
     unit = results[0].medium.omega_mx if hasattr(results[0], "medium") else 0.0
     records = [getattr(result, kind) for result in results]

@@ -193,13 +193,13 @@ def summary(result):
     yield Caution(modes.exactness()) if modes.failures else modes.exactness()
     moving = np.abs(s) > least_frequency(result.medium.built)
     kinds = {
-        "grow: UNSTABLE": moving & (s.real > 0) & (not modes.failures),
-        "are overdamped: they do not ring": moving & (s.imag == 0),
-        "are defective, at rest or critically damped: no residues": modes.rigidity == 0,
+        "UNSTABLE: growing modes": moving & (s.real > 0) & (not modes.failures),
+        "overdamped modes, which do not ring": moving & (s.imag == 0),
+        "defective modes, at rest or critically damped, without residues": modes.rigidity == 0,
     }
     for kind, such in kinds.items():
         if np.any(such):
-            text = f"{np.count_nonzero(such)} modes {kind}, as at s = {s[such][0]:.6g}"
+            text = f"{kind}: {np.count_nonzero(such)}, one of them at s = {s[such][0]:.6g}"
             yield Caution(text) if "UNSTABLE" in kind else text
     rings = moving & (s.imag > 0) & (modes.rigidity > 0)
     facts = [("omega", "Hz"), ("width", "1/s"), ("quality |s| / width", ""), ("rigidity", "")]

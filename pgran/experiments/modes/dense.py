@@ -91,8 +91,8 @@ class DenseSolver:
         """Refuse what is too large."""
         if lattice.size > LARGEST:
             raise InputError(
-                f"-modes_method dense: LAPACK computes whole spectra of up to {LARGEST} unknowns, "
-                f"and there are {lattice.size}; -modes_method eps"
+                f"-modes_method dense: LAPACK computes spectra of up to {LARGEST} unknowns, not of "
+                f"{lattice.size}; take -modes_method eps"
             )
         check_memory("modes_method", memory(lattice.size))
         import scipy.linalg  # noqa: F401 (here: a dry run times what comes later)

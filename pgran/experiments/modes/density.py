@@ -22,8 +22,8 @@ from pgran.store.si import SI
 
 DENSITY = Option(
     "modes_density", INTEGER, None,
-    "no modes: count those below so many frequencies, from -modes_omega_min (0) to "
-    "-modes_omega_max (above all modes)",
+    "count the modes below so many frequencies, instead of finding them, from "
+    "-modes_omega_min (0) to -modes_omega_max (above all modes)",
     low=2, high=10**6
 )  # fmt: skip
 # In mean distances of eigenvalues: how far a count stays clear of them; the second where rounding
@@ -43,8 +43,7 @@ def check(values, given):
         fields = given["output_fields"]
         if fields.rank >= given["modes_density"].rank:
             raise InputError(
-                f"-output_fields{fields.where}: -modes_density counts modes and computes no "
-                "shapes; give one of them"
+                f"-output_fields{fields.where}: -modes_density computes no shapes; give one of them"
             )
         values["output_fields"] = False
 
@@ -63,7 +62,7 @@ def frequencies(options, lattice):
 def count_modes(lattice, omegas, crew=None, *, progress=PROGRESS):
     """Count the normal modes below each of some frequencies; no mode is computed.
 
-    Collective. Each frequency is counted at by one rank, on a copy of its own.
+    Collective. One rank counts at each frequency, on its own copy of the lattice.
 
     Parameters
     ----------
@@ -118,10 +117,6 @@ class Counts(Task):
                 return rows
 
             yield work
-
-    def length(self, unit):
-        """See `Task`."""
-        return 1
 
     def collect(self, rows, seconds):
         """See `Task`."""
@@ -199,11 +194,11 @@ def summary(result):
         yield "all counts certified"
     moved = np.count_nonzero(density.margin)
     if moved:
-        below = f"they are less than {density.margin.max():.1e} below"
-        yield f"modes too close to {moved} of the frequencies are not counted there; {below}"
+        below = f"counted at most {density.margin.max():.1e} below these"
+        yield f"a mode is too close to {moved} of the frequencies: {below}"
     if density.unstable:
-        number = density.unstable if density.unstable > 0 else "an unknown number of"
-        yield Caution(f"UNSTABLE: {number} modes have omega^2 < 0")
+        number = density.unstable if density.unstable > 0 else "unknown"
+        yield Caution(f"UNSTABLE: modes with omega^2 < 0, their number is {number}")
     low, high = density.omega[[0, -1]]
     first = f"modes below omega = {low:.6g}{si.say('Hz', low)}: {density.count[0]}"
     yield f"{first}; below {high:.6g}{si.say('Hz', high)}: {density.count[-1]}"

@@ -6,18 +6,20 @@ from functools import partial
 import numpy as np
 
 from pgran.draw import balls, captions, marks, scales, style, together
-from pgran.experiments.modes.figures_density import CAPTIONS as OF_DENSITY
-from pgran.experiments.modes.figures_density import dimension, log_bins, reduced
+from pgran.errors import FileError
+from pgran.experiments.modes import figures_density as counts
 from pgran.experiments.modes.record import exactness
 
 CAPTIONS = {
     "shapes": "Shapes of normal modes; $P_i$: how many balls take part.",
-    "participation": "Participation ratio $P_i$ of each normal mode against its frequency.",
+    "participation": "Participation ratio $P_i$ of each normal mode, about how many of the balls "
+    "take part, against its frequency.",
     "density": "Density of the normal modes per ball and $\\omega_{mx}$; its area is the share of "
-    "the modes that are shown.",
+    "the modes that are shown; bars: square roots of the counts.",
     "resonances": "What the drive makes of each normal mode: $|A|$ of a detector at the mode's "
     "peak, if it stood alone, to first order in the damping.",
 }
+ASIDE = 0.02  # of an axis: room beside points
 NEAR = 0.05  # omega_mx: modes around the middle one that is pictured
 MANY = 20  # modes that have a density
 FAINT = 1e-10  # of the largest peak: fainter ones are not drawn
@@ -35,15 +37,16 @@ def figures(result, **_):
         picked = pick(record.omega / lattice.omega_mx, record.participation)
         panels = [partial(shape, mode=mode, **both) for mode in picked]
         made["shapes"] = balls.motions(lattice, panels, CAPTIONS["shapes"])
-    made["participation"] = style.single(partial(participation, **both), CAPTIONS["participation"])
+    made["participation"] = style.single(participation, CAPTIONS, **both)
     if record.residue is not None and np.any(record.width):
-        made["resonances"] = style.single(partial(resonances, **both), CAPTIONS["resonances"])
+        made["resonances"] = style.single(resonances, CAPTIONS, **both)
     if len(record.omega) >= MANY and np.ptp(record.omega) > 0:
-        made["density"] = style.single(partial(density, fill=True, **both), CAPTIONS["density"])
-        if dimension(lattice) and np.any(record.omega > 0):
-            bins = log_bins(record.omega / lattice.omega_mx)
-            draw = partial(reduced, edges=bins[0], counts=bins[1], lattice=lattice)
-            made["reduced"] = style.single(draw, OF_DENSITY["reduced"])
+        level = counts.debye(lattice)
+        made["density"] = style.single(density, CAPTIONS, level=level, **both)
+        if counts.dimension(lattice) and np.any(record.omega > 0):
+            bins = counts.log_bins(record.omega / lattice.omega_mx)
+            bins |= {"lattice": lattice, "level": level}
+            made["reduced"] = style.single(counts.reduced, counts.CAPTIONS, **bins)
     left = len(result.modes.omega) - len(record.omega)
     for name, figure in made.items():
         figure.caption += f" {left} modes at rest are left out." * (left > 0)
@@ -64,13 +67,12 @@ def errors(record, _):
 def shape(ax, modes, lattice, mode):
     """Draw the shape of one mode in units of its largest entry (paper: modepic).
 
-    As `balls.motion` draws displacements: colours from -1, dark blue, to 1, yellow, a line from
-    wall to wall, or arrows. The lowest mode is number 0; the record has its `vector`. Returns the
-    image, the line, or arrows or balls.
+    As `balls.motion` draws displacements. The lowest mode is number 0; the record has its `vector`.
+    Returns the image, the line, or arrows or balls.
     """
     values = lattice.built.displacements(modes.vector[mode])
     drawn, _, plane = balls.motion(ax, lattice, values)
-    omega = rf"$\omega_i$ = {modes.omega[mode] / lattice.omega_mx:.4f} $\omega_{{mx}}$"
+    omega = scales.frequency(modes.omega[mode] / lattice.omega_mx, lattice)
     taking_part = f"$P_i$ = {modes.participation[mode]:.3g} balls"
     ax.set_title(", ".join(filter(None, [omega, taking_part, plane])))
     return drawn
@@ -86,11 +88,19 @@ def participation(ax, modes, lattice, **look):
 
 
 def participation_axes(ax, x, lattice):
-    """Make axes those of participation ratios of modes at `x`, in units of omega_mx."""
-    scales.frequencies(ax, x, scales.MODE_FREQUENCY)
+    """Make axes those of participation ratios of modes at `x`, in units of omega_mx.
+
+    On the right are the shares of all balls.
+    """
+    scales.frequencies(ax, x, scales.MODE_FREQUENCY, aside=ASIDE)
     top = ax.get_ylim()[1] if ax.get_yscale() == "log" else 10  # of another result
-    ax.set(yscale="log", ylim=(1, max(lattice.free_balls, top)))
-    ax.set_ylabel(f"participation ratio $P_i$ (of {lattice.free_balls} balls)")
+    balls = lattice.free_balls
+    ax.set(yscale="log", ylim=(0.8, max(1.25 * balls, top)))
+    ax.set_ylabel("participation ratio $P_i$ (balls)")
+    if not ax.child_axes:
+        both = (lambda ratio: ratio / balls), (lambda share: share * balls)
+        share = ax.secondary_yaxis("right", functions=both)
+        share.set_ylabel(f"$P_i/N$, of $N$ = {balls} balls")
 
 
 def resonances(ax, modes, lattice):
@@ -104,7 +114,7 @@ def resonances(ax, modes, lattice):
     look = {"dots": True, "linestyle": "none", "clip_on": False}
     ax.set(yscale="log", ylabel="$|A|$ at the mode's peak (drive = 1)")
     x = modes.omega / lattice.omega_mx
-    scales.frequencies(ax, x, scales.MODE_FREQUENCY)
+    scales.frequencies(ax, x, scales.MODE_FREQUENCY, aside=ASIDE)
     return marks.curves(ax, x, peaks, good, names, **look)
 
 
@@ -114,29 +124,14 @@ def bin_edges(x):
     return np.linspace(np.nanmin(x), np.nanmax(x), min(60, max(4, round(math.sqrt(count)))) + 1)
 
 
-def density_of(x, edges, lattice):
-    """Return the density of modes at `x` between edges, per ball, in units of omega_mx."""
-    return np.histogram(x, edges)[0] / np.diff(edges) / lattice.free_balls
+def density(ax, modes, lattice, edges=None, level=None, **look):
+    """Draw the histogram of the modes over frequency, per ball and omega_mx; return the outline.
 
-
-def density(ax, modes, lattice, edges=None, fill=False, **look):
-    """Draw the histogram of the modes over frequency, per ball and omega_mx; return the outline."""
+    `level` and `look` are as of `figures_density.histogram`.
+    """
     x = modes.omega / lattice.omega_mx
     edges = bin_edges(x) if edges is None else edges
-    values = density_of(x, edges, lattice)
-    if fill:
-        ax.stairs(values, edges, fill=True, color=style.pale(style.ACCENT))
-    outline = ax.stairs(values, edges, **{"edgecolor": style.ACCENT} | look)
-    density_axes(ax, edges)
-    return outline
-
-
-def density_axes(ax, edges):
-    """Make axes those of a density of modes between edges."""
-    scales.label(ax.yaxis, scales.DENSITY)
-    scales.frequencies(ax, edges, scales.MODE_FREQUENCY)
-    ax.autoscale(axis="y")  # of another result, too
-    ax.set_ylim(bottom=0)
+    return counts.histogram(ax, edges, np.histogram(x, edges)[0], lattice, level=level, **look)
 
 
 def pick(x, participation):
@@ -156,6 +151,8 @@ def pick(x, participation):
 
 def over(results, labels):
     """Yield participation ratios, and densities if each result has many modes."""
+    if not all(hasattr(result, "modes") for result in results):
+        raise FileError("of the scene modes normal modes alone are laid over each other")
     moving = [result.modes.moving(result.medium.built) for result in results]
     x = [modes.omega / r.medium.omega_mx for modes, r in zip(moving, results, strict=True)]
     for each in x:
@@ -168,7 +165,8 @@ def over(results, labels):
         for number, (modes, medium, label) in enumerate(several):
             look |= {"marker": together.MARKS[number], "color": style.COLOURS[number]}
             participation(ax, modes, medium, label=label, **look)
-        ax.set_ylabel("participation ratio $P_i$ (balls)")
+        if len({medium.free_balls for medium in media}) > 1:
+            ax.child_axes[0].remove()
 
     def outlines(ax):
         most = bin_edges(max(x, key=len))

@@ -5,19 +5,18 @@ from functools import partial
 import numpy as np
 
 from pgran.draw import balls, captions, marks, scales, style
-from pgran.experiments.modes.figures import pick
+from pgran.experiments.modes.figures import ASIDE, pick
 from pgran.experiments.modes.resonances import drive_of
-from pgran.medium.springs import quadratic
 
 CAPTIONS = {
     "widths": r"Damped modes $s = -\Gamma/2 + i \omega$.",
     "swings": "Shapes of damped modes: where most moves, and a quarter period later.",
-    "residues": r"Response as the sum of the residues of all damped modes over $i\omega - s$ "
-    "(lines, where rounding leaves it), and solved for (circles).",
+    "residues": r"Response as the sum of the residues of all damped modes over $i\omega - s$, "
+    "where rounding leaves it.",
 }
 WIDTH = scales.Quantity("width", r"$\Gamma/\omega_{mx}$", "1/s", 1)
 LOST = 2e-15  # of |e_d| |f| |x|^2: what rounding takes of a residue
-POINTS, CHECKED = 3000, 150  # frequencies of a sum, and every how many of them is solved for
+POINTS = 3000  # frequencies of a sum
 
 
 def figures(result, **_):
@@ -25,7 +24,7 @@ def figures(result, **_):
     modes, medium = result.damped_modes, result.medium
     style.check_any(modes.eigenvalue, "modes")
     both = {"modes": modes, "medium": medium}
-    made = {"widths": style.single(partial(widths, **both), CAPTIONS["widths"])}
+    made = {"widths": style.single(widths, CAPTIONS, **both)}
     ringing = np.flatnonzero((modes.omega > 0) & (modes.rigidity > 0))
     if modes.vector is not None and medium.has_places and len(ringing):
         picked = pick(modes.omega[ringing] / medium.omega_mx, modes.participation[ringing])
@@ -33,7 +32,7 @@ def figures(result, **_):
         draws = [partial(swing, **both, mode=n, later=later) for n, later in panels]
         made["swings"] = balls.motions(medium, draws, CAPTIONS["swings"])
     if modes.complete and modes.residue is not None and np.isfinite(modes.residue).all():
-        made["residues"] = style.single(partial(residues, **both), CAPTIONS["residues"])
+        made["residues"] = style.single(residues, CAPTIONS, **both)
     for name, figure in made.items():
         if modes.failures:
             style.note(figure, modes.exactness())
@@ -49,7 +48,7 @@ def widths(ax, modes, medium):
     """Draw widths against frequencies, 0 of overdamped modes; return the points."""
     x, y = modes.omega / medium.omega_mx, modes.width / medium.omega_mx
     ax.set(yscale="log")
-    scales.frequencies(ax, x if x.any() else np.append(x, 1.0), scales.MODE_FREQUENCY)
+    scales.frequencies(ax, x if x.any() else np.append(x, 1.0), scales.MODE_FREQUENCY, aside=ASIDE)
     scales.label(ax.yaxis, WIDTH)
     look = {"linestyle": "none", "marker": ".", "markeredgewidth": 0, "clip_on": False}
     (points,) = ax.plot(x[y > 0], y[y > 0], color="black", **look)
@@ -61,7 +60,7 @@ def swing(ax, modes, medium, mode, later):
     x = medium.built.displacements(modes.vector[mode])
     x = x * np.exp(-0.5j * np.angle(np.sum(x * x)))
     drawn, _, plane = balls.motion(ax, medium, -x.imag if later else x.real, of=x.real)
-    told = rf"$\omega$ = {modes.omega[mode] / medium.omega_mx:.4f} $\omega_{{mx}}$"
+    told = scales.frequency(modes.omega[mode] / medium.omega_mx, medium)
     if later:
         told = rf"later: $\times$ {np.linalg.norm(x.imag) / np.linalg.norm(x.real):.2g}"
     ax.set_title(", ".join(filter(None, [told, plane])))
@@ -69,27 +68,16 @@ def swing(ax, modes, medium, mode, later):
 
 
 def residues(ax, modes, medium):
-    """Draw |A| of each detector as the sum of residues, circles solved for; return the lines."""
-    from scipy.sparse import identity
-    from scipy.sparse.linalg import spsolve
-
+    """Draw |A| of each detector as the sum of residues; return the lines."""
     built, highest = medium.built, 1.1 * (modes.omega.max() or medium.omega_mx)
-    (K, C, m), (rest, dashpots) = quadratic(built), drive_of(built)
     omegas = np.linspace(0.0, highest, POINTS + 1)[1:]
     names = style.ball_names(modes.detector) if len(modes.detector) > 1 else None
     x, A = omegas / medium.omega_mx, np.abs(modes.response(omegas))
     # |x|^2 of each mode, and what rounding of x takes of the sum
-    size = 1 / (2 * m * np.abs(modes.eigenvalue) * modes.rigidity)
+    size = 1 / (2 * built.mass * np.abs(modes.eigenvalue) * modes.rigidity)
     lost = np.sum(size / np.abs(1j * omegas[:, None] - modes.eigenvalue), axis=1)
-    lost = LOST * np.linalg.norm(rest) * lost[:, None] * built.reading_norms(modes.detector)
+    lost = LOST * np.linalg.norm(drive_of(built)[0]) * lost[:, None]
+    lost = lost * built.reading_norms(modes.detector)
     ax.set(yscale="log", ylabel=scales.AMPLITUDE)
     scales.frequencies(ax, x)
-    lines = marks.curves(ax, x, A, lost < A, names)
-    unknowns, weights = built.readings(modes.detector)
-    look = {"color": style.ACCENT, "linestyle": "none", "marker": "o", "markersize": 3}
-    for place in range(CHECKED // 2, POINTS, CHECKED):
-        s = 1j * omegas[place]
-        field = spsolve((K + s * C + s * s * m * identity(built.size)).tocsc(), rest + s * dashpots)
-        exact = np.abs(np.sum(weights * field[unknowns], axis=1))
-        ax.plot(np.full(len(exact), x[place]), exact, fillstyle="none", **look)
-    return lines
+    return marks.curves(ax, x, A, lost < A, names)

@@ -1,7 +1,6 @@
 """The figures of the density of modes: how many lie below each frequency, and how densely."""
 
 import contextlib
-from functools import partial
 
 import numpy as np
 
@@ -11,10 +10,13 @@ from pgran.medium.statics import sound
 
 CAPTIONS = {
     "staircase": "How many normal modes lie below a frequency: counts.",
-    "density": "Density of the normal modes between counted frequencies.",
+    "density": "Density of the normal modes between counted frequencies; bars: square roots of the "
+    "counts.",
     "reduced": r"Density of the normal modes over $(\omega/\omega_{mx})^{d-1}$, $d$ the dimension "
     "of space, by which that of long waves is a constant; bars: square roots of the counts.",
 }
+LAW = {"color": style.UNRESOLVED, "linestyle": "--"}
+DEBYE = "long waves (Debye), by statics"
 BINS = 24  # at most, evenly in the logarithm of the frequency
 
 
@@ -23,16 +25,16 @@ def figures(result, **_):
     record, lattice = result.density, result.medium
     known = record.certified[1:] & record.certified[:-1] & (record.omega[:-1] > 0)  # not at rest
     counts = np.where(known, np.diff(record.count), 0)
-    both = {"density": record, "lattice": lattice}
-    draws = {"staircase": partial(staircase, **both), "density": partial(density, **both)}
+    both, level = {"density": record, "lattice": lattice}, debye(lattice)
+    panels = {staircase: both, density: both | {"level": level}}
     if dimension(lattice) and counts.any():
         bins = {"edges": record.omega / record.omega_mx, "counts": counts}
-        draws["reduced"] = partial(reduced, lattice=lattice, **bins)
-    for name, draw in draws.items():
-        figure = style.single(draw, CAPTIONS[name])
+        panels[reduced] = bins | {"lattice": lattice, "level": level}
+    for panel, shown in panels.items():
+        figure = style.single(panel, CAPTIONS, **shown)
         if record.failures:
             style.note(figure, f"NOT CERTIFIED: {record.failures} counts, left out")
-        yield name, figure
+        yield panel.__name__, figure
 
 
 def errors(record, _):
@@ -50,24 +52,64 @@ def staircase(ax, density, lattice):
     shown = np.where(density.certified, counts, np.nan)
     (curve,) = ax.plot(x, shown, color="black", **dots)
     fine = np.linspace(density.omega[0], density.omega[-1], 300)
-    _finish(ax, density, counts.max(initial=1), fine, density.weyl(lattice, fine))
+    law = density.weyl(lattice, fine)
+    if law is not None:
+        ax.plot(fine / density.omega_mx, np.maximum(law, 0.0), label="long waves (Weyl)", **LAW)
+    scales.frequencies(ax, x, scales.ANY_FREQUENCY)
+    ax.set_ylim(0, 1.05 * counts.max(initial=1))
     ax.set_ylabel(r"modes below $\omega$")
     return curve
 
 
-def density(ax, density, lattice):
+def density(ax, density, lattice, level=None):
     """Draw the modes between neighbouring frequencies, per ball and omega_mx; return the outline.
 
-    With Weyl's law where the record has it.
+    `level` is as of `histogram`.
     """
-    x, values = density.omega / density.omega_mx, density.density
-    ax.stairs(values, x, fill=True, color=style.pale(style.ACCENT))
-    outline = ax.stairs(values, x, color=style.ACCENT)
-    law = density.weyl(lattice, density.omega)
-    law = None if law is None else np.diff(law) / (density.balls * np.diff(x))
-    _finish(ax, density, np.nanmax(values, initial=0.0) or 1.0, density.middle, law)
-    scales.label(ax.yaxis, scales.DENSITY)
+    x = density.omega / density.omega_mx
+    counts = density.density * density.balls * np.diff(x)
+    return histogram(ax, x, counts, lattice, scales.ANY_FREQUENCY, level)
+
+
+def histogram(ax, edges, counts, lattice, quantity=scales.MODE_FREQUENCY, level=None, **look):
+    """Draw the density of modes per ball that are counted between edges; return the outline.
+
+    Without a look of its own it is filled, and has counting errors; with Debye's law at the `level`
+    of `debye`.
+    """
+    share = lattice.free_balls * np.diff(edges)
+    values = counts / share
+    if not look:
+        ax.stairs(values, edges, fill=True, color=style.pale(style.ACCENT))
+        bars = {"linestyle": "none", "ecolor": style.ACCENT, "elinewidth": 0.6}
+        ax.errorbar(0.5 * (edges[1:] + edges[:-1]), values, np.sqrt(counts) / share, **bars)
+    outline = ax.stairs(values, edges, **look or {"edgecolor": style.ACCENT})
+    density_axes(ax, edges, quantity)
+    if level is not None:
+        d, x = dimension(lattice), np.linspace(edges[0], edges[-1], 200)
+        x = x[level * x ** (d - 1) <= ax.get_ylim()[1]]
+        ax.plot(x, level * x ** (d - 1), label=DEBYE, scaley=False, **LAW)
     return outline
+
+
+def density_axes(ax, edges, quantity=scales.MODE_FREQUENCY):
+    """Make axes those of a density of modes between edges."""
+    scales.label(ax.yaxis, scales.DENSITY)
+    scales.frequencies(ax, edges, quantity)
+    ax.autoscale(axis="y")  # of another result, too
+    ax.set_ylim(bottom=0)
+
+
+def debye(lattice):
+    """Return the density of long waves per ball over x^(d-1), x in units of omega_mx, if known.
+
+    That needs their speeds, `pgran.sound`, which networks with walls have not.
+    """
+    with contextlib.suppress(PgranError):
+        found = sound(lattice.built)
+        part = found.balls / lattice.free_balls  # rattlers carry no waves
+        return part * found.debye(lattice.omega_mx) * lattice.omega_mx
+    return None
 
 
 def dimension(lattice):
@@ -78,18 +120,17 @@ def dimension(lattice):
 
 
 def log_bins(x):
-    """Return edges of bins of equal ratio, and how many of the positive `x` each holds."""
+    """Return `edges` of bins of equal ratio, and `counts` of the positive `x` in each."""
     x = x[x > 0]
     ends = x.min() * (1 - 1e-9), x.max() * (1 + 1e-9)
     edges = np.geomspace(*ends, min(BINS, round(np.sqrt(len(x)))) + 1)
-    return edges, np.histogram(x, edges)[0]
+    return {"edges": edges, "counts": np.histogram(x, edges)[0]}
 
 
-def reduced(ax, edges, counts, lattice):
-    """Draw the density of modes over x^(d-1), with counting errors, and Debye's law.
+def reduced(ax, edges, counts, lattice, level=None):
+    """Draw the density of modes over x^(d-1), with counting errors, and Debye's law; return points.
 
-    `edges`, in units of omega_mx, are those of the `counts` of modes. The law needs the speeds of
-    long waves, `pgran.sound`. Returns the points.
+    `edges`, in units of omega_mx, are those of the `counts` of modes, `level` is as of `debye`.
     """
     d, some = dimension(lattice), counts > 0
     # between edges Debye's x^(d-1) has the integral (high^d - low^d) / d
@@ -99,12 +140,8 @@ def reduced(ax, edges, counts, lattice):
     look = {"color": "black", "marker": ".", "linestyle": "none", "elinewidth": 0.6}
     points = ax.errorbar(middle, values, errors, **look)
     scales.frequencies(ax, middle, scales.MODE_FREQUENCY)
-    with contextlib.suppress(PgranError):  # networks with walls have no one speed
-        found = sound(lattice.built)
-        part = found.balls / lattice.free_balls  # rattlers carry no waves
-        level = part * found.debye(lattice.omega_mx) * lattice.omega_mx
-        look = {"color": style.UNRESOLVED, "linestyle": "--"}
-        ax.axhline(level, label="long waves (Debye), by statics", **look)
+    if level is not None:
+        ax.axhline(level, label=DEBYE, **LAW)
         values = np.append(values, level)
     ax.set(xscale="log", xlim=(edges[edges > 0][0], edges[-1]))
     ax.set(yscale="log", ylim=(0.5 * values.min(), 2 * values.max()))
@@ -113,12 +150,3 @@ def reduced(ax, edges, counts, lattice):
     over = ["", r"/(\omega_i/\omega_{mx})", r"/(\omega_i/\omega_{mx})^2"][d - 1]
     ax.set_ylabel(rf"$D(\omega_i){over}$ per ball and $\omega_{{mx}}$")
     return points
-
-
-def _finish(ax, density, largest, omega, law):
-    """Draw Weyl's law, if there is one, and make the axes those of frequencies and counts."""
-    if law is not None:
-        look = {"color": style.UNRESOLVED, "linestyle": "--", "label": "long waves (Weyl)"}
-        ax.plot(omega / density.omega_mx, np.maximum(law, 0.0), **look)
-    scales.frequencies(ax, density.omega / density.omega_mx, scales.ANY_FREQUENCY)
-    ax.set_ylim(0, 1.05 * largest)

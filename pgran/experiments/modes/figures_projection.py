@@ -1,7 +1,5 @@
 """The figures of the driven lattice in terms of its modes (paper: onefreq, maxci, cifreq)."""
 
-from functools import partial
-
 import numpy as np
 
 from pgran.draw import marks, scales, style
@@ -29,8 +27,7 @@ def figures(result, **_):
         name, draw = "maxci", dominant
     else:
         name, draw = "cifreq", single_modes
-    panel = partial(draw, projection=projection, lattice=result.medium)
-    figure = style.single(panel, CAPTIONS[name])
+    figure = style.single(draw, CAPTIONS[name], projection=projection, lattice=result.medium)
     style.note_missing(figure, projection)
     yield name, figure
 
@@ -55,26 +52,24 @@ def coefficients(ax, projection, lattice, drive=SHOWN):
     values = np.abs(projection.coefficient[shown])
     good = accurate[shown] & np.isfinite(values) & (values > 0)
     ax.set(yscale="log", ylabel=COEFFICIENT)
-    scales.frequencies(ax, modes, scales.MODE_FREQUENCY)
-    label = rf"driving frequency {x[shown]:.4g} $\omega_{{mx}}$"
+    scales.frequencies(ax, modes, scales.MODE_FREQUENCY, aside=modes_figures.ASIDE)
+    label = f"driving frequency {scales.frequency(x[shown], lattice)}"
     ax.axvline(x[shown], color=style.ACCENT, zorder=1, label=label)
     look = {"color": "black", "linestyle": "none", "clip_on": False}
     (curve,) = marks.curves(ax, modes, values, good, dots=True, **look)
     if good.any():
-        ax.vlines(modes[good], ax.get_ylim()[0], values[good], color="#bbbbbb", linewidth=0.4)
+        look = {"color": "#bbbbbb", "linewidth": 0.4, "zorder": 1}
+        ax.vlines(modes[good], ax.get_ylim()[0], values[good], **look)
     if not accurate[shown]:
         marks.failed(ax, x[[shown]])
     return curve
 
 
 def dominant(ax, projection, lattice):
-    """Draw the frequency of the dominant mode against the drive, and slope 1 (paper: maxci).
-
-    Points that missed the accuracy asked for are crosses on the upper edge. Returns the points.
-    """
+    """Draw the frequency of the dominant mode against the drive; return points (paper: maxci)."""
     x, modes, accurate = _in_units(projection, lattice)
     good = accurate & (projection.dominant >= 0)
-    ax.set_ylabel(r"dominant mode $\omega_i/\omega_{mx}$")
+    scales.label(ax.yaxis, scales.DOMINANT)
     scales.frequencies(ax, x)
     ends = [max(x[0], modes[0]), min(x[-1], modes[-1])]
     if ends[0] < ends[1]:
@@ -89,8 +84,7 @@ def single_modes(ax, projection, lattice):
     """Draw the coefficients of three successive modes against the drive (paper: cifreq).
 
     The modes nearest to .6 omega_mx, or to the middle of a sweep that is elsewhere; their own
-    frequencies are broken lines. Points that missed the accuracy asked for are gaps, and crosses on
-    the upper edge. Returns the curves.
+    frequencies are broken lines. Returns the curves.
     """
     x, modes, accurate = _in_units(projection, lattice)
     chosen = successive(modes, SHOWN if x[0] <= SHOWN <= x[-1] else (x[0] + x[-1]) / 2)
@@ -101,7 +95,7 @@ def single_modes(ax, projection, lattice):
     good = accurate[near, None] & np.isfinite(values) & (values > 0)
     ax.set(yscale="log", ylabel=COEFFICIENT)
     scales.frequencies(ax, x[near])
-    labels = [rf"$\omega_i$ = {modes[mode]:.5f} $\omega_{{mx}}$" for mode in chosen]
+    labels = [scales.frequency(modes[mode], lattice, 5) for mode in chosen]
     drawn = marks.curves(ax, x[near], values, good, labels)
     for mode, curve in zip(chosen, drawn, strict=True):
         ax.axvline(modes[mode], color=curve.get_color(), linestyle=":", zorder=1)

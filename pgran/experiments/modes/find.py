@@ -28,21 +28,8 @@ MARGIN = 1.01  # covers the rounding of bounds
 TRIED = 600  # unknowns of a whole spectrum that a dry run computes
 # How strongly the drive makes each mode resound there.
 SITES = option(
-    None, "balls at which residues of the modes are told, indices from 0, flat",
+    None, "balls for which the modes' residues are computed, indices from 0",
     key="modes_detectors", kind=INTEGERS, low=0, high=2**63 - 1,
-)  # fmt: skip
-DAMPED = (
-    option(
-        False,
-        "solutions of S(s) x = 0, with frequencies and widths: all by LAPACK, or those nearest to "
-        "i times -modes_target by SLEPc's PEP", key="modes_damped",
-    ),
-    option(
-        "auto",
-        "whether damped modes near a target are all: counted, by the phase of det S around them; "
-        "proven, each mode too, which takes long; none; auto, counted up to 5000 unknowns",
-        key="modes_certificate", choices=("auto", "none", "counted", "proven"),
-    ),
 )  # fmt: skip
 DETECTORS = Asked((SITES,), SITES.of_run)
 
@@ -55,32 +42,41 @@ def find_modes(
     *,
     interval=Window(
         option(
-            None, "interval of modes: its lower end", "angular", key="modes_omega_min", kind=REAL,
+            None, "lower end of the interval of modes", "angular", key="modes_omega_min", kind=REAL,
             low=0,
         ),
         option(
-            None, "interval of modes: its upper end", "angular", key="modes_omega_max", kind=REAL,
+            None, "upper end of the interval of modes", "angular", key="modes_omega_max", kind=REAL,
             above=0,
         ),
     ),
     targets=option(
-        None, "the modes nearest to these frequencies", "angular", key="modes_target", kind=REALS,
+        None, "find modes nearest to these frequencies", "angular", key="modes_target", kind=REALS,
         low=0,
     ),
     count=option(
         None,
-        "how many nearest modes; a projection without target: nearest to each driving frequency",
+        "how many modes nearest to a target; of a projection without one, to each frequency",
         kind=INTEGER, low=1,
     ),
     method=option(
         "auto",
         "eps, slices of the spectrum by SLEPc, of networks in real arithmetic first, certified by "
-        "counts; dense, the whole spectrum by LAPACK, proven by residuals; auto, of lattices eps, "
-        "of networks what is faster",
+        "counts; dense, the whole spectrum by LAPACK, proven by residuals; auto, eps for lattices, "
+        "what is faster for networks",
         choices=("auto", "eps", "dense"),
     ),
-    damped=DAMPED[0],
-    certificate=DAMPED[1],
+    damped=option(
+        False,
+        "find damped modes, S(s) x = 0, with frequencies and widths: all by LAPACK, or those "
+        "nearest to i times -modes_target by SLEPc's PEP",
+    ),
+    certificate=option(
+        "auto",
+        "whether no damped mode near a target is missing: counted, by the phase of det S around "
+        "them; proven, each mode too, which takes long; none; auto, counted up to 5000 unknowns",
+        choices=("auto", "none", "counted", "proven"),
+    ),
     detectors=None,
     shapes=option(False, "store the shapes of the modes", key="output_fields"),
     progress=PROGRESS,
@@ -96,16 +92,16 @@ def find_modes(
     interval : tuple of float, optional
         Lowest and highest omega; both ends belong to it.
     targets : sequence of float, optional
-        Modes are wanted that are among the `count` nearest to any of these omegas.
+        The modes found are those among the `count` nearest to one of these omegas.
     detectors : array_like of int, optional
-        Balls at which the residues of modes are wanted.
+        Balls for which the residues of modes are computed.
 
     Returns
     -------
     pgran.results.Modes or None
         With a crew of the caller's None on all ranks but rank 0; `DampedModes` if `damped`.
-        `count_certified` is False if modes are missing; with an `omega_bound` it is proven, else it
-        rests on counts.
+        `count_certified` is False if modes are missing; it is proven with an `omega_bound`, and
+        otherwise rests on counts.
 
     Raises
     ------
@@ -162,20 +158,15 @@ class Slices(Task):
         self.targets, self.count = targets, count
         self.units = list(enumerate(slices))
         without = resonances.left_out + ("vector",) * (not shapes)
-        sites = resonances.sites
-        lengths = {"balls": self.lattice.shape, "detector_number": (np.shape(sites)[:1])}
+        heard = np.shape(resonances.sites)[:1]
+        lengths = {"balls": self.lattice.shape, "detector_number": heard}
         columns = row_of(Modes, without, **lengths)
         self.row = np.dtype([("slice", int), ("value", float), ("radius", float), *columns])
         self.expected = sum(piece.count for _, piece in self.units)
         check_memory("output_fields", self.expected * self.row.itemsize)
 
-    @contextlib.contextmanager
-    def open(self, group):
+    def work(self, unit, group):
         """See `Task`."""
-        yield self._work
-
-    def _work(self, unit):
-        """Return the rows of a slice's modes."""
         number, piece = unit
         values, vectors, residual = self.solver.solve(*piece)
         rows = np.zeros(len(values), self.row)
@@ -201,7 +192,9 @@ class Slices(Task):
         accurate = bool(np.all(rows["residual"] <= RESIDUAL))
         missing = self.expected - len(rows)
         rows = rows[np.argsort(rows["value"], kind="stable")]
-        omega, bound = self._omega(rows["value"]), None
+        omega, bound = self._root(rows["value"]), None
+        # modes at rest come out as rounding, of either sign: only what is below that is unstable
+        omega = np.where(omega < -least_frequency(self.lattice), omega, np.maximum(omega, 0.0))
         radius = rows["radius"][0] if len(rows) else math.nan
         if not math.isnan(radius):
             low, high = (self._root(rows["value"] + side * radius) for side in (-1, 1))
@@ -230,16 +223,8 @@ class Slices(Task):
             wanted[np.argsort(np.abs(omega - target), kind="stable")[: self.count]] = True
         return wanted
 
-    def _omega(self, values):
-        """Return sqrt(lambda / m), of unstable modes -sqrt(-lambda / m).
-
-        Zero modes come out as rounding, of either sign: only what is below that is unstable.
-        """
-        omega = self._root(values)
-        return np.where(omega < -least_frequency(self.lattice), omega, np.maximum(omega, 0.0))
-
     def _root(self, values):
-        """Return sqrt(lambda / m) with the sign of lambda."""
+        """Return sqrt(lambda / m), of unstable modes -sqrt(-lambda / m)."""
         return np.sign(values) * np.sqrt(np.abs(values) / self.lattice.mass)
 
 

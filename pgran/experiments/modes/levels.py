@@ -7,7 +7,7 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.medium.springs import stiffness_matrix
-from pgran.store.estimate import FEWEST, FEWEST_SAMPLES, MOST, Estimate, mean_of
+from pgran.store.estimate import FEWEST, FEWEST_SAMPLES, MOST, Estimate, mean_of, with_error
 
 REGIMES = ("below .3", 0.0, 0.3), ("from .3 to 1", 0.3, 1.0), ("above 1", 1.0, math.inf)  # omega_mx
 # Mean of min(s, s') / max(s, s') of neighbouring spacings: extended modes, whose matrices are as
@@ -31,7 +31,7 @@ def spacings(spectra, unit):
     for name, *ends in REGIMES:
         with contextlib.suppress(InputError):
             ratio = spacing_ratio(spectra, [end * unit for end in ends])
-            ratios.append(f"{ratio.value:.3f} +- {ratio.error:.3f} {name}")
+            ratios.append(f"{with_error(ratio.value, ratio.error)} {name}")
     if ratios:
         yield (
             f"mean ratio of neighbouring spacings {', '.join(ratios)} omega_mx (extended modes "
@@ -146,8 +146,7 @@ def modal_overlap(omega, width, window):
     parts = min(MOST, inside // (2 * len(omega)))
     if parts < FEWEST:
         raise InputError(
-            f"window: {inside} modes of {len(omega)} samples lie in it, and {2 * FEWEST} of each "
-            "are needed"
+            f"window: modes in it: {inside}, samples: {len(omega)}; each needs {2 * FEWEST} modes"
         )
     pairs = zip(omega, width, strict=True)
     sums = np.array([np.histogram(w, parts, window, weights=gamma)[0] for w, gamma in pairs])

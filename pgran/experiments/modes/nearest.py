@@ -172,21 +172,19 @@ class Nearest:
             sides = [mass * side * abs(side) for side in (omega - farthest, omega + farthest)]
             reach = np.abs(found.values - search.value).max()
             first, last = search.value - reach, search.value + reach
-            low = self._below_all(first) or self._cut(found.values, first, sides[0], 1)
-            high = low and (self._above_all(last) or self._cut(found.values, sides[1], last, -1))
+            least = 0.0 if self.semidefinite else -self.norm
+            if first <= least:  # the search has reached below all eigenvalues
+                low = Cut(least - OUTSIDE * self.norm, 0)
+            else:
+                low = self._cut(found.values, first, sides[0], 1)
+            if last >= self.norm:
+                high = Cut((1 + OUTSIDE) * self.norm, self.order)
+            else:
+                high = low and self._cut(found.values, sides[1], last, -1)
             if low and high:
                 return (low, high, search) if self._complete(found, low, high) else None
             wanted += wanted // 2
         return None
-
-    def _below_all(self, first):
-        """Return a cut below all eigenvalues, if the search has reached so far."""
-        least = 0.0 if self.semidefinite else -self.norm
-        return Cut(least - OUTSIDE * self.norm, 0) if first <= least else None
-
-    def _above_all(self, last):
-        """Return a cut above all eigenvalues, if the search has reached so far."""
-        return Cut((1 + OUTSIDE) * self.norm, self.order) if last >= self.norm else None
 
     def _cut(self, values, start, stop, side):
         """Return a cut in the widest gap between start and stop, moved inward by its error.

@@ -7,7 +7,7 @@ from pgran.driven import drive as driven
 from pgran.driven.phase import fit_line
 from pgran.driven.sweep import FrequencySweep
 from pgran.errors import InputError
-from pgran.experiments.modes.find import DAMPED, SITES, find_modes
+from pgran.experiments.modes.find import SITES, find_modes
 from pgran.experiments.modes.record import Projection
 from pgran.experiments.modes.scene import certificate, check_modes
 from pgran.medium.base import medium
@@ -64,8 +64,8 @@ def project(
 ):
     """Project driven steady states on normal modes: c_i = sum_p A_p f_i(p) (paper: cidef).
 
-    Collective. The modes are computed once; a field lives until it is projected. A coefficient is
-    no more in error than the field, in the 2-norm.
+    Collective. The modes are computed once; fields are not kept. The error of a coefficient is at
+    most that of the field, in the 2-norm.
 
     Parameters
     ----------
@@ -83,11 +83,7 @@ def project(
     modes = find_modes(
         lattice, crew, **(which or {}), method=method, shapes=True, progress=progress
     )
-    choices = {
-        "error_tolerance": error_tolerance,
-        "error_floor": error_floor,
-        "refresh_iterations": refresh_iterations,
-    }
+    choices = driven.steady(error_tolerance, error_floor, refresh_iterations)
     vectors = _on_all_ranks(modes and modes.vector, crew.world)
     return carry_out(ProjectedSweep(lattice, omegas, modes, vectors, choices), crew, progress)
 
@@ -161,9 +157,10 @@ def summary(result):
             yield f"the dominant mode follows the drive with slope {slope:.3f} (.1 to .9 omega_mx)"
 
 
+ALONE = [find_modes.declared[name] for name in ("shapes", "damped", "certificate")]
 OPTIONS = (
     *SWEEP.options,
-    *options_of(find_modes, without=[find_modes.declared["shapes"], SITES, *DAMPED]),
+    *options_of(find_modes, without=[SITES, *ALONE]),
     *(driven.STEADY["error_tolerance"], driven.STEADY["refresh_iterations"]),
 )
 SCENE = Scene(OPTIONS, run, summary, check)

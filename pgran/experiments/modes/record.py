@@ -35,7 +35,7 @@ class Density(Record):
         "the count is exact at omega - margin", "1", "omega", dtype=bool, row=True
     )
     margin: np.ndarray = array(
-        "by how much less than omega the modes are counted at", "sqrt(k/m)", "omega", row=True
+        "how far below omega the modes are counted", "sqrt(k/m)", "omega", row=True
     )
     middle: np.ndarray = array("middle between neighbouring frequencies, angular", "sqrt(k/m)")
     density: np.ndarray = array("modes there per ball and omega_mx", "1", "middle")
@@ -120,13 +120,13 @@ class Modes(Record):
         "omega", optional=True, row=True,
     )  # fmt: skip
     source: np.ndarray | None = array(
-        "f^T of the force of the drive at rest", "k", "omega", optional=True, row=True
+        "f^T times the force of the drive at omega = 0", "k", "omega", optional=True, row=True
     )
     detector: np.ndarray | None = array(
         DETECTOR, "1", "detector_number", "axis", dtype=int, optional=True
     )
     reading: np.ndarray | None = array(
-        "what the detectors read of f", "1", "omega", "detector_number", optional=True, row=True
+        "reading of f by the detectors", "1", "omega", "detector_number", optional=True, row=True
     )
     residue: np.ndarray | None = array(
         "reading times source over 2 m omega: of the mode's peak alone |A| = 2 |residue| / width",
@@ -190,7 +190,7 @@ class DampedModes(Record):
     eigenvalue: np.ndarray = array("s", "sqrt(k/m)", "mode", dtype=complex, row=True)
     residual: np.ndarray = array("|S x| / ((|K| + |s C| + |s^2 m|) |x|)", "1", "mode", row=True)
     radius: np.ndarray = array(
-        "proven to be near s by; inf: not, NaN: not asked for", "sqrt(k/m)", "mode", row=True
+        "a mode is this near s, proven; inf: not, NaN: not asked for", "sqrt(k/m)", "mode", row=True
     )
     rigidity: np.ndarray = array("|x^T (2 s m + C) x| / (2 |s| m |x|^2)", "1", "mode", row=True)
     participation: np.ndarray = array("how many balls take part", "1", "mode", row=True)

@@ -33,7 +33,7 @@ class Resonances:
         self.force = medium.driving.ravel()
         self.driven = bool(np.any(self.force))
         if detectors is not None:
-            self.sites = medium.sites(detectors, "modes_detectors")
+            self.sites = medium.sites(detectors, "-modes_detectors")
             self.unknowns, self.weights = medium.readings(self.sites)
 
     @property

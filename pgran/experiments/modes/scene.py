@@ -72,8 +72,8 @@ def summary(result):
     unstable = np.count_nonzero(modes.omega < 0)
     if unstable:
         yield Caution(
-            f"UNSTABLE: {unstable} modes have omega^2 < 0, given as a negative omega; the "
-            "network leaves these positions at a rate of |omega|"
+            f"UNSTABLE: {counted(unstable, 'mode')} with omega^2 < 0, given as a negative omega; "
+            "the network leaves these positions at a rate of |omega|"
         )
     few, many = moving.participation.min(), moving.participation.max()
     low, high = few / medium.free_balls, many / medium.free_balls
@@ -84,10 +84,10 @@ def summary(result):
 
 def at_rest(count, medium):
     """Return in words what modes of omega = 0 are."""
-    whole, loose = 0, "balls that no spring reaches from a wall"
+    whole, loose = 0, "balls that no spring connects with a wall"
     if medium.group == "network":
         whole = 0 if np.any(medium.held[medium.bond]) else medium.built.axes
-        loose = "what is loose or turns freely (-network_rattlers remove holds rattlers)"
+        loose = "balls that are loose or turn freely (-network_rattlers remove holds rattlers)"
     parts = [f"{whole} translations of the whole, which nothing holds"] * (whole > 0)
     parts += [loose] * (count > whole)
     return f"{counted(count, 'mode')} at rest, left out of what follows: {' and '.join(parts)}"
@@ -101,8 +101,7 @@ def certificate(record):
     if found != expected:
         return Caution(f"NOT ALL MODES: {found} found where there are {expected}")
     return Caution(
-        f"NOT CERTIFIED: some of the {found} modes have residuals above {RESIDUAL:g}, or are not "
-        "orthogonal"
+        f"NOT CERTIFIED: of {found} modes some have residuals above {RESIDUAL:g} or overlap"
     )
 
 

@@ -13,21 +13,22 @@ def figures(result, response=None, **_):
     signals, lattice = result.pulse, result.medium
     panel = {"signals": signals, "lattice": lattice}
     caption = (
-        f"A pulse ({signals.shape}): displacements of balls against time, by their distance from "
-        "what is driven, each in units of its largest; at the bottom the motion of the drive; "
+        f"A pulse ({signals.shape}): displacements of balls against time, by their depth, the "
+        f"distance from what is driven in {lattice.length}, each in units of its largest; at the "
+        "bottom the motion of the drive; "
         "thick ticks: arrival of the front, when a thousandth of the signal's energy has passed; "
         "pale: envelopes."
     )
     height = min(8.0, 1.4 + 0.7 * (1 + len(signals.detector)))
-    yield "signals", style.single(partial(seismogram, **panel), caption, style.PAGE, height)
+    yield "signals", style.single(seismogram, caption, style.PAGE, height, **panel)
     if signals.field is not None and lattice.has_places:
         times = range(len(signals.field_time))
         panels = [partial(field, number=n, **panel) for n in times]
         caption = "Displacements of all balls at some times."
-        yield "field", balls.motions(lattice, panels, caption, "circles: detectors")
+        yield "field", balls.motions(lattice, panels, caption, "circles: detectors", driven=True)
     if signals.energy is not None:
         caption = "Work of the drive, energy of balls and springs, and what damping took."
-        yield "energy", style.single(partial(energy, **panel), caption)
+        yield "energy", style.single(energy, caption, **panel)
     yield "spectrum", transfer.page(signals, lattice, response)
     if lattice.group == "lattice":
         yield "bonds", bonds.page(lattice, signals.detector)
@@ -50,16 +51,16 @@ def seismogram(ax, signals, lattice):
     """
     time, largest = signals.time * lattice.omega_mx, np.abs(signals.displacement).max(axis=0)
     known = largest > signals.error.max(axis=0)
-    distance = lattice.built.depths(signals.detector)
+    order, names = captions.by_depth(lattice, signals.detector, "\n")
     wall = signals.wall / np.abs(signals.wall).max()
     returns = abs(wall[-1]) < 0.1  # else signals do not swing about 0, which an envelope supposes
-    ax.plot(time, 0.45 * wall, color=style.ACCENT)
+    ax.plot(time, 0.45 * wall, color=style.DRIVEN)
     drawn, fronts, label = [], [signals.wall_arrival], "envelope"
     driven = "driven wall" if lattice.group == "lattice" else "driven balls"
     rows = [driven if lattice.push is None else "force"]
-    for row, d in enumerate(np.argsort(distance, kind="stable"), 1):
-        name = style.ball_names(signals.detector[d : d + 1])[0]
-        rows.append(f"{name}\n" + (f"largest {largest[d]:.2g}" if known[d] else "below its error"))
+    for row, d in enumerate(order, 1):
+        size = f"largest {largest[d]:.2g}" if known[d] else "below its error"
+        rows.append(f"{names[d]}\n{size}")
         fronts.append(signals.arrival[d] if known[d] else np.nan)
         if not known[d]:
             continue
@@ -82,15 +83,14 @@ def seismogram(ax, signals, lattice):
 def field(ax, signals, lattice, number):
     """Draw the displacement of all balls at one of the times of the record's `field`.
 
-    As `balls.motion` draws it, in units of the largest, or the wall's: colours from -1, dark blue,
-    to 1, yellow; a line from wall to wall; or arrows. Detectors are marked. Returns what is drawn.
+    As `balls.motion` draws it, with the detectors. Returns what is drawn.
     """
     time, where = signals.field_time[number], signals.detector
     wall = np.interp(time, signals.time, signals.wall)
     values = signals.field[number]
     drawn, unit, plane = balls.motion(ax, lattice, values, wall, where, few_beyond=True)
     largest = f"{'99% within' if balls.beyond(drawn) else 'largest'} {unit:.2g}"
-    moment = rf"$t$ = {time * lattice.omega_mx:.4g}$/\omega_{{mx}}$"
+    moment = rf"$t$ = {scales.time(time * lattice.omega_mx, lattice)}"
     ax.set_title(", ".join(filter(None, [moment, largest, plane])))
     return drawn
 

@@ -22,7 +22,7 @@ from pgran.run.numbers import numbers
 from pgran.run.options import FILE, alternatives
 from pgran.run.task import carry_out
 from pgran.store.columns import read_columns
-from pgran.store.estimate import counted, two_digits
+from pgran.store.estimate import counted, with_error
 from pgran.store.fields import ball_names
 from pgran.store.si import SI
 
@@ -57,7 +57,7 @@ def summary(result):
     depths = result.medium.built.depths(signals.detector)
     speed = front_speed(depths, signals.arrival)
     if np.isfinite(speed.value):
-        line = f"fronts run at {speed.value:.4g} +- {two_digits(speed.error)} "
+        line = f"fronts run at {with_error(speed.value, speed.error)} "
         line += f"{result.medium.length} x frequency{si.say('m/s', speed.value)}, from "
         yield line + f"{depths.min():.4g} to {depths.max():.4g} {result.medium.length} deep"
     line = f"work of the drive {signals.work[-1]:.6g}"
@@ -87,23 +87,22 @@ def _summary_of_ball(signals, si, d, ball):
     else:
         line += "; when its front arrives is not certain"
     if np.isfinite(decay):
-        error = two_digits(signals.decay_error[d])
-        line += f", then decay at the rate {decay:.3g} +- {error}{si.say('1/s', decay)}"
+        rate = with_error(decay, signals.decay_error[d])
+        line += f", then decay at the rate {rate}{si.say('1/s', decay)}"
     yield line
-
-
-def _motion_of_run(options, world, lattice):
-    """Return the numbers in the file that the options of a run name. Collective."""
-    return options.pulse_file and on_root(world, lambda: read_columns(options.pulse_file))
 
 
 MOTION = option(
     None,
-    "how the wall moves, instead of a shape: a column of displacements at the times that are "
-    "recorded, or two columns, equal distances of time and displacements",
+    "the wall's motion, instead of a shape: a column of displacements at the times that are "
+    "recorded, or two columns, times at equal distances and displacements",
     key="pulse_file", kind=FILE,
 )  # fmt: skip
-WALL = Asked((MOTION,), _motion_of_run, partial(numbers, "-pulse_file"))
+WALL = Asked(
+    (MOTION,),
+    lambda run, world, _: run.pulse_file and on_root(world, lambda: read_columns(run.pulse_file)),
+    partial(numbers, "-pulse_file"),
+)
 
 
 @in_parallel("pulse", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS)
@@ -119,14 +118,14 @@ def pulse(
         "cosine; step, from 0 to 1",
         choices=SHAPES,
     ),
-    omega=option(0.6, "burst, ricker: the largest of its spectrum", "angular", above=0),
+    omega=option(0.6, "burst, ricker: where its spectrum is largest", "angular", above=0),
     width=option(
         20.0, "standard deviation of the bell; a ricker's follows from omega", "1/frequency",
         above=0,
     ),
     wall=WALL,
-    time=option(600.0, "how long is listened", "1/frequency", above=0),
-    points=option(1201, "times at which signals are recorded", low=2),
+    time=option(600.0, "how long signals are recorded", "1/frequency", above=0),
+    points=option(1201, "number of times at which signals are recorded", low=2),
     method=option(
         "auto",
         "laplace, with proven bounds; integrate, PETSc's TS, with estimates of its errors; auto, "
@@ -139,7 +138,7 @@ def pulse(
     error_tolerance=driven.STEADY["error_tolerance"],
     progress=PROGRESS,
 ) -> Signals:  # fmt: skip
-    """Send a pulse through the lattice, and return what balls do."""
+    """Send a pulse through the lattice, and return the motion of balls."""
     with agreeing(crew.world):
         sent = Pulse(shape, omega, width) if wall is None else samples_of(wall, time / (points - 1))
         recording = Recording(lattice, detectors, sent, time, points, error_tolerance, fields)
@@ -170,8 +169,7 @@ def samples_of(values, step):
         if uneven.size or not step > 0:
             at = times[uneven[0] if uneven.size else 0]
             raise InputError(
-                f"-pulse_file: times must increase by equal steps, and do not at {at:g}; fill the "
-                "gap, or resample the motion"
+                f"-pulse_file: times must increase by equal steps, and do not at {at:g}; resample"
             )
         step = apart.mean() if len(apart) else step
     largest = np.abs(motion).max(initial=0.0)
@@ -196,9 +194,8 @@ def check_times(recording):
     band = min(sent.band, recording.highest)
     if math.pi * steps < band * time:
         raise InputError(
-            f"-pulse_points {steps + 1}: signals go up to omega = {band:.3g}, and times "
-            f"{time / steps:.3g} apart hold no more than {math.pi * steps / time:.3g}; "
-            f"record {math.ceil(band * time / math.pi) + 1} times or more"
+            f"-pulse_points {steps + 1}: too few for signals up to omega = {band:.3g}; record "
+            f"{math.ceil(band * time / math.pi) + 1} times or more"
         )
 
 

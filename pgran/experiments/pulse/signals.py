@@ -52,10 +52,6 @@ class Recording:
         """
         return self.sent.moves(self.fine, 2)[int(self.scaled.push is None)]
 
-    def pushing(self):
-        """Return the force of a push at the times of the signals, and its error: none."""
-        return self.scaled.push_sizes.sum() * self.sent.moves(self.time, 1)[0], 0 * self.time
-
     def coarse(self, values):
         """Return values at the times of the signals from those at the times of `fine`."""
         return values[self.before :: self.finer]
@@ -80,10 +76,10 @@ class Recording:
         are other fields of `Signals`.
         """
         displacement, velocity = motion
-        if self.scaled.push is not None:
-            wall = wall | {"force": self.pushing()}
         envelope = envelopes(displacement, velocity)
         moves, speed = self.sent.moves(self.time, 2)
+        if self.scaled.push is not None:  # a force that is known exactly
+            wall = wall | {"force": (self.scaled.push_sizes.sum() * moves, 0 * self.time)}
         wall_arrival = float(arrivals(self.time, speed[:, None], 0 * speed[:, None])[0])
         for name, (values, estimate) in wall.items():
             more |= {name: self.unit * values, f"{name}_estimate": self.unit * estimate}

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pgran.draw import marks, scales, style
+from pgran.draw import captions, marks, scales, style
 from pgran.errors import FileError
 
 LOUD = 0.01  # of the largest of the wall's spectrum: what spectra are divided by
@@ -35,7 +35,8 @@ def spectrum(ax, signals, lattice, number, response=None):
     (curve,) = marks.curves(ax, x, size, good, ["signal / drive"], **look)
     speed = np.abs(signals.velocity[:, number])
     left = speed[-round(FADING * len(speed)) :].max() / (speed.max() or 1.0)
-    ax.set_title(f"{style.ball_names(signals.detector[[number]])[0]}, {left:.1%} left")
+    _, (name,) = captions.by_depth(lattice, signals.detector[[number]])
+    ax.set_title(f"{name}; {100 * left:.3g} % left")
     return curve
 
 
@@ -82,7 +83,8 @@ def page(signals, lattice, response):
     figure, panels, columns = style.grid(
         count, ROWS, NARROWEST, lambda rows: 0.4 + max(1.2 * rows, 2.0), sharex=True, sharey=True
     )
-    for d, ax in enumerate(panels):
+    order, _ = captions.by_depth(lattice, signals.detector)
+    for d, ax in zip(order, panels, strict=True):
         spectrum(ax, signals, lattice, d, response)
         ax.set(xlabel="", ylabel="")
     for ax in panels[max(0, count - columns) :]:  # nothing stands below these
@@ -91,11 +93,12 @@ def page(signals, lattice, response):
     if response:
         style.legend_above([panels[columns - 1], *panels])
     end = signals.time[-1] * lattice.omega_mx
-    text = (
-        rf"signal / drive until $T$ = {end:.4g}$/\omega_{{mx}}$; what is left in the last quarter "
-        rf"blurs it over $2\pi/T$ = {2 * np.pi / end:.2g} $\omega_{{mx}}$ or more"
+    left = (
+        "left: largest speed in the last quarter of that time over the largest of all, which blurs "
+        f"frequencies by {scales.frequency(2 * np.pi / end, lattice, 2)} or more"
     )
-    style.above(figure, text)
-    figure.caption = f"Spectra of balls over that of the drive: {text}."
+    until = rf"until $T$ = {scales.time(end, lattice)}"
+    style.above(figure, f"spectra of signals over that of the drive, {until}", left)
+    figure.caption = f"Spectra of the signals of balls over that of the drive, {until}; {left}."
     figure.supylabel(scales.AMPLITUDE, fontsize="medium")
     return figure

@@ -6,18 +6,20 @@ import numpy as np
 
 from pgran.draw import captions, marks, scales, style, together
 from pgran.errors import FileError
-from pgran.store.estimate import two_digits
+from pgran.store.estimate import with_error
+
+PM = r"\pm"  # no backslash stands within braces of an f-string
 
 
 def figures(result, **_):
     """Yield the beginning of the series above its power spectrum and its memory, if there are."""
     relaxation = result.relaxation
-    omega = rf"{relaxation.omega / result.medium.omega_mx:.4g} $\omega_{{mx}}$"
+    omega = scales.frequency(relaxation.omega / result.medium.omega_mx, result.medium)
     panels = [
         (series, "relaxation", f"Amplitude at {omega} against time, a step being one bond that is "
          "drawn anew."),
-        (spectrum, "spectrum", "Its power spectrum, the power law fitted to it, and slope -2; it "
-         r"is flat below the corner of what it remembers, $M$ bonds redrawn in steps of $\tau$."),
+        (spectrum, "spectrum", "Its power spectrum, the power law fitted to it, and slope -2; what "
+         r"$k$ of $M$ bonds make jointly is flat below $k/(2\pi M)$ cycles per step."),
         (memory, "memory", "Its autocorrelation, and the band that it must lie in."),
     ]  # fmt: skip
     there = [(draw, name, text) for draw, name, text in panels if getattr(result, name, None)]
@@ -41,8 +43,7 @@ errors = captions.amplitudes
 def series(ax, relaxation, steps=2000):
     """Draw the first amplitudes of the first trajectory against time (paper: timeres).
 
-    Missed steps are gaps, and crosses on the upper edge; of amplitudes at the floor the upper limit
-    is drawn. Returns the curves.
+    Returns the curves.
     """
     amplitude = np.abs(relaxation.displacement[0, : steps + 1])
     limit = marks.upper_limits(relaxation)[0, : steps + 1]
@@ -77,7 +78,7 @@ def spectrum(ax, spectrum, step=None, corner=None):
     look = {"color": "black", "linestyle": "--", "label": r"slope $-2$"}
     lines = [curve, law, *ax.plot(window, parallel, **look)]
     if corner is not None:
-        words = r"$1/(2\pi M\tau)$ to $\bar k/(2\pi M\tau)$"
+        words = r"corners of 1 to $\bar k$ bonds"
         lines.append(ax.axvspan(*corner / (step or 1), color="#cccccc", zorder=0.5, label=words))
     return lines
 
@@ -88,7 +89,7 @@ def memory(ax, memory):
     ax.set(xscale="symlog", xlim=(0, memory.lag[-1]))
     words = r"$(1 - \bar k/M)^t$ to $(1 - 1/M)^t$"
     law = ax.fill_between(memory.lag, memory.lowest, memory.highest, color="#cccccc", label=words)
-    label = rf"$\bar k = {memory.order:.3g} \pm {two_digits(memory.order_error)}$"
+    label = rf"$\bar k = {with_error(memory.order, memory.order_error, PM)}$"
     look = {"color": style.ACCENT, "linewidth": 0.8, "marker": ".", "markersize": 3}
     values = memory.lag, memory.correlation, memory.correlation_error
     return law, ax.errorbar(*values, label=label, **look)
@@ -116,7 +117,7 @@ def exponent(spectrum):
     """Return the exponent of a power law with its error, as a legend has it, or that it is none."""
     if not np.isfinite(spectrum.exponent):
         return r"$\psi$ withheld: too few steps"
-    return rf"$\psi = {spectrum.exponent:.3f} \pm {spectrum.exponent_error:.3f}$"
+    return rf"$\psi = {with_error(spectrum.exponent, spectrum.exponent_error, PM)}$"
 
 
 def over(results, labels):

@@ -8,13 +8,13 @@ from pgran.errors import InputError
 from pgran.experiments.relaxation import memory
 from pgran.experiments.relaxation.record import Memory
 from pgran.run.options import REAL, Option
-from pgran.store.estimate import two_digits, with_errors
+from pgran.store.estimate import with_error, with_errors
 
 log = logging.getLogger("pgran")
 
 SPECTRUM = (
-    Option("spectrum_fit_min", REAL, 0.01, "window of the exponent's fit", "cycles/step", above=0),
-    Option("spectrum_fit_max", REAL, 0.3, "window of the exponent's fit", "cycles/step", above=0),
+    Option("spectrum_fit_min", REAL, 0.01, "lower end of the fit of psi", "cycles/step", above=0),
+    Option("spectrum_fit_max", REAL, 0.3, "upper end of the fit of psi", "cycles/step", above=0),
 )
 FIT = tuple(option.default for option in SPECTRUM)
 LAGS = 60  # of the autocorrelation, evenly spaced in their logarithm
@@ -66,26 +66,22 @@ def _memory_of(relaxation, bonds):
     return Memory(bonds=bonds, lag=lags, lowest=lowest, highest=highest, **estimates)
 
 
-def _hertz(result, spectrum):
-    """Return the window of an exponent's fit in words, where the seconds of a step are known."""
-    step = result.relaxation.step
-    return f" ({spectrum.fit_min / step:.3g} to {spectrum.fit_max / step:.3g} Hz)" if step else ""
-
-
 def summary(result):
     """Return in words what the fluctuations tell."""
     spectrum = getattr(result, "spectrum", None)
     if spectrum and np.isfinite(spectrum.exponent):
+        step, low, high = result.relaxation.step, spectrum.fit_min, spectrum.fit_max
+        hertz = f" ({low / step:.3g} to {high / step:.3g} Hz)" if step else ""
         yield (
-            f"power spectrum S(f) ~ f^-psi with psi = {spectrum.exponent:.3f} +- "
-            f"{spectrum.exponent_error:.3f} between {spectrum.fit_min:g} and "
-            f"{spectrum.fit_max:g} cycles per step{_hertz(result, spectrum)}"
+            "power spectrum S(f) ~ f^-psi with psi = "
+            f"{with_error(spectrum.exponent, spectrum.exponent_error)} between "
+            f"{low:g} and {high:g} cycles per step{hertz}"
         )
     remembered = getattr(result, "memory", None)
     if remembered:
-        errors = two_digits(remembered.order_error), two_digits(remembered.increment_error)
+        order = with_error(remembered.order, remembered.order_error)
         yield (
-            f"memory: {remembered.order:.3g} +- {errors[0]} of {remembered.bonds} bonds act "
+            f"memory: {order} of {remembered.bonds} bonds act "
             "jointly on average; the amplitude and its next increment have the correlation "
-            f"{remembered.increment:.3g} +- {errors[1]}"
+            f"{with_error(remembered.increment, remembered.increment_error)}"
         )

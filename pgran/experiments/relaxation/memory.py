@@ -53,7 +53,7 @@ class Series:
 
     def __init__(self, values, bonds):
         """Raise InputError if the series is too short for errors, or never changes."""
-        self.values, self.bonds = checked_series(values, "memory"), bonds
+        self.values, self.bonds = np.atleast_2d(np.asarray(values, dtype=float)), bonds
         trajectories, steps = self.values.shape
         # independent parts of one trajectory
         self.parts = min(max(1, MOST // trajectories), int(steps / (MEMORIES_IN_PART * bonds)))
@@ -63,6 +63,7 @@ class Series:
                 f"series: {steps} steps (trajectories: {trajectories}) are too few to "
                 f"tell the memory of {bonds} bonds with an error; {needed} are needed"
             )
+        checked_series(self.values, "memory")
 
     def estimate(self, measure, longest):
         """Return what `measure(C)` comes to, with its error, C(t) known for t <= `longest`.

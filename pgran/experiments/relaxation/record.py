@@ -99,5 +99,5 @@ class Memory(Record):
     lag: np.ndarray = array("steps in between", "steps", dtype=int)
     correlation: np.ndarray = array("autocorrelation of B", "1", "lag")
     correlation_error: np.ndarray = error_of(correlation)
-    lowest: np.ndarray = array("(1 - kbar/M)^t, which it is not below", "1", "lag")
-    highest: np.ndarray = array("(1 - 1/M)^t, which it is not above", "1", "lag")
+    lowest: np.ndarray = array("its lower bound (1 - kbar/M)^t", "1", "lag")
+    highest: np.ndarray = array("its upper bound (1 - 1/M)^t", "1", "lag")

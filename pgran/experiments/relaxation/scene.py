@@ -41,8 +41,7 @@ def check(values, given):
         raise InputError("-bonds_law file: a relaxation needs a law to draw new constants from")
     if values["bonds_redrawn"] and values["bonds_redrawn_seed"] == values["relax_seed"]:
         raise InputError(
-            "-bonds_redrawn: the relaxation would repeat these changes, of -relax_seed; let "
-            "-bonds_redrawn_seed be another one"
+            "-bonds_redrawn: the relaxation would repeat these changes; give -bonds_redrawn_seed"
         )
     check_ends("spectrum_fit", values)
     if values.get("spectrum_fit_min") is not None:  # a study of accuracy has no such window
@@ -75,19 +74,17 @@ def relax(
     detectors,
     crew=None,
     *,
-    steps=option(20000, "steps, one bond each", low=1),
-    seed=option(1, "which sequence of changes", low=0, high=2**63 - 1),
+    steps=option(20000, "number of steps; each redraws one bond", low=1),
+    seed=option(1, "seed of the changes", low=0, high=2**63 - 1),
     method=option(
         "window",
         "window: many known changes on one factorization; krylov: iterate from the last step; "
         "direct: factor at each step",
         choices=("window", "krylov", "direct"),
     ),
-    window=option(0, "steps to a window; 0 = by cost", low=0, high=4096),
+    window=option(0, "steps of a window; 0 = what costs least", low=0, high=4096),
     trajectories=option(1, "independent trajectories, all from the same bonds", low=1),
-    time=option(
-        None, "how long a step takes: figures and summaries in s and Hz", "s", kind=REAL, above=0
-    ),
+    time=option(None, "time of a step: figures and summaries in s and Hz", "s", kind=REAL, above=0),
     error_tolerance=driven.STEADY["error_tolerance"],
     error_floor=driven.STEADY["error_floor"],
     refresh_iterations=driven.STEADY["refresh_iterations"],
@@ -98,8 +95,8 @@ def relax(
     Parameters
     ----------
     law : callable or None
-        Turns numbers uniform on [0, 1), an array, into bond constants, each number by itself, the
-        same always and on all ranks; None draws from those that there are.
+        Turns an array of numbers uniform on [0, 1) into bond constants, each number by itself, the
+        same always and on all ranks; None draws from the present constants.
     omega : float
         Driving frequency, angular.
     """

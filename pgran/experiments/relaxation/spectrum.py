@@ -62,8 +62,7 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     f, others = frequency[window], (total - parts)[:, window]
     if np.any(others <= ROUNDING * segments * power[window]):
         raise InputError(
-            "relax_steps: the amplitude changes in one part of the series only, so the exponent "
-            "has no error bar; more steps are needed"
+            "-relax_steps: amplitudes change in one part of the series only: take more steps"
         )
     means = _means_of_bins(f, fit_min, fit_max)
     weights = _slope_weights(f, means)
@@ -72,8 +71,7 @@ def power_spectrum(series, fit_min=0.01, fit_max=0.3, memory=None):
     error, _, flatter_error = math.sqrt(len(replicas) - 1) * np.std(replicas, axis=0)
     if memory is not None and series.size < MEMORIES * memory:
         log.warning(
-            "no exponent psi: %d steps (trajectories: %d) are too few to tell it with an error "
-            "beside a memory of %g; %d are needed",
+            "no exponent psi: %d steps (trajectories: %d) are too few for a memory of %g; take %d",
             *(series.size, len(series), memory, math.ceil(MEMORIES * memory)),
         )
         exponent = plain = error = math.nan
@@ -103,9 +101,8 @@ def _segment_length(trajectories, steps, fit_min, fit_max):
     needed = (math.ceil(FEWEST / trajectories) + 1) * shortest
     if steps < needed:
         raise InputError(
-            f"relax_steps: {steps} amplitudes (trajectories: {trajectories}) are too few for a "
-            f"spectrum from spectrum_fit_min = {fit_min} cycles per step on; at least "
-            f"{needed:.9g} are needed"
+            f"-relax_steps: {steps} amplitudes (trajectories: {trajectories}) are too few for a "
+            f"spectrum above {fit_min} cycles per step; at least {needed:.9g} are needed"
         )
     half = steps // (math.ceil(GROUPS / trajectories) + 1)
     return 2 * min(max(half, shortest), longest)
@@ -114,11 +111,10 @@ def _segment_length(trajectories, steps, fit_min, fit_max):
 def check_window(fit_min, fit_max):
     """Raise InputError unless an exponent can be fitted in a window."""
     if not 1e-300 < fit_min < 0.5:
-        raise InputError(f"spectrum_fit_min: must lie between 1e-300 and .5, not {fit_min}")
+        raise InputError(f"-spectrum_fit_min: must lie between 1e-300 and .5, not {fit_min}")
     if not 2 * fit_min <= fit_max <= 0.5:
         raise InputError(
-            f"spectrum_fit_max: must be at least twice spectrum_fit_min, {fit_min}, and at most "
-            f".5 cycles per step, not {fit_max}"
+            f"-spectrum_fit_max: must lie between {2 * fit_min} and .5 cycles/step, not {fit_max}"
         )
 
 
@@ -168,19 +164,19 @@ def _warn(fit_min, fit_max, memory, flatter, flatter_error):
     """Warn of a window that reaches the flat low end or the aliased high end of a spectrum."""
     if memory is not None and fit_min * 2 * math.pi * memory < CORNERS_ABOVE:
         log.warning(
-            "spectrum_fit_min: %g is less than %g times the corner 1/(2 pi %g) = %.2g cycles per "
+            "-spectrum_fit_min: %g is less than %g times the corner 1/(2 pi %g) = %.2g cycles per "
             "step, below which a series of this memory is flat; the exponent will be too small",
             *(fit_min, CORNERS_ABOVE, memory, 1 / (2 * math.pi * memory)),
         )
     if flatter > max(FLATTER, FLATTER_ERRORS * flatter_error):
         log.warning(
-            "spectrum_fit_min: near %g cycles per step the slope is smaller by %.2f +- %.2f than "
+            "-spectrum_fit_min: near %g cycles per step the slope is smaller by %.2f +- %.2f than "
             "in the whole window; the exponent will be too small",
             *(fit_min, flatter, flatter_error),
         )
     if fit_max > ALIASED:
         log.warning(
-            "spectrum_fit_max: above %g cycles per step most of the power may be aliased from "
+            "-spectrum_fit_max: above %g cycles per step most of the power may be aliased from "
             "above 1/2; the exponent holds only for a series without anything between steps",
             ALIASED,
         )

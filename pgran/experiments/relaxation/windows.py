@@ -57,13 +57,11 @@ class Windows(Owner):
         self.operators = changing.operators
         if self.operators.damping == 0:
             raise InputError(
-                "-relax_method window: needs damping (-lattice_damping), which bounds the error of "
-                "every step; -relax_method krylov or direct does without"
+                "-relax_method window: needs damping, -lattice_damping; krylov does without"
             )
         if solver.factor is None:
             raise InputError(
-                "-relax_method window: needs a factorization (-steady_pc_type cholesky or lu); "
-                "-relax_method krylov does without"
+                "-relax_method window: needs a factorization (-steady_pc_type lu); krylov not"
             )
         self.changing, self.solver, self.s = changing, solver, s
         self._columns, self._rows = Columns(solver), self.operators.lattice.rows

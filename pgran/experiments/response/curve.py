@@ -7,11 +7,12 @@ import numpy as np
 
 from pgran.errors import InputError
 from pgran.experiments.response.models import evaluate, moments_of, point_dtype
-from pgran.experiments.response.record import model_dtype, proven_models
+from pgran.experiments.response.record import Models, model_dtype
 from pgran.experiments.response.resolution import resolve
 from pgran.run.agreement import on_root
 from pgran.run.machine import check_memory
 from pgran.run.task import Task, carry_out
+from pgran.store.record import columns_of
 
 # Intervals that a unit of work is expected to need; it begins with a factorization of its own.
 UNIT = 22
@@ -146,10 +147,6 @@ class CurvePoints(Task):
         self.row = point_dtype(models["reading"].shape[1])
         self.units = np.flatnonzero(models["proven"]).tolist()
 
-    def length(self, unit):
-        """See `Task`."""
-        return 1
-
     def work(self, unit, group):
         """Return the points of one interval, without its upper end if another one follows."""
         model = self.models[unit]
@@ -184,10 +181,17 @@ def solve_curve(task, crew, tolerance, keep_models, progress):
     if crew.world.rank > 0:
         return None, None
     points["factorizations"][:1] += models["factorizations"].sum()
-    points["modelled"][1:] = np.diff(_unproven(models, points["omega"])) == 0
+    # how much of the sweep below each frequency no proven model covers
+    lengths = np.where(models["proven"], 0.0, models["high"] - models["low"])
+    ends = np.append(models["low"][:1], models["high"])
+    unproven = np.interp(points["omega"], ends, np.append(0.0, np.cumsum(lengths)))
+    points["modelled"][1:] = np.diff(unproven) == 0
     if keep_models is None:
         keep_models = models.nbytes <= STORED_BYTES
-    return points, proven_models(models, intervals.limits) if keep_models else None
+    if not keep_models:
+        return points, None
+    proven = columns_of(Models, models[models["proven"] > 0])
+    return points, Models(**vars(intervals.limits), **proven)
 
 
 def _rows(task, models, limits, crew, tolerance, progress):
@@ -205,10 +209,3 @@ def _rows(task, models, limits, crew, tolerance, progress):
             rows = np.concatenate([rows, solved])
             rows = rows[np.argsort(rows["omega"], kind="stable")]
     return rows
-
-
-def _unproven(models, omega):
-    """Return how much of the sweep below some frequencies no proven model covers."""
-    lengths = np.where(models["proven"], 0.0, models["high"] - models["low"])
-    ends = np.append(models["low"][:1], models["high"])
-    return np.interp(omega, ends, np.append(0.0, np.cumsum(lengths)))

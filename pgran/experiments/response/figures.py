@@ -9,8 +9,9 @@ from pgran.draw import bonds, captions, marks, scales, style, together
 from pgran.draw.marks import known_amplitudes
 from pgran.errors import FileError
 from pgran.experiments.response.record import LINES
-from pgran.store.estimate import two_digits
+from pgran.store.estimate import with_error
 
+FITTED = {"phase_slope": ("s", scales.SLOPE), "phase_velocity": ("v", scales.VELOCITY)}
 EDGES = (0.0, 0.3, 1.0, math.inf)  # of the three regimes, in units of omega_mx
 REGIMES = (
     r"low frequencies, $\omega < 0.3\,\omega_{mx}$",
@@ -22,8 +23,8 @@ CAPTIONS = {
     "driving frequency.",
     "phase": "Unwrapped phase of the steady response against the driving frequency, and straight "
     "lines fitted to it.",
-    "delay": "Group delay $-d \\arg A / d\\omega$ of the steady response; the axis is linear up to "
-    "the median, logarithmic beyond.",
+    "delay": "Group delay $-d \\arg A / d\\omega$ of the steady response; the axis is linear in "
+    "the grey band, up to the median, and logarithmic beyond.",
     "force": "Magnitude of the force that drives the wall.",
     "force_phase": "Its phase.",
     "power": "Mean power that the wall puts in.",
@@ -33,22 +34,20 @@ CAPTIONS = {
 def figures(result, modes=None, **_):
     """Yield the amplitudes, a panel a regime, phases, group delay, wall's force, and bonds."""
     response, lattice = result.response, result.medium
-
-    def page(*panels, **look):
-        shown = {"response": response, "lattice": lattice, "modes": modes}
-        draws = [partial(panel, **shown) for panel in panels]
-        return style.stack(draws, [CAPTIONS[panel.__name__] for panel in panels], **look)
-
+    shown = {"response": response, "lattice": lattice, "modes": modes}
     yield "amplitude", amplitude_page([(response, lattice, None, {})], modes)
-    figure = page(phase)
-    figure.caption += _slopes(response)
+    figure = style.stack([phase], CAPTIONS, **shown)
+    figure.caption += _fits(response, lattice, style.ball_names(response.detector))
     yield "phase", figure
     damped = lattice.built.dissipates and response.delay is not None
     if damped and np.isfinite(response.delay).any():
-        yield "delay", page(delay)
+        count, caption = len(response.detector), CAPTIONS["delay"]
+        draws = [partial(delay, d=d) for d in range(count)]
+        height = 2.1 if count == 1 else 1.5 if count < 5 else 1.0
+        yield "delay", style.stack(draws, caption, height=height, shared=True, **shown)
     if response.force is not None and np.any(known_force(response)):
         panels = (force, force_phase, power)[: 3 if np.any(known_power(response)) else 2]
-        yield "wall", page(*panels, height=1.4, shared=True)
+        yield "wall", style.stack(panels, CAPTIONS, height=1.4, shared=True, **shown)
     if lattice.group == "lattice":
         yield "bonds", bonds.page(lattice, response.detector)
 
@@ -74,61 +73,70 @@ def amplitude(ax, response, lattice, modes=None, within=(0.0, math.inf), labels=
     return _curves(ax, response, lattice, modes, values, good, **look)
 
 
-def phase(ax, response, lattice, modes=None, labels=None, **line):
+def phase(ax, response, lattice, modes=None, labels=None, alone=True, **line):
     """Draw the unwrapped phase with the straight lines fitted (paper: phaseres).
 
     A line covers the points that it was fitted to; the phase velocity (`phsvel`), or without
-    positions its slope, is in the label of the curve. All else is as in `amplitude`.
+    positions its slope, is in the label of a curve that is alone. All else is as in `amplitude`.
     """
-    x, low, high = response.omega / lattice.omega_mx, response.phase_fit_min, response.phase_fit_max
+    x = response.omega / lattice.omega_mx
     good = (response.converged_reason > 0)[:, None] & np.isfinite(response.phase)
     ends = _fitted_ends(response, x, good)
     fitted = np.flatnonzero(np.isfinite(response.phase_slope) & np.isfinite(ends[0]))
-    labels = list(labels or style.ball_names(response.detector))
-    for d in fitted:
-        labels[d] += f": {_velocity(response, lattice, d)}"
+    labels, fit = list(labels or style.ball_names(response.detector)), "fit"
+    if alone and len(labels) == len(fitted) == 1:
+        name = "phase_velocity" if np.isfinite(response.phase_velocity[0]) else "phase_slope"
+        number, unit = _number(response, lattice, name, 0)
+        letter = FITTED[name][0]
+        labels = [f"{labels[0]}: ${letter} = {number}$"]
+        fit = f"fit, {name.replace('_', ' ')} ${letter}$ in {unit}"
     ax.set_ylabel(scales.PHASE)
     ax.yaxis.set_major_locator(scales.round_ticks(ax.figure))
     drawn = _curves(ax, response, lattice, modes, response.phase, good, labels, **line)
-    label = rf"fit, {low:g} to {high:g} $\omega_{{mx}}$"
     for d in fitted:
-        fit = response.phase_slope[d] * ends[:, d] + response.phase_intercept[d]
-        shade = style.pale(drawn[d].get_color())
-        ax.plot(ends[:, d], fit, color=shade, linewidth=3, zorder=1, label=label)
-        label = None
+        y = response.phase_slope[d] * ends[:, d] + response.phase_intercept[d]
+        look = {"color": style.pale(drawn[d].get_color()), "linewidth": 3, "zorder": 1}
+        ax.plot(ends[:, d], y, label=fit, **look)
+        fit = None
     return drawn
 
 
-def _velocity(response, lattice, d):
-    """Return the phase velocity of a detector, or the slope of its phase, as a label has it."""
-    name, unit = "phase_velocity", r"$d\,\omega_{mx}$"
-    if not np.isfinite(response.phase_velocity[d]):  # without positions
-        name, unit = "phase_slope", r"rad/$\omega_{mx}$"
-    number, error = f"{getattr(response, name)[d]:.3g}", getattr(response, f"{name}_error")
-    if error is not None:  # as it is in a file of version 0.1
-        number += rf" \pm {two_digits(error[d])}"
-    return f"${'v' if 'velocity' in name else 's'} = {number}$ {unit}"
+def _number(response, lattice, name, d):
+    """Return a number of a fitted line, with its error if that is known, and its unit."""
+    value, errors = getattr(response, name)[d], getattr(response, f"{name}_error")
+    factor, unit = scales.unit_of(FITTED[name][1], lattice, abs(value))
+    unit = unit.replace(r"$d\,", rf"{lattice.length} $\times\,")
+    if errors is None:
+        return f"{factor * value:.3g}", unit
+    return with_error(factor * value, factor * errors[d], r"\pm"), unit
 
 
-def _slopes(response):
-    """Return the slopes of fitted phases in words, none where none is known."""
-    errors, slopes = response.phase_slope_error, []
-    for d, name in enumerate(style.ball_names(response.detector)):
-        if np.isfinite(response.phase_slope[d]):
-            error = "" if errors is None else rf" \pm {two_digits(errors[d])}"
-            slopes.append(rf"${response.phase_slope[d]:.4g}{error}$ at {name}")
-    unit = r"rad per $\omega_{mx}$; $v$: phase velocity, $d$: unit of length"
-    return f" Slopes: {', '.join(slopes)}, in {unit}." if slopes else ""
+def _fits(response, lattice, names):
+    """Return what the lines fitted to phases tell of each curve, none where none is fitted."""
+    told = []
+    for d in np.flatnonzero(np.isfinite(response.phase_slope)):
+        known = [name for name in FITTED if np.isfinite(getattr(response, name)[d])]
+        numbers = [(name, *_number(response, lattice, name, d)) for name in known]
+        texts = [f"{name.replace('_', ' ')} ${number}$ {unit}" for name, number, unit in numbers]
+        told.append(f"{names[d]}: {', '.join(texts)}")
+    ends = response.phase_fit_min, response.phase_fit_max
+    window = " to ".join(scales.frequency(end, lattice) for end in ends)
+    return f" Fits from {window}: {'; '.join(told)}." if told else ""
 
 
-def delay(ax, response, lattice, modes=None):
-    """Draw -d arg A / d omega, linear up to the median, logarithmic beyond; return the curves."""
-    values = response.delay * lattice.omega_mx
+def delay(ax, response, lattice, modes=None, d=0):
+    """Draw -d arg A / d omega of a detector, linear up to the median, logarithmic beyond.
+
+    The linear part of the axis is a grey band. Returns the curve.
+    """
+    values = response.delay[:, [d]] * lattice.omega_mx
     good = (response.converged_reason > 0)[:, None] & np.isfinite(values)
-    middle = float(f"{np.median(np.abs(values[good])):.1g}")
+    middle = float(f"{np.median(np.abs(values[good])):.1g}") if good.any() else 0.0
     scales.symmetric(ax, values[good], middle or 1.0)
+    ax.axhspan(-(middle or 1.0), middle or 1.0, color="#e4e4e4", zorder=0, label="linear axis")
     scales.label(ax.yaxis, scales.DELAY)
-    return _curves(ax, response, lattice, modes, values, good)
+    ax.set_title(style.ball_names(response.detector)[d])
+    return _curves(ax, response, lattice, modes, values, good, [None])
 
 
 def known_force(response):
@@ -209,8 +217,6 @@ def amplitude_page(shown, modes=None):
         for (response, lattice, names, look), there in zip(shown, reached, strict=True):
             if regime in there:
                 drawn += amplitude(ax, response, lattice, modes, within, names, **look)
-        if len(shown) == len(drawn) == 1:
-            drawn[0].set_label("")
         ax.set_title("" if few else REGIMES[regime])
         ax.set(xlabel="", ylabel="")
     style.legend_above(panels)
@@ -239,27 +245,28 @@ def over(results, labels):
 
     def phases(ax):
         for response, lattice, names, look in shown:
-            phase(ax, response, lattice, labels=names, **look)
+            phase(ax, response, lattice, labels=names, alone=False, **look)
 
     yield "amplitude", amplitude_page(shown)
-    yield "phase", style.single(phases, CAPTIONS["phase"])
+    figure = style.single(phases, CAPTIONS["phase"])
+    for response, lattice, names, _ in shown:
+        figure.caption += _fits(response, lattice, names)
+    yield "phase", figure
 
 
-def add_measured(made, results, data, label):
+def add_measured(made, results, data, label, scale=1.0):
     """Draw what was measured into the figures of responses: circles over amplitudes and phases.
 
-    `made` has the figures by name; `data` has `omega`, `amplitude`, and maybe `phase`. Returns how
-    many points lie beyond all sweeps, and are not drawn.
+    `made` has the figures by name; `data` has `omega`, `amplitude`, maybe `phase`; the caption says
+    by what `scale` amplitudes were multiplied. Returns how many points lie beyond all sweeps, and
+    are not drawn.
     """
-    if not all(hasattr(result, "response") for result in results):
-        raise FileError(f"{label}: what was measured is laid over responses only")
     units = {result.medium.omega_mx for result in results}
     if len(units) > 1:
         raise FileError(f"{label}: the results have different omega_mx, so frequencies measured "
                         "in one unit are laid over one of them only")  # fmt: skip
     x = data["omega"] / units.pop()
-    look = {"linestyle": "none", "marker": "o", "markersize": 3, "markerfacecolor": "white"}
-    look |= {"color": "black", "markeredgewidth": 0.6, "zorder": 4}
+    look = style.RING | {"markersize": 3, "markeredgewidth": 0.6, "zorder": 4}
     seen, name = np.zeros(len(x), dtype=bool), label.replace("$", r"\$")
     for part in [part for part in ("amplitude", "phase") if part in data]:
         for ax in made[part].panels:
@@ -269,8 +276,9 @@ def add_measured(made, results, data, label):
                 ax.plot(x[inside], data[part][inside], label=name, scalex=False, **look)
             seen |= inside
         style.legend_above(made[part].panels)
-        made[part].caption += f" Circles: measured ({label})."
+        times = rf" $\times$ {captions.number(scale, 4)}" * (part == "amplitude" and scale != 1)
+        made[part].caption += f" Circles: measured ({label}){times}."
     if not seen.any():
-        raise FileError(f"{label}: none of its frequencies is one of the sweep; omega is angular, "
-                        "in the unit of the result")  # fmt: skip
+        raise FileError(f"{label}: none of its frequencies is within the sweep; -plot_unit says "
+                        "what they are given in")  # fmt: skip
     return int(np.count_nonzero(~seen))

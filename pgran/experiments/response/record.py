@@ -8,7 +8,7 @@ import numpy as np
 from pgran.errors import PgranError
 from pgran.experiments.response.models import ModelLimits, evaluate, point_dtype
 from pgran.store.fields import BOUND, DETECTOR, FLOOR, PHASE, Frequencies
-from pgran.store.record import Record, array, attribute, attribute_array, columns_of, part, row_of
+from pgran.store.record import Record, array, attribute, attribute_array, part, row_of
 
 LINES = 1e-2  # of the amplitude, that straight lines between neighbours should be right to
 
@@ -91,12 +91,6 @@ def model_dtype(columns, detectors, balls):
     return np.dtype(row)
 
 
-def proven_models(models, limits):
-    """Return the record of those of some models that are proven, with what bounds their errors."""
-    proven = models[models["proven"] > 0]
-    return Models(**vars(limits), **columns_of(Models, proven))
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Response(Frequencies):
     """The frequency response of single balls (paper: freqres, phaseres).
@@ -162,7 +156,7 @@ class Response(Frequencies):
     )  # fmt: skip
     force: np.ndarray = array(
         "force that drives the wall, or the driven balls along their motion, when they move by 1, "
-        "those under a push on the mean; NaN: no solution",
+        "under a push on average; NaN: no solution",
         "k", "omega", dtype=complex, since=4,
     )  # fmt: skip
     force_bound: np.ndarray = array(
@@ -225,8 +219,7 @@ class Response(Frequencies):
         """
         if self.models is None:
             raise PgranError(
-                "the response holds no models: compute it with -sweep_method curve and "
-                "-output_models (keep_models=True)"
+                "the response holds no models: -sweep_method curve and -output_models keep them"
             )
         from pgran.run.numbers import numbers
 

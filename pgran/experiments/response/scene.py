@@ -18,7 +18,7 @@ from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, Window, option, options_of, run_of
 from pgran.run.options import FLAG, REAL, check_ends
 from pgran.run.task import carry_out
-from pgran.store.estimate import counted, two_digits
+from pgran.store.estimate import counted, with_error
 from pgran.store.fields import ball_names
 from pgran.store.si import SI
 
@@ -54,8 +54,8 @@ def summary(result):
             continue
         velocity, error = response.phase_velocity[d], response.phase_velocity_error[d]
         yield (
-            f"{ball}: phase slope {line.slope:.4g} +- {two_digits(line.slope_error)} rad "
-            f"per omega_mx, phase velocity {velocity:.4g} +- {two_digits(error)} "
+            f"{ball}: phase slope {with_error(line.slope, line.slope_error)} rad "
+            f"per omega_mx, phase velocity {with_error(velocity, error)} "
             f"{lattice.length} x omega_mx{si.say('m/s', velocity * lattice.omega_mx)}"
         )
 
@@ -96,7 +96,7 @@ def sweep(
     resolve=option(
         None,
         "with models, frequencies are added until straight lines between them are right to this "
-        f"part of the amplitude; {LINES:g} unless given, 0 = those asked for alone",
+        f"part of the amplitude; by default {LINES:g}; 0: only those asked for",
         kind=REAL, low=0, high=0.5,
     ),
     error_tolerance=driven.STEADY["error_tolerance"],

@@ -4,11 +4,9 @@ from functools import partial
 
 import numpy as np
 
-from pgran.draw import balls, bonds, captions, style
+from pgran.draw import balls, bonds, captions, scales, style
 from pgran.experiments.sensitivity import maps
 from pgran.experiments.sensitivity.maps import Map, few
-
-SLOPE = r"$|d\,\ln|A|\,/\,d\,\ln k|$"
 
 
 def figures(result, **_):
@@ -19,12 +17,15 @@ def figures(result, **_):
         return
     if medium.has_places:
         yield from maps.pages("sensitivity", derivatives, found, medium, "derivative", _words)
-        panels = [partial(flux, record=found, medium=medium, at=n) for n in chosen]
-        text = "wedges: power, from the broad end to the point; width: square root"
         seen = Map(medium, found.detector[0])
+        panels = [partial(flux, record=found, medium=medium, at=n) for n in chosen]
+        text = "each wedge the sum of a cell; " * (not seen.clear) + (
+            "wedges: power, from the broad end to the point; width: square root; number: largest "
+            "at the circle"
+        )
         yield "flux", maps.page(seen, found, panels, "power lost at a ball", text)
     caption = r"Share of the bonds whose logarithmic derivative $|d\,\ln|A| / d\,\ln k|$ is larger."
-    figure = style.single(partial(distribution, record=found, medium=medium), caption)
+    figure = style.single(distribution, caption, record=found, medium=medium)
     maps.note_failed(figure, found)
     yield "distribution", figure
     if medium.group == "lattice":
@@ -50,12 +51,10 @@ def errors(record, how):
 
 
 def derivatives(ax, record, medium, at, d=0):
-    """Draw d ln|A| / d ln k of all bonds at one frequency, in units of the largest that is seen.
+    """Draw d ln|A| / d ln k of the bonds that are kept (`most`), as `Map.on_bonds` draws numbers.
 
-    Where bonds are too many to be seen, the sum over the bonds of each ball: what happens if it
-    presses harder on all its neighbours. Only bonds that are kept are drawn (`most`). Three
-    dimensions: the plane of the detector. The medium has positions; `at` and `d` are the numbers of
-    the frequency and of the detector. Returns what a colour bar is of.
+    The medium has positions; `at` and `d` are the numbers of the frequency and of the detector.
+    Returns what a colour bar is of.
     """
     seen = Map(medium, record.detector[d])
     drawn, unit = seen.on_bonds(ax, record.on_bonds(at, d))
@@ -71,14 +70,18 @@ def _words(seen, record, at, d):
 def flux(ax, record, medium, at):
     """Draw the mean power through all bonds at one frequency, and where it is lost.
 
-    The loss of a bond counts half at each of its balls. Returns the balls, coloured in units of the
-    largest loss that is seen.
+    The loss of a bond counts half at each of its balls. The title says what the broadest wedge is,
+    a number beside the detector what the broadest there is. Returns the balls, coloured in units of
+    the largest loss that is seen.
     """
     seen = Map(medium, record.detector[0])
     lost = 0.5 * seen.summed(record.loss[at])
-    largest = np.abs(record.flux[at][seen.numbers]).max(initial=0.0) or 1.0
+    power, ends = np.abs(record.flux[at]), seen.network.bond
+    largest = power[seen.numbers].max(initial=0.0) or 1.0
+    near = power[(ends == seen.detector).any(axis=1)].max(initial=0.0)
     drawn = seen.flow(ax, record.flux[at] / largest, lost / (lost[seen.free].max() or 1.0))
-    maps.title(ax, record, medium, at, f"power {largest:.2g}", False)
+    seen.beside(ax, captions.number(near, 1))
+    maps.title(ax, record, medium, at, f"power {captions.number(largest)}", False)
     return drawn
 
 
@@ -92,11 +95,11 @@ def distribution(ax, record, medium):
     for n in few(record):
         for d, name in enumerate(names):
             size, share = maps.shares(np.abs(record.log_amplitude[n, d]), total)
-            x = record.omega[n] / medium.omega_mx
-            label = rf"{x:.4g} $\omega_{{mx}}$" + f", {name}" * (len(names) > 1)
-            drawn += ax.plot(size, share, label=label)
+            label = scales.frequency(record.omega[n] / medium.omega_mx, medium)
+            drawn += ax.plot(size, share, label=label + f", {name}" * (len(names) > 1))
     for curve, shade in zip(drawn, style.colours(len(drawn)), strict=True):
         curve.set_color(shade)
-    ax.set(xlabel=SLOPE, ylabel="share of bonds with more")
+    ax.set(xlabel="change of $|A|$ in % by 1 % of a bond constant")
+    ax.set_ylabel("share of bonds with more")
     maps.logarithmic(ax, drawn)
     return drawn

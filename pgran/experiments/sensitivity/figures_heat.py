@@ -10,15 +10,15 @@ from pgran.errors import FileError
 from pgran.experiments.sensitivity import maps
 from pgran.experiments.sensitivity.maps import Map
 from pgran.medium.packing import nearest_images
-from pgran.store.si import SI, prefix_of
+from pgran.store.si import SI
 
 QUARTER = 25.0  # %, what the heater of the experiment changed
 CHANGE = r"change $|A' - A|\,/\,|A|$ (%)"
 AWAY = scales.Quantity("distance of the warm ball from the detector", unit="m")
 CAPTIONS = {
     "distribution": "Share of balls warmed, or bonds cut, that change the amplitude by more, at "
-    "all frequencies.",
-    "over_frequency": "Median and largest change against the driving frequency.",
+    "all frequencies; dotted: a quarter.",
+    "over_frequency": "Median and largest change against the driving frequency; dotted: a quarter.",
     "growths": "Change of |A| by one ball that grows, median and 90 % quantile over balls, "
     "frequencies and detectors; a point of each for a result, against the growth in units of the "
     "mean overlap of its contacts.",
@@ -38,15 +38,14 @@ def figures(result, **_):
     if medium.has_places and heat.warmed is not None:
         yield from maps.pages("warmed", warm, heat, medium, "change of |A|", _warmth)
     if medium.has_places and heat.frozen is not None:
-        frozen = partial(warm, name="frozen")
-        yield from maps.pages("frozen", frozen, heat, medium, "change of |A|", _frozen)
+        draw, words = partial(warm, name="frozen"), partial(_warmth, frozen=True)
+        yield from maps.pages("frozen", draw, heat, medium, "change of |A|", words)
     if medium.has_places and heat.cut is not None:
         yield from maps.pages("cut", cut, heat, medium, "change in dB", _words)
     several = bool(np.count_nonzero(heat.converged_reason > 0) > maps.MOST)
     apart = heat.growth is not None and heat.warmed is not None and medium.has_places
     panels = [distribution] + [over_frequency] * several + [over_distance] * apart
-    draws = [partial(panel, heat=heat, medium=medium) for panel in panels]
-    figure = style.stack(draws, [CAPTIONS[panel.__name__] for panel in panels])
+    figure = style.stack(panels, CAPTIONS, heat=heat, medium=medium)
     maps.note_failed(figure, heat)
     yield "changes", figure
 
@@ -86,9 +85,7 @@ def distances(heat, medium):
 def warm(ax, record, medium, at, d=0, name="warmed"):
     """Draw by how much each ball, warm, changes |A|, in units of the largest change that is seen.
 
-    Grey: balls that were not warmed. The record has `warmed`, or what else has this `name`, the
-    medium positions; `at` and `d` are the numbers of the frequency and of the detector. Returns the
-    balls.
+    Grey: balls that were not warmed. Of the record what has this `name`. Returns the balls.
     """
     seen = Map(medium, record.detector[d])
     values = np.full(len(seen.network.held), np.nan)
@@ -116,20 +113,16 @@ def _words(seen, record, at, d):
     return f"each bond cut alone; {seen.words(decibels(record, at, d), '|A| grows', 'mean')}"
 
 
-def _warmth(_, record, *__):
-    """Return what the map of warm balls shows, in words."""
+def _warmth(seen, record, *_, frozen=False):
+    """Return what the map of warm balls shows, or of those between frozen neighbours, in words."""
     how = f"bonds {record.factor:g} times as stiff"
     if record.growth is not None:
-        rest = "all at a new rest" if record.relaxed else "neighbours frozen"
-        how = f"radii larger by up to {np.abs(record.growth).max():.3g}, {rest}"
+        rest = "all at a new rest" if record.relaxed and not frozen else "neighbours frozen"
+        how = f"radii larger by up to {scales.length(np.abs(record.growth).max(), seen.medium)}"
+        how += f", {rest}"
     elif not np.isfinite(record.factor):
         how = f"overlaps larger by {record.overlap:g}"
     return f"each ball warmed alone, {how}; red: |A| grows; blue, with a bar: it falls"
-
-
-def _frozen(*_):
-    """Return what the map of warm balls between frozen neighbours shows, in words."""
-    return "each ball grown alone, neighbours frozen; red: |A| grows; blue, with a bar: it falls"
 
 
 def decibels(heat, at, d):
@@ -156,10 +149,10 @@ def distribution(ax, heat, medium=None):
             size, share = maps.shares(moved[:, d])
             quarter = np.count_nonzero(size >= QUARTER) / max(len(size), 1)
             words = f"{name}, " * (len(heat.detector) > 1)
-            words += f"{label}: {100 * quarter:.2g} % of cases above"
+            words += f"{label}: {100 * quarter:.3g} % of cases above a quarter"
             look = {"linestyle": LINES[n], "label": words}
             drawn += ax.plot(size, share, color=style.colours(len(heat.detector))[d], **look)
-    ax.axvline(QUARTER, color=style.UNRESOLVED, linestyle=":", label="a quarter")
+    ax.axvline(QUARTER, color=style.UNRESOLVED, linestyle=":")
     ax.set(xlabel=CHANGE, ylabel="share of cases with more")
     maps.logarithmic(ax, drawn, QUARTER)
     return drawn
@@ -171,11 +164,9 @@ def over_frequency(ax, heat, medium):
     shades = style.colours(len(heat.detector))
     looks = zip(LINES, ("full", "none", "left"), strict=True)
     for (line, fill), (label, moved) in zip(looks, changes(heat), strict=False):
-        known = np.isfinite(moved)
-        good = known.any(axis=-1)
-        largest = np.where(known, moved, 0.0).max(axis=-1, initial=0.0)
-        median = np.full(good.shape, np.nan)
-        median[good] = np.nanmedian(moved[good], axis=-1)
+        known = np.ma.masked_invalid(moved)
+        good, median = known.count(axis=-1) > 0, np.ma.median(known, axis=-1).filled(np.nan)
+        largest = known.max(axis=-1).filled(np.nan)
         for what, y, width, mark in (("median", median, 0.7, "."), ("largest", largest, 1.4, "^")):
             look = {"linestyle": line, "linewidth": width}
             if len(x) <= style.FEW:  # where a line would be a polygon
@@ -197,12 +188,12 @@ def over_distance(ax, heat, medium):
     names, shades = style.ball_names(heat.detector), style.colours(len(heat.detector))
     looks = zip(names, shades, distances(heat, medium), strict=True)
     for d, (name, shade, distance) in enumerate(looks):
-        look = {"color": shade, "linestyle": "none", "marker": ".", "markersize": 2, "alpha": 0.4}
+        look = {"color": style.pale(shade), "linestyle": "none", "marker": ".", "markersize": 1.5}
         ax.plot(np.tile(distance, len(moved)), moved[:, d].ravel(), rasterized=True, **look)
         groups = np.array_split(np.argsort(distance), min(GROUPS, len(distance)))
         middle = [np.median(distance[group]) for group in groups]
-        known = [moved[:, d, group] for group in groups]
-        median = [np.median(y[np.isfinite(y)]) if np.isfinite(y).any() else np.nan for y in known]
+        known = np.ma.masked_invalid(moved[:, d])
+        median = [np.ma.filled(np.ma.median(known[:, group]), np.nan) for group in groups]
         drawn += ax.plot(middle, median, color=shade, marker="o", markersize=3, label=name)
     ax.axhline(QUARTER, color=style.UNRESOLVED, linestyle=":")
     scales.label(ax.xaxis, AWAY)
@@ -223,17 +214,15 @@ def growths(results):
                 "several results of the scene sensitivity are drawn together if balls of packings "
                 "grow in them (-heat_radius, -heat_kelvin)"
             )
-        name = f"radii grow by {heat.growth.mean():.3g}"
-        if (length := SI.of(result).factor("m")) is not None:
-            scale, unit = prefix_of(length * heat.growth.mean(), "m")
-            name = f"radii grow by {scale * length * heat.growth.mean():.3g} {unit}"
+        growth = heat.growth.mean()
+        name = f"radii grow by {growth:.3g}{SI.of(result).say('m', growth)}"
         known = moduli(heat)[np.isfinite(moduli(heat))]
         if not known.size:
             continue
         point = heat.growth_overlap.mean(), *np.quantile(known, [0.5, 0.9]), np.mean(known >= 0.25)
         by_growth.setdefault(name, []).append(100 * np.array(point) / [100, 1, 1, 1])
-    panels = [partial(_growths, points=by_growth, columns=which) for which in ((1, 2), (3,))]
-    figure = style.stack(panels, [CAPTIONS["growths"], CAPTIONS["often"]])
+    panels = [partial(_growths, columns=which) for which in ((1, 2), (3,))]
+    figure = style.stack(panels, [CAPTIONS["growths"], CAPTIONS["often"]], points=by_growth)
     if failed := sum(result.heat.failures for result in results):
         style.note(figure, f"NOT IN IT: {failed} frequencies or packings that failed")
     return figure

@@ -136,7 +136,8 @@ def changes(medium, contacts, growth, case=0):
     springs = [np.where(contacts >= 0, contacts + b * medium.bonds, -1) for b in blocks]
     springs = np.concatenate(springs, axis=1)
     case = np.tile(np.broadcast_to(case, contacts.shape), (1, len(blocks)))
-    return _changed(springs, np.where(springs >= 0, growth[case, springs], 0.0))
+    delta = np.where(springs >= 0, growth[case, springs], 0.0)
+    return np.where(delta != 0, springs, -1), delta
 
 
 def cuts(medium, s):
@@ -146,9 +147,5 @@ def cuts(medium, s):
     """
     constants = medium.kappa(s)
     springs = np.arange(len(constants)).reshape(-1, medium.bonds).T
-    return _changed(springs, -constants[springs])
-
-
-def _changed(springs, delta):
-    """Return groups of springs, -1 for those that do not change, and the changes."""
+    delta = -constants[springs]
     return np.where(delta != 0, springs, -1), delta

@@ -90,7 +90,7 @@ def heat(
         None, "warm balls of a network one at a time by so much: their radii expand", "K",
         kind=REAL,
     ),
-    expansion=option(9e-6, "by which part of itself a radius grows, of glass unless given", "1/K"),
+    expansion=option(9e-6, "relative growth of a radius by heat; by default of glass", "1/K"),
     relax=option(
         None,
         "the packing finds its rest anew around a ball that grows (true, unless the network does "
@@ -98,23 +98,23 @@ def heat(
     ),
     hertz=HERTZ,
     balls=option(
-        None, "balls to warm, flat: 8,10 or 8,10,3,4; all unless given", kind=INTEGERS, low=0,
+        None, "balls to warm, 8,10 or of two balls 8,10,3,4; by default all", kind=INTEGERS, low=0,
         high=2**63 - 1,
     ),
     samples=option(
-        None, "warm so many of the balls only, drawn at random", kind=INTEGER, low=1
+        None, "warm only so many balls, drawn at random", kind=INTEGER, low=1
     ),
-    cut=option(False, "cut bonds one at a time, dashpots too"),
+    cut=option(False, "cut bonds one at a time, with their dashpots"),
     error_tolerance=driven.STEADY["error_tolerance"],
     progress=PROGRESS,
 ) -> Heat:  # fmt: skip
     """Return the amplitudes after each ball is warmed, or each bond is cut, one at a time.
 
-    Exact, however large changes are. Where neighbours stay as they are, each unknown at the springs
-    that change takes one solve with the factorization of its frequency: see `finite`; tangential
-    springs become as much stiffer. Where the packing relaxes, its steady states are solved anew:
-    see `growth`. Where radii grow and the network knows its contact law, there are derivatives by
-    all radii, too: see `radii`.
+    They are exact, however large changes are. Where neighbours stay in place, each unknown at the
+    springs that change takes one solve with the factorization of its frequency (see `finite`), and
+    tangential springs get stiffer in the same ratio. Where the packing relaxes, its steady states
+    are solved anew (see `growth`). Where radii grow and the network knows its contact law, the
+    record has derivatives by all radii as well (see `radii`).
     """
     given = factor, overlap, radius, kelvin, balls, samples, relax
     names = *WAYS, "heat_balls", "heat_samples", "heat_relax"
@@ -137,20 +137,19 @@ def heat(
     if expanding is not None:
         expanded = carry_out(expanding, crew, progress)
         if record is not None:
-            record = dataclasses.replace(record, **expanded)
-            record = dataclasses.replace(record, heard=heard(record))
+            record = with_heard(dataclasses.replace(record, **expanded))
     return record
 
 
-def heard(record):
-    """Return the shares of balls that change amplitudes by a quarter or more, for certain."""
+def with_heard(record):
+    """Return a record with the shares of balls whose change is a quarter or more, for certain."""
     before, bound = record.displacement[..., None], record.error_bound[..., None]
     with np.errstate(invalid="ignore"):
         moved = np.abs(record.warmed - before) - record.warmed_bound - bound
         # by a quarter of what the amplitude may be at most
         share = np.mean(moved >= QUARTER * (np.abs(before) + bound), axis=-1)
     share[record.converged_reason <= 0] = np.nan
-    return share
+    return dataclasses.replace(record, heard=share)
 
 
 def check_solver(lattice, crew):
@@ -169,9 +168,7 @@ def check_solver(lattice, crew):
 class HeatSweep(AdjointSweep):
     """The amplitudes after changes that leave all other balls in place, frequency by frequency."""
 
-    def __init__(
-        self, lattice, omegas, detectors, warmth, relaxing, warm, cut, error_tolerance
-    ):  # fmt: skip
+    def __init__(self, lattice, omegas, detectors, warmth, relaxing, warm, cut, error_tolerance):
         """Find the springs that change; `warm` are places among the free balls."""
         sites, free = lattice.sites(detectors), lattice.ball_numbers
         self.warmth, self.relaxing, self.balls = warmth, relaxing, free[warm]
@@ -268,9 +265,7 @@ class HeatSweep(AdjointSweep):
             **columns_of(Heat, rows),
             **self._growth(),
         )
-        if record.warmed is None:
-            return record
-        return dataclasses.replace(record, heard=heard(record))
+        return record if record.warmed is None else with_heard(record)
 
     def _growth(self):
         """Return what a record says of balls that grow."""

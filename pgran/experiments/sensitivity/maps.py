@@ -2,29 +2,25 @@
 
 import logging
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
 
-import matplotlib
 import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 
-from pgran.draw import balls, bonds, style
-from pgran.draw.view import MANY, View
+from pgran.draw import balls, bonds, scales, style
+from pgran.draw.view import BARRED, MANY, View
 from pgran.medium.space import as_network
 
 log = logging.getLogger("pgran")
 MOST = 3  # frequencies in maps, and detectors with maps of their own
 CLEAR = 8000  # bonds in the plane that are drawn one by one; of more, what their balls sum up to
 CELLS = 24  # of arrows along the longer side, where there are more bonds
-LOST = ListedColormap(matplotlib.colormaps["YlOrBr"](np.linspace(0.0, 0.7, 64)))
-COLOURS = matplotlib.colormaps["RdBu_r"].with_extremes(bad="#e4e4e4")
+LOST = LinearSegmentedColormap.from_list("lost", ["white", "#fdbe85", "#e6550d"])
 # for lines, which would not be seen if they were white
-STRONG = np.concatenate([np.linspace(0.0, 0.3, 64), np.linspace(0.7, 1.0, 64)])
-STRONG = ListedColormap(matplotlib.colormaps["RdBu_r"](STRONG))
-FAINT = 0.05  # of the largest: no mark for what is smaller
+STRONG = ListedColormap(style.SIGNED(np.r_[0.0:0.3:64j, 0.7:1.0:64j]))
+FAINT = 0.05  # of the largest: no wedge for what is smaller
 SHORTEST = 3.0  # points that a line is long, in a panel as it is before the layout
-GROUND = {"colors": "#bbbbbb", "linewidths": 0.3, "zorder": 0.5}
 
 
 class Map:
@@ -48,31 +44,25 @@ class Map:
         self.segments, self.numbers = self.view.lines(network.bond)
         self.clear = len(self.segments) <= CLEAR
 
-    @cached_property
-    def extent(self):
-        """Width and height of what is seen."""
-        if self.lattice:
-            nx, *across = self.medium.shape
-            return (nx + 1, across[0] + 1 if across else 1)
-        return self.view.extent
-
-    def points(self, ax):
-        """Return how many points on paper are between neighbours, as the panel is now."""
-        return 72 * ax.bbox.width / ax.figure.dpi * self.view.spacing / self.extent[0]
-
     def frame(self, ax):
         """Set the limits; draw walls, balls that are held, faint bonds, and mark the detector."""
-        many = len(self.segments) > MANY
         if self.lattice:
             bonds.walls(ax, self.medium, tuple(self.site[2:]), arrow=False)
         else:
             self.view.frame(ax)
-            self.view.draw(ax, self.view.seen & (self.network.held > 0), zorder=0.6)
+            self.view.draw(ax, self.view.seen & (self.view.kind > 0), zorder=0.6)
         if self.clear:
-            ax.add_collection(LineCollection(self.segments, rasterized=many, **GROUND))
-        look = {"marker": "o", "markersize": 4.5, "markeredgewidth": 1.0, "linestyle": "none"}
-        look |= {"markerfacecolor": "white", "markeredgecolor": "black", "zorder": 5}
+            self.view.ground(ax, 0.5)
+        look = style.RING | {"markersize": 4.5, "markeredgewidth": 1.0, "zorder": 5}
         ax.plot(*self.view.xy[self.detector], label="detector", **look)
+
+    def beside(self, ax, text):
+        """Write a text beside the detector, towards the middle of the panel."""
+        (x, _), middle = self.view.xy[self.detector], np.mean(ax.get_xlim())
+        place = {"xytext": (4, 4) if x < middle else (-4, 4), "textcoords": "offset points"}
+        halo = {"path_effects": [style.HALO], "zorder": 5}
+        side = "left" if x < middle else "right"
+        ax.annotate(text, self.view.xy[self.detector], ha=side, fontsize="small", **place, **halo)
 
     def lines(self, ax, values):
         """Draw numbers from -1 to 1 on all bonds, NaN: none; return what a colour bar is of.
@@ -81,7 +71,7 @@ class Map:
         large lattice, a few bonds of which are drawn, are longer than bonds.
         """
         self.frame(ax)
-        points = self.points(ax)
+        points = self.view.points(ax)
         thickest = min(max(0.45 * points, 1.2), 5.0)
         of_lines = values[self.numbers]
         order = np.argsort(np.abs(of_lines), kind="stable")  # the NaNs last
@@ -95,7 +85,7 @@ class Map:
             linewidths=thickest * size, zorder=2, **look,
         )  # fmt: skip
         ax.add_collection(drawn)
-        hollow = (of_lines[order] < 0) & (size > np.sqrt(FAINT))
+        hollow = of_lines[order] < -BARRED
         widths = 0.35 * thickest * size[hollow]
         look |= {"colors": "white", "linewidths": widths, "zorder": 2.1, "label": "negative"}
         ax.add_collection(LineCollection(segments[hollow], **look))
@@ -135,20 +125,9 @@ class Map:
         return total
 
     def discs(self, ax, values):
-        """Draw numbers of all balls, -1 to 1, as colours of the free ones, NaN: grey; return these.
-
-        Negative ones have a white bar, if balls are large enough on paper.
-        """
+        """Draw numbers of all balls, -1 to 1, as colours of the free ones; return these."""
         self.frame(ax)
-        look = {"cmap": COLOURS, "clim": (-1.0, 1.0), "zorder": 1}
-        shown = np.ma.masked_invalid(values[self.free])
-        drawn = self.view.draw(ax, self.free, array=shown, **look)
-        if self.points(ax) >= 3:
-            below = self.free & (values < -FAINT)
-            look = {"color": "white", "marker": "_", "linestyle": "none", "zorder": 3}
-            look |= {"markersize": min(0.4 * self.points(ax), 5), "markeredgewidth": 0.7}
-            ax.plot(*self.view.xy[below].T, label="negative", **look)
-        return drawn
+        return self.view.coloured(ax, values, self.free)
 
     def flow(self, ax, values, lost):
         """Draw what flows through bonds, from the first ball to the second where it is positive.
@@ -158,9 +137,9 @@ class Map:
         balls, coloured by what is lost there. Both are in units of the largest.
         """
         self.frame(ax)
-        look = {"cmap": LOST, "clim": (0.0, 1.0), "zorder": 0.4}
+        look = {"cmap": LOST, "clim": (0.0, 1.0), "zorder": 0.4, "linewidths": 0}
         drawn = self.view.draw(ax, self.free, array=lost[self.free], **look)
-        flows, breadth = values[self.numbers], 0.45 * self.view.spacing
+        flows, breadth = values[self.numbers], 0.65 * self.view.spacing
         start, end = self.segments[:, 0], self.segments[:, 1]
         if not self.clear:
             start, end, flows, breadth = self._cells(0.5 * (start + end), flows)
@@ -217,8 +196,8 @@ def pages(name, draw, record, medium, what, words):
 
 def page(seen, record, panels, what, text):
     """Return the figure of some maps, with what they show and what failed said above."""
-    figure = balls.page(seen.extent, panels, what)
-    held = "what drives: blue" if seen.lattice else "balls at rest: dark; driven: blue"
+    figure = balls.page(seen.view.extent, panels, what)
+    held = "green: what drives" if seen.lattice else "dark: at rest; green: driven"
     where = "; ".join(filter(None, [seen.view.plane, f"circle: {seen.name}", held]))
     style.above(figure, where, text)
     note_failed(figure, record)
@@ -237,7 +216,7 @@ def title(ax, record, medium, at, largest, few_beyond):
     """Say in the title of a map which frequency it is at, and its unit."""
     end = "99% within" if few_beyond else "largest"
     x = record.omega[at] / medium.omega_mx
-    ax.set_title(rf"$\omega$ = {x:.4g} $\omega_{{mx}}$, {end} {largest}")
+    ax.set_title(f"{scales.frequency(x, medium)}, {end} {largest}")
 
 
 def shares(values, total=None):

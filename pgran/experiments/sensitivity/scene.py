@@ -19,7 +19,7 @@ from pgran.run.interface import in_parallel
 from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, call, option, options_of
 from pgran.run.task import carry_out
-from pgran.store.estimate import counted, two_digits
+from pgran.store.estimate import counted, with_error
 from pgran.store.fields import ball_names, site_name
 from pgran.store.record import columns_of
 from pgran.store.si import SI
@@ -58,7 +58,7 @@ def summary(result):
         yield (
             f"{ball}: depends most on bond {number}, {joins(result.medium, number)}, at omega = "
             f"{omega:.6g}{SI.of(result).say('Hz', omega)}: d ln|A| / d ln k = "
-            f"{slopes[at, bond]:.4g} +- {two_digits(error)}"
+            f"{with_error(slopes[at, bond], error)}"
         )
     if getattr(result, "heat", None):
         yield from heat.summary(result.heat)
@@ -84,16 +84,14 @@ def sensitivity(
     detectors,
     crew=None,
     *,
-    most=option(
-        0, "keep the derivatives by so many bonds and balls, the largest; 0 = by all", low=0
-    ),
+    most=option(0, "keep only the largest derivatives, by so many bonds and balls; 0 = all", low=0),
     error_tolerance=driven.STEADY["error_tolerance"],
     progress=PROGRESS,
 ) -> Sensitivity:
     """Differentiate amplitudes by all bond constants, masses and beta, at each frequency.
 
-    See `gradient`. The accuracy is asked of derivatives by bonds and masses, too, relative to the
-    largest.
+    See `gradient`. The accuracy holds for derivatives by bonds and masses as well, relative to the
+    largest one.
     """
     with agreeing(crew.world):
         task = GradientSweep(lattice, omegas, detectors, most, error_tolerance)

@@ -23,14 +23,14 @@ def check_options(values):
     ways = [name for name in WAYS if values[name] is not None]
     if len(ways) > 1:
         names = ", ".join(f"-{name}" for name in ways)
-        raise InputError(f"{names}: a ball is warmed in one of these ways")
+        raise InputError(f"{names}: a ball is warmed in one of these ways; leave the others out")
     which = [f"-{name}" for name in ("heat_balls", "heat_samples") if values[name] is not None]
     if which and not ways:
-        raise InputError(f"{which[0]}: by how much? -{' or -'.join(WAYS)} says")
+        raise InputError(f"{which[0]}: say by how much, with -{' or -'.join(WAYS)}")
     if len(which) > 1:
-        raise InputError(f"{' and '.join(which)}: give the balls, or how many to draw")
+        raise InputError(f"{' and '.join(which)}: give one, the balls or how many to draw")
     if values["heat_relax"] is not None and not {"heat_radius", "heat_kelvin"} & {*ways}:
-        raise InputError("-heat_relax: of balls that grow, by -heat_radius or -heat_kelvin")
+        raise InputError("-heat_relax: only for balls that grow, by -heat_radius or -heat_kelvin")
 
 
 class Warmth(NamedTuple):
@@ -57,7 +57,7 @@ class Warmth(NamedTuple):
         if balls is not None:
             return np.unique(medium.numbers_of(medium.sites(balls, "-heat_balls")))
         if samples is not None and samples > count:
-            raise InputError(f"-heat_samples {samples}: there are {count} balls to warm")
+            raise InputError(f"-heat_samples {samples}: there are only {count} balls to warm")
         return np.sort(np.random.default_rng(SEED).permutation(count)[:samples])
 
     @property
@@ -107,8 +107,7 @@ def check_law(network):
 
     if network.turns:
         raise InputError(
-            "-heat_relax: how balls that turn find their rest depends on what went before, which "
-            "a network does not know; -heat_relax false freezes the neighbours"
+            "-heat_relax: the rest of balls that turn depends on their past; take -heat_relax false"
         )
     law_of(with_vectors(network))
     pulling = np.flatnonzero(network.force <= 0)
@@ -119,7 +118,7 @@ def check_law(network):
 def relaxes(medium, relax):
     """Return whether a packing relaxes; raise an InputError where it should and cannot."""
     if not isinstance(medium, Network):
-        raise InputError("-heat_radius, -heat_kelvin: of a network, whose balls have radii")
+        raise InputError("-heat_radius, -heat_kelvin: only for a network whose balls have radii")
     if relax is False:
         return False
     try:
@@ -151,19 +150,19 @@ def told(heat):
                 "rearrange, and derivatives by radii say little of what happens"
             )
         by += (
-            f", {large:.3g} of the mean overlap, {np.median(least):.3g} (median) to "
-            f"{least.max():.3g} of their own smallest one"
+            f", {large:.3g} of the mean overlap and, of a ball's own smallest overlap, "
+            f"{np.median(least):.3g} (median) to {least.max():.3g}"
         )
     if heat.by_radius_bound is not None and np.isinf(heat.by_radius_bound).any():
         yield Caution(
-            "derivatives by radii without bounds: that the packing is stable is not certain"
+            "derivatives by radii have no bounds: it is not certain that the packing is stable"
         )
-    rest = "packings at a new rest" if heat.relaxed else "neighbours frozen"
+    rest = "all balls find a new rest" if heat.relaxed else "neighbours frozen"
     yield f"radii of warm balls grow by up to {by}; {rest}"
     if heat.relaxed and np.any(there := heat.outcome != OUTCOMES[-1]):
         outcomes = [f"{np.count_nonzero(heat.outcome == what)} {what}" for what in OUTCOMES[:-1]]
         opened, closed = (f"{x[there].mean():.3g}" for x in (heat.opened, heat.closed))
         yield (
-            f"{counted(len(heat.ball), 'packing')}: {', '.join(outcomes)}; in the mean {opened} "
+            f"{counted(len(heat.ball), 'packing')}: {', '.join(outcomes)}; on average {opened} "
             f"contacts opened, {closed} closed"
         )

@@ -1,11 +1,9 @@
 """The figures of a structure factor: maps with the dispersion; speeds, and where waves end."""
 
-from functools import partial
-
 import numpy as np
 from matplotlib.colors import LogNorm
 
-from pgran.draw import captions, scales, style
+from pgran.draw import captions, marks, scales, style
 
 SMALLEST = 1e-3  # of the largest S: what is less looks the same
 WAVE_NUMBER = scales.Quantity("wave number $q$", "(1/length)")
@@ -34,8 +32,8 @@ def figures(result, **_):
     pages["structure"].colorbar(drawn, ax=list(pages["structure"].panels), **bar)
     pages["structure"].caption = MAPS
     if np.isfinite(record.frequency).any():
-        draws = [partial(panel, record=record, medium=medium) for panel in (speed, scattering)]
-        pages["dispersion"] = style.stack(draws, CAPTIONS)
+        both = {"record": record, "medium": medium}
+        pages["dispersion"] = style.stack([speed, scattering], CAPTIONS, **both)
     for name, figure in pages.items():
         if record.failures:
             style.note(figure, f"{record.failures} of {len(good)} frequencies failed")
@@ -56,7 +54,8 @@ def spectra(ax, record, medium, branch=0):
     drawn = ax.pcolormesh(_edges(record.q), _edges(omega), values, rasterized=True, **look)
     middle, half = (x[branch] / medium.omega_mx for x in (record.frequency, 0.5 * record.width))
     look = {"fmt": "o", "markersize": 2, "color": "white", "elinewidth": 0.6}
-    ax.errorbar(record.q, middle, np.abs(half), **look)
+    fitted = np.isfinite(middle)
+    ax.errorbar(record.q[fitted], middle[fitted], np.abs(half[fitted]), **look)
     ax.set_title(record.branch[branch])
     ax.set_ylim(*_edges(omega)[[0, -1]])
     scales.label(ax.xaxis, WAVE_NUMBER)
@@ -74,8 +73,8 @@ def speed(ax, record, medium):
     """Draw the phase velocity against the wave number, a curve a branch; return the curves."""
     scales.label(ax.xaxis, WAVE_NUMBER)
     ax.set_ylabel(r"$\Omega/q$ (length $\sqrt{k/m}$)")
-    q = np.broadcast_to(record.q, record.width.shape)
-    return _curves(ax, record, q, record.velocity, record.frequency_error / record.q)
+    error = record.frequency_error / record.q
+    return marks.points(ax, record.q, record.velocity, error, record.branch, linestyle="-")
 
 
 def scattering(ax, record, medium):
@@ -84,18 +83,9 @@ def scattering(ax, record, medium):
     ratio, error = (np.pi * rate / record.frequency for rate in rates)
     scales.label(ax.xaxis, OMEGA)
     ax.set_ylabel(r"$\pi\Gamma/\Omega$")
-    drawn = _curves(ax, record, record.frequency / medium.omega_mx, ratio, error)
+    x = record.frequency / medium.omega_mx
+    drawn = marks.points(ax, x, ratio, error, record.branch, linestyle="-")
     ax.axhline(1.0, color="black", linewidth=0.6, linestyle=":")
     for curve, limit in zip(drawn, record.ioffe_regel, strict=True):
         ax.axvline(limit / medium.omega_mx, color=curve[0].get_color(), linewidth=0.6)
     return drawn
-
-
-def _curves(ax, record, x, y, error):
-    """Draw a curve with error bars for each branch; return them."""
-    shades, look = style.colours(len(record.branch)), {"markersize": 3, "elinewidth": 0.8}
-    rows = zip(x, y, error, record.branch, "os", shades, strict=False)
-    return [
-        ax.errorbar(a, b, c, label=name, marker=mark, color=shade, **look)
-        for a, b, c, name, mark, shade in rows
-    ]

@@ -21,7 +21,7 @@ class Structure(Frequencies):
     group = "structure"
     q: np.ndarray = array("wave number", "1/length")
     branch: np.ndarray = array("polarisation", "1", dtype=str)
-    wavevector: np.ndarray = array("wave vector, one of those", "1/length", "q", "coordinate")
+    wavevector: np.ndarray = array("wave vector, one of several", "1/length", "q", "coordinate")
     directions: np.ndarray = array("how many wave vectors S is the mean of", "1", "q", dtype=int)
     resolution: np.ndarray = array("sigma, the real part of s", "sqrt(k/m)", "omega")
     structure_factor: np.ndarray = array("S", "sqrt(m/k)", "omega", "branch", "q", row=True)

@@ -22,7 +22,7 @@ from pgran.run.keywords import PROGRESS, Asked, option, options_of, run_of
 from pgran.run.numbers import numbers
 from pgran.run.options import INTEGER, REAL, Option
 from pgran.run.task import carry_out
-from pgran.store.estimate import counted, two_digits
+from pgran.store.estimate import counted, with_error
 from pgran.store.si import SI
 
 log = logging.getLogger("pgran")
@@ -31,7 +31,7 @@ COUNT = Option(
 )
 WAVEVECTORS = Asked(
     (COUNT,),
-    lambda options, *others: options.structure_count,
+    COUNT.of_run,
     lambda value: numbers("wavevectors", value) if np.ndim(value) else COUNT.check(value),
 )
 
@@ -47,13 +47,13 @@ def structure(
     crew=None,
     *,
     direction=option(
-        "all", "an axis that waves run along; all, and the diagonals of periodic ones",
+        "all", "an axis that waves run along; all, with the diagonals of periodic ones",
         choices=("all", "x", "y", "z"),
     ),
     width=option(
         None,
-        "sigma, the real part of s: peaks get wider by 2 sigma, which fits allow for; unless given "
-        "twice the distance of neighbouring frequencies; 0: by dashpots alone, no second sweep",
+        "sigma, the real part of s: peaks get wider by 2 sigma, which fits allow for; by default "
+        "twice the distance of neighbouring frequencies; 0: width by dashpots alone, one sweep",
         "angular", kind=REAL, low=0,
     ),
     error_tolerance=STEADY["error_tolerance"],
@@ -118,11 +118,11 @@ def summary(result):
     for b, branch in enumerate(record.branch):
         for n in np.flatnonzero(np.isfinite(record.frequency[b] * record.scattering[b]))[:1]:
             speed, q = record.velocity[b, n], record.q[n]
-            error = two_digits(record.frequency_error[b, n] / q)
-            rate, rate_error = record.scattering[b, n], record.scattering_error[b, n]
+            rate = with_error(record.scattering[b, n], record.scattering_error[b, n])
+            known = with_error(speed, record.frequency_error[b, n] / q)
             yield (
-                f"{branch} waves of q = {q:.4g}: speed {speed:.4g} +- {error} {medium.length} x "
-                f"sqrt(k/m){si.say('m/s', speed)}, Gamma {rate:.3g} +- {two_digits(rate_error)}, "
+                f"{branch} waves of q = {q:.4g}: speed {known} {medium.length} x "
+                f"sqrt(k/m){si.say('m/s', speed)}, Gamma {rate}, "
                 f"mean free path {record.mean_free_path[b, n]:.3g} {medium.length}"
             )
         limit, said = ioffe_regel(record.frequency[b], record.scattering[b])

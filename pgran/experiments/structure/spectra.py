@@ -1,10 +1,8 @@
 """The structure factor, frequency by frequency, and the record of it with its oscillators."""
 
-import contextlib
-
 import numpy as np
 
-from pgran.driven.sweep import FrequencySweep
+from pgran.driven.pattern_sweep import PatternSweep
 from pgran.experiments.structure.oscillator import fitted, ioffe_regel
 from pgran.experiments.structure.record import Structure
 from pgran.medium.rounding import EPSILON
@@ -12,7 +10,7 @@ from pgran.store.estimate import Estimate, with_errors
 from pgran.store.record import columns_of, row_of
 
 
-class Spectra(FrequencySweep):
+class Spectra(PatternSweep):
     """S of groups of waves at sigma + i omega; `sigma` may be one number or one a frequency.
 
     `waves` are those that fit into the medium.
@@ -25,43 +23,23 @@ class Spectra(FrequencySweep):
         row = row_of(Structure, branch=self.shape[:1], q=self.shape[1:])
         super().__init__(lattice, omegas, None, row, choices, sigma)
         self.patterns, self.places = waves.patterns(groups)
-        self.s = sigma + 1j * self.omegas
 
     def without_dashpots(self):
         """Return the same task for the medium without damping."""
         return Spectra(
-            self.lattice.undamped(), self.omegas, self.sigma, self.waves, self.groups, self.choices
+            self.lattice.undamped(), self.omegas, self.s.real, self.waves, self.groups, self.choices
         )
 
-    @contextlib.contextmanager
-    def open(self, group):
-        """See `Task`."""
-        from pgran.driven.operators import Operators
-        from pgran.driven.patterns import PatternSolver
-
-        with (
-            Operators(self.scaled, group) as operators,
-            PatternSolver(operators, **self.choices) as solver,
-        ):
-            yield lambda unit: self._solved(solver, unit)
-
-    def _solved(self, solver, unit):
-        """Return the rows of some points."""
-        rows = np.zeros(len(unit), self.row)
-        for row, s in zip(rows, self.s[unit.start : unit.stop], strict=True):
-            before = solver.factorizations
-            solver.solve(s)
-            G, bounds = solver.diagonal(self.patterns)
-            bounds = bounds + (len(G) + 8) * EPSILON * np.abs(G)  # what follows is rounded, too
-            # Re(s G), of the velocity that a force makes, is -omega Im G at s = i omega
-            scale = 2 * self.scaled.mass / np.pi
-            value = row["structure_factor"] = self._summed(scale * np.real(s * G))
-            bound = row["error_bound"] = self._summed(scale * abs(s) * bounds)
-            row["backward_error"] = solver.backward_error
-            row["factorizations"] = solver.factorizations - before
-            good = bound <= solver.tolerance * np.abs(value)
-            row["converged_reason"] = np.all(good) or (np.isinf(bound).all() and solver.solved)
-        return rows
+    def compute(self, point, solver, s):
+        """See `PatternSweep`."""
+        G, bounds = solver.diagonal(self.patterns)
+        bounds = bounds + (len(G) + 8) * EPSILON * np.abs(G)  # what follows is rounded, too
+        # Re(s G), of the velocity that a force makes, is -omega Im G at s = i omega
+        scale = 2 * self.scaled.mass / np.pi
+        value = point["structure_factor"] = self._summed(scale * np.real(s * G))
+        bound = point["error_bound"] = self._summed(scale * abs(s) * bounds)
+        good = bound <= solver.tolerance * np.abs(value)
+        point["converged_reason"] = np.all(good) or (np.isinf(bound).all() and solver.solved)
 
     def _summed(self, numbers):
         """Return the sums of the patterns' numbers over each branch and wave number."""

@@ -61,8 +61,7 @@ class Waves:
             waves[tuple(wave)] = wave
         if not waves:
             raise InputError(
-                f"-structure_direction {direction}: no wave fits into this medium: an axis must be "
-                "periodic (the network's box), or lie between balls that are held"
+                f"-structure_direction {direction}: no wave fits: it has no period and no walls"
             )
         ordered = sorted(waves.values(), key=self.magnitude)
         groups = itertools.groupby(ordered, lambda wave: f"{self.magnitude(wave):.6e}")
