@@ -22,6 +22,12 @@ def spectrum(s, frequency, width):
     return 2 / math.pi * np.real(s / (s * s + s * width + frequency**2))
 
 
+def derivatives(s, frequency, width):
+    """Return the derivatives of that spectrum by Omega and Gamma, shape (n, 2)."""
+    below = (s * s + s * width + frequency**2) ** 2
+    return -2 / math.pi * np.real([2 * frequency * s / below, s * s / below]).T
+
+
 def fitted(s, values):
     """Return Omega and Gamma of the oscillator nearest to a spectrum, an Estimate of both.
 
@@ -40,7 +46,14 @@ def fitted(s, values):
         # it does not converge, or nothing says how well
         with contextlib.suppress(RuntimeError, OptimizeWarning), warnings.catch_warnings():
             warnings.simplefilter("error", OptimizeWarning)
-            found, covariance = curve_fit(lambda _, *o: spectrum(s, *o), s.imag, values, start)
+            # The steps of SciPy's own differences are as small as Gamma: none where it is 0.
+            found, covariance = curve_fit(
+                lambda _, *o: spectrum(s, *o),
+                s.imag,
+                values,
+                start,
+                jac=lambda _, *o: derivatives(s, *o),
+            )
             if s[0].imag < found[0] < s[-1].imag:
                 # What a Lorentzian of half width sigma smooths is correlated as one of 2 sigma,
                 # whose area is 2 pi sigma: so many points count as one.
