@@ -12,6 +12,7 @@ from scipy.interpolate import CubicHermiteSpline as Spline
 from synthetic import codas, fair, weaver
 
 import pgran
+from pgran.command.compare import table
 from pgran.errors import PgranError
 from pgran.experiments.likeness.stretching import MOVES, Pair
 from pgran.experiments.relaxation import memory
@@ -168,6 +169,9 @@ def test_the_command(call, place, world, results):
     for name, sign, at in (("correlation", "", (0, 0, 0)), ("stretch", "+", (1, 0, 0))):
         number = with_error(getattr(found, name)[at], getattr(found, f"{name}_error")[at])
         assert f" {sign}{number} " in done.stdout
+    one = np.ones_like(found.stretch)
+    near = dataclasses.replace(found, correlation=one - 2e-6, correlation_error=1.1e-6 * one)
+    assert " 0.9999980 +- 0.0000011 " in "".join(table(near))
     itself = call("compare", "a.h5", "b.h5", "-o", "a.h5", "-output_overwrite")
     assert itself.returncode == 2 or world.rank > 0
     assert "-o a.h5: this result is compared" in itself.stderr

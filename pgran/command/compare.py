@@ -21,7 +21,7 @@ log = logging.getLogger("pgran")
 
 WINDOWS = Option("windows", REALS, None, "low,high,low,high ... of angular frequencies or times")
 UNITS = "units_length", "units_time"  # of figures, where both agree
-ROW = "{:<19}{:<20}{:<22}{:<9}{:<22}"  # of the table
+ROW = "{:<18} {:<22} {:<22} {:<8} {}"  # of the table
 DIGITS = {"correlation": ".4f", "stretch": "+.3g", "stretched": ".4f", "shift": "+.3g"}
 
 
