@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pgran
+from pgran.command.imports import middle
 from pgran.errors import InputError
 from pgran.medium.crystals import square
 
@@ -52,6 +53,9 @@ def test_it_shares_all_but_the_places(axes, isostatic):
     assert apart[0] == pytest.approx(apart[1], abs=0.6 * side)
     assert lattice.box == pytest.approx(packing.box, abs=0.6 * side)
     assert pgran.ordered(packing, 4) != lattice == pgran.ordered(packing, 1993)
+    noise = 1e-14 * np.random.default_rng(1).standard_normal((8, *lattice.position.shape))
+    near = [dataclasses.replace(lattice, position=lattice.position * (1 + x)) for x in noise]
+    assert {*map(middle, near)} == {middle(lattice)}  # rounding does not choose it
 
 
 def test_of_a_lattice_it_is_that_lattice():

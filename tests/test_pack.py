@@ -159,10 +159,11 @@ def test_the_command_makes_what_a_run_takes(call, place, shared_path):
     assert "contacts more than an isostatic packing has" in made.stdout
     network = pgran.load(shared_path / "a.h5")
     assert network == pgran.pack(60, pressure=1e-2, walls="x", shape=(2, 1), seed=7, rest="x<2")
-    detector = made.stdout.split("-detectors ")[1].split()[0]
-    place("b.opts", f"-scene response -network_file a.h5 -detectors {detector} -sweep_points 3")
-    run = call("run", "b.opts", "-output_file", "r.h5", "-output_progress", "none")
-    assert run.returncode == 0, run.stderr
+    floats = call("pack", "--balls", "60", "--pressure", "1e-2", "-o", "c.h5")
+    place("b.opts", "-scene response -sweep_points 3 -output_overwrite -output_file r.h5")
+    for done in floats, made:
+        run = call("run", "b.opts", *done.stdout.split(" FILE ")[1].split())
+        assert run.returncode == 0, run.stderr
     assert pgran.load(shared_path / "r.h5").network.built == network
     assert "exists already" in call(*words).stderr
     assert call(*words, "--overwrite").returncode == 0

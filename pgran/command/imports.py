@@ -17,7 +17,7 @@ from pgran.foreign.recognise import read_contacts
 from pgran.foreign.tables import read_table
 from pgran.medium.checks import KINDS
 from pgran.medium.network_file import check_output, write_network
-from pgran.medium.springs import FREE
+from pgran.medium.springs import DRIVEN, FREE
 from pgran.store.estimate import counted
 
 log = logging.getLogger("pgran")
@@ -165,7 +165,9 @@ def _summary(network, made, contacts, options):
 
 def next_step(network, path):
     """Return the command line that computes with a network, heard at a ball in its middle."""
-    return f"next: pgran run FILE -network_file {path} -detectors {middle(network)}"
+    ball = middle(network)
+    drive = "" if DRIVEN in network.held or network.push is not None else f"-drive_balls {ball} "
+    return f"next: pgran run FILE -network_file {path} {drive}-detectors {ball}"
 
 
 def _words(direction):
@@ -195,9 +197,10 @@ def _rigidity(network):
 
 
 def middle(network):
-    """Return the free ball that is nearest to the middle of the packing, or of the list."""
+    """Return the free ball nearest to the middle (first of equals), or in the list's middle."""
     if network.position is None:
         return int(network.free[len(network.free) // 2])
     position = network.position
     away = position[network.free] - (position.min(axis=0) + position.max(axis=0)) / 2
-    return int(network.free[np.argmin(np.sum(away**2, axis=1))])
+    distance = np.linalg.norm(away, axis=1)
+    return int(network.free[np.argmax(distance <= distance.min() * (1 + 1e-9))])
