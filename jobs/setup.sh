@@ -138,6 +138,7 @@ hand_on() { # FOLDER of that other venv
 make_venv() {
   say "making $venv with $python${wheel:+, and PETSc from PyPI (about a minute)} ..."
   local made site outer= folder build=(--no-build-isolation) missing=() name complete=yes
+  local -x PIP_DISABLE_PIP_VERSION_CHECK=1
   local flags=(--system-site-packages)
   if [ "$wheel" ]; then
     flags=()
@@ -211,7 +212,7 @@ if [ ! -e "$venv/complete" ] || [ pyproject.toml -nt "$venv/complete" ] || [ job
     [ -n "${PGRAN_STACK:-}" ] || say "no python3 with complex petsc4py and slepc4py was found, and" \
       "Debian packages cannot be installed (no apt-get, or neither root nor sudo)."
     say "PETSc from PyPI needs Python 3.12 to 3.14 with its venv, on x86_64 with glibc 2.34 or later:" \
-      "none was found."
+      "none was found. pyenv installs one without root."
     give_up
   fi
   make_venv
