@@ -52,7 +52,7 @@ def frequencies(options, lattice):
     """Return the frequencies to count at."""
     low, high = options.modes_omega_min, options.modes_omega_max
     if low is None:
-        scaled, _ = lattice.in_own_unit()
+        scaled, _ = lattice.undamped().in_own_unit()
         low, high = 0.0, math.sqrt(scaled.stiffness_norm / scaled.mass) or 1.0
     return np.linspace(low, high, options.modes_density)
 
@@ -95,7 +95,7 @@ class Counts(Task):
     def __init__(self, lattice, omegas):
         """Count at 0, too, where modes may be unstable."""
         self.lattice, self.omegas = lattice, omegas
-        self.scaled, _ = lattice.in_own_unit()
+        self.scaled, _ = lattice.undamped().in_own_unit()
         self.at_zero = not lattice.semidefinite and omegas[0] > 0
         self.units = [*([0.0] if self.at_zero else []), *omegas.tolist()]
 
