@@ -120,8 +120,10 @@ def test_widths_to_first_order():
     lossy = dataclasses.replace(UNDAMPED, drag=ALPHA, loss=ETA)
     modes = pgran.find_modes(lossy)
     np.testing.assert_allclose(modes.width, ALPHA + ETA * modes.omega, rtol=1e-12)
-    found = pgran.structure(lossy, 1, [0.2, 0.3, 0.4])
-    assert np.all(found.dashpots > ALPHA)
+    assert np.all(pgran.structure(lossy, 1, [0.2, 0.3, 0.4]).dashpots > ALPHA)
+    bonds, held, law = [(0, 1), (2, 3)], [0, 1, 0, 1], {"drag": ALPHA, "loss": ETA}
+    unstable = pgran.find_modes(pgran.Network(bonds, [1, -0.2], held, damping=0.0, **law))
+    np.testing.assert_allclose(unstable.width, [ALPHA, ALPHA + ETA])  # s is real below 0
 
 
 def test_contacts_made_anew_have_the_dashpots_of_the_old_ones():

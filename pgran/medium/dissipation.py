@@ -156,8 +156,8 @@ class Dissipation:
         if self.losses is not None:
             stretched = (self.springs.B @ flat.T) ** 2
             size = self.mass * squares * np.maximum(self.constants @ stretched, 0.0)
-            with np.errstate(all="ignore"):  # of modes at rest
-                width += np.nan_to_num(self.losses @ stretched / np.sqrt(size))
+            lost, there = self.losses @ stretched, size > 0  # not at rest, nor unstable
+            width += np.divide(lost, np.sqrt(size), out=np.zeros_like(size), where=there)
         return width
 
     @property

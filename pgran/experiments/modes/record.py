@@ -5,7 +5,9 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from pgran.errors import PgranError
 from pgran.experiments.modes.shapes import least_frequency
+from pgran.run.numbers import numbers
 from pgran.store.fields import DETECTOR, Frequencies
 from pgran.store.record import Record, array, attribute
 
@@ -241,7 +243,9 @@ class DampedModes(Record):
 
         Of `complete` modes it is right to some 1e-15 of the sum of |e_d| |f| |x|^2 / |i omega - s|.
         """
-        at, paired = 1j * np.asarray(omegas)[:, None], self.omega > 0
+        if self.residue is None:
+            raise PgranError("these modes have no residues: they need detectors, and a drive")
+        at, paired = 1j * numbers("omegas", omegas).reshape(-1, 1), self.omega > 0
         upper, lower = (self.residue / (x - self.eigenvalue)[..., None] for x in (at, -at))
         return upper.sum(axis=1) + lower[:, paired].conj().sum(axis=1)
 
