@@ -160,9 +160,10 @@ def test_files_of_solvers_hold_the_same_keys(written):
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_the_files_that_come_with_pgran_are_accepted(path):
+def test_the_files_that_come_with_pgran_and_what_results_hold_of_them_are_accepted(path, written):
     given = read_file(path)
     if path.parent.name == "solvers":
         scene = path.stem.split("_")[0]
         given += read_words(["-scene", scene if scene in SCENES else "response"])
-    resolve(given)
+    text = resolve(given).text()
+    assert resolve(read_file(written(text))).text() == text

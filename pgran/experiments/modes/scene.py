@@ -25,7 +25,7 @@ def check(values, given):
 
 def check_modes(values, given):
     """Raise where the options that choose modes contradict each other."""
-    if "modes_certificate" in given and not values.get("modes_damped"):
+    if values.get("modes_certificate") not in (None, "auto") and not values.get("modes_damped"):
         raise InputError("-modes_certificate belongs to -modes_damped")
     interval, nearest = ("modes_omega_min", "modes_omega_max"), ("modes_target", "modes_count")
     alternatives(interval, nearest, values, given)

@@ -37,8 +37,10 @@ def check(values, given):
     alternatives(("pulse_file",), shape, values, given)
     unused = "pulse_width" if values["pulse_shape"] == "ricker" else "pulse_omega"
     shape, other = given.get("pulse_shape"), given.get(unused)
-    if values["pulse_shape"] not in ("burst", None) and other and other.rank >= shape.rank:
-        raise InputError(f"-{unused}{given[unused].where}: no part of a {values['pulse_shape']}")
+    if values["pulse_shape"] not in ("burst", None):
+        if other and other.rank >= shape.rank:
+            raise InputError(f"-{unused}{other.where}: no part of a {values['pulse_shape']}")
+        values[unused] = None
 
 
 def summary(result):
