@@ -269,7 +269,11 @@ def test_a_dry_run_foresees_it(world, of):
     [
         ("response", f"-bonds_seed {2**63 - 3}", "no seeds are left"),
         ("relaxation", f"-relax_seed {2**63 - 3}", "no seeds are left"),
-        ("response", "-statistics_windows .4,2", "0.4 to 2 is not within the sweep"),
+        (
+            "response",
+            "-statistics_windows .4,2 -ensemble_samples 8",
+            "0.4 to 2 is not within the sweep",
+        ),
         ("response", "-detectors 5,0", "detectors"),
     ],
 )

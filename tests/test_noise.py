@@ -129,7 +129,10 @@ def test_a_run_stores_what_python_measures(call, shared_path, world):
     if world.rank == 0:
         (shared_path / "b.opts").write_text(words.replace(" -", "\n-"))
     world.Barrier()
-    done = call("run", "b.opts")
+    done = call("run", "b.opts", "-statistics_windows", ".5,.501")
+    assert (done.returncode, (shared_path / "b.h5").exists()) == (0, True)
+    assert "no statistics: window: it needs 3 amplitudes" in done.stdout + done.stderr
+    done = call("run", "b.opts", "-output_overwrite")
     assert done.returncode == 0, done.stderr
     assert "<I^2>/<I>^2" in done.stdout + done.stderr
     stored = pgran.load(shared_path / "b.h5")

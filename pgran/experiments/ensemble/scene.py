@@ -29,7 +29,7 @@ from pgran.run.keywords import PROGRESS, asked_of
 from pgran.run.numbers import windows_of
 from pgran.run.options import INTEGER, REALS, TEXT, Option
 from pgran.run.task import carry_out
-from pgran.store.estimate import counted
+from pgran.store.estimate import FEWEST_SAMPLES, counted
 
 log = logging.getLogger("pgran")
 
@@ -104,6 +104,8 @@ def check(values, given):
             needed = "-ensemble_of response and -ensemble_keep curves"
             raise InputError(f"-statistics_windows: needs {needed}")
         windows_of("-statistics_windows", values["statistics_windows"])
+        if values["ensemble_samples"] < FEWEST_SAMPLES:
+            raise InputError(f"-statistics_windows: {FEWEST_SAMPLES} samples or more are needed")
     if values["transport_depths"] is not None:
         transport.window_of(values["transport_depths"])
         if kind not in ("response", "pulse") or values["ensemble_keep"] != "curves":
@@ -318,18 +320,22 @@ def run(lattice, options, crew):
     if record is None or not transport.has_curves(record) or crew.dry:
         return record and [record]
     records = [record]
+
+    def measure(name, function, *given):
+        try:
+            records.append(function(*given))
+        except InputError as error:  # samples may be left out: what there is of them is kept
+            log.warning("no %s: %s", name, str(error).removeprefix(f"{name}: "))
+
     if windows is not None:
-        records.append(noise.statistics(record, windows))
+        measure("statistics", noise.statistics, record, windows)
     line = transport.is_line(lattice, record.detector)
     if line and files and options.detectors_at is None:
         log.info("no transport: a ball is elsewhere in each packing; -detectors_at names places")
     elif not line and options.transport_depths is not None:
         log.warning("-transport_depths: no transport; detectors at three depths are needed")
     elif line:
-        try:
-            records.append(transport.transport(lattice, record, options.transport_depths))
-        except InputError as error:
-            log.warning("no transport: %s", str(error).removeprefix("transport: "))
+        measure("transport", transport.transport, lattice, record, options.transport_depths)
     return records
 
 
