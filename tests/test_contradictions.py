@@ -80,7 +80,7 @@ REFUSED = {  # of each scene, words and what is said of them
         "-transport_depths 3,9": "needs responses or pulses",
         "-transport_depths 9,3 -ensemble_keep curves": "9 is not below 3",
         "-transport_depths 1,2,3,4 -ensemble_keep curves": "one window of depths is needed",
-        "-statistics_windows .4,.5": "needs -ensemble_of response and -ensemble_keep curves",
+        "-statistics_windows .4,.5": "needs responses, -ensemble_keep curves",
         "-ensemble_keep curves -statistics_windows .4,.5,.6": "numbers given: 3",
         "-ensemble_keep curves -statistics_windows .4,.5 -ensemble_samples 7": "8 samples or more",
     },

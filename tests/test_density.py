@@ -26,8 +26,7 @@ def check(found, squares):
     omega[np.abs(squares) < 1e-13 * np.abs(squares).max()] = 0.0
     assert found.certified.all()
     assert found.failures == 0
-    limits = found.omega - found.margin
-    expected = [np.count_nonzero(omega < limit) for limit in limits]
+    expected = [np.count_nonzero(omega < limit) for limit in found.omega - found.margin]
     assert found.count.tolist() == expected
     apart = np.abs(squares - found.omega[:, None] ** 2).min(axis=1)  # from the nearest mode
     assert np.all(apart[found.margin > 0] <= 0.05 * np.abs(squares).max() / len(squares))
@@ -68,8 +67,7 @@ def test_at_modes_that_many_share(shape):
 @pytest.mark.parametrize("seed", range(12))
 def test_networks(seed):
     """Of any kind, with zero modes and unstable ones; what damps has no effect on counts."""
-    network = random_network(seed).network
-    network = dataclasses.replace(network, damping=0.1, drag=0.1, loss=0.3)
+    network = dataclasses.replace(random_network(seed).network, damping=0.1, drag=0.1, loss=0.3)
     squares = np.linalg.eigvalsh(network.restoring_forces(np.eye(network.size))) / network.mass
     top = np.sqrt(max(squares[-1], 1e-12))
     found = pgran.count_modes(network, top * np.array([0.0, 0.1, 0.35, 0.8, 1.5]))

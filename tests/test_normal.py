@@ -178,8 +178,7 @@ def test_wrong_modes_are_never_certified(fault, crew, monkeypatch, caplog, narro
     assert not modes.count_certified
     assert modes.failures > 0
     assert (len(modes.omega) < modes.count_expected) == (fault == "missing")
-    said = {"missing": "NOT ALL"}.get(fault, "NOT CERTIFIED")
-    assert said in certificate(modes)
+    assert {"missing": "NOT ALL"}.get(fault, "NOT CERTIFIED") in certificate(modes)
     warned = crew.world.allreduce("modes found for omega^2 m from" in caplog.text, MPI.LOR)
     assert warned or fault != "missing"
 

@@ -149,5 +149,5 @@ def unit_direction(direction, axes):
     direction = numbers("network: the direction of the drive", direction)
     size = np.linalg.norm(direction)
     if direction.shape != (axes,) or not 0 < size < math.inf:
-        raise InputError(f"network: the direction of the drive has {axes} components")
+        raise InputError(f"network: the direction of the drive needs {axes} numbers, not all 0")
     return direction / size

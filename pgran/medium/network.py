@@ -132,7 +132,7 @@ class Network(Elastic, Connected, Medium):
         self._check_dissipation(self.stiffness, self.tangential)
         kmax = self.stiffest if self.kmax is None else number("network: kmax", self.kmax)
         object.__setattr__(self, "kmax", kmax)
-        check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, abs(kmax))
+        check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, kmax)
 
     def __repr__(self):
         """Say in a line how large it is, and what its unit is."""

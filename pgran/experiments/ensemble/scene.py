@@ -101,8 +101,7 @@ def check(values, given):
         )
     if values["statistics_windows"] is not None:
         if (kind, values["ensemble_keep"]) != ("response", "curves"):
-            needed = "-ensemble_of response and -ensemble_keep curves"
-            raise InputError(f"-statistics_windows: needs {needed}")
+            raise InputError("-statistics_windows: needs responses, -ensemble_keep curves")
         windows_of("-statistics_windows", values["statistics_windows"])
         if values["ensemble_samples"] < FEWEST_SAMPLES:
             raise InputError(f"-statistics_windows: {FEWEST_SAMPLES} samples or more are needed")
@@ -127,10 +126,9 @@ def _check_files(values, given):
             f"-network_file {files[0]}: a file holds one sample only; give several, a.h5,b.h5 or a "
             "quoted pattern, 'pack_*.h5'"
         )
-    if given.get("ensemble_samples") and values["ensemble_samples"] != len(files):
-        raise InputError(
-            f"-ensemble_samples {values['ensemble_samples']}: -network_file lists {len(files)}"
-        )
+    samples = values["ensemble_samples"]
+    if given.get("ensemble_samples") and samples != len(files):
+        raise InputError(f"-ensemble_samples {samples}: -network_file lists {len(files)}")
     if values["sweep_unit"] == "omega_mx":
         raise InputError("-sweep_unit omega_mx: differs between networks; give angular frequencies")
     values["network_file"], values["ensemble_samples"] = tuple(files), len(files)
@@ -189,9 +187,8 @@ def ensemble(
         asked["lattice"] = first.fingerprint
         call = function.check(first, **experiment)
         call.apply_defaults()
-        choices = {
-            name: call.arguments[name] for name in call.arguments.keys() - {"lattice"} - NOT_TAKEN
-        }
+        taken = call.arguments.keys() - {"lattice"} - NOT_TAKEN
+        choices = {name: call.arguments[name] for name in taken}
 
     def draw(seed, group):
         medium = _sample(lattice, seed)

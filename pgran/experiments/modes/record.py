@@ -7,7 +7,6 @@ import numpy as np
 
 from pgran.errors import PgranError
 from pgran.experiments.modes.shapes import least_frequency
-from pgran.run.numbers import numbers
 from pgran.store.fields import DETECTOR, Frequencies
 from pgran.store.record import Record, array, attribute
 
@@ -245,7 +244,7 @@ class DampedModes(Record):
         """
         if self.residue is None:
             raise PgranError("these modes have no residues: they need detectors, and a drive")
-        at, paired = 1j * numbers("omegas", omegas).reshape(-1, 1), self.omega > 0
+        at, paired = 1j * np.reshape(omegas, (-1, 1)), self.omega > 0
         upper, lower = (self.residue / (x - self.eigenvalue)[..., None] for x in (at, -at))
         return upper.sum(axis=1) + lower[:, paired].conj().sum(axis=1)
 
