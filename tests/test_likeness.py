@@ -125,7 +125,7 @@ def changed(result, change):
     ("kind", "change", "choices", "said"),
     [
         ("pulse", {}, {"stretch": 0.6}, "-stretch: a number between 0 and .5 is needed, not 0.6"),
-        ("pulse", {}, {"windows": [280, 299]}, "-windows: 280 to 299 is not within what both have"),
+        ("pulse", {}, {"windows": [280, 299]}, "-windows: 280 to 299 is not within the times that"),
         ("pulse", {}, {"windows": [200, 202]}, "200 to 202 holds 5 good points of A, and needs 8"),
         ("pulse", {"wall": np.linspace(0, 1, 601)}, {}, "the wall moves until the end; listen"),
         ("pulse", {"detector": np.ones((2, 2), int)}, {}, "A is heard at 1 ball, B at 2 balls"),

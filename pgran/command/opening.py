@@ -31,7 +31,8 @@ def _network(options, network):
     first, *others = options.network_file
     yield f"{len(others) + 1} networks; {first}" if others else f"the network {first}"
     loose = " without rattlers" * (options.network_rattlers == "remove")
-    yield f"{len(network.free)} free balls{loose}, {network.bonds} contacts"
+    balls, contacts = counted(len(network.free), "free ball"), counted(network.bonds, "contact")
+    yield f"{balls}{loose}, {contacts}"
     moves = {"scalar": "scalar displacements", "vector": "vectors", "rotations": "rotations"}
     where = "" if network.displacement == "scalar" else f" in {network.axes} dimensions"
     yield moves[network.displacement] + where

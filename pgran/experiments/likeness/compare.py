@@ -163,8 +163,9 @@ def _windows(sides, wanted, reach, width):
         both = f"{a[0]:g} to {a[-1]:g} and {b[0]:g} to {b[-1]:g}"
         raise InputError(f"compare: {both} have nothing in common with room for -stretch {reach:g}")
     if wanted is not None:
-        within = low + origin, high + origin
-        return windows_of("-windows", wanted, within, "what both have, stretched too") - origin
+        within, kind = (low + origin, high + origin), "angular frequencies" if width else "times"
+        both = f"the {kind} that both have, stretched too"
+        return windows_of("-windows", wanted, within, both) - origin
     begin = max(low, *(side.begin for side in sides))
     if begin >= high and width is None:
         raise InputError("compare: the wall moves until the end; listen longer, or give -windows")
