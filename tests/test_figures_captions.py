@@ -30,7 +30,7 @@ def test_captions_say_the_numbers_of_the_record():
     made = figures.make(result)
     everywhere = [r"$4 \times 3$ balls", "of mass 0.25", "uniform on [0, 0.25]; seed 1993",
                   r"$\beta$ = 0.003", r"$\omega_{mx}$ = 2", "heard at ball (1, 1)"]  # fmt: skip
-    of_curves = [largest, "1 amplitudes are upper limits", "1 of 260 amplitudes missed"]
+    of_curves = [largest, "at the floor: 1 amplitude.", "1 of 260 amplitudes missed"]
     for name, figure in made.items():
         said = [part in figure.caption for part in everywhere + of_curves]
         assert said == [True] * 6 + [name != "bonds"] * 3, name

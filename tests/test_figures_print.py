@@ -23,12 +23,14 @@ from figure_results import (
     result_of,
 )
 from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 from matplotlib.markers import TICKUP
 from samples import random_lattice
 
 import pgran
-from pgran.draw import bonds, style, view
+from pgran.draw import bonds, scales, style, view
 from pgran.draw import pages as figures
+from pgran.draw.captions import formulas
 from pgran.draw.marks import points as errorbars
 from pgran.experiments.accuracy import figures as accuracy
 from pgran.experiments.ensemble import figures_transport as transport
@@ -193,6 +195,21 @@ def test_marks_of_modes_can_be_told_apart_or_are_a_density():
     assert unit.get_linestyle() != "-"
 
 
+@pytest.mark.parametrize(("low", "high"), [(0.2, 0.9), (0.3, 20.0), (3.0, 4.0), (0.6, 3e5)])
+def test_a_logarithmic_axis_has_numbers(low, high):
+    """Two at least, also where it holds no power of ten."""
+    figure = Figure()
+    ax = figure.subplots()
+    ax.set(yscale="log", ylim=(low, high))
+    scales.number_logs(figure)
+    seen = [y for y in ax.get_yticks() if low <= y <= high]
+    assert 2 <= len(seen) <= 9
+    assert all(ax.yaxis.get_major_formatter().format_ticks(seen))
+    ticks = scales.symmetric_ticks(low, high)
+    assert len(ticks) >= 3
+    assert all(low <= tick <= high for tick in ticks if tick > 0)
+
+
 def test_few_points_that_are_no_curve_are_points():
     few = respond(SWEEP[::20])
     (line,) = curves(draw(response.amplitude, few.response, few.lattice))
@@ -250,8 +267,9 @@ def test_equally_accurate_configurations_are_bars_of_their_run_times():
     assert [bar.get_width() for bar in bars] == [1, 2, 3, 4]
     assert bars[3].get_facecolor()[:3] == (1, 1, 1)  # failed
     (ax,) = figures.make(result)["front"].axes
-    assert [text.get_text() for text in ax.get_yticklabels()] == list(study.label[:4])
-    assert "errors at most 2.0e-09" in ax.get_xlabel()
+    told = [text.get_text() for text in ax.get_yticklabels()]
+    assert told == list(map(formulas, study.label[:4]))
+    assert r"errors at most $2\times10^{-9}$" in ax.get_xlabel()
     (ax,) = figures.make(compare([1e-9, 2e-8]))["front"].axes
     assert ax.get_yscale() == "log"
 

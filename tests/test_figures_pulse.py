@@ -92,7 +92,7 @@ def test_a_few_balls_that_move_far_do_not_make_a_large_field_pale(loud, edge, fe
         assert scale < 0.2 or not few
         (image,) = ax.images
         assert np.abs(image.get_array().data) == pytest.approx((values / scale).T)
-        assert f"{'99% within' if few else 'largest'} {scale:.2g}" in ax.get_title(loc="left")
+        assert f"{'99 % within' if few else 'largest'} {scale:.2g}" in ax.get_title(loc="left")
     said = "99th percentile\nof balls that move" if few else "largest"
     assert bar.get_ylabel() == f"displacement / {said}"
     assert bar._colorbar.extend == ("both" if few else "neither")

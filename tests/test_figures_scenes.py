@@ -194,7 +194,7 @@ def test_what_is_missing_is_said_in_every_figure():
     assert "NOT CERTIFIED" in note(figures.make(bare)["participation"])
     uncertain = replace(count_modes().density, certified=np.arange(30) != 4)
     for figure in figures.make(result_of(uncertain)).values():
-        assert "NOT CERTIFIED: 1 counts" in note(figure)
+        assert "NOT CERTIFIED: 1 count," in note(figure)
 
 
 def test_coefficients_at_the_nearest_frequency_that_is_accurate():

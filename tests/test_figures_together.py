@@ -162,7 +162,7 @@ def test_labels_of_the_user(damped, monkeypatch):
     expected = [
         "loose, $P$ = .02 and packed and packed and\npacked and packed",
         r"\$\nonsense\$",
-        r"$1\times10^{-5}$",
+        "$10^{-5}$",
     ]
     assert [legend(figure) for figure in made.values()] == [expected] * 2
     monkeypatch.setattr(pgran, "load", dict(zip(["a.h5", "b.h5"], damped, strict=False)).get)

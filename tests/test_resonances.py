@@ -80,7 +80,7 @@ def test_modes_at_rest_are_set_aside_by_name():
     assert line.endswith("2 translations of the whole, which nothing holds")
     made = pages.make(result)
     for name in ("participation", "density", "reduced"):
-        assert "2 modes at rest are left out" in made[name].caption
+        assert "Left out: 2 modes at rest" in made[name].caption
         assert "NOT" not in "".join(made[name].heading)
     assert len(made["participation"].panels[0].get_lines()[0].get_xdata()) == 94
     cut = np.flatnonzero(np.any(network.bond == 20, axis=1))[1:]

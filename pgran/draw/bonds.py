@@ -43,6 +43,10 @@ def _fit(figure, ax):
     wider = room.width / used.width  # of a panel that is as high as there is room
     higher = min(wider * used.height * figure.get_figheight(), TALLEST) / figure.get_figheight()
     figure.grow((higher - room.height) * figure.get_figheight())
+    for _ in range(2):  # only a second layout knows how high the panel is
+        figure.get_layout_engine().execute(figure)
+    band = figure.get_figheight() - figure.get_tightbbox().y1  # above all that is drawn
+    figure.grow(min(WALL - band, 0.0))
 
 
 def bonds(ax, lattice, detectors):

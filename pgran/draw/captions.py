@@ -12,6 +12,7 @@ from pgran import catalogue
 from pgran.draw import marks, scales, style
 from pgran.medium.labels import facts_of
 from pgran.medium.source import in_words
+from pgran.store.estimate import counted
 
 SAMPLES = "bonds", "network"  # figures that show what was computed on
 NAMED = 6  # detectors
@@ -24,7 +25,7 @@ def number(value, digits=2):
     if "e" not in size:
         return size
     mantissa, exponent = size.split("e")
-    return rf"${mantissa}\times10^{{{int(exponent)}}}$"
+    return rf"${mantissa}\times10^{{{int(exponent)}}}$".replace(r"$1\times", "$")
 
 
 def formulas(text):
@@ -126,7 +127,7 @@ def amplitudes(record, how):
     if good.any() and np.isfinite(relative).all():
         words = f"Relative error of every amplitude: at most {number(relative.max())} ({how})."
     if floored.any():
-        words += f" {np.count_nonzero(floored)} amplitudes are upper limits, at the floor."
+        words += f" Upper limits, at the floor: {counted(np.count_nonzero(floored), 'amplitude')}."
     if failed.any():
         missed = f"{np.count_nonzero(failed)} of {size.size} amplitudes"
         words += f" {missed} missed the accuracy asked for."

@@ -92,7 +92,8 @@ def modes(ax, x, label="normal modes"):
     x = np.asarray(x)[(low <= x) & (x <= high)]
     points = 72 * ax.bbox.width / ax.figure.dpi
     if x.size * RUG <= points:
-        _mark(ax, x, 0.0, marker=TICKUP, color="black", markersize=4, label=label)
+        _mark(ax, x, 0.0, marker=TICKUP, color="black", markersize=4)
+        ax.plot([], [], "k|", markersize=4, markeredgewidth=0.4, label=label)  # beside its words
         return
     counts, edges = np.histogram(x, np.linspace(low, high, int(points / 4)))
     height = 0.1 * np.append(counts, 0) / counts.max()

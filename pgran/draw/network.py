@@ -1,17 +1,19 @@
 """The figure of a network, its balls and contacts where they are."""
 
 import logging
+from itertools import cycle
 
 import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 
-from pgran.draw import style
+from pgran.draw import captions, style
 from pgran.draw.view import EDGES, FACES, MANY, View
 from pgran.medium.space import in_space
 from pgran.medium.springs import AT_REST, DRIVEN
 
 log = logging.getLogger("pgran")
+MARKS = "osD^v<>"  # of detectors
 ARROW = 14  # points, half of the double arrow of the drive
 
 
@@ -34,7 +36,7 @@ def page(network, balls):
     contacts(ax, network, balls)
     style.legend_above([ax])
     what = "stiffness" if network.force is None else "force"
-    dots = "; dots: detectors" if len(balls) else ""
+    dots = "; small marks: detectors" if len(balls) else ""
     figure.caption = (
         f"The network: a line is a contact, as thick as its {what}; circles: balls, dark ones at "
         f"rest, green ones driven along the double arrow{dots}."
@@ -67,15 +69,16 @@ def contacts(ax, network, balls=()):
     look = {"capstyle": "butt", "rasterized": len(segments) > MANY}
     drawn = LineCollection(segments, linewidths=widths, colors=shades, **look)
     ax.add_collection(drawn)
-    _entry(ax, f"{what} up to {largest:.3g}", color="black", linewidth=thickest)
+    _entry(ax, f"{what} up to {captions.number(largest, 3)}", color="black", linewidth=thickest)
     if np.any(values < 0):
         _entry(ax, f"negative {what}", color=style.UNRESOLVED, linewidth=thickest)
     _arrow(ax, network, view)
-    look = {"marker": "o", "markeredgecolor": "white", "linestyle": "none", "markersize": 6}
+    look = {"markeredgecolor": "white", "linestyle": "none", "markersize": 6, "zorder": 4}
     names = style.ball_names(np.reshape(balls, (-1, 1)).astype(int))
-    for ball, name, shade in zip(balls, names, style.colours(len(balls)), strict=True):
+    shades = zip(style.colours(len(balls)), cycle(MARKS), strict=False)
+    for ball, name, (shade, mark) in zip(balls, names, shades, strict=True):
         if view.seen[ball]:
-            ax.plot(*view.xy[ball], color=shade, label=name, zorder=4, **look)
+            ax.plot(*view.xy[ball], color=shade, marker=mark, label=name, **look)
     return drawn
 
 

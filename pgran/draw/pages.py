@@ -44,6 +44,7 @@ def _finished(made, results, si):
     for name, figure in made.items():
         if unit_of is not None and unit_of.omega_mx:
             scales.in_si(figure, unit_of)
+        scales.number_logs(figure)
         style.letter(figure.panels)
         figure.caption = captions.complete(figure, results, si, name in captions.SAMPLES)
     return made

@@ -116,14 +116,16 @@ def symmetric(ax, values, threshold):
     """Make the axis of y linear up to a threshold, logarithmic beyond, with few labels."""
     ax.set_yscale("symlog", linthresh=threshold)
     largest = np.max(np.abs(values), initial=threshold)
-    ax.set_yticks(symmetric_ticks(threshold, largest))
+    ticks = symmetric_ticks(threshold, largest)
+    ax.set_yticks(ticks, [_written(tick) for tick in ticks] if len(ticks) == 3 else None)
 
 
 def symmetric_ticks(threshold, largest):
-    """Return 0 and a few powers of ten from a threshold to the largest value, of both signs."""
+    """Return 0, a few powers of ten from a threshold, or that, to the largest value, both signs."""
     low, high = math.ceil(math.log10(threshold)), math.floor(math.log10(largest))
     powers = 10.0 ** np.arange(low, high + 1)[:: -max(1, -(-(high - low + 1) // 3))]
-    return [*-powers, 0.0, *powers]
+    powers = powers if len(powers) else [float(f"{threshold:.1g}")]
+    return [*np.negative(powers), 0.0, *powers]
 
 
 class Ticks(ticker.Locator):
@@ -164,13 +166,25 @@ def in_si(figure, medium):
                 axis.set_label_text(f"{quantity.name} ({unit})")
 
 
+def number_logs(figure):
+    """Put more than powers of ten beside logarithmic axes that have hardly any."""
+    for axis in [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]:
+        usual = isinstance(axis.get_major_formatter(), ticker.LogFormatterSciNotation)
+        if axis.get_scale() == "log" and usual and narrow(axis):
+            convert(axis, 1.0)
+
+
+def narrow(axis):
+    """Return whether a logarithmic axis may hold a single power of ten."""
+    low, high = sorted(axis.get_view_interval())
+    return high < 100 * low
+
+
 def convert(axis, factor):
     """Put ticks at round numbers of the axis times `factor`, and those numbers beside them."""
     kind, minor = axis.get_scale(), ticker.NullLocator()
     if kind == "log":
-        low, high = sorted(axis.get_view_interval())
-        narrow = high < 100 * low  # may hold a single power of ten
-        major = ticker.LogLocator(subs=(1, 2, 5) if narrow else (1,))
+        major = ticker.LogLocator(subs=(1, 2, 5) if narrow(axis) else (1,))
         minor = ticker.LogLocator(subs=range(2, 10))
     elif kind == "symlog":
         ends = axis.get_transform().linthresh, np.abs(axis.get_view_interval()).max()
@@ -186,4 +200,5 @@ def convert(axis, factor):
 def _written(number):
     """Return a number as it stands beside a tick."""
     mantissa, _, power = f"{number:.4g}".partition("e")
-    return rf"${mantissa} \cdot 10^{{{int(power)}}}$" if power else f"${mantissa}$"
+    power = power and rf" \cdot 10^{{{int(power)}}}"
+    return f"${mantissa}{power}$".replace(r"$1 \cdot ", "$")

@@ -3,7 +3,6 @@
 import contextlib
 import textwrap
 from contextvars import ContextVar
-from itertools import product
 
 import matplotlib
 import numpy as np
@@ -22,6 +21,7 @@ COLUMN, PAGE = 85 * MM, 170 * MM  # widths: one column of a journal, and two
 UNIT = "omega_mx"  # how the line that marks it is found
 FEW, HANDFUL = 100, 10  # points that are marked by dots, and that make no curve
 LETTERS = 15  # to an inch
+COLUMNS = 6  # of a legend
 LETTERED, BESIDE = 0.25, 0.5  # inches that (a) needs before a title; left of it, and after it
 # from -1 to 1: negative numbers are the darker ones in grey
 SIGNED = ["#041c4a", "#1f5fa8", "#8fc1e0", "#ffffff", "#fcb398", "#ee6a4a", "#d7301f"]
@@ -191,6 +191,7 @@ def above(figure, *lines, **look):
     """Write lines above all panels, under those that are there, as long as the figure is wide."""
     width = int(LETTERS * figure.get_figwidth())
     wrapped = [part for line in lines for part in textwrap.wrap(line, width)]
+    wrapped = min(wrapped, textwrap.wrap("; ".join(lines), width), key=len)
     figure.heading = [*figure.heading, *wrapped]
     figure.suptitle("\n".join(figure.heading), fontsize="medium", **look)
     figure.grow(0.14 * len(wrapped))
@@ -200,8 +201,9 @@ def legend_above(panels):
     """Put one legend of all panels above the upper right of the first, where no data can be.
 
     What several curves of a panel have in common comes last, and the dotted line of omega_mx. It is
-    beside the title, or above that if there is no room or another panel beside, in as many columns
-    as fit: give the last panel of a row first. The figure gets higher by as much as the legend is.
+    beside the title, or above that if another panel is beside or if its lines are fewer there, and
+    more than two else, in as many columns as fit: give the last panel of a row first. The figure
+    gets higher by as much as the legend is.
     """
     handles, shared = {}, {}
     for ax in panels:
@@ -215,18 +217,26 @@ def legend_above(panels):
         return
     first, figure = panels[0], panels[0].figure
     before = _size(first.get_legend())[1] if first.get_legend() else 0.0
-    room, lines_up = figure.get_figwidth() - 0.5, 1.5 * RC["font.size"]
+    beside = first.get_subplotspec().get_gridspec().ncols  # a wider legend would push these apart
+    room, lines_up = figure.get_figwidth() / beside - 0.5, 1.5 * RC["font.size"]
     places = [(offset_copy(first.transAxes, figure, y=lines_up, units="points"), room)]
-    if first.get_subplotspec().get_gridspec().ncols == 1:
+    if beside == 1:
         title = _size(first.set_title(first.get_title(loc="left"), loc="left"))[0]
         title += LETTERED * (len(getattr(figure, "panels", ())) > 1)
         places.insert(0, (first.transAxes, room - title - BESIDE * (title > 0)))
-    for (place, width), columns in product(places, (5, 4, 3, 2, 1)):
+
+    def made(place, columns):
         look = {"loc": "lower right", "bbox_to_anchor": (1, 1), "bbox_transform": place}
-        legend = first.legend(handles.values(), handles, ncol=columns, columnspacing=1.2, **look)
-        if _size(legend)[0] <= width:
-            break
-    figure.grow(_size(legend)[1] - before)
+        return first.legend(handles.values(), handles, ncol=columns, columnspacing=1.2, **look)
+
+    tried = [
+        (max(-(-len(handles) // columns), 2), n, -columns, place)
+        for n, (place, width) in enumerate(places)
+        for columns in range(min(len(handles), COLUMNS), 0, -1)
+        if _size(made(place, columns))[0] <= width
+    ]
+    *_, columns, place = min(tried, key=lambda each: each[:3], default=(-1, places[-1][0]))
+    figure.grow(_size(made(place, -columns))[1] - before)
 
 
 def _size(artist):

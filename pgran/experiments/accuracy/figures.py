@@ -5,6 +5,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from pgran.draw import captions, style
+from pgran.store.estimate import counted
 
 ALIKE = 10  # errors that differ by less are one line: run times are what is to be seen
 MARKS = "os^Dv<>"  # 7, so that with 6 colours no two solvers of 42 look alike
@@ -19,8 +20,8 @@ def figures(result, **_):
     panel, height = (times, 0.9 + 0.18 * np.count_nonzero(drawn)) if alike else (front, 2.8)
     caption = (
         f"Largest relative error against run time of {accuracy.experiment}, by solvers and the "
-        f"tolerances given to them; median of {accuracy.repeats} runs, bars: from the shortest to "
-        "the longest."
+        f"tolerances given to them; median of {counted(accuracy.repeats, 'run')}, "
+        "bars: from the shortest to the longest."
     )
     figure = style.single(panel, caption, style.PAGE, height, accuracy=accuracy)
     if not np.all(drawn):
@@ -49,11 +50,12 @@ def times(ax, accuracy):
     drawn = ax.barh(place, seconds, 0.7, **look)
     ends = accuracy.seconds_min[rows], accuracy.seconds_max[rows]
     ax.hlines(place, *ends, color="black", linewidth=0.8)
-    ax.set_yticks(place, accuracy.label[rows])
+    ax.set_yticks(place, [captions.formulas(label) for label in accuracy.label[rows]])
     ax.invert_yaxis()
+    largest = captions.number(accuracy.error_max[rows].max())
     text = f"run time (s), median of {accuracy.repeats}"
     text += "; hollow: some failed" if failed.any() else ""
-    text += f"\nrelative errors at most {accuracy.error_max[rows].max():.1e}"
+    text += f"\nrelative errors at most {largest}"
     ax.set(xlabel=text, xlim=(0, 1.02 * ends[1].max()))
     return drawn
 

@@ -4,24 +4,24 @@ import math
 
 import numpy as np
 
-from pgran.draw import marks, scales, style
+from pgran.draw import captions, marks, scales, style
 
 
 def figures(result, **_):
     """Yield the amplitude of the box above its phase."""
     box = result.continuum
     (x, y), (lx, ly) = box.point, box.size
-    numbers = (
+    numbers = captions.formulas(
         rf"$x$ = {x:g}, $y$ = {y:g}, $L_x$ = {lx:g}, $L_y$ = {ly:g}, "
         rf"$K_0$ = {box.stiffness:g}, $m$ = {box.mass:g}, $\beta$ = {box.damping:g}"
     )
     end = "." if box.damping else ", where the amplitude is infinite: peaks end where points lie."
-    captions = [
+    texts = [
         f"The homogeneous box, {numbers}: amplitude at the point relative to the driven wall, "
         f"against the driving frequency, by the exact series; ticks: resonances{end}",
         "Its phase.",
     ]
-    figure = style.stack([amplitude, phase], captions, style.PAGE, shared=True, continuum=box)
+    figure = style.stack([amplitude, phase], texts, style.PAGE, shared=True, continuum=box)
     style.above(figure, numbers)
     yield "exactpl", figure
 

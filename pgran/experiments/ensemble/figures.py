@@ -1,7 +1,6 @@
 """The figures of an ensemble: curves with their band, histograms of numbers, densities of modes."""
 
 import math
-from functools import partial
 
 import numpy as np
 
@@ -9,6 +8,7 @@ from pgran.draw import captions, scales, style
 from pgran.draw.scales import Quantity
 from pgran.experiments.ensemble.record import ABOVE_FLOOR, measures
 from pgran.experiments.modes import figures as modes
+from pgran.store.estimate import counted
 
 # Numbers of a sample, by their names in the record, which declares how they are called.
 NUMBERS = {name: Quantity(*measure.quantity) for name, measure in measures().items()}
@@ -38,7 +38,7 @@ def figures(result, **_):
     style.check_any(found.seed[found.good > 0], "sample that is as accurate as asked")
     for name, figure in _pages(found, result.medium):
         if found.left_out:
-            style.note(figure, f"{found.left_out} of {len(found.seed)} samples are left out")
+            style.note(figure, f"left out: {found.left_out} of {len(found.seed)} samples")
         yield name, figure
 
 
@@ -57,8 +57,11 @@ def _pages(found, lattice):
         columns = range(0 if values is None else np.size(values[:1]))
         shown = [d for d in columns if len(np.unique(known(found, name, d))) > 1]
         if shown:
-            draws = [partial(histogram, detector=d) for d in shown]
-            figure = style.stack(draws, "", height=2.0, found=found, name=name)
+            figure, panels, _ = style.grid(
+                len(shown), ROWS, NARROWEST, lambda rows: min(2.0 * rows, 5.4 + 0.6 * rows)
+            )
+            for d, ax in zip(shown, panels, strict=True):
+                histogram(ax, found, name, d)
             what = f"{quantity.name} {quantity.own}".strip()
             figure.caption = (
                 f"Histogram over samples: {what}; line and band: mean and its standard error."
@@ -70,8 +73,9 @@ def _pages(found, lattice):
 
 def errors(record, _):
     """Return how many samples are good."""
-    lost = f"; {record.left_out} more are left out" if record.left_out else ""
-    return f"Each of {np.count_nonzero(record.good)} samples has the accuracy asked for{lost}."
+    lost = f"; left out: {record.left_out}" if record.left_out else ""
+    good = counted(np.count_nonzero(record.good), "sample")
+    return f"Each of {good} has the accuracy asked for{lost}."
 
 
 def known(found, name, detector=None):
@@ -161,12 +165,21 @@ def _curves_page(found, lattice, panel):
     """Return a figure with a panel a detector."""
     (order, names), count = captions.by_depth(lattice, found.detector), len(found.detector)
     figure, panels, columns = style.grid(
-        count, ROWS, NARROWEST, lambda rows: 0.5 + rows * (2.4 if rows <= 3 else 1.7)
-    )
-    for d, ax in zip(order, panels, strict=True):
+        count, ROWS, NARROWEST, sharex=True,
+        height=lambda rows: 0.5 + rows * (2.4 if rows <= 3 else 1.7 if rows <= ROWS else 0.9),
+    )  # fmt: skip
+    named = range(0, count, columns)
+    named = named if len(named) <= ROWS else named[len(named) // 2 :][:1]  # they run together
+    for n, (d, ax) in enumerate(zip(order, panels, strict=True)):
         panel(ax, found, lattice, d)
         if count > 1:
             ax.set_title(names[d])
+        if n + columns < count:  # another stands below
+            ax.set_xlabel("")
+        else:
+            ax.tick_params(labelbottom=True)
+        if n not in named:
+            ax.set_ylabel("")
     style.legend_above([panels[columns - 1]])
     single = any("seed" in str(line.get_label()) for line in panels[0].get_lines())
     figure.caption = CAPTIONS[panel.__name__] + SINGLE * single
@@ -215,7 +228,7 @@ def density(ax, found, lattice):
     each = np.array([np.histogram(row, edges)[0] for row in x])
     each = each / np.diff(edges) / lattice.free_balls
     mean, error = each.mean(axis=0), each.std(axis=0, ddof=1) / math.sqrt(len(x))
-    shade = {"fill": True, "color": "#999999", "label": "its standard error"}
+    shade = {"fill": True, "color": "#999999", "label": "standard error"}
     ax.stairs(mean + error, edges, baseline=mean - error, **shade)
     outline = ax.stairs(mean, edges, color="black", label=f"mean of {len(x)} samples")
     modes.counts.density_axes(ax, edges)
@@ -235,7 +248,7 @@ def widths(ax, found, lattice):
     if few.any():
         ax.stairs(few / of_one, edges, fill=True, color=style.pale(style.ACCENT), label="localized")
     outline = ax.stairs(all_of_them / of_one, edges, color="black", label="all modes")
-    ax.set(xlabel=r"$\log_{10}(\Gamma/\omega_{mx})$", ylabel="density")
+    ax.set(xlabel=r"$\log_{10}(\Gamma/\omega_{mx})$", ylabel="density per decade")
     ax.set_ylim(bottom=0)
     return outline
 

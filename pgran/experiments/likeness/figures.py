@@ -55,4 +55,4 @@ def _points(ax, found, label, values, errors, told=True, **look):
     names = [", ".join(each) * told or None for each in names]
     rows = [each.reshape(len(low), -1).T for each in (values, errors)]
     look |= {"xerr": 0.5 * (high - low), "elinewidth": 0.6}
-    return marks.points(ax, 0.5 * (low + high), *rows, names, "os", **look)
+    return marks.points(ax, 0.5 * (low + high), *rows, names, "osv^D" if pulse else "os", **look)

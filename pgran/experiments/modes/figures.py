@@ -9,6 +9,7 @@ from pgran.draw import balls, captions, marks, scales, style, together
 from pgran.errors import FileError
 from pgran.experiments.modes import figures_density as counts
 from pgran.experiments.modes.record import exactness
+from pgran.store.estimate import counted
 
 CAPTIONS = {
     "shapes": "Shapes of normal modes; $P_i$: how many balls take part.",
@@ -49,7 +50,7 @@ def figures(result, **_):
             made["reduced"] = style.single(counts.reduced, counts.CAPTIONS, **bins)
     left = len(result.modes.omega) - len(record.omega)
     for name, figure in made.items():
-        figure.caption += f" {left} modes at rest are left out." * (left > 0)
+        figure.caption += f" Left out: {counted(left, 'mode')} at rest." * (left > 0)
         style.note_missing(figure, record)
         yield name, figure
 

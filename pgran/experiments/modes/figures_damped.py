@@ -7,10 +7,12 @@ import numpy as np
 from pgran.draw import balls, captions, marks, scales, style
 from pgran.experiments.modes.figures import ASIDE, pick
 from pgran.experiments.modes.resonances import drive_of
+from pgran.store.estimate import counted
 
 CAPTIONS = {
     "widths": r"Damped modes $s = -\Gamma/2 + i \omega$.",
-    "swings": "Shapes of damped modes: where most moves, and a quarter period later.",
+    "swings": "Shapes of damped modes: where most moves, and a quarter period later, "
+    "with its size over that before.",
     "residues": r"Response as the sum of the residues of all damped modes over $i\omega - s$, "
     "where rounding leaves it.",
 }
@@ -41,7 +43,7 @@ def figures(result, **_):
 
 def errors(record, _):
     """Return how sure it is that no mode is missing."""
-    return f"{record.count_found} damped modes: {record.exactness(captions.number)}."
+    return f"{counted(record.count_found, 'damped mode')}: {record.exactness(captions.number)}."
 
 
 def widths(ax, modes, medium):

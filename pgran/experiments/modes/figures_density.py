@@ -7,6 +7,7 @@ import numpy as np
 from pgran.draw import scales, style
 from pgran.errors import PgranError
 from pgran.medium.statics import sound
+from pgran.store.estimate import counted
 
 CAPTIONS = {
     "staircase": "How many normal modes lie below a frequency: counts.",
@@ -33,7 +34,7 @@ def figures(result, **_):
     for panel, shown in panels.items():
         figure = style.single(panel, CAPTIONS, **shown)
         if record.failures:
-            style.note(figure, f"NOT CERTIFIED: {record.failures} counts, left out")
+            style.note(figure, f"NOT CERTIFIED: {counted(record.failures, 'count')}, left out")
         yield panel.__name__, figure
 
 

@@ -89,7 +89,7 @@ def field(ax, signals, lattice, number):
     wall = np.interp(time, signals.time, signals.wall)
     values = signals.field[number]
     drawn, unit, plane = balls.motion(ax, lattice, values, wall, where, few_beyond=True)
-    largest = f"{'99% within' if balls.beyond(drawn) else 'largest'} {unit:.2g}"
+    largest = f"{'99 % within' if balls.beyond(drawn) else 'largest'} {unit:.2g}"
     moment = rf"$t$ = {scales.time(time * lattice.omega_mx, lattice)}"
     ax.set_title(", ".join(filter(None, [moment, largest, plane])))
     return drawn

@@ -93,12 +93,12 @@ def page(signals, lattice, response):
     if response:
         style.legend_above([panels[columns - 1], *panels])
     end = signals.time[-1] * lattice.omega_mx
-    left = (
-        "left: largest speed in the last quarter of that time over the largest of all, which blurs "
-        f"frequencies by {scales.frequency(2 * np.pi / end, lattice, 2)} or more"
-    )
     until = rf"until $T$ = {scales.time(end, lattice)}"
-    style.above(figure, f"spectra of signals over that of the drive, {until}", left)
-    figure.caption = f"Spectra of the signals of balls over that of the drive, {until}; {left}."
+    style.above(figure, f"signal / drive {until}", "left: of the largest speed, near that end")
+    figure.caption = (
+        f"Spectra of the signals of balls over that of the drive, {until}. Left: largest speed in "
+        "the last quarter of that time over the largest of all; where some is left frequencies are "
+        f"blurred by {scales.frequency(2 * np.pi / end, lattice, 2)} or more."
+    )
     figure.supylabel(scales.AMPLITUDE, fontsize="medium")
     return figure

@@ -8,6 +8,7 @@ from pgran.draw import captions, marks, scales, style, together
 from pgran.errors import FileError
 from pgran.store.estimate import with_error
 
+SHOWN = 2000  # steps
 PM = r"\pm"  # no backslash stands within braces of an f-string
 
 
@@ -15,8 +16,11 @@ def figures(result, **_):
     """Yield the beginning of the series above its power spectrum and its memory, if there are."""
     relaxation = result.relaxation
     omega = scales.frequency(relaxation.omega / result.medium.omega_mx, result.medium)
+    trajectories, count = relaxation.displacement.shape[:2]
+    part = f", the first {SHOWN} of {count - 1} steps" * (count - 1 > SHOWN)
+    part += f" of one of {trajectories} trajectories" * (trajectories > 1)
     panels = [
-        (series, "relaxation", f"Amplitude at {omega} against time, a step being one bond that is "
+        (series, "relaxation", f"Amplitude at {omega} against time{part}; in a step one bond is "
          "drawn anew."),
         (spectrum, "spectrum", "Its power spectrum, the power law fitted to it, and slope -2; what "
          r"$k$ of $M$ bonds make jointly is flat below $k/(2\pi M)$ cycles per step."),
@@ -40,7 +44,7 @@ def figures(result, **_):
 errors = captions.amplitudes
 
 
-def series(ax, relaxation, steps=2000):
+def series(ax, relaxation, steps=SHOWN):
     """Draw the first amplitudes of the first trajectory against time (paper: timeres).
 
     Returns the curves.
@@ -73,12 +77,13 @@ def spectrum(ax, spectrum, step=None, corner=None):
     middle = len(window) // 2
     height = values[middle]
     if not np.isfinite(height):
+        law.set_linestyle("none")  # whose words stay in the legend
         height = np.interp(window[middle], *curve.get_data())
     parallel = 6.0 * height * (window / window[middle]) ** -2.0  # well above the spectrum
     look = {"color": "black", "linestyle": "--", "label": r"slope $-2$"}
     lines = [curve, law, *ax.plot(window, parallel, **look)]
     if corner is not None:
-        words = r"corners of 1 to $\bar k$ bonds"
+        words = r"corners of 1 to $\bar k$ bonds" if np.ptp(corner) else "corner of one bond"
         lines.append(ax.axvspan(*corner / (step or 1), color="#cccccc", zorder=0.5, label=words))
     return lines
 

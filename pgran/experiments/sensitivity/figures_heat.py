@@ -10,6 +10,7 @@ from pgran.errors import FileError
 from pgran.experiments.sensitivity import maps
 from pgran.experiments.sensitivity.maps import Map
 from pgran.medium.packing import nearest_images
+from pgran.store.estimate import counted
 from pgran.store.si import SI
 
 QUARTER = 25.0  # %, what the heater of the experiment changed
@@ -224,7 +225,7 @@ def growths(results):
     panels = [partial(_growths, columns=which) for which in ((1, 2), (3,))]
     figure = style.stack(panels, [CAPTIONS["growths"], CAPTIONS["often"]], points=by_growth)
     if failed := sum(result.heat.failures for result in results):
-        style.note(figure, f"NOT IN IT: {failed} frequencies or packings that failed")
+        style.note(figure, f"NOT IN IT: {counted(failed, 'case')} that failed")
     return figure
 
 
