@@ -95,6 +95,8 @@ def test_contacts_are_lines_as_wide_as_their_force_and_stubs_at_the_ends_of_the_
     assert np.array_equal(orange, force < 0)
     assert f"force up to {np.abs(net.force).max():.3g}" in labels(ax)
     assert "negative force" in labels(ax)
+    marks = [line.get_marker() for line in ax.get_lines() if "ball" in line.get_label()]
+    assert len(marks) == len(set(marks)) == 2  # which a print in grey keeps
 
 
 def test_balls_are_circles_and_those_that_are_held_or_heard_are_marked():

@@ -230,7 +230,7 @@ def test_a_few_sums_beyond_the_colours(monkeypatch):
     monkeypatch.setattr(balls, "MANY", 5)
     figure = page_of(result_of(depends()), "sensitivity")
     *panels, bar = figure.axes
-    assert all("99% within" in title(ax) for ax in panels)
+    assert all("99 % within" in title(ax) for ax in panels)
     assert bar.get_ylabel() == "derivative / 99th percentile"
 
 

@@ -100,10 +100,7 @@ def _segments(stiffness):
 
 
 def walls(ax, lattice, plane=(), arrow=True):
-    """Draw the walls, those at rest hatched, what drives in green, and number the balls.
-
-    Of three dimensions in a plane; a double arrow says that a wall is driven.
-    """
+    """Draw the walls, hatched at rest, what drives in green, with an arrow; number the balls."""
     axes, (nx, ny) = len(lattice.shape), (*lattice.shape, 1)[:2]
     ax.spines[:].set_visible(False)
     inch = ax.bbox.width / ax.figure.dpi / (nx + 1)  # of a spacing

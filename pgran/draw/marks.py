@@ -40,10 +40,7 @@ def curves(ax, x, y, good, labels=None, limit=None, dots=None, **line):
 
 
 def points(ax, x, values, errors, labels, marks="osv^", xerr=0.0, **look):
-    """Draw rows of values with their errors, a colour and a mark each; return them.
-
-    `x`, and `xerr` if any, is that of all rows, or has a row for each.
-    """
+    """Draw rows of values with errors; `x`, `xerr` are of all rows, or a row each; return them."""
     look = {"linestyle": "none", "markersize": 3, "elinewidth": 0.8} | look
     x, xerr, shades = *np.broadcast_arrays(x, xerr, values)[:2], style.colours(len(labels))
     drawn = []
@@ -84,10 +81,7 @@ def unresolved(ax, x):
 
 
 def modes(ax, x, label="normal modes"):
-    """Mark frequencies `x` of modes by ticks on the frequency axis (paper: freqres).
-
-    Where they are too many to be told apart on paper, how dense they are is drawn instead.
-    """
+    """Mark frequencies of modes by ticks, or how dense many of them are (paper: freqres)."""
     low, high = ax.get_xlim()
     x = np.asarray(x)[(low <= x) & (x <= high)]
     points = 72 * ax.bbox.width / ax.figure.dpi

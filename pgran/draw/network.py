@@ -73,7 +73,8 @@ def contacts(ax, network, balls=()):
     if np.any(values < 0):
         _entry(ax, f"negative {what}", color=style.UNRESOLVED, linewidth=thickest)
     _arrow(ax, network, view)
-    look = {"markeredgecolor": "white", "linestyle": "none", "markersize": 6, "zorder": 4}
+    look = {"markeredgecolor": "black", "linestyle": "none", "markersize": 6, "zorder": 4}
+    look |= {"markeredgewidth": 0.6, "path_effects": [style.HALO]}
     names = style.ball_names(np.reshape(balls, (-1, 1)).astype(int))
     shades = zip(style.colours(len(balls)), cycle(MARKS), strict=False)
     for ball, name, (shade, mark) in zip(balls, names, shades, strict=True):

@@ -58,10 +58,7 @@ def add_measured(made, results, data, label, scale=1.0):
 
 @contextlib.contextmanager
 def _style(results, width=None, si=None):
-    """Make the figures' style hold for a while; raise a FileError without a unit of frequency.
-
-    And their units, those of the program where `si` is None.
-    """
+    """Make the style and units hold for a while; raise a FileError without a unit of frequency."""
     if any(hasattr(each, "medium") and not each.medium.omega_mx > 0 for each in results):
         raise FileError("nothing to draw in this result: without stiff bonds omega_mx is 0")
     try:

@@ -17,10 +17,7 @@ MANY = 5000  # contacts: above that they are pixels in a PDF, too
 
 
 def bars(ax, places, points):
-    """Mark places (n, 2) of negative numbers by white bars, which a print in grey shows.
-
-    `points` are between neighbours on paper; where they are less than 3 there are no bars.
-    """
+    """Mark places (n, 2) of negative numbers by bars, if neighbours are 3 `points` apart."""
     if points >= 3 and len(places):
         look = {"color": "white", "marker": "_", "linestyle": "none", "zorder": 2.5}
         look |= {"markersize": min(0.4 * points, 5), "markeredgewidth": 0.7}
@@ -79,10 +76,7 @@ class View:
         return ax.add_collection(drawn)
 
     def coloured(self, ax, numbers, chosen, **look):
-        """Draw chosen balls in the colours of numbers of all balls, -1 to 1; NaN is grey.
-
-        Negative ones have bars. Returns the balls.
-        """
+        """Draw chosen balls in colours of numbers, -1 to 1, NaN in grey, with bars; return them."""
         look = {"cmap": style.SIGNED, "clim": (-1.0, 1.0)} | look
         drawn = self.draw(ax, chosen, array=np.ma.masked_invalid(numbers[chosen]), **look)
         bars(ax, self.xy[chosen & (numbers < -BARRED)], self.points(ax))

@@ -37,10 +37,7 @@ def errors(record, _):
 
 
 def times(ax, accuracy):
-    """Draw the run times as bars, of configurations that are equally accurate; return the bars.
-
-    Lines are the range of the repeats; hollow: some failed.
-    """
+    """Draw run times as bars, ranges as lines, hollow if some failed; return the bars."""
     rows = np.flatnonzero(np.isfinite(accuracy.error_max))
     rows = rows[np.argsort(accuracy.seconds[rows], kind="stable")]
     seconds, place = accuracy.seconds[rows], np.arange(len(rows))

@@ -27,19 +27,13 @@ def figures(result, **_):
 
 
 def amplitude(ax, continuum):
-    """Draw the amplitude against frequency, driven resonances as ticks (paper: exactpl).
-
-    Amplitudes of zero, on a wall at rest, are gaps.
-    """
+    """Draw the amplitude, gaps where it is zero, and driven resonances (paper: exactpl)."""
     ax.set(yscale="log", ylabel=scales.AMPLITUDE)
     return _curve(ax, continuum, continuum.amplitude)
 
 
 def phase(ax, continuum):
-    """Draw the phase against frequency, driven resonances as ticks (paper: exactpl).
-
-    Without damping the displacement is real and its phase 0 or pi.
-    """
+    """Draw the phase, without damping 0 or pi, and driven resonances (paper: exactpl)."""
     ax.set_ylabel(scales.PHASE)
     if continuum.damping > 0:
         return _curve(ax, continuum, continuum.phase)

@@ -118,10 +118,7 @@ def coherent(found, detector):
 
 
 def delay(ax, found, lattice, detector=0):
-    """Draw the band of the group delay, its median, and some samples; return the median.
-
-    Linear up to the power of ten next to the median, logarithmic beyond.
-    """
+    """Draw band, median and samples of the group delay, linear up to it; return the median."""
     values, each = found.delay * lattice.omega_mx, found.sample_delay
     each = None if each is None else each * lattice.omega_mx
     drawn = _band(ax, found, lattice, values, each, detector)
@@ -187,10 +184,7 @@ def _curves_page(found, lattice, panel):
 
 
 def histogram(ax, found, name, detector=0):
-    """Draw the histogram of a number (a key of NUMBERS) over the samples, its mean and its error.
-
-    Returns the outline.
-    """
+    """Draw the histogram of a number (of NUMBERS), its mean and error; return the outline."""
     values, quantity = known(found, name, detector), NUMBERS[name]
     whole = np.all(values == np.round(values)) and np.ptp(values) <= BINS
     bins = np.arange(values.min() - 0.5, values.max() + 1) if whole else _bins(values)
@@ -236,10 +230,7 @@ def density(ax, found, lattice):
 
 
 def widths(ax, found, lattice):
-    """Draw the density of the logarithm of the modes' widths, filled of localized ones' share.
-
-    Returns the outline.
-    """
+    """Draw the density of log widths, filled that of localized modes; return the outline."""
     width, localized = found.widths(lattice)
     x = np.log10(width / lattice.omega_mx)
     edges = np.linspace(x.min(), x.max(), 2 * BINS + 1)
@@ -254,10 +245,7 @@ def widths(ax, found, lattice):
 
 
 def participation(ax, found, lattice):
-    """Draw the participation ratio against frequency, its band and median over the modes of a bin.
-
-    Returns the median.
-    """
+    """Draw participation ratios against frequency, band and median in bins; return the median."""
     x, values = known(found, "mode_omega") / lattice.omega_mx, known(found, "participation")
     edges = modes.bin_edges(x)
     bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)

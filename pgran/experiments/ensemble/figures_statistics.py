@@ -51,10 +51,7 @@ def intensity(ax, found, window=0, detector=0):
 
 
 def correlation(ax, found, window=0, detector=0):
-    """Draw the correlation of I against the shift in its half widths, and a Lorentzian.
-
-    Returns the line of the law.
-    """
+    """Draw the correlation of I against the shift in half widths; return the line of the law."""
     known = np.isfinite(found.correlation[window, detector])
     reach = found.shift[window] / found.half_width[window, detector][:, None]
     furthest = min(WIDTHS, np.max(reach, where=known & np.isfinite(reach), initial=1.0))

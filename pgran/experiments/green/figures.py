@@ -24,10 +24,7 @@ def figures(result, **_):
 
 
 def magnitude(ax, record, medium):
-    """Draw |G| of all pairs, each once, against frequency; return the curves.
-
-    Of displacements at the floor the upper limit is drawn.
-    """
+    """Draw |G| of all pairs, each once, upper limits at the floor; return the curves."""
     d, p = np.transpose(_pairs(record))
     heard, pushed = (map(site_name, sites) for sites in (record.receiver[d], record.source[p]))
     names = [f"{one} from {other}" for one, other in zip(heard, pushed, strict=True)]

@@ -89,10 +89,7 @@ def participation(ax, modes, lattice, **look):
 
 
 def participation_axes(ax, x, lattice):
-    """Make axes those of participation ratios of modes at `x`, in units of omega_mx.
-
-    On the right are the shares of all balls.
-    """
+    """Make axes those of participation ratios of modes at `x`, on the right of their shares."""
     scales.frequencies(ax, x, scales.MODE_FREQUENCY, aside=ASIDE)
     top = ax.get_ylim()[1] if ax.get_yscale() == "log" else 10  # of another result
     balls = lattice.free_balls
@@ -105,10 +102,7 @@ def participation_axes(ax, x, lattice):
 
 
 def resonances(ax, modes, lattice):
-    """Draw |A| of each detector at the peak of each mode, as if it stood alone; return the points.
-
-    Peaks fainter than FAINT of the largest are left out.
-    """
+    """Draw |A| at the peak of each mode, if it stood alone, from FAINT on; return the points."""
     peaks = modes.peak
     good = np.isfinite(peaks) & (peaks > FAINT * np.nanmax(peaks, initial=0.0))
     names = style.ball_names(modes.detector) if len(modes.detector) > 1 else None
@@ -126,10 +120,7 @@ def bin_edges(x):
 
 
 def density(ax, modes, lattice, edges=None, level=None, **look):
-    """Draw the histogram of the modes over frequency, per ball and omega_mx; return the outline.
-
-    `level` and `look` are as of `figures_density.histogram`.
-    """
+    """Draw the density of modes per ball and omega_mx, as `histogram`; return the outline."""
     x = modes.omega / lattice.omega_mx
     edges = bin_edges(x) if edges is None else edges
     return counts.histogram(ax, edges, np.histogram(x, edges)[0], lattice, level=level, **look)

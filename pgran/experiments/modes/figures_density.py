@@ -44,10 +44,7 @@ def errors(record, _):
 
 
 def staircase(ax, density, lattice):
-    """Draw how many modes lie below each frequency; return the curve.
-
-    With Weyl's law where the record has it: equal bonds, two axes.
-    """
+    """Draw how many modes lie below each frequency, and Weyl's law if known; return the curve."""
     x, counts = density.omega / density.omega_mx, density.count
     dots = {"marker": "."} if len(x) <= style.FEW else {}
     shown = np.where(density.certified, counts, np.nan)
@@ -63,10 +60,7 @@ def staircase(ax, density, lattice):
 
 
 def density(ax, density, lattice, level=None):
-    """Draw the modes between neighbouring frequencies, per ball and omega_mx; return the outline.
-
-    `level` is as of `histogram`.
-    """
+    """Draw modes between frequencies, per ball and omega_mx, as `histogram`; return the outline."""
     x = density.omega / density.omega_mx
     counts = density.density * density.balls * np.diff(x)
     return histogram(ax, x, counts, lattice, scales.ANY_FREQUENCY, level)

@@ -81,10 +81,7 @@ def seismogram(ax, signals, lattice):
 
 
 def field(ax, signals, lattice, number):
-    """Draw the displacement of all balls at one of the times of the record's `field`.
-
-    As `balls.motion` draws it, with the detectors. Returns what is drawn.
-    """
+    """Draw all balls at one of the times of `field`, and the detectors; return what is drawn."""
     time, where = signals.field_time[number], signals.detector
     wall = np.interp(time, signals.time, signals.wall)
     values = signals.field[number]

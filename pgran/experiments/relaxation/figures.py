@@ -45,10 +45,7 @@ errors = captions.amplitudes
 
 
 def series(ax, relaxation, steps=SHOWN):
-    """Draw the first amplitudes of the first trajectory against time (paper: timeres).
-
-    Returns the curves.
-    """
+    """Draw the first amplitudes of the first trajectory (paper: timeres); return the curves."""
     amplitude = np.abs(relaxation.displacement[0, : steps + 1])
     limit = marks.upper_limits(relaxation)[0, : steps + 1]
     step, unit = (1, "steps of one bond") if relaxation.step is None else (relaxation.step, "s")
@@ -101,10 +98,7 @@ def memory(ax, memory):
 
 
 def power(ax, spectrum, label, color, shade=None, linestyle="-", step=None):
-    """Draw a power spectrum in a pale shade, and the law fitted to it; return both lines.
-
-    With the seconds of a step in Hz.
-    """
+    """Draw a power spectrum, pale, and its law, with the seconds of a step in Hz; return both."""
     units = ("cycles per step", "steps per cycle") if step is None else ("Hz", "1/Hz")
     ax.set(xscale="log", xlabel=f"frequency $f$ ({units[0]})")
     ax.set(yscale="log", ylabel=f"power density $S$ ({units[1]})")

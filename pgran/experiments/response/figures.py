@@ -125,10 +125,7 @@ def _fits(response, lattice, names):
 
 
 def delay(ax, response, lattice, modes=None, d=0):
-    """Draw -d arg A / d omega of a detector, linear up to the median, logarithmic beyond.
-
-    The linear part of the axis is a grey band. Returns the curve.
-    """
+    """Draw a detector's group delay, a grey band where the axis is linear; return the curve."""
     values = response.delay[:, [d]] * lattice.omega_mx
     good = (response.converged_reason > 0)[:, None] & np.isfinite(values)
     middle = float(f"{np.median(np.abs(values[good])):.1g}") if good.any() else 0.0

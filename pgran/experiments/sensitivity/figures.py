@@ -86,10 +86,7 @@ def flux(ax, record, medium, at):
 
 
 def distribution(ax, record, medium):
-    """Draw how many of the bonds change |A| by more than so much, at a few frequencies.
-
-    With `most` only those that are kept. Returns the curves.
-    """
+    """Draw the share of bonds, of those kept, that change |A| by more; return the curves."""
     drawn, total = [], record.flux.shape[1]
     names = style.ball_names(record.detector)
     for n in few(record):

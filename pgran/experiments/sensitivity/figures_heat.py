@@ -140,10 +140,7 @@ def changes(heat):
 
 
 def distribution(ax, heat, medium=None):
-    """Draw the share of balls, or bonds, that change an amplitude by more, at all frequencies.
-
-    A quarter is marked. Returns the curves.
-    """
+    """Draw the share of balls or bonds that change |A| by more, a quarter marked; return curves."""
     drawn = []
     for n, (label, moved) in enumerate(changes(heat)):
         for d, name in enumerate(style.ball_names(heat.detector)):
@@ -203,10 +200,7 @@ def over_distance(ax, heat, medium):
 
 
 def growths(results):
-    """Return the page of several results: how much one warm ball changes |A|, and how often.
-
-    Against its growth in units of the mean overlap of contacts, which falls with the load.
-    """
+    """Return the page of several results: what one warm ball changes, how often, by its growth."""
     by_growth = {}
     for result in results:
         heat = getattr(result, "heat", None)

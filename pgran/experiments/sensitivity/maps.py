@@ -214,7 +214,7 @@ def note_failed(figure, record):
 
 def title(ax, record, medium, at, largest, few_beyond):
     """Say in the title of a map which frequency it is at, and its unit."""
-    end = "99% within" if few_beyond else "largest"
+    end = "99 % within" if few_beyond else "largest"
     x = record.omega[at] / medium.omega_mx
     ax.set_title(f"{scales.frequency(x, medium)}, {end} {largest}")
 
