@@ -74,10 +74,7 @@ def motion(ax, medium, values, drive=None, detectors=(), few_beyond=False, of=No
 
 
 def image(ax, values, wall=0.0):
-    """Draw numbers from -1, blue, to 1, red, shape (nx,) or (nx, ny); negative ones have bars.
-
-    The line of one axis ends at the number `wall`. Returns the image or the line.
-    """
+    """Draw numbers, -1 blue to 1 red, as an image with bars, or as a line up to `wall`; return it."""
     chain, (nx, ny) = values.ndim == 1, (*values.shape, 1)[:2]
     if chain:
         ax.axhline(0.0, color=style.MODE, linewidth=0.5)
@@ -91,7 +88,8 @@ def image(ax, values, wall=0.0):
         ax.set(aspect="equal" if 1 / 8 <= ny / nx <= 3 else "auto", ylabel="ball $j$")
         bars(ax, np.argwhere(values < -BARRED), 72 * ax.bbox.width / ax.figure.dpi / nx)
     ax.set_xlabel("ball $i$")
-    ax.locator_params("x" if chain else "both", nbins=6, steps=[1, 2, 5, 10], integer=True)
+    bins = 6 if len(values) < 100 else 3  # numbers of three digits are wide
+    ax.locator_params("x" if chain else "both", nbins=bins, steps=[1, 2, 5, 10], integer=True)
     return drawn
 
 
