@@ -74,7 +74,7 @@ def motion(ax, medium, values, drive=None, detectors=(), few_beyond=False, of=No
 
 
 def image(ax, values, wall=0.0):
-    """Draw numbers, -1 blue to 1 red, as an image with bars, or as a line up to `wall`; return it."""
+    """Draw numbers, -1 blue to 1 red, as an image with bars or a line up to `wall`; return it."""
     chain, (nx, ny) = values.ndim == 1, (*values.shape, 1)[:2]
     if chain:
         ax.axhline(0.0, color=style.MODE, linewidth=0.5)
