@@ -11,16 +11,7 @@ from mpi4py import MPI
 from mpmath import mp
 from network_samples import NetworkReference, exact_network_force
 from reference import exact_amplitudes
-from samples import (
-    SOLVERS,
-    Naive,
-    listened,
-    option_values,
-    reference_of,
-    relaxed,
-    steady,
-    swept,
-)
+from samples import SOLVERS, Naive, listened, option_values, reference_of, relaxed, steady, swept
 from sensitivity_samples import missed
 
 from pgran.driven.certify import smallest_damping

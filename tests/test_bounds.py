@@ -7,15 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 from reference import exact_amplitudes
-from samples import (
-    SOLVERS,
-    needs_klu,
-    random_lattice,
-    reference_of,
-    solve,
-    steady,
-    uniform_lattice,
-)
+from samples import SOLVERS, needs_klu, random_lattice, reference_of, solve, steady, uniform_lattice
 
 from pgran.medium.lattice import Lattice
 

@@ -41,7 +41,10 @@ PLACES = [Quantity(f"${name}$", unit="m") for name in "xyz"]
 
 
 def unit_of(quantity, medium, largest):
-    """Return factor and unit of numbers up to the `largest`: SI's where shown and known, or own."""
+    """Return what numbers up to the `largest` are multiplied with, and their unit.
+
+    That is SI's where these are shown and known, else the program's.
+    """
     factor = quantity.unit and style.units().factor(quantity.unit)
     if factor is None:
         return 1.0, quantity.own

@@ -3,6 +3,7 @@
 import contextlib
 import textwrap
 from contextvars import ContextVar
+from itertools import product
 
 import matplotlib
 import numpy as np
@@ -201,9 +202,8 @@ def legend_above(panels):
     """Put one legend of all panels above the upper right of the first, where no data can be.
 
     What several curves of a panel have in common comes last, and the dotted line of omega_mx. It is
-    beside the title, or above that if another panel is beside or if its lines are fewer there, and
-    more than two else, in as many columns as fit: give the last panel of a row first. The figure
-    gets higher by as much as the legend is.
+    beside the title if two lines hold it there, else above that, as where another panel is beside
+    (give the last panel of a row first), in as many columns as fit. The figure grows by as much.
     """
     handles, shared = {}, {}
     for ax in panels:
@@ -224,19 +224,13 @@ def legend_above(panels):
         title = _size(first.set_title(first.get_title(loc="left"), loc="left"))[0]
         title += LETTERED * (len(getattr(figure, "panels", ())) > 1)
         places.insert(0, (first.transAxes, room - title - BESIDE * (title > 0)))
-
-    def made(place, columns):
+    for (place, width), columns in product(places, range(COLUMNS, 0, -1)):
         look = {"loc": "lower right", "bbox_to_anchor": (1, 1), "bbox_transform": place}
-        return first.legend(handles.values(), handles, ncol=columns, columnspacing=1.2, **look)
-
-    tried = [
-        (max(-(-len(handles) // columns), 2), n, -columns, place)
-        for n, (place, width) in enumerate(places)
-        for columns in range(min(len(handles), COLUMNS), 0, -1)
-        if _size(made(place, columns))[0] <= width
-    ]
-    *_, columns, place = min(tried, key=lambda each: each[:3], default=(-1, places[-1][0]))
-    figure.grow(_size(made(place, -columns))[1] - before)
+        legend = first.legend(handles.values(), handles, ncol=columns, columnspacing=1.2, **look)
+        last = place is places[-1][0]
+        if _size(legend)[0] <= width and (last or len(handles) <= 2 * columns):
+            break
+    figure.grow(_size(legend)[1] - before)
 
 
 def _size(artist):

@@ -102,7 +102,10 @@ def participation_axes(ax, x, lattice):
 
 
 def resonances(ax, modes, lattice):
-    """Draw |A| at the peak of each mode, if it stood alone, from FAINT on; return the points."""
+    """Draw |A| of each detector at the peak of each mode, as if it stood alone; return the points.
+
+    Peaks fainter than FAINT of the largest are left out.
+    """
     peaks = modes.peak
     good = np.isfinite(peaks) & (peaks > FAINT * np.nanmax(peaks, initial=0.0))
     names = style.ball_names(modes.detector) if len(modes.detector) > 1 else None

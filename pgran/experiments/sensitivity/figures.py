@@ -86,7 +86,7 @@ def flux(ax, record, medium, at):
 
 
 def distribution(ax, record, medium):
-    """Draw the share of bonds, of those kept, that change |A| by more; return the curves."""
+    """Draw the share of all bonds, or of those kept, that change |A| by more; return the curves."""
     drawn, total = [], record.flux.shape[1]
     names = style.ball_names(record.detector)
     for n in few(record):
