@@ -164,6 +164,6 @@ def test_a_steady_response_is_laid_over_the_detectors_that_it_shares():
     low, high = near.get_xlim()
     outside = np.flatnonzero((steady.get_xdata() < low) | (steady.get_xdata() > high))
     assert set(gaps(steady)) == {120, 130, *outside}
-    assert sorted(legend(made["spectrum"])) == ["signal / drive", "steady response"]
+    assert sorted(legend(made["spectrum"])) == ["signal/drive", "steady response"]
     with pytest.raises(FileError, match="no detector in common"):
         figures.make(result, response=respond(detectors=[(2, 2)]).response)

@@ -224,6 +224,7 @@ def legend_above(panels):
         title = _size(first.set_title(first.get_title(loc="left"), loc="left"))[0]
         title += LETTERED * (len(getattr(figure, "panels", ())) > 1)
         places.insert(0, (first.transAxes, room - title - BESIDE * (title > 0)))
+        places = places[: 1 + (title > 0)]
     for (place, width), columns in product(places, range(COLUMNS, 0, -1)):
         look = {"loc": "lower right", "bbox_to_anchor": (1, 1), "bbox_transform": place}
         legend = first.legend(handles.values(), handles, ncol=columns, columnspacing=1.2, **look)

@@ -32,7 +32,7 @@ def spectrum(ax, signals, lattice, number, response=None):
         look = {"color": style.pale(style.ACCENT), "linewidth": 2.5, "dots": False}
         marks.curves(ax, swept, response.amplitude[:, d], there, ["steady response"], **look)
     look = {"color": "black", "dots": False}
-    (curve,) = marks.curves(ax, x, size, good, ["signal / drive"], **look)
+    (curve,) = marks.curves(ax, x, size, good, ["signal/drive"], **look)
     speed = np.abs(signals.velocity[:, number])
     left = speed[-round(FADING * len(speed)) :].max() / (speed.max() or 1.0)
     _, (name,) = captions.by_depth(lattice, signals.detector[[number]])
@@ -94,7 +94,7 @@ def page(signals, lattice, response):
         style.legend_above([panels[columns - 1], *panels])
     end = signals.time[-1] * lattice.omega_mx
     until = rf"until $T$ = {scales.time(end, lattice)}"
-    style.above(figure, f"signal / drive {until}", "left: of the largest speed, near that end")
+    style.above(figure, f"signal/drive {until}", "left: of the largest speed, near that end")
     figure.caption = (
         f"Spectra of the signals of balls over that of the drive, {until}. Left: largest speed in "
         "the last quarter of that time over the largest of all; where some is left frequencies are "
