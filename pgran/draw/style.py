@@ -35,6 +35,7 @@ HALO = withStroke(linewidth=3, foreground="white")  # around what lies over data
 COLOURS = ("black", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9")
 
 RC = {
+    "axes.formatter.use_mathtext": True,
     "axes.linewidth": 0.6,
     "axes.titlelocation": "left",
     "axes.titlesize": 8,
