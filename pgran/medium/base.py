@@ -87,6 +87,19 @@ class Medium(Dissipation, Distinct):
                 values[name] = tuple(k / unit for k in value) if each else value / unit
         return dataclasses.replace(self, **values), unit
 
+    def in_own_time(self):
+        """Return the same medium with its largest constant near its mass, and the unit of s.
+
+        For what solves for s itself: powers of s have one size then, whatever time is measured in.
+        """
+        unit = 2.0 ** (math.frexp(einstein_frequency(self.axes, self.stiffest, self.mass))[1] - 1)
+        powers = {"mass": 2, "masses": 2, "median_mass": 2, "damping": 1, "drag": -1}
+        names = [item.name for item in dataclasses.fields(self) if item.name in powers]
+        values = {name: getattr(self, name) for name in names}
+        for name, value in values.items():
+            values[name] = value if value is None else value * unit ** powers[name]
+        return dataclasses.replace(self, **values), unit
+
 
 class Elimination(NamedTuple):
     """How the matrices of a medium are factored best."""

@@ -81,7 +81,8 @@ class DampedSearch(Task):
         """Choose the method."""
         self.medium, self.resonances = medium, resonances
         self.interval, self.targets, self.count = interval, targets, count
-        self.scaled, self.unit = medium.in_own_unit()
+        scaled, self.stiffness = medium.in_own_unit()
+        self.scaled, self.rate = scaled.in_own_time()
         self.system = quadratic(self.scaled)
         if not medium.dissipates:
             raise InputError("-modes_damped: nothing is damped here; leave it out")
@@ -113,25 +114,27 @@ class DampedSearch(Task):
         if self.near:
             from pgran.experiments.modes.near import nearest
 
-            s, X = nearest(self.scaled, 1j * self.targets[0], self.count)
+            s, X = nearest(self.scaled, 1j * self.targets[0] / self.rate, self.count)
         else:
             s, X = companion(K, C, m)
-        s = np.where(np.abs(s.imag) <= EQUAL * np.abs(s).max(), s.real, s)
         X, good = normalised(C, m, s, X)
         rows, size, CX = np.zeros(len(s), self.row), np.linalg.norm(X, axis=0), C @ X
-        rows["eigenvalue"] = s
-        rows["radius"], missing, known = self.certified(s, X)
+        residual = np.linalg.norm(K @ X + s * CX + m * s**2 * X, axis=0)
+        off = np.where(good, 2 * residual * size, DEFECTIVE * np.abs(s))  # to first order
+        s = np.where(np.abs(s.imag) <= off, s.real, s)  # overdamped, as far as can be known
+        rows["eigenvalue"] = self.rate * s
+        radius, missing, known = self.certified(s, X)
+        rows["radius"] = self.rate * radius
         rows["missing"], rows["known"] = missing or 0, known if missing is not None else ""
         largest, damped = (abs(matrix).sum(axis=1).max() for matrix in (K, C))
         largest = largest + np.abs(s) * damped + np.abs(s) ** 2 * m
-        residual = np.linalg.norm(K @ X + s * CX + m * s**2 * X, axis=0)
         rows["residual"] = residual / (largest * size)
         both = np.abs(np.sum(X * (2 * m * s * X + CX), axis=0))
         rows["rigidity"] = good * both / (np.maximum(2 * np.abs(s), EQUAL) * m * size**2)
         fields = (np.abs(X) / size).T.reshape(-1, *self.medium.shape)
         rows["participation"] = participation(self.medium, fields)
-        # of the medium itself, whose K, C and m are larger by the unit
-        X = np.where(good, X / np.sqrt(self.unit), np.nan)
+        # of the medium itself, whose K, C and m have other units, and s too
+        s, X = self.rate * s, np.where(good, X * np.sqrt(self.rate / self.stiffness), np.nan)
         if "residue" in self.row.names:
             heard = np.einsum("dw,dwn->nd", self.resonances.weights, X[self.resonances.unknowns])
             rest, dashpots = drive_of(self.medium)
@@ -150,7 +153,7 @@ class DampedSearch(Task):
         if not self.near:
             radius = certain.discs(*self.system, s, X)
             return radius, 0 if np.all(np.isfinite(radius)) else None, "discs"
-        proven, centre = self.certificate == "proven", 1j * self.targets[0]
+        proven, centre = self.certificate == "proven", 1j * self.targets[0] / self.rate
         radius = certain.radii(*self.system, s, X) if proven else np.full(len(s), np.nan)
         distance = np.abs(s - centre)
         wanted = np.sort(distance[s.imag >= 0])[: self.count]

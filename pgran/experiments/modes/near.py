@@ -11,22 +11,26 @@ from pgran.experiments.modes.normal import SLEPc, invert
 from pgran.run.petsc import PETSc, plain_errors
 
 SPARE, SPACE = 4, 3  # modes that are searched for beyond those wanted; vectors for each
-BESIDE = 1e-3  # omega_mx from a target: modes at rest would make S(0) singular
+MORE = 1, 2, 4, 8, 16  # times as many are searched for until enough are found
+BESIDE = 1e-3  # from a target: modes at rest would make S(0) singular
 
 
 def nearest(medium, target, count):
     """Return s and x, columns, of modes nearest to a target, `count` above the real axis and more.
 
-    Raises PgranError if there is none.
+    The medium is in its own unit and time. Raises PgranError if there is none.
     """
-    wanted = count + SPARE
-    target += BESIDE * 1j * medium.omega_mx
+    beside = target + BESIDE * 1j
     with Operators(medium, MPI.COMM_SELF) as operators:
-        s, x = search(operators, target, wanted)
-        # of what is mirrored below the axis some may take their places
-        while len(s) >= wanted and np.count_nonzero(s.imag >= 0) < wanted < medium.size:
-            wanted *= 2
-            s, x = search(operators, target, wanted)
+        for more in MORE:  # mirrored ones take places, and small spaces may not converge
+            wanted = min(more * (count + SPARE), medium.size)
+            s, x = search(operators, beside, wanted)
+            # beyond the farthest one others may be
+            here = np.abs(s - target) <= np.abs(s - beside).max(initial=0.0) - BESIDE
+            enough = np.count_nonzero(here & (s.imag >= 0)) >= count + SPARE // 2
+            if enough or wanted == medium.size:
+                break
+        s, x = (s[here], x[here]) if enough else (s, x)
         if not np.any(s.imag >= 0):
             raise PgranError(
                 "SLEPc's PEP has found no damped mode: many at rest, of rattlers, may hide others "

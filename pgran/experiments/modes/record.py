@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from pgran.errors import PgranError
-from pgran.experiments.modes.shapes import least_frequency
+from pgran.experiments.modes.shapes import RESIDUAL, least_frequency
 from pgran.store.fields import DETECTOR, Frequencies
 from pgran.store.record import Record, array, attribute
 
@@ -217,9 +217,14 @@ class DampedModes(Record):
             return np.abs(self.eigenvalue) / self.width
 
     @property
+    def poor(self):
+        """How many modes have a backward error beyond rounding, and are not proven."""
+        return np.count_nonzero((self.residual > RESIDUAL) & ~np.isfinite(self.radius))
+
+    @property
     def failures(self):
-        """How many modes are missing, at least 1 unless that is certain, or nobody asks."""
-        return 0 if self.certificate == "none" else _missing(self)
+        """How many modes are poor or missing, at least 1 unless that is certain, or nobody asks."""
+        return self.poor + (0 if self.certificate == "none" else _missing(self))
 
     def exactness(self, number="{:.1e}".format):
         """Return in words how sure it is that no mode is missing."""
@@ -230,6 +235,12 @@ class DampedModes(Record):
             if len(known):
                 words += f", each s within {number(known.max())}"
             return words + (f", but {alone} of which no s is proven" if alone else "")
+        if self.poor:
+            return (
+                f"NOT ACCURATE: {self.poor} of {found} modes, backward errors up to "
+                f"{number(self.residual.max())}; -damped_pep_tol and -damped_pep_max_it make them "
+                "smaller, -modes_method dense finds all"
+            )
         if found != expected:
             return (
                 f"NOT ALL MODES: {found} found where there are {expected}; -modes_method dense "
