@@ -12,8 +12,8 @@ from samples import assert_same, islands, random_lattice, reference_of, run_scen
 
 import pgran
 from pgran.command.resolve import resolve
+from pgran.driven.counting import ModeCounter
 from pgran.experiments.modes import density
-from pgran.experiments.modes.condensation import Condensation
 from pgran.medium.lattice import Lattice
 from pgran.medium.record import record_of
 from pgran.run.crew import Crew
@@ -117,21 +117,18 @@ def test_weyls_law_of_long_waves():
 
 
 @pytest.mark.parametrize("shape", [(17, 23), (60,), (7, 6, 5)])
-def test_the_bound_of_what_rounding_does(shape):
-    """The inertia is that of the lattice with its spectrum moved by no more, next to modes too."""
+def test_counts_next_to_modes(shape):
+    """Right where no mode is within the clearance, twofold ones nearby too; else left open."""
     lattice, _ = uniform_lattice(shape).in_own_unit()
-    counter = Condensation(lattice)
     squares = uniform_frequencies(shape, lattice.stiffest, 1.0) ** 2
-    bounds = []
-    for shift in [*squares[:: len(squares) // 10], *np.linspace(0.01, squares[-1], 5)]:
-        for away in (0.0, 1e-13, -1e-12, 1e-10, -1e-8):
-            count, missed = counter.inertia(shift + away)
-            if np.isfinite(missed):
-                missed += 1e-14 * counter.norm  # of the exact values themselves
-                assert np.sum(squares < shift + away - missed) <= count
-                assert count <= np.sum(squares < shift + away + missed)
-                bounds.append(missed)
-    assert np.median(bounds) < 1e-10 * counter.norm
+    with density.counter_of(lattice) as counter:
+        for mode in squares[:: len(squares) // 10]:
+            for away in (1e-3, -1e-5, 1e-7, -1e-9):
+                near = np.abs(squares - mode - away).min()
+                count = counter.below(mode + away, 0.5 * near)
+                exact = np.count_nonzero(squares < mode + away)
+                assert count == exact or (count is None and near < 1e-8)
+                assert counter.below(mode + away, 2 * near) is None
 
 
 def test_any_ranks_and_units_of_measure(world):
@@ -148,13 +145,12 @@ def test_any_ranks_and_units_of_measure(world):
 
 def test_counts_that_nothing_certifies(monkeypatch):
     """They are marked, and so is the run."""
-    sure = Condensation.inertia
+    sure = ModeCounter.below
 
-    def unsure(self, shift):
-        count, missed = sure(self, shift)
-        return count, np.nan if 0.1 < shift < 0.3 else missed
+    def unsure(self, shift, clearance):
+        return None if 0.1 < shift < 0.3 else sure(self, shift, clearance)
 
-    monkeypatch.setattr(Condensation, "inertia", unsure)
+    monkeypatch.setattr(ModeCounter, "below", unsure)
     monkeypatch.setattr(density, "CLEARANCES", (0.01,))
     monkeypatch.setattr(density, "ATTEMPTS", 3)
     lattice = random_lattice((5, 4))

@@ -15,6 +15,8 @@ from pgran.driven.operators import SAME
 from pgran.driven.owner import Owner
 from pgran.run.petsc import PETSc
 
+SLOW = 0.05  # seconds of a lattice's factorization from which SuperLU's dense blocks are faster
+
 
 def flag_hermitian(matrix):
     """Let PETSc know of a real symmetric matrix that it is one."""
@@ -26,9 +28,9 @@ class ModeCounter(Owner):
     """Counts the eigenvalues below a shift of K, or C, of a lattice or network.
 
     Each rank counts on a copy of its own, because PETSc's own factorization, the only one that
-    gives the inertia of complex matrices everywhere, is serial. Where it would take long, `costly`
-    beside a search for some modes, SciPy's SuperLU does it unless options choose. No eigenvalue
-    exceeds `norm`, |K|_inf, 1 if K is zero; there are `order` of them.
+    gives the inertia of complex matrices everywhere, is serial. Where it would take long (`SLOW`;
+    `costly` beside a search for some modes) SciPy's SuperLU does it unless options choose. No
+    eigenvalue exceeds `norm`, |K|_inf, 1 if K is zero; there are `order` of them.
     """
 
     owns = ("_pc", "_shifted", "_x", "_rhs", "_residual")
@@ -45,7 +47,8 @@ class ModeCounter(Owner):
         self._rhs.setArray(np.random.Generator(np.random.Philox(1)).standard_normal(self.order))
         self.costly = lattice.elimination.costly
         chosen = PETSc.Options("normal_count_").hasName("pc_type")
-        self._factor = self._by_superlu if self.costly and not chosen else self._by_petsc
+        slow = self.costly or (lattice.is_grid and lattice.elimination.seconds > SLOW)
+        self._factor = self._by_superlu if slow and not chosen else self._by_petsc
         self._pc = PETSc.PC().create(K.getComm())
         self._pc.setOptionsPrefix("normal_count_")
         self._pc.setType("cholesky")

@@ -139,22 +139,14 @@ class Counts(Task):
 
 
 @contextlib.contextmanager
-def counter_of(lattice):
-    """Return, for a `with`, what counts the eigenvalues of K, of a lattice in its own unit.
-
-    Boxes of a lattice are condensed; networks, which have no boxes, are factored.
-    """
-    if lattice.is_grid:
-        from pgran.experiments.modes.condensation import Condensation
-
-        yield Condensation(lattice)
-        return
+def counter_of(medium):
+    """Return, for a `with`, what counts the eigenvalues of K, of a medium in its own unit."""
     from mpi4py import MPI
 
     from pgran.driven.counting import ModeCounter
     from pgran.driven.operators import Operators
 
-    with Operators(lattice, MPI.COMM_SELF) as own, ModeCounter(own.K, lattice) as counter:
+    with Operators(medium, MPI.COMM_SELF) as own, ModeCounter(own.K, medium) as counter:
         yield counter
 
 
