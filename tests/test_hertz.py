@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
+from small import OPTIONS
 
 import pgran
 from pgran.__main__ import USAGE, main
@@ -17,8 +18,7 @@ from pgran.command.resolve import resolve
 from pgran.errors import DONE, InputError
 from pgran.medium import hertz
 from pgran.medium.hertz import MATERIALS, Material, Scale
-from pgran.medium.packing import hertz_of_force
-from pgran.run.reading import read_words
+from pgran.run.reading import read_file, read_words
 
 GLASS = MATERIALS["glass"]
 BEAD = Scale(GLASS, 5e-3, 1e-3)  # the diameter of Liu and Nagel's beads
@@ -156,17 +156,30 @@ def test_the_table(capsys):
     assert "pgran units" in USAGE
 
 
-def test_a_packing_of_these_balls(capsys):
-    """Its contacts bear the load in the mean, and oscillate as those of beads of glass."""
-    out = say(capsys, f"{GIVEN} --growth 1e-7").splitlines()[-1]
-    own = {key: float(x) for key, x in re.findall(r"(--?\w+) (\d\S*)", out)}
-    packing = pgran.pack(50, 3, "hertz", pressure=own["--pressure"], sizes="equal")
-    newton = BEAD.mass * own["-units_length"] / own["-units_time"] ** 2
-    assert packing.force.mean() * newton == pytest.approx(BEAD.force, rel=0.1)
-    seconds = packing.omega_mx / own["-units_time"]
+@pytest.mark.parametrize("load", ["--load 8", f"--pressure {0.64 * 6 * 2 / math.pi / 25e-6}"])
+def test_a_packing_of_these_balls(call, shared_path, load):
+    """What is printed packs balls under the mean force, and runs: they oscillate as glass does."""
+    given = f"units --diameter 5e-3 --material glass {load} --restitution .9"
+    out = call(*given.split()).stdout
+    (shared_path / "options").symlink_to(OPTIONS)
+    for command in out.splitlines()[-1].split(" && "):
+        done = call(*shlex.split(command)[1:])
+        assert done.returncode == DONE, done.stderr
+    result = pgran.load(shared_path / "results" / "packing_modes.h5")
+    packing, metre, second = result.medium.built, result.units_length, result.units_time
+    newton = BEAD.mass * metre / second**2
+    assert packing.force.mean() * newton == pytest.approx(2, rel=0.1)
+    virial = np.sum(packing.force * packing.distance) / 3 / np.prod(packing.box)
+    pressure = hertz.pressure_of_force(2, 5e-3)
+    assert virial * newton / metre**2 == pytest.approx(pressure, rel=1e-6)
     stiffest = 1.5 * BEAD.constant ** (2 / 3) * (packing.force.max() * newton) ** (1 / 3)
-    assert seconds == pytest.approx(math.sqrt(6 * stiffest / BEAD.mass), rel=1e-5)
-    assert own["-heat_radius"] * own["-units_length"] == pytest.approx(1e-7)
+    omega_mx = math.sqrt(6 * stiffest / BEAD.mass)
+    assert packing.omega_mx / second == pytest.approx(omega_mx, rel=1e-9)
+    assert packing.damping * BEAD.mass / second == pytest.approx(value(out, "damping"), rel=1e-3)
+    heater = call(*given.split(), "--growth", "1e-7").stdout.split(" && pgran run ")[1]
+    path, *words = shlex.split(heater)
+    options = resolve(read_file(shared_path / path) + read_words(words))
+    assert options.heat_radius * metre == pytest.approx(1e-7)
 
 
 def test_a_ball_that_grows_between_neighbours_that_stay(capsys):
@@ -189,7 +202,7 @@ def test_loads_by_pressure_and_by_a_measured_frequency(capsys):
 
 def test_the_mean_force_where_stiffness_is_uniform():
     """F ~ k^3: k = 3/2 c^(2/3) F^(1/3)."""
-    k = (np.arange(10_000) + 0.5) / 10_000 * hertz_of_force(BEAD.force, BEAD.constant)
+    k = (np.arange(10_000) + 0.5) / 10_000 * BEAD.stiffness
     forces = [hertz.force_of_stiffness(BEAD.constant, each) for each in k]
     assert BEAD.force / np.mean(forces) == pytest.approx(hertz.STRONGEST, rel=1e-6)
 
