@@ -1,6 +1,7 @@
 """Packings of other programs: what is read, kept and chosen is what they hold."""
 
 import itertools
+import re
 import sys
 
 import numpy as np
@@ -17,6 +18,7 @@ from packing_samples import (
     row_of_balls,
 )
 
+import pgran
 from pgran.errors import InputError
 from pgran.medium import packing
 from pgran.medium.conditions import choose
@@ -57,13 +59,45 @@ def test_columns_named_by_the_user(call, place, here, words, stress):
 
 
 def test_six_digits(call, place, here):
-    """As LAMMPS prints unless told otherwise; stiffness is then as good as the overlaps."""
+    """As LAMMPS prints unless told otherwise; balls that are not at rest are told."""
     sample = Sample(3)
     sample.write(place, digits=6)
-    assert "distance = c_p[3], force = c_p[5], fx = c_p[6]" in bring(call, "--law", "hertz")
-    network, touch = read_network("n.h5"), sample.touch
-    worst = 4e-5 / sample.overlap[touch].min()
-    np.testing.assert_allclose(network.stiffness, sample.stiffness[touch], rtol=worst)
+    done = call("import", "a.atoms", "a.contacts", "-o", "n.h5", "--law", "hertz")
+    assert "distance = c_p[3], force = c_p[5], fx = c_p[6]" in done.stdout
+    assert "of the mean one on a free ball: gravity" in done.stderr
+    assert "masses: all 1" not in done.stdout
+    known = sample.stiffness[sample.touch]
+    np.testing.assert_allclose(read_network("n.h5").stiffness, known, rtol=2e-4)
+
+
+@pytest.mark.parametrize("digits", [6, 9])
+@pytest.mark.parametrize(
+    ("law", "pressure"), [("hertz", 1e-3), ("hertz", 1e-6), ("hertz", 3e-8), ("harmonic", 1e-4)]
+)
+def test_rounding_of_overlaps(call, place, here, law, pressure, digits):
+    """By all contacts their law is known better than by one; it says how well, and which it is."""
+    packing = pgran.pack(100, law=law, pressure=pressure, seed=4)
+    unit, ball = LENGTH / packing.box[0], np.arange(len(packing.held)) + 1
+    x, y = packing.position.T * unit
+    columns = {"id": ball, "x": x, "y": y, "z": 0 * x, "radius": packing.radius * unit}
+    place("a.atoms", dump("ATOMS", columns, digits))
+    columns = dict(zip("ij", packing.bond.T + 1, strict=True))
+    columns |= {"distance": packing.distance * unit, "force": packing.force * 1e-7}
+    place("a.contacts", dump("ENTRIES", columns, digits))
+    names, (wrong,) = ("import", "a.atoms", "a.contacts", "-o"), {"hertz", "harmonic"} - {law}
+    done = call(*names, "n.h5", "--law", law)
+    off = np.abs(read_network("n.h5").stiffness * unit * 1e7 / packing.stiffness - 1).max()
+    said = float(re.search(r"each to (\S+) by the digits", done.stdout)[1])
+    unsure = "the digits of overlaps leave a stiffness open" in done.stderr
+    assert unsure == (said > 1e-2)
+    assert off < (1.1 * said if unsure else min(1.1 * said, 2e-3))  # it is rounded itself
+    assert not re.search("but forces go|on a free ball", done.stderr)
+    assert "masses: all 1, as the balls" in done.stdout
+    if not unsure:
+        fits = re.compile(rf"forces go like h\^\(\S+ \+- \S+\), h the overlap: --law {law} fits")
+        assert fits.search(done.stdout)
+        assert fits.search(call(*names, "m.h5").stderr), "--law is needed"
+        assert fits.search(call(*names, "m.h5", "--law", wrong).stderr)
 
 
 def test_forces_given_by_components(call, place, here):
@@ -99,6 +133,12 @@ def test_csv(call, place, here):
     csv_of(place, sample, stiffness=sample.stiffness, kt=sample.stiffness / 3)
     bring(call)
     assert assert_same(sample, stress=False)[0].tangential is None
+    doubt = "the stiffness is 1 F/h by its column, but forces go like h^(1.5"
+    for ratio in (1.5, 1):
+        secant = sample.force / np.where(sample.touch, sample.overlap, 1)
+        csv_of(place, sample, force=sample.force, stiffness=ratio * secant)
+        done = call("import", "a.atoms", "a.contacts", "-o", "n.h5", "--overwrite")
+        assert (doubt in done.stderr) == (ratio == 1), done.stderr
     csv_of(place, sample, overlap=sample.overlap, force=sample.force, tangential=sample.force)
     bring(call, "--law", "hertz", "--displacement", "rotations", "--damping", "0.25")
     network = read_network("n.h5")

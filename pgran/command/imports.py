@@ -22,6 +22,8 @@ from pgran.store.estimate import counted
 
 log = logging.getLogger("pgran")
 
+UNSURE = 1e-2  # of a stiffness: what the printed digits may leave open
+BALANCED = 1e-3  # of the mean contact force: what may be left on a ball at rest
 DESCRIPTION = """\
 Make a network from the balls and contacts that another program has written: two dumps of LAMMPS or
 LIGGGHTS (dump custom and dump local), two CSV files with a header, or one GraphML file. Of several
@@ -40,11 +42,14 @@ def run(words):
         if names is not None and not np.array_equal(names, contacts.balls.id.astype(str)):
             made.members["id"] = np.char.encode(names, "utf-8")[made.kept.balls]
         network = made.network()
+        cautions = [*_cautions(made, contacts, options)]
     write_network(options.output, made.members, made.attributes, options.overwrite)
     if not network.held.any():
         log.warning(
             "no ball is held: the network floats and cannot be driven; see --rest and --drive"
         )
+    for line in cautions:
+        log.warning("%s", line)
     for line in _summary(network, made, contacts, options):
         print(line)
     return DONE
@@ -117,6 +122,21 @@ def _read(options):
     return read_contacts(read_table(options.contacts), balls, options.columns), None
 
 
+def _cautions(made, contacts, options):
+    """Say what speaks against the stiffness, or against the rest, of a packing."""
+    stiffness, error = made.stiffness
+    if power := contacts.power:
+        taken = np.median((stiffness * contacts.overlap / contacts.force)[power.clear])
+        if power.differs(taken):
+            yield f"the stiffness is {taken:.3g} F/h by {options.law or 'its column'}, but {power}"
+    if error > UNSURE:
+        yield f"the digits of overlaps leave a stiffness open by up to {error:.1g} of it; " \
+            "dump_modify ID format float %.16g prints more of them"  # fmt: skip
+    if made.unbalanced is not None and made.unbalanced > BALANCED:
+        yield f"forces leave {made.unbalanced:.2g} of the mean one on a free ball: gravity, " \
+            "friction or contacts that are cut balance it, or nothing does"  # fmt: skip
+
+
 def _summary(network, made, contacts, options):
     """Say in a few lines what has been written, what was left out, and what to do next."""
     kept, members, kind = made.kept, made.members, network.displacement
@@ -148,7 +168,10 @@ def _summary(network, made, contacts, options):
     formula = {"hertz": "hertz, 3/2 F/h", "harmonic": "harmonic, F/h"}.get(law, f"column {law}")
     if options.hertz is not None:
         formula = f"hertz, 3/2 c^(2/3) F^(1/3) with c = {options.hertz:g}"
-    yield f"stiffness: {formula}; {k.min():.4g} to {k.max():.4g}"
+    off = f", each to {made.stiffness[1]:.1g} by the digits" if made.stiffness[1] else ""
+    yield f"stiffness: {formula}; {k.min():.4g} to {k.max():.4g}{off}{contacts.fitting}"
+    if not contacts.balls.weighed:
+        yield "masses: all 1, as the balls have no column mass, or density and radius"
     yield f"omega_mx {network.omega_mx:.4g}, by the stiffest contact, {network.kmax:.4g}, and " \
         f"the median mass, {network.mass:.4g}, of the whole packing, whatever is held"  # fmt: skip
     if made.unbalanced is not None:

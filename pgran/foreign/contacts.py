@@ -10,6 +10,7 @@ import numpy as np
 
 from pgran.arguments import meant, nearest
 from pgran.errors import InputError
+from pgran.foreign import laws
 from pgran.foreign.tables import Table
 from pgran.medium import packing
 
@@ -45,6 +46,7 @@ class Balls:
     mass: np.ndarray
     radius: np.ndarray | None
     held: np.ndarray | None
+    weighed: bool  # whether the file says what they weigh
 
     @property
     def axes(self):
@@ -74,7 +76,7 @@ def read_balls(table):
     table.refuse_any(again, lambda row: f"a second ball has the id {ids[row]}")
     position, periods = _positions(table)
     # a file says a mass, or the density of what has a radius, or nothing: then all are alike
-    radius = held = None
+    radius = mass = held = None
     if "radius" in table:
         radius = table.numbers("radius", positive=True)
     elif "diameter" in table:
@@ -83,13 +85,12 @@ def read_balls(table):
         mass = table.numbers("mass", positive=True)
     elif "density" in table and radius is not None:  # of spheres, in a plane as well
         mass = table.numbers("density", positive=True) * 4 / 3 * np.pi * radius**3
-    else:
-        mass = np.ones(len(ids))
     if "held" in table:
         held = table.integers("held")
         wrong = ~np.isin(held, (0, 1, 2))
         table.refuse_any(wrong, "held must be 0 (free), 1 (at rest) or 2 (driven)")
-    return Balls(table, ids, position, periods, mass, radius, held)
+    masses = np.ones(len(ids)) if mass is None else mass
+    return Balls(table, ids, position, periods, masses, radius, held, mass is not None)
 
 
 def _positions(table):
@@ -205,46 +206,75 @@ class Contacts:
         )
         return force
 
+    @property
+    def precision(self):
+        """Half of the last digit of a number between 1 and 10 in both files."""
+        return 0.5 * 10.0 ** (1 - min(self.table.digits, self.balls.table.digits))
+
+    @cached_property
+    def _measured(self):
+        """Forces, overlaps, their errors by the printed digits, and scales: what `laws` takes."""
+        balls = self.balls
+        radii = [] if balls.radius is None else [*balls.radius[self.bond].T]
+        if "overlap" in self.roles:
+            lengths = [self.overlap]
+        elif "distance" in self.roles:
+            lengths = [self.distance, *radii]
+        else:
+            lengths = [2 * np.sqrt(balls.axes) * np.abs(balls.position).max(), *radii]
+        error = sum(self.precision * 10 ** np.floor(np.log10(np.abs(x))) for x in lengths)
+        return self.force, self.overlap, error, (1.0, 1 / sum(1 / x for x in radii or [1.0]))
+
+    @cached_property
+    def power(self):
+        """The `laws.Power` of forces by overlaps; None where these are unknown or do not tell."""
+        known = self.force is not None and self.overlap is not None
+        return laws.power_of(*self._measured) if known else None
+
+    @property
+    def fitting(self):
+        """Say which law fits, after other words."""
+        return f"; {self.power}" if self.power else ""
+
     def stiffness(self, law, c=None):
-        """Return the stiffness of contacts, 0 where balls do not touch, shape (nb,).
+        """Return the stiffness of contacts, 0 where balls do not touch, shape (nb,), and its error.
 
         The law is `hertz`, `harmonic` or a column, that of the role `stiffness` where it is None. c
         is that of F = c h^(3/2), used instead of overlaps. By a column, two balls apart without a
-        force do not touch.
+        force do not touch. The error is the largest part that digits of overlaps leave open.
         """
         if law in packing.POWERS:
             return self._by_law(law, c)
         name = law or self.roles.get("stiffness")
         if name is None or name not in self.table:
             lacks = "is needed" if law is None else f"{law}: there is no such column"
-            hint = meant(nearest(law or "", packing.POWERS))
+            hint = meant(nearest(law or "", packing.POWERS)) or self.fitting
             raise InputError(f"--law {lacks}; it is hertz, harmonic, or one of {self.table}{hint}")
         apart = np.zeros(len(self.bond), dtype=bool)
         if self.force is not None and self.overlap is not None:
             apart = (self.force == 0) & (self.overlap <= 0)
-        return np.where(apart, 0.0, self.table.numbers(name))
+        return np.where(apart, 0.0, self.table.numbers(name)), 0.0
 
     def _by_law(self, law, c):
-        """Return the stiffness by force and overlap, or by the force alone."""
-        force = self.force
+        """Return the stiffness by force and overlap, or by the force alone, and its error."""
+        force, power, error = self.force, packing.POWERS[law], self.precision
         if force is None:
             raise InputError(f"--law {law} needs forces; --columns says which column they are in")
-        overlap = np.ones(len(force)) if c is not None else self.overlap
-        if overlap is None:
+        if c is not None:
+            overlap = (force / c) ** (1 / power)
+        elif self.overlap is None:
             hint = ", or --hertz" if law == "hertz" else ""
             raise InputError(f"--law {law} needs overlaps: radii and positions of the balls{hint}")
+        else:
+            overlap, open_ = laws.overlaps_of(*self._measured, power)
+            error += open_
         touch = force != 0
         self.table.refuse_any(
             touch & ~((force > 0) & (overlap > 0)),
             lambda row: f"a {law} contact has no force of {force[row]:.6g} at an overlap of "
-            f"{overlap[row]:.6g}",
+            f"{overlap[row]:.6g}{self.fitting}",
         )
-        stiffness = np.zeros(len(force))
-        if c is not None:
-            stiffness[touch] = packing.hertz_of_force(force[touch], c)
-        else:
-            stiffness[touch] = packing.POWERS[law] * force[touch] / overlap[touch]
-        return stiffness
+        return np.divide(power * force, overlap, out=np.zeros(len(force)), where=touch), error
 
 
 def bonds_of(table, one, other, balls):

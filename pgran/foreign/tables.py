@@ -6,6 +6,7 @@ What a file claims about its size is believed only as far as its lines go.
 import dataclasses
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -79,6 +80,13 @@ class Table:
         if positive:
             self.refuse_any(column <= 0, lambda row: f"{name} must be positive, not {column[row]}")
         return column
+
+    @cached_property
+    def digits(self):
+        """How many digits its numbers have: six, which LAMMPS prints, or up to 15."""
+        some = {x for column in self.columns.values() for x in column[:BLOCK].tolist() if x % 1 > 0}
+        enough = (n for n in range(6, 15) if all(float(f"{x:.{n}g}") == x for x in some))
+        return next(enough, 15)
 
     def integers(self, name):
         """Return a column of integers; refuse it if it is another."""

@@ -10,11 +10,6 @@ from pgran.medium.springs import FREE
 POWERS = {"harmonic": 1.0, "hertz": 1.5}  # of the overlap: F = c h^power, k = power F / h
 
 
-def hertz_of_force(force, c):
-    """Return k = 3/2 c^(2/3) F^(1/3) of Hertz's law F = c h^(3/2)."""
-    return 1.5 * np.cbrt(c**2 * force)
-
-
 def nearest_images(away, periods):
     """Return vectors (n, d) between the nearest images, and through which ends they lead.
 
