@@ -1,6 +1,7 @@
 """Laws of damping: what solves S for one of them from another, in time, along steps, in files."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from law_samples import with_laws
 from network_samples import random_network
 from samples import steady
 from sensitivity_samples import packing
+from small import OPTIONS
 
 import pgran
 from pgran.command.resolve import resolve
@@ -167,3 +169,32 @@ def test_bounds_of_turning_balls_are_counted():
     with steady(network, sites[:, None]) as (_, solver):
         states = [solver.solve(1j * omega) for omega in (0.3, 0.8, 1.1)]
     assert all(np.isfinite(state.error_bound).all() for state in states)
+
+
+@pytest.mark.parametrize(
+    ("mass", "told"), [(1.0, ""), (1e-14, "overdamped"), (1e9, "omega_mx here; ")]
+)
+def test_a_default_damping_of_other_units_is_told(call, place, here, mass, told):
+    """With the beta that damps modes as the default does where m and omega_mx are about 1."""
+    packed = pgran.pack(40, law="hertz", pressure=1e-3)
+    parts = {name: getattr(packed, name) * mass for name in ("masses", "stiffness", "force")}
+    heavy = dataclasses.replace(packed, **parts, kmax=None, median_mass=None)
+    path = place("n.h5", write_network, *parts_of(heavy))
+    words = "run", str(OPTIONS / "packing_modes.opts"), "-network_file", str(path), "-output_file"
+    done = call(*words, "a.h5")
+    assert ("warning: the damping" in done.stderr) == (told != "")
+    assert told in done.stderr
+    found = re.search(r"-network_damping (\S+) would be 0.003", done.stderr)
+    beta = 0.003 * packed.mass * packed.omega_mx
+    again = call(*words, "b.h5", "-network_damping", found[1] if told else str(beta))
+    assert "the damping" not in again.stderr
+    quality = [np.nanmedian(pgran.load(path.parent / f"{x}.h5").modes.quality) for x in "ab"]
+    assert (quality[0] < 0.5) == (told == "overdamped")
+    modes = pgran.find_modes(dataclasses.replace(packed, damping=beta))
+    assert quality[1] == pytest.approx(np.nanmedian(modes.quality), rel=0.01)
+
+
+@pytest.mark.parametrize(("pressure", "told"), [("1e-3", False), ("1e-10", True)])
+def test_pack_tells_of_soft_contacts(call, pressure, told):
+    done = call("pack", "--balls", "40", "--law", "hertz", "--pressure", pressure, "-o", "p.h5")
+    assert ("; -network_damping" in done.stderr) == told, done.stderr

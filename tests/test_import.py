@@ -93,6 +93,7 @@ def test_rounding_of_overlaps(call, place, here, law, pressure, digits):
     assert off < (1.1 * said if unsure else min(1.1 * said, 2e-3))  # it is rounded itself
     assert not re.search("but forces go|on a free ball", done.stderr)
     assert "masses: all 1, as the balls" in done.stdout
+    assert "; --damping" in done.stderr  # forces are 1e-7 of those where .003 is a damping
     if not unsure:
         fits = re.compile(rf"forces go like h\^\(\S+ \+- \S+\), h the overlap: --law {law} fits")
         assert fits.search(done.stdout)

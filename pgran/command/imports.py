@@ -18,6 +18,7 @@ from pgran.foreign.tables import read_table
 from pgran.medium.checks import KINDS
 from pgran.medium.network_file import check_output, write_network
 from pgran.medium.springs import DRIVEN, FREE
+from pgran.medium.units import DAMPING, warn_of_damping
 from pgran.store.estimate import counted
 
 log = logging.getLogger("pgran")
@@ -50,6 +51,7 @@ def run(words):
         )
     for line in cautions:
         log.warning("%s", line)
+    warn_of_damping(network, "--damping")
     for line in _summary(network, made, contacts, options):
         print(line)
     return DONE
@@ -84,7 +86,7 @@ def _parser():
     add("--displacement", choices=KINDS, help="what a ball has (vector where there are positions)")
     add("--prestress", action=argparse.BooleanOptionalAction, help=prestress)
     add("--tangential", type=magnitude, metavar="RATIO", help="tangential over normal stiffness")
-    add("--damping", type=magnitude, metavar="BETA", default=0.003, help="of each contact (.003)")
+    add("--damping", type=magnitude, metavar="BETA", default=DAMPING, help="of each contact (.003)")
     return parser  # fmt: skip
 
 

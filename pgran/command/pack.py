@@ -12,6 +12,7 @@ from pgran.command.imports import next_step
 from pgran.command.words import Parser, positive
 from pgran.errors import DONE, InputError
 from pgran.medium.network_file import check_output, parts_of, write_network
+from pgran.medium.units import warn_of_damping
 from pgran.run.options import REALS, Option
 from pgran.store.estimate import counted
 
@@ -40,6 +41,7 @@ def run(words):
     elif kind == "scalar":
         network = dataclasses.replace(packing, displacement=kind, direction=None)
     write_network(output, *parts_of(network), overwrite)
+    warn_of_damping(network, "-network_damping")
     for line in _summary(output, network, packing, packed):
         print(line)
     return DONE

@@ -3,9 +3,13 @@
 import logging
 import math
 
+import numpy as np
+
 from pgran.errors import InputError
 
 log = logging.getLogger("pgran")
+
+DAMPING = 0.003  # the paper's beta, of a lattice whose m and omega_mx are 1
 
 
 def check_size(name, value, positive=False):
@@ -58,4 +62,20 @@ def warn_above_modes(lattice, world, lowest):
             "omega = %.6g, the lowest asked for, is above all modes (omega_mx is %.6g); "
             "frequencies are angular, omega = 2 pi f, but for sweeps with -sweep_unit Hz",
             lowest, lattice.omega_mx,
+        )  # fmt: skip
+
+
+def warn_of_damping(network, option):
+    """Warn where most modes are overdamped, or where the default damping is of another unit."""
+    unit, contacts = network.mass * network.omega_mx, slice(network.bonds)
+    with np.errstate(all="ignore"):
+        rates = network.constants[contacts] / (network.damping * network.dashpots[contacts])
+    # k / (beta omega_mx) of contacts; the median mode has half of it as its quality
+    over = bool(np.median(np.abs(rates)) < network.omega_mx)
+    if over or (network.damping == DAMPING and not 0.1 < unit < 10):
+        log.warning(
+            "the damping %g, in mass times frequency, is %.2g m omega_mx here%s; %s %.3g would be "
+            "%g m omega_mx, the default where m and omega_mx are 1", network.damping,
+            network.damping / unit, over * ": most modes are overdamped", option, DAMPING * unit,
+            DAMPING,
         )  # fmt: skip
