@@ -18,7 +18,7 @@ from pgran.foreign.tables import read_table
 from pgran.medium.checks import KINDS
 from pgran.medium.network_file import check_output, write_network
 from pgran.medium.springs import DRIVEN, FREE
-from pgran.medium.units import DAMPING, warn_of_damping
+from pgran.medium.units import BETA, warn_of_damping
 from pgran.store.estimate import counted
 
 log = logging.getLogger("pgran")
@@ -43,12 +43,8 @@ def run(words):
         if names is not None and not np.array_equal(names, contacts.balls.id.astype(str)):
             made.members["id"] = np.char.encode(names, "utf-8")[made.kept.balls]
         network = made.network()
-        cautions = [*_cautions(made, contacts, options)]
+        cautions = [*_cautions(network, made, contacts, options)]
     write_network(options.output, made.members, made.attributes, options.overwrite)
-    if not network.held.any():
-        log.warning(
-            "no ball is held: the network floats and cannot be driven; see --rest and --drive"
-        )
     for line in cautions:
         log.warning("%s", line)
     warn_of_damping(network, "--damping")
@@ -86,7 +82,7 @@ def _parser():
     add("--displacement", choices=KINDS, help="what a ball has (vector where there are positions)")
     add("--prestress", action=argparse.BooleanOptionalAction, help=prestress)
     add("--tangential", type=magnitude, metavar="RATIO", help="tangential over normal stiffness")
-    add("--damping", type=magnitude, metavar="BETA", default=DAMPING, help="of each contact (.003)")
+    add("--damping", type=magnitude, metavar="BETA", default=BETA, help="of each contact (.003)")
     return parser  # fmt: skip
 
 
@@ -124,13 +120,14 @@ def _read(options):
     return read_contacts(read_table(options.contacts), balls, options.columns), None
 
 
-def _cautions(made, contacts, options):
+def _cautions(network, made, contacts, options):
     """Say what speaks against the stiffness, or against the rest, of a packing."""
-    stiffness, error = made.stiffness
-    if power := contacts.power:
-        taken = np.median((stiffness * contacts.overlap / contacts.force)[power.clear])
-        if power.differs(taken):
-            yield f"the stiffness is {taken:.3g} F/h by {options.law or 'its column'}, but {power}"
+    if not network.held.any():
+        yield "no ball is held: the network floats and cannot be driven; see --rest and --drive"
+    (stiffness, error), (power, far, clear, words) = made.stiffness, contacts.power
+    taken = np.median((stiffness * contacts.overlap / contacts.force)[clear]) if words else power
+    if abs(taken - power) > far:
+        yield f"the stiffness is {taken:.3g} F/h by {options.law or 'its column'}, but {words}"
     if error > UNSURE:
         yield f"the digits of overlaps leave a stiffness open by up to {error:.1g} of it; " \
             "dump_modify ID format float %.16g prints more of them"  # fmt: skip
@@ -170,8 +167,9 @@ def _summary(network, made, contacts, options):
     formula = {"hertz": "hertz, 3/2 F/h", "harmonic": "harmonic, F/h"}.get(law, f"column {law}")
     if options.hertz is not None:
         formula = f"hertz, 3/2 c^(2/3) F^(1/3) with c = {options.hertz:g}"
-    off = f", each to {made.stiffness[1]:.1g} by the digits" if made.stiffness[1] else ""
-    yield f"stiffness: {formula}; {k.min():.4g} to {k.max():.4g}{off}{contacts.fitting}"
+    if made.stiffness[1]:
+        formula += f", each to {made.stiffness[1]:.1g} by the digits"
+    yield f"stiffness: {formula}; {k.min():.4g} to {k.max():.4g}; {contacts.power[-1]}".rstrip("; ")
     if not contacts.balls.weighed:
         yield "masses: all 1, as the balls have no column mass, or density and radius"
     yield f"omega_mx {network.omega_mx:.4g}, by the stiffest contact, {network.kmax:.4g}, and " \

@@ -10,7 +10,8 @@ from pgran.medium import hertz
 log = logging.getLogger("pgran")
 
 GRAVITY = 9.80665  # m/s^2
-PACKING = "results/balls.h5"
+PACK = "pgran pack --balls 200 --dimension 3 --law hertz --sizes equal"
+PACKED = "results/balls.h5"
 DESCRIPTION = """\
 Compute, in SI units, contact stiffness, omega_mx and the speed of long waves of equal balls in
 Hertzian contacts, F = c h^(3/2), and the options of the lattice that has them. The load is that of
@@ -29,7 +30,8 @@ def run(words):
         if damping is not None and not math.isfinite(scale.own_damping(damping)):
             raise OverflowError
         rows, line = table(scale, damping, options.growth), option_words(scale, damping)
-        packing = packing_words(scale, options.fraction, options.contacts, damping, options.growth)
+        bed = options.fraction, options.contacts
+        packing = packing_words(scale, bed, damping, options.growth)
     except (OverflowError, ZeroDivisionError):
         raise InputError("units: these numbers are too far apart to compute with") from None
     if scale.contact_radius > hertz.LARGE:
@@ -163,19 +165,16 @@ def option_words(scale, damping=None):
     return f"{words} -units_length {scale.diameter!r} -units_time {1 / scale.omega_mx!r}"
 
 
-def packing_words(scale, fraction, contacts, damping=None, growth=None):
+def packing_words(scale, bed, damping=None, growth=None):
     """Return commands that pack these balls, under the mean force, and run the packing."""
     force, time = scale.packed
-    mean = scale.force / hertz.STRONGEST / force
-    pressure = hertz.pressure_of_force(mean, 1.0, fraction, contacts)
+    pressure = hertz.pressure_of_force(scale.force / hertz.STRONGEST / force, 1.0, *bed)
     scene = "packing_modes.opts"
     if growth is not None:
         scene = "heater_packing.opts -drive_balls 0 -detectors 100 "
         scene += f"-heat_radius {growth / scale.diameter!r}"
     if damping is not None:
         scene += f" -network_damping {damping * time / scale.mass!r}"
-    return (
-        f"pgran pack --balls 200 --dimension 3 --law hertz --sizes equal --pressure {pressure!r} "
-        f"-o {PACKING} && pgran run options/{scene} -network_file {PACKING} "
-        f"-units_length {scale.diameter!r} -units_time {time!r}"
-    )
+    words = f"{PACK} --pressure {pressure!r} -o {PACKED} && pgran run options/{scene}"
+    units = f"-units_length {scale.diameter!r} -units_time {time!r}"
+    return f"{words} -network_file {PACKED} {units}"

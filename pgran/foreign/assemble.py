@@ -19,17 +19,17 @@ class Imported:
     """What is written of a packing, and what was left out.
 
     Not among the contacts are those of balls `apart`, those listed `twice`, and those `cut`; of the
-    others `kept` says what can vibrate. `stiffness` is that of all, and the largest part by which
-    digits leave one open, `unbalanced` the largest total force on a free ball.
+    others `kept` says what can vibrate. `stiffness` is what `Contacts.stiffness` returns,
+    `unbalanced` the largest total force on a free ball.
     """
 
     members: dict
     attributes: dict
     kept: packing.Kept
+    stiffness: tuple
     apart: int
     twice: int
     cut: int
-    stiffness: tuple
     unbalanced: float | None
 
     def network(self):
@@ -47,7 +47,7 @@ def assemble(contacts, options):
         raise InputError(f"--displacement {kind} needs positions of the balls")
     if kind == "rotations" and balls.radius is None:
         raise InputError("--displacement rotations needs radii of the balls")
-    stiffness, error = contacts.stiffness(options.law, options.hertz)
+    known = stiffness, _ = contacts.stiffness(options.law, options.hertz)
     touch = stiffness != 0
     once = touch & _first_of_each(contacts, stiffness, touch)
     across = _crossing(contacts, options.cut)
@@ -106,8 +106,7 @@ def assemble(contacts, options):
         cut = np.isin(list(AXES[: balls.axes]), list(options.cut or ""))
         attributes["box"] = np.where(np.isfinite(balls.periods) & ~cut, balls.periods, 0.0)
     left_out = (~touch, touch & ~once, across & once)
-    counts = map(np.count_nonzero, left_out)
-    return Imported(members, attributes, kept, *counts, (stiffness, error), ratio)
+    return Imported(members, attributes, kept, known, *map(np.count_nonzero, left_out), ratio)
 
 
 def _first_of_each(contacts, stiffness, touch):

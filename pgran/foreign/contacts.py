@@ -214,27 +214,21 @@ class Contacts:
     @cached_property
     def _measured(self):
         """Forces, overlaps, their errors by the printed digits, and scales: what `laws` takes."""
-        balls = self.balls
-        radii = [] if balls.radius is None else [*balls.radius[self.bond].T]
+        radii = [] if self.balls.radius is None else [*self.balls.radius[self.bond].T]
         if "overlap" in self.roles:
             lengths = [self.overlap]
         elif "distance" in self.roles:
             lengths = [self.distance, *radii]
         else:
-            lengths = [2 * np.sqrt(balls.axes) * np.abs(balls.position).max(), *radii]
+            lengths = [np.abs(self.balls.position).max()] * (2 * self.balls.axes) + radii
         error = sum(self.precision * 10 ** np.floor(np.log10(np.abs(x))) for x in lengths)
         return self.force, self.overlap, error, (1.0, 1 / sum(1 / x for x in radii or [1.0]))
 
     @cached_property
     def power(self):
-        """The `laws.Power` of forces by overlaps; None where these are unknown or do not tell."""
+        """What `laws.power_of` says, without words where forces or overlaps are unknown."""
         known = self.force is not None and self.overlap is not None
-        return laws.power_of(*self._measured) if known else None
-
-    @property
-    def fitting(self):
-        """Say which law fits, after other words."""
-        return f"; {self.power}" if self.power else ""
+        return laws.power_of(*self._measured) if known else (np.nan, np.inf, [], "")
 
     def stiffness(self, law, c=None):
         """Return the stiffness of contacts, 0 where balls do not touch, shape (nb,), and its error.
@@ -248,7 +242,7 @@ class Contacts:
         name = law or self.roles.get("stiffness")
         if name is None or name not in self.table:
             lacks = "is needed" if law is None else f"{law}: there is no such column"
-            hint = meant(nearest(law or "", packing.POWERS)) or self.fitting
+            hint = meant(nearest(law or "", packing.POWERS)) or f"; {self.power[-1]}".rstrip("; ")
             raise InputError(f"--law {lacks}; it is hertz, harmonic, or one of {self.table}{hint}")
         apart = np.zeros(len(self.bond), dtype=bool)
         if self.force is not None and self.overlap is not None:
@@ -266,13 +260,13 @@ class Contacts:
             hint = ", or --hertz" if law == "hertz" else ""
             raise InputError(f"--law {law} needs overlaps: radii and positions of the balls{hint}")
         else:
-            overlap, open_ = laws.overlaps_of(*self._measured, power)
-            error += open_
+            overlap, off = laws.overlaps_of(*self._measured, power)
+            error += off
         touch = force != 0
         self.table.refuse_any(
             touch & ~((force > 0) & (overlap > 0)),
             lambda row: f"a {law} contact has no force of {force[row]:.6g} at an overlap of "
-            f"{overlap[row]:.6g}{self.fitting}",
+            f"{overlap[row]:.6g}",
         )
         return np.divide(power * force, overlap, out=np.zeros(len(force)), where=touch), error
 

@@ -85,8 +85,7 @@ class Table:
     def digits(self):
         """How many digits its numbers have: six, which LAMMPS prints, or up to 15."""
         some = {x for column in self.columns.values() for x in column[:BLOCK].tolist() if x % 1 > 0}
-        enough = (n for n in range(6, 15) if all(float(f"{x:.{n}g}") == x for x in some))
-        return next(enough, 15)
+        return next((n for n in range(6, 15) if all(float(f"{x:.{n}g}") == x for x in some)), 15)
 
     def integers(self, name):
         """Return a column of integers; refuse it if it is another."""

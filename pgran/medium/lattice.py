@@ -33,7 +33,7 @@ from pgran.medium.dissection import dissected
 from pgran.medium.law import BondLaw, unit_numbers
 from pgran.medium.source import checked_drive, checked_sides, nearest
 from pgran.medium.springs import Springs
-from pgran.medium.units import DAMPING, check_magnitudes
+from pgran.medium.units import BETA, check_magnitudes
 from pgran.run.machine import check_memory
 from pgran.run.numbers import number, numbers
 from pgran.store.estimate import counted
@@ -86,7 +86,7 @@ class Lattice(ElasticBonds, Medium):
 
     stiffness: tuple
     mass: float = 1.0
-    damping: float = DAMPING
+    damping: float = BETA
     kmax: float | None = None
     wall: np.ndarray | None = None
     push: np.ndarray | None = None
@@ -135,7 +135,7 @@ class Lattice(ElasticBonds, Medium):
     @classmethod
     @called_right
     def random(
-        cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=DAMPING, free=(), gravity=0.0,
+        cls, shape, seed=1993, law="uniform", *, mass=1.0, damping=BETA, free=(), gravity=0.0,
         damping_power=0.0, drag=0.0, loss=0.0, **parameters,
     ):  # fmt: skip
         """Return the lattice that the options of a run describe, the same on every rank.

@@ -21,7 +21,7 @@ from pgran.medium.checks import check_network, checked_values, unit_direction
 from pgran.medium.graph import Connected
 from pgran.medium.source import nearest
 from pgran.medium.springs import AT_REST, DRIVEN, FREE, Elastic, springs_of
-from pgran.medium.units import DAMPING, check_magnitudes
+from pgran.medium.units import BETA, check_magnitudes
 from pgran.run.numbers import number, numbers
 
 log = logging.getLogger("pgran")
@@ -94,7 +94,7 @@ class Network(Elastic, Connected, Medium):
     stiffness: np.ndarray
     held: np.ndarray
     masses: np.ndarray = 1.0
-    damping: float = DAMPING
+    damping: float = BETA
     displacement: str = "scalar"
     position: np.ndarray | None = None
     normal: np.ndarray | None = None

@@ -10,16 +10,14 @@ from pgran.medium.law import DEFAULTS, HERTZ, LAWS, make_law
 from pgran.medium.record import record_of
 from pgran.medium.redraw import REDRAWN, redrawn
 from pgran.medium.source import OF_SOURCE, with_source
-from pgran.medium.units import DAMPING, warn_of_damping
+from pgran.medium.units import BETA, warn_of_damping
 from pgran.run.agreement import on_root
 from pgran.run.options import FILE, FILES, INTEGER, INTEGERS, REAL, TEXT, Option, alternatives
 
 OF_LATTICE = (
     Option("lattice_shape", INTEGERS, (20, 20), "balls along each axis, 1 to 3 numbers", low=1),
     Option("lattice_mass", REAL, 1.0, "mass m of a ball", above=0),
-    Option(
-        "lattice_damping", REAL, DAMPING, "damping beta of every bond", "mass x frequency", low=0
-    ),
+    Option("lattice_damping", REAL, BETA, "damping beta of every bond", "mass x frequency", low=0),
     Option("lattice_free", TEXT, None, "sides without a wall, y+ or x-,y-,y+"),
     Option(
         "bonds_law", TEXT, "uniform",

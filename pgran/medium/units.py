@@ -9,7 +9,7 @@ from pgran.errors import InputError
 
 log = logging.getLogger("pgran")
 
-DAMPING = 0.003  # the paper's beta, of a lattice whose m and omega_mx are 1
+BETA = 0.003  # the paper's beta, of a lattice whose m and omega_mx are 1
 
 
 def check_size(name, value, positive=False):
@@ -71,11 +71,10 @@ def warn_of_damping(network, option):
     with np.errstate(all="ignore"):
         rates = network.constants[contacts] / (network.damping * network.dashpots[contacts])
     # k / (beta omega_mx) of contacts; the median mode has half of it as its quality
-    over = bool(np.median(np.abs(rates)) < network.omega_mx)
-    if over or (network.damping == DAMPING and not 0.1 < unit < 10):
+    over = ": most modes are overdamped" * bool(np.median(np.abs(rates)) < network.omega_mx)
+    if over or (network.damping == BETA and not 0.1 < unit < 10):
         log.warning(
             "the damping %g, in mass times frequency, is %.2g m omega_mx here%s; %s %.3g would be "
-            "%g m omega_mx, the default where m and omega_mx are 1", network.damping,
-            network.damping / unit, over * ": most modes are overdamped", option, DAMPING * unit,
-            DAMPING,
+            "%g m omega_mx, the default where m and omega_mx are 1",
+            network.damping, network.damping / unit, over, option, BETA * unit, BETA,
         )  # fmt: skip
