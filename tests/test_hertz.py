@@ -157,28 +157,28 @@ def test_the_table(capsys):
 
 
 @pytest.mark.parametrize("load", ["--load 8", f"--pressure {0.64 * 6 * 2 / math.pi / 25e-6}"])
-def test_a_packing_of_these_balls(call, shared_path, load):
+def test_a_packing_of_these_balls(call, place, load):
     """What is printed packs balls under the mean force, and runs: they oscillate as glass does."""
     given = f"units --diameter 5e-3 --material glass {load} --restitution .9"
     out = call(*given.split()).stdout
-    (shared_path / "options").symlink_to(OPTIONS)
+    folder = place("options", lambda path: path.symlink_to(OPTIONS)).parent
     for command in out.splitlines()[-1].split(" && "):
         done = call(*shlex.split(command)[1:])
         assert done.returncode == DONE, done.stderr
-    result = pgran.load(shared_path / "results" / "packing_modes.h5")
+    result = pgran.load(folder / "results" / "packing_modes.h5")
     packing, metre, second = result.medium.built, result.units_length, result.units_time
     newton = BEAD.mass * metre / second**2
     assert packing.force.mean() * newton == pytest.approx(2, rel=0.1)
     virial = np.sum(packing.force * packing.distance) / 3 / np.prod(packing.box)
-    pressure = hertz.pressure_of_force(2, 5e-3)
-    assert virial * newton / metre**2 == pytest.approx(pressure, rel=1e-6)
+    pascal = newton / metre**2
+    assert virial * pascal == pytest.approx(hertz.pressure_of_force(2, 5e-3), rel=1e-6)
     stiffest = 1.5 * BEAD.constant ** (2 / 3) * (packing.force.max() * newton) ** (1 / 3)
     omega_mx = math.sqrt(6 * stiffest / BEAD.mass)
     assert packing.omega_mx / second == pytest.approx(omega_mx, rel=1e-9)
     assert packing.damping * BEAD.mass / second == pytest.approx(value(out, "damping"), rel=1e-3)
     heater = call(*given.split(), "--growth", "1e-7").stdout.split(" && pgran run ")[1]
-    path, *words = shlex.split(heater)
-    options = resolve(read_file(shared_path / path) + read_words(words))
+    path, *words = heater.split()
+    options = resolve(read_file(folder / path) + read_words(words))
     assert options.heat_radius * metre == pytest.approx(1e-7)
 
 
