@@ -72,7 +72,7 @@ def test_how_sound_depends_on_pressure_size_and_modulus():
     """At the same pressure its speed is that of any size of balls, p^(1/6) E^(1/3)."""
 
     def bed(pressure, diameter=5e-3, modulus=GLASS.modulus):
-        force = hertz.force_of_pressure(pressure, diameter)
+        force = pressure / hertz.pressure_of_force(1.0, diameter)
         return Scale(replace(GLASS, modulus=modulus), diameter, force)
 
     first = bed(1e3)
@@ -81,7 +81,7 @@ def test_how_sound_depends_on_pressure_size_and_modulus():
     assert bed(64e3).velocity == pytest.approx(2 * first.velocity, rel=1e-13)
     stiffer = bed(1e3, modulus=8 * GLASS.modulus)
     assert stiffer.velocity == pytest.approx(2 * first.velocity, rel=1e-13)
-    cubic = hertz.force_of_pressure(1e3, 5e-3, math.pi / 6, 6.0)
+    cubic = 1e3 / hertz.pressure_of_force(1.0, 5e-3, math.pi / 6, 6.0)
     assert cubic == pytest.approx(1e3 * 5e-3**2, rel=1e-13)  # a contact in each square d x d
 
 

@@ -92,8 +92,8 @@ def _force(options, material):
     if options.load:
         return options.load
     if options.pressure:
-        bed = options.pressure, options.diameter, options.fraction, options.contacts
-        return hertz.STRONGEST * hertz.force_of_pressure(*bed)
+        bed = options.diameter, options.fraction, options.contacts
+        return options.pressure / hertz.pressure_of_force(1 / hertz.STRONGEST, *bed)
     mass = hertz.ball_mass(material, options.diameter)
     stiffness = mass * options.omega_mx**2 / (2 * options.dimensions)
     constant = hertz.contact_constant(material, options.diameter)

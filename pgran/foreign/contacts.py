@@ -266,7 +266,7 @@ class Contacts:
         self.table.refuse_any(
             touch & ~((force > 0) & (overlap > 0)),
             lambda row: f"a {law} contact has no force of {force[row]:.6g} at an overlap of "
-            f"{overlap[row]:.6g}",
+            f"{overlap[row]:.6g}; {self.power[-1]}".rstrip("; "),
         )
         return np.divide(power * force, overlap, out=np.zeros(len(force)), where=touch), error
 

@@ -9,7 +9,8 @@ import numpy as np
 from pgran.medium.packing import POWERS
 
 NEAR, MOST = 2.0, 0.9  # within how many errors a law must hold, for which part of the contacts
-CLEAR, FEWEST = 10.0, 9  # errors that an overlap must have to tell the power, and how many do
+CLEAR, FEWEST = 10.0, 9  # errors that an overlap must have to tell the power, and how many do,
+ALIKE = 0.5  # unless their logarithms lie as near to each other
 FINE = 1e-8  # of an overlap: errors that need no law
 UNLIKE = 0.1  # of two powers, beyond three standard errors
 
@@ -19,12 +20,13 @@ def power_of(force, overlap, error, scales):
 
     Too few overlaps, or too similar ones, tell nothing: there are no words then.
     """
-    clear = (force > 0) & (overlap > CLEAR * error) & np.isfinite(overlap)
-    F, h, weight = force[clear], overlap[clear], (overlap / error)[clear]
-    if len(h) < FEWEST or np.ptp(np.log(h)) < 0.5:
+    weight = overlap / error
+    clear = (force > 0) & (weight > CLEAR) & (weight < np.inf)
+    F, h, weight = np.log(force[clear]), np.log(overlap[clear]), weight[clear]
+    if len(h) < FEWEST or min(np.ptp(F), np.ptp(h)) < ALIKE:
         return np.nan, np.inf, clear, ""
-    scales = [np.broadcast_to(r, clear.shape)[clear] for r in scales]
-    lines = [np.polyfit(np.log(F * r), np.log(h * r), 1, w=weight, cov=True) for r in scales]
+    logs = [np.broadcast_to(np.log(r), clear.shape)[clear] for r in scales]
+    lines = [np.polyfit(F + r, h + r, 1, w=weight, cov=True) for r in logs]
     (slope, _), spread = min(lines, key=lambda line: line[1][0, 0])  # of h by F, which is exact
     power, sigma = 1 / slope, np.sqrt(spread[0, 0]) / slope**2
     far = UNLIKE + 3 * sigma

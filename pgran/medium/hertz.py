@@ -70,11 +70,6 @@ def pressure_of_force(force, diameter, fraction=0.64, contacts=6.0):
     return fraction * contacts * force / (math.pi * diameter**2)
 
 
-def force_of_pressure(pressure, diameter, fraction=0.64, contacts=6.0):
-    """Return the mean force of a contact in a bed of balls under pressure."""
-    return pressure / pressure_of_force(1.0, diameter, fraction, contacts)
-
-
 def damping_of_quality(stiffness, quality, omega):
     """Return beta = k / (Q omega), which makes waves ring with a quality factor Q.
 
