@@ -177,6 +177,26 @@ def test_of_two_ways_to_say_the_same_the_later_source_wins(written, first, secon
     assert "contradicts" in refusal(f"-scene response {first} {second}", gone)
 
 
+@pytest.mark.parametrize(
+    ("scene", "first", "second"),
+    [
+        ("response", "network_file a.h5", "lattice_damping .01"),
+        ("response", "network_file a.h5", "lattice_shape 20,20"),
+        ("relaxation", "network_file a.h5", "bonds_seed 2"),
+        ("pulse", "pulse_file a.txt", "pulse_width 9"),
+        ("modes", "modes_density 9", "modes_method dense"),
+        ("modes", "modes_target .5 -modes_count 3", "modes_omega_max .7"),
+    ],
+)
+def test_a_later_source_that_says_a_part_replaces_nothing(written, first, second, scene):
+    """Else one word would make a lattice of a network, with defaults for all that is not said."""
+    path = written(f"-scene {scene} -{first}")
+    with pytest.raises(InputError) as caught:
+        resolve(read_file(path) + read_words(f"-{second}".split()))
+    for key, source in ((first, path), (second, "command line")):
+        assert re.search(rf"-{key.split()[0]} \({re.escape(str(source))}", str(caught.value))
+
+
 def test_counting_modes_instead_of_computing_them(written):
     """The later source wins here, too; counts have no shapes to store."""
     text = "-scene modes -modes_target .5 -modes_count 3 -output_fields"

@@ -76,8 +76,9 @@ def check_lattice(values, given, draws=False, several=False):
     that there may be more than one network.
     """
     law = LAW if draws else ()
-    named = [option.name for option in OF_LATTICE if option.name not in law]
-    alternatives([option.name for option in OF_NETWORK], named, values, given)
+    if values["network_file"] is not None:  # no word about a lattice makes one of it
+        named = [option.name for option in OF_LATTICE if option.name not in law]
+        alternatives(("network_file",), named, values, given, whole=())
     draws = draws or values["bonds_redrawn"] > 0
     if values.get("detectors_at") is not None:
         alternatives(("detectors_at",), ("detectors",), values, given)

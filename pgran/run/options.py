@@ -193,22 +193,28 @@ def options_in(text):
     return {name: value for name, _, value in lines if not name.startswith(how)}
 
 
-def alternatives(some, others, values, given):
+def alternatives(some, others, values, given, whole=None):
     """Let one of two ways to say the same stand: the one given, or given by the winning source.
 
     Without any, `others` have their defaults. The values of the way that does not stand become
-    None. Raises InputError if both are given at the same place.
+    None. A source wins that says the whole: the first of `some`, or any of `whole`, by default all
+    of `others`. Raises InputError if both are given, and none wins.
     """
-    first, second = (
-        max((given[k].rank for k in keys if k in given), default=-1) for keys in (some, others)
-    )
-    if first == second >= 0:
-        one, other = (next(given[k] for k in keys if k in given) for keys in (some, others))
-        raise InputError(
-            f"-{other.key}{other.where}: contradicts -{one.key}{one.where}; give one of them"
-        )
-    if max(first, second) >= 0 or values[some[0]] is not None:
-        values.update(dict.fromkeys(others if first > second else some))
+
+    def latest(keys):
+        return max((given[k] for k in keys if k in given), key=lambda k: k.rank, default=None)
+
+    def beats(keys, other):
+        item = latest(keys)
+        return bool(item and (other is None or item.rank > other.rank))
+
+    one, other = latest(some), latest(others)
+    first = beats(some[:1] if other else some, other)
+    if one and other and not first and not beats(others if whole is None else whole, one):
+        here, there = (item.where or " (command line)" for item in (other, one))
+        raise InputError(f"-{other.key}{here}: contradicts -{one.key}{there}; give one of them")
+    if one or other or values[some[0]] is not None:
+        values.update(dict.fromkeys(others if first else some))
 
 
 def check_ends(name, values):

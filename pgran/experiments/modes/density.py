@@ -37,8 +37,8 @@ def check(values, given):
     """Let counts stand for modes, or the other way round, whichever is asked for later."""
     if values.get("modes_density") is None:  # an accuracy study has no such option
         return
-    chosen = "modes_target", "modes_count", "modes_method", "modes_detectors", "modes_damped"
-    alternatives(("modes_density",), chosen, values, given)
+    chosen = "modes_target", "modes_damped", "modes_count", "modes_method", "modes_detectors"
+    alternatives(("modes_density",), chosen, values, given, whole=chosen[:2])
     if values["modes_density"] is not None and values["output_fields"]:
         fields = given["output_fields"]
         if fields.rank >= given["modes_density"].rank:

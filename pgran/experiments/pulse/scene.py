@@ -34,7 +34,7 @@ AT_REST = 0.01  # of a motion's largest: where it may begin
 def check(values, given):
     """Raise where options contradict each other."""
     shape = "pulse_shape", "pulse_omega", "pulse_width"
-    alternatives(("pulse_file",), shape, values, given)
+    alternatives(("pulse_file",), shape, values, given, whole=shape[:1])
     unused = "pulse_width" if values["pulse_shape"] == "ricker" else "pulse_omega"
     shape, other = given.get("pulse_shape"), given.get(unused)
     if values["pulse_shape"] not in ("burst", None):
