@@ -50,7 +50,14 @@ def test_five_lines_write_a_network(tmp_path):
         ({}, {"displacement": 1}, "/network/displacement must be a text"),
         ({}, {"displacement": "tensor"}, "'tensor' is none of"),
         ({"normal": [[1, 0], [1, 0]]}, {"direction": "z"}, "no such axis"),
-        ({"damping": 1.0}, {}, "is an attribute"),
+        ({"damping": 1.0}, {}, "is damping meant, the attribute of /network"),
+        ({"Drag": [1, 1, 1]}, {}, "/network/Drag is not known; is drag meant"),
+        ({}, {"LOSS": 1.0}, "is loss meant, the dataset of /network"),
+        ({}, {"loss": [0.1, 0.1]}, "is loss meant, the dataset of /network"),
+        ({}, {"damping": np.array(["1"], "S1")}, "/network/damping is no text, number or list"),
+        ({}, {"kmax": h5py.Empty("f8")}, "/network/kmax is no text, number or list"),
+        ({"friction": [0.5, 0.5]}, {}, "/network/friction is not known; others' data"),
+        ({}, {"friction": 0.5}, "/network/friction is not known; others' data"),
         ({"bond": [[0.5, 1], [1, 2]]}, {}, "/network/bond holds no integers"),
         ({"bond": 3}, {}, "bond"),
         ({"stiffness": [1.0]}, {}, "stiffness: shape (1,) is not (2,)"),
@@ -66,6 +73,29 @@ def test_refused_networks(tmp_path, here, members, attributes, said):
     with pytest.raises(FileError, match=re.escape(said)) as caught:
         read_network(path)
     assert str(caught.value).startswith(str(path))
+
+
+def test_beside_the_network(tmp_path):
+    """What others add stays; what is of the network, or of a later version, is refused."""
+    path = five_lines(tmp_path / "a.h5", {"comment": "mine", "_Netcdf4Dimid": 1}, **SPRINGS)
+    with h5py.File(path, "r+") as file:
+        file.attrs.update(_NCProperties="version=2", title="a", id="b", seconds=1.0)
+        file["others/drag"], file["time"], file["network/ball"] = [1], [1], [0, 1, 2]
+        file["network/ball"].make_scale("ball")
+        file["network/mass"].dims[0].attach_scale(file["network/ball"])
+    assert read_network(path).masses.tolist() == [1, 2, 3]
+    for noun, name, said in (
+        ("dataset", "drag", "/drag is not known; is drag meant, the dataset of /network"),
+        ("attribute", "Damping", "/Damping is not known; is damping meant"),
+        ("attribute", "format_version", "format version 99; this pgran reads 1 to 1"),
+    ):
+        with h5py.File(path, "r+") as file:
+            (file if noun == "dataset" else file.attrs)[name] = 99
+        with pytest.raises(FileError, match=said):
+            read_network(path)
+        with h5py.File(path, "r+") as file:
+            del (file if noun == "dataset" else file.attrs)[name]
+    assert read_network(path).masses.tolist() == [1, 2, 3]
 
 
 def test_a_damaged_packing_has_checksums(call, place, shared_path, here):

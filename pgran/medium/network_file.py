@@ -110,22 +110,15 @@ def check_output(path, overwrite):
 
 def members_of(file):
     """Return what `/network` of a `CarefulFile` holds, as `Network` takes it."""
-    names = [*DATASETS, *ATTRIBUTES]
-    datasets = file.members("network", names)
-    attributes = file.attributes("network")
-    for name in [*file.file["network"], *attributes]:
-        if name not in names:  # others' data may stay, if no word is misspelt
-            similar = difflib.get_close_matches(name, names, 1, 0.8)
-            if similar:
-                file.refuse(f"network/{name}", f"is not known; is {similar[0]} meant?")
+    datasets = file.members("network", DATASETS)
+    attributes = file.attributes("network", ATTRIBUTES)
+    _check_names(file)
     for name in ("bond", "stiffness"):
         if name not in datasets:
             file.refuse(f"network/{name}", "is missing")
-    arrays = [name for name in datasets if name in DATASETS and name != "id"]
+    arrays = [name for name in datasets if name != "id"]
     values = {name: file.array(f"network/{name}", DATASETS[name][0]) for name in arrays}
     for name, kind in ATTRIBUTES.items():
-        if name in datasets:
-            file.refuse(f"network/{name}", "is an attribute, not a dataset")
         if name in attributes:
             values[name] = _plain(file, name, attributes[name], kind)
     of_balls = [values[name] for name in ("held", "mass", "position") if name in values]
@@ -138,6 +131,30 @@ def members_of(file):
     vectors = {"normal", "position"} & values.keys()
     values.setdefault("displacement", "vector" if vectors else "scalar")
     return values
+
+
+def _check_names(file):
+    """Raise where a file says of a network what is not read: misspelt, elsewhere, or unknown.
+
+    Texts and others' groups may stay, and all that is beside `/network`, if no word is meant.
+    """
+    facts = file.attributes("/")
+    newest = {FORMAT: FORMAT_VERSION, store.FORMAT: store.FORMAT_VERSION}
+    if "format_version" in facts and (kind := str(facts.get("format", FORMAT))) in newest:
+        file.check_version(facts, newest[kind])
+    nouns = dict.fromkeys(DATASETS, "dataset") | dict.fromkeys(ATTRIBUTES, "attribute")
+    words = [name for name in nouns if name != "id"]  # a common word, of which nothing depends
+    own = nouns | dict.fromkeys(("component", "omega_mx", "unknowns"), "attribute")  # of results
+    for group in ("/", "/network"):
+        for name, noun, others in file.contents(group):
+            if group == "/network" and own.get(name) == noun:
+                continue
+            near = difflib.get_close_matches(name.lower(), words, 1, 0.8)
+            if near:
+                meant = f"is {near[0]} meant, the {nouns[near[0]]} of /network?"
+                file.refuse(f"{group}/{name}", f"is not known; {meant}")
+            if group == "/network" and not others:
+                file.refuse(f"{group}/{name}", "is not known; others' data may be in other groups")
 
 
 def _plain(file, name, value, kind):

@@ -76,8 +76,26 @@ class CarefulFile:
         member = self._member(group, h5py.Group)
         return [name for name in names if member.id.links.exists(name.encode())]
 
-    def attributes(self, group):
-        """Return a group's attributes that are texts, numbers or short lists of numbers."""
+    def contents(self, group):
+        """Yield of all attributes and members of a group the name, the noun, and whether others'.
+
+        Others' are texts, groups, links, dimension scales and what begins with _.
+        """
+        member = self._member(group, h5py.Group)
+        for name in member.attrs:
+            text = member.attrs.get_id(name).dtype.kind in "SO"
+            yield name, "attribute", text or name[0] == "_"
+        for name in member:
+            hard = member.id.links.get_info(name.encode()).type == h5py.h5l.TYPE_HARD
+            data = hard and isinstance(member[name], h5py.Dataset)
+            others = not data or name[0] == "_" or h5py.h5ds.is_scale(member[name].id)
+            yield name, "dataset", others
+
+    def attributes(self, group, names=()):
+        """Return a group's attributes that are texts, numbers or short lists of numbers.
+
+        Those of some names must be.
+        """
         values = {}
         member = self._member(group, h5py.Group)
         for name in member.attrs:
@@ -88,7 +106,16 @@ class CarefulFile:
                     value = value.decode()
                 if isinstance(value, str | np.generic | np.ndarray):
                     values[name] = value.item() if isinstance(value, np.generic) else value
+            if name in names and name not in values:
+                self.refuse(f"{group}/{name}", "is no text, number or list of numbers")
         return values
+
+    def check_version(self, facts, newest):
+        """Raise unless the attributes of the file name a version of its format that is known."""
+        version = facts.get("format_version")
+        if version not in range(1, newest + 1):
+            versions = f"format version {version}; this pgran reads 1 to {newest}"
+            raise FileError(f"{self.path}: {versions}")
 
     def array(self, name, dtype):
         """Return a dataset of the file itself, as the type that a record declares."""

@@ -150,10 +150,7 @@ def read_result(path):
     """Return the result in a file; see `pgran.load`."""
     with hdf5.opened(path) as file:
         facts = file.attributes("/")
-        version = facts.get("format_version")
-        if version not in range(1, FORMAT_VERSION + 1):
-            versions = f"format version {version}; this pgran reads 1 to {FORMAT_VERSION}"
-            raise FileError(f"{path}: {versions}")
+        file.check_version(facts, FORMAT_VERSION)
         records, axes = [], {}
         for group in file.members("/", RECORDS):
             try:
@@ -169,8 +166,9 @@ def read_result(path):
 def _read_record(file, group, kind, facts):
     """Return a group as the record that declares it; `facts` are the attributes of the file."""
     fields = dataclasses.fields(kind)
-    there = file.members(group, [item.name for item in fields])
-    values, attributes = {}, file.attributes(group)
+    names = [item.name for item in fields]
+    there, attributes = file.members(group, names), file.attributes(group, names)
+    values = {}
     for item in fields:
         name, meta = item.name, item.metadata
         newer = meta.get("since", 1) > facts["format_version"]
