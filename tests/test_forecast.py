@@ -4,6 +4,7 @@ import contextlib
 import math
 import re
 import time
+import tracemalloc
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -172,6 +173,34 @@ def test_whole_spectra_are_foreseen_by_smaller_ones(world, monkeypatch):
 def test_bad_input_is_met(world, words, message):
     with pytest.raises(InputError, match=message):
         foreseen(world, chosen("response", *words.split()))
+
+
+@pytest.mark.parametrize(
+    ("scene", "words", "key"),
+    [
+        ("response", "-lattice_shape 1000,1000", "lattice_shape"),
+        ("response", "-lattice_shape 400,400", "lattice_shape"),  # its matrices
+        ("response", "-sweep_points 200000 -output_fields", "output_fields"),
+        ("response", "-sweep_method curve -sweep_resolve 1e-13", "sweep_resolve"),
+        ("continuum", "-sweep_points 1000000", "sweep_points"),
+        ("pulse", "-pulse_file drive.txt", "pulse_file"),
+        ("pulse", "-pulse_time 1e6 -pulse_points 400000", "pulse_time"),
+        ("ensemble", "-ensemble_samples 3000000", "ensemble_samples"),
+        ("structure", "-structure_count 100000", "structure_count"),
+    ],
+)
+def test_more_than_is_free_is_refused_before_work(call, place, monkeypatch, scene, words, key):
+    """The option is named that asks for it, and next to nothing was allocated."""
+    for name in ("total_memory", "free_memory"):
+        monkeypatch.setattr(machine, name, lambda: 1e8)
+    place("drive.txt", "\n".join(f"{1e-3 * n} {math.sin(n / 9)}" for n in range(200)))
+    place("b.opts", f"-scene {scene} {words}")
+    tracemalloc.start()
+    done = call("run", "b.opts")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert (done.returncode, peak < 5e7) == (2, True), peak
+    assert f"-{key}: too much: the arrays" in done.stderr
 
 
 def test_what_does_not_fit_is_not_tried(world, monkeypatch):

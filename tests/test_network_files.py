@@ -84,18 +84,26 @@ def test_beside_the_network(tmp_path):
         file["network/ball"].make_scale("ball")
         file["network/mass"].dims[0].attach_scale(file["network/ball"])
     assert read_network(path).masses.tolist() == [1, 2, 3]
-    for noun, name, said in (
-        ("dataset", "drag", "/drag is not known; is drag meant, the dataset of /network"),
-        ("attribute", "Damping", "/Damping is not known; is damping meant"),
-        ("attribute", "format_version", "format version 99; this pgran reads 1 to 1"),
+    for name, said in (
+        ("drag", "/drag is not known; is drag meant, the dataset of /network"),
+        ("Damping", "/Damping is not known; is damping meant"),
+        ("format_version", "format version 99; this pgran reads 1 to 1"),
     ):
         with h5py.File(path, "r+") as file:
-            (file if noun == "dataset" else file.attrs)[name] = 99
+            (file if name == "drag" else file.attrs)[name] = 99
         with pytest.raises(FileError, match=said):
             read_network(path)
         with h5py.File(path, "r+") as file:
-            del (file if noun == "dataset" else file.attrs)[name]
-    assert read_network(path).masses.tolist() == [1, 2, 3]
+            del (file if name == "drag" else file.attrs)[name]
+
+
+def test_a_chunk_that_is_larger_than_all_data(tmp_path, here):
+    """HDF5 would take its memory for three numbers."""
+    path = five_lines(tmp_path / "a.h5", **{k: v for k, v in SPRINGS.items() if k != "mass"})
+    with h5py.File(path, "r+") as file:
+        file.create_dataset("network/mass", (3,), maxshape=(None,), chunks=(2**27,), fillvalue=1.0)
+    with pytest.raises(FileError, match=r"/network/mass of shape \(3,\) declares far more"):
+        read_network(path)
 
 
 def test_a_damaged_packing_has_checksums(call, place, shared_path, here):

@@ -104,9 +104,8 @@ def forecast(scene, options, world, started):
     if lattice is not None:
         balls = " x ".join(map(str, lattice.shape)) if lattice.is_grid else lattice.free_balls
         lines.append(f"unknowns  {lattice.size} ({balls} balls, {lattice.bonds} bonds)")
-        factored = options.solver.get("steady_pc_type", "lu") in ("lu", "cholesky")
         ranks = ranks_per_lattice(scene, options, lattice, world)
-        needed = _machine_total(world, lattice_memory(lattice, ranks, factored))
+        needed = _machine_total(world, lattice_memory(lattice, ranks, is_factored(options)))
         free = free_memory()
         if any(world.allgather(free and needed > TRIED * free)):  # on one machine of several
             warning = (
@@ -179,6 +178,11 @@ def dissection(shape):
             return FILLED * entries
         # of the two faces across an axis, `cuts` are layers on the average, the others walls
         box[axis], cuts[axis], boxes = (box[axis] - 1) / 2, cuts[axis] / 2 + 1, 2 * boxes
+
+
+def is_factored(options):
+    """Return whether options ask for a factorization of S."""
+    return options.solver.get("steady_pc_type", "lu") in ("lu", "cholesky")
 
 
 def lattice_memory(lattice, ranks, factored=True):

@@ -20,13 +20,15 @@ class FrequencySweep(Task):
     """
 
     items = "frequencies"
+    key = "sweep_points"  # the option that says how many there are
 
     def __init__(self, lattice, omegas, sites, kept, choices, sigma=0.0):
         """Cut the sweep into ranges of frequencies."""
         self.lattice, self.sites, self.omegas = lattice, sites, np.asarray(omegas)
-        self.s = sigma + 1j * self.omegas
         self.row, self.choices = np.dtype([*kept, ("factorizations", np.int64)]), choices
-        check_memory("sweep_points", len(self.omegas) * self.row.itemsize)
+        key = "output_fields" if "field" in self.row.names else self.key
+        check_memory(key, len(self.omegas) * self.row.itemsize)
+        self.s = sigma + 1j * self.omegas
         self.scaled, self.unit = lattice.in_own_unit()
         check_frequency(self.scaled, self.omegas[-1])
         self.units = ranges(len(self.omegas))

@@ -134,26 +134,23 @@ def members_of(file):
 
 
 def _check_names(file):
-    """Raise where a file says of a network what is not read: misspelt, elsewhere, or unknown.
-
-    Texts and others' groups may stay, and all that is beside `/network`, if no word is meant.
-    """
+    """Raise where a file says of a network what is not read: misspelt, elsewhere, or unknown."""
     facts = file.attributes("/")
     newest = {FORMAT: FORMAT_VERSION, store.FORMAT: store.FORMAT_VERSION}
     if "format_version" in facts and (kind := str(facts.get("format", FORMAT))) in newest:
         file.check_version(facts, newest[kind])
     nouns = dict.fromkeys(DATASETS, "dataset") | dict.fromkeys(ATTRIBUTES, "attribute")
     words = [name for name in nouns if name != "id"]  # a common word, of which nothing depends
-    own = nouns | dict.fromkeys(("component", "omega_mx", "unknowns"), "attribute")  # of results
+    own = nouns | dict.fromkeys(("omega_mx", "unknowns"), "attribute")  # those of results
     for group in ("/", "/network"):
-        for name, noun, others in file.contents(group):
+        for name, noun, data in file.contents(group):
             if group == "/network" and own.get(name) == noun:
                 continue
             near = difflib.get_close_matches(name.lower(), words, 1, 0.8)
             if near:
                 meant = f"is {near[0]} meant, the {nouns[near[0]]} of /network?"
                 file.refuse(f"{group}/{name}", f"is not known; {meant}")
-            if group == "/network" and not others:
+            if group == "/network" and data and name[0] != "_":  # where nobody else has any
                 file.refuse(f"{group}/{name}", "is not known; others' data may be in other groups")
 
 

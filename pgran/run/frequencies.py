@@ -62,7 +62,7 @@ def driving_frequencies(options, lattice=None):
     if options.sweep_omega:
         omegas = np.array(options.sweep_omega)
     else:
-        check_memory("sweep_points", 8 * options.sweep_points)
+        check_memory("sweep_points", 64 * options.sweep_points)  # with the least of results
         omegas = np.linspace(options.sweep_min, options.sweep_max, options.sweep_points)
     if lattice is None or options.sweep_unit == "absolute":
         return omegas

@@ -202,19 +202,15 @@ def alternatives(some, others, values, given, whole=None):
     """
 
     def latest(keys):
-        return max((given[k] for k in keys if k in given), key=lambda k: k.rank, default=None)
+        return max([(given[key].rank, key) for key in keys if key in given], default=(-1, None))
 
-    def beats(keys, other):
-        item = latest(keys)
-        return bool(item and (other is None or item.rank > other.rank))
-
-    one, other = latest(some), latest(others)
-    first = beats(some[:1] if other else some, other)
-    if one and other and not first and not beats(others if whole is None else whole, one):
-        here, there = (item.where or " (command line)" for item in (other, one))
-        raise InputError(f"-{other.key}{here}: contradicts -{one.key}{there}; give one of them")
+    (rank, one), (other_rank, other) = latest(some), latest(others)
+    stands = latest(some[:1] if other else some)[0] > other_rank
+    if one and other and not stands and latest(others if whole is None else whole)[0] <= rank:
+        here, there = (f"-{key}{given[key].where or ' (command line)'}" for key in (other, one))
+        raise InputError(f"{here}: contradicts {there}; give one of them")
     if one or other or values[some[0]] is not None:
-        values.update(dict.fromkeys(others if first else some))
+        values.update(dict.fromkeys(others if stands else some))
 
 
 def check_ends(name, values):

@@ -6,6 +6,7 @@ own, of bounded memory and time.
 """
 
 import contextlib
+import math
 import os
 import resource
 import signal
@@ -50,7 +51,7 @@ class CarefulFile:
     def __init__(self, file, path):
         """Keep the file."""
         self.file, self.path = file, path
-        self._left = max(os.path.getsize(path), MODEST)
+        self._left = self._most = max(os.path.getsize(path), MODEST)
 
     def refuse(self, name, why):
         """Raise a FileError about a member."""
@@ -77,25 +78,17 @@ class CarefulFile:
         return [name for name in names if member.id.links.exists(name.encode())]
 
     def contents(self, group):
-        """Yield of all attributes and members of a group the name, the noun, and whether others'.
-
-        Others' are texts, groups, links, dimension scales and what begins with _.
-        """
+        """Yield of a group's attributes and members name and noun, and whether they are data."""
         member = self._member(group, h5py.Group)
         for name in member.attrs:
-            text = member.attrs.get_id(name).dtype.kind in "SO"
-            yield name, "attribute", text or name[0] == "_"
+            yield name, "attribute", member.attrs.get_id(name).dtype.kind not in "SO"
         for name in member:
             hard = member.id.links.get_info(name.encode()).type == h5py.h5l.TYPE_HARD
             data = hard and isinstance(member[name], h5py.Dataset)
-            others = not data or name[0] == "_" or h5py.h5ds.is_scale(member[name].id)
-            yield name, "dataset", others
+            yield name, "dataset", data and not h5py.h5ds.is_scale(member[name].id)
 
     def attributes(self, group, names=()):
-        """Return a group's attributes that are texts, numbers or short lists of numbers.
-
-        Those of some names must be.
-        """
+        """Return a group's texts, numbers and short lists of numbers; some `names` must be such."""
         values = {}
         member = self._member(group, h5py.Group)
         for name in member.attrs:
@@ -114,8 +107,9 @@ class CarefulFile:
         """Raise unless the attributes of the file name a version of its format that is known."""
         version = facts.get("format_version")
         if version not in range(1, newest + 1):
-            versions = f"format version {version}; this pgran reads 1 to {newest}"
-            raise FileError(f"{self.path}: {versions}")
+            raise FileError(
+                f"{self.path}: format version {version}; this pgran reads 1 to {newest}"
+            )
 
     def array(self, name, dtype):
         """Return a dataset of the file itself, as the type that a record declares."""
@@ -131,7 +125,7 @@ class CarefulFile:
             self.refuse(name, "is empty")
         # a few bytes of compressed zeros can declare terabytes
         self._left -= data.size * data.dtype.itemsize
-        if self._left < 0:
+        if self._left < 0 or math.prod(data.chunks or ()) * data.dtype.itemsize > self._most:
             self.refuse(name, f"of shape {data.shape} declares far more than the file holds")
         if texts:
             return np.char.decode(data[()], "utf-8")

@@ -34,7 +34,7 @@ STUDY = (
         "accuracy_tolerances", REALS, (1e-2, 1e-4, 1e-6, 1e-8),
         "accuracies to ask each solver for; of modes, its -normal_eps_tol", above=0, high=0.5
     ),
-    Option("accuracy_repeats", INTEGER, 5, "repeats of each timing", low=1),
+    Option("accuracy_repeats", INTEGER, 5, "repeats of each timing", low=1, high=10**6),
 )  # fmt: skip
 # What the file of a solver may set besides keys of PETSc's solvers, and the keywords of these.
 CHOICES = {

@@ -35,7 +35,7 @@ class Samples(Task):
 
     def __init__(self, of, seeds, draw, experiment, first, most, keep, choices):
         """Find what is read of a sample, and make the row that it travels in."""
-        self.of, self.units, self.curves = of, list(seeds), keep == "curves"
+        self.of, self.units, self.curves = of, seeds, keep == "curves"
         self.draw, self.experiment = draw, experiment
         omegas, detectors = choices.get("omegas"), choices.get("detectors")
         self.omegas = None if omegas is None else np.asarray(omegas, dtype=float)

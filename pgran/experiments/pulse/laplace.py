@@ -173,6 +173,8 @@ def _squares(line, transforms, weights, time):
 class PulseLine(FrequencySweep):
     """The amplitudes at the detectors of a Recording along the line, and its Signals."""
 
+    key = "pulse_time"
+
     def __init__(self, recording):
         """Choose the points of the line."""
         self.recording, lattice = recording, recording.lattice

@@ -11,6 +11,7 @@ from pgran.store.estimate import Estimate
 
 FIELDS = 4  # times at which the field is kept
 FINE = 0.6  # step times frequency of what is integrated by splines: to about 1e-9
+FINE_BYTES = 550, 1050  # half of what each time takes in between, of shapes and of numbers
 FRONT = 1e-3  # of the integral of v^2: what has passed when a front has arrived
 BLOCKS, FEWEST_BLOCKS = 16, 6  # that a coda is cut into, and that a rate needs
 NODES = 6  # steps of an integrator that a polynomial goes through
@@ -37,7 +38,9 @@ class Recording:
         self.finer = math.ceil(2 * step * sent.reach / FINE)
         self.before = math.ceil(-sent.start * self.finer / step)
         fine = points * self.finer + self.before
-        check_memory("pulse_points", 48 * points * len(self.sites) + 64 * fine)
+        drawn = sent.shape == "file"
+        key = "pulse_points" if self.finer == 1 else "pulse_file" if drawn else "pulse_time"
+        check_memory(key, 48 * points * len(self.sites) + FINE_BYTES[drawn] * fine)
         self.time = np.linspace(0.0, time, points)
         fine = np.linspace(0.0, time, self.finer * (points - 1) + 1)
         self.fine = np.append(-step / self.finer * np.arange(self.before, 0, -1), fine)

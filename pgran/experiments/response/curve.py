@@ -172,6 +172,8 @@ def solve_curve(task, crew, tolerance, keep_models, progress):
     amplitude almost vanishes. Models are kept by default, None, where they are few.
     """
     intervals = IntervalSweep(task.scaled, task.omegas, task.sites, task.choices["error_tolerance"])
+    if tolerance:  # measured: so many points at most
+        check_memory("sweep_resolve", intervals.counts[-1] / tolerance**0.5 * task.row.itemsize)
     models = crew.world.bcast(carry_out(intervals, crew, progress))
     if crew.dry:
         models["proven"] = 1

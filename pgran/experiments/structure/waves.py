@@ -15,6 +15,7 @@ from pgran.medium.bonds import AXES
 from pgran.medium.record import record_of
 from pgran.medium.space import as_network
 from pgran.medium.springs import FREE, tangents
+from pgran.run.machine import check_memory
 
 ALIKE = 1e-6  # relative: by how much a given wave vector may differ from one that fits
 
@@ -54,6 +55,7 @@ class Waves:
 
         They run along one axis, the `direction`, or in `all`, diagonals of periodic axes included.
         """
+        check_memory("structure_count", 200 * count * self.medium.size)  # while S is solved
         waves = {}
         for step, n in itertools.product(self._directions(direction), range(1, count + 1)):
             # beside the axis along which it gets shorter there is half a wave between walls
