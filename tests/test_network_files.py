@@ -101,7 +101,7 @@ def test_a_chunk_that_is_larger_than_all_data(tmp_path, here):
     """HDF5 would take its memory for three numbers."""
     path = five_lines(tmp_path / "a.h5", **{k: v for k, v in SPRINGS.items() if k != "mass"})
     with h5py.File(path, "r+") as file:
-        file.create_dataset("network/mass", (3,), maxshape=(None,), chunks=(2**27,), fillvalue=1.0)
+        file.create_dataset("network/mass", (3,), float, maxshape=(None,), chunks=(2**24,))
     with pytest.raises(FileError, match=r"/network/mass of shape \(3,\) declares far more"):
         read_network(path)
 

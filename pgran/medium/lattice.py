@@ -174,7 +174,7 @@ class Lattice(ElasticBonds, Medium):
         shape = tuple(shape.tolist())
         if not 0 <= seed < 2**64:
             raise InputError(f"-bonds_seed: must lie between 0 and 2^64 - 1, not {shown(seed)}")
-        check_memory("lattice_shape", 50 * bond_count(shape))  # until the springs are known
+        check_memory("lattice_shape", 150 * bond_count(shape))  # with the least of matrices
         bonds = bond_arrays(shape, law(unit_numbers(seed, 0, bond_count(shape))))
         if gravity:
             above = balls_above(shape)
