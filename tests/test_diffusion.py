@@ -55,6 +55,25 @@ def test_diffusion_between_walls():
         assert 0.8 < found.misfit < 1.2
 
 
+def test_errors_are_those_of_the_whole_fit():
+    """Of fits that leave a sample out, from its signals, their errors and its fronts on."""
+    ensemble, depth = pulses()
+    arrival = ensemble.arrival + np.random.default_rng(3).normal(0, 9, ensemble.arrival.shape)
+
+    def fit(some):
+        own = {"square": ensemble.square[some], "arrival": arrival[some], "good": some[some] * 1}
+        found = diffusion.diffusion(dataclasses.replace(ensemble, **own), depth, *WALLS)
+        values = [found.diffusivity, found.absorption, found.length, found.free_path]
+        return np.array(values), found
+
+    few = np.arange(20) < 9
+    found = fit(few)[1]
+    others = np.array([fit(few & (np.arange(20) != n))[0] for n in range(9)])
+    error = others.std(axis=0) * math.sqrt(8) * math.sqrt(8 / 6)  # the jackknife's, Student's t
+    names = "diffusivity", "absorption", "length", "free_path"
+    assert [getattr(found, f"{name}_error") for name in names] == pytest.approx(error, rel=1e-2)
+
+
 def test_what_is_no_diffusion():
     flat = diffusion.diffusion(*pulses(D=100.0), *WALLS)  # no gradient is left
     assert np.isnan(flat.diffusivity)

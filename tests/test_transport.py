@@ -79,6 +79,26 @@ def test_the_coherent_field_less_its_floor():
         assert np.mean(np.isfinite(measured.value)) < 0.05
 
 
+def test_errors_know_that_weights_and_choices_are_of_the_same_samples():
+    """Where half of a wave comes back lines are bent, so that other weights make other numbers."""
+    rng, depth = np.random.default_rng(11), np.arange(2.0, 12.0)
+    wave = np.exp(-0.5j * depth) + 0.5 * np.exp(0.5j * depth)
+    few, many = (
+        profiles_of(wave + 0.5 * complex_normal(rng, *shape, 10), depth)
+        for shape in ((20, 400), (4000, 9))
+    )
+    for measure in (
+        lambda found: found.attenuation(),
+        lambda found: found.attenuation_of_intensity(),
+        lambda found: found.coherent()[0],
+        lambda found: found.coherent()[1],
+    ):
+        found = measure(few)
+        z = (found.value - measure(many).value.mean()) / found.error
+        assert np.sqrt(np.mean(z**2)) == pytest.approx(1, abs=0.15)
+        assert abs(z.mean()) < 0.15
+
+
 def test_weights_favour_depths_that_are_certain():
     """The deepest detector, far below noise, hardly changes the line."""
     amplitude = waves(3, 100, 200)
@@ -194,7 +214,7 @@ def test_coherent_waves_run_in_the_effective_medium(bonds, omegas):
     """m omega^2 = c (2 - 2 cos q), c = k + i omega beta: of bonds in 2D <c> - var(k) / (2 <c>)."""
     lattice = {"shape": (28, 8), "damping": 0.3, "free": "y-,y+", **bonds}
     grid = [(i, j) for i in range(15, 26) for j in range(0, 8, 2)]
-    first, responses = shaken(lattice, omegas, 8, grid)
+    first, responses = shaken(lattice, omegas, 16, grid)
     found = pgran.transport(first, responses, depths=(4, 12))
     width = 0.25 - bonds.get("kmin", 0.25)
     mean = 0.25 - width / 2 + 0.3j * found.omega
@@ -227,7 +247,11 @@ def test_lengths_are_told_where_sound_propagates():
         value, error = getattr(found, name), getattr(found, f"{name}_error")
         assert np.isnan(value[~waves]).all()
         np.testing.assert_array_equal(np.isnan(value), np.isnan(error))
-    assert np.isfinite(found.length[waves]).any()
+    known = np.isfinite(found.length)
+    assert known[waves].any()
+    rate, error = found.rate[known], found.rate_error[known]
+    assert np.all(rate > 4 * error)
+    assert found.length_error[known] == pytest.approx(1 / (rate - error) - 1 / rate)
     assert not waves[omegas < 0.2].any()
     said = " ".join(transport.summary(SimpleNamespace(transport=found, medium=first)))
     assert re.search(r"sound propagates at omega from .* no lengths .* attenuation length", said)

@@ -16,7 +16,7 @@ from pgran.errors import InputError
 from pgran.experiments.ensemble.profiles import along, certain
 from pgran.experiments.ensemble.record import Diffusion
 from pgran.experiments.pulse.signals import front_speed
-from pgran.store.estimate import FEWEST_SAMPLES, Estimate, jackknife_samples, mean_of, with_errors
+from pgran.store.estimate import FEWEST_SAMPLES, Estimate, mean_of, plug_in, with_errors
 
 MODES = 48  # cosines between the walls
 BLOCKS = 24  # of times, over which squares are averaged
@@ -49,7 +49,14 @@ def diffusion(ensemble, depth, walls, window, axes):
     depths, share, inside = along(depth, window)
     depths, good = depths[inside], ensemble.good > 0
     samples, time, strength = np.count_nonzero(good), ensemble.time, ensemble.drive[0] ** 2
-    speed = front_speed(np.tile(depth, samples), ensemble.arrival[good].ravel()).value
+    arrivals = np.array_split(ensemble.arrival[good], len(ensemble.square))  # of each part
+    every = np.full(len(arrivals), True)
+
+    def fronts(some):
+        each = np.concatenate([arrivals[part] for part in np.flatnonzero(some)])
+        return front_speed(np.tile(depth, len(each)), each.ravel()).value
+
+    speed = fronts(every)
     ended = time[np.argmax(np.cumsum(strength) > SENT * strength.sum())]
     start = np.maximum(ended, time @ strength / strength.sum() + walls / speed)
     each = np.count_nonzero(time > start) // BLOCKS
@@ -65,35 +72,42 @@ def diffusion(ensemble, depth, walls, window, axes):
 
     early, late = time <= start, time[-each * BLOCKS :]
     parts, middle = blocks((ensemble.square @ share)[..., inside]), blocks(time[:, None])
-    square, span = mean_of(parts), np.ptp(late)
-    known = square.error > ALIKE * square.value  # not NaN either
+    span = np.ptp(late)
+
+    def squares(some):
+        square = mean_of(parts[some])
+        known = square.error > ALIKE * square.value  # not NaN either
+        # of each depth, all times together: few samples do not know errors of single blocks
+        part = np.divide(square.error, square.value, out=np.zeros(known.shape), where=known)
+        part = np.sqrt(np.sum(part**2, axis=0) / np.maximum(known.sum(axis=0), 1))
+        return square, known, np.broadcast_to(part, known.shape)[known]
+
+    square, known, _ = squares(every)
     if np.mean(known) < 0.5:
         raise InputError("transport: errors hide the signals, or all samples are alike")
-    errors = square.error[known] / square.value[known]
 
     def logarithm(x):  # of the model, for ln D, span / tau and the logarithm of a factor
         D, rate = math.exp(min(x[0], LARGEST)), x[1] / span
         values = spreading(late, depths, walls, D, rate, time[early], strength[early])
         return x[2] + np.log(np.maximum(blocks(values), np.finfo(float).tiny))
 
-    def fit(mean, x):
-        def residual(x):
-            return (np.log(mean) - logarithm(x))[known] / errors
-
-        return least_squares(residual, x, method="lm")
+    def fit(some, x):
+        square, known, part = squares(some)
+        levels = np.log(square.value[known])
+        return least_squares(lambda x: (levels - logarithm(x)[known]) / part, x, method="lm")
 
     # begun with too small a D: of too large ones nothing is seen
     begun = math.log(walls**2 / (30 * span))
     left = (np.log(square.value) - logarithm((begun, 0.0, 0.0)))[known]
     slope, factor = np.polyfit(np.broadcast_to(middle, known.shape)[known], left, 1)
-    best = fit(square.value, (begun, -span * slope, factor))
+    best = fit(every, (begun, -span * slope, factor))
 
     def constants(some):
-        x = fit(parts[some].mean(axis=0), best.x).x
-        D, rate = math.exp(min(x[0], LARGEST)), x[1] / span
-        return np.array([D, rate, math.sqrt(D / rate) if rate > 0 else math.nan, axes * D / speed])
+        x = fit(some, best.x).x
+        D, rate, path = math.exp(min(x[0], LARGEST)), x[1] / span, axes / fronts(some)
+        return np.array([D, rate, math.sqrt(D / rate) if rate > 0 else math.nan, path * D])
 
-    measured = jackknife_samples(constants, len(parts))
+    measured = plug_in(constants, len(parts))
     # of a D that hardly matters all parts may agree on the guess; not so the matrix of the fit
     formal = math.sqrt(np.linalg.inv(best.jac.T @ best.jac + FLAT * np.eye(3))[0, 0])
     least = formal * measured.value * [1.0, 0.0, 0.5, 1.0]

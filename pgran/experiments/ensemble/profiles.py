@@ -8,9 +8,10 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.experiments.ensemble.noise import finite_samples
 from pgran.experiments.ensemble.record import ABOVE_FLOOR, CERTAIN
-from pgran.store.estimate import FEWEST_SAMPLES, Estimate, jackknife_samples, mean_of
+from pgran.store.estimate import FEWEST_SAMPLES, Estimate, jackknife_samples, plug_in
 
 FEWEST_DEPTHS = 3  # of a straight line
+NEWTON = 4  # steps, from a thirtieth of the width of a maximum on
 ROUNDING = 1e-20  # the square of what rounding may change ln|A| by
 
 
@@ -74,36 +75,30 @@ class Profiles:
             raise InputError(f"amplitude: that of {where} vanishes and has no logarithm")
         return np.log(size) @ self.share
 
-    @cached_property
-    def weights(self):
-        """The inverse variance of ln|A|, which depths of lines weigh by, shape (nw, n)."""
-        variance = self.levels[..., self.inside].var(axis=0)
-        floor = 1e-12 * np.maximum(variance.max(axis=1, keepdims=True), np.finfo(float).tiny)
-        return 1 / np.maximum(variance, floor)
-
     def _falls(self, values, weights):
-        """Return minus the slopes of lines through values (..., nw, n) at the lines' depths."""
+        """Return minus the slopes of lines through values (nw, n) at the lines' depths."""
         # least squares: slope = sum w (x - <x>) y / sum w (x - <x>)^2, <x> = sum w x / sum w
         depths = self.depths[self.inside]
-        with np.errstate(invalid="ignore"):  # without weights NaN
-            away = depths - (weights @ depths / weights.sum(axis=1))[:, None]
-            return -np.sum(weights * away * values, axis=-1) / np.sum(weights * away**2, axis=1)
+        away = depths - (weights @ depths / weights.sum(axis=1))[:, None]
+        return -np.sum(weights * away * values, axis=1) / np.sum(weights * away**2, axis=1)
+
+    def _attenuation(self, means):
+        """Return 1 / length of means of some samples; depths weigh by 1 / variance of ln|A|."""
+        levels = self.levels[..., self.inside]
+
+        def measure(some):
+            weights = 1 / (levels[some].var(axis=0) + ROUNDING)
+            return self._falls(means(some)[:, self.inside], weights)
+
+        return plug_in(measure, self.samples)
 
     def attenuation(self):
-        """Return 1 / length of the line <ln|A|> = a - depth / length, by frequency.
-
-        The line through the means is the mean of the samples' lines, and its error is that over
-        samples: depths of one sample are not independent, so weights alone would claim too much.
-        """
-        return mean_of(self._falls(self.levels[..., self.inside], self.weights))
+        """Return 1 / length of the line <ln|A|> = a - depth / length, by frequency."""
+        return self._attenuation(lambda some: self.levels[some].mean(axis=0))
 
     def attenuation_of_intensity(self):
         """Return 1 / length of <|A|^2> ~ exp(-depth / length), by frequency."""
-        intensities = self.intensities[..., self.inside]
-        return jackknife_samples(
-            lambda some: self._falls(np.log(intensities[some].mean(axis=0)), self.weights),
-            self.samples,
-        )
+        return self._attenuation(lambda some: np.log(self.intensities[some].mean(axis=0)))
 
     def straightness(self):
         """Return the probability of residuals as large, were <ln|A|> straight, by frequency.
@@ -129,35 +124,32 @@ class Profiles:
         """Return k and 1 / l of the coherent field <A> ~ exp(-i k depth - depth / (2 l)).
 
         Of N samples without any |<A>|^2 still is <|A|^2> / N on the mean. That floor, the variance
-        of the mean, is taken off; depths count as far as |<A>|^2 exceeds it `ABOVE_FLOOR` times,
-        and with fewer than 3 both are NaN. The phase is unwrapped around the wave that fits best,
-        of those longer than two spacings of depths; k is NaN unless known to half a turn.
+        of the mean, is taken off, and what is left weighs a depth in units of it. k is that of the
+        wave, of those longer than two spacings of depths, which phases fit best; unwrapped along
+        depths, they would jump with noise. Both are NaN unless |<A>|^2 exceeds its floor
+        `ABOVE_FLOOR` times at the first 3 depths, and k unless known to half a turn.
         """
         field, depths = (self.amplitude @ self.share)[..., self.inside], self.depths[self.inside]
-
-        def parts(some):
-            mean = field[some].mean(axis=0)
-            floor = field[some].var(axis=0, ddof=1) / np.count_nonzero(some)
-            return mean, np.maximum(floor, 1e-12 * np.abs(mean) ** 2)
-
-        mean, floor = parts(np.full(self.samples, True))
-        strength = np.abs(mean) ** 2 / floor
-        # from the first depth on that is at its floor none counts
-        above = np.logical_and.accumulate(strength > ABOVE_FLOOR, axis=1)
-        above &= np.count_nonzero(above, axis=1, keepdims=True) >= FEWEST_DEPTHS
         trials = np.linspace(0, math.pi / np.diff(depths).min(), 16 * len(depths))
-        fits = np.abs(np.exp(1j * np.angle(mean)) * above @ np.exp(1j * np.outer(depths, trials)))
-        nearest = trials[np.argmax(fits, axis=1)]
+        waves = np.exp(1j * np.outer(depths, trials))
 
         def measure(some):
-            mean, floor = parts(some)
-            level = np.log(np.maximum(np.abs(mean) ** 2 - floor, 0.1 * floor))
-            phase = np.unwrap(np.angle(mean * np.exp(1j * np.outer(nearest, depths))), axis=1)
-            turn, fall = (self._falls(y, above * strength) for y in (phase, level))
-            return np.array([nearest + turn, fall])
+            mean = field[some].mean(axis=0)
+            floor = field[some].var(axis=0, ddof=1) / np.count_nonzero(some)
+            floor = np.maximum(floor, 1e-12 * np.abs(mean) ** 2)
+            weights = np.maximum(np.abs(mean) ** 2 / floor - 1, ROUNDING)
+            turn = weights * np.exp(1j * np.angle(mean))
+            k = trials[np.argmax(np.abs(turn @ waves), axis=1)]
+            for _ in range(NEWTON):  # to the maximum of |sum w exp(i arg <A> + i k depth)|
+                wave = turn * np.exp(1j * np.outer(k, depths))
+                late = np.angle(wave / wave.sum(axis=1, keepdims=True))
+                k = k + self._falls(np.tan(late), weights * np.cos(late))
+            fall = self._falls(np.log(weights) + np.log(floor), weights)
+            return np.array([k, fall, weights[:, :FEWEST_DEPTHS].min(axis=1)])
 
-        both = jackknife_samples(measure, self.samples)
-        k, fall = (Estimate(*pair) for pair in zip(both.value, both.error, strict=True))
+        found = plug_in(measure, self.samples)
+        value = np.where(found.value[2] > ABOVE_FLOOR - 1, found.value, math.nan)
+        k, fall = (Estimate(value[n], found.error[n]) for n in (0, 1))
         return certain(k, k.error * np.ptp(depths) < math.pi), fall
 
     def delay(self, over=None):

@@ -16,6 +16,7 @@ from pgran.store.si import SI
 
 RIM = 1 / 7  # of the system at both ends, which walls bend: 3 spacings of 20 x 20, as measured
 BAND = 0.1  # omega_mx
+RECIPROCAL = 4.0  # errors that a rate is above 0 by, if 1 / rate is told, with its longer side's
 
 
 @called_right
@@ -72,8 +73,8 @@ def transport(medium, ensemble, depths=None):
     rate, (wave_number, scattering) = profiles.attenuation(), profiles.coherent()
 
     def length_of(rate):
-        rate = certain(rate, waves)
-        return Estimate(1 / rate.value, rate.error / rate.value**2)
+        rate = certain(rate, waves & (rate.value > RECIPROCAL * rate.error))
+        return Estimate(1 / rate.value, 1 / (rate.value - rate.error) - 1 / rate.value)
 
     return Transport(
         samples=len(displacement),
