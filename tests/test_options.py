@@ -13,7 +13,7 @@ from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.errors import InputError
 from pgran.medium.sample import make_lattice
 from pgran.run.frequencies import driving_frequencies
-from pgran.run.keys import SOLVER_PREFIXES
+from pgran.run.keys import SOLVERS
 from pgran.run.options import INTEGER, INTEGERS, text_of
 from pgran.run.reading import read_environment, read_file, read_words
 
@@ -249,7 +249,8 @@ def test_a_run_is_what_decides_its_numbers():
     run = options("-scene response").identity()
     how = "-ranks_per_lattice 1 -output_file b.h5 -output_log b.log -output_progress none -log_view"
     assert options(f"-scene response {how}").identity() == run
-    for what in ("-bonds_seed 2", "-error_tolerance 1e-3", "-output_fields", "-steady_pc_type lu"):
+    solver = "-steady_pc_type lu", "-pulse_mat_mumps_icntl_14 60"
+    for what in ("-bonds_seed 2", "-error_tolerance 1e-3", "-output_fields", *solver):
         key, _, value = what[1:].partition(" ")
         other = options(f"-scene response {what}").identity()
         assert {k for k in other if other[k] != run.get(k)} == {key}
@@ -269,7 +270,7 @@ def test_list(scene):
         for fact in (option.meaning, option.kind.name, option.unit, default, *option.choices):
             assert fact in said
         assert option.range().replace(" and ", ", ") in said
-    prefixes = {f"{prefix}*" for prefix in SOLVER_PREFIXES}
+    prefixes = {f"{prefix}*" for prefix in SOLVERS}
     names = {"scene", *(o.name for o in declared), *prefixes}
     used = text.partition("\nnot used by")[0]
     assert set(re.findall(r"^  -([\w*]+) ", used + " ", re.MULTILINE)) == names

@@ -7,6 +7,7 @@ import pytest
 
 from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.errors import FileError, InputError
+from pgran.run.keys import SOLVERS
 from pgran.run.reading import read_environment, read_file, read_solver, read_words
 
 SHIPPED = sorted((Path(__file__).parents[1] / "options").rglob("*.opts"))
@@ -136,6 +137,9 @@ HARMLESS = [
     "normal_eps_all true", "normal_eps_target_magnitude", "normal_st_pc_type cholesky",
     "normal_st_type sinvert", "normal_ds_method 2", "normal_st_mat_mumps_icntl_7 5",
     "normal_count_pc_factor_mat_solver_type mumps", "normal_eps_ciss_ksp_type preonly",
+    "damped_pep_tol 1e-10", "damped_pep_toar_restart 0.5", "damped_st_pc_type lu",
+    "pulse_ts_adapt_type none", "pulse_snes_linesearch_type basic", "pulse_ksp_type gmres",
+    "pulse_pc_type ilu", "pulse_mat_mumps_icntl_14 60",
 ]  # fmt: skip
 
 
@@ -143,6 +147,7 @@ def test_files_can_choose_solvers_and_set_numbers(written):
     lines = "".join(f"-{text}\n" for text in HARMLESS)
     expected = {key: text for key, _, text in (line.partition(" ") for line in HARMLESS)}
     assert resolve(read_file(written(f"-scene response\n{lines}"))).solver == expected
+    assert all(any(key.startswith(prefix) for key in HARMLESS) for prefix in SOLVERS)
 
 
 def test_files_of_solvers_hold_the_same_keys(written):

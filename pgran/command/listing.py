@@ -81,7 +81,7 @@ def describe_options(scene=None):
         for option, who in zip(below, users, strict=True):
             lines += describe(option, "" if same else who)
     lines += ["", "PETSc's and SLEPc's options of these solvers"]
-    for prefix, what in solver_keys.SOLVER_PREFIXES.items():
+    for prefix, (what, _) in solver_keys.SOLVERS.items():
         lines += _filled(f"{f'-{prefix}*':<20} {what}", 2, 23)
     if scene:
         everywhere = dict.fromkeys(name for each in SCENES for name in options_of(each))
@@ -154,7 +154,7 @@ def tables():
         default = "" if first.default is None else text_of(first.default)
         yield f"| `-{name}` | {default} | {'; '.join(map(_meaning, same[name]))} |"
     yield from ("", "| prefix | PETSc's and SLEPc's options of |", "|---|---|")
-    for prefix, of in solver_keys.SOLVER_PREFIXES.items():
+    for prefix, (of, _) in solver_keys.SOLVERS.items():
         yield f"| `-{prefix}*` | {of} |"
 
 

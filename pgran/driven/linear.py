@@ -10,7 +10,7 @@ import math
 from mpi4py import MPI
 
 from pgran.driven.owner import Owner
-from pgran.run.petsc import PETSc
+from pgran.run.petsc import PETSc, solved
 
 FACTORIZATIONS, INCOMPLETE = ("lu", "cholesky"), ("ilu", "icc")
 # What a factorization costs in Krylov iterations, for each entry of the factor and ball; measured.
@@ -80,6 +80,7 @@ class Krylov(Owner):
         self.operators, self._correction = operators, correction
         self.ksp, self._block, self._image = make_ksp(operators, operators.S), None, None
         self._rtol, _, _, self._longest = self.ksp.getTolerances()
+        self._asked = any(key.startswith("steady_ksp_") for key in PETSc.Options().getAll())
         self.begin()
 
     @property
@@ -100,8 +101,15 @@ class Krylov(Owner):
         return works
 
     def start(self, systems):
-        """Guess the preconditioned right-hand sides, which may be the solutions. Collective."""
-        if len(systems) > 1 and self.pc.getFactorSolverType() == "mumps":
+        """Guess the preconditioned right-hand sides, which may be the solutions. Collective.
+
+        Keys for the KSP act: with any, it solves where applying a factorization once might do.
+        """
+        if self._asked and self.pc.getType() in FACTORIZATIONS:
+            for system in systems:
+                self._solve(system.rhs, self._rtol)
+                self._correction.copy(system.solution)
+        elif len(systems) > 1 and self.pc.getFactorSolverType() == "mumps":
             self._apply_to_all(systems)
         else:
             for system in systems:
@@ -164,6 +172,7 @@ class Krylov(Owner):
         """Solve for a right-hand side."""
         self.ksp.setTolerances(rtol=rtol)
         self.ksp.solve(rhs, self._correction)
+        solved["steady_"] = True
         self.iterations += self.ksp.getIterationNumber()
 
 
@@ -183,6 +192,7 @@ def make_ksp(operators, matrix, prefix="steady_", kind="bcgs"):
     Collective. `matrix` is S, or another one of its pattern. The caller destroys the KSP.
     """
     ksp = PETSc.KSP().create(operators.comm)
+    solved.setdefault(prefix, kind == "preonly")
     ksp.setOptionsPrefix(prefix)
     ksp.setOperators(matrix)
     ksp.setType(kind)

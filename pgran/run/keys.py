@@ -16,24 +16,6 @@ from pgran.run import launch
 from pgran.run.options import text_of
 
 SMALLEST_SHIFT = 1e-14  # of pivots, against bond constants of about 1
-SOLVER_PREFIXES = {
-    "steady_": "every driven steady state (KSP, PC)",
-    "normal_": "normal modes (EPS, ST; count_pc for the factorizations that count them)",
-    "damped_": "damped modes near a target (PEP, ST)",
-    "pulse_ts_": "pulses that are integrated (TS)",
-    "pulse_snes_": "implicit steps of a pulse (SNES)",
-    "pulse_ksp_": "linear systems of these steps (KSP)",
-    "pulse_pc_": "preconditioners of these systems (PC)",
-}
-
-# What values a file may give, in letters of either case. Long numbers need an exponent, which PETSc
-# takes for no integer: no file asks for absurd work.
-NUMBER = r"[+-]?(\d{1,6}(\.\d*)?|\.\d+)(e[+-]?\d{1,3})?"
-NUMBERS = f"{NUMBER}(,{NUMBER})*"
-COUNT = r"\d{1,3}"  # of what takes memory or time each
-FLAG = "|true|false|yes|no|on|off|1|0"
-WORD = r"\w+"  # one of a few that do no harm; PETSc refuses others
-ALONE = ""  # prints to the terminal; a value would name a file or a window
 
 
 def _one_of(names):
@@ -41,100 +23,99 @@ def _one_of(names):
     return f"({'|'.join(names.split())})"
 
 
-# Those for complex numbers and for a matrix without grids, of which multigrid (mg) crashes.
-KSP_TYPE = _one_of(
+# What a file may give, in letters of either case: numbers, a flag, or one of a few words that do no
+# harm; PETSc refuses others. Long numbers need an exponent, which PETSc takes for no integer: no
+# file asks for absurd work.
+NUMBER = r"[+-]?(\d{1,6}(\.\d*)?|\.\d+)(e[+-]?\d{1,3})?"
+VALUE = rf"|{NUMBER}(,{NUMBER})*|\d{{0,2}}[a-z]\w*"
+COUNT = r"\d{1,3}"  # of what takes memory or time each
+ALONE = ""  # prints to the terminal; a value would name a file or a window
+# Types and packages: those for complex numbers and for a matrix without grids, of which multigrid
+# (mg) crashes.
+TYPE = _one_of(
     "bcgs bcgsl bicg cg cgls cgne cgs chebyshev cr fbcgs fbcgsr fcg fgmres gcr gmres groppcg "
     "lgmres lsqr pgmres pipebcgs pipecg pipecg2 pipecgrr pipecr pipefcg pipegcr pipeprcg preonly "
-    "qmrcgs richardson tcqmr tfqmr"
+    "qmrcgs richardson tcqmr tfqmr asm bjacobi cholesky composite eisenstat gamg gasm icc ilu "
+    "jacobi lu none pbjacobi redundant sor svd telescope petsc mumps superlu superlu_dist klu "
+    "umfpack cholmod pastix strumpack mkl_pardiso mkl_cpardiso krylovschur lanczos arnoldi power "
+    "subspace lapack gd jd rqcg lobpcg ciss arpack primme blopex trlan feast evsl elpa elemental "
+    "scalapack chase toar stoar qarnoldi linear shift sinvert cayley precond filter rk alpha2 "
+    "basic dsp newtonls newtontr nrichardson qn anderson bt l2 cp"
 )
-PC_TYPE = _one_of(
-    "asm bjacobi cholesky composite eisenstat gamg gasm icc ilu jacobi lu none pbjacobi redundant "
-    "sor svd telescope"
-)
-PACKAGE = _one_of(
-    "petsc mumps superlu superlu_dist klu umfpack cholmod pastix strumpack mkl_pardiso mkl_cpardiso"
-)
-EPS_TYPE = _one_of(
-    "krylovschur lanczos arnoldi power subspace lapack gd jd rqcg lobpcg ciss arpack primme blopex "
-    "trlan feast evsl elpa elemental scalapack chase"
-)
+TYPE = f"{TYPE}(,{TYPE})*"
 
-# The keys of each object that a file may set, by the values that they take.
-KSP = {
-    KSP_TYPE: "type",
-    NUMBERS: "rtol atol divtol max_it min_it check_norm_iteration richardson_scale bcgsl_xres "
-    "gmres_(haptol|breakdown_tolerance) chebyshev_(eigenvalues|esteig)",
-    COUNT: "(gmres|gcr)_restart lgmres_augment bcgsl_ell (fcg|pipefcg|pipegcr)_mmax "
-    "chebyshev_esteig_steps",
-    FLAG: "initial_guess_nonzero knoll lag_norm diagonal_scale(_fix)? lgmres_constant "
-    "gmres_(modifiedgramschmidt|classicalgramschmidt|preallocate) bcgsl_(cxpoly|mrpoly|pinv) "
-    "richardson_self_scale cg_single_reduction",
-    WORD: "norm_type pc_side cg_type chebyshev_kind fcg_truncation_type gmres_cgs_refinement_type",
-    ALONE: "view converged_(reason|rate) monitor(_true_residual|_short|_singular_value|_max)?",
+# The keys of solvers that a file may set, by the values that they take: of linear systems, with no
+# unit of Fortran that MUMPS prints to (icntl 1 to 3, files fort.N) and no factors on disk (22),
+LINEAR = {
+    TYPE: "ksp_type pc_type pc_composite_pcs pc_factor_mat_solver_type",
+    COUNT: "ksp_((gmres|gcr)_restart|lgmres_augment|bcgsl_ell|(fcg|pipefcg|pipegcr)_mmax) "
+    "ksp_chebyshev_esteig_steps pc_(factor_levels|(asm|gasm)_overlap|gasm_total_subdomains) "
+    "pc_((asm|bjacobi)_(local_)?blocks|sor_l?its|mg_levels|mg_multiplicative_cycles) "
+    "pc_(redundant_number|telescope_reduction_factor) mat_superlu_dist_[rc] "
+    "pc_gamg_(agg_nsmooths|aggressive_coarsening|square_graph)",
+    VALUE: "ksp_(rtol|atol|divtol|max_it|min_it|check_norm_iteration|richardson_scale|knoll) "
+    "ksp_gmres_(haptol|breakdown_tolerance|(modified|classical)gramschmidt|preallocate) "
+    "ksp_chebyshev_(eigenvalues|esteig|kind) ksp_(initial_guess_nonzero|lag_norm|cg_type) "
+    "ksp_bcgsl_(xres|cxpoly|mrpoly|pinv) ksp_(diagonal_scale(_fix)?|lgmres_constant|norm_type) "
+    "ksp_(richardson_self_scale|cg_single_reduction|pc_side|fcg_truncation_type) "
+    "ksp_gmres_cgs_refinement_type pc_factor_(fill|zeropivot|shift_amount|column_pivot) "
+    "pc_factor_(nonzeros_along_diagonal|diagonal_fill|in_place|pivot_in_blocks) "
+    "pc_factor_(reuse_fill|reuse_ordering|mat_ordering_type|shift_type) pc_eisenstat_omega "
+    "pc_sor_(omega|diagonal_shift|(local_)?(symmetric|forward|backward)) pc_svd_zero_sing "
+    "pc_gamg_(threshold|threshold_scale|coarse_eq_limit|process_eq_limit|repartition) "
+    "pc_gamg_(reuse_interpolation|use_sa_esteig) pc_jacobi_(abs|fixdiagonal) pc_mg_cycle_type "
+    "pc_mg_distinct_smoothup pc_(asm|asm_local|gasm|composite|jacobi|mg|gamg)_type "
+    "mat_mumps_icntl_([46-8]|1[0-5]|2[0347-9]|3[135-8]|4[89]|58) mat_mumps_cntl_[1-57] "
+    "mat_superlu_dist_(equil|parsymbfact|replacetinypivot|iterrefine|rowperm|colperm|fact)",
+    ALONE: "ksp_(view|converged_(reason|rate)) pc_view mat_superlu_dist_(statprint|printstat) "
+    "ksp_monitor(_true_residual|_short|_singular_value|_max)?",
 }
-PC = {
-    PC_TYPE: "type",
-    f"{PC_TYPE}(,{PC_TYPE})*": "composite_pcs",
-    PACKAGE: "factor_mat_solver_type",
-    NUMBERS: "factor_(fill|zeropivot|shift_amount|column_pivot|nonzeros_along_diagonal) "
-    "sor_(omega|diagonal_shift) eisenstat_omega svd_zero_sing "
-    "gamg_(threshold|threshold_scale|coarse_eq_limit|process_eq_limit)",
-    COUNT: "factor_levels (asm|gasm)_overlap (asm|bjacobi)_(local_)?blocks gasm_total_subdomains "
-    "sor_l?its mg_levels mg_multiplicative_cycles redundant_number telescope_reduction_factor "
-    "gamg_(agg_nsmooths|aggressive_coarsening|square_graph)",
-    FLAG: "factor_(diagonal_fill|in_place|pivot_in_blocks|reuse_fill|reuse_ordering) "
-    "sor_(local_)?(symmetric|forward|backward) jacobi_(abs|fixdiagonal) mg_distinct_smoothup "
-    "gamg_(repartition|reuse_interpolation|use_sa_esteig)",
-    WORD: "factor_(mat_ordering|shift)_type asm_(local_)?type mg_cycle_type "
-    "(gasm|composite|jacobi|mg|gamg)_type",
-    ALONE: "view",
+# of modes, with what these solvers stand on: bases (bv), dense problems (ds), regions (rg),
+MODES = {
+    TYPE: "(eps|pep|st)_type",
+    COUNT: "eps_(balance_its|krylovschur_partitions|rqcg_reset|lobpcg_blocksize) ds_block_size "
+    "eps_[gj]d_(blocksize|minv|plusk|initial_size) ds_method st_filter_degree pep_refine_its "
+    "eps_ciss_((refine_)?(blocksize|inner)|integration_points|moments|maxblocksize|partitions)",
+    VALUE: "(eps|pep)_(tol|max_it|nev|ncv|mpd|target|interval|conv_(abs|rel|norm)|true_residual) "
+    "(eps|pep)_((largest|smallest)_(magnitude|real|imaginary)|target_(magnitude|real|imaginary)) "
+    "eps_(balance(_cutoff)?|lobpcg_restart|jd_fix|all|hermitian|purify|ritz|harmonic|refined) "
+    "eps_krylovschur_(restart|nev|ncv|mpd|locking|detect_zeros) eps_lobpcg_locking "
+    "eps_ciss_(delta|spurious_threshold|realmats|usest|extraction|quadrule) eps_arnoldi_delayed "
+    "eps_([gj]d_krylov_start|gd_double_expansion|jd_const_correction_tol|lanczos_reorthog) "
+    "eps_power_shift_type pep_(scale|extract|refine|(toar|stoar|qarnoldi)_(restart|locking)) "
+    "st_(shift|transform|matmode|matstructure|cayley_antishift) ds_parallel "
+    "st_filter_(interval|range|type|damping) "
+    "bv_(definite_tol|type|matmult|orthog_(eta|type|block|refine)) rg_(type|scale|complement) "
+    "rg_(interval_endpoints|ellipse_(center|radius|vscale))",
+    ALONE: "(eps|pep)_(view(_values)?|converged_reason|monitor(_all|_conv)?) "
+    "(eps|pep)_error_(absolute|backward|relative)",
 }
-# No unit of Fortran that MUMPS prints to (icntl 1 to 3, files fort.N), no factors on disk (22).
-FACTOR = {
-    NUMBERS: "mumps_icntl_([46-8]|1[0-5]|2[0347-9]|3[135-8]|4[89]|58) mumps_cntl_[1-57]",
-    COUNT: "superlu_dist_[rc]",
-    FLAG: "superlu_dist_(equil|parsymbfact|replacetinypivot|iterrefine)",
-    WORD: "superlu_dist_(rowperm|colperm|fact)",
-    ALONE: "superlu_dist_(statprint|printstat)",
+# and of pulses.
+STEPS = {
+    TYPE: "ts_(type|adapt_type) snes_(type|linesearch_type)",
+    VALUE: "ts_(rk_type|adapt_wnormtype|dt|max_steps|max_reject) "
+    "ts_alpha_(radius|alpha_m|alpha_f|gamma|beta) snes_(rtol|atol|stol|max_it) "
+    "ts_adapt_(safety|reject_safety|clip|dt_min|dt_max|scale_solve_failed) "
+    "ts_adapt_time_step_increase_delay",
+    ALONE: "ts_(view|monitor|adapt_monitor) snes_(view|monitor|converged_reason)",
 }
-# With what eigensolvers stand on: bases (bv), dense problems (ds), regions (rg).
-EPS = {
-    EPS_TYPE: "eps_type",
-    "shift|sinvert|cayley|precond|filter": "st_type",
-    NUMBERS: "eps_(tol|max_it|nev|ncv|mpd|target|interval|balance_cutoff|lobpcg_restart|jd_fix) "
-    "eps_krylovschur_(restart|nev|ncv|mpd) eps_ciss_(delta|spurious_threshold) st_shift "
-    "st_cayley_antishift st_filter_(interval|range) bv_(definite_tol|orthog_eta) "
-    "rg_(scale|interval_endpoints|ellipse_center|ellipse_radius|ellipse_vscale)",
-    COUNT: "eps_balance_its eps_krylovschur_partitions eps_rqcg_reset eps_lobpcg_blocksize "
-    "eps_[gj]d_(blocksize|minv|plusk|initial_size) ds_method ds_block_size st_filter_degree "
-    "eps_ciss_(integration_points|moments|blocksize|maxblocksize|partitions) "
-    "eps_ciss_refine_(inner|blocksize)",
-    FLAG: "eps_(all|hermitian|true_residual|purify|ritz|harmonic|refined|arnoldi_delayed) "
-    "eps_(largest|smallest)_(magnitude|real) eps_target_(magnitude|real) eps_conv_(abs|rel|norm) "
-    "eps_(krylovschur|lobpcg)_locking eps_krylovschur_detect_zeros eps_[gj]d_krylov_start "
-    "eps_gd_double_expansion eps_jd_const_correction_tol eps_ciss_(realmats|usest) st_transform "
-    "rg_complement",
-    WORD: "eps_(balance|lanczos_reorthog|power_shift_type|ciss_extraction|ciss_quadrule) "
-    "st_(matmode|matstructure|filter_type|filter_damping) ds_parallel rg_type "
-    "bv_(type|matmult|orthog_type|orthog_block|orthog_refine)",
-    ALONE: "eps_view(_values)? eps_converged_reason eps_monitor(_all|_conv)? "
-    "eps_error_(absolute|backward|relative)",
-}
-# How pulses are integrated.
-TS = {
-    "rk|alpha2": "type",
-    "1fe|2a|2b|3|3bs|4|5f|5dp|5bs|6vr|7vr|8vr": "rk_type",
-    "none|basic|dsp": "adapt_type",
-    NUMBERS: "dt max_steps max_reject alpha_(radius|alpha_m|alpha_f|gamma|beta) "
-    "adapt_(safety|reject_safety|clip|dt_min|dt_max|scale_solve_failed|time_step_increase_delay)",
-    WORD: "adapt_wnormtype",
-    ALONE: "view monitor adapt_monitor",
-}
-SNES = {
-    NUMBERS: "rtol atol stol max_it",
-    WORD: "type linesearch_type",
-    ALONE: "view monitor converged_reason",
-}
+# Solvers inside of preconditioners.
+INNER = r"((sub|mg_levels|mg_coarse|redundant|telescope|esteig)_(\d{1,3}_)?)*"
+# What begins the keys of a solver, what that solves, and the keys there that a file may set.
+SOLVERS = {
+    "steady_": ("every driven steady state (KSP, PC)", {f"steady_(comparison_)?{INNER}": LINEAR}),
+    "normal_": (
+        "normal modes (EPS, ST; count_pc for the factorizations that count them)",
+        {"normal_": MODES, f"normal_(st|eps_ciss|count)_{INNER}": LINEAR},
+    ),
+    "damped_": (
+        "damped modes near a target (PEP, ST)", {"damped_": MODES, f"damped_st_{INNER}": LINEAR}
+    ),
+    "pulse_ts_": ("pulses that are integrated (TS)", {"pulse_": STEPS}),
+    "pulse_snes_": ("implicit steps of a pulse (SNES)", {"pulse_": STEPS}),
+    "pulse_ksp_": ("linear systems of these steps (KSP)", {f"pulse_{INNER}": LINEAR}),
+    "pulse_pc_": ("preconditioners of these systems (PC)", {f"pulse_{INNER}": LINEAR}),
+}  # fmt: skip
 # PETSc's own keys at run time: those that only print, and all others, which no file may set.
 PRINTING = _one_of(
     "citations get_total_flops info log_view log_view_memory malloc_view memory_view options_left "
@@ -147,36 +128,21 @@ OTHERS = _one_of(
 )
 
 
-def _under(prefix, table):
-    """Return regular expressions of the keys of a table under a prefix, and of their values."""
-    return [
-        (re.compile(prefix + _one_of(keys), re.ASCII), re.compile(values, re.ASCII | re.IGNORECASE))
-        for values, keys in table.items()
-    ]
-
-
-# Solvers inside of preconditioners.
-INNER = r"((sub|mg_levels|mg_coarse|redundant|telescope|esteig)_(\d{1,3}_)?)*"
-LINEAR = rf"(steady_(comparison_)?|normal_st_|normal_eps_ciss_|pulse_){INNER}"
-
-
 @functools.cache
 def _in_files():
-    """Return what a file may set; most runs have nothing to look up."""
+    """Return regular expressions of the keys that a file may set, and of their values."""
+    tables = [table for _, keys in SOLVERS.values() for table in keys.items()]
     return [
-        *_under(rf"{LINEAR}ksp_", KSP),
-        *_under(rf"({LINEAR}|normal_count_)pc_", PC),
-        *_under(rf"({LINEAR}|normal_count_)mat_", FACTOR),
-        *_under("normal_", EPS),
-        *_under("pulse_ts_", TS),
-        *_under("pulse_snes_", SNES),
-        *_under("", {ALONE: PRINTING}),
+        (re.compile(begin + _one_of(keys), re.ASCII), re.compile(values, re.ASCII | re.IGNORECASE))
+        for begin, table in [*tables, ("", {ALONE: PRINTING})]
+        for values, keys in table.items()
     ]
 
 
 def is_solver_key(key):
     """Return whether a key goes to a solver."""
-    return key.startswith(tuple(SOLVER_PREFIXES)) and key not in SOLVER_PREFIXES
+    listed = is_listed(key) and not is_petsc_key(key)
+    return listed or (key.startswith(tuple(SOLVERS)) and key not in SOLVERS)
 
 
 def is_petsc_key(key):
@@ -242,7 +208,7 @@ def solver_keys_of(solver):
     for key, value in solver.items():
         key = str(key).lower()
         if not (key.isidentifier() and is_solver_key(key)):
-            near = nearest(key, [prefix + key for prefix in SOLVER_PREFIXES])
+            near = nearest(key, [prefix + key for prefix in SOLVERS])
             raise InputError(f"solver: {key!r} belongs to no solver{meant(near and repr(near))}")
         keys[key] = "" if value is None or value is True else text_of(value)
         if not keys[key].isprintable():

@@ -22,6 +22,7 @@ if PETSc.ScalarType().dtype.kind != "c":
     raise PgranError("this PETSc has real scalars; pgran needs a complex one (pgran doctor)")
 
 log = logging.getLogger("pgran")
+solved = {}  # of prefixes of KSPs whether these have solved anything
 
 
 @contextlib.contextmanager
@@ -40,6 +41,7 @@ def plain_errors():
 def holding(keys):
     """Let solver keys, the same on every rank, hold meanwhile; one whose text is None is hidden."""
     before = PETSc.Options().getAll()
+    solved.clear()
     _set(keys)
     try:
         yield
@@ -58,15 +60,17 @@ def _set(keys):
 
 
 def unused(keys):
-    """Return those of some keys in the database that no object has asked for."""
-    used = _whether_used()
-    return [key for key in keys if not used(key)]
+    """Return {key: why} of those of some keys in the database that nothing has acted on."""
+    used, idle = _whether_used(), tuple(f"{prefix}ksp_" for prefix in solved if not solved[prefix])
+    why = {key: "no solver of this run has such an option" for key in keys if not used(key)}
+    alone = "factorizations alone solved all; -sweep_method points, or no factorization, uses a KSP"
+    return why | {key: alone for key in keys if key.startswith(idle)}
 
 
 def warn_of_unused(keys):
-    """Warn of those of some keys in the database that no object has asked for."""
-    for key in unused(keys):
-        log.warning("-%s was not used: no solver of this run has such an option", key)
+    """Warn of those of some keys in the database that nothing has acted on."""
+    for key, why in unused(keys).items():
+        log.warning("-%s was not used: %s", key, why)
 
 
 def _whether_used():

@@ -122,7 +122,7 @@ def read_solver(path, own):
             solver_keys.check_in_file(key, item)
             keys[key] = item.text
         else:
-            allowed = ", -".join([*own, *(f"{prefix}*" for prefix in solver_keys.SOLVER_PREFIXES)])
+            allowed = ", -".join([*own, *(f"{prefix}*" for prefix in solver_keys.SOLVERS)])
             raise InputError(f"-{key}{item.where}: the file of a solver holds -{allowed} only")
     solver_keys.check_pivot_shifts(keys)
     return values, keys

@@ -130,9 +130,8 @@ class Comparison(Task):
             started = time.perf_counter()
             result = self.study.solve(self.workers, **configuration.choices)
             seconds = world.allreduce(time.perf_counter() - started, MPI.MAX)
-            for key in unused(configuration.keys):
-                of = f"-{key} of {configuration.solver}"
-                self._warn(f"{of} was not used: its solver has no such option")
+            for key, why in unused(configuration.keys).items():
+                self._warn(f"-{key} of {configuration.solver} was not used: {why}")
         return result, seconds
 
     def _warn(self, line):
