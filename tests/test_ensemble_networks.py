@@ -8,7 +8,8 @@ from test_ensemble import LATTICE, OMEGAS, lattice_of
 
 import pgran
 from pgran.command.resolve import resolve
-from pgran.errors import InputError
+from pgran.errors import FileError, InputError
+from pgran.experiments.ensemble import sampling
 from pgran.medium.network_file import parts_of, write_network
 from pgran.medium.record import record_of
 from pgran.run.reading import read_words
@@ -72,6 +73,29 @@ def test_samples_that_are_files_of_packings(world, place, caplog, of):
             assert np.array_equal(
                 found.displacement[n], pgran.sweep(network, [0.3, 0.5], near).displacement
             )
+
+
+@pytest.mark.parametrize(
+    ("last", "said"),
+    [("cut off", "cut off before its end"), ("held", "-detectors: ball 1 is held")],
+)
+def test_all_files_are_looked_at_before_any_work(world, place, monkeypatch, last, said):
+    """The last of many may be the one that is bad, or lacks the ball that is to listen."""
+
+    def write(path, held):
+        balls = {"held": held, "bond": [[0, 1], [1, 2]], "stiffness": [1.0, 0.5]}
+        write_network(path, balls, {})
+        if path.name == "3.h5" and last == "cut off":
+            path.write_bytes(path.read_bytes()[:-100])
+
+    files = [place(f"{n}.h5", write, [2, n == 3 and last == "held", 0]) for n in range(4)]
+    monkeypatch.setattr(sampling.Samples, "work", lambda *_: pytest.fail("worked"))
+    words = f"-network_file {','.join(map(str, files))} -detectors 1 -sweep_omega .3"
+    with pytest.raises((FileError, InputError), match=f"3.h5: .*{said}"):
+        run_scene(resolve(read_words(f"-scene ensemble {words}".split())), world)
+    if last == "held":
+        with pytest.raises(InputError, match=f"sample of seed 3: {said}"):
+            pgran.ensemble("response", 4, lattice=files, omegas=[0.3], detectors=[1])
 
 
 def test_places_that_name_no_ball(caplog):

@@ -197,7 +197,8 @@ def ensemble(
             raise InputError(f"ensemble: the sample of seed {seed} is of another size")
         return medium
 
-    return repeated(of, seeds, draw, first, keep, choices, crew, progress, listed)
+    names = [f"sample of seed {seed}" for seed in seeds if listed]
+    return repeated(of, seeds, draw, first, keep, choices, crew, progress, names)
 
 
 def repeated(
@@ -205,14 +206,21 @@ def repeated(
 ):
     """Return the Ensemble of an experiment with these keywords, on samples as `Samples` has them.
 
-    Collective. Samples that are `listed` may differ in size. Of a relaxation the first sample's
-    changes have the seed `changes`, and exponents are fitted in the window `fit`. The balls nearest
-    to `places` listen in each sample.
+    Collective. Samples that are `listed`, by their names, may differ in size. Of a relaxation the
+    first sample's changes have the seed `changes`, and exponents are fitted in the window `fit`.
+    The balls nearest to `places` listen in each sample.
     """
-    function = EXPERIMENTS[of][1]
-    several = [draw(seed, crew.world) for seed in seeds] if listed and of == "modes" else [first]
+    from mpi4py import MPI
+
+    function, world, sizes = EXPERIMENTS[of][1], crew.world, [first.size]
+    with agreeing(world):  # before any work: the last of many files may be the one that is bad
+        for seed, name in list(zip(seeds, listed, strict=False))[world.rank :: world.size]:
+            try:
+                sizes.append(_checked(draw(seed, MPI.COMM_SELF), of, choices, places).size)
+            except InputError as error:
+                raise InputError(f"{name}: {error}") from error
     # overdamped modes are twice as many
-    most = max(medium.size for medium in several) * (1 + bool(choices.get("damped")))
+    most = max(map(max, world.allgather(sizes))) * (1 + bool(choices.get("damped")))
     if of == "response":
         choices |= {"resolve": 0.0, "keep_models": False}
 
@@ -229,6 +237,17 @@ def repeated(
     with agreeing(crew.world):
         task = Samples(of, seeds, draw, one, first, most, keep, choices)
     return carry_out(task, crew, progress)
+
+
+def _checked(medium, of, choices, places):
+    """Return a sample, or raise where the experiment will."""
+    if of != "modes":
+        medium.check_driven()
+    if places is not None:
+        medium.nearest_free(places)
+    elif choices.get("detectors") is not None:
+        medium.sites(choices["detectors"])
+    return medium
 
 
 def _sample(lattice, seed):
@@ -312,7 +331,7 @@ def run(lattice, options, crew):
     how = lattice, options.ensemble_keep, choices, crew, options.output_progress
     fit = options.spectrum_fit_min, options.spectrum_fit_max
     record = repeated(
-        of, seeds, draw, *how, files is not None, options.relax_seed, fit, options.detectors_at
+        of, seeds, draw, *how, files or (), options.relax_seed, fit, options.detectors_at
     )
     if record is None or not transport.has_curves(record) or crew.dry:
         return record and [record]
