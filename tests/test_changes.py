@@ -41,10 +41,10 @@ def stopped(call, place, monkeypatch, world):
 
     monkeypatch.setattr(Journal, "write", stopping)
 
-    def run(scene, seed):
+    def run(scene, seed, *more):
         place("b.opts", changes.SCENES[scene].replace("FILE", "read"))
         place("read", changes.WRITERS[changes.option_of(scene)], np.random.default_rng(seed))
-        words = ["-output_file", "a.h5", "-output_progress", "none"]
+        words = ["-output_file", "a.h5", "-output_progress", "none", *more]
         if "integrated" in scene:  # of its two units each group would do one
             words += ["-ranks_per_lattice", str(world.size)]
         return call("run", "b.opts", *words)
@@ -63,6 +63,22 @@ def test_a_run_whose_file_has_changed_is_refused(stopped, shared_path, scene, wo
     assert f"-{changes.option_of(scene)}: {JOURNAL} holds an unfinished run" in refused.stderr
     assert (shared_path / JOURNAL).read_bytes() == before
     assert "going on from there" in stopped(scene, 1).stderr
+
+
+@pytest.mark.usefixtures("here")
+def test_a_dry_run_foretells_how_the_run_begins(stopped, shared_path, world):
+    """It says what the run needs, and is refused by what refuses the run; nothing changes."""
+    assert stopped("response", 1).returncode == 75
+    before = (shared_path / JOURNAL).read_bytes()
+    for seed, code, said in ((1, 0, "going on from there"), (2, 2, "holds an unfinished run")):
+        dry = stopped("response", seed, "-dry_run")
+        assert (dry.returncode, said in dry.stderr, "\nmemory " in dry.stdout) == (code, True, True)
+    if world.rank == 0:
+        (shared_path / "a.h5").touch()
+    dry = stopped("response", 1, "-dry_run")
+    assert (dry.returncode, "\nmemory " in dry.stdout) == (4, True)
+    assert {path.name for path in shared_path.glob("*a.h5*")} == {"a.h5", JOURNAL}
+    assert (shared_path / JOURNAL).read_bytes() == before
 
 
 @pytest.mark.usefixtures("here")

@@ -88,16 +88,20 @@ def run(words):
 def _foresee(scene, options, world, started):
     """Say what a run will need. Collective."""
     from pgran.command.forecast import forecast
+    from pgran.run.journal import Journal
     from pgran.store.file import check_output
 
     signal.pthread_sigmask(signal.SIG_UNBLOCK, launch.SIGNALS)  # there is nothing to keep
-
-    on_root(world, lambda: check_output(options.output_file, options.output_overwrite, make=False))
+    output, overwrite = options.output_file, options.output_overwrite
+    identity = _run_identity(on_root(world, options.identity))
     for line in forecast(scene, options, world, started):
         print(line)
     if world.rank == 0:
         _warn_of_unused(options)
-    return errors.DONE
+    # what refuses the run refuses this as well, once its needs are said
+    on_root(world, lambda: check_output(output, overwrite, make=False))
+    with Journal(world, output, identity, overwrite, dry=True):
+        return errors.DONE
 
 
 def _compute(scene, options, words, world, started):

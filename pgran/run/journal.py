@@ -39,13 +39,15 @@ class Journal(contextlib.AbstractContextManager):
 
     Collective. Rank 0 holds the file; every rank takes note of signals. `path` is the result's. An
     earlier journal goes on if its identity, texts by the names that users know, is the same. If it
-    is another an InputError names the difference, or it is discarded where `overwrite` says so.
+    is another an InputError names the difference, or it is discarded where `overwrite` says so. A
+    `dry` run meets and says the same, and changes nothing.
     """
 
     medium = ""  # checksum of what is computed on: units of another medium are none of this run
 
-    def __init__(self, comm, path, identity, overwrite=False):
+    def __init__(self, comm, path, identity, overwrite=False, dry=False):
         """Open the journal, find what it holds, and listen to signals."""
+        self._dry = dry
         self.comm, self.path = comm, Path(f"{path}.unfinished")
         self._file, self._kept, self._synced, self._signal = None, {}, time.monotonic(), None
         try:
@@ -68,6 +70,8 @@ class Journal(contextlib.AbstractContextManager):
         if self._file is not None:
             try:
                 with self._file:
+                    if self._dry:
+                        return
                     if kind is None or not self._kept or (self._new and is_bad_input(error)):
                         self.path.unlink(missing_ok=True)
             except OSError as trouble:  # no reason to fail: the result is there, or another error
@@ -119,6 +123,8 @@ class Journal(contextlib.AbstractContextManager):
 
     def _open(self, identity, overwrite):
         """Open the file, and begin anew where it holds no units of this run."""
+        if self._dry and not os.path.lexists(self.path):
+            return
         self._file = self._locked()
         earlier = self._scan()
         self._new = earlier != identity
@@ -133,7 +139,9 @@ class Journal(contextlib.AbstractContextManager):
                     f"{key}: {self.path} holds an unfinished run with {was}, and now it is {now}; "
                     "-output_overwrite begins anew, and another -output_file leaves that one alone"
                 )
-            log.info("%s: another run; discarded as -output_overwrite asks", self.path)
+            log.info("%s: another run, which -output_overwrite discards", self.path)
+        if self._dry:
+            return
         self._kept.clear()
         with writing(self.path):
             self._file.seek(0)
@@ -146,8 +154,9 @@ class Journal(contextlib.AbstractContextManager):
         """Return the journal's file, opened and locked."""
         if os.path.lexists(self.path) and not stat.S_ISREG(os.lstat(self.path).st_mode):
             self._refuse()  # a pipe would be waited for, a link followed
+        how, mode = (os.O_RDONLY, "rb") if self._dry else (os.O_RDWR | os.O_CREAT, "rb+")
         while True:
-            file = os.fdopen(os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666), "rb+", buffering=0)
+            file = os.fdopen(os.open(self.path, how, 0o666), mode, buffering=0)
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -191,7 +200,8 @@ class Journal(contextlib.AbstractContextManager):
             log.warning("%s: damaged; the run begins anew", self.path)
         elif identity is not None and position < size:
             log.info("%s: its end was cut off; that work is done again", self.path)
-            file.truncate(position)
+            if not self._dry:
+                file.truncate(position)
         return identity
 
     def _refuse(self):
