@@ -47,6 +47,7 @@ def test_transforms_and_sizes_of_pulses(shape):
 
 
 VALUES = np.append(0.0, np.random.default_rng(3).normal(size=29))
+VALUES /= np.abs(VALUES).max()
 SENT = [*(Pulse(shape, 0.7, 3.0) for shape in SHAPES), Samples(VALUES, 0.7)]
 
 
@@ -81,23 +82,30 @@ def test_a_motion_goes_through_its_numbers():
 
 
 @pytest.mark.parametrize(
-    ("shape", "columns"), [("gauss", 1), ("step", 2), ("burst", 1), ("burst", 2)]
+    ("shape", "columns", "size"),
+    [("gauss", 1, 1.0), ("step", 2, 1e-9), ("burst", 1, 1e100), ("burst", 2, 3e-13)],
 )
 @pytest.mark.parametrize("method", ["laplace", "integrate"])
-def test_a_shape_by_numbers_gives_the_same_signals(alone, shape, columns, method):
-    """At the recorded times, or at its own in two columns, until the motion has ended."""
+def test_a_shape_by_numbers_gives_the_same_signals(alone, shape, columns, size, method):
+    """At the recorded times, or at its own in two columns, until the motion has ended.
+
+    Whatever the unit of displacements.
+    """
     lattice, sent = random_lattice((5, 4), 5, 0.01), Pulse(shape, 0.6, 8.0)
     choices = {"width": 8.0, "time": TIME, "error_tolerance": 1e-6, "points": 201}
     expected = listened(lattice, (2, 2), alone, **choices, shape=shape, omega=0.6)
     time = expected.time[:120] if columns == 1 else np.linspace(0.0, 118.0, 150)
-    wall = sent.moves(time)[0]
+    wall = size * sent.moves(time)[0]
     if columns == 2:
         wall = np.stack([time + 5, wall], axis=1)  # where they begin does not matter
     found = listened(lattice, (2, 2), alone, **choices, wall=wall, method=method)
     assert found.shape == "file"
     assert found.failures == 0
-    wrong = np.abs(found.displacement - expected.displacement)
-    assert np.all(wrong <= found.error.max(axis=0) + expected.error_bound + 1e-7)
+    wrong = np.abs(found.displacement / size - expected.displacement)
+    assert np.all(wrong <= found.error.max(axis=0) / size + expected.error_bound + 1e-7)
+    for name, unit in (("wall", size), ("velocity", size), ("force", size), ("work", size**2)):
+        as_expected = pytest.approx(getattr(expected, name), rel=1e-5, abs=1e-6)
+        assert getattr(found, name) / unit == as_expected, name
 
 
 REFUSED = {
@@ -112,6 +120,7 @@ REFUSED = {
     "two finite numbers or more": {"wall": [0.0, math.nan, 1.0]},
     "not all zero": {"wall": np.zeros(5)},
     "two finite numbers": {"wall": [1.0]},
+    "the largest of them between 1e-140 and 1e+140": {"wall": [0.0, 1e308, -1e308, 0.0]},
     "let the motion begin smoothly": {"wall": [1.0, 2.0, 1.0]},
     "pulse_shape": {"shape": "square"},
     "pulse_width": {"width": 0.0},

@@ -29,6 +29,7 @@ from pgran.store.si import SI
 PROVABLE = 1e-6  # tolerance below which rounding leaves little to be proven
 EQUAL = 0.01  # of a step: how far the times of a motion may be from equal ones
 AT_REST = 0.01  # of a motion's largest: where it may begin
+LARGEST = 1e140  # number of a motion: work takes its square
 
 
 def check(values, given):
@@ -175,8 +176,11 @@ def samples_of(values, step):
             )
         step = apart.mean() if len(apart) else step
     largest = np.abs(motion).max(initial=0.0)
-    if not (np.all(np.isfinite(motion)) and len(motion) > 1 and largest > 0):
-        raise InputError("-pulse_file: a motion needs two finite numbers or more, not all zero")
+    if len(motion) < 2 or not 1 / LARGEST < largest < LARGEST:  # NaN neither
+        raise InputError(
+            "-pulse_file: a motion needs two finite numbers or more, not all zero, the largest of "
+            f"them between {1 / LARGEST:g} and {LARGEST:g}"
+        )
     if abs(motion[0]) > AT_REST * largest:
         raise InputError(
             f"-pulse_file: the wall is at rest at 0 before the first number, which is "

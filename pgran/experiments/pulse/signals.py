@@ -10,6 +10,7 @@ from pgran.run.machine import check_memory
 from pgran.store.estimate import Estimate
 
 FIELDS = 4  # times at which the field is kept
+LINEAR = {"error_bound", "velocity_bound", "error_estimate", "velocity_estimate", "field"}
 FINE = 0.6  # step times frequency of what is integrated by splines: to about 1e-9
 FINE_BYTES = 550, 1050  # half of what each time takes in between, of shapes and of numbers
 FRONT = 1e-3  # of the integral of v^2: what has passed when a front has arrived
@@ -78,14 +79,16 @@ class Recording:
         they are known, each (nt,) with an estimate of its error, in the unit of `scaled`; `more`
         are other fields of `Signals`.
         """
-        displacement, velocity = motion
+        (displacement, velocity), size = motion, self.sent.size
         envelope = envelopes(displacement, velocity)
         moves, speed = self.sent.moves(self.time, 2)
         if self.scaled.push is not None:  # a force that is known exactly
             wall = wall | {"force": (self.scaled.push_sizes.sum() * moves, 0 * self.time)}
         wall_arrival = float(arrivals(self.time, speed[:, None], 0 * speed[:, None])[0])
+        more |= {name: size * more[name] for name in LINEAR & more.keys()}
         for name, (values, estimate) in wall.items():
-            more |= {name: self.unit * values, f"{name}_estimate": self.unit * estimate}
+            unit = self.unit * (size if name == "force" else size**2)
+            more |= {name: unit * values, f"{name}_estimate": unit * estimate}
         decay, decay_error = codas(self.time, envelope, errors[0])
         return Signals(
             shape=self.sent.shape,
@@ -99,11 +102,11 @@ class Recording:
             decay=decay,
             decay_error=decay_error,
             time=self.time,
-            wall=moves,
+            wall=size * moves,
             detector=self.sites,
-            displacement=displacement,
-            velocity=velocity,
-            envelope=envelope,
+            displacement=size * displacement,
+            velocity=size * velocity,
+            envelope=size * envelope,
             **more,
         )
 

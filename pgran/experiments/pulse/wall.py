@@ -49,7 +49,7 @@ class Pulse:
     above 2e-8 up to `reach`; above `highest` |U(s)| is below 1e-40 of its largest on any line.
     """
 
-    start = 0.0
+    start, size = 0.0, 1.0  # `size` is the unit of `moves`
 
     def __init__(self, shape, omega, width):
         """Place the bell so late that before the time 0 next to nothing moves."""
@@ -111,7 +111,8 @@ class Samples:
     """A motion of numbers at equal times, `width` apart, a bell as wide as the spacing at each.
 
     Before the first number, at time 0, the wall is at rest at 0; after the last one it stays. In
-    between this is as smooth a curve as there is: a constant has ripples of 5e-9.
+    between this is as smooth a curve as there is: a constant has ripples of 5e-9. The unit is
+    `size`, a power of 2, of which the largest number is 1 to 2.
 
         number              0   1  ...  n - 1              before it 0, after it as the last one
         bell     0  ...  MARGIN  ...  MARGIN + n - 1  ...  2 MARGIN + n - 1
@@ -121,7 +122,8 @@ class Samples:
 
     def __init__(self, values, width):
         """Find the bells."""
-        self.values, self.width = values, width
+        self.size = 2.0 ** np.floor(np.log2(np.abs(values).max()))
+        self.values, self.width = values / self.size, width
         self.heights = self._heights()
         self._steps = np.diff(self.heights, prepend=0.0)  # from each bell to the next
         self.end = (len(values) - 1) * width
