@@ -7,14 +7,19 @@ import signal
 import sys
 import time
 
+import h5py
 import numpy as np
 import pytest
 from campaigns import inject
+from samples import random_lattice
 
+import pgran
 import pgran.__main__ as program
 from pgran import __version__, load
 from pgran.errors import FileError
 from pgran.medium.network_file import write_network
+from pgran.medium.record import record_of
+from pgran.store import careful as hdf5
 from pgran.store import file as store
 
 OPENING = "pgran: response of a 6 x 5 lattice, bonds uniform on [0, 0.25], seed 1993, beta 0.003, "
@@ -274,6 +279,29 @@ def test_a_signal_while_a_network_is_read(start, place, shared_path):
     done = start("run", "b.opts", program=["setsid", "--wait", sys.executable, *fault])
     assert done.returncode == 75, done.stderr
     assert "stopped by SIGUSR1 before any work was finished" in done.stderr
+
+
+def test_a_stop_that_meets_the_trial_of_a_file_says_nothing_of_it(tmp_path, monkeypatch):
+    """Whoever stops all processes of a job tells the run, which ends in order."""
+    (tmp_path / "asked.py").write_text("import os\nfor n in (10, 15): os.kill(os.getpid(), n)")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    hdf5.try_apart(tmp_path / "asked.py", "asked")
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
+
+
+@pytest.mark.parametrize("words", ["plot a.h5", "compare a.h5 a.h5 -o b.png"])
+def test_results_that_were_edited(call, shared_path, world, words):
+    """What nobody could foresee in them is said to be theirs, in a line."""
+    if world.size > 1:
+        pytest.skip("one rank reads results")
+    found = pgran.pulse(random_lattice((4, 3)), [2, 1], width=3.0, time=90.0, points=91)
+    facts = {"scene": "pulse", "status": "complete", "bonds_sha256": ""}
+    store.write(shared_path / "a.h5", facts, [record_of(random_lattice((4, 3))), found])
+    assert call(*words.split()).returncode == 0
+    with h5py.File(shared_path / "a.h5", "r+") as file:
+        file["pulse/displacement"][:] = np.nan
+    assert_one_line(call(*words.split()), 4, "a.h5: ", "changed since (no seal): ")
 
 
 # Errors that nobody foresaw: tests/test_faults.py has more of them

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import pgran
+from pgran.command.export import blaming_edits
 from pgran.command.plot import plot
 from pgran.command.words import Parser, positive
 from pgran.errors import DONE, InputError
@@ -25,6 +26,7 @@ ROW = "{:<18} {:<22} {:<22} {:<8} {}"  # of the table
 DIGITS = {"correlation": ".4f", "stretch": "+.3g", "stretched": ".4f", "shift": "+.3g"}
 
 
+@blaming_edits
 def run(words):
     """Say how alike two responses or two pulses are in windows of frequency or time.
 

@@ -1,6 +1,7 @@
 """`pgran export`: a result in space (.vtu), as tables (.csv), or its packing for LAMMPS (.lmp)."""
 
 import csv
+import functools
 import io
 import logging
 import os
@@ -9,9 +10,11 @@ from pathlib import Path
 import pgran
 from pgran.arguments import called_right, shown
 from pgran.command.words import Parser
-from pgran.errors import DONE, FileError, InputError, PgranError
+from pgran.errors import DONE, FileError, InputError, PgranError, is_foreseen
 from pgran.medium.record import as_result
+from pgran.store.file import is_result
 from pgran.store.paths import whole
+from pgran.store.seal import check_seal
 from pgran.store.table import tables
 
 log = logging.getLogger("pgran")
@@ -75,6 +78,26 @@ def result_of(given):
     return result
 
 
+def blaming_edits(run):
+    """Let a command that meets what nobody has foreseen say which results were edited, if any."""
+
+    @functools.wraps(run)
+    def told(words):
+        try:
+            return run(words)
+        except Exception as error:
+            for path in [] if is_foreseen(error) else filter(is_result, words):
+                try:
+                    check_seal(path)
+                except FileError as edited:
+                    why = " ".join(str(error).split())
+                    raise FileError(f"{edited}: {type(error).__name__}: {why}") from error
+            raise
+
+    return told
+
+
+@blaming_edits
 def run(words):
     """Write a result for other programs: in space, as tables, or its packing for LAMMPS."""
     examples = (

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pgran import catalogue
 from pgran.arguments import called_right
-from pgran.command.export import result_of
+from pgran.command.export import blaming_edits, result_of
 from pgran.command.words import Parser, positive
 from pgran.draw import pages as figures
 from pgran.errors import DONE, FileError, InputError
@@ -167,6 +167,7 @@ def _save(made, output, caption, measured):
     return figures.save(made, output) + figures.save_captions(made, captions)
 
 
+@blaming_edits
 def run(words):
     """Draw the figures of a result, into files beside it, and print their names.
 

@@ -2,7 +2,7 @@
 
 import logging
 
-from pgran.command.export import result_of
+from pgran.command.export import blaming_edits, result_of
 from pgran.command.words import Parser, positive
 from pgran.errors import DONE
 from pgran.medium.statics import sound
@@ -18,6 +18,7 @@ deformation, and relaxed ones, where forces balance, as they do in waves. Speeds
 directions, with the smallest and the largest one."""
 
 
+@blaming_edits
 def run(words):
     """Print a table of speeds and moduli."""
     parser = Parser(

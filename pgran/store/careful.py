@@ -149,6 +149,8 @@ def try_apart(path, module):
     # -P: a file numpy.py in the present folder stays what it is. A group of its own: mpirun hands
     # the signals that ask a run to stop on to all processes of a rank's.
     words = [sys.executable, "-P", "-m", module, os.fspath(path)]
+    # what asks a run to stop, and meets all its processes, says nothing of the file
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGTERM, signal.SIGUSR1))
     try:
         done = subprocess.run(
             words, env=variables, stdin=subprocess.DEVNULL, capture_output=True, timeout=seconds,
@@ -158,6 +160,8 @@ def try_apart(path, module):
         raise FileError(f"{path}: damaged: reading it took more than {seconds:.0f} s") from None
     except OSError as error:
         raise FileError(f"{path}: cannot be read apart: {reason_of(error)}") from None
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     last_words = done.stderr.decode(errors="replace").strip().split("\n")[-1]
     if done.returncode == BAD_FILE:
         raise FileError(last_words)
