@@ -12,7 +12,7 @@ from pgran.command.resolve import resolve
 from pgran.command.sound import table
 from pgran.errors import InputError, PgranError
 from pgran.medium import crystals, statics
-from pgran.medium.graph import part, rattlers
+from pgran.medium.graph import part, rattlers, with_rattlers_at_rest
 from pgran.medium.network import Network
 from pgran.medium.network_file import parts_of, write_network
 from pgran.medium.record import record_of
@@ -147,6 +147,10 @@ def test_rattlers_are_left_out(tmp_path, world):
     scalar = dataclasses.replace(path, displacement="scalar", direction=None)
     for network, few in ((path, [2, 3, 4]), (rough, [3, 4]), (scalar, [])):
         assert np.flatnonzero(rattlers(network)).tolist() == few
+    for leave_out in (pgran.sound, pgran.without_rattlers, with_rattlers_at_rest):
+        with pytest.raises(InputError, match="all of its 3 free balls are rattlers"):
+            leave_out(path)
+    assert pgran.find_modes(rough).omega[0] > 0.1  # rattlers hang on one contact, in two ways
 
 
 @pytest.mark.parametrize(

@@ -192,13 +192,24 @@ def without_rattlers(network):
 
     The unit of frequency stays. Raises InputError if nothing free is left.
     """
-    kept = np.flatnonzero(~rattlers(network))
+    kept = np.flatnonzero(~_rattling(network))
     return part(network, kept), kept
+
+
+def _rattling(network):
+    """Return `rattlers`; raise an InputError if there is nothing else that is free."""
+    loose = rattlers(network)
+    if np.all(loose | (network.held != FREE)):
+        raise InputError(
+            f"network: all of its {np.count_nonzero(loose)} free balls are rattlers, held by too "
+            "few contacts with others that are not: nothing is left that carries sound"
+        )
+    return loose
 
 
 def with_rattlers_at_rest(network):
     """Return a network whose `rattlers` are held at rest and touch nothing, of the same balls."""
-    loose = rattlers(network)
+    loose = _rattling(network)
     held = np.where(loose, AT_REST, network.held)
     whole = np.flatnonzero(~np.any(loose[network.bond], axis=1))
     return part(dataclasses.replace(network, held=held), contacts=whole)
