@@ -121,6 +121,7 @@ def arrows(ax, network, view, values, drive=0.0, few_beyond=False):
     look |= {"clip_on": False, "in_layout": False}
     if coloured:  # seen on dark balls, too
         look |= {"edgecolor": "white", "linewidth": 0.3}
+    view.frame(ax, 0.3 * longest, view.xy[chosen] + 1.05 * tips)  # with their heads
     drawn_arrows = ax.quiver(*view.xy[chosen].T, *tips.T, **look)
     return (drawn if coloured else drawn_arrows), unit
 

@@ -14,7 +14,7 @@ from pgran.medium.springs import AT_REST, DRIVEN
 
 log = logging.getLogger("pgran")
 MARKS = "osD^v<>"  # of detectors
-ARROW = 14  # points, half of the double arrow of the drive
+ARROW, CLEAR = 14, 6  # points: half of the double arrow of the drive, its distance to detectors
 
 
 def figures(result, **_):
@@ -72,7 +72,7 @@ def contacts(ax, network, balls=()):
     _entry(ax, f"{what} up to {captions.number(largest, 3)}", color="black", linewidth=thickest)
     if np.any(values < 0):
         _entry(ax, f"negative {what}", color=style.UNRESOLVED, linewidth=thickest)
-    _arrow(ax, network, view)
+    _arrow(ax, network, view, [ball for ball in balls if view.seen[ball]])
     look = {"markeredgecolor": "black", "linestyle": "none", "markersize": 6, "zorder": 4}
     look |= {"markeredgewidth": 0.6, "path_effects": [style.HALO]}
     names = style.ball_names(np.reshape(balls, (-1, 1)).astype(int))
@@ -88,16 +88,25 @@ def _entry(ax, label, **look):
     ax.add_line(Line2D([], [], label=label, **look))
 
 
-def _arrow(ax, network, view):
-    """Draw a double arrow along the drive at the middle one of the driven balls, in the frame."""
+def _arrow(ax, network, view, balls):
+    """Draw a double arrow along the drive at the middle one of the driven balls, in the frame.
+
+    Of those, if there are any, where it keeps clear of the detectors, these balls.
+    """
     driven = view.xy[view.seen & (view.kind == DRIVEN)]
     if not len(driven) or len(network.direction) == 1:
         return
-    half = ARROW / view.points(ax) * view.spacing * in_space(network.direction)[view.axes]
+    point = view.spacing / view.points(ax)
+    half = ARROW * point * in_space(network.direction)[view.axes]
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     inside = np.array([left, bottom]) + np.abs(half), np.array([right, top]) - np.abs(half)
-    nearest = np.linalg.norm(driven - driven.mean(axis=0), axis=1).argmin()
-    middle = np.clip(driven[nearest], *inside)
+    middles, hidden = np.clip(driven, *inside), np.zeros(len(driven), dtype=bool)
+    for ball in balls:
+        apart = view.xy[ball] - middles
+        along = np.clip(apart @ half / max(half @ half, 1e-300), -1.0, 1.0)
+        hidden |= np.linalg.norm(apart - along[:, None] * half, axis=1) < CLEAR * point
+    aside = np.linalg.norm(driven - driven.mean(axis=0), axis=1)
+    middle = middles[np.lexsort((aside, hidden))[0]]
     look = {"arrowstyle": "<->", "color": style.DRIVEN, "linewidth": 1.8, "mutation_scale": 9}
-    look |= {"shrinkA": 0, "shrinkB": 0, "path_effects": [style.HALO]}
+    look |= {"shrinkA": 0, "shrinkB": 0, "path_effects": [style.HALO], "zorder": 5}
     ax.annotate("", xy=middle + half, xytext=middle - half, arrowprops=look)

@@ -87,14 +87,16 @@ def limits(x):
     return np.min(x) - margin, np.max(x) + margin
 
 
-def frequencies(ax, x, quantity=FREQUENCY, within=(0.0, np.inf), aside=0.0):
+def frequencies(ax, x, quantity=FREQUENCY, within=(-np.inf, np.inf), aside=0.0):
     """Make an axis one of the frequencies `x`, in units of omega_mx, which is a dotted line.
 
-    Only those `within` two ends are shown, and `aside` of them that part of the axis. An axis of
-    frequencies gets as long as it must be.
+    Only those `within` two ends are shown, and `aside` of them that part of the axis, which begins
+    at 0 or above unless there are negative ones, of unstable modes. An axis of frequencies gets as
+    long as it must be.
     """
     low, high = limits(x)
     low, high = low - aside * (high - low), high + aside * (high - low)
+    low = low if np.min(x) < 0 else max(low, 0.0)
     low, high = max(low, within[0]), min(high, within[1])
     if hasattr(ax.xaxis, "quantity"):
         low, high = min(low, ax.get_xlim()[0]), max(high, ax.get_xlim()[1])

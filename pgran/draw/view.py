@@ -102,10 +102,13 @@ class View:
         """Return how many points on paper are between neighbours, before the layout."""
         return 72 * ax.bbox.width / ax.figure.dpi * self.spacing / self.extent[0]
 
-    def frame(self, ax, margin=0.0):
-        """Set limits and names of the axes."""
+    def frame(self, ax, margin=0.0, points=()):
+        """Set limits, which hold some points, too, and those of shared axes, and names of axes."""
         margin = max(margin, 0.02 * self.extent.max())
-        (left, bottom), (right, top) = self.low - margin, self.low + self.extent + margin
+        ends = [self.low - margin, self.low + self.extent + margin, *points]
+        if not ax.get_autoscale_on():
+            ends += zip(ax.get_xlim(), ax.get_ylim(), strict=True)
+        (left, bottom), (right, top) = np.min(ends, axis=0), np.max(ends, axis=0)
         ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
         for axis, place in zip((ax.xaxis, ax.yaxis), self.axes, strict=True):
             scales.label(axis, scales.PLACES[place])

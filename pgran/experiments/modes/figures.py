@@ -49,8 +49,13 @@ def figures(result, **_):
             bins |= {"lattice": lattice, "level": level}
             made["reduced"] = style.single(counts.reduced, counts.CAPTIONS, **bins)
     left = len(result.modes.omega) - len(record.omega)
+    unstable = counted(np.count_nonzero(record.omega < 0), "unstable mode")
     for name, figure in made.items():
         figure.caption += f" Left out: {counted(left, 'mode')} at rest." * (left > 0)
+        if np.any(record.omega < 0) and name == "reduced":
+            style.note(figure, f"NOT SHOWN: {unstable}")
+        elif np.any(record.omega < 0):
+            figure.caption += rf" At $\omega_i = -\sqrt{{-\omega_i^2}}$: {unstable}."
         style.note_missing(figure, record)
         yield name, figure
 
@@ -116,10 +121,18 @@ def resonances(ax, modes, lattice):
     return marks.curves(ax, x, peaks, good, names, **look)
 
 
-def bin_edges(x):
-    """Return the edges of about as many bins as there are modes in one, from end to end."""
-    count = np.count_nonzero(np.isfinite(x))
-    return np.linspace(np.nanmin(x), np.nanmax(x), min(60, max(4, round(math.sqrt(count)))) + 1)
+def bin_edges(x, count=None):
+    """Return the edges of about as many bins as there are modes in one, from end to end.
+
+    Or for a `count` of modes. 0 is one of them where some are unstable.
+    """
+    count, low, high = count or np.count_nonzero(np.isfinite(x)), np.nanmin(x), np.nanmax(x)
+    bins = min(60, max(4, round(math.sqrt(count))))
+    if low >= 0 or high <= 0:
+        return np.linspace(low, high, bins + 1)
+    below = min(max(1, round(-low / (high - low) * bins)), bins - 1)
+    ends = np.linspace(low, 0.0, below + 1), np.linspace(0.0, high, bins - below + 1)
+    return np.append(ends[0][:-1], ends[1])
 
 
 def density(ax, modes, lattice, edges=None, level=None, **look):
@@ -164,8 +177,7 @@ def over(results, labels):
             ax.child_axes[0].remove()
 
     def outlines(ax):
-        most = bin_edges(max(x, key=len))
-        edges = np.histogram_bin_edges(np.concatenate(x), len(most) - 1)
+        edges = bin_edges(np.concatenate(x), max(map(len, x)))
         for number, (modes, medium, label) in enumerate(several):
             look = {"edgecolor": style.COLOURS[number], "linestyle": together.LINES[number]}
             density(ax, modes, medium, edges, label=label, **look)

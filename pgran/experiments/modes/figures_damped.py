@@ -7,6 +7,7 @@ import numpy as np
 from pgran.draw import balls, captions, marks, scales, style
 from pgran.experiments.modes.figures import ASIDE, pick
 from pgran.experiments.modes.resonances import drive_of
+from pgran.experiments.modes.shapes import least_frequency
 from pgran.store.estimate import counted
 
 CAPTIONS = {
@@ -47,13 +48,20 @@ def errors(record, _):
 
 
 def widths(ax, modes, medium):
-    """Draw widths against frequencies, 0 of overdamped modes; return the points."""
+    """Draw widths against frequencies, 0 of overdamped modes; return the points.
+
+    Those of growing modes are drawn apart, those of modes at rest are none.
+    """
     x, y = modes.omega / medium.omega_mx, modes.width / medium.omega_mx
     ax.set(yscale="log")
     scales.frequencies(ax, x if x.any() else np.append(x, 1.0), scales.MODE_FREQUENCY, aside=ASIDE)
     scales.label(ax.yaxis, WIDTH)
     look = {"linestyle": "none", "marker": ".", "markeredgewidth": 0, "clip_on": False}
     (points,) = ax.plot(x[y > 0], y[y > 0], color="black", **look)
+    grow = (y < 0) & (np.abs(modes.eigenvalue) > least_frequency(medium.built))
+    if np.any(grow):
+        look |= {"marker": "x", "markeredgewidth": 0.8, "color": style.FAILED, "markersize": 4}
+        ax.plot(x[grow], -y[grow], label=r"growing: $-\Gamma$", **look)
     return points
 
 

@@ -35,6 +35,8 @@ def figures(result, **_):
         figure = style.single(panel, CAPTIONS, **shown)
         if record.failures:
             style.note(figure, f"NOT CERTIFIED: {counted(record.failures, 'count')}, left out")
+        if panel is not staircase and (record.unstable or 0) > 0:
+            style.note(figure, f"NOT SHOWN: {counted(record.unstable, 'unstable mode')}")
         yield panel.__name__, figure
 
 
@@ -81,7 +83,7 @@ def histogram(ax, edges, counts, lattice, quantity=scales.MODE_FREQUENCY, level=
     outline = ax.stairs(values, edges, **look or {"edgecolor": style.ACCENT})
     density_axes(ax, edges, quantity)
     if level is not None:
-        d, x = dimension(lattice), np.linspace(edges[0], edges[-1], 200)
+        d, x = dimension(lattice), np.linspace(max(edges[0], 0.0), edges[-1], 200)
         x = x[level * x ** (d - 1) <= ax.get_ylim()[1]]
         ax.plot(x, level * x ** (d - 1), label=DEBYE, scaley=False, **LAW)
     return outline
