@@ -122,6 +122,18 @@ def test_balls_are_circles_and_those_that_are_held_or_heard_are_marked():
         assert ax.viewLim.padded(1e-9).contains(*tip)
 
 
+def test_the_arrow_of_the_drive_keeps_clear_of_detectors():
+    """At another driven ball than the middle one where that has one beside it."""
+    net = pgran.pack(80, pressure=0.02, walls="x", seed=3)
+    driven = net.position[net.held == 2]
+    middle = driven[np.linalg.norm(driven - driven.mean(axis=0), axis=1).argmin()]
+    heard = net.free[np.linalg.norm(net.position[net.free] - middle, axis=1).argsort()[:3]]
+    with style.applied():
+        (ax,) = network.page(record_of(net), heard).axes
+    along = np.linspace(ax.texts[0].xy, ax.texts[0].xyann, 99)[:, None]
+    assert np.linalg.norm(along - net.position[heard], axis=2).min() > 0.3
+
+
 def test_what_drives_is_marked_where_it_does():
     net = strip()
     pushed = record_of(with_source(net, balls=net.free[[3]]))
@@ -193,6 +205,7 @@ def test_arrows_are_displacements_of_the_modes_chosen(displacement):
         shown = size > balls.FAINT * largest
         assert np.array_equal(arrows.XY, net.position[shown])
         drawn = np.stack([arrows.U, arrows.V], axis=1)
+        assert all(ax.viewLim.contains(*tip) for tip in arrows.XY + drawn)
         longest = np.linalg.norm(drawn, axis=1).max()
         assert drawn / longest == pytest.approx(moves[shown, :2] / size.max())
         assert f"{x[mode]:.4g} " in ax.get_title(loc="left")

@@ -178,6 +178,25 @@ def test_densities_of_modes_are_per_ball_and_participation_ends_at_all_balls():
     assert ax.child_axes[0].get_ylabel() == "$P_i/N$, of $N$ = 30 balls"
 
 
+def test_unstable_modes_are_at_negative_frequencies_and_none_is_lost():
+    """In bins that end at 0; where there is no place for them their number is said."""
+    result = find_modes((6, 5))
+    omega = np.append(-result.modes.omega[2::-1], result.modes.omega[3:])
+    result.modes = replace(result.modes, omega=omega)
+    ax, _ = drawn(modes.participation, result)
+    (low, high), x = ax.get_xlim(), lines(ax, marker=".")[0].get_xdata()
+    assert low < x[0] < x[2] < 0 < x[3] < x[-1] < high
+    values, edges, _ = drawn(modes.density, result)[0].patches[0].get_data()
+    parts = values * np.diff(edges)
+    assert parts[edges[:-1] < 0].sum() == pytest.approx(3 / 30)
+    assert parts.sum() == pytest.approx(1)
+    made = figures.make(result)
+    assert all("3 unstable modes" in made[name].caption for name in ("participation", "density"))
+    counted = figures.make(result_of(replace(count_modes().density, unstable=3)))
+    for page in (made["reduced"], counted["density"], counted["reduced"]):
+        assert note(page).endswith("NOT SHOWN: 3 unstable modes")
+
+
 def test_weyls_law_is_drawn_where_bonds_are_equal():
     random, equal = count_modes(), count_modes(uniform_lattice((9, 8), mass=0.25))
     assert not labels(drawn(density.staircase, random)[0])
