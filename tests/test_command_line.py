@@ -301,7 +301,7 @@ def test_results_that_were_edited(call, shared_path, world, words):
     assert call(*words.split()).returncode == 0
     with h5py.File(shared_path / "a.h5", "r+") as file:
         file["pulse/displacement"][:] = np.nan
-    assert_one_line(call(*words.split()), 4, "a.h5: ", "changed since (no seal): ")
+    assert_one_line(call(*words.split()), 4, "a.h5: ", "changed since (no seal)")
 
 
 # Errors that nobody foresaw: tests/test_faults.py has more of them

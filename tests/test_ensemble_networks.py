@@ -91,11 +91,8 @@ def test_all_files_are_looked_at_before_any_work(world, place, monkeypatch, last
     files = [place(f"{n}.h5", write, [2, n == 3 and last == "held", 0]) for n in range(4)]
     monkeypatch.setattr(sampling.Samples, "work", lambda *_: pytest.fail("worked"))
     words = f"-network_file {','.join(map(str, files))} -detectors 1 -sweep_omega .3"
-    with pytest.raises((FileError, InputError), match=f"3.h5: .*{said}"):
+    with pytest.raises((FileError, InputError), match=f"3(.h5)?: .*{said}"):
         run_scene(resolve(read_words(f"-scene ensemble {words}".split())), world)
-    if last == "held":
-        with pytest.raises(InputError, match=f"sample of seed 3: {said}"):
-            pgran.ensemble("response", 4, lattice=files, omegas=[0.3], detectors=[1])
 
 
 def test_places_that_name_no_ball(caplog):

@@ -87,11 +87,7 @@ def blaming_edits(run):
             return run(words)
         except Exception as error:
             for path in [] if is_foreseen(error) else filter(is_result, words):
-                try:
-                    check_seal(path)
-                except FileError as edited:
-                    why = " ".join(str(error).split())
-                    raise FileError(f"{edited}: {type(error).__name__}: {why}") from error
+                check_seal(path)
             raise
 
     return told

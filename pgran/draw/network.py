@@ -14,7 +14,7 @@ from pgran.medium.springs import AT_REST, DRIVEN
 
 log = logging.getLogger("pgran")
 MARKS = "osD^v<>"  # of detectors
-ARROW, CLEAR = 14, 6  # points: half of the double arrow of the drive, its distance to detectors
+ARROW, CLEAR = 14, 20  # points: half of the drive's double arrow, its middle from detectors
 
 
 def figures(result, **_):
@@ -100,13 +100,9 @@ def _arrow(ax, network, view, balls):
     half = ARROW * point * in_space(network.direction)[view.axes]
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     inside = np.array([left, bottom]) + np.abs(half), np.array([right, top]) - np.abs(half)
-    middles, hidden = np.clip(driven, *inside), np.zeros(len(driven), dtype=bool)
-    for ball in balls:
-        apart = view.xy[ball] - middles
-        along = np.clip(apart @ half / max(half @ half, 1e-300), -1.0, 1.0)
-        hidden |= np.linalg.norm(apart - along[:, None] * half, axis=1) < CLEAR * point
-    aside = np.linalg.norm(driven - driven.mean(axis=0), axis=1)
-    middle = middles[np.lexsort((aside, hidden))[0]]
+    middles, aside = np.clip(driven, *inside), np.linalg.norm(driven - driven.mean(axis=0), axis=1)
+    near = [np.linalg.norm(middles - view.xy[ball], axis=1) < CLEAR * point for ball in balls]
+    middle = middles[np.lexsort((aside, np.any(near, axis=0) + 0 * aside))[0]]
     look = {"arrowstyle": "<->", "color": style.DRIVEN, "linewidth": 1.8, "mutation_scale": 9}
     look |= {"shrinkA": 0, "shrinkB": 0, "path_effects": [style.HALO], "zorder": 5}
     ax.annotate("", xy=middle + half, xytext=middle - half, arrowprops=look)

@@ -73,18 +73,17 @@ LINEAR = {
 # of modes, with what these solvers stand on: bases (bv), dense problems (ds), regions (rg),
 MODES = {
     TYPE: "(eps|pep|st)_type",
-    COUNT: "eps_(balance_its|krylovschur_partitions|rqcg_reset|lobpcg_blocksize) ds_block_size "
-    "eps_[gj]d_(blocksize|minv|plusk|initial_size) ds_method st_filter_degree pep_refine_its "
+    COUNT: "eps_(balance_its|krylovschur_partitions|rqcg_reset|lobpcg_blocksize) st_filter_degree "
+    "eps_[gj]d_(blocksize|minv|plusk|initial_size) ds_(method|block_size) "
     "eps_ciss_((refine_)?(blocksize|inner)|integration_points|moments|maxblocksize|partitions)",
     VALUE: "(eps|pep)_(tol|max_it|nev|ncv|mpd|target|interval|conv_(abs|rel|norm)|true_residual) "
-    "(eps|pep)_((largest|smallest)_(magnitude|real|imaginary)|target_(magnitude|real|imaginary)) "
-    "eps_(balance(_cutoff)?|lobpcg_restart|jd_fix|all|hermitian|purify|ritz|harmonic|refined) "
-    "eps_krylovschur_(restart|nev|ncv|mpd|locking|detect_zeros) eps_lobpcg_locking "
-    "eps_ciss_(delta|spurious_threshold|realmats|usest|extraction|quadrule) eps_arnoldi_delayed "
-    "eps_([gj]d_krylov_start|gd_double_expansion|jd_const_correction_tol|lanczos_reorthog) "
-    "eps_power_shift_type pep_(scale|extract|refine|(toar|stoar|qarnoldi)_(restart|locking)) "
+    "(eps|pep)_(largest|smallest|target)_(magnitude|real|imaginary) pep_(scale|extract|refine) "
+    "eps_(balance(_cutoff)?|lobpcg_(restart|locking)|jd_fix|all|hermitian|purify|ritz|harmonic) "
+    "eps_krylovschur_(restart|nev|ncv|mpd|locking|detect_zeros) eps_(arnoldi_delayed|refined) "
+    "eps_ciss_(delta|spurious_threshold|realmats|usest|extraction|quadrule) eps_lanczos_reorthog "
+    "eps_([gj]d_krylov_start|gd_double_expansion|jd_const_correction_tol|power_shift_type) "
+    "pep_(toar|stoar|qarnoldi)_(restart|locking) st_filter_(interval|range|type|damping) "
     "st_(shift|transform|matmode|matstructure|cayley_antishift) ds_parallel "
-    "st_filter_(interval|range|type|damping) "
     "bv_(definite_tol|type|matmult|orthog_(eta|type|block|refine)) rg_(type|scale|complement) "
     "rg_(interval_endpoints|ellipse_(center|radius|vscale))",
     ALONE: "(eps|pep)_(view(_values)?|converged_reason|monitor(_all|_conv)?) "

@@ -197,8 +197,7 @@ def ensemble(
             raise InputError(f"ensemble: the sample of seed {seed} is of another size")
         return medium
 
-    names = [f"sample of seed {seed}" for seed in seeds if listed]
-    return repeated(of, seeds, draw, first, keep, choices, crew, progress, names)
+    return repeated(of, seeds, draw, first, keep, choices, crew, progress, listed)
 
 
 def repeated(
@@ -206,19 +205,26 @@ def repeated(
 ):
     """Return the Ensemble of an experiment with these keywords, on samples as `Samples` has them.
 
-    Collective. Samples that are `listed`, by their names, may differ in size. Of a relaxation the
-    first sample's changes have the seed `changes`, and exponents are fitted in the window `fit`.
-    The balls nearest to `places` listen in each sample.
+    Collective. Samples that are `listed` may differ in size. Of a relaxation the first sample's
+    changes have the seed `changes`, and exponents are fitted in the window `fit`. The balls nearest
+    to `places` listen in each sample.
     """
     from mpi4py import MPI
 
     function, world, sizes = EXPERIMENTS[of][1], crew.world, [first.size]
     with agreeing(world):  # before any work: the last of many files may be the one that is bad
-        for seed, name in list(zip(seeds, listed, strict=False))[world.rank :: world.size]:
+        for seed in seeds[world.rank :: world.size] if listed else ():
+            medium = draw(seed, MPI.COMM_SELF)
+            sizes.append(medium.size)
             try:
-                sizes.append(_checked(draw(seed, MPI.COMM_SELF), of, choices, places).size)
+                if of != "modes":
+                    medium.check_driven()
+                if places is not None:
+                    medium.nearest_free(places)
+                elif choices.get("detectors") is not None:
+                    medium.sites(choices["detectors"])
             except InputError as error:
-                raise InputError(f"{name}: {error}") from error
+                raise InputError(f"sample of seed {seed}: {error}") from error
     # overdamped modes are twice as many
     most = max(map(max, world.allgather(sizes))) * (1 + bool(choices.get("damped")))
     if of == "response":
@@ -237,17 +243,6 @@ def repeated(
     with agreeing(crew.world):
         task = Samples(of, seeds, draw, one, first, most, keep, choices)
     return carry_out(task, crew, progress)
-
-
-def _checked(medium, of, choices, places):
-    """Return a sample, or raise where the experiment will."""
-    if of != "modes":
-        medium.check_driven()
-    if places is not None:
-        medium.nearest_free(places)
-    elif choices.get("detectors") is not None:
-        medium.sites(choices["detectors"])
-    return medium
 
 
 def _sample(lattice, seed):
@@ -331,7 +326,7 @@ def run(lattice, options, crew):
     how = lattice, options.ensemble_keep, choices, crew, options.output_progress
     fit = options.spectrum_fit_min, options.spectrum_fit_max
     record = repeated(
-        of, seeds, draw, *how, files or (), options.relax_seed, fit, options.detectors_at
+        of, seeds, draw, *how, files is not None, options.relax_seed, fit, options.detectors_at
     )
     if record is None or not transport.has_curves(record) or crew.dry:
         return record and [record]

@@ -58,8 +58,7 @@ def widths(ax, modes, medium):
     scales.label(ax.yaxis, WIDTH)
     look = {"linestyle": "none", "marker": ".", "markeredgewidth": 0, "clip_on": False}
     (points,) = ax.plot(x[y > 0], y[y > 0], color="black", **look)
-    grow = (y < 0) & (np.abs(modes.eigenvalue) > least_frequency(medium.built))
-    if np.any(grow):
+    if np.any(grow := (y < 0) & (np.abs(modes.eigenvalue) > least_frequency(medium.built))):
         look |= {"marker": "x", "markeredgewidth": 0.8, "color": style.FAILED, "markersize": 4}
         ax.plot(x[grow], -y[grow], label=r"growing: $-\Gamma$", **look)
     return points
