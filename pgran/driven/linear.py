@@ -109,6 +109,7 @@ class Krylov(Owner):
             for system in systems:
                 self._solve(system.rhs, self._rtol)
                 self._correction.copy(system.solution)
+            self.iterations *= self.ksp.getType() != "preonly"  # whose one is to apply it
         elif len(systems) > 1 and self.pc.getFactorSolverType() == "mumps":
             self._apply_to_all(systems)
         else:
