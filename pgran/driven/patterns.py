@@ -19,7 +19,6 @@ from mpi4py import MPI
 
 from pgran.driven.accurate import is_accurate
 from pgran.driven.columns import Columns, Solved
-from pgran.driven.judge import BACKWARD_ERROR
 from pgran.driven.steady import SteadySolver
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 from pgran.run.petsc import PETSc
@@ -30,9 +29,9 @@ class PatternSolver(SteadySolver):
 
     Collective. Patterns are real arrays (m, unknowns), in the medium's order of its mass-weighted
     unknowns: a force F on balls is the pattern w F, and a displacement is read by the same, w the
-    displacement per unknown. Where no bound of |S^-1| is known, those of errors are infinite, and
-    `backward_error`, the largest |f - S x| / (|S| |x| + |f|) of the last patterns, says how good
-    solutions are. `choices` are keywords of `SteadySolver`.
+    displacement per unknown. Where no bound of |S^-1| is known, those of errors are infinite;
+    `backward_error` is the largest |f - S x| / (|S| |x| + |f|) of the last patterns. `choices` are
+    keywords of `SteadySolver`.
     """
 
     owns = (*SteadySolver.owns, "_columns")
@@ -50,11 +49,6 @@ class PatternSolver(SteadySolver):
         self.restart()
         self.backward_error = np.nan
         return super().solve(s).converged_reason > 0
-
-    @property
-    def solved(self):
-        """Whether the last solutions are right but for rounding; where no bound is known."""
-        return self.backward_error <= BACKWARD_ERROR
 
     def diagonal(self, patterns):
         """Return f^T S^-1 f of each pattern f, shape (m,), and bounds of the errors.

@@ -17,7 +17,7 @@ class Green(Frequencies):
 
     Forces and displacements are along one `direction`, (axes,); (1,) where balls have one
     displacement. A frequency without a positive `converged_reason` failed or missed the accuracy
-    asked for; where no bound is known its `backward_error` decides.
+    asked for, as where no bound is known.
     """
 
     group = "green"

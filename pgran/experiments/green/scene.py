@@ -53,8 +53,6 @@ def summary(result):
         failed = f"{record.failures} of {nw} frequencies"
         yield Caution(f"{failed} failed or missed the accuracy asked for")
     yield from reached_accuracy(record, good)
-    if not np.isfinite(record.error_bound[good]).all():
-        yield f"backward errors at most {record.backward_error[good].max():.1e} (backward_error)"
     # without damping densities are lines at the modes
     whole = nw > 1 and good.all() and result.medium.built.dissipates
     for p, ball in enumerate(ball_names(record.source) if whole else []):
@@ -144,8 +142,6 @@ class GreenSweep(PatternSweep):
             point[name] = np.diagonal(found[-len(self.pushed) :])
         good = is_accurate(bounds, values, solver.tolerance)
         good |= bounds <= self.choices["error_floor"] / abs(self.scaled.kmax)
-        if np.isinf(bounds).all():
-            good = solver.solved
         point["converged_reason"] = GOOD if np.all(good) else MISSED
 
     def collect(self, rows, seconds):

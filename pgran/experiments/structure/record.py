@@ -84,15 +84,11 @@ class Structure(Frequencies):
 
     def exactness(self, number="{:.1e}".format):
         """Return in words how exact S is."""
-        good, words = self.converged_reason > 0, []
-        bounded = good & np.isfinite(self.error_bound).all(axis=(1, 2))
-        if bounded.any():
-            relative = self.error_bound[bounded] / np.abs(self.structure_factor[bounded])
-            words.append(f"relative error of every S at most {number(relative.max())}")
-        if np.any(good & ~bounded):
-            worst = number(self.backward_error[good & ~bounded].max())
-            words.append(
-                f"no bound of errors is known at {np.count_nonzero(good & ~bounded)} frequencies, "
-                f"where backward errors are at most {worst}"
-            )
-        return "; ".join(words) or "no S is as accurate as asked"
+        good = self.converged_reason > 0
+        if not good.any():
+            return "no S is as accurate as asked"
+        relative = self.error_bound[good] / np.abs(self.structure_factor[good])
+        words = f"relative error of every S at most {number(relative.max())}"
+        if self.failures:
+            words += f"; {self.failures} of {len(good)} frequencies failed or missed the accuracy"
+        return words

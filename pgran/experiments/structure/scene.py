@@ -105,7 +105,7 @@ def summary(result):
     work = f"{counted(len(record.omega), 'frequency')} with "
     work += counted(record.factorizations, "factorization")
     yield f"{counted(len(record.q), 'wave number')} at {work} in {record.solve_seconds:.2f} s"
-    yield record.exactness()
+    yield Caution(record.exactness()) if record.failures else record.exactness()
     missing, coarse = np.count_nonzero(np.isnan(record.frequency)), np.count_nonzero(record.coarse)
     total = record.frequency.size
     if missing:

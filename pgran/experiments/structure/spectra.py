@@ -38,8 +38,7 @@ class Spectra(PatternSweep):
         scale = 2 * self.scaled.mass / np.pi
         value = point["structure_factor"] = self._summed(scale * np.real(s * G))
         bound = point["error_bound"] = self._summed(scale * abs(s) * bounds)
-        good = bound <= solver.tolerance * np.abs(value)
-        point["converged_reason"] = np.all(good) or (np.isinf(bound).all() and solver.solved)
+        point["converged_reason"] = np.all(bound <= solver.tolerance * np.abs(value))
 
     def _summed(self, numbers):
         """Return the sums of the patterns' numbers over each branch and wave number."""
