@@ -16,7 +16,7 @@ from pgran.balance.motion import Balls, Motion, listed
 from pgran.balance.networks import balls_of, changed_contacts, grown
 from pgran.balance.pack import packed_network
 from pgran.errors import InputError
-from pgran.medium.graph import loose_balls
+from pgran.medium.graph import loose_balls, part
 from pgran.medium.network_file import read_network
 
 PACKINGS = Path(__file__).parents[1] / "options" / "packings"
@@ -221,6 +221,36 @@ def test_what_floats_comes_to_rest():
     network = pgran.pack(60, pressure=1e-3, seed=2)
     radius = network.radius * np.where(np.arange(len(network.held)) == 5, 1.0001, 1.0)
     assert left_over(pgran.equilibrate(network, radius)) < 1e-12
+
+
+def cells(*overlaps):
+    """Discs between three held ones each, far apart; harmonic contacts that overlap so much."""
+    angle, count = 2 * np.pi * np.arange(3) / 3, len(overlaps)
+    away = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    bond = np.stack([np.zeros(3, int), [1, 2, 3]], axis=1) + 4 * np.arange(count)[:, None, None]
+    position = 10.0 * np.arange(count)[:, None, None] * np.ones((4, 2))
+    position[:, 1:] += (1 - np.array(overlaps)[:, None, None]) * away
+    overlap, normal = np.repeat(overlaps, 3), np.tile(away, (count, 1))
+    return pgran.Network(
+        bond.reshape(-1, 2), np.ones(3 * count), count * [0, 2, 1, 1], damping=0.1,
+        displacement="vector", position=position.reshape(-1, 2), force=overlap, direction=[1, 0],
+        normal=normal, distance=1 - overlap, radius=np.full(4 * count, 0.5), power=1.0,
+    )  # fmt: skip
+
+
+def test_rattlers_are_left_without_contacts_that_bear_what_rounding_left(caplog):
+    """Two contacts hold no disc; whether three of 1e-13 of the mean force do cannot be told."""
+    caplog.set_level("INFO", "pgran")
+    whole = cells(0.01, 0.01, 1e-15)
+    apart = whole.position - 0.1 * (np.arange(12) == 11)[:, None]
+    two = dataclasses.replace(part(whole, contacts=range(8)), position=apart)
+    for network, undecided in ((two, 0), (whole, 1)):
+        caplog.clear()
+        rest = pgran.equilibrate(network)
+        assert rest.bond.tolist() == whole.bond[:6].tolist()
+        assert rest.held.tolist() == [0, 2, 1, 1, 0, 2, 1, 1, 1, 2, 1, 1]
+        assert "rattlers: 1 more" in caplog.text
+        assert ("rounding decides" in caplog.text) == undecided
 
 
 def test_what_is_out_of_balance_moves_until_it_balances(spheres):

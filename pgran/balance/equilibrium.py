@@ -14,9 +14,10 @@ import numpy as np
 
 from pgran.balance.motion import Balls, Contacts, Motion, listed
 from pgran.errors import PgranError
-from pgran.medium.graph import SYMMETRIC
+from pgran.medium.graph import SYMMETRIC, loose_balls
 
 BALANCED = 1e-12  # of the mean force: the largest force that is left on a ball
+UNDECIDED = 1e-11  # of the mean force: what bears less may be open, or bear what rounding left
 PATIENCE = 4  # steps in a row that lower neither the energy, beyond its rounding, nor the forces
 STEPS, ROUNDS = 100, 40  # of Newton's method with one list of pairs, and lists
 LEAST_SHIFT = 1e-10  # of the mean diagonal of K: what is less is rounding
@@ -30,13 +31,21 @@ class NotBalancedError(PgranError):
 class Rest(NamedTuple):
     """Balls at rest: where and with which contacts, and how they came there.
 
-    `residual` is the largest force left on a ball in units of the mean one.
+    `residual` is the largest force left on a ball in units of the mean one; `undecided` counts the
+    contacts, and balls that these alone hold, that the balance cannot tell from open ones.
     """
 
     balls: Balls
     contacts: Contacts
     residual: float
     factorizations: int
+    undecided: int = 0
+
+    @property
+    def bearing(self):
+        """Which contacts bear a force for certain."""
+        force = self.balls.law.force(self.contacts.constants, self.contacts.overlap)
+        return force > UNDECIDED * force[force > 0].mean()
 
     @property
     def saddle(self):
@@ -183,6 +192,34 @@ def at_rest(balls, contacts=None, pressure=None, tolerance=BALANCED):
     else:
         raise NotBalancedError(f"the balls still move after {ROUNDS} lists of neighbours")
     return Rest(balls, contacts, residual, factorizations)
+
+
+def without_rattlers(rest):
+    """Return a rest without the contacts of balls that bear no force for certain.
+
+    These balls stay where they are, and the others find their rest without them. Fewer than d + 1
+    contacts in d dimensions hold no ball, so that such a one does not count as undecided.
+    """
+    pairs, balls, bearing = rest.contacts.pairs, rest.balls, rest.bearing
+    pressed = rest.contacts.overlap > 0
+    carrying = np.isin(np.arange(len(balls.held)), pairs[bearing])
+    between, others = carrying[pairs].all(axis=1), balls.held | carrying
+    wedged = ~(others | loose_balls(pairs[pressed], others, balls.position.shape[1] + 1))
+    undecided = np.count_nonzero(wedged) + np.count_nonzero(pressed & between & ~bearing)
+    rest = rest._replace(undecided=undecided)
+    if np.all(between[pressed]):
+        return rest
+    numbers, contacts = np.flatnonzero(carrying), rest.contacts.of(between)
+    own = dataclasses.replace(contacts, pairs=np.searchsorted(numbers, contacts.pairs))
+    found = at_rest(balls.of(numbers), own)
+    position = balls.position.copy()
+    position[numbers] = found.balls.position
+    return found._replace(
+        balls=dataclasses.replace(balls, position=position),
+        contacts=dataclasses.replace(found.contacts, pairs=numbers[found.contacts.pairs]),
+        factorizations=rest.factorizations + found.factorizations,
+        undecided=undecided,
+    )
 
 
 def reach_of(balls, contacts):

@@ -8,7 +8,7 @@ import numpy as np
 
 from pgran.arguments import called_right
 from pgran.balance.contacts import ContactLaw, pair_numbers
-from pgran.balance.equilibrium import BALANCED, at_rest
+from pgran.balance.equilibrium import BALANCED, at_rest, without_rattlers
 from pgran.balance.motion import Balls, Contacts, listed
 from pgran.errors import InputError
 from pgran.medium.dissipation import of_new
@@ -115,6 +115,7 @@ def grown(balls, contacts, radius, growth=GROWTH):
         contacts = contacts.grown(balls.law, balls.radius, now)
         balls = dataclasses.replace(balls, radius=now)
         rest = at_rest(balls, contacts, tolerance=BALANCED if last else ON_THE_WAY)
+        rest = without_rattlers(rest) if last else rest
         balls, contacts = rest.balls, rest.contacts
         factorizations += rest.factorizations
     return rest._replace(factorizations=factorizations)
@@ -148,7 +149,8 @@ def equilibrate(network, radius=None):
     """Return the network at rest under its contact law, with other radii if they are given.
 
     Free balls move until the forces on each cancel to 1e-12 of the mean contact force; contacts
-    open and close. Held balls stay. Not parallel: each rank that calls it computes the same.
+    open and close. Held balls stay; those that bear less than 1e-11 are rattlers, which lose their
+    contacts and are held at rest. Not parallel: each rank that calls it computes the same.
 
     Parameters
     ----------
@@ -184,9 +186,12 @@ def equilibrate(network, radius=None):
     moved = np.linalg.norm(rest.balls.position - balls.position, axis=1).max()
     log.info(
         "in balance to %.1e of the mean force (positions alone would hold it to %.1e); contacts: "
-        "%d opened, %d closed; moved by %.2g of the mean overlap at most",
+        "%d opened, %d closed; moved by %.2g of the mean overlap at most; rattlers: %d more",
         rest.residual, floor(result), opened, closed, moved / overlap,
+        np.count_nonzero(result.held != network.held),
     )  # fmt: skip
+    if rest.undecided:
+        log.warning("of %d contacts or balls rounding decides if they bear forces", rest.undecided)
     if rest.saddle:
         log.warning("the packing rests on a saddle of its energy: a small push would rearrange it")
     return result

@@ -104,7 +104,7 @@ def _rest_without_rattlers(balls, pressure, least):
         if not own.held.any() and np.all(np.isfinite(own.box)):
             own.held[0] = True  # else all could move together
         rest = at_rest(own, None, pressure, BALANCED)
-        pairs = rest.contacts.pairs[rest.contacts.overlap > 0]
+        pairs = rest.contacts.pairs[rest.bearing]
         if not loose_balls(pairs, own.held, least).any():
             held = balls.held[carrying]
             rest = rest._replace(balls=dataclasses.replace(rest.balls, held=held))
