@@ -1,12 +1,14 @@
 """What is false of balls that grow in random packings: rest, amplitudes, derivatives by radii.
 
-A packing after the growth is held against the equations of its rest, summed anew; amplitudes and
-derivatives against dense solves with 64 bits or more of mantissa, the derivatives forward: the
-packing's own response to the radius, and what all that changes in S.
+A packing after the growth is held against the equations of its rest, summed anew, and against the
+rest near it with 64 bits or more of mantissa; amplitudes there, and derivatives, against as exact
+dense solves, the derivatives forward: the packing's own response to the radius, and what all that
+changes in S. Half of the cases are heard at a resonance of the packing that has grown.
 """
 
 import dataclasses
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 from packing_samples import pushes
@@ -14,6 +16,8 @@ from scipy.linalg import lu_factor, lu_solve
 from sensitivity_samples import heated
 
 import pgran
+from pgran.balance.networks import changed_contacts
+from pgran.errors import PgranError
 from pgran.experiments.sensitivity.growth import LOST, Packing
 from pgran.experiments.sensitivity.record import OUTCOMES
 
@@ -24,7 +28,7 @@ LONG, COMPLEX = np.longdouble, np.clongdouble
 class GrowthCase:
     """A packing, the ball that grows and by how much, and where and how that is heard.
 
-    `units` are those of force and length.
+    `units` are those of force and length; if `resonant`, the last frequency is that of a mode.
     """
 
     seed: int
@@ -34,21 +38,22 @@ class GrowthCase:
     omegas: np.ndarray
     growth: float
     tolerance: float
+    resonant: bool
 
 
 def random_growth(seed):
     """A small packing of any kind between walls; the growth is in mean overlaps, of any sign."""
     rng = np.random.default_rng([29, seed])
     dimension = int(rng.integers(2, 4))
-    push = {"pressure": 10 ** rng.uniform(-4, -2)}
+    push = {"pressure": 10 ** rng.uniform(-7, -2)}
     if rng.random() < 0.25:
         push = {"gravity": 10 ** rng.uniform(-4, -2)}
     choices = {
-        "balls": int(rng.integers(40, 70) if dimension == 2 else rng.integers(70, 100)),
-        "dimension": dimension, "law": ["harmonic", "hertz", 2.0][rng.choice(3, p=[0.4, 0.5, 0.1])],
+        "balls": int(rng.integers(32, 60) if dimension == 2 else rng.integers(70, 100)),
+        "dimension": dimension, "law": ["harmonic", "hertz", 2.0, 1.2, 3.0][rng.integers(5)],
         "sizes": rng.uniform(0, 0.3), "walls": "x", "seed": seed,
     }  # fmt: skip
-    others = {"damping": 10 ** rng.uniform(-4, 0)}
+    others = {"damping": 10 ** rng.uniform(-6, 0)}
     others["displacement"] = str(rng.choice(["vector", "scalar"], p=[0.75, 0.25]))
     if others["displacement"] == "vector" and rng.random() < 0.3:
         others["damped"] = "normal"
@@ -56,7 +61,8 @@ def random_growth(seed):
     omegas = np.sort(10 ** rng.uniform(-1.5, 0.2, 2))
     tolerance = 10 ** rng.uniform(-10, -2)
     units = 10 ** rng.uniform(-6, 6), 10 ** rng.uniform(-3, 1)
-    return GrowthCase(seed, choices | push, others, units, omegas, growth, tolerance)
+    resonant = bool(rng.random() < 0.5)
+    return GrowthCase(seed, choices | push, others, units, omegas, growth, tolerance, resonant)
 
 
 def in_units(network, force, length):
@@ -72,7 +78,11 @@ def in_units(network, force, length):
 def growth_faults(case, seen):
     """Yield what is false of a heater of one ball; count what was `seen`."""
     rng = np.random.default_rng([30, case.seed])
-    packed = pgran.pack(**case.choices)
+    try:
+        packed = pgran.pack(**case.choices)
+    except PgranError:  # too few balls for their box, or too heavy ones
+        seen["not packed"] += 1
+        return
     others = dict(case.others)
     if others["displacement"] == "scalar":
         others["direction"] = None
@@ -81,10 +91,13 @@ def growth_faults(case, seen):
     size, omegas = case.growth * network.overlap.mean(), case.omegas * network.omega_mx
     what = f"case {case.seed} ball {ball} growth {case.growth:.2g} detector {detector}"
     asked = {"radius": size, "balls": [ball], "error_tolerance": case.tolerance}
-    found = heated(network, omegas, [detector], **asked)
+    grown = Packing(network).grown(ball, size)
+    if case.resonant and grown.outcome != LOST:
+        modes = pgran.find_modes(grown.network, method="dense").omega
+        omegas[1] = rng.choice(modes[modes > 1e-6 * modes.max()])
+    found = heated(network, np.sort(omegas), [detector], **asked)
     seen["heaters"] += 1
     seen[found.outcome[0]] += 1
-    grown = Packing(network).grown(ball, size)
     if OUTCOMES[grown.outcome] != found.outcome[0]:
         yield f"OUTCOME {what}: {found.outcome[0]}, and then {OUTCOMES[grown.outcome]}"
     if grown.outcome == LOST:
@@ -94,8 +107,21 @@ def growth_faults(case, seen):
     yield from (
         f"REST {what}: {fault}" for fault in rest_faults(network, grown.network, ball, size)
     )
-    for n, omega in enumerate(omegas):
-        after = Dense(grown.network, 1j * omega).amplitude(detector)
+    seen["rattlers"] += np.count_nonzero(grown.network.held != network.held)
+    try:
+        alike = pgran.equilibrate(network, grown.network.radius)
+        if network.gravity is not None or any(changed_contacts(alike, grown.network)):
+            seen["other loads or contacts"] += 1
+        elif not np.allclose(alike.force.sum(), grown.network.force.sum(), rtol=1e-9, atol=0):
+            yield f"EQUILIBRATE {what}: other forces"
+    except PgranError:
+        seen["equilibrate found no rest"] += 1
+    exact = long_rest(network, grown.network, ball, size)
+    pairs = [{(*sorted(pair),) for pair in each.bond.tolist()} for each in (exact, grown.network)]
+    if pairs[0] != pairs[1] and np.isfinite(found.warmed_bound).any():
+        yield f"CONTACTS {what}: {pairs[0] ^ pairs[1]}"
+    for n, omega in enumerate(found.omega):
+        after = Dense(exact, 1j * omega).amplitude(detector)
         before = Dense(network, 1j * omega)
         at = np.searchsorted(network.free, ball)
         for name, got, bound, right in (
@@ -129,6 +155,10 @@ def rest_faults(before, after, ball, size):
     overlap = radius[:, None] + radius - distance
     moving = (before.held == 0)[:, None] | (before.held == 0)
     touching = np.triu(moving & (overlap > rounding), 1)
+    rattling = after.held != before.held
+    touching &= ~(rattling[:, None] | rattling)  # they may overlap by what a force of 1e-11 does
+    if not after.force.min() > 1e-11 * after.force.mean():
+        yield "a contact bears no force but rounding"
     pairs = {(*pair,) for pair in np.argwhere(touching).tolist()}
     pressed = {(*sorted(pair),) for pair in after.bond.tolist()}
     if not pairs <= pressed:
@@ -143,6 +173,49 @@ def rest_faults(before, after, ball, size):
         moduli.append(network.force / (curved * network.overlap**network.power))
     if not np.allclose(moduli[1], moduli[0][0], rtol=1e-9, atol=0):
         yield "forces do not obey the law"
+
+
+def long_rest(before, after, ball, size):
+    """The rest near `after`, by Newton's method with long numbers on all pairs but of rattlers."""
+    axes, known, carried = before.position.shape[1], before.bonds, after.held == before.held
+    numbers = np.array([len(carried), 1])
+    others = np.array([*itertools.combinations(range(len(carried)), 2)])
+    others = others[~np.isin(others @ numbers, np.sort(before.bond, axis=1) @ numbers)]
+    i, j = pairs = np.concatenate([before.bond, others]).T
+    x, R, power = LONG(before.position), LONG(before.radius), LONG(before.power)
+    periods = np.zeros(axes) if before.box is None else before.box
+    away = x[j] - x[i]
+    away -= periods * np.rint(away / np.where(periods > 0, periods, np.inf)).astype(float)
+    away[:known] = LONG(before.normal) * LONG(before.distance)[:, None]
+    length, curved = np.sqrt(np.sum(away**2, axis=1)), (R[i] * R[j] / (R[i] + R[j])) ** (power - 1)
+    h, c = R[i] + R[j] - length, curved.copy()
+    h[:known] = power * LONG(before.force) / LONG(before.stiffness)
+    c[:known] = LONG(before.force) / h[:known] ** power
+    c[known:] *= np.median(c[:known] / curved[:known])
+    load = {"bond": before.bond, "force": LONG(before.force), "position": x}
+    load = pushes(SimpleNamespace(**load, normal=away[:known] / length[:known, None]))
+    R[ball] += LONG(size)
+    h += LONG(size) * (pairs == ball).any(axis=0)
+    c *= (R[i] * R[j] / (R[i] + R[j])) ** (power - 1) / curved
+    near = carried[pairs].all(axis=0) & (before.held[pairs] == 0).any(axis=0) & (h > -R.mean())
+    pairs, away, length, h, c = pairs.T[near], away[near], length[near], h[near], c[near]
+    u, free = LONG(after.position) - x, np.flatnonzero(np.repeat(after.held == 0, axes))
+    values = {name: getattr(after, name) for name in ("masses", "held", "damping", "damped")}
+    rest = SimpleNamespace(**values, position=x, axes=axes, direction=np.eye(axes)[0])
+    for _ in range(9):
+        v = away + u[pairs[:, 1]] - u[pairs[:, 0]]
+        d = np.sqrt(np.sum(v**2, axis=1))
+        overlap = h - (d - length)
+        on = overlap > 0
+        rest.bond, rest.normal, rest.distance = pairs[on], v[on] / d[on, None], d[on]
+        rest.force, rest.bonds = c[on] * overlap[on] ** power, np.count_nonzero(on)
+        rest.stiffness = power * rest.force / overlap[on]
+        K, left = Dense(rest, 0.0).S.real[np.ix_(free, free)], (pushes(rest) - load).ravel()[free]
+        step = np.zeros(u.size)
+        step[free] = np.linalg.solve(K.astype(float), left.astype(float))
+        u += step.reshape(u.shape)
+    rest.axes, rest.direction = before.axes, before.direction
+    return rest
 
 
 class Dense:

@@ -5,6 +5,7 @@ import itertools
 import h5py
 import numpy as np
 
+from pgran.medium.network import Network
 from pgran.medium.network_file import read_network
 
 LENGTH, HERTZ = 5.0, 2.5
@@ -122,6 +123,22 @@ def pushes(network):
     for end, sign in zip(network.bond.T, (-1, 1), strict=True):
         np.add.at(total, end, sign * each)
     return total
+
+
+def cells(*overlaps, power=1.0, damping=0.1):
+    """Discs, each between three that are held, whose contacts overlap so much; F = h^power."""
+    angle, count = 2 * np.pi * np.arange(3) / 3, len(overlaps)
+    away = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    bond = np.stack([np.zeros(3, int), [1, 2, 3]], axis=1) + 4 * np.arange(count)[:, None, None]
+    position = 10.0 * np.arange(count)[:, None, None] * np.ones((4, 2))
+    position[:, 1:] += (1 - np.array(overlaps)[:, None, None]) * away
+    h = np.repeat(overlaps, 3)
+    return Network(
+        bond.reshape(-1, 2), power * h ** (power - 1), count * [0, 2, 1, 1], damping=damping,
+        displacement="vector", position=position.reshape(-1, 2), force=h**power, direction=[1, 0],
+        normal=np.tile(away, (count, 1)), distance=1 - h, radius=np.full(4 * count, 0.5),
+        power=power,
+    )  # fmt: skip
 
 
 def csv_of(place, sample, **contacts):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from packing_samples import pushes
+from packing_samples import cells, pushes
 from scipy.linalg import null_space
 
 import pgran
@@ -221,21 +221,6 @@ def test_what_floats_comes_to_rest():
     network = pgran.pack(60, pressure=1e-3, seed=2)
     radius = network.radius * np.where(np.arange(len(network.held)) == 5, 1.0001, 1.0)
     assert left_over(pgran.equilibrate(network, radius)) < 1e-12
-
-
-def cells(*overlaps):
-    """Discs between three held ones each, far apart; harmonic contacts that overlap so much."""
-    angle, count = 2 * np.pi * np.arange(3) / 3, len(overlaps)
-    away = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    bond = np.stack([np.zeros(3, int), [1, 2, 3]], axis=1) + 4 * np.arange(count)[:, None, None]
-    position = 10.0 * np.arange(count)[:, None, None] * np.ones((4, 2))
-    position[:, 1:] += (1 - np.array(overlaps)[:, None, None]) * away
-    overlap, normal = np.repeat(overlaps, 3), np.tile(away, (count, 1))
-    return pgran.Network(
-        bond.reshape(-1, 2), np.ones(3 * count), count * [0, 2, 1, 1], damping=0.1,
-        displacement="vector", position=position.reshape(-1, 2), force=overlap, direction=[1, 0],
-        normal=normal, distance=1 - overlap, radius=np.full(4 * count, 0.5), power=1.0,
-    )  # fmt: skip
 
 
 def test_rattlers_are_left_without_contacts_that_bear_what_rounding_left(caplog):

@@ -5,6 +5,7 @@ import functools
 
 import numpy as np
 import pytest
+from packing_samples import cells
 from sensitivity_samples import assert_same_on_ranks, heated, packing
 from small import OPTIONS
 
@@ -96,6 +97,29 @@ def test_packings_without_rest_are_counted(monkeypatch):
     cautions = [line for line in summary(found) if isinstance(line, Caution)]
     assert "1 of 2 packings found no rest" in cautions[0]
     assert "grow by 0.391 of the mean overlap" in cautions[1]
+
+
+def test_bounds_hold_what_a_balance_leaves():
+    """A disc that grows between three alike stays where it is: S = 3/2 (k - F/d) + 3 s beta + s^2.
+
+    At the resonance its amplitude turns by what the overlap rounds, a part of 1e-12, times Q.
+    """
+    network = cells(1e-5, power=1.5, damping=1e-7)
+    h, d = (np.longdouble(x[0]) for x in (network.overlap, network.distance))
+    for dR in np.longdouble([1e-7, 3e-7, 2e-6]):
+        F = np.sqrt((1 + 2 * dR) / (1 + dR)) * (h + dR) ** 1.5  # R grows, of 1/2 both
+        K = 1.5 * (1.5 * F / (h + dR) - F / d)
+        s = 1j * np.sqrt(float(K))
+        exact = (1.5 * F / (h + dR) + s * 1e-7) / (K + 3e-7 * s + s**2)
+        found = heated(network, [s.imag], [0], radius=float(dR), balls=[0])
+        bound = found.warmed_bound[0, 0, 0]
+        assert abs(found.warmed[0, 0, 0] - exact) <= bound < 1e-5 * abs(exact)
+
+
+def test_where_rounding_decides_who_bears_forces_nothing_is_known():
+    for least, known in ((0.01, True), (1e-15, False)):
+        found = heated(cells(0.01, 0.01, least), [0.3], [0], radius=1e-4, balls=[0])
+        assert np.isfinite(found.warmed_bound).all() == known
 
 
 def test_a_detector_that_loses_its_contacts_is_at_rest():

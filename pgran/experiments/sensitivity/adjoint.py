@@ -29,7 +29,8 @@ class AdjointSweep(FrequencySweep):
         if not solver.bounds.proven:
             point["converged_reason"] = min(point["converged_reason"], MISSED)
 
-    def systems(self, point, solver):
+    @staticmethod
+    def systems(point, solver):
         """Return the solved systems, the field's, then each adjoint's, and bounds of their errors.
 
         Collective over a group. The errors are those of the solutions in the 2-norm.

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from pgran.experiments.sensitivity.adjoint import AdjointSweep
 from pgran.experiments.sensitivity.growth import Packing
 from pgran.experiments.sensitivity.record import OUTCOMES
 from pgran.medium.springs import FREE
@@ -44,36 +45,45 @@ class ExpansionTask(Task):
         """Return the row of one ball. Collective over a group."""
         rows, (number,) = np.zeros(1, self.row), unit
         ball, growth = int(self.balls[number]), float(self.growth[number])
-        network, *facts = on_root(group, lambda: self.packing.grown(ball, growth))
+        network, *facts, left = on_root(group, lambda: self.packing.grown(ball, growth))
         for name, value in zip(("outcome", "opened", "closed", "balance"), facts, strict=True):
             rows[name] = value
         rows["warmed"], rows["warmed_bound"] = math.nan, math.inf
         if network is not None:
-            rows["warmed"], rows["warmed_bound"] = self._amplitudes(network, group)
+            rows["warmed"], rows["warmed_bound"] = self._amplitudes(network, left, group)
         return rows
 
-    def _amplitudes(self, network, group):
+    def _amplitudes(self, network, left, group):
         """Return the amplitudes at all detectors and frequencies, and bounds. Collective.
 
         A detector without contacts is at rest.
         """
         from pgran.driven.operators import Operators
         from pgran.driven.steady import SteadySolver
+        from pgran.experiments.sensitivity.unrest import Unrest
 
         there = network.held[self.sites[:, 0]] == FREE
         amplitudes = np.zeros((len(self.omegas), len(there)), complex)
         bounds = np.zeros(amplitudes.shape)
         if not there.any():
             return amplitudes, bounds
-        sites = self.sites[there]
+        sites, (scaled, unit), (forces, *lengths) = self.sites[there], network.in_own_unit(), left
+        unrest = Unrest(scaled, forces / unit, *lengths)
         with (
-            Operators(network.in_own_unit()[0], group) as operators,
-            SteadySolver(operators, sites, self.error_tolerance) as solver,
+            Operators(scaled, group) as operators,
+            SteadySolver(operators, sites, self.error_tolerance, whole_field=True) as solver,
         ):
             for number, omega in enumerate(self.omegas):
                 state = solver.solve(1j * omega)
                 amplitudes[number, there] = state.displacement
                 bounds[number, there] = np.nan_to_num(state.error_bound, nan=np.inf)
+                if np.isinf(bounds[number]).all():
+                    continue
+                systems, errors = AdjointSweep.systems(state._asdict(), solver)
+                fields = operators.layout.gathered([x.solution for x in systems])
+                if fields is not None:  # on the first rank of the group
+                    found = fields.reshape(len(systems), -1), errors, solver.bounds.inverse_norm
+                    bounds[number, there] += unrest.missed(operators.s, *found)
         return amplitudes, bounds
 
     def collect(self, rows, seconds):

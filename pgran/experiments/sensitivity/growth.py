@@ -22,6 +22,7 @@ from pgran.experiments.sensitivity.record import OUTCOMES
 from pgran.experiments.sensitivity.warmth import with_vectors
 from pgran.medium.network import Network
 from pgran.medium.packing import total_forces
+from pgran.medium.rounding import EPSILON
 
 log = logging.getLogger("pgran")
 SMOOTH, CHANGED, REARRANGED, LOST = range(len(OUTCOMES))
@@ -33,7 +34,7 @@ class Grown(NamedTuple):
     """A packing after a ball has grown.
 
     `network` is None where the balls found no rest; `opened` and `closed` count contacts, `balance`
-    is the largest force left on a ball, in units of the mean one.
+    is the largest force left on a ball, in units of the mean one. `left` is what `Unrest` takes.
     """
 
     network: Network | None
@@ -41,6 +42,7 @@ class Grown(NamedTuple):
     opened: int = 0
     closed: int = 0
     balance: float = math.nan
+    left: tuple = ()
 
 
 class Packing:
@@ -67,10 +69,12 @@ class Packing:
 
     def grown(self, ball, growth):
         """Return the packing at rest after a ball's radius has grown by so much."""
-        radius = self.balls.radius.copy()
+        radius, contacts = self.balls.radius.copy(), self.contacts
         radius[ball] += growth
+        rounded = growth - (radius[ball] - self.balls.radius[ball])
+        overlap = contacts.overlap + rounded * np.any(contacts.pairs == ball, axis=1)
         try:
-            rest = grown(self.balls, self.contacts, radius)
+            rest = grown(self.balls, dataclasses.replace(contacts, overlap=overlap), radius)
         except NotBalancedError:
             return Grown(None, LOST)
         network = network_of(rest, self.network)
@@ -79,7 +83,30 @@ class Packing:
         if opened or closed:
             returns = any(self._is_reached_from(rest, step) for step in (math.inf, GROWTH))
             outcome = CHANGED if returns else REARRANGED
-        return Grown(network, outcome, opened, closed, rest.residual)
+        left = self._left(rest, network, abs(growth))
+        return Grown(network, outcome, opened, closed, rest.residual, left)
+
+    def _left(self, rest, network, growth):
+        """Return what `Unrest` takes: forces left, rounding of overlaps, the narrowest gap.
+
+        Overlaps are summed up step by step, those of contacts that have closed from positions.
+        """
+        position, both, size = rest.balls.position, (network, self.network), len(network.held)
+        closed = ~np.isin(*(pair_numbers(one.bond, size) for one in both))
+        moved = 4 * np.abs(position - self.balls.position).max() + growth
+        blurred = network.overlap + moved + 2 * closed * np.ptp(position, axis=0).max()
+        blurred *= 4 * EPSILON * (2 + growth / self.network.overlap.mean())
+        forces = np.concatenate([one.force for one in both]) * 8 * EPSILON
+        forces[: network.bonds] += network.stiffness * blurred
+        left = total_forces(network.bond, network.force[:, None] * network.normal, size)
+        left = np.linalg.norm(left + self.balls.load, axis=1)
+        ends = np.concatenate([one.bond.ravel() for one in both])
+        left += np.bincount(ends, np.repeat(forces, 2), size)
+        apart = (rest.contacts.overlap <= 0) & np.isin(rest.contacts.pairs, network.bond).all(
+            axis=1
+        )
+        gap = -rest.contacts.overlap[apart].max(initial=-network.radius.min())
+        return left[network.free], blurred, 0.0 if rest.undecided else gap
 
     def _is_reached_from(self, rest, step):
         """Return whether balls shrink back to where they were: who touches, and overlaps."""
