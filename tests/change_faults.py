@@ -59,7 +59,7 @@ def derivative_faults(case, found, n, exact, states, seen):
     for name, value in right.items():
         if (got := getattr(found, f"by_{name}", None)) is not None:
             checks.append((f"by_{name}", got[n], value, getattr(found, f"by_{name}_bound")[n]))
-    k = abs(exactly(exact.network.stiffness))
+    k = exactly(exact.network.stiffness)
     for d, amplitude in enumerate(read):
         if amplitude:
             got = found.log_amplitude[n, d] + 1j * found.log_phase[n, d]

@@ -184,8 +184,10 @@ def long_rest(before, after, ball, size):
     i, j = pairs = np.concatenate([before.bond, others]).T
     x, R, power = LONG(before.position), LONG(before.radius), LONG(before.power)
     periods = np.zeros(axes) if before.box is None else before.box
-    away = x[j] - x[i]
-    away -= periods * np.rint(away / np.where(periods > 0, periods, np.inf)).astype(float)
+    apart = after.position[j] - after.position[i]
+    turns = np.rint(apart / np.where(periods > 0, periods, np.inf))
+    apart = R[i] + R[j] + R.mean() - np.linalg.norm(apart - turns * periods, axis=1)
+    away = x[j] - x[i] - LONG(turns * periods)
     away[:known] = LONG(before.normal) * LONG(before.distance)[:, None]
     length, curved = np.sqrt(np.sum(away**2, axis=1)), (R[i] * R[j] / (R[i] + R[j])) ** (power - 1)
     h, c = R[i] + R[j] - length, curved.copy()
@@ -197,7 +199,7 @@ def long_rest(before, after, ball, size):
     R[ball] += LONG(size)
     h += LONG(size) * (pairs == ball).any(axis=0)
     c *= (R[i] * R[j] / (R[i] + R[j])) ** (power - 1) / curved
-    near = carried[pairs].all(axis=0) & (before.held[pairs] == 0).any(axis=0) & (h > -R.mean())
+    near = carried[pairs].all(axis=0) & (before.held[pairs] == 0).any(axis=0) & (apart > 0)
     pairs, away, length, h, c = pairs.T[near], away[near], length[near], h[near], c[near]
     u, free = LONG(after.position) - x, np.flatnonzero(np.repeat(after.held == 0, axes))
     values = {name: getattr(after, name) for name in ("masses", "held", "damping", "damped")}

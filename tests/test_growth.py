@@ -122,6 +122,11 @@ def test_where_rounding_decides_who_bears_forces_nothing_is_known():
         assert np.isfinite(found.warmed_bound).all() == known
 
 
+def test_scalar_displacements_with_loss_angles_have_derivatives_by_radii():
+    network = dataclasses.replace(cells(0.01), displacement="scalar", direction=None, loss=0.1)
+    assert np.isfinite(heated(network, [0.3], [0], radius=1e-4).by_radius_bound).all()
+
+
 def test_a_detector_that_loses_its_contacts_is_at_rest():
     """One of two discs, each between three held ones, shrinks."""
     angles = 2 * np.pi * np.arange(3) / 3

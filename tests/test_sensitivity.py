@@ -219,3 +219,17 @@ def test_inexact_factors(monkeypatch, solver_options, solver):
             states = exact.states(1j * omega, [4])
             assert not list(derivative_faults(case, found, n, exact, states, Counter()))
     assert "ilu" in solver or np.all(found.converged_reason > 0)
+
+
+def test_logarithmic_derivatives_by_a_negative_stiffness():
+    """d ln A by dk / k, whatever the sign of k: by differences."""
+    network = packing("scalar")
+    k = network.stiffness * np.where(np.arange(network.bonds) == 1, -0.05, 1)
+    near = [
+        dataclasses.replace(network, stiffness=k * np.where(np.arange(network.bonds) == 1, x, 1))
+        for x in (1.0, 1 - 1e-4, 1 + 1e-4)
+    ]
+    found, less, more = (derived(each, [0.6], [2], error_tolerance=1e-9) for each in near)
+    slope = np.log(more.displacement / less.displacement)[0, 0] / 2e-4
+    assert found.log_amplitude[0, 0, 1] == pytest.approx(slope.real, rel=1e-5)
+    assert found.log_phase[0, 0, 1] == pytest.approx(slope.imag, rel=1e-5)

@@ -1,6 +1,7 @@
 """The likeness of two results: their signals, the windows that both have, and what is measured."""
 
 import logging
+import math
 import os
 from pathlib import Path
 from typing import NamedTuple
@@ -121,7 +122,7 @@ def compare(a, b, windows=None, stretch=0.02):
         scenes = " and ".join(str(getattr(result, "scene", "network")) for result in results)
         raise FileError(f"compare: two responses or two pulses are needed, not {scenes}")
     read, signals = KINDS[kind]
-    unit = results[0].medium.omega_mx if hasattr(results[0], "medium") else 0.0
+    unit = next((x.medium.omega_mx for x in results if hasattr(x, "medium")), 0.0)
     records = [getattr(result, kind) for result in results]
     balls = [ball_names(record.detector) for record in records]
     if len(balls[0]) != len(balls[1]):
@@ -141,7 +142,7 @@ def compare(a, b, windows=None, stretch=0.02):
         of=kind,
         label_a=labels[0],
         label_b=labels[1],
-        omega_mx=unit,
+        omega_mx=unit or math.nan,
         reach=stretch,
         signal=np.array(signals),
         detector=records[0].detector,
@@ -163,7 +164,8 @@ def _windows(sides, wanted, reach, width):
         both = f"{a[0]:g} to {a[-1]:g} and {b[0]:g} to {b[-1]:g}"
         raise InputError(f"compare: {both} have nothing in common with room for -stretch {reach:g}")
     if wanted is not None:
-        within, kind = (low + origin, high + origin), "angular frequencies" if width else "times"
+        within = low + origin, high + origin
+        kind = "times" if width is None else "angular frequencies"
         both = f"the {kind} that both have, stretched too"
         return windows_of("-windows", wanted, within, both) - origin
     begin = max(low, *(side.begin for side in sides))
@@ -199,5 +201,5 @@ def _measure(sides, window, d, signal, kind, reach):
     best = {name: pair.best(move, reaches[name]) for name, move in MOVES[kind].items()}
     moves = {name: move for name, (move, _) in best.items()}
     if any(np.isinf(move.error) for move in moves.values()):
-        log.warning("the best is at the end of what -stretch %g tries in some windows", reach)
+        log.warning("the best is at the end of what -stretch %g tries, or beyond, somewhere", reach)
     return with_errors(correlation=pair.correlation(), **moves) | {"stretched": best["stretch"][1]}

@@ -44,10 +44,11 @@ def decorrelation(ax, found):
 def _points(ax, found, label, values, errors, told=True, **look):
     """Draw values with their errors in windows, a colour and a mark each ball and signal."""
     pulse = found.of == "pulse"
-    unit = (found.omega_mx or 1.0) ** (1 if pulse else -1)
+    known = found.omega_mx > 0  # NaN: not
+    unit = (found.omega_mx if known else 1.0) ** (1 if pulse else -1)
     low, high = found.low * unit, found.high * unit
     shown = scales.TIME if pulse else scales.FREQUENCY
-    scales.label(ax.xaxis, shown if found.omega_mx else shown._replace(own=""))
+    scales.label(ax.xaxis, shown if known else shown._replace(own=""))
     ax.set(xlim=(low.min(), high.max()), ylabel=label)
     ax.axhline(0, color="black", linewidth=0.4)
     balls, signals = style.ball_names(found.detector), [SIGNALS[str(x)] for x in found.signal]

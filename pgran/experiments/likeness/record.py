@@ -18,14 +18,14 @@ class Likeness(Record):
     The `stretch` is how much faster B is: A_b(omega (1 + stretch)) = A_a(omega), or u_b(t) =
     u_a(t (1 + stretch)), t from the middle of each one's drive; x / 2 where all springs are 1 + x
     times as stiff. It is NaN where signals are too little alike, its error infinite where the best
-    is at the end of what was tried, up to `reach`.
+    is at the end of what was tried, up to `reach`, or beyond.
     """
 
     group = "likeness"
     of: str
     label_a: str
     label_b: str
-    omega_mx: float  # 0: not known
+    omega_mx: float  # NaN: not known
     reach: float
     signal: np.ndarray = array("u; ln|A| less its line, A over exp of it", "1", dtype=str)
     detector: np.ndarray = array(DETECTOR, "1", "detector_number", "axis", dtype=int)

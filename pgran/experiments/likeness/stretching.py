@@ -21,6 +21,7 @@ from pgran.store.estimate import Estimate
 TRIALS = 8, 400  # of moves of either sign, at least and at most
 ROUNDING = 1e-15  # of a stretch
 UNLIKE = 3.5  # errors of artanh CC within which strangers are: no move is known
+WIDER = 6  # times as far as asked, where B has been heard, no move may be better
 MOVES = {  # where x_b is read, and the derivative of that by e; a stretch makes all in B faster
     "response": {
         "stretch": lambda t, e: (t * (1 + e), t),
@@ -69,6 +70,14 @@ class Pair:
         y, slope = self.read(self.b, time)
         return self.unit(y, rate * slope)
 
+    def in_part(self, move, e):
+        """Return CC(e) over what x_b is known of, 0 of less than half the window."""
+        time, (first, *_, last) = move(self.time, e)[0], self.b.x
+        known = (first <= time) & (time <= last)
+        y, _ = self.unit(*self.read(self.b, np.clip(np.nan_to_num(time), first, last)))
+        size = np.linalg.norm(self.x[known]) * np.linalg.norm(y[known])
+        return np.vdot(self.x[known], y[known]).real / size if 2 * known.sum() > len(time) else 0.0
+
     def noise(self, z):
         """Return <(n, z)^2>; neighbours of a periodogram are independent, <p_k^2> = 2 <p_k>^2."""
         p, q = (np.abs(np.fft.fft(each)) ** 2 / len(self.time) for each in (self.x, z))
@@ -82,7 +91,7 @@ class Pair:
     def best(self, move, reach):
         """Return the move of the largest correlation, at most `reach`, an Estimate, and that one.
 
-        NaN where signals are too little alike, with an infinite error if it is at an end.
+        NaN where signals are too little alike, with an infinite error if it is at an end or beyond.
         """
         from scipy.optimize import brentq  # here: SciPy takes its time
 
@@ -91,8 +100,11 @@ class Pair:
         trials = np.linspace(-reach, reach, 2 * int(np.clip(2 * reach * steepness, *TRIALS)) + 1)
         found = [[np.vdot(self.x, y).real for y in self.moved(move, e)] for e in trials]
         values, slopes = np.transpose(found)
-        top = values.argmax()
-        if top in (0, len(trials) - 1):
+        top, least = values.argmax(), math.tanh(UNLIKE * math.sqrt(self.alone))
+        others = np.linspace(1, WIDER, (WIDER - 1) * len(trials) // 2)  # as dense as these
+        with np.errstate(all="ignore"):
+            beyond = max(self.in_part(move, e) for e in np.outer([-reach, reach], others).flat)
+        if top in (0, len(trials) - 1) or beyond > max(values[top], least):
             return Estimate(math.nan, math.inf), float(values[top])
 
         def slope(e):
@@ -103,7 +115,7 @@ class Pair:
             far = 0.5 * (near + far)  # where deep minima of ln|x| meet the top is a cusp
         e = near if slope(far) * slopes[top] > 0 else brentq(slope, near, far, xtol=ROUNDING)
         there = self.correlation(move, e).value
-        if there < math.tanh(UNLIKE * math.sqrt(self.alone)):
+        if there < least:
             return Estimate(math.nan, math.nan), there
         less = (1 / there**2 - 1) * (1 + 4 * self.alone)
         return Estimate(float(e), math.sqrt(max(less, 0.0) * self.noise(z)) / steepness**2), there

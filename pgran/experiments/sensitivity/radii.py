@@ -131,7 +131,7 @@ class Radii:
         net = self.network
         if net.has_law:
             kappa = net.kappa(s).reshape(-1, net.bonds)
-            return kappa[0] - kappa[1]  # that of a tangent bears the pre-stress, -F / d
+            return kappa[0] - kappa[-1]  # that of a tangent bears the pre-stress, -F / d
         dashpots = s * net.damping if net.damped == "normal" else 0.0
         return net.stiffness + net.force / net.distance + dashpots
 

@@ -206,13 +206,13 @@ class GradientSweep(AdjointSweep):
                 arrays[name] /= self.unit
         arrays["flux"] *= self.unit
         arrays["loss"] *= self.unit
-        k = np.abs(self.lattice.springs.constants[: self.lattice.bonds])
+        k = self.lattice.springs.constants[: self.lattice.bonds]  # negative ones, too: dk / k
         k = k[arrays["bond"]] if self.most else k
         A, A_bound = rows["displacement"][:, :, None], rows["error_bound"][:, :, None]
         slope, slope_bound = arrays["by_stiffness"], arrays["by_stiffness_bound"]
         with np.errstate(all="ignore"):
             logs = k * slope / A
-            log_bound = 1.01 * k * (slope_bound + np.abs(slope / A) * A_bound)
+            log_bound = 1.01 * np.abs(k) * (slope_bound + np.abs(slope / A) * A_bound)
             log_bound = log_bound / (np.abs(A) - A_bound)
             log_bound = np.where(np.abs(A) > A_bound, log_bound, np.inf)
         return Sensitivity(
