@@ -77,7 +77,7 @@ class ExpansionTask(Task):
                 state = solver.solve(1j * omega)
                 amplitudes[number, there] = state.displacement
                 bounds[number, there] = np.nan_to_num(state.error_bound, nan=np.inf)
-                if np.isinf(bounds[number]).all():
+                if not np.isfinite(state.error_bound).any():
                     continue
                 systems, errors = AdjointSweep.systems(state._asdict(), solver)
                 fields = operators.layout.gathered([x.solution for x in systems])

@@ -1,16 +1,6 @@
-"""How far off amplitudes of a packing may be because its balance leaves forces, and rounds.
+"""How far off amplitudes are because a packing's balance leaves forces, and rounds.
 
-Let no eigenvalue of the packing's stiffness K be below c, and the forces left be below c p / 2 in
-the 2-norm, in mass-weighted unknowns. Unless K changes by c / 2 on the way, there is a rest at a u
-with |u| < p and u^T K u < c p^2. So the balls of a contact, whose rows have the norm l, move by l p
-at most, and, K being B_n^T k B_n but for the pre-stress of the norm P, by y, k y^2 = (c + P) p^2,
-along the normal. Its part of S, kappa along the normal and -F / d across, changes by less than
-
-    m = 1.1 [(alpha - 1) k y / h |dkappa/dk| + l p (k + |kappa| + 2 F / d) / d],   y < h / 1000.
-
-With N(v)^2 the sum of m |v_j - v_i|^2 over contacts, what is driven counted in A, and |dS| <= eta
-amplitudes change by z^T dS A', N(A') <= N(A) + eta |S^-1| N(A'), so by less than N(z) N(A) / (1 -
-eta |S^-1|). NumPy and SciPy only.
+`pgran manual sensitivity` has the inequalities. NumPy and SciPy only.
 """
 
 import numpy as np
@@ -27,8 +17,8 @@ ROOM = 1e-3  # of an overlap: how far contacts may stray
 class Unrest:
     """How near a packing, in its own unit, is to a rest, and what that does to amplitudes.
 
-    `left` (free balls,) bounds the forces left, `blurred` (contacts,) what rounds in overlaps;
-    `gap` is the narrowest gap between other balls.
+    `left` (free balls,) bounds the forces left, `blurred` (contacts,) what rounds in overlaps,
+    `gap` is the narrowest one. The balls of contacts are off by `moved`, `pressed` along normals.
     """
 
     def __init__(self, network, left, blurred, gap):
@@ -57,7 +47,7 @@ class Unrest:
         return 1.01 * norms[0] * norms[1:] / (1 - eta * inverse_norm)
 
     def _changes(self, s):
-        """Return m of all contacts, and what rounds in their parts of S."""
+        """Return by how much the parts of S of all contacts may be off at an s."""
         net, d, some = self.seen.network, self.seen.distance, slice(self.seen.network.bonds)
         size = net.stiffness + np.abs(net.kappa(s)[some]) + 2 * net.force / d
         bent = (net.power - 1) * net.stiffness / net.overlap * np.abs(net.slope(s)[some])
