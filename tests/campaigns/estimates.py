@@ -204,7 +204,7 @@ def main(repeats):
         failures += stretches(rng, repeats, alike, alike == 0.9)
     ensembles = min(repeats, ENSEMBLES)
     failures += transports(ensembles, 0.1, 0.01, LENGTHS)
-    # of these, the paper's, few strong samples rule <|A|^2>, and z of its length is 1.3 to 1.5
+    # of these, the paper's, few strong samples rule <|A|^2>, and rms z of its length is 1.1 to 1.6
     failures += transports(ensembles, 0.0, 0.003, ("wave_number", "rate", "length"))
     failures += diffusions(ensembles)
     print(f"\n{failures} fail")

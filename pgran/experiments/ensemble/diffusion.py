@@ -111,7 +111,10 @@ def diffusion(ensemble, depth, walls, window, axes):
     # of a D that hardly matters all parts may agree on the guess; not so the matrix of the fit
     formal = math.sqrt(np.linalg.inv(best.jac.T @ best.jac + FLAT * np.eye(3))[0, 0])
     least = formal * measured.value * [1.0, 0.0, 0.5, 1.0]
-    told = certain(Estimate(measured.value, np.maximum(measured.error, least)))
+    part = np.maximum(measured.error, least) / measured.value
+    # the longer side, as what is fitted is ln D
+    error = measured.value * np.expm1(np.minimum(part, LARGEST))
+    told = certain(Estimate(measured.value, error))
     names = "diffusivity", "absorption", "length", "free_path"
     numbers = zip(names, told.value.tolist(), told.error.tolist(), strict=True)
     return Diffusion(
