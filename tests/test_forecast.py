@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import os
 import re
 import time
 import tracemalloc
@@ -229,16 +230,35 @@ def test_warnings_of_memory_and_disk(monkeypatch):
 
 
 def test_memory_that_is_free(monkeypatch):
-    """What the system has, or less in a container with a limit of its own."""
-    texts = {
-        "/proc/meminfo": "MemTotal: 99 kB\nMemAvailable: 50 kB\n",
-        "/sys/fs/cgroup/memory.max": "30000\n",
-        "/sys/fs/cgroup/memory.current": "10000\n",
-    }
-    reading = lambda name: SimpleNamespace(read_text=lambda: texts[name])  # noqa: E731
+    """The least of what the system has, control groups around this process, and ulimit leave."""
+    home, texts = "/sys/fs/cgroup", {"/proc/meminfo": "MemTotal: 99 kB\nMemAvailable: 50 kB\n"}
+
+    def reading(name):
+        if name not in texts:
+            raise FileNotFoundError(name)
+        return SimpleNamespace(read_text=lambda: texts[name])
+
     monkeypatch.setattr(machine, "Path", reading)
-    assert machine.free_memory() == 20_000
-    texts["/sys/fs/cgroup/memory.max"] = "max\n"
     assert machine.free_memory() == 50 * 1024
-    del texts["/proc/meminfo"]
+    for said, group, limit, used, cache in (
+        ("0::/a/job/step", f"{home}/a/job", "max", "current", "inactive_file"),
+        ("4:memory:/a/job", f"{home}/memory", "limit_in_bytes", "usage_in_bytes",
+         "total_inactive_file"),
+    ):  # fmt: skip
+        names = [f"{group}/memory.{name}" for name in (limit, used, "stat")]
+        told = ["30000\n", "10000\n", f"anon 7\n{cache} 2000\n"]
+        texts |= {"/proc/self/cgroup": f"1:cpu:/b\n{said}\n"} | dict(zip(names, told, strict=True))
+        assert machine.free_memory() == 22_000  # a cache gives way
+        texts[names[0]] = "5000"
+        assert machine.free_memory() == 0
+        texts[names[0]] = "max\n"
+        assert machine.free_memory() == 50 * 1024
+    limits, texts["/proc/self/statm"] = {}, "1 0 0 0 0 2 0"
+    monkeypatch.setattr(machine.resource, "getrlimit", lambda kind: limits.get(kind, (-1, -1)))
+    for kind, taken in ((machine.resource.RLIMIT_AS, 1), (machine.resource.RLIMIT_DATA, 2)):
+        limits[kind] = (40_000 - 9_000 * taken, -1)
+        assert machine.free_memory() == limits[kind][0] - taken * os.sysconf("SC_PAGE_SIZE")
+        with pytest.raises(InputError, match=r"-x: too much: .* GB are free to this process"):
+            machine.check_memory("x", 2**21)
+    texts.clear()
     assert machine.free_memory() is None

@@ -1,10 +1,18 @@
 """The memory that this machine has, that is free, and that this process takes, in bytes."""
 
+import contextlib
 import os
 import resource
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from pgran.errors import InputError
+
+# Of control groups, version 1 and 2: where, a limit, what is taken, and what of that is mere cache.
+GROUPS = {
+    "memory": ("/memory", "limit_in_bytes", "usage_in_bytes", "total_inactive_file"),
+    "": ("", "max", "current", "inactive_file"),
+}
+MODEST = 2**20  # bytes that are not worth a look
 
 
 def total_memory():
@@ -13,11 +21,13 @@ def total_memory():
 
 
 def check_memory(key, size):
-    """Raise an InputError where arrays that one rank holds, and one copy, exceed the memory."""
-    if 2 * size > total_memory():
+    """Raise an InputError where arrays that one rank holds, and one copy, exceed what is free."""
+    free = free_memory() if size > MODEST else None
+    if 2 * size > (total_memory() if free is None else free):
+        here = "" if free is None else f", of which {free / 1e9:.3g} GB are free to this process"
         raise InputError(
             f"-{key}: too much: the arrays of this run alone take {2 * size / 1e9:.3g} GB, and "
-            f"this machine has {total_memory() / 1e9:.3g} GB"
+            f"this machine has {total_memory() / 1e9:.3g} GB{here}"
         )
 
 
@@ -27,17 +37,37 @@ def most_resident():
 
 
 def free_memory():
-    """Return the memory that programs may still take here, in a container too; None if unknown."""
+    """Return the memory that this process may still take, under all limits; None if unknown.
+
+    Of what the system has, what `ulimit` leaves, and what control groups do: its own, and those
+    around it, as of a container or a job.
+    """
+    return min((max(0, left) for left in _left()), default=None)
+
+
+def _left():
+    """Yield what each limit leaves."""
+    for line in _lines("/proc/meminfo"):
+        if line.startswith("MemAvailable:"):
+            yield 1024 * int(line.split()[1])
+    for pages in map(str.split, _lines("/proc/self/statm")):
+        for kind, taken in ((resource.RLIMIT_AS, pages[0]), (resource.RLIMIT_DATA, pages[5])):
+            limit = resource.getrlimit(kind)[0]
+            if limit != resource.RLIM_INFINITY:
+                yield limit - int(taken) * os.sysconf("SC_PAGE_SIZE")
+    for _, kind, path in (line.split(":", 2) for line in _lines("/proc/self/cgroup")):
+        where, *names, cache = GROUPS.get(kind, GROUPS[""])
+        for folder in (path, *map(str, PurePath(path).parents)) if kind in GROUPS else ():
+            home = f"/sys/fs/cgroup{where}{folder.rstrip('/')}/memory."
+            facts = dict(line.split() for line in _lines(home + "stat"))
+            with contextlib.suppress(ValueError):  # "max", or nothing
+                limit, used = (int("".join(_lines(home + name))) for name in names)
+                yield limit - used + int(facts.get(cache, 0))
+
+
+def _lines(name):
+    """Return the lines of a file, none where there is no such file."""
     try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        facts = dict(line.split(":") for line in lines)
-        free = 1024 * int(facts["MemAvailable"].split()[0])
-    except (OSError, ValueError, KeyError):
-        return None
-    try:
-        limit, used = (
-            int(Path(f"/sys/fs/cgroup/memory.{name}").read_text()) for name in ("max", "current")
-        )
-    except (OSError, ValueError):  # no such limit
-        return free
-    return min(free, limit - used)
+        return Path(name).read_text().splitlines()
+    except OSError:
+        return []
