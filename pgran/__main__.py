@@ -7,21 +7,18 @@ import os
 import signal
 import sys
 import time
-import traceback
 import warnings
 from pathlib import Path
 
 import pgran
 from pgran import errors
 from pgran.arguments import meant, nearest, saying_once
-from pgran.command.run import name_rank
-from pgran.errors import FileError, InputError, PgranError, is_bad_input, is_petsc, petsc_message
-from pgran.run import launch, streams
-from pgran.run.agreement import met_by_all
+from pgran.errors import FileError, InputError, PgranError, explain, is_petsc
+from pgran.run import launch, machine, streams
+from pgran.run.agreement import SECONDS_FOR_MPIRUN, met_by_all
 
 log = logging.getLogger("pgran")
 
-SECONDS_FOR_MPIRUN = 0.1  # to hand on a message: MPICH's loses some that an abort follows at once
 SECONDS_TO_BE_ENDED = 5.0  # that a rank waits for another one's abort
 USAGE = """\
 pgran: sound in a granular material, balls joined by springs of random strength
@@ -83,6 +80,8 @@ def main(words):
         raise InputError(f"{words[0] or repr('')}: no such command{hint}")
     if sys.version_info < (3, 11) and words[0] != "doctor":
         raise PgranError("this Python is older than 3.11; pgran doctor says how to mend it")
+    if words[0] != "doctor":
+        machine.check_limits()
     module, function = COMMANDS[words[0]]
     command = getattr(importlib.import_module(f"pgran.command.{module}"), function)
     with saying_once():
@@ -91,6 +90,8 @@ def main(words):
 
 def console(command=None):
     """Carry out a command; `main` unless another function from words to an exit code is given."""
+    if sys.argv[1:2] == ["run"]:
+        launch.hold_signals()
     streams.guard()
     log.propagate = False
     handler = logging.StreamHandler()
@@ -125,7 +126,7 @@ def end_all_ranks(error):
     try:
         if world is not None:
             if not met_by_all(world):
-                name_rank(world)
+                streams.name_rank(world)
             elif world.rank > 0:  # the first one ends all
                 text = None
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
@@ -146,26 +147,6 @@ def end_all_ranks(error):
     if is_petsc(error):
         os._exit(code)  # after an error of its own PETSc can crash while it is shut down
     sys.exit(code)
-
-
-def explain(error):
-    """Return the exit code of an error, and what to say of it."""
-    if isinstance(error, PgranError):
-        return error.exit_code, str(error)
-    if isinstance(error, SystemExit):
-        code = error.code if isinstance(error.code, int) else 1
-        return code, f"ended by sys.exit({error.code!r})"
-    if isinstance(error, KeyboardInterrupt):
-        return errors.INTERRUPTED, str(error) or "interrupted"
-    if isinstance(error, MemoryError):
-        return 1, str(PgranError(f"out of memory: {type(error).__name__}: {error}"))
-    if isinstance(error, ImportError):
-        return 1, str(PgranError(f"{error}: pgran doctor says how to mend it"))
-    if is_petsc(error) and error.__cause__:
-        return explain(error.__cause__)  # a Python error that PETSc has met in a callback
-    if is_petsc(error):
-        return errors.BAD_INPUT if is_bad_input(error) else 1, petsc_message(error)
-    return 1, "".join(traceback.format_exception(error)).rstrip()
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """Exceptions and exit codes."""
 
+import traceback
+
 DONE, BAD_INPUT, INACCURATE, BAD_FILE, STOPPED, INTERRUPTED = 0, 2, 3, 4, 75, 130
 LONGEST = 1010  # characters of a message
 # What PETSc's errors hold where an option of the user's is to blame.
@@ -69,3 +71,23 @@ def reason_of(error):
     """Return an OSError as `path: reason`."""
     reason = error.strerror or str(error)
     return f"{error.filename}: {reason}" if error.filename else reason
+
+
+def explain(error):
+    """Return the exit code of an error, and what to say of it."""
+    if isinstance(error, PgranError):
+        return error.exit_code, str(error)
+    if isinstance(error, SystemExit):
+        code = error.code if isinstance(error.code, int) else 1
+        return code, f"ended by sys.exit({error.code!r})"
+    if isinstance(error, KeyboardInterrupt):
+        return INTERRUPTED, str(error) or "interrupted"
+    if isinstance(error, MemoryError):
+        return 1, str(PgranError(f"out of memory: {type(error).__name__}: {error}"))
+    if isinstance(error, ImportError):
+        return 1, str(PgranError(f"{error}: pgran doctor says how to mend it"))
+    if is_petsc(error) and error.__cause__:
+        return explain(error.__cause__)  # a Python error that PETSc has met in a callback
+    if is_petsc(error):
+        return BAD_INPUT if is_bad_input(error) else 1, petsc_message(error)
+    return 1, "".join(traceback.format_exception(error)).rstrip()

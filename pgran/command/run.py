@@ -50,9 +50,6 @@ def run(words):
         usage = "pgran run FILE [-key value ...]"
         Parser("run", DOES, *EXAMPLES, more=MORE, usage=usage, add_help=False).print_help()
         return errors.DONE
-    # Signals to stop wait until the journal listens, and do no harm once the result is written;
-    # blocked before anything starts threads, which else would get them.
-    signal.pthread_sigmask(signal.SIG_BLOCK, launch.SIGNALS)
     faulthandler.enable()  # a crash in a library names the line that called it
 
     from pgran.command.resolve import SCENES, resolve
@@ -91,7 +88,7 @@ def _foresee(scene, options, world, started):
     from pgran.run.journal import Journal
     from pgran.store.file import check_output
 
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, launch.SIGNALS)  # there is nothing to keep
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, launch.HELD)  # there is nothing to keep
     output, overwrite = options.output_file, options.output_overwrite
     identity = _run_identity(on_root(world, options.identity))
     for line in forecast(scene, options, world, started):
@@ -122,6 +119,7 @@ def _compute(scene, options, words, world, started):
     output, overwrite = options.output_file, options.output_overwrite
     on_root(world, lambda: store.check_output(output, overwrite))
     asked = on_root(world, options.identity)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     with Journal(world, output, _run_identity(asked), overwrite) as journal:
         # again: another run may have written it just before the journal was locked
         on_root(world, lambda: store.check_output(output, overwrite))
@@ -189,7 +187,7 @@ def start_mpi():
     world = MPI.COMM_WORLD
     if world.rank > 0:
         log.setLevel(logging.WARNING)
-        name_rank(world)
+        streams.name_rank(world)
     if strangers := launch.strangers(MPI):
         raise InputError(strangers)
     return world
@@ -268,8 +266,3 @@ def _warn_of_unused(options):
         from pgran.run.petsc import warn_of_unused
 
         warn_of_unused(keys)
-
-
-def name_rank(world):
-    """Begin all further messages of this process with its rank."""
-    log.handlers[0].setFormatter(streams.Messages(f"pgran (rank {world.rank})"))

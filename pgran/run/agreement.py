@@ -2,16 +2,20 @@
 
 An error that every rank meets alike (a bad option) is raised on every rank. One that only a single
 rank can meet (a file, memory, what a script hands in) is either agreed on before the next
-collective call, with `on_root` or `agreeing`, or ends the whole job in `pgran.__main__`.
+collective call, with `on_root` or `agreeing`, or ends the whole job: in `pgran.__main__`, and in a
+script by `end_together` and `ending_all`.
 """
 
+import atexit
 import contextlib
+import sys
 import time
 
 from pgran.errors import (
     FileError,
     InputError,
     PgranError,
+    explain,
     is_bad_input,
     is_foreseen,
     is_petsc,
@@ -20,6 +24,7 @@ from pgran.errors import (
 )
 
 SECONDS_FOR_OTHERS = 1.0  # that a rank which fails waits for the others to fail alike
+SECONDS_FOR_MPIRUN = 0.1  # to hand on a message: MPICH's loses some that an abort follows at once
 
 
 def on_root(comm, action, keep=False):
@@ -106,3 +111,45 @@ def met_by_all(comm):
             return False
         time.sleep(0.001)
     return True
+
+
+def end_together(MPI):
+    """Let what ends a script on one rank end all of them, but under an interactive interpreter.
+
+    PETSc's own end waits for the others, and comes before mpi4py's, which would abort.
+    """
+    world, shown = MPI.COMM_WORLD, sys.excepthook
+    if world.size == 1 or sys.flags.interactive or hasattr(sys, "ps1"):
+        return
+
+    def hook(kind, error, trace):
+        shown(kind, error, trace)
+        _end_all(world, explain(error)[0], f"{kind.__name__} ends this script")
+
+    def note(code):  # of `python -m mpi4py`, which an exception or sys.exit ends
+        atexit.register(_end_all, world, code, f"ended with exit code {code}")  # called first
+
+    sys.excepthook, MPI._set_abort_status = hook, note
+
+
+@contextlib.contextmanager
+def ending_all(world):
+    """End the job where a rank leaves by no error, as by sys.exit in a function of the user's."""
+    try:
+        yield
+    except Exception:
+        raise
+    except BaseException as error:
+        if world.size > 1:
+            _end_all(world, *explain(error))
+        raise
+
+
+def _end_all(world, code, text):
+    """End the job, and say why, unless all ranks come here."""
+    if not met_by_all(world):
+        print(f"pgran (rank {world.rank}): {text}, and so all ranks end", file=sys.stderr)
+        sys.stderr.flush()
+        sys.stdout.flush()
+        time.sleep(SECONDS_FOR_MPIRUN)
+        world.Abort(code)

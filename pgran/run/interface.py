@@ -6,7 +6,7 @@ import inspect
 from pgran.arguments import bound, saying_once
 from pgran.errors import InputError
 from pgran.run import launch
-from pgran.run.agreement import agreeing
+from pgran.run.agreement import agreeing, ending_all
 from pgran.run.keywords import declarations, described
 from pgran.run.numbers import fingerprint
 
@@ -51,19 +51,20 @@ def in_parallel(prefix="", shares_lattice=False, **arguments):
 
             if any(isinstance(value, Crew) for value in (*values, *choices.values())):
                 return carry_out(check(*values, **choices))
-            with agreeing(world) as asked:
-                call = check(*values, **choices)
-                if call.arguments.get("crew") is not None:
-                    raise InputError(f"{function.__name__}: crew is no pgran.run.crew.Crew")
-                if world.size > 1:
-                    asked |= {name: fingerprint(v) for name, v in call.arguments.items()}
-                    asked["function"] = function.__qualname__
-            if world.size > 1:  # PETSc starts on all ranks together, even if one needs it first
-                from pgran.run import petsc  # noqa: F401
-            shared = shares_lattice and call.arguments["lattice"].is_large
-            with saying_once(), AgreeingCrew(world, world.size if shared else 1) as crew:
-                record = carry_out(call, crew=crew)
-            return world.bcast(record)
+            with ending_all(world):
+                with agreeing(world) as asked:
+                    call = check(*values, **choices)
+                    if call.arguments.get("crew") is not None:
+                        raise InputError(f"{function.__name__}: crew is no pgran.run.crew.Crew")
+                    if world.size > 1:
+                        asked |= {name: fingerprint(v) for name, v in call.arguments.items()}
+                        asked["function"] = function.__qualname__
+                if world.size > 1:  # PETSc starts on all ranks together, even if one needs it first
+                    from pgran.run import petsc  # noqa: F401
+                shared = shares_lattice and call.arguments["lattice"].is_large
+                with saying_once(), AgreeingCrew(world, world.size if shared else 1) as crew:
+                    record = carry_out(call, crew=crew)
+                return world.bcast(record)
 
         wrapped.__signature__, wrapped.check, wrapped.declared = signature, check, declared
         wrapped.__doc__ = described(function, declared)

@@ -3,10 +3,23 @@
 import os
 import signal
 
+from pgran.run import machine
+
 SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # that ask a run to stop
+HELD = (*SIGNALS, signal.SIGINT)
 RANKS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 ALONE = {"OMPI_MCA_ess_singleton_isolated": "1", "OMPI_MCA_pml": "ob1"}
 SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
+
+
+def hold_signals():
+    """Let signals wait: to stop, until the journal listens, and Ctrl-C until all has been imported.
+
+    A rank that ends before MPI joins it, or within, leaves the others waiting there for ever. Those
+    to stop do no harm once the result is written. To be called before anything starts threads,
+    which else would get them.
+    """
+    signal.pthread_sigmask(signal.SIG_BLOCK, HELD)
 
 
 def start():
@@ -19,11 +32,14 @@ def start():
     alone = not any(name in os.environ for name in RANKS)
     added = {name: text for name, text in ALONE.items() if alone and name not in os.environ}
     os.environ.update(added)
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # half a start has no end
     try:
         from mpi4py import MPI
     finally:
         for name in added:
             del os.environ[name]
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    machine.check_limits()
     return MPI
 
 

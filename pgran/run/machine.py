@@ -6,6 +6,7 @@ import resource
 from pathlib import Path, PurePath
 
 from pgran.errors import InputError
+from pgran.run import blas
 
 # Of control groups, version 1 and 2: where, a limit, what is taken, and what of that is mere cache.
 GROUPS = {
@@ -13,11 +14,25 @@ GROUPS = {
     "": ("", "max", "current", "inactive_file"),
 }
 MODEST = 2**20  # bytes that are not worth a look
+BUFFER = 128 * 2**20  # bytes that each thread of OpenBLAS takes, and libraries three times
 
 
 def total_memory():
     """Return the memory of this machine."""
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def check_limits():
+    """Raise an InputError where `ulimit` is so strict that OpenBLAS waits for ever for a buffer."""
+    words = [os.environ.get(name, "") for name in blas.CHOICES]
+    threads = min(os.cpu_count(), max((int(word) for word in words if word.isdigit()), default=1))
+    for letter, kind, least in (("v", resource.RLIMIT_AS, 3), ("d", resource.RLIMIT_DATA, 1)):
+        needed, limit = BUFFER * (least + threads), resource.getrlimit(kind)[0]
+        if resource.RLIM_INFINITY != limit < needed:
+            raise InputError(
+                f"ulimit -{letter} {limit // 1024}: too little memory to begin with; it takes "
+                f"{needed // 1024}, or unlimited"
+            )
 
 
 def check_memory(key, size):

@@ -8,15 +8,19 @@ import contextlib
 import ctypes
 import logging
 
+import numpy
 import petsc4py
 
 from pgran.errors import PgranError, is_petsc
 from pgran.run import launch
+from pgran.run.agreement import end_together
 
-launch.start()
+end_together(launch.start())
 petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler"])  # once: later calls do nothing
 
 from petsc4py import PETSc  # noqa: E402
+
+numpy.linalg.inv([[1.0]])  # takes a buffer for good: OpenBLAS later waits for ever for memory
 
 if PETSc.ScalarType().dtype.kind != "c":
     raise PgranError("this PETSc has real scalars; pgran needs a complex one (pgran doctor)")

@@ -58,3 +58,8 @@ def guard():
         )
         for number, old in ((1, sys.stdout), (2, sys.stderr))
     )
+
+
+def name_rank(world):
+    """Begin all further messages of this process with its rank."""
+    logging.getLogger("pgran").handlers[0].setFormatter(Messages(f"pgran (rank {world.rank})"))
