@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The fault campaign: pgran never hangs, never loses what is finished, never mixes two runs, and neither a
-# file nor a call does harm. About 35 minutes on two cores; bash jobs/faults.sh 10 takes four, for ten
+# file nor a call does harm. About 40 minutes on two cores; bash jobs/faults.sh 10 takes five, for ten
 # per cent of it.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"

@@ -91,7 +91,10 @@ def main(words):
 def console(command=None):
     """Carry out a command; `main` unless another function from words to an exit code is given."""
     if sys.argv[1:2] == ["run"]:
-        launch.hold_signals()
+        # Signals wait, to stop until the journal listens, Ctrl-C until all is imported: the others
+        # would wait for ever for a rank that ends before MPI joins them, or within. Before anything
+        # starts threads, which else would get them. They do no harm once the result is written.
+        signal.pthread_sigmask(signal.SIG_BLOCK, launch.HELD)
     streams.guard()
     log.propagate = False
     handler = logging.StreamHandler()

@@ -1,11 +1,15 @@
 """Errors that one rank meets are raised on all of them."""
 
+import sys
+from types import SimpleNamespace
+
 import pytest
 from petsc4py import PETSc
 
 from pgran.__main__ import explain
 from pgran.errors import FileError, InputError, PgranError
-from pgran.run.agreement import agreeing, on_root
+from pgran.run import agreement
+from pgran.run.agreement import agreeing, ending_all, on_root
 
 
 def met_on(world, rank, error):
@@ -54,3 +58,22 @@ def test_an_error_in_a_callback_is_told():
     code, text = explain(error)
     assert code == 1
     assert "RuntimeError: planted" in text
+
+
+def test_sys_exit_on_all_ranks_is_none_of_our_business(world):
+    with pytest.raises(SystemExit), ending_all(world):
+        sys.exit(3)
+
+
+@pytest.mark.parametrize(("size", "interactive"), [(1, False), (2, True), (2, False)])
+def test_who_shows_an_uncaught_error(monkeypatch, size, interactive):
+    """First whoever did; then all ranks end, unless one is alone, or somebody types."""
+    MPI, told = SimpleNamespace(COMM_WORLD=SimpleNamespace(size=size)), []
+    monkeypatch.setattr(agreement, "_end_all", lambda world, code, text: told.append(code))
+    monkeypatch.setattr(sys, "excepthook", lambda kind, error, trace: told.append(kind))
+    monkeypatch.delattr(sys, "ps1", raising=False)
+    if interactive:
+        monkeypatch.setattr(sys, "ps1", ">>> ", raising=False)
+    agreement.end_together(MPI)
+    sys.excepthook(InputError, InputError("no ball"), None)
+    assert told == ([InputError, 2] if size > 1 and not interactive else [InputError])

@@ -72,6 +72,7 @@ def test_faults_do_no_harm(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     # both of one scene, whose run that nothing disturbs serves them
     failed = faults.carry_out(faults.plant, [43]) + faults.carry_out(faults.stop, [67])
+    failed += faults.carry_out(faults.interrupt, [0])
     said = capsys.readouterr().out
     assert failed == 0, said
     assert "1 kill" in said

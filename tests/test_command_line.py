@@ -344,3 +344,79 @@ def test_one_failing_rank_ends_all(start, shared_path):
     assert_one_line(done, 130, "(rank 1): interrupted; what is finished is kept", "same command")
     assert time.monotonic() - began < 15
     assert not (shared_path / "results" / "a.h5").exists()
+
+
+HIT = """
+import os, signal, sys
+from pgran.__main__ import console
+from pgran.run import launch
+def hit(event, words):
+    if event == "import" and words[0] == "mpi4py.MPI" and launch.rank() == 1:
+        os.system(f"(sleep DELAY; kill -NUMBER {os.getpid()}) &")
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.addaudithook(hit)
+console()
+"""
+
+
+@pytest.mark.parametrize(("number", "delay", "code"), [(2, 0, 130), (2, 0.03, 130), (15, 0.03, 75)])
+def test_a_signal_to_one_rank_while_mpi_starts(start, number, delay, code):
+    """Before it is known to the others, and when they wait for it."""
+    hit = HIT.replace("NUMBER", str(number)).replace("DELAY", str(delay))
+    words = ["timeout", "-k", "1", "20", sys.executable, "-c", hit]
+    done = start("run", "a.opts", ranks=2, program=words)
+    assert done.returncode == code, done.stderr
+    assert done.stderr.count("pgran") <= 2, done.stderr
+
+
+CALL = """
+import sys, numpy, pgran
+from mpi4py import MPI
+rank, asked = MPI.COMM_WORLD.rank, {"omegas": [0.1, 0.2], "detectors": [(2, 2)]}
+def make(seed=0):
+    if rank == 1 and seed > 1993: PLANTED
+    return pgran.Lattice.random((4, 4), seed)
+pgran.sweep(make(), **asked)
+"""
+AFTER, WITHIN = (
+    "make(1994); pgran.sweep(make(), **asked)",
+    "pgran.ensemble('response', 8, lattice=make, **asked)",
+)
+
+
+@pytest.mark.parametrize(
+    ("planted", "where", "launcher", "code", "said"),
+    [
+        ("1 / 0", AFTER, [], 1, "ZeroDivisionError ends this script"),
+        ("raise KeyboardInterrupt", AFTER, ["-m", "mpi4py"], 130, "KeyboardInterrupt ends this"),
+        ("sys.exit(3)", AFTER, ["-m", "mpi4py"], 3, "ended with exit code 3"),
+        ("sys.exit(3)", WITHIN, [], 3, r"ended by sys\.exit\(3\)"),
+        ("raise GeneratorExit", WITHIN, [], 1, "GeneratorExit"),
+    ],
+)
+def test_what_ends_a_script_on_one_rank_ends_all(start, planted, where, launcher, code, said):
+    """Outside pgran, after a call of it, and in a function that is handed in."""
+    words = ["timeout", "-k", "1", "20", sys.executable, *launcher, "-c"]
+    done = start(CALL.replace("PLANTED", planted) + where, ranks=2, program=words)
+    assert done.returncode == code, done.stderr
+    lines = re.findall(rf"^.*{said}.*, and so all ranks end$", done.stderr, re.MULTILINE)
+    assert len(lines) == 1, done.stderr
+    assert ("Traceback" in done.stderr) == ("sys.exit" not in planted)
+
+
+def test_a_strict_ulimit_is_refused(start):
+    words = ["timeout", "20", "sh", "-c", 'ulimit -v 400000; exec "$@"', "sh", sys.executable]
+    done = start("run", "a.opts", program=[*words, "-m", "pgran"])
+    assert_one_line(done, 2, "ulimit -v 400000: too little memory", "it takes 524288, or unlimited")
+
+
+def test_linear_algebra_needs_no_memory_later(start):
+    """OpenBLAS waits for ever for its buffer where there is no room for one."""
+    code = (
+        "import numpy, resource as r; from pgran.run import petsc\n"
+        "used = 4096 * int(open('/proc/self/statm').read().split()[0])\n"
+        "r.setrlimit(r.RLIMIT_AS, (used + 2**25, used + 2**25))\n"
+        "print(numpy.linalg.inv(numpy.eye(3))[0, 0])"
+    )
+    done = start(program=["timeout", "20", sys.executable, "-c", code])
+    assert done.stdout == "1.0\n", done.stderr

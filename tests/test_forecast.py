@@ -260,5 +260,7 @@ def test_memory_that_is_free(monkeypatch):
         assert machine.free_memory() == limits[kind][0] - taken * os.sysconf("SC_PAGE_SIZE")
         with pytest.raises(InputError, match=r"-x: too much: .* GB are free to this process"):
             machine.check_memory("x", 2**21)
+        with pytest.raises(InputError, match=r"ulimit -[vd] \d\d: too little memory"):
+            machine.check_limits()
     texts.clear()
     assert machine.free_memory() is None

@@ -137,10 +137,8 @@ def ending_all(world):
     """End the job where a rank leaves by no error, as by sys.exit in a function of the user's."""
     try:
         yield
-    except Exception:
-        raise
     except BaseException as error:
-        if world.size > 1:
+        if world.size > 1 and not isinstance(error, Exception):
             _end_all(world, *explain(error))
         raise
 
@@ -148,8 +146,9 @@ def ending_all(world):
 def _end_all(world, code, text):
     """End the job, and say why, unless all ranks come here."""
     if not met_by_all(world):
-        print(f"pgran (rank {world.rank}): {text}, and so all ranks end", file=sys.stderr)
-        sys.stderr.flush()
         sys.stdout.flush()
+        print(
+            f"pgran (rank {world.rank}): {text}, and so all ranks end", file=sys.stderr, flush=True
+        )
         time.sleep(SECONDS_FOR_MPIRUN)
         world.Abort(code)

@@ -6,20 +6,10 @@ import signal
 from pgran.run import machine
 
 SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # that ask a run to stop
-HELD = (*SIGNALS, signal.SIGINT)
+HELD = (*SIGNALS, signal.SIGINT)  # while a run starts
 RANKS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 ALONE = {"OMPI_MCA_ess_singleton_isolated": "1", "OMPI_MCA_pml": "ob1"}
 SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
-
-
-def hold_signals():
-    """Let signals wait: to stop, until the journal listens, and Ctrl-C until all has been imported.
-
-    A rank that ends before MPI joins it, or within, leaves the others waiting there for ever. Those
-    to stop do no harm once the result is written. To be called before anything starts threads,
-    which else would get them.
-    """
-    signal.pthread_sigmask(signal.SIG_BLOCK, HELD)
 
 
 def start():

@@ -1,6 +1,7 @@
 """The fault campaign: pgran never hangs, and never loses what is finished.
 
     bash jobs/faults.sh [PERCENT]
+    python -m campaigns.faults PERCENT [plant] [stop] [interrupt]
 
 Each trial disturbs a run, checks what pgran promises of that, and lets the same command go on, with
 another number of ranks: no finished unit is lost, and the result is that of a run never stopped,
@@ -47,7 +48,7 @@ SCENES = {
 
 
 class Job:
-    """`pgran run a.opts` in a session of its own, so that all its processes are known."""
+    """`pgran run a.opts` in a folder of its own, by which all its processes are known."""
 
     def __init__(self, folder, ranks, *words, program=("-m", "pgran")):
         """Start it in a folder, with further words; without mpirun on one rank."""
@@ -58,20 +59,22 @@ class Job:
             self.process = subprocess.Popen(
                 [*command, "-output_progress", "none"], env=dict(os.environ),
                 cwd=folder, stdout=log, stderr=log, start_new_session=True,
+                # a shell lets what it starts with & ignore Ctrl-C
+                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
             )  # fmt: skip
 
     def __str__(self):
         """Return all that was printed, and where."""
         return f"in {self.folder}:\n{self.log.read_text(errors='replace')}"
 
-    def members(self):
-        """Return the process ids of launcher and ranks."""
-        found = []
-        for path in Path("/proc").glob("[0-9]*/stat"):
-            with contextlib.suppress(OSError):
-                state, _, _, session = path.read_text().rpartition(")")[2].split()[:4]
-                if int(session) == self.process.pid and state != "Z":
-                    found.append(int(path.parent.name))
+    def members(self, which=b""):
+        """Return the ids of launcher and ranks, of which MPICH's are in sessions of their own."""
+        found, home = [], str(self.folder.resolve())
+        for path in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):  # of a zombie, too
+                words = (path / "cmdline").read_bytes().split(b"\0")
+                if os.readlink(path / "cwd") == home and which in (b"", *words[:3]):
+                    found.append(int(path.name))
         return found
 
     def wait_for(self, there):
@@ -288,6 +291,33 @@ def stop(number):
     return f"{how} {when} the end, {went} units kept", seconds
 
 
+def interrupt(number):
+    """Send one rank a signal while Python, MPI and PETSc start: soon there is none of them."""
+    rng = np.random.default_rng([SEED, 2, number])
+    name = ("SIGINT", "SIGINT", "SIGTERM")[number % 3]
+    scene, ranks = str(rng.choice(list(SCENES))), int(rng.integers(2, 4))
+    job = Job(make_folder(scene), ranks)
+    ranks_of = lambda: job.members(b"pgran")  # noqa: E731
+    job.wait_for(ranks_of)
+    time.sleep(rng.uniform(0, 1.5))
+    with contextlib.suppress(ProcessLookupError, ValueError):  # it is done
+        os.kill(int(rng.choice(ranks_of())), signal.Signals[name])
+    began, unborn = time.monotonic(), lambda: "Fatal Python error: init_import_site" in str(job)
+    job.wait_for(unborn)
+    if unborn():  # the others may wait for it under MPICH, which Python or pgran cannot mend
+        job.kill()
+        return f"{name} while Python itself starts", 0.0
+    code, seconds = job.end()[0], time.monotonic() - began
+    # where Python does not listen yet the signal kills: MPICH names it, or a crash that it caused
+    early = {128 + signal.Signals[name], int(signal.Signals[name]), 11}
+    assert code in {0, 130 if name == "SIGINT" else 75, *early}, f"exit code {code} {job}"
+    # the rest of the start included
+    assert code == 0 or seconds < 2 * SECONDS_TO_STOP, f"ends after {seconds:.1f} s {job}"
+    if any((job.folder / "results").iterdir()):
+        go_on(job.folder, scene, int(rng.integers(1, 4)))
+    return f"{name} with exit code {code}", seconds
+
+
 def campaign(*trials, count):
     """Carry out so many of each of these trials in a new folder; return the exit code."""
     home = tempfile.mkdtemp(prefix="pgran-faults-")
@@ -300,4 +330,5 @@ def campaign(*trials, count):
 
 
 if __name__ == "__main__":
-    sys.exit(campaign(plant, stop, count=TRIALS * int(sys.argv[1]) // 100))
+    parts = [globals()[name] for name in sys.argv[2:]] or (plant, stop, interrupt)
+    sys.exit(campaign(*parts, count=TRIALS * int(sys.argv[1]) // 100))
