@@ -405,7 +405,17 @@ def test_what_ends_a_script_on_one_rank_ends_all(start, planted, where, launcher
 
 
 def test_a_strict_ulimit_is_refused(start):
-    words = ["timeout", "20", "sh", "-c", 'ulimit -v 400000; exec "$@"', "sh", sys.executable]
+    words = [
+        "timeout",
+        "-k",
+        "1",
+        "20",
+        "sh",
+        "-c",
+        'ulimit -v 400000; exec "$@"',
+        "sh",
+        sys.executable,
+    ]
     done = start("run", "a.opts", program=[*words, "-m", "pgran"])
     assert_one_line(done, 2, "ulimit -v 400000: too little memory", "it takes 524288, or unlimited")
 
@@ -418,5 +428,5 @@ def test_linear_algebra_needs_no_memory_later(start):
         "r.setrlimit(r.RLIMIT_AS, (used + 2**25, used + 2**25))\n"
         "print(numpy.linalg.inv(numpy.eye(3))[0, 0])"
     )
-    done = start(program=["timeout", "20", sys.executable, "-c", code])
+    done = start(program=["timeout", "-k", "1", "20", sys.executable, "-c", code])
     assert done.stdout == "1.0\n", done.stderr
