@@ -196,7 +196,7 @@ def summary(result):
     yield Caution(modes.exactness()) if modes.failures else modes.exactness()
     moving = np.abs(s) > least_frequency(result.medium.built)
     kinds = {
-        "UNSTABLE: growing modes": moving & (s.real > 0) & (not modes.failures),
+        "UNSTABLE: growing modes": moving & modes.growing & (not modes.failures),
         "overdamped modes, which do not ring": moving & (s.imag == 0),
         "defective modes, at rest or critically damped, without residues": modes.rigidity == 0,
     }
@@ -207,6 +207,7 @@ def summary(result):
     rings = moving & (s.imag > 0) & (modes.rigidity > 0)
     facts = [("omega", "Hz"), ("width", "1/s"), ("quality |s| / width", ""), ("rigidity", "")]
     for fact, unit in facts if np.any(rings) else ():
-        low, middle, high = np.quantile(getattr(modes, fact.split()[0])[rings], (0, 0.5, 1))
+        values = getattr(modes, fact.split()[0])[rings]  # no mean of two infinite ones
+        low, middle, high = np.quantile(values, (0, 0.5, 1), method="inverted_cdf")
         in_si = si.say(unit, low, high) if unit else ""
         yield f"{fact}: {low:.4g} to {high:.4g}{in_si}, median {middle:.4g}"

@@ -134,7 +134,8 @@ class Modes(Record):
         "sqrt(k/m)", "omega", "detector_number", optional=True,
     )  # fmt: skip
     vector: np.ndarray | None = array(
-        "shape of the mode, orthonormal, its largest entry positive",
+        "mass-weighted shape of the mode, sqrt(m_p / m) u_p, m the median mass, orthonormal, its "
+        "largest entry positive",
         "1", "omega", "balls", optional=True, row=True,
     )  # fmt: skip
 
@@ -203,12 +204,24 @@ class DampedModes(Record):
         "mode", "detector_number", dtype=complex, optional=True, row=True,
     )  # fmt: skip
     vector: np.ndarray | None = array(
-        "x, x^T (2 s m + C) x = 1", "1", "mode", "balls", dtype=complex, optional=True, row=True
-    )
+        "x, mass-weighted: sqrt(m_p / m) u_p, x^T (2 s m + C) x = 1", "1/sqrt(sqrt(k m))",
+        "mode", "balls", dtype=complex, optional=True, row=True,
+    )  # fmt: skip
 
     count_found = property(lambda self: len(self.eigenvalue), doc="How many modes there are here.")
     omega = property(lambda self: self.eigenvalue.imag, doc="The angular frequency of each mode.")
-    width = property(lambda self: -2 * self.eigenvalue.real, doc="Full width at half power.")
+
+    @property
+    def growing(self):
+        """Which modes grow: by more than the radius, or rounding where there is none, may hide."""
+        rounding = RESIDUAL * np.abs(self.eigenvalue).max(initial=0.0)
+        return self.eigenvalue.real > np.where(np.isfinite(self.radius), self.radius, rounding)
+
+    @property
+    def width(self):
+        """Full width at half power, negative of growing modes only."""
+        damped = -self.eigenvalue.real
+        return 2 * np.where(self.growing, damped, np.maximum(damped, 0.0)) + 0.0
 
     @property
     def quality(self):

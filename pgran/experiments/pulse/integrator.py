@@ -9,10 +9,12 @@ y' = J y + drive, a product with one sparse matrix each stage. Of a ball p, and 
     row 2 p           0        1         0        0         u_p' is the velocity
     row 2 p + 1    -K_pp/m  -C_pp/m   -K_pq/m  -C_pq/m      with C times beta
 
-`alpha2` takes the equation of second order as it stands.
+`alpha2` takes the equation of second order as it stands. Both count time in 1 / `rate`, about one
+over the highest frequency, so that their tolerances mean u and u' alike in any unit of time.
 """
 
 import logging
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +29,7 @@ log = logging.getLogger("pgran")
 
 STEPS_AT_MOST = 10**8
 KINDS = ("rk", "alpha2")
+STEPS = ("ts_adapt_dt_min", "ts_adapt_dt_max")  # keys, in the user's unit of time
 LONGEST = 2.0  # step, in units of one over the highest frequency: in between is interpolated
 SHORTER, HALF = 0.7, 0.5  # longest and fixed steps of each integration against the one before
 # What options of a run say, and what leaves alpha2 the velocity that it began with.
@@ -73,7 +76,10 @@ class Integrator(Owner):
     def __init__(self, operators, sites, pulse, highest):
         """Make matrix and vectors."""
         self.operators, self.comm, self.pulse = operators, operators.comm, pulse
-        self._later = LONGEST / min(highest or pulse.reach, pulse.reach)
+        top = min(highest or pulse.reach, pulse.reach)
+        self._later, self.rate = LONGEST / top, 2.0 ** math.frexp(top)[1]
+        self._mass = operators.mass * self.rate**2  # with times in 1 / rate, as the damping
+        self._damping = operators.damping * self.rate
         self._longest = min(self._later, BAND / pulse.band)  # a longer step could miss the pulse
         self._given = PETSc.Options("pulse_")
         self._second_order = checked_kind(self._given) == "alpha2"
@@ -90,6 +96,7 @@ class Integrator(Owner):
         drives = [operators.f_stiffness.getArray().real, 0.0 * self._u.getArray().real]
         if operators.C is not None:
             drives[1] = operators.damping * operators.f_damping.getArray().real
+        self._size = operators.lattice.drive_size
         self._driven = np.flatnonzero(np.any(drives, axis=0))
         self._drives = np.array(drives)[:, self._driven]  # of U and of U'
 
@@ -99,7 +106,7 @@ class Integrator(Owner):
         pointer, columns, k = operators.K.getValuesCSR()
         c = 0.0 * k
         if operators.C is not None:
-            c = operators.damping * operators.C.getValuesCSR()[2]
+            c = self._damping * operators.C.getValuesCSR()[2]
         own, counts = operators.last - operators.first, np.diff(pointer)
         # Row 2 p has one entry; row 2 p + 1 a pair, of k and c, for each entry of row p of K.
         lengths = np.ones(2 * own, dtype=PETSc.IntType)
@@ -111,15 +118,15 @@ class Integrator(Owner):
         # Before the pairs of row p, the p-th of this rank, stand p + 1 entries of rows 2 p.
         places = np.arange(2 * len(columns)) + np.repeat(np.arange(1, own + 1), 2 * counts)
         J_columns[places] = np.stack([2 * columns, 2 * columns + 1], axis=1).ravel()
-        values[places] = np.stack([k, c], axis=1).ravel() / -operators.mass
+        values[places] = np.stack([k, c], axis=1).ravel() / -self._mass
         size = (2 * own, 2 * operators.size)
         return PETSc.Mat().createAIJ((size, size), csr=(rows, J_columns, values), comm=self.comm)
 
     def run(self, time, tolerance, number=0, keep_at=(), begin=None):
         """Integrate from rest until some time, and return the History. Collective.
 
-        A step makes an error of `tolerance`, absolute and relative, at most. After `number` coarser
-        integrations steps of a fixed length, and the longest of others, are as many times shorter,
+        A step makes an error of `tolerance` at most, relative to u and to the drive. After `number`
+        coarser integrations steps of a fixed length, and the longest of others, are as many times shorter,
         so that two integrations are never the same. Of the times `keep_at`, which increase, the
         field is kept at the first step from each on. It begins before the pulse and the time 0,
         unless a time is given.
@@ -133,13 +140,13 @@ class Integrator(Owner):
         step = self._given.getReal("ts_dt", 0.1 * self._longest)
         with holding(self._keys()):
             ts.setOptionsPrefix("pulse_")
-            ts.setTime(begin)
-            ts.setMaxTime(time)
+            ts.setTime(self.rate * begin)
+            ts.setMaxTime(self.rate * time)
             ts.setMaxSteps(STEPS_AT_MOST)
             ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
-            ts.setTolerances(rtol=tolerance, atol=tolerance)
+            ts.setTolerances(rtol=tolerance, atol=tolerance * self._size)
             ts.setErrorIfStepFails(False)
-            ts.setTimeStep(step)
+            ts.setTimeStep(self.rate * step)
             if self._second_order:
                 ts.setI2Function(self._balance, self._u.duplicate())
                 ts.setI2Jacobian(self._balance_matrix, self._matrix, self._matrix)
@@ -150,12 +157,12 @@ class Integrator(Owner):
             ts.setMonitor(self._note)
             ts.setFromOptions()
             if self._limited:
-                ts.setStepLimits(0.0, self._shrink * self._longest)
+                ts.setStepLimits(0.0, self.rate * self._shrink * self._longest)
             if self._given.getString("ts_adapt_type", "") == "none":
                 ts.setTimeStep(HALF**number * ts.getTimeStep())
             ts.solve(state)
         self._given.getReal("ts_dt", step)  # it was used
-        reason, ended = ts.getConvergedReason(), ts.getTime()
+        reason, ended = ts.getConvergedReason(), ts.getTime() / self.rate
         complete = reason > 0 and ended >= time
         if not complete and self.comm.rank == 0:
             text = "an integration has ended at time %.6g, before %g (TSConvergedReason %d)"
@@ -170,6 +177,9 @@ class Integrator(Owner):
         keys = {k: v for k, v in (DEFAULTS | solver).items() if not self._given.hasName(k)}
         if self._given.hasName("ts_dt"):
             keys["ts_dt"] = None
+        for key in STEPS:
+            if self._given.hasName(key):
+                keys[key] = self.rate * self._given.getReal(key)
         return {f"pulse_{key}": value for key, value in keys.items()}
 
     def _drive(self, t):
@@ -179,7 +189,7 @@ class Integrator(Owner):
     def _slope(self, ts, t, y, slope):
         """Set y' = J y + drive."""
         self._matrix.mult(y, slope)
-        slope.getArray()[2 * self._driven + 1] += self._drive(t) / self.operators.mass
+        slope.getArray()[2 * self._driven + 1] += self._drive(t / self.rate) / self._mass
 
     def _balance(self, ts, t, u, v, a, balance):
         """Set M a + C v + K u - f."""
@@ -187,9 +197,9 @@ class Integrator(Owner):
         operators.K.mult(u, balance)
         if operators.C is not None:
             operators.C.mult(v, self._Cv)
-            balance.axpy(operators.damping, self._Cv)
-        balance.axpy(operators.mass, a)
-        balance.getArray()[self._driven] -= self._drive(t)
+            balance.axpy(self._damping, self._Cv)
+        balance.axpy(self._mass, a)
+        balance.getArray()[self._driven] -= self._drive(t / self.rate)
 
     def _balance_matrix(self, ts, t, u, v, a, of_velocity, of_acceleration, matrix, _):
         """Set the matrix of a step, and leave it and its factors while the step stays the same."""
@@ -198,15 +208,15 @@ class Integrator(Owner):
             operators = self.operators
             operators.K.copy(matrix, structure=SAME)
             if operators.C is not None:
-                matrix.axpy(of_velocity * operators.damping, operators.C, structure=SAME)
-            matrix.shift(of_acceleration * operators.mass)
+                matrix.axpy(of_velocity * self._damping, operators.C, structure=SAME)
+            matrix.shift(of_acceleration * self._mass)
         return True
 
     def _note(self, ts, step, t, state):
         """Note, as this rank's part of sums, what the lattice does at the end of a step."""
-        operators = self.operators
+        operators, t = self.operators, t / self.rate
         if self._limited and t > self.pulse.rest:
-            ts.setStepLimits(0.0, self._shrink * self._later)
+            ts.setStepLimits(0.0, self.rate * self._shrink * self._later)
             self._limited = False
         if self._second_order:
             for own, now in zip((self._u, self._v), ts.getSolution2(), strict=True):
@@ -215,6 +225,7 @@ class Integrator(Owner):
             both = state.getArray(readonly=True)
             self._u.setArray(both[::2])
             self._v.setArray(both[1::2])
+        self._v.scale(self.rate)
         forces, powers = 0.0, []  # K u + beta C u', and u^T K u, u'^T beta C u'
         for matrix, factor, x, product in self._products:
             matrix.mult(x, product)
