@@ -17,7 +17,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from campaigns import abuse, changes, estimates, faults, fuzz, stability
+from campaigns import abuse, changes, estimates, faults, fuzz, stability, units
 from mpi4py import MPI
 
 import pgran
@@ -34,6 +34,7 @@ SHORT = {
     "guarantees": "sweeps 1 2",
     "jamming": "2 80 2 1",
     "slopes": "1 1",
+    "units": "1 2 1",
 }
 CALLED = {"abuse", "changes", "estimates", "faults", "fuzz", "inject", "stability"}
 
@@ -147,6 +148,15 @@ def test_fuzzing_notices(tmp_path, monkeypatch, capsys, read, verdict, seconds):
     assert fuzz.campaign("bonds", make, fuzz.check_bonds, 1, 3) == 1
     assert f" 1 {verdict}" in capsys.readouterr().out
     assert (tmp_path / "results" / "fuzz" / "bonds-3-0.h5").read_bytes() == b"no HDF5"
+
+
+def test_what_depends_on_units_is_noticed(monkeypatch, capsys):
+    """And a function that has no row, or computes nothing."""
+    monkeypatch.setattr(logging.root.manager, "disable", logging.NOTSET)
+    monkeypatch.setattr(units, "ROWS", {"sound": (lambda c: c.top,), "pack": (lambda c: [],)})
+    others = set(pgran.__all__) - units.NOT_COMPUTING - {"sound", "pack"}
+    assert units.main(1, 2, 1) == 3 + len(others)  # of three media
+    assert "green has never computed anything" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("ranks", [0, 2])

@@ -255,3 +255,21 @@ def test_what_is_refused():
         none.response([0.3])
     with pytest.raises(FileError, match="no modes"):
         pages.make(result_of(none, lattice))
+
+
+@pytest.mark.parametrize(("last", "proven"), [(0.9, True), (0.9, False), (-1e-3, True)])
+def test_rounding_does_not_grow(last, proven):
+    """Chains behind a damped ball hold undamped motions: Re s is 0, or 1e-16, of either sign."""
+    chains, k = [[0, 1], [1, 2], [2, 3], [0, 4], [4, 5], [5, 6]], [0.8, 0.2, 0.3, 0.5, 0.6, last]
+    network = pgran.Network(chains, k, [2, *6 * [0]], damping=0.0, drag=[0, 0.1, *5 * [0]])
+    modes = pgran.find_modes(network, damped=True)
+    s = modes.eigenvalue
+    modes = dataclasses.replace(
+        modes, eigenvalue=np.where(abs(s.real) < 1e-14, 4e-17 + 1j * s.imag, s)
+    )
+    if not proven:
+        modes = dataclasses.replace(modes, radius=np.full(len(s), np.nan))
+    said, unstable = " ".join(told(modes, network)), last < 0
+    assert ("UNSTABLE: growing modes: 1" in said) == np.any(modes.width < 0) == unstable
+    assert "to inf, median" in said
+    assert "nan" not in said

@@ -185,26 +185,6 @@ def test_the_number_of_ranks_does_not_matter(world, medium, damping):
     assert damping == 0 or np.all(np.abs(shared.force - alone.force) <= bound)
 
 
-@pytest.mark.parametrize("medium", ["lattice", "rotations"])
-@pytest.mark.parametrize("method", ["points", "curve"])
-def test_another_unit(alone, medium, method):
-    """Springs, dashpots and masses a million times as large take a force as much larger."""
-    (one, site), scale = sample_of(medium, 0.05), 1e6
-    if medium == "lattice":
-        other = Lattice(tuple(scale * k for k in one.stiffness), scale, scale * 0.05)
-    else:
-        names = ("stiffness", "tangential", "force", "masses", "damping", "kmax", "median_mass")
-        other = dataclasses.replace(one, **{name: scale * getattr(one, name) for name in names})
-    resolve, omegas = 0 if method == "curve" else None, np.linspace(0.1, 1.0, 6)
-    found = [swept(x, omegas, site, alone, method=method, resolve=resolve) for x in (one, other)]
-    assert found[1].force_bound == pytest.approx(scale * found[0].force_bound, rel=0.5)
-    assert np.all(
-        np.abs(found[1].force - scale * found[0].force)
-        <= scale * found[0].force_bound + found[1].force_bound
-    )
-    assert found[1].power == pytest.approx(scale * found[0].power, rel=1e-4)
-
-
 def test_a_failed_frequency_is_marked(world, monkeypatch):
     """It has no force; of the others each has its own."""
     lattice, omegas, bad = random_lattice((5, 4), 2), np.linspace(0.2, 1.1, 7), 0.5

@@ -21,7 +21,7 @@ from pgran.store.estimate import FEWEST_SAMPLES, Estimate, mean_of, plug_in, wit
 MODES = 48  # cosines between the walls
 BLOCKS = 24  # of times, over which squares are averaged
 SENT = 0.999  # of the drive's square: what has passed when it has ended
-LARGEST = 50.0  # of ln D
+LARGEST = 50.0  # of ln (D / guess)
 ALIKE = 1e-6  # relative errors that are rounding, of samples that do not differ
 FLAT = 1e-12  # added to the matrix of the fit: what does not matter has an enormous error
 
@@ -86,8 +86,10 @@ def diffusion(ensemble, depth, walls, window, axes):
     if np.mean(known) < 0.5:
         raise InputError("transport: errors hide the signals, or all samples are alike")
 
-    def logarithm(x):  # of the model, for ln D, span / tau and the logarithm of a factor
-        D, rate = math.exp(min(x[0], LARGEST)), x[1] / span
+    guess = walls**2 / (30 * span)  # too small a D: of too large ones nothing is seen
+
+    def logarithm(x):  # of the model, for ln (D / guess), span / tau and the logarithm of a factor
+        D, rate = guess * math.exp(min(x[0], LARGEST)), x[1] / span
         values = spreading(late, depths, walls, D, rate, time[early], strength[early])
         return x[2] + np.log(np.maximum(blocks(values), np.finfo(float).tiny))
 
@@ -96,16 +98,15 @@ def diffusion(ensemble, depth, walls, window, axes):
         levels = np.log(square.value[known])
         return least_squares(lambda x: (levels - logarithm(x)[known]) / part, x, method="lm")
 
-    # begun with too small a D: of too large ones nothing is seen
-    begun = math.log(walls**2 / (30 * span))
-    left = (np.log(square.value) - logarithm((begun, 0.0, 0.0)))[known]
+    left = (np.log(square.value) - logarithm((0.0, 0.0, 0.0)))[known]
     slope, factor = np.polyfit(np.broadcast_to(middle, known.shape)[known], left, 1)
-    best = fit(every, (begun, -span * slope, factor))
+    best = fit(every, (0.0, -span * slope, factor))
 
     def constants(some):
         x = fit(some, best.x).x
-        D, rate, path = math.exp(min(x[0], LARGEST)), x[1] / span, axes / fronts(some)
-        return np.array([D, rate, math.sqrt(D / rate) if rate > 0 else math.nan, path * D])
+        D, rate = guess * math.exp(min(x[0], LARGEST)), x[1] / span
+        length = math.sqrt(D / rate) if rate > 0 else math.nan
+        return np.array([D, rate, length, axes * D / fronts(some)])
 
     measured = plug_in(constants, len(parts))
     # of a D that hardly matters all parts may agree on the guess; not so the matrix of the fit

@@ -19,7 +19,7 @@ import numpy as np
 from pgran.store.estimate import Estimate
 
 TRIALS = 8, 400  # of moves of either sign, at least and at most
-ROUNDING = 1e-15  # of a stretch
+ROUNDING = 1e-13  # of the reach
 UNLIKE = 3.5  # errors of artanh CC within which strangers are: no move is known
 WIDER = 6  # times as far as asked, where B has been heard, no move may be better
 MOVES = {  # where x_b is read, and the derivative of that by e; a stretch makes all in B faster
@@ -111,9 +111,10 @@ class Pair:
             return np.vdot(self.x, self.moved(move, e)[1]).real
 
         near, far = trials[top], trials[top + (1 if slopes[top] > 0 else -1)]
-        while slope(far) * slopes[top] > 0 and abs(far - near) > ROUNDING:
+        while slope(far) * slopes[top] > 0 and abs(far - near) > ROUNDING * reach:
             far = 0.5 * (near + far)  # where deep minima of ln|x| meet the top is a cusp
-        e = near if slope(far) * slopes[top] > 0 else brentq(slope, near, far, xtol=ROUNDING)
+        crossed = slope(far) * slopes[top] <= 0
+        e = brentq(slope, near, far, xtol=ROUNDING * reach) if crossed else near
         there = self.correlation(move, e).value
         if there < least:
             return Estimate(math.nan, math.nan), there

@@ -1,6 +1,7 @@
 """Signals by PETSc's integrators, repeated until two integrations agree."""
 
 import contextlib
+import math
 from functools import partial
 
 import numpy as np
@@ -156,4 +157,5 @@ def _next_tolerances(wanted, rows, last):
     # what is left is the error of the last: may it serve as the coarser one of the next pair?
     missing = np.min(allowed[missed] / (FINER * error[missed]))
     smaller = tolerance * (FINER if missing > 1 else np.clip(0.5 * missing, 1e-6, FINER))
+    smaller = 2.0 ** math.floor(math.log2(smaller))  # the last bits of errors change no step
     return [(number + 1, smaller)] if smaller >= LEAST else []

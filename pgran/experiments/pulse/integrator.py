@@ -126,10 +126,10 @@ class Integrator(Owner):
         """Integrate from rest until some time, and return the History. Collective.
 
         A step makes an error of `tolerance` at most, relative to u and to the drive. After `number`
-        coarser integrations steps of a fixed length, and the longest of others, are as many times shorter,
-        so that two integrations are never the same. Of the times `keep_at`, which increase, the
-        field is kept at the first step from each on. It begins before the pulse and the time 0,
-        unless a time is given.
+        coarser integrations steps of a fixed length, and the longest of others, are as many times
+        shorter, so that two integrations are never the same. Of the times `keep_at`, which
+        increase, the field is kept at the first step from each on. It begins before the pulse and
+        the time 0, unless a time is given.
         """
         self._rows, self._fields, self._keep_at = [], [], list(keep_at)
         self._shrink, self._limited = SHORTER**number, not self._given.hasName("ts_adapt_dt_max")
