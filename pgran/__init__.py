@@ -55,12 +55,10 @@ __all__ = sorted(_HOMES)
 
 
 def __getattr__(name):
-    """Return a name of the Python interface."""
     if name not in _HOMES:
         raise AttributeError(f"module pgran has no attribute {name!r}")
     return getattr(importlib.import_module(_HOMES[name]), name)
 
 
 def __dir__():
-    """Return the names of the Python interface."""
     return [*__all__, "__version__"]

@@ -22,7 +22,6 @@ class Home(NamedTuple):
         return f"pgran.experiments.{self.scene.partition('.')[0]}"
 
     def __getattr__(self, fact):
-        """Return a fact of the experiment."""
         return getattr(import_module(f"pgran.experiments.{self.scene}").SCENE, fact)
 
 

@@ -17,7 +17,6 @@ class PgranError(Exception):
     exit_code = 1
 
     def __init__(self, message):
-        """Keep the message, made fit for a terminal."""
         text = "".join(c if c.isprintable() else "?" for c in str(message))
         super().__init__(text if len(text) <= LONGEST else f"{text[:500]} ... {text[-500:]}")
 

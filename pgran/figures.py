@@ -15,7 +15,6 @@ __path__ = []  # a package, of whose modules `Panels` knows where they are
 
 
 def __getattr__(name):
-    """Return the module of a group's panels."""
     if name not in MODULES:
         raise AttributeError(f"module pgran.figures has no attribute {name!r}")
     return import_module(MODULES[name])

@@ -9,7 +9,6 @@ from pgran.catalogue import RECORDS
 
 
 def __getattr__(name):
-    """Return a record by its name."""
     for module in dict.fromkeys(RECORDS.values()):
         kind = getattr(import_module(module), name, None)
         if hasattr(kind, "group"):

@@ -100,9 +100,9 @@ def test_the_fault_campaign_notices_what_is_wrong(tmp_path, monkeypatch, capsys)
         for position in range(3):
             journal.write(1, position, np.arange(4))
         whole = journal.path.read_bytes()
-    for cut, units in ((1, 2), (1000, 0), (0, 3)):
+    for cut, kept in ((1, 2), (1000, 0), (0, 3)):
         (folder / faults.JOURNAL).write_bytes(whole[: max(0, len(whole) - cut)])
-        assert faults.units_kept(folder) == units
+        assert faults.units_kept(folder) == kept
     assert faults.carry_out(lambda number: faults.go_on(folder, "response", 1), [7]) == 1
     assert "exit code 2 when going on" in capsys.readouterr().out
     (folder / faults.JOURNAL).write_bytes(b"something else")

@@ -16,7 +16,6 @@ class Factors:
     """
 
     def __init__(self):
-        """Keep none yet."""
         self.factors, self.solves = None, 0
 
     def keep(self, factors):

@@ -106,7 +106,6 @@ class Motion:
     """Balls, displaced about a reference, with their energy and its derivatives."""
 
     def __init__(self, balls, contacts, pressure=None):
-        """Start at the reference; with a pressure the box is unknown, too."""
         self.balls, self.contacts, self.pressure = balls, contacts, pressure
         self.factors = Factors()  # of a matrix on the way
         self.free = np.flatnonzero(~balls.held)

@@ -47,7 +47,6 @@ class Rehearsal(Crew):
     dry = True
 
     def __init__(self, world, ranks_per_lattice):
-        """Split the world."""
         super().__init__(world, ranks_per_lattice)
         self.trials, self.spent, self.untried = [], 0.0, 0
 

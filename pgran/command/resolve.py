@@ -98,11 +98,9 @@ class Options:
     """
 
     def __init__(self, scene, declared, values, solver):
-        """Keep the values of the options that a scene declares."""
         self.scene, self._declared, self._values, self.solver = scene, declared, values, solver
 
     def __getattr__(self, name):
-        """Return the value of an option of this scene."""
         if name not in self.__dict__["_values"]:
             raise AttributeError(f"scene {self.scene} has no option -{name}")
         return self._values[name]

@@ -26,7 +26,6 @@ class Parser(argparse.ArgumentParser):
     """A parser whose errors are pgran's; its help is usage, what it does, words, examples."""
 
     def __init__(self, command, does, *examples, more="", **others):
-        """Say what a command does, with command lines as examples; the help ends with `more`."""
         self.command = command
         epilog = "examples:\n" + "".join(f"  {line}\n" for line in examples) if examples else ""
         super().__init__(

@@ -134,7 +134,6 @@ class Ticks(ticker.Locator):
     """Ticks where `base` has them for the numbers of an axis times `factor`."""
 
     def __init__(self, base, factor):
-        """Keep both."""
         self.base, self.factor = base, factor
 
     def set_axis(self, axis):

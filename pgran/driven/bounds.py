@@ -60,7 +60,6 @@ class ErrorBounds(Owner):
     owns = ("_product", "_work", "_counter")
 
     def __init__(self, operators):
-        """Make the work vectors."""
         self.operators = operators
         self._alone = operators.comm.size == 1
         self._always = self.proven = self._alone or operators.lattice.dissipates

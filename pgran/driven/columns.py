@@ -42,7 +42,6 @@ class Columns(Owner):
     owns = ("_rhs", "_found", "_residual")
 
     def __init__(self, solver):
-        """Wait for right-hand sides, whose number says how wide blocks are."""
         self.solver, self.operators = solver, solver.operators
         self.comm, self._width = self.operators.comm, 0
 

@@ -36,7 +36,6 @@ class Comparison(Owner):
     owns = ("v", "_target", "_product", "_ksp", "_matrix")
 
     def __init__(self, operators):
-        """Make the work vectors."""
         self.operators, self.comm = operators, operators.comm
         self.v, self._target, self._product = (operators.f.duplicate() for _ in range(3))
 

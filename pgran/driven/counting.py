@@ -36,7 +36,6 @@ class ModeCounter(Owner):
     owns = ("_pc", "_shifted", "_x", "_rhs", "_residual")
 
     def __init__(self, K, lattice):
-        """Set up the factorization from its options, prefix `normal_count_`."""
         self.K, self.norm = K, K.norm(PETSc.NormType.INFINITY) or 1.0
         self.order, self.comm = K.getSize()[0], MPI.COMM_SELF
         self.semidefinite = lattice.semidefinite

@@ -42,7 +42,6 @@ class Deformation:
     """
 
     def __init__(self, T, c, G, delta, start, rows, sizes, wall=0.0):
-        """Carry out the algebra; a stretch t is wrong by _rounding |a|_2 + _rounding_of_start."""
         self.start, steps = start + wall, len(delta)
         upper = np.tri(steps).T  # bonds change one after the other
         self.coefficients = np.cumsum(T * (-c * (self.start @ T)), axis=1)

@@ -41,7 +41,6 @@ class RealFactors:
     """
 
     def __init__(self, K, shift):
-        """Factor."""
         from scipy.sparse import identity
         from scipy.sparse.linalg import splu
 

@@ -49,7 +49,6 @@ class Detectors(Owner):
     owns = ("_scatter", "_readings")
 
     def __init__(self, operators, sites):
-        """Make what copies the entries to every rank."""
         self._like, self._alone = operators.f_stiffness, operators.comm.size == 1
         self._numbers, self._weights = operators.layout.readings(sites)
         numbers = self._numbers.ravel()
@@ -59,7 +58,6 @@ class Detectors(Owner):
         where.destroy()
 
     def __len__(self):
-        """Return how many there are."""
         return len(self._numbers)
 
     def read(self, x):
@@ -96,7 +94,6 @@ class Judge(Owner):
     owns = ("bounds", "detectors", "comparison", "_bent")
 
     def __init__(self, operators, sites, tolerance, floor, whole_field):
-        """Make what reads and what bounds by norms."""
         self.operators, self.detectors = operators, Detectors(operators, sites)
         self.tolerance, self.floor, self.whole_field = tolerance, floor, whole_field
         self.bounds = ErrorBounds(operators)

@@ -93,7 +93,6 @@ class LatticeLayout(Layout):
     laplacian = True
 
     def __init__(self, lattice, comm):
-        """Number the balls, and find the bonds of each."""
         self.medium, self.comm, self.shape = lattice, comm, lattice.shape
         try:
             self.da = PETSc.DMDA().create(
@@ -169,7 +168,6 @@ class NetworkLayout(Layout):
     """
 
     def __init__(self, network, comm):
-        """Share out the unknowns, ball by ball, and find the pattern of this rank's rows."""
         self.medium, self.comm, self.shape = network, comm, network.shape
         springs = network.springs
         self.drive = springs.drive

@@ -29,7 +29,6 @@ class System(Owner):
     owns = ("solution", "residual", "last", "before_last")
 
     def __init__(self, rhs):
-        """Make the vectors."""
         self.rhs = rhs
         self.solution, self.residual, self.last, self.before_last = (
             rhs.duplicate() for _ in range(4)
@@ -76,7 +75,6 @@ class Krylov(Owner):
     owns = ("ksp", "_block", "_image")
 
     def __init__(self, operators, correction):
-        """Make the KSP from its options; `correction` is a vector to work with."""
         self.operators, self._correction = operators, correction
         self.ksp, self._block, self._image = make_ksp(operators, operators.S), None, None
         self._rtol, _, _, self._longest = self.ksp.getTolerances()
@@ -288,7 +286,6 @@ class ReusePolicy:
     """
 
     def __init__(self, limit=0):
-        """Start without a factorization."""
         self.limit, self.price = limit, 0.0
         self.restart()
 

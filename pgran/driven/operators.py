@@ -33,7 +33,6 @@ class Operators(Owner):
     owns = ("K", "C", "M", "_inertia", "S", "f", "f_stiffness", "f_damping", "sizes", "layout")
 
     def __init__(self, lattice, comm):
-        """Assemble K, and C where there is damping."""
         self.lattice, self.comm = lattice, comm
         self.shape, self.size = lattice.shape, lattice.size
         self.mass, self.damping, self.axes = lattice.mass, lattice.damping_unit, lattice.axes

@@ -15,7 +15,6 @@ class Owner(AbstractContextManager):
     owns = ()
 
     def __exit__(self, *error):
-        """Destroy, but with an error on its way only alone: other ranks may not share it."""
         if error[0] is None or self.comm.size == 1:
             self.destroy()
 

@@ -37,7 +37,6 @@ class PatternSolver(SteadySolver):
     owns = (*SteadySolver.owns, "_columns")
 
     def __init__(self, operators, **choices):
-        """Make the solver; it reads no balls."""
         super().__init__(operators, np.empty((0, len(operators.shape)), dtype=int), **choices)
         self.backward_error = np.nan
 

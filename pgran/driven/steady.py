@@ -50,7 +50,6 @@ class SteadySolver(Owner):
         self, operators, sites, error_tolerance=1e-4, refresh_iterations=0, whole_field=False,
         error_floor=0.0, derivatives=False, whole_adjoints=False
     ):  # fmt: skip
-        """Make the systems and their bounds."""
         self.operators, self.comm = operators, operators.comm
         self.tolerance = error_tolerance
         self.floor = error_floor * operators.lattice.drive_size

@@ -23,7 +23,6 @@ class FrequencySweep(Task):
     key = "sweep_points"  # the option that says how many there are
 
     def __init__(self, lattice, omegas, sites, kept, choices, sigma=0.0):
-        """Cut the sweep into ranges of frequencies."""
         self.lattice, self.sites, self.omegas = lattice, sites, np.asarray(omegas)
         self.row, self.choices = np.dtype([*kept, ("factorizations", np.int64)]), choices
         key = "output_fields" if "field" in self.row.names else self.key

@@ -43,11 +43,9 @@ class Table:
     box: Box | None = None
 
     def __contains__(self, name):
-        """Return whether there is such a column, of numbers or not."""
         return name in self.columns or name in self.texts
 
     def __str__(self):
-        """Name the columns, as far as a message has room for them."""
         return ", ".join([*self.columns, *self.texts][:30])
 
     def refuse(self, row, why):

@@ -36,7 +36,6 @@ class Graph:
     """
 
     def __init__(self, network):
-        """Sum L up and factor it; the factors are not kept."""
         number = np.full(len(network.held), -1)
         number[network.free] = np.arange(len(network.free))
         ends, each = number[network.bond], network.components

@@ -25,7 +25,6 @@ class Material:
     density: float
 
     def __post_init__(self):
-        """Raise InputError if no solid has these numbers."""
         for name in ("modulus", "density"):
             check_size(name, getattr(self, name), positive=True)
         if not -1 < self.poisson <= 0.5:
@@ -120,7 +119,6 @@ class Scale:
     """
 
     def __init__(self, material, diameter, force, dimensions=2):
-        """Compute what follows."""
         self.material, self.diameter = material, diameter
         self.force, self.dimensions = force, dimensions
         self.kmax = 1 / (2 * dimensions)

@@ -97,7 +97,6 @@ class Lattice(ElasticBonds, Medium):
     loss: float = 0.0
 
     def __post_init__(self):
-        """Check shapes and values; copy arrays, so that nobody can change them."""
         stiffness = self.stiffness if isinstance(self.stiffness, (list, tuple)) else ()
         arrays = tuple(np.array(numbers("stiffness", k), order="C") for k in stiffness)
         if not 1 <= len(arrays) <= 3 or any(k.ndim != len(arrays) for k in arrays):
@@ -126,7 +125,6 @@ class Lattice(ElasticBonds, Medium):
         self._check_dissipation(self.constants[self.existing])
 
     def __repr__(self):
-        """Say in a line how large it is, and what its unit is."""
         return (
             f"Lattice({' x '.join(map(str, self.shape))}, mass={self.mass:g}, "
             f"{self.law_in_words}, omega_mx={self.omega_mx:.6g})"

@@ -101,7 +101,6 @@ class BondLaw:
     """
 
     def __init__(self, name, *, kmin=None, kmax=None, fraction=None, force=None, hertz=None):
-        """Check and keep the parameters."""
         self.function, names = LAWS[choice("-bonds_law", name, LAWS)]
         own = {"kmin": kmin, "kmax": kmax, "fraction": fraction, "force": force, "hertz": hertz}
         own = {key: value for key, value in own.items() if value is not None}
@@ -137,7 +136,6 @@ class BondLaw:
         return np.cbrt(1 + weight * above / self.parameters["force"])
 
     def __repr__(self):
-        """Say what makes the same law."""
         parameters = (f"{key}={value}" for key, value in self.parameters.items())
         return f"BondLaw({', '.join([repr(self.name), *parameters])})"
 

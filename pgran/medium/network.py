@@ -119,7 +119,6 @@ class Network(Elastic, Connected, Medium):
     loss: np.ndarray | None = None
 
     def __post_init__(self):
-        """Check shapes and values; copy arrays, so that nobody can change them."""
         for name, value in checked_values(self).items():
             object.__setattr__(self, name, value)
         check_network(self)
@@ -135,7 +134,6 @@ class Network(Elastic, Connected, Medium):
         check_magnitudes(self.axes, self.mass, self.damping, self.stiffest, kmax)
 
     def __repr__(self):
-        """Say in a line how large it is, and what its unit is."""
         plane = "" if self.displacement == "scalar" else f" in {self.axes} dimensions"
         return (
             f"Network({len(self.held)} balls, {len(self.free)} of them free, {self.bonds} "

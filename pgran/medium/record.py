@@ -43,7 +43,6 @@ class LatticeRecord(Record):
     loss: float | None = attribute(optional=True)
 
     def __post_init__(self):
-        """Hold one array of bonds for each axis."""
         there = [k is not None for k in (self.stiffness_x, self.stiffness_y, self.stiffness_z)]
         axes = len(self.shape)
         if there != [True] * axes + [False] * (3 - axes) or min(self.shape) < 1:

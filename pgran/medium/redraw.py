@@ -40,11 +40,9 @@ class Changes:
     stiffness: np.ndarray  # their new constants
 
     def __getitem__(self, steps):
-        """Return some of the changes."""
         return Changes(self.bond[steps], self.stiffness[steps])
 
     def __len__(self):
-        """Return how many there are."""
         return len(self.bond)
 
     def extended(self, count):
@@ -66,7 +64,6 @@ class Redraw:
     """The changes of a medium's bonds, by a law; None draws from the constants that it has."""
 
     def __init__(self, medium, law, seed):
-        """Find which bonds there are to be redrawn."""
         self.bonds, self.seed = medium.existing, seed
         constants = medium.constants[self.bonds]
 

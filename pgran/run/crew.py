@@ -27,7 +27,6 @@ class Crew(contextlib.AbstractContextManager):
     dry = False  # whether units are only tried
 
     def __init__(self, world, ranks_per_lattice, journal=None, begins=None):
-        """Split the world."""
         if world.size % ranks_per_lattice:
             why = f"does not divide the number of ranks, {world.size}"
             raise InputError(f"-ranks_per_lattice {ranks_per_lattice}: {why}")
@@ -38,7 +37,6 @@ class Crew(contextlib.AbstractContextManager):
         self._shared, self._stopped_by, self._words = 0, None, []
 
     def __exit__(self, *error):
-        """Free the group's communicator, unless an error is on its way: others may not follow."""
         if error[0] is None:
             self.group.Free()
 
@@ -146,7 +144,6 @@ class _Results:
     """The way of results to rank 0: into the journal, and to whom they are delivered."""
 
     def __init__(self, crew, tag, task, deliver):
-        """Deliver what the journal holds; `left` are the positions of the other units."""
         self.world, self.tag, self.deliver, self.journal = crew.world, tag, deliver, crew.journal
         self.left, self._sent, self._working = list(range(len(task.units))), [], crew.groups
         if self.journal is not None and self.world.rank == 0:

@@ -46,7 +46,6 @@ class Journal(contextlib.AbstractContextManager):
     medium = ""  # checksum of what is computed on: units of another medium are none of this run
 
     def __init__(self, comm, path, identity, overwrite=False, dry=False):
-        """Open the journal, find what it holds, and listen to signals."""
         self._dry = dry
         self.comm, self.path = comm, Path(f"{path}.unfinished")
         self._file, self._kept, self._synced, self._signal = None, {}, time.monotonic(), None

@@ -35,7 +35,6 @@ class LogFile(logging.FileHandler):
     """Appends messages to a file, a stamp before each line; what cannot be written ends no run."""
 
     def __init__(self, path, rank):
-        """Open the file."""
         self.speaker = f"pgran (rank {rank})" if rank else "pgran"
         with writing(path):
             super().__init__(path, encoding="utf-8", errors="replace")

@@ -72,11 +72,9 @@ class Distinct:
         return fingerprint([type(self).__name__, fields])
 
     def __eq__(self, other):
-        """Return whether another object is of the same kind and made of the same."""
         return type(other) is type(self) and self.fingerprint == other.fingerprint
 
     def __hash__(self):
-        """Return a number that equal objects share."""
         return hash(self.fingerprint)
 
 

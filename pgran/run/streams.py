@@ -32,7 +32,6 @@ class Messages(logging.Formatter):
     """How messages look on a terminal: who says it, and whether it warns."""
 
     def __init__(self, name):
-        """Keep who says it."""
         super().__init__()
         self.name = name
 

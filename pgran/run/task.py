@@ -84,7 +84,6 @@ class Progress(contextlib.AbstractContextManager):
     seconds_between_lines = 10.0
 
     def __init__(self, total, what, style="auto"):
-        """Start the clock."""
         self.total, self.what, self.done = total, what, 0
         self.last_time, self.last_done, self.bar = time.monotonic(), 0, None
         if style == "auto":
@@ -99,7 +98,6 @@ class Progress(contextlib.AbstractContextManager):
                 self.lines = True
 
     def __exit__(self, *error):
-        """Remove the bar."""
         if self.bar is not None:
             self.bar.close()
 

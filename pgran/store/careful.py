@@ -49,7 +49,6 @@ class CarefulFile:
     """An HDF5 file; refuses what is missing, lies elsewhere, is too large or of another type."""
 
     def __init__(self, file, path):
-        """Keep the file."""
         self.file, self.path = file, path
         self._left = self._most = max(os.path.getsize(path), MODEST)
 

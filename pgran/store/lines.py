@@ -18,7 +18,6 @@ class Lines:
     """The lines of a text file one by one, none longer than a bound."""
 
     def __init__(self, path, stream):
-        """Begin before the first line."""
         self.path, self._stream, self.number = path, stream, 0
         self.ended = True  # whether the present line has its end
 

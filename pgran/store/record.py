@@ -188,7 +188,6 @@ class Record:
         return xarray.Dataset(variables, attrs=attributes)
 
     def __repr__(self):
-        """Show plain values and the shapes of arrays."""
         parts = []
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
@@ -214,12 +213,10 @@ class Result:
     """
 
     def __init__(self, records, /, **attributes):
-        """Keep both."""
         self.records = {record.group: record for record in records}
         self.attributes = attributes
 
     def __getattr__(self, name):
-        """Return a record or an attribute of the run."""
         for held in vars(self).values():
             if name in held:
                 return held[name]
@@ -232,10 +229,8 @@ class Result:
         return self.network if "network" in self.records else self.lattice
 
     def __dir__(self):
-        """List what there is, for completion."""
         return [*super().__dir__(), *self.records, *self.attributes]
 
     def __repr__(self):
-        """Name the scene, the status and the records."""
         told = [f"{name}={self.attributes.get(name)!r}" for name in ("scene", "status")]
         return f"Result({', '.join([*told, *self.records])})"

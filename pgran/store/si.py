@@ -32,7 +32,6 @@ class SI:
     time: float | None = None
 
     def __post_init__(self):
-        """Refuse what is no unit, or overflows."""
         for name, value in (("length", self.length), ("time", self.time)):
             if value is not None and not SMALLEST <= value <= LARGEST:
                 limits = f"{SMALLEST:g} and {LARGEST:g}"

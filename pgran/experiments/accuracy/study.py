@@ -61,7 +61,6 @@ class Reference(Task):
     row = ENTRY  # how many there are is not known before
 
     def __init__(self, study, workers):
-        """Plan one run."""
         self.study, self.workers, self.units = study, workers, [[study.exact]]
 
     def work(self, unit, group):
@@ -97,7 +96,6 @@ class Comparison(Task):
     row = np.dtype(row_of(Accuracy))
 
     def __init__(self, study, configurations, repeats, reference, workers):
-        """Plan all runs."""
         self.study, self.configurations, self.repeats = study, configurations, repeats
         self.reference, self.workers = reference, workers
         self.units = [[configuration] for _ in range(repeats) for configuration in configurations]

@@ -53,7 +53,6 @@ class Series(Task):
     row = np.dtype(row_of(ContinuumResponse))
 
     def __init__(self, box, omegas, point):
-        """Cut the sweep."""
         self.box, self.omegas, self.point = box, omegas, point
         self.resonances = box.resonances(omegas[-1])
         numbers = range(len(omegas))

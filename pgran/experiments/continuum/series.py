@@ -54,7 +54,6 @@ class Continuum:
     damping: float = 0.003
 
     def __post_init__(self):
-        """Raise InputError unless there are two lengths."""
         if len(self.size) != 2:
             raise InputError(
                 f"-continuum_size: two lengths are needed; numbers given: {len(self.size)}"

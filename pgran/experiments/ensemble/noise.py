@@ -38,7 +38,6 @@ class NoisyCurves:
     """
 
     def __init__(self, omega, amplitude, window=None, incoherent=False):
-        """Keep what lies in the window and is finite."""
         low, high = omega[[0, -1]] if window is None else window
         amplitude = np.atleast_2d(amplitude)
         inside = (low * (1 - 1e-9) <= omega) & (omega <= high * (1 + 1e-9))

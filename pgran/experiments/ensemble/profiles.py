@@ -49,7 +49,6 @@ class Profiles:
     """
 
     def __init__(self, depth, amplitude, derivative, window=(-math.inf, math.inf)):
-        """Check, leave out, and find which detectors are of one depth."""
         self.depths, self.share, self.inside = along(depth, window)
         kept = finite_samples(np.where(np.isfinite(derivative), amplitude, math.nan))
         self.samples = np.count_nonzero(kept)

@@ -34,7 +34,6 @@ class Samples(Task):
     items = "samples"
 
     def __init__(self, of, seeds, draw, experiment, first, most, keep, choices):
-        """Find what is read of a sample, and make the row that it travels in."""
         self.of, self.units, self.curves = of, seeds, keep == "curves"
         self.draw, self.experiment = draw, experiment
         omegas, detectors = choices.get("omegas"), choices.get("detectors")

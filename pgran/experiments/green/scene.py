@@ -112,7 +112,6 @@ class GreenSweep(PatternSweep):
     """Green's functions at each frequency, in the lattice's own unit."""
 
     def __init__(self, lattice, omegas, sources, receivers, direction, choices):
-        """Say what a frequency's results travel in."""
         sources = lattice.sites(sources, "green_sources")
         self.receivers = lattice.sites(receivers, "green_receivers")
         own, heard = len(sources), len(self.receivers)

@@ -39,7 +39,6 @@ class Pair:
     """
 
     def __init__(self, a, b, time, logarithm=False):
-        """Evaluate the first one, which stays."""
         self.b, self.time, self.logarithm, self.weight = b, time, logarithm, 1.0
         line = np.stack([np.ones_like(time), time - time.mean()])[: 2 * logarithm]
         self.line = line / np.linalg.norm(line, axis=1, keepdims=True)

@@ -81,7 +81,6 @@ class Quadratic:
     """S(s), numbered in the order of elimination, and norms that bound it."""
 
     def __init__(self, K, C, m):
-        """Put unknowns in order."""
         from scipy.sparse import csc_matrix, identity
 
         self.m, self.size = m, K.shape[0]

@@ -78,7 +78,6 @@ class DampedSearch(Task):
     items = "modes"
 
     def __init__(self, medium, resonances, shapes, method, certificate, interval, targets, count):
-        """Choose the method."""
         self.medium, self.resonances = medium, resonances
         self.interval, self.targets, self.count = interval, targets, count
         scaled, self.stiffness = medium.in_own_unit()

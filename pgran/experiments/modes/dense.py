@@ -88,7 +88,6 @@ class DenseSolver:
     radius = math.inf
 
     def __init__(self, lattice):
-        """Refuse what is too large."""
         if lattice.size > LARGEST:
             raise InputError(
                 f"-modes_method dense: LAPACK computes spectra of up to {LARGEST} unknowns, not of "

@@ -93,7 +93,6 @@ class Counts(Task):
     row = np.dtype(row_of(Density))
 
     def __init__(self, lattice, omegas):
-        """Count at 0, too, where modes may be unstable."""
         self.lattice, self.omegas = lattice, omegas
         self.scaled, _ = lattice.undamped().in_own_unit()
         self.at_zero = not lattice.semidefinite and omegas[0] > 0

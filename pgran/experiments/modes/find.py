@@ -153,7 +153,6 @@ class Slices(Task):
     items = "modes"
 
     def __init__(self, solver, slices, resonances, shapes, targets, count):
-        """Say what a mode travels in."""
         self.solver, self.lattice, self.resonances = solver, solver.lattice, resonances
         self.targets, self.count = targets, count
         self.units = list(enumerate(slices))
@@ -235,7 +234,6 @@ class Whole(Slices):
     """
 
     def __init__(self, solver, resonances, shapes, targets, count, interval):
-        """Say how much memory a dry run does not take."""
         self.interval, size = interval, solver.lattice.size
         super().__init__(solver, [dense.Part(size)], resonances, shapes, targets, count)
         self.untried = dense.memory(size) * (size > TRIED)

@@ -98,7 +98,6 @@ class Nearest:
     """Finds and counts modes of a network, for a `normal.ModeSolver`."""
 
     def __init__(self, solver):
-        """Take over K as a sparse matrix."""
         self._solver, self.K, self.norm = solver, real_matrix(solver.K), solver.norm
         self.semidefinite, self.order = solver.lattice.semidefinite, self.K.shape[0]
         self._held = {}

@@ -53,7 +53,6 @@ class ModeSolver(Owner):
     radius = np.nan  # within which eigenvalues lie for certain: none is known
 
     def __init__(self, operators):
-        """Keep what the slices share."""
         self.lattice, self.K, self.comm = operators.lattice, operators.K, MPI.COMM_SELF
         flag_hermitian(self.K)
         self._layout = operators.layout

@@ -95,7 +95,6 @@ class ProjectedSweep(FrequencySweep):
     """
 
     def __init__(self, lattice, omegas, modes, vectors, choices):
-        """Say what a frequency's results travel in."""
         self.modes, self.vectors = modes, vectors
         columns = row_of(Projection, mode_omega=(len(vectors),))
         nowhere = np.empty((0, len(lattice.shape)), dtype=np.int64)

@@ -28,7 +28,6 @@ class Resonances:
     """What the modes of a medium mean to its drive, if it has one, and to detectors, if any."""
 
     def __init__(self, medium, detectors=None):
-        """Find what drives, and what is read."""
         self.medium, self.sites = medium, None
         self.force = medium.driving.ravel()
         self.driven = bool(np.any(self.force))

@@ -22,7 +22,6 @@ class Integration(Task):
     items = "times"
 
     def __init__(self, recording, tolerances):
-        """Plan an integration at each tolerance."""
         self.recording = recording
         end = float(recording.time[-1])
         self.units = [(number, tolerance, None, end) for number, tolerance in tolerances]

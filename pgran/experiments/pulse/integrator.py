@@ -74,7 +74,6 @@ class Integrator(Owner):
     owns = ("_matrix", "_u", "_v", "_Ku", "_Cv")
 
     def __init__(self, operators, sites, pulse, highest):
-        """Make matrix and vectors."""
         self.operators, self.comm, self.pulse = operators, operators.comm, pulse
         top = min(highest or pulse.reach, pulse.reach)
         self._later, self.rate = LONGEST / top, 2.0 ** math.frexp(top)[1]

@@ -55,7 +55,6 @@ class Line:
     """
 
     def __init__(self, pulse, time, points, limits, tolerance, readings=1.0):
-        """Leave out what is too small to matter."""
         self.pulse, self.limits, self.sigma = pulse, limits, GROWTH / time
         self.readings = np.asarray(readings)
         tolerance = tolerance / self.readings.max(initial=1.0)
@@ -176,7 +175,6 @@ class PulseLine(FrequencySweep):
     key = "pulse_time"
 
     def __init__(self, recording):
-        """Choose the points of the line."""
         self.recording, lattice = recording, recording.lattice
         time, tolerance = recording.time, recording.tolerance
         limits = limits_of(recording.scaled)

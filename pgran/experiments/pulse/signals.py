@@ -30,7 +30,6 @@ class Recording:
     """
 
     def __init__(self, lattice, detectors, sent, time, points, tolerance, fields):
-        """Choose how finely powers are integrated."""
         self.lattice, self.sent, self.tolerance, self.fields = lattice, sent, tolerance, fields
         self.sites = lattice.sites(detectors)
         self.scaled, self.unit = lattice.in_own_unit()

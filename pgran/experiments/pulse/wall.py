@@ -52,7 +52,6 @@ class Pulse:
     start, size = 0.0, 1.0  # `size` is the unit of `moves`
 
     def __init__(self, shape, omega, width):
-        """Place the bell so late that before the time 0 next to nothing moves."""
         self.shape, self.omega = shape, omega
         self.width = width = math.sqrt(2) / omega if shape == "ricker" else width
         self._carrier = carrier = omega if shape == "burst" else 0.0  # the bell is multiplied by it
@@ -121,7 +120,6 @@ class Samples:
     shape, omega = "file", 0.0
 
     def __init__(self, values, width):
-        """Find the bells."""
         self.size = 2.0 ** np.floor(np.log2(np.abs(values).max()))
         self.values, self.width = values / self.size, width
         self.heights = self._heights()

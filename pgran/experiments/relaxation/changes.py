@@ -7,7 +7,6 @@ class ChangingBonds:
     """All bond constants before a step of a trajectory, their operators; `draw` gives Changes."""
 
     def __init__(self, lattice, operators, draw):
-        """Start from the lattice's bonds."""
         self.operators, self.draw = operators, draw
         self.initial = lattice.constants
         self.constants = self.initial.copy()

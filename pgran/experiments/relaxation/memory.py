@@ -52,7 +52,6 @@ class Series:
     """A stationary series of an observable: B after each step, shape (T,) or (R, T); M bonds."""
 
     def __init__(self, values, bonds):
-        """Raise InputError if the series is too short for errors, or never changes."""
         self.values, self.bonds = np.atleast_2d(np.asarray(values, dtype=float)), bonds
         trajectories, steps = self.values.shape
         # independent parts of one trajectory

@@ -127,7 +127,6 @@ class Steps(Task):
     items = "states"
 
     def __init__(self, lattice, law, detectors, march, steady):
-        """Cut the trajectories into stretches of whole windows."""
         self.lattice, self.march, self.steady = lattice, march, steady
         self.redraw = Redraw(lattice, law, march.seed)
         self.sites = lattice.sites(detectors)

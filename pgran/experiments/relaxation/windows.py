@@ -53,7 +53,6 @@ class Windows(Owner):
     owns = ("_columns",)
 
     def __init__(self, changing, solver, s):
-        """Raise where there is no factorization, or no damping; make the blocks of columns."""
         self.operators = changing.operators
         if self.operators.damping == 0:
             raise InputError(

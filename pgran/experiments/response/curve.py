@@ -93,7 +93,6 @@ class IntervalSweep(Task):
     items = "intervals"
 
     def __init__(self, lattice, omegas, sites, tolerance):
-        """Cut the sweep where equal parts of the intervals are expected to end."""
         self.lattice, self.sites, self.tolerance = lattice, sites, tolerance
         width = min(2 * moments_of(lattice), lattice.size)
         self.row = model_dtype(width, len(sites), lattice.size)
@@ -142,7 +141,6 @@ class CurvePoints(Task):
     items = "intervals"
 
     def __init__(self, models, limits, omegas, tolerance):
-        """Look at each proven interval."""
         self.models, self.limits, self.omegas, self.tolerance = models, limits, omegas, tolerance
         self.row = point_dtype(models["reading"].shape[1])
         self.units = np.flatnonzero(models["proven"]).tolist()

@@ -44,7 +44,6 @@ class IntervalModels(Owner):
     owns = ("_ksp", "_rhs", "_solution", "_image", "_columns", "_products")
 
     def __init__(self, operators, sites, tolerance, length):
-        """Make the blocks of right-hand sides and of columns."""
         self.operators, self.comm = operators, operators.comm
         self.tolerance, self.length = tolerance, length
         self.factorizations, self._works = 0, False

@@ -116,7 +116,6 @@ class SmallSystems:
     """
 
     def __init__(self, model, limits, omega):
-        """Solve for y and w, and bound their residuals."""
         self.model, self.limits, self.omega = model, limits, omega
         own = model["own"]
         systems, p, _ = own.shape

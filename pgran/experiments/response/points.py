@@ -19,7 +19,6 @@ class ResponseSweep(FrequencySweep):
     """The amplitudes at the detectors, with their bounds, and the whole field if it is wanted."""
 
     def __init__(self, lattice, omegas, detectors, fields, steady):
-        """Say what a frequency's results travel in."""
         self.fields, self.detectors, self.steady = fields, detectors, steady
         sites = lattice.sites(detectors)
         axes = {"detector_number": (len(sites),), "balls": lattice.shape}

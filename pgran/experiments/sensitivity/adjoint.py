@@ -16,7 +16,6 @@ class AdjointSweep(FrequencySweep):
     """
 
     def __init__(self, lattice, omegas, sites, error_tolerance, record, missing, **lengths):
-        """Ask for whole fields."""
         without = {*missing, *(f"{name}_bound" for name in missing)}
         lengths |= {"detector_number": (len(sites),), "every_bond": (lattice.bonds,)}
         row = [("field_bound", float), *row_of(record, without, **lengths)]

@@ -24,7 +24,6 @@ class ExpansionTask(Task):
     items = "warm balls"
 
     def __init__(self, network, omegas, sites, balls, growth, error_tolerance):
-        """Take a ball for a unit."""
         self.packing, self.omegas, self.sites = Packing(network), omegas, sites
         self.balls, self.growth, self.error_tolerance = balls, growth, error_tolerance
         self.units = [range(n, n + 1) for n in range(len(balls))]

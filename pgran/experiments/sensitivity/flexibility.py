@@ -17,7 +17,6 @@ class Flexibility:
     """
 
     def __init__(self, operators, groups):
-        """Find the unknowns to solve for, and which L(i, u) each G_ij needs."""
         self.operators, self.groups, layout = operators, groups, operators.layout
         self._there = groups >= 0
         # `place` (count, r) is where a spring of a group stands among all `springs`, each once;

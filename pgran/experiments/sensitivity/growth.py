@@ -49,7 +49,6 @@ class Packing:
     """A network as balls at rest under its contact law, which `warmth.check_law` has seen."""
 
     def __init__(self, network):
-        """Take contacts as exact as their forces and normals say."""
         self.network, packing = network, with_vectors(network)
         balls, self.contacts = balls_of(packing)
         pushes = network.force[:, None] * packing.normal

@@ -169,7 +169,6 @@ class HeatSweep(AdjointSweep):
     """The amplitudes after changes that leave all other balls in place, frequency by frequency."""
 
     def __init__(self, lattice, omegas, detectors, warmth, relaxing, warm, cut, error_tolerance):
-        """Find the springs that change; `warm` are places among the free balls."""
         sites, free = lattice.sites(detectors), lattice.ball_numbers
         self.warmth, self.relaxing, self.balls = warmth, relaxing, free[warm]
         groups = {}  # groups[kind][n]: the springs that change n changes

@@ -31,7 +31,6 @@ class Map:
     """
 
     def __init__(self, medium, detector):
-        """Find what is seen."""
         self.medium, self.lattice = medium, medium.group == "lattice"
         self.network = network = as_network(medium)
         if self.lattice:

@@ -49,7 +49,6 @@ class Radii:
     """
 
     def __init__(self, network, relax=True, least=0.0):
-        """Factor the stiffness of the packing."""
         self.network, self.relax = network, relax
         packing = with_vectors(network)
         self.normal, self.distance = packing.normal, packing.distance
@@ -151,7 +150,6 @@ class Static:
     """
 
     def __init__(self, packing, least, pushes):
-        """Factor K in mass-weighted unknowns."""
         springs = packing.springs
         self.normal, self.least = packing.normal, least
         self.B, self.constants = springs.B, springs.constants

@@ -103,7 +103,6 @@ class GradientSweep(AdjointSweep):
     """The derivatives at each frequency, in the lattice's own unit."""
 
     def __init__(self, lattice, omegas, detectors, most, error_tolerance):
-        """Say what a frequency's results travel in."""
         sites, springs = lattice.sites(detectors), lattice.springs
         self.most = most
         # which blocks of springs a contact's constants stand in

@@ -22,7 +22,6 @@ class Unrest:
     """
 
     def __init__(self, network, left, blurred, gap):
-        """Find how near a rest is, if one is for certain."""
         self.seen, weights = Radii(network, relax=False), network.weights[:: network.components]
         least, d = least_stiffness(with_vectors(network)), network.distance
         reach = 2.1 * np.linalg.norm(weights * left) / least if least else np.inf

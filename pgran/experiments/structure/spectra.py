@@ -17,7 +17,6 @@ class Spectra(PatternSweep):
     """
 
     def __init__(self, lattice, omegas, sigma, waves, groups, choices):
-        """Make the patterns of the waves, which do not depend on the unit."""
         self.waves, self.groups = waves, groups
         self.shape = len(waves.branches), len(groups)
         row = row_of(Structure, branch=self.shape[:1], q=self.shape[1:])

@@ -29,7 +29,6 @@ class Waves:
     """
 
     def __init__(self, medium):
-        """Measure the medium; raise an InputError if its balls have no places."""
         network = as_network(record_of(medium)).built if medium.is_grid else medium
         if network.position is None:
             raise InputError("-network_file: waves need the positions of the balls")
