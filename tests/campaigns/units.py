@@ -55,16 +55,9 @@ UNITS = {
 UNIT = {name: words for words, names in UNITS.items() for name in names.split()}
 SAME = {"K0": "k", "spacing": "length", " x omega_mx": "", "force": "(k length)"}
 LEFT_OUT = {"solve_seconds", "bonds_sha256", "models"}  # models are in a unit of their own
-NOT_COMPUTING = {
-    "BondLaw",
-    "InputError",
-    "Lattice",
-    "Network",
-    "PgranError",
-    "export",
-    "load",
-    "plot",
-}
+NOT_COMPUTING = set(
+    ["BondLaw", "InputError", "Lattice", "Network", "PgranError", "export", "load", "plot"]
+)
 
 
 def factor(words, units):
@@ -114,6 +107,7 @@ def differences(found, expected):
             with np.errstate(invalid="ignore"):
                 same = (one == other) | (np.isnan(one) & np.isnan(other))
                 size = np.abs(other[np.isfinite(other)]).max(initial=0.0) or 1.0
+                size = max(size, 1e-7) if "estimate" in name else size  # where integrals are exact
                 off = np.where(same, 0.0, np.abs(one - other) / size).max(initial=0.0)
         if not off <= (VARIED if VARYING.search(name) else ALIKE):
             yield f"{name} {off:.1e}"
@@ -167,16 +161,26 @@ def pulse(c, medium=None, **given):
     return pgran.pulse(c.plain if medium is None else medium, c.heard, **c.sent | given)
 
 
-def responses(c):
-    """Return an ensemble of responses along a line of balls."""
-    given = {"lattice": c.sample, "detectors": c.line, "omegas": c.dense, "keep": "curves"}
-    return pgran.ensemble("response", 8, **given)
+def stepped(c, **given):
+    """Return the signals of one that is integrated."""
+    return pulse(c, method="integrate", **given)
 
 
-def pulses(c):
-    """Return an ensemble of pulses along a line of balls."""
-    sent = c.sent | {"time": 200 / c.top, "points": 201, "keep": "curves"}
-    return pgran.ensemble("pulse", 8, lattice=c.plain_sample, detectors=c.line, **sent)
+def moved(c, **given):
+    """Return what a push of so many units of length moves."""
+    return pulse(c, c.pushed, **given).displacement / c.length
+
+
+def crossed(c, of, **given):
+    """Return an ensemble along a line of balls, and what is measured of it."""
+    found = pgran.ensemble(of, 8, detectors=c.line, keep="curves", **given)
+    return found, pgran.transport(c.medium, found)
+
+
+def noise(c):
+    """Return the noise of an ensemble."""
+    found, _ = crossed(c, "response", lattice=c.sample, omegas=c.dense)
+    return pgran.statistics(found, (0.2 * c.top, 0.8 * c.top))
 
 
 def box(c, damping):
@@ -201,14 +205,25 @@ def modes(**given):
 
     def row(c):
         asked = {
-            key: [c.top * x for x in given[key]] for key in ("interval", "targets") & given.keys()
+            key: c.top * np.array(given[key]) for key in {"interval", "targets"} & given.keys()
         }
         return pgran.find_modes(c.medium, detectors=c.heard, **given | asked)
 
     return row
 
 
+def warm(c, **given):
+    """Return what warm balls change."""
+    return pgran.heat(c.medium, c.omegas[::4], c.heard, **given)
+
+
+def relaxed(method):
+    """Return a row of a relaxation."""
+    return lambda c: pgran.relax(c.medium, detectors=c.heard, method=method, **c.changes)
+
+
 ITERATIVE = {"steady_ksp_type": "gmres", "steady_pc_type": "ilu"}
+# fmt: off
 ROWS = {
     "compare": (
         lambda c: pgran.compare(*(pgran.sweep(c.sample(n), c.dense, c.heard) for n in (1, 2))),
@@ -225,72 +240,50 @@ ROWS = {
         lambda c: pgran.equilibrate(c.plain, c.plain.radius * (1 - 1e-4 * (c.plain.held == 0))),
     ),
     "find_modes": (
-        modes(method="dense", shapes=True),
-        modes(method="eps"),
-        modes(interval=(0.2, 0.5)),
-        modes(targets=[0.3], count=3),
-        modes(damped=True, shapes=True),
+        modes(method="dense", shapes=True), modes(method="eps"), modes(interval=(0.2, 0.5)),
+        modes(targets=[0.3], count=3), modes(damped=True, shapes=True),
         modes(damped=True, targets=[0.3], count=2, method="eps", certificate="proven"),
         modes(damped=True, targets=[0.0], count=2, method="eps"),
     ),
     "green": (lambda c: pgran.green(c.medium, c.omegas, c.heard),),
     "heat": (
-        lambda c: pgran.heat(c.medium, c.omegas[::4], c.heard, factor=1.1, cut=True),
-        lambda c: pgran.heat(
-            c.medium, c.omegas[::4], c.heard, overlap=0.1 * c.length,
-            hertz=c.units["k"] / sqrt(c.length),
-        ),
-        lambda c: pgran.heat(
-            c.plain, c.omegas[::4], c.heard, radius=1e-2 * c.plain.overlap.mean(), samples=3
-        ),
+        lambda c: warm(c, factor=1.1, cut=True),
+        lambda c: warm(c, overlap=0.1 * c.length, hertz=c.units["k"] / sqrt(c.length)),
+        lambda c: pgran.heat(c.plain, c.omegas[::4], c.heard, samples=3,
+                             radius=1e-2 * c.plain.overlap.mean()),
     ),
     "ordered": (lambda c: pgran.ordered(c.plain),),
-    "pack": (
-        lambda c: in_units(
-            pgran.pack(20, pressure=0.01, sizes=c.length * np.linspace(1, 2, 20)), c.units
-        ),
-    ),
+    "pack": (lambda c: in_units(
+        pgran.pack(20, pressure=0.01, sizes=c.length * np.linspace(1, 2, 20)), c.units),),
     "project": (lambda c: pgran.project(c.medium, c.omegas[::3]),),
     "pulse": (
         lambda c: pulse(c, method="laplace", fields=c.fields),
-        lambda c: pulse(c, method="integrate", fields=c.fields),
-        lambda c: pulse(
-            c, method="integrate", shape="step", solver={"pulse_ts_adapt_dt_max": 0.7 / c.top}
-        ).displacement,
-        lambda c: pulse(
-            c, method="integrate", error_tolerance=0.05, solver={"pulse_ts_type": "alpha2"}
-        ),
-        *(
-            lambda c, given=given: pulse(c, c.pushed, **given).displacement / c.length
-            for given in ({"method": "laplace"}, {"method": "integrate"})
-        ),
-        lambda c: pulse(c, method="integrate", wall=c.length * np.hanning(99)).velocity
-        / (c.length * c.top),
+        lambda c: stepped(c, fields=c.fields),
+        lambda c: stepped(c, error_tolerance=0.05, solver={"pulse_ts_type": "alpha2"}),
+        lambda c: stepped(c, solver={"pulse_ts_adapt_dt_max": 0.7 / c.top}).displacement,
+        lambda c: stepped(c, wall=c.length * np.hanning(99)).velocity / (c.length * c.top),
+        lambda c: moved(c, method="laplace"), lambda c: moved(c, method="integrate"),
     ),
     "redrawn": (lambda c: pgran.redrawn(c.medium, 9, law=c.law),),
-    "relax": tuple(
-        lambda c, method=method: pgran.relax(
-            c.medium, detectors=c.heard, method=method, **c.changes
-        )
-        for method in ("window", "direct", "krylov")
-    ),
+    "relax": (relaxed("window"), relaxed("direct"), relaxed("krylov")),
     "sensitivity": (lambda c: pgran.sensitivity(c.medium, c.omegas[::4], c.heard),),
     "sound": (lambda c: pgran.sound(c.medium),),
-    "statistics": (lambda c: pgran.statistics(responses(c), (0.2 * c.top, 0.8 * c.top)),),
+    "statistics": (noise,),
     "structure": (lambda c: pgran.structure(c.medium, 2, c.dense[::3]),),
     "sweep": (
-        lambda c: pgran.sweep(c.medium, c.omegas, c.heard, method="points", fields=c.fields),
-        curve,
+        lambda c: pgran.sweep(c.medium, c.omegas, c.heard, method="points", fields=c.fields), curve,
         lambda c: pgran.sweep(c.medium, c.omegas, c.heard, solver=ITERATIVE),
         lambda c: pgran.sweep(c.pushed, c.omegas, c.heard).displacement / c.length,
     ),
     "transport": (
-        lambda c: [found := responses(c), pgran.transport(c.medium, found)],
-        lambda c: [found := pulses(c), pgran.transport(c.medium, found)],
+        lambda c: crossed(c, "response", lattice=c.sample, omegas=c.dense),
+        lambda c: crossed(c, "pulse", lattice=c.plain_sample,
+                          **c.sent | {"time": 200 / c.top, "points": 201}),
     ),
     "with_source": (lambda c: pgran.with_source(c.medium, balls=c.balls[:2]),),
     "without_rattlers": (lambda c: pgran.without_rattlers(c.medium),),
-}  # fmt: skip
+}
+# fmt: on
 
 
 def called(row, start, units):
@@ -306,12 +299,10 @@ def faults(row, start, decades, expected, refused):
     mass, time, length = (4.0 ** round(d / log(4, 10)) for d in decades)
     length = 1.0 if start.is_grid else length  # the spacing
     found, why = called(row, start, {"k": mass / time**2, "m": mass, "length": length})
-    if found is None and expected is None:
-        return
-    if found is None or expected is None:
+    if found and expected:
+        yield from differences(found, expected)
+    elif found or expected:
         yield why or f"computed, and refused before: {refused}"
-        return
-    yield from differences(found, expected)
 
 
 def main(first, last, systems=8):
