@@ -55,9 +55,9 @@ UNITS = {
 UNIT = {name: words for words, names in UNITS.items() for name in names.split()}
 SAME = {"K0": "k", "spacing": "length", " x omega_mx": "", "force": "(k length)"}
 LEFT_OUT = {"solve_seconds", "bonds_sha256", "models"}  # models are in a unit of their own
-NOT_COMPUTING = set(
-    ["BondLaw", "InputError", "Lattice", "Network", "PgranError", "export", "load", "plot"]
-)
+NOT_COMPUTING = {
+    "BondLaw", "InputError", "Lattice", "Network", "PgranError", "export", "load", "plot"
+}  # fmt: skip
 
 
 def factor(words, units):
