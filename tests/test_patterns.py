@@ -36,13 +36,12 @@ def test_a_failure_inside_petsc_is_marked(alone, monkeypatch, caplog):
 
 
 def test_balls_that_float_have_bounds_by_a_count(comm):
-    """Where ranks share them residuals alone say that values are right."""
+    """Where ranks share them none is known, however good the values."""
     network = random_network(3).network
     network = dataclasses.replace(network, held=0 * network.held, damping=0.1, damped="all")
     with Operators(network, comm) as operators, PatternSolver(operators) as solver:
         assert solver.solve(0.7j)
         G, bound = solver.products(np.eye(network.size), np.eye(network.size))
-        assert solver.solved
     reference = NetworkReference(network)
     exact = np.linalg.inv(reference.weighted(reference.system(0.7j)).astype(complex))
     assert np.allclose(G, exact, rtol=1e-9)
