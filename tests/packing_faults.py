@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from packing_samples import pushes
 
-from pgran.balance.contacts import near_pairs
+from pgran.balance.motion import near_pairs
 from pgran.balance.pack import packed_network
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline as Spline
 
-from pgran.experiments.likeness.stretching import Pair
+from pgran.experiments.likeness.compare import Pair
 
 STEPS_OF_PERIOD = 2  # of what is made, to what is kept: FFTs repeat themselves
 

@@ -10,9 +10,8 @@ from packing_samples import cells, pushes
 from scipy.linalg import null_space
 
 import pgran
-from pgran.balance.contacts import ContactLaw, near_pairs
 from pgran.balance.equilibrium import NotBalancedError, at_rest, newton
-from pgran.balance.motion import Balls, Motion, listed
+from pgran.balance.motion import Balls, ContactLaw, Motion, listed, near_pairs
 from pgran.balance.networks import balls_of, changed_contacts, grown
 from pgran.balance.pack import packed_network
 from pgran.errors import InputError

@@ -5,10 +5,9 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import identity
 
-from pgran.balance import factors
+from pgran.balance import motion
 from pgran.balance.equilibrium import factored
-from pgran.balance.factors import Factors
-from pgran.balance.motion import Motion
+from pgran.balance.motion import Factors, Motion
 from pgran.balance.networks import balls_of, grown
 from pgran.medium.network_file import read_network
 
@@ -17,11 +16,11 @@ SPHERES = Path(__file__).parents[1] / "options" / "packings" / "spheres.h5"
 
 def test_factors_are_reused(monkeypatch):
     """They solve with matrices near their own, and give up where those are far or indefinite."""
-    monkeypatch.setattr(factors, "FEWEST", 1)
+    monkeypatch.setattr(motion, "FEWEST", 1)
     spheres = read_network(SPHERES)
     balls, contacts = balls_of(spheres)
-    motion = Motion(balls, contacts)
-    K, _, _ = motion.matrix(motion.state(np.zeros_like(balls.position), 0.0), 0.0)
+    start = Motion(balls, contacts)
+    K, _, _ = start.matrix(start.state(np.zeros_like(balls.position), 0.0), 0.0)
     right, kept = np.sin(np.arange(K.shape[0])), Factors()
     assert kept.solve(K, right) is None
     kept.keep(factored(K))
@@ -38,7 +37,7 @@ def test_factors_are_reused(monkeypatch):
     larger = spheres.radius.copy()
     larger[spheres.free[7]] += 0.1 * spheres.overlap.mean()
     few = grown(balls, contacts, larger)
-    monkeypatch.setattr(factors, "FEWEST", np.inf)
+    monkeypatch.setattr(motion, "FEWEST", np.inf)
     each = grown(balls, contacts, larger)
     assert few.factorizations < each.factorizations
     assert np.abs(few.balls.position - each.balls.position).max() < 1e-12

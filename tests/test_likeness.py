@@ -14,7 +14,7 @@ from synthetic import codas, fair, weaver
 import pgran
 from pgran.command.compare import table
 from pgran.errors import PgranError
-from pgran.experiments.likeness.stretching import MOVES, Pair
+from pgran.experiments.likeness.compare import MOVES, Pair
 from pgran.experiments.relaxation import memory
 from pgran.store import file as store
 from pgran.store.estimate import jackknife_samples, with_error

@@ -8,8 +8,7 @@ import pytest
 from samples import random_lattice, reference_of, swept
 
 from pgran.driven.phase import BLOCKS, CERTAIN, fit_phase
-from pgran.experiments.response.points import ResponseSweep
-from pgran.experiments.response.scene import summary
+from pgran.experiments.response.scene import ResponseSweep, summary
 from pgran.medium.lattice import Lattice
 from pgran.medium.record import LatticeRecord
 from pgran.store.estimate import counted, with_error

@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from pgran.balance.contacts import near_pairs
+from pgran.balance.motion import near_pairs
 from pgran.medium.packing import nearest_images, total_forces
 
 SKIN = 0.3  # mean diameters between balls that are listed as neighbours

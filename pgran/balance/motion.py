@@ -1,7 +1,11 @@
-"""Balls under a contact law, displaced: their contacts, energy, forces, second derivatives.
+"""Balls that repel where they overlap: contacts, energy, forces, second derivatives.
 
-With x = (X + u) e^eps about a reference X, whose contacts have the vectors v0 of length r0 and the
-overlaps h0,
+Two balls whose overlap h = R_i + R_j - |x_j - x_i| is positive repel with F = c h^alpha; alpha = 1
+is harmonic, 3/2 Hertz. c belongs to the material and, where alpha > 1, to the curvature of both:
+c = C (R_i R_j / (R_i + R_j))^(alpha - 1), which for Hertz is 4/3 E* sqrt(R*).
+
+Displaced, with x = (X + u) e^eps about a reference X, whose contacts have the vectors v0 of length
+r0 and the overlaps h0,
 
     v = v0 + u_j - u_i,   h = h0 - (2 v0 . du + du . du) / (|v| + r0) - (e^eps - 1) |v|,
 
@@ -17,10 +21,109 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgran.balance.contacts import ContactLaw, near_pairs, pair_numbers
-from pgran.balance.factors import Factors
-from pgran.medium.packing import total_forces
+from pgran.errors import InputError
+from pgran.medium.packing import nearest_images, total_forces
 from pgran.medium.springs import differences
+
+
+@dataclass(frozen=True)
+class ContactLaw:
+    """F = c h^power, with c = modulus (R_i R_j / (R_i + R_j))^(power - 1)."""
+
+    power: float
+    modulus: float = 1.0
+
+    def constants(self, first, second):
+        """Return c of contacts between balls of these radii."""
+        return self.modulus * (first * second / (first + second)) ** (self.power - 1)
+
+    def force(self, constants, overlap):
+        """Return F; none where balls do not overlap."""
+        return constants * np.maximum(overlap, 0.0) ** self.power
+
+    def stiffness(self, constants, overlap):
+        """Return dF/dh; none where balls do not overlap."""
+        touching = overlap > 0
+        height = np.where(touching, overlap, 1.0)
+        return np.where(touching, self.power * constants * height ** (self.power - 1), 0.0)
+
+
+def near_pairs(position, radius, box, reach):
+    """Return the pairs (n, 2) of balls nearer than `reach` to touching, and the vectors between.
+
+    `box` are the periods along each axis, infinite where there is none. Raises InputError where
+    the box is so small that a ball could touch two images of another.
+    """
+    from scipy.spatial import cKDTree  # here: SciPy takes its time
+
+    cutoff, periodic = 2 * radius.max() + reach, np.isfinite(box)
+    if np.any(box[periodic] < 2 * cutoff):
+        raise InputError(
+            f"the box is {box[periodic].min():.4g} wide, less than {2 * cutoff:.4g}: "
+            "balls could touch two images of another; more balls are needed"
+        )
+    inside = position - position.min(axis=0)
+    inside[:, periodic] = position[:, periodic] % box[periodic]
+    inside[:, periodic] *= inside[:, periodic] < box[periodic]  # rounded up to the period
+    tree = cKDTree(inside, boxsize=np.where(periodic, box, 0.0))
+    pairs = tree.query_pairs(cutoff, output_type="ndarray")
+    pairs = pairs[np.lexsort(pairs.T[::-1])]
+    away, _ = nearest_images(position[pairs[:, 1]] - position[pairs[:, 0]], box)
+    near = np.linalg.norm(away, axis=1) < radius[pairs].sum(axis=1) + reach
+    return pairs[near], away[near]
+
+
+def pair_numbers(pairs, balls):
+    """Return a number of each pair (n, 2), the same in whichever order its two balls are."""
+    return np.sort(pairs, axis=1) @ [balls, 1]
+
+
+SOLVE = 20  # multiplications of a factorization that take as long as an entry of a solve
+FEWEST = 20  # solves that a factorization must cost, or it is not kept
+INEXACT = 1e-6  # the part of a step that conjugate gradients leave out
+
+
+class Factors:
+    """Factors of the last matrix that was factored, which solve with others near it, too.
+
+    Where a step opens or closes a few contacts, seven or so solves do. In three dimensions the time
+    of a factorization grows like N^2: of 5000 spheres it is that of 50 solves. Where it is that of
+    `FEWEST` or less, factors are not kept.
+    """
+
+    def __init__(self):
+        self.factors, self.solves = None, 0
+
+    def keep(self, factors):
+        """Keep factors, if they are worth it."""
+        lengths = np.diff(factors.L.indptr).astype(float)
+        self.solves = int(lengths @ lengths / (SOLVE * lengths.sum()))
+        self.factors = factors if self.solves >= FEWEST else None
+
+    def solve(self, K, right):
+        """Return x of K x = right by conjugate gradients, None where factoring K is cheaper.
+
+        None, too, where K is seen not to be positive definite. In any case x leads downhill.
+        """
+        if self.factors is None:
+            return None
+        x, residual = np.zeros_like(right), right.copy()
+        along = near = self.factors.solve(residual)
+        size = first = residual @ near
+        for _ in range(self.solves):
+            product = K @ along
+            curvature = along @ product
+            if not curvature > 0:
+                break
+            x += size / curvature * along
+            residual -= size / curvature * product
+            near = self.factors.solve(residual)
+            before, size = size, residual @ near
+            if size <= INEXACT**2 * first:
+                return x
+            along = near + size / before * along
+        self.factors = None
+        return None
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,8 @@ import math
 import numpy as np
 
 from pgran.arguments import called_right
-from pgran.balance.contacts import ContactLaw, pair_numbers
 from pgran.balance.equilibrium import BALANCED, at_rest, without_rattlers
-from pgran.balance.motion import Balls, Contacts, listed
+from pgran.balance.motion import Balls, ContactLaw, Contacts, listed, pair_numbers
 from pgran.errors import InputError
 from pgran.medium.dissipation import of_new
 from pgran.medium.network import Network

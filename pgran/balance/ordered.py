@@ -3,7 +3,7 @@
 import numpy as np
 
 from pgran.arguments import called_right, whole_number
-from pgran.balance.contacts import near_pairs
+from pgran.balance.motion import near_pairs
 from pgran.errors import InputError
 from pgran.medium.dissipation import of_new
 from pgran.medium.network import Network

@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 
 from pgran.arguments import called_right, choice, meant, nearest, whole_number
-from pgran.balance.contacts import ContactLaw
+from pgran.balance.motion import ContactLaw
 from pgran.balance.networks import network_of
 from pgran.balance.settle import DENSITY, under_gravity, under_pressure
 from pgran.errors import InputError

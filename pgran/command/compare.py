@@ -15,8 +15,7 @@ from pgran.errors import DONE, InputError
 from pgran.run.options import REALS, Option
 from pgran.store import file as store
 from pgran.store.estimate import with_error
-from pgran.store.fields import ball_names
-from pgran.store.record import Result
+from pgran.store.record import Result, ball_names
 
 log = logging.getLogger("pgran")
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pgran.command.words import Parser, magnitude, positive
 from pgran.errors import DONE, InputError
-from pgran.foreign import graphs
+from pgran.foreign import contacts
 from pgran.foreign.assemble import assemble
 from pgran.foreign.contacts import AXES, read_balls
 from pgran.foreign.recognise import read_contacts
@@ -114,7 +114,7 @@ def _check(options):
 def _read(options):
     """Return the contacts between the balls in the files, and the names of nodes of a graph."""
     if options.contacts is None:
-        nodes, edges, names = graphs.read_graph(options.balls)
+        nodes, edges, names = contacts.read_graph(options.balls)
         return read_contacts(edges, read_balls(nodes), options.columns), np.array(names)
     balls = read_balls(read_table(options.balls))
     return read_contacts(read_table(options.contacts), balls, options.columns), None

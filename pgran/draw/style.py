@@ -14,7 +14,7 @@ from matplotlib.transforms import offset_copy
 
 from pgran import catalogue
 from pgran.errors import FileError
-from pgran.store.fields import ball_names as ball_names
+from pgran.store.record import ball_names as ball_names
 from pgran.store.si import SI
 
 MM = 1 / 25.4  # in inches

@@ -83,3 +83,22 @@ def ranges(count):
     """Cut a sweep into ranges of frequencies, in the same way for any number of ranks."""
     length = min(LONGEST_UNIT, max(1, count // 64))
     return [range(start, min(start + length, count)) for start in range(0, count, length)]
+
+
+class PatternSweep(FrequencySweep):
+    """What patterns of balls pass on to one another, at one s = sigma + i omega after the other."""
+
+    def compute(self, point, solver, s):
+        """Put into a row what is wanted of the solved patterns. Collective over a group."""
+
+    def solver(self, operators):
+        """See `FrequencySweep`."""
+        from pgran.driven.patterns import PatternSolver
+
+        return PatternSolver(operators, **self.choices)
+
+    def solve(self, point, solver, s):
+        """See `FrequencySweep`."""
+        solver.solve(s)
+        self.compute(point, solver, s)
+        point["backward_error"] = solver.backward_error

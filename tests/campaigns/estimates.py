@@ -31,7 +31,7 @@ import pgran
 from pgran.errors import InputError
 from pgran.experiments.ensemble import intensity
 from pgran.experiments.ensemble.noise import MAXIMA_SPACING, NoisyCurves
-from pgran.experiments.likeness.stretching import MOVES
+from pgran.experiments.likeness.compare import MOVES
 from pgran.experiments.modes import levels
 from pgran.experiments.modes.levels import GOE_SPACING_RATIO, POISSON_SPACING_RATIO
 from pgran.experiments.relaxation import memory

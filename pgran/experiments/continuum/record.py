@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.fields import PHASE
-from pgran.store.record import Record, array
+from pgran.store.record import PHASE, Record, array
 
 
 @dataclass(frozen=True, eq=False, repr=False)

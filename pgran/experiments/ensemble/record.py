@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgran.catalogue import EXPERIMENTS
-from pgran.store.fields import DETECTOR
-from pgran.store.record import Record, array, attribute, error_of
+from pgran.store.record import DETECTOR, Record, array, attribute, error_of
 
 Array = np.ndarray | None  # what not every ensemble has
 CERTAIN = 2.0  # standard errors that a number is above 0 by, if it is for certain

@@ -9,8 +9,7 @@ from pgran.experiments.ensemble.record import Ensemble, measures, sampled_of
 from pgran.run.machine import check_memory
 from pgran.run.task import Task
 from pgran.store.estimate import MOST, counted, mean_of, with_error, with_errors
-from pgran.store.fields import ball_names
-from pgran.store.record import columns_of, row_of
+from pgran.store.record import ball_names, columns_of, row_of
 from pgran.store.si import SI
 
 log = logging.getLogger("pgran")

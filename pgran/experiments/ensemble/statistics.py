@@ -12,7 +12,7 @@ from pgran.experiments.ensemble.noise import MAXIMA_SPACING, NoisyCurves
 from pgran.experiments.ensemble.record import Ensemble, NoiseStatistics
 from pgran.run.numbers import windows_of
 from pgran.store.estimate import Estimate, told, with_errors
-from pgran.store.fields import ball_names
+from pgran.store.record import ball_names
 
 log = logging.getLogger("pgran")
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pgran.draw import captions, marks, scales, style
-from pgran.store.fields import site_name
+from pgran.store.record import site_name
 
 NAMED = 6  # curves in a legend
 DENSITY = scales.Quantity("local density of states", r"($1/\omega_{mx}$)", "1/Hz", -1)

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.fields import FLOOR, Frequencies
-from pgran.store.record import array, attribute_array, error_of
+from pgran.store.record import FLOOR, Frequencies, array, attribute_array, error_of
 
 PAIRS, OWN = ("omega", "receiver_number", "source_number"), ("omega", "source_number")
 NO_BOUND = "bound of its error; infinite: none is known"

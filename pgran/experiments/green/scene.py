@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from pgran.driven.accurate import below_relative_accuracy, is_accurate
 from pgran.driven.drive import STEADY, reached_accuracy
-from pgran.driven.pattern_sweep import PatternSweep
+from pgran.driven.judge import below_relative_accuracy, is_accurate
+from pgran.driven.sweep import PatternSweep
 from pgran.experiments.green.record import Green
 from pgran.medium.base import medium
 from pgran.medium.rounding import EPSILON
@@ -20,8 +20,7 @@ from pgran.run.machine import check_memory
 from pgran.run.options import INTEGERS, TEXT, Option
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted
-from pgran.store.fields import ball_names
-from pgran.store.record import columns_of, row_of
+from pgran.store.record import ball_names, columns_of, row_of
 
 GOOD, MISSED = 1, 0  # reasons of frequencies
 BYTES = 200  # of an unknown under each pattern, while a frequency is solved

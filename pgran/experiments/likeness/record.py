@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.fields import DETECTOR
-from pgran.store.record import Record, array, error_of
+from pgran.store.record import DETECTOR, Record, array, error_of
 
 EACH = "window", "detector_number", "signal"
 UNIT = "sqrt(k/m); of a pulse sqrt(m/k)"

@@ -7,8 +7,7 @@ import numpy as np
 
 from pgran.errors import PgranError
 from pgran.experiments.modes.shapes import RESIDUAL, least_frequency
-from pgran.store.fields import DETECTOR, Frequencies
-from pgran.store.record import Record, array, attribute
+from pgran.store.record import DETECTOR, Frequencies, Record, array, attribute
 
 
 @dataclass(frozen=True, eq=False, repr=False)

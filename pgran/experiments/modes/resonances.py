@@ -11,7 +11,7 @@ what the detector reads. A mode alone has its peak |A_d| = 2 |R_i| / Gamma_i at 
 import numpy as np
 
 from pgran.experiments.modes.levels import modal_widths
-from pgran.store.fields import ball_names
+from pgran.store.record import ball_names
 
 LOUDEST = 3  # modes that a summary names
 

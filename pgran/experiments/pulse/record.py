@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.fields import DETECTOR
-from pgran.store.record import Record, array, attribute_array
+from pgran.store.record import DETECTOR, Record, array, attribute_array
 
 BOUND = "bound of the error of the "
 ESTIMATE = "estimate of the error of the "

@@ -23,7 +23,7 @@ from pgran.run.options import FILE, alternatives
 from pgran.run.task import carry_out
 from pgran.store.columns import read_columns
 from pgran.store.estimate import counted, with_error
-from pgran.store.fields import ball_names
+from pgran.store.record import ball_names
 from pgran.store.si import SI
 
 PROVABLE = 1e-6  # tolerance below which rounding leaves little to be proven

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.fields import BOUND, DETECTOR, FLOOR
-from pgran.store.record import Record, array, attribute, error_of
+from pgran.store.record import BOUND, DETECTOR, FLOOR, Record, array, attribute, error_of
 
 STATES = "trajectory", "state", "detector_number"  # axes
 

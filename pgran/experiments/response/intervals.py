@@ -21,9 +21,18 @@ from pgran.driven.judge import Detectors
 from pgran.driven.linear import LEAST_NORM, make_ksp, set_up
 from pgran.driven.owner import Owner
 from pgran.errors import is_bad_input, petsc_message
-from pgran.experiments.response.models import ModelLimits, evaluate, moments_of, poles
+from pgran.experiments.response.models import (
+    SUMMED,
+    ModelLimits,
+    evaluate,
+    moments_of,
+    poles,
+    products,
+    qr_rounding,
+    squares,
+    tall_qr,
+)
 from pgran.experiments.response.record import model_dtype
-from pgran.experiments.response.tall import SUMMED, products, qr_rounding, squares, tall_qr
 from pgran.medium.rounding import EPSILON
 from pgran.run.agreement import met_by_all
 from pgran.run.petsc import PETSc

@@ -7,8 +7,19 @@ import numpy as np
 
 from pgran.errors import PgranError
 from pgran.experiments.response.models import ModelLimits, evaluate, point_dtype
-from pgran.store.fields import BOUND, DETECTOR, FLOOR, PHASE, Frequencies
-from pgran.store.record import Record, array, attribute, attribute_array, part, row_of
+from pgran.store.record import (
+    BOUND,
+    DETECTOR,
+    FLOOR,
+    PHASE,
+    Frequencies,
+    Record,
+    array,
+    attribute,
+    attribute_array,
+    part,
+    row_of,
+)
 
 LINES = 1e-2  # of the amplitude, that straight lines between neighbours should be right to
 

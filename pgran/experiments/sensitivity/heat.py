@@ -28,8 +28,7 @@ from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, option
 from pgran.run.options import FLAG, INTEGER, INTEGERS, REAL
 from pgran.run.task import carry_out
-from pgran.store.fields import ball_names
-from pgran.store.record import columns_of
+from pgran.store.record import ball_names, columns_of
 
 QUARTER = 0.25  # of the amplitude: what the heater of the experiment changed
 
@@ -186,7 +185,7 @@ class HeatSweep(AdjointSweep):
 
     def expanding(self):
         """Return the task that computes the amplitudes of relaxed packings."""
-        from pgran.experiments.sensitivity.expansion import ExpansionTask
+        from pgran.experiments.sensitivity.growth import ExpansionTask
 
         growth = self.warmth.growth(self.lattice)[self.balls]
         where = self.lattice, self.omegas, self.sites, self.balls, growth
@@ -195,7 +194,7 @@ class HeatSweep(AdjointSweep):
     def prepare(self, operators):
         """See `FrequencySweep`."""
         from pgran.driven.certify import least_stiffness
-        from pgran.experiments.sensitivity.flexibility import Flexibility
+        from pgran.experiments.sensitivity.finite import Flexibility
         from pgran.experiments.sensitivity.radii import Radii
 
         groups = self.groups.items()

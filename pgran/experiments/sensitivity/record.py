@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.fields import BOUND, DETECTOR, Frequencies
-from pgran.store.record import array, attribute, error_of
+from pgran.store.record import BOUND, DETECTOR, Frequencies, array, attribute, error_of
 
 ITS_BOUND = "bound of its error"
 WHERE = "omega", "detector_number"

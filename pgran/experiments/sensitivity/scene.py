@@ -20,8 +20,7 @@ from pgran.run.keys import with_solver
 from pgran.run.keywords import PROGRESS, call, option, options_of
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted, with_error
-from pgran.store.fields import ball_names, site_name
-from pgran.store.record import columns_of
+from pgran.store.record import ball_names, columns_of, site_name
 from pgran.store.si import SI
 
 # Bytes of fields that derivatives are computed of at a time: for one state of a small lattice the

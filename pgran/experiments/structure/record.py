@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgran.store.fields import Frequencies
-from pgran.store.record import array, error_of
+from pgran.store.record import Frequencies, array, error_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)

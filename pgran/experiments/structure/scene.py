@@ -7,10 +7,8 @@ import numpy as np
 
 from pgran.driven.drive import STEADY, UNSTABLE, is_unstable
 from pgran.errors import InputError
-from pgran.experiments.structure.oscillator import ioffe_regel
 from pgran.experiments.structure.record import Structure
-from pgran.experiments.structure.spectra import Spectra
-from pgran.experiments.structure.waves import Waves
+from pgran.experiments.structure.waves import Spectra, Waves, ioffe_regel
 from pgran.medium.base import medium
 from pgran.medium.units import warn_above_modes
 from pgran.run.agreement import agreeing, on_root

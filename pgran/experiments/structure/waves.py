@@ -1,21 +1,35 @@
-"""Which waves fit into a medium, and their patterns in its unknowns.
+"""Structure factors: which waves fit into a medium, S of each, the oscillator that it shows.
 
 Along a periodic axis of length L a wave vector has components 2 pi n / L, and a wave is a cosine
 and a sine. Between walls, a distance L apart, it stands: sin(n pi (x - x_wall) / L). Along an axis
 that is neither, as up to a free surface, it does not vary.
+
+The spectrum of a damped oscillator,
+
+    S(s) = (2 / pi) Re [s / (s^2 + s Gamma + Omega^2)],    s = sigma + i omega,
+
+is for sigma = 0 that of its velocity, (2 / pi) omega^2 Gamma / ((omega^2 - Omega^2)^2 +
+omega^2 Gamma^2), and wider by 2 sigma else: Omega and Gamma can be told from either.
 """
 
+import contextlib
 import itertools
 import math
+import warnings
 
 import numpy as np
 
+from pgran.driven.sweep import PatternSweep
 from pgran.errors import InputError
+from pgran.experiments.structure.record import Structure
 from pgran.medium.bonds import AXES
 from pgran.medium.record import record_of
+from pgran.medium.rounding import EPSILON
 from pgran.medium.space import as_network
 from pgran.medium.springs import FREE, tangents
 from pgran.run.machine import check_memory
+from pgran.store.estimate import Estimate, with_errors
+from pgran.store.record import columns_of, row_of
 
 ALIKE = 1e-6  # relative: by how much a given wave vector may differ from one that fits
 
@@ -142,3 +156,142 @@ class Waves:
             return standing[None]
         phase = angle[:, ~self.walled].sum(axis=1)
         return standing * np.stack([np.cos(phase), np.sin(phase)])
+
+
+FEWEST = 6  # points that a fit takes
+
+
+def spectrum(s, frequency, width):
+    """Return the spectrum S(s) of an oscillator; its integral over omega > 0 is 1."""
+    return 2 / math.pi * np.real(s / (s * s + s * width + frequency**2))
+
+
+def derivatives(s, frequency, width):
+    """Return the derivatives of that spectrum by Omega and Gamma, shape (n, 2)."""
+    below = (s * s + s * width + frequency**2) ** 2
+    return -2 / math.pi * np.real([2 * frequency * s / below, s * s / below]).T
+
+
+def fitted(s, values):
+    """Return Omega and Gamma of the oscillator nearest to a spectrum, an Estimate of both.
+
+    Standard errors are by the scatter around the fit, which at neighbouring points is alike as far
+    as sigma reaches. Both are NaN where the spectrum has its maximum at an end, or none fits.
+    """
+    from scipy.optimize import OptimizeWarning, curve_fit
+
+    known = np.isfinite(values)
+    s, values = s[known], values[known]
+    best, errors = np.full((2, 2), math.nan)
+    top = np.argmax(values) if len(values) >= FEWEST else 0
+    if 0 < top < len(values) - 1:
+        # at its maximum S is 2 / (pi (Gamma + 2 sigma))
+        start = s[top].imag, max(2 / (math.pi * values[top]) - 2 * s[top].real, 0.0)
+        # it does not converge, or nothing says how well
+        with contextlib.suppress(RuntimeError, OptimizeWarning), warnings.catch_warnings():
+            warnings.simplefilter("error", OptimizeWarning)
+            # The steps of SciPy's own differences are as small as Gamma: none where it is 0.
+            found, covariance = curve_fit(
+                lambda _, *o: spectrum(s, *o),
+                s.imag,
+                values,
+                start,
+                jac=lambda _, *o: derivatives(s, *o),
+            )
+            if s[0].imag < found[0] < s[-1].imag:
+                # What a Lorentzian of half width sigma smooths is correlated as one of 2 sigma,
+                # whose area is 2 pi sigma: so many points count as one.
+                alike = np.maximum(2 * math.pi * s.real / np.gradient(s.imag), 1.0)
+                best, errors = found, np.sqrt(alike.mean() * np.diag(covariance))
+    return Estimate(best, errors)
+
+
+def ioffe_regel(frequency, width):
+    """Return the frequency at which pi Gamma is first Omega, and what there is to say of it.
+
+    It is interpolated between neighbouring wave numbers, in whose order the arrays are; NaN if
+    there is none.
+    """
+    known = np.isfinite(frequency) & np.isfinite(width)
+    frequency, ratio = frequency[known], math.pi * width[known] / frequency[known]
+    beyond = np.flatnonzero(ratio >= 1)
+    if not len(ratio):
+        return math.nan, "not known, as no oscillator fits"
+    if not len(beyond):
+        return math.nan, f"not reached: pi Gamma / Omega is at most {ratio.max():.2g}"
+    if beyond[0] == 0:
+        return math.nan, (
+            "below the smallest wave number, for which the sample is too small: there "
+            f"pi Gamma / Omega is {ratio[0]:.3g} already"
+        )
+    pair = slice(beyond[0] - 1, beyond[0] + 1)
+    limit = float(np.interp(1.0, ratio[pair], frequency[pair]))
+    again = np.count_nonzero(ratio[beyond[0] :] < 1)
+    return limit, f"pi Gamma < Omega again at {again} of the larger wave numbers" if again else ""
+
+
+class Spectra(PatternSweep):
+    """S of groups of waves at sigma + i omega; `sigma` may be one number or one a frequency.
+
+    `waves` are those that fit into the medium.
+    """
+
+    def __init__(self, lattice, omegas, sigma, waves, groups, choices):
+        self.waves, self.groups = waves, groups
+        self.shape = len(waves.branches), len(groups)
+        row = row_of(Structure, branch=self.shape[:1], q=self.shape[1:])
+        super().__init__(lattice, omegas, None, row, choices, sigma)
+        self.patterns, self.places = waves.patterns(groups)
+
+    def without_dashpots(self):
+        """Return the same task for the medium without damping."""
+        return Spectra(
+            self.lattice.undamped(), self.omegas, self.s.real, self.waves, self.groups, self.choices
+        )
+
+    def compute(self, point, solver, s):
+        """See `PatternSweep`."""
+        G, bounds = solver.diagonal(self.patterns)
+        bounds = bounds + (len(G) + 8) * EPSILON * np.abs(G)  # what follows is rounded, too
+        # Re(s G), of the velocity that a force makes, is -omega Im G at s = i omega
+        scale = 2 * self.scaled.mass / np.pi
+        value = point["structure_factor"] = self._summed(scale * np.real(s * G))
+        bound = point["error_bound"] = self._summed(scale * abs(s) * bounds)
+        point["converged_reason"] = np.all(bound <= solver.tolerance * np.abs(value))
+
+    def _summed(self, numbers):
+        """Return the sums of the patterns' numbers over each branch and wave number."""
+        return np.bincount(self.places, numbers, np.prod(self.shape)).reshape(self.shape)
+
+    def record(self, swept, elastic, seconds):
+        """Return the record of the rows with dashpots and without, which may be the same."""
+        sweeps = [swept] if elastic is swept else [swept, elastic]
+        columns = columns_of(Structure, swept)
+        columns["converged_reason"] = np.min([rows["converged_reason"] for rows in sweeps], axis=0)
+        frequency, width = self._oscillators(swept)
+        _, scattering = self._oscillators(elastic)
+        lattice, waves = self.lattice, self.waves
+        power = lattice.springs.damped @ (lattice.springs.B @ self.patterns.T) ** 2  # f^T B^T d B f
+        dashpots = self._summed(power) * lattice.damping / lattice.mass
+        limits = zip(frequency.value, scattering.value, strict=True)
+        return Structure(
+            **columns,
+            **with_errors(frequency=frequency, width=width, scattering=scattering),
+            factorizations=sum(int(rows["factorizations"].sum()) for rows in sweeps),
+            solve_seconds=seconds,
+            omega=self.omegas,
+            resolution=self.s.real,
+            branch=np.array(waves.branches),
+            q=np.array([waves.magnitude(group[0]) for group in self.groups]),
+            wavevector=np.array([waves.unit * group[0] for group in self.groups]),
+            directions=np.array([len(group) for group in self.groups]),
+            dashpots=dashpots + self._summed(lattice.other_widths(self.patterns)),
+            ioffe_regel=np.array([ioffe_regel(*branch)[0] for branch in limits]),
+        )
+
+    def _oscillators(self, rows):
+        """Return Omega and Gamma of each branch and group, an Estimate each."""
+        values = np.where(rows["converged_reason"][:, None, None], rows["structure_factor"], np.nan)
+        fits = [fitted(self.s, each) for each in values.reshape(len(rows), -1).T]
+        numbers = np.array([(fit.value, fit.error) for fit in fits])
+        return [Estimate(*each.T.reshape(2, *self.shape)) for each in np.moveaxis(numbers, 2, 0)]
