@@ -14,9 +14,9 @@ import dataclasses
 import sys
 
 import numpy as np
-from pgran.experiments.structure.oscillator import ioffe_regel
 
 import pgran
+from pgran.experiments.structure.waves import ioffe_regel
 
 OMEGA = np.geomspace(0.004, 2.4, 120)  # of waves
 EDGES = np.geomspace(0.004, 2.4, 100)  # below which modes are counted
