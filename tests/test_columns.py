@@ -3,7 +3,7 @@
 import pytest
 
 from pgran.errors import FileError
-from pgran.store.columns import read_columns, read_measured
+from pgran.store.text import read_columns, read_measured
 
 
 def test_columns_of_a_file(written):

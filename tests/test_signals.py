@@ -13,7 +13,7 @@ from synthetic import fair
 import pgran
 from pgran.driven.operators import Operators
 from pgran.errors import InputError
-from pgran.experiments.pulse.integration import Integrator
+from pgran.experiments.pulse.integrator import Integrator
 from pgran.experiments.pulse.laplace import Line, limits_of
 from pgran.experiments.pulse.scene import predicted_seconds, summary
 from pgran.experiments.pulse.signals import codas, envelopes, front_speed

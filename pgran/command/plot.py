@@ -14,9 +14,9 @@ from pgran.errors import DONE, FileError, InputError
 from pgran.medium.dissipation import FIELDS
 from pgran.medium.labels import labels_of
 from pgran.run.numbers import number, numbers
-from pgran.store.columns import read_measured
 from pgran.store.estimate import counted
 from pgran.store.si import FREQUENCIES_IN, LARGEST, SI, SMALLEST
+from pgran.store.text import read_measured
 
 log = logging.getLogger("pgran")
 

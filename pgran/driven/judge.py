@@ -1,51 +1,18 @@
 """How good a solution is: its bounds, and whether they meet what is asked."""
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from pgran.driven.accurate import is_accurate
 from pgran.driven.bounds import ErrorBounds
 from pgran.driven.comparison import Comparison
 from pgran.driven.linear import LEAST_NORM
 from pgran.driven.owner import Owner
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 from pgran.run.petsc import PETSc
-
-
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """Norms from which bounds of a response follow, in the medium's own unit.
-
-    |S(i omega) x|_2 >= omega stability |x|_2, with stability = lambda_min(C). The norms of
-    |K|, |C| and |M|, entries taken by magnitude, all damping in C, are no more than `stiffness`,
-    `damping` and `mass`; |f(s)|_2 is at most drive + |s| drive_damping.
-    """
-
-    stability: float
-    stiffness: float
-    damping: float
-    mass: float
-    drive: float
-    drive_damping: float
-
-
-def is_accurate(bound, amplitude, tolerance):
-    """Return where errors are small against the true amplitudes; NaN is no bound and not accurate.
-
-    With |A~| the amplitude found and b its bound, |A| >= |A~| - b; so b <= t (|A~| - b) proves the
-    relative tolerance t.
-    """
-    return bound * (1 + tolerance) <= tolerance * np.abs(amplitude)
-
-
-def below_relative_accuracy(error_bound, amplitude, tolerance):
-    """Return which amplitudes have a bound, but miss the relative accuracy."""
-    missed = np.isfinite(error_bound) & ~is_accurate(error_bound, amplitude, tolerance)
-    return missed.astype(np.int8)
-
 
 # Where no bound is known the residual must be of the size of rounding, and so must be what this
 # many times as much rounding does to the amplitudes.

@@ -17,8 +17,8 @@ from functools import cached_property
 import numpy as np
 from mpi4py import MPI
 
+from pgran.driven.accurate import is_accurate
 from pgran.driven.columns import Columns, Solved
-from pgran.driven.judge import is_accurate
 from pgran.driven.steady import SteadySolver
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 from pgran.run.petsc import PETSc

@@ -13,8 +13,8 @@ from pgran.errors import FileError, InputError, PgranError
 from pgran.foreign import laws
 from pgran.foreign.tables import Table
 from pgran.medium import packing
-from pgran.store.lines import is_number
 from pgran.store.paths import open_regular
+from pgran.store.text import is_number
 
 AXES = "xyz"
 PRINTED = 1e-5  # lengths may differ by this part of the packing: dumps print six digits

@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from pgran.errors import FileError
-from pgran.store.lines import Lines, is_number
 from pgran.store.paths import open_regular
+from pgran.store.text import Lines, is_number
 
 BLOCK = 2**14  # rows that are turned into numbers at a time
 

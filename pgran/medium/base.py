@@ -95,9 +95,8 @@ class Medium(Dissipation, Distinct):
         unit = 2.0 ** (math.frexp(einstein_frequency(self.axes, self.stiffest, self.mass))[1] - 1)
         powers = {"mass": 2, "masses": 2, "median_mass": 2, "damping": 1, "drag": -1}
         names = [item.name for item in dataclasses.fields(self) if item.name in powers]
-        values = {name: getattr(self, name) for name in names}
-        for name, value in values.items():
-            values[name] = value if value is None else value * unit ** powers[name]
+        there = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        values = {name: value * unit ** powers[name] for name, value in there.items()}
         return dataclasses.replace(self, **values), unit
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from pgran.driven.accurate import below_relative_accuracy, is_accurate
 from pgran.driven.drive import STEADY, reached_accuracy
-from pgran.driven.judge import below_relative_accuracy, is_accurate
 from pgran.driven.sweep import PatternSweep
 from pgran.experiments.green.record import Green
 from pgran.medium.base import medium

@@ -1,104 +1,19 @@
-"""Signals by PETSc's integrators (TS, option prefix `pulse_`), until two integrations agree.
-
-    m u'' + beta C u' + K u = U f_k + U' beta f_c,      U the wall's motion.
-
-By default an explicit Runge-Kutta method works on y = (u, u'), interleaved ball by ball:
-y' = J y + drive, a product with one sparse matrix each stage. Of a ball p, and q next to it, J has
-
-    columns          2 p    2 p + 1     2 q    2 q + 1
-    row 2 p           0        1         0        0         u_p' is the velocity
-    row 2 p + 1    -K_pp/m  -C_pp/m   -K_pq/m  -C_pq/m      with C times beta
-
-`alpha2` takes the equation of second order as it stands. Both count time in 1 / `rate`, about one
-over the highest frequency, so that their tolerances mean u and u' alike in any unit of time.
-"""
+"""Signals by PETSc's integrators, repeated until two integrations agree."""
 
 import contextlib
-import logging
 import math
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
-from pgran.driven.operators import SAME
-from pgran.driven.owner import Owner
-from pgran.errors import InputError
 from pgran.experiments.pulse.signals import FIELDS, interpolated
-from pgran.experiments.pulse.wall import BAND
 from pgran.run.agreement import on_root
-from pgran.run.petsc import PETSc, holding
 from pgran.run.task import Task, carry_out
 
-log = logging.getLogger("pgran")
-STEPS_AT_MOST = 10**8
-KINDS = ("rk", "alpha2")
-STEPS = ("ts_adapt_dt_min", "ts_adapt_dt_max")  # keys, in the user's unit of time
-LONGEST = 2.0  # step, in units of one over the highest frequency: in between is interpolated
-SHORTER, HALF = 0.7, 0.5  # longest and fixed steps of each integration against the one before
-# What options of a run say, and what leaves alpha2 the velocity that it began with.
-REFUSED = {
-    "ts_rtol": "-error_tolerance says how accurate",
-    "ts_atol": "-error_tolerance says how accurate",
-    "ts_init_time": "an integration begins before the pulse",
-    "ts_max_time": "-pulse_time says how long",
-    "ts_time_span": "-pulse_time and -pulse_points say when",
-    "ts_exact_final_time": "-pulse_time says how long",
-}
-# Errors by the largest ball: most of a large lattice is at rest, and a mean would hide the front.
-DEFAULTS = {
-    "ts_type": "rk",
-    "ts_rk_type": "7vr",
-    "ts_adapt_type": "basic",
-    "ts_adapt_wnormtype": "infinity",
-    "snes_linesearch_type": "basic",
-    "pc_type": "lu",
-}
 COARSE, FINER = 0.3, 0.1  # tolerance of the first integration, and of each against the one before
 LEAST = 1e-13  # tolerance of an integration
 MOTION = ("displacement", "velocity")
 WALL = ("force", "work", "energy", "dissipated")  # of the wall, and what became of it
-
-
-def integrate(recording, crew, progress):
-    """Return the Signals by integrations at ever smaller tolerances, until two of them agree.
-
-    Collective. The error of the last one is estimated, too large by about a power of ten, by its
-    difference from the one before.
-    """
-    tolerance = COARSE * recording.tolerance
-    tolerances, rows, seconds = [(0, tolerance), (1, FINER * tolerance)], [], 0.0
-    while tolerances:
-        results = carry_out(Integration(recording, tolerances), crew, progress)
-        if results:
-            rows, seconds = [*rows, *results[0]][-2:], seconds + results[1]
-        smaller = partial(_next_tolerances, recording.tolerance, rows, tolerances[-1])
-        tolerances = on_root(crew.world, smaller)
-    if crew.world.rank > 0:
-        return None
-    before, last = rows
-    unknown = 0.0 if before["complete"] and last["complete"] else np.inf
-    errors = {
-        name: np.maximum.accumulate(np.abs(last[name] - before[name]), axis=0) + unknown
-        for name in (*MOTION, *WALL)
-    }
-    for name in ("work", "dissipated"):
-        errors[name] += last["rough"]
-    fields = ("field_time", "field") if recording.fields else ()
-    return recording.record(
-        "integrate",
-        [last[name] for name in MOTION],
-        [errors[name] for name in MOTION],
-        {name: (last[name], errors[name]) for name in WALL},
-        sigma=0.0,
-        period=0.0,
-        solves=int(last["steps"]),
-        factorizations=0,
-        solve_seconds=seconds,
-        error_estimate=errors["displacement"],
-        velocity_estimate=errors["velocity"],
-        **{name: last[name] for name in fields},
-    )
 
 
 class Integration(Task):
@@ -126,6 +41,7 @@ class Integration(Task):
     def open(self, group):
         """See `Task`."""
         from pgran.driven.operators import Operators
+        from pgran.experiments.pulse.integrator import Integrator
 
         recording = self.recording
         keep_at = recording.field_time if recording.fields else ()
@@ -184,6 +100,47 @@ class Integration(Task):
         return rows, seconds
 
 
+def integrate(recording, crew, progress):
+    """Return the Signals by integrations at ever smaller tolerances, until two of them agree.
+
+    Collective. The error of the last one is estimated, too large by about a power of ten, by its
+    difference from the one before.
+    """
+    tolerance = COARSE * recording.tolerance
+    tolerances, rows, seconds = [(0, tolerance), (1, FINER * tolerance)], [], 0.0
+    while tolerances:
+        results = carry_out(Integration(recording, tolerances), crew, progress)
+        if results:
+            rows, seconds = [*rows, *results[0]][-2:], seconds + results[1]
+        smaller = partial(_next_tolerances, recording.tolerance, rows, tolerances[-1])
+        tolerances = on_root(crew.world, smaller)
+    if crew.world.rank > 0:
+        return None
+    before, last = rows
+    unknown = 0.0 if before["complete"] and last["complete"] else np.inf
+    errors = {
+        name: np.maximum.accumulate(np.abs(last[name] - before[name]), axis=0) + unknown
+        for name in (*MOTION, *WALL)
+    }
+    for name in ("work", "dissipated"):
+        errors[name] += last["rough"]
+    fields = ("field_time", "field") if recording.fields else ()
+    return recording.record(
+        "integrate",
+        [last[name] for name in MOTION],
+        [errors[name] for name in MOTION],
+        {name: (last[name], errors[name]) for name in WALL},
+        sigma=0.0,
+        period=0.0,
+        solves=int(last["steps"]),
+        factorizations=0,
+        solve_seconds=seconds,
+        error_estimate=errors["displacement"],
+        velocity_estimate=errors["velocity"],
+        **{name: last[name] for name in fields},
+    )
+
+
 def _next_tolerances(wanted, rows, last):
     """Return at which tolerances to integrate once more, none if that is no use.
 
@@ -201,244 +158,3 @@ def _next_tolerances(wanted, rows, last):
     smaller = tolerance * (FINER if missing > 1 else np.clip(0.5 * missing, 1e-6, FINER))
     smaller = 2.0 ** math.floor(math.log2(smaller))  # the last bits of errors change no step
     return [(number + 1, smaller)] if smaller >= LEAST else []
-
-
-class History(NamedTuple):
-    """What an integrator found at each of its steps."""
-
-    time: np.ndarray
-    displacement: np.ndarray  # of the detectors, shape (steps, nd), as are velocity, acceleration
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    force: np.ndarray  # of the driven wall, and its slope, shape (steps, 2)
-    energy: np.ndarray  # of balls and springs, and its slope
-    fields: list  # times, and on the first rank displacements of all balls
-    complete: bool  # whether the last time was reached
-
-
-class Integrator(Owner):
-    """Integrates a lattice from rest; destroy with `destroy` or `with`. Collective.
-
-    `sites` are the detectors, and no normal mode has a higher frequency than `highest`.
-    """
-
-    owns = ("_matrix", "_u", "_v", "_Ku", "_Cv")
-
-    def __init__(self, operators, sites, pulse, highest):
-        self.operators, self.comm, self.pulse = operators, operators.comm, pulse
-        top = min(highest or pulse.reach, pulse.reach)
-        self._later, self.rate = LONGEST / top, 2.0 ** math.frexp(top)[1]
-        self._mass = operators.mass * self.rate**2  # with times in 1 / rate, as the damping
-        self._damping = operators.damping * self.rate
-        self._longest = min(self._later, BAND / pulse.band)  # a longer step could miss the pulse
-        self._given = PETSc.Options("pulse_")
-        self._second_order = checked_kind(self._given) == "alpha2"
-        self._matrix = operators.K.duplicate() if self._second_order else self._first_order_matrix()
-        self._u, self._v, self._Ku, self._Cv = (operators.M.duplicate() for _ in range(4))
-        self._products = [(operators.K, 1.0, self._u, self._Ku)]
-        if operators.C is not None:
-            self._products.append((operators.C, operators.damping, self._v, self._Cv))
-        numbers, weights = operators.layout.readings(sites)
-        mine = (numbers >= operators.first) & (numbers < operators.last)
-        # of unknowns of others the weight is zero
-        self._detectors = np.where(mine, numbers - operators.first, 0)
-        self._weights, self._count = np.where(mine, weights, 0.0), len(numbers)
-        drives = [operators.f_stiffness.getArray().real, 0.0 * self._u.getArray().real]
-        if operators.C is not None:
-            drives[1] = operators.damping * operators.f_damping.getArray().real
-        self._size = operators.lattice.drive_size
-        self._driven = np.flatnonzero(np.any(drives, axis=0))
-        self._drives = np.array(drives)[:, self._driven]  # of U and of U'
-
-    def _first_order_matrix(self):
-        """Return J, from this rank's rows of K and C, which have the same entries."""
-        operators = self.operators
-        pointer, columns, k = operators.K.getValuesCSR()
-        c = 0.0 * k
-        if operators.C is not None:
-            c = self._damping * operators.C.getValuesCSR()[2]
-        own, counts = operators.last - operators.first, np.diff(pointer)
-        # Row 2 p has one entry; row 2 p + 1 a pair, of k and c, for each entry of row p of K.
-        lengths = np.ones(2 * own, dtype=PETSc.IntType)
-        lengths[1::2] = 2 * counts
-        rows = np.append(0, np.cumsum(lengths)).astype(PETSc.IntType)
-        J_columns = np.empty(rows[-1], dtype=PETSc.IntType)
-        values = np.ones(rows[-1], dtype=PETSc.ScalarType)
-        J_columns[rows[:-1:2]] = 2 * np.arange(operators.first, operators.last) + 1
-        # Before the pairs of row p, the p-th of this rank, stand p + 1 entries of rows 2 p.
-        places = np.arange(2 * len(columns)) + np.repeat(np.arange(1, own + 1), 2 * counts)
-        J_columns[places] = np.stack([2 * columns, 2 * columns + 1], axis=1).ravel()
-        values[places] = np.stack([k, c], axis=1).ravel() / -self._mass
-        size = (2 * own, 2 * operators.size)
-        return PETSc.Mat().createAIJ((size, size), csr=(rows, J_columns, values), comm=self.comm)
-
-    def run(self, time, tolerance, number=0, keep_at=(), begin=None):
-        """Integrate from rest until some time, and return the History. Collective.
-
-        A step makes an error of `tolerance` at most, relative to u and to the drive. After `number`
-        coarser integrations steps of a fixed length, and the longest of others, are as many times
-        shorter, so that two integrations are never the same. Of the times `keep_at`, which
-        increase, the field is kept at the first step from each on. It begins before the pulse and
-        the time 0, unless a time is given.
-        """
-        self._rows, self._fields, self._keep_at = [], [], list(keep_at)
-        self._shrink, self._limited = SHORTER**number, not self._given.hasName("ts_adapt_dt_max")
-        begin = min(0.0, self.pulse.begin) if begin is None else begin
-        ts, pair = PETSc.TS().create(self.comm), [self._u.duplicate(), self._v.duplicate()]
-        state = pair[0] if self._second_order else self._matrix.createVecRight()
-        # PETSc 3.25 calls the key otherwise, and would change it for all integrations to come.
-        step = self._given.getReal("ts_dt", 0.1 * self._longest)
-        with holding(self._keys()):
-            ts.setOptionsPrefix("pulse_")
-            ts.setTime(self.rate * begin)
-            ts.setMaxTime(self.rate * time)
-            ts.setMaxSteps(STEPS_AT_MOST)
-            ts.setExactFinalTime(PETSc.TS.ExactFinalTime.MATCHSTEP)
-            ts.setTolerances(rtol=tolerance, atol=tolerance * self._size)
-            ts.setErrorIfStepFails(False)
-            ts.setTimeStep(self.rate * step)
-            if self._second_order:
-                ts.setI2Function(self._balance, self._u.duplicate())
-                ts.setI2Jacobian(self._balance_matrix, self._matrix, self._matrix)
-                ts.setSolution2(*pair)
-                self._shifts = None
-            else:
-                ts.setRHSFunction(self._slope, state.duplicate())
-            ts.setMonitor(self._note)
-            ts.setFromOptions()
-            if self._limited:
-                ts.setStepLimits(0.0, self.rate * self._shrink * self._longest)
-            if self._given.getString("ts_adapt_type", "") == "none":
-                ts.setTimeStep(HALF**number * ts.getTimeStep())
-            ts.solve(state)
-        self._given.getReal("ts_dt", step)  # it was used
-        reason, ended = ts.getConvergedReason(), ts.getTime() / self.rate
-        complete = reason > 0 and ended >= time
-        if not complete and self.comm.rank == 0:
-            text = "an integration has ended at time %.6g, before %g (TSConvergedReason %d)"
-            log.warning(text, ended, time, reason)
-        for held in (ts, *pair, *([] if self._second_order else [state])):
-            held.destroy()
-        return self._history(complete)
-
-    def _keys(self):
-        """Return the options of an integration that are not given, and `ts_dt` as one that is."""
-        solver = {"pc_factor_mat_solver_type": "petsc" if self.comm.size == 1 else "mumps"}
-        keys = {k: v for k, v in (DEFAULTS | solver).items() if not self._given.hasName(k)}
-        if self._given.hasName("ts_dt"):
-            keys["ts_dt"] = None
-        for key in STEPS:
-            if self._given.hasName(key):
-                keys[key] = self.rate * self._given.getReal(key)
-        return {f"pulse_{key}": value for key, value in keys.items()}
-
-    def _drive(self, t):
-        """Return what drives this rank's balls at the driven wall."""
-        return self.pulse.moves(t, 2) @ self._drives
-
-    def _slope(self, ts, t, y, slope):
-        """Set y' = J y + drive."""
-        self._matrix.mult(y, slope)
-        slope.getArray()[2 * self._driven + 1] += self._drive(t / self.rate) / self._mass
-
-    def _balance(self, ts, t, u, v, a, balance):
-        """Set M a + C v + K u - f."""
-        operators = self.operators
-        operators.K.mult(u, balance)
-        if operators.C is not None:
-            operators.C.mult(v, self._Cv)
-            balance.axpy(self._damping, self._Cv)
-        balance.axpy(self._mass, a)
-        balance.getArray()[self._driven] -= self._drive(t / self.rate)
-
-    def _balance_matrix(self, ts, t, u, v, a, of_velocity, of_acceleration, matrix, _):
-        """Set the matrix of a step, and leave it and its factors while the step stays the same."""
-        if self._shifts != (of_velocity, of_acceleration):
-            self._shifts = (of_velocity, of_acceleration)
-            operators = self.operators
-            operators.K.copy(matrix, structure=SAME)
-            if operators.C is not None:
-                matrix.axpy(of_velocity * self._damping, operators.C, structure=SAME)
-            matrix.shift(of_acceleration * self._mass)
-        return True
-
-    def _note(self, ts, step, t, state):
-        """Note, as this rank's part of sums, what the lattice does at the end of a step."""
-        operators, t = self.operators, t / self.rate
-        if self._limited and t > self.pulse.rest:
-            ts.setStepLimits(0.0, self.rate * self._shrink * self._later)
-            self._limited = False
-        if self._second_order:
-            for own, now in zip((self._u, self._v), ts.getSolution2(), strict=True):
-                now.copy(own)
-        else:
-            both = state.getArray(readonly=True)
-            self._u.setArray(both[::2])
-            self._v.setArray(both[1::2])
-        self._v.scale(self.rate)
-        forces, powers = 0.0, []  # K u + beta C u', and u^T K u, u'^T beta C u'
-        for matrix, factor, x, product in self._products:
-            matrix.mult(x, product)
-            force = factor * product.getArray(readonly=True).real
-            forces = forces + force
-            powers.append(x.getArray(readonly=True).real @ force)
-        u, v = (x.getArray(readonly=True).real for x in (self._u, self._v))
-        a = -forces
-        a[self._driven] += self._drive(t)
-        a /= operators.mass
-        # A row has u, u', u'' of each detector, those of both drives, then powers and m u'^2.
-        balls = np.array([np.sum(self._weights * x[self._detectors], axis=1) for x in (u, v, a)])
-        wall = np.array([x[self._driven] for x in (u, v, a)]) @ self._drives.T
-        self._rows.append((t, [*balls.ravel(), *wall.ravel(), *powers, operators.mass * v @ v]))
-        if self._keep_at and t >= self._keep_at[0] - 1e-9 * abs(t):
-            del self._keep_at[0]
-            self._fields.append((t, operators.layout.field(self._u)))
-
-    def _history(self, complete):
-        """Return what all ranks have noted.
-
-        With u_k = f_k^T u, u_c = beta f_c^T u and so on, and k, c what holds the balls at the wall:
-        the force is k U - u_k + c U' - u_c', the energy (m u'^2 + u^T K u - 2 U u_k + k U^2) / 2,
-        and the dashpots take u'^T beta C u' - 2 U' u_c' + c U'^2. Of a push, which springs do not
-        hold, the velocity f_k^T u' is in the place of the force.
-        """
-        time, rows = (np.array(column) for column in zip(*self._rows, strict=True))
-        rows = self.comm.allreduce(rows)
-        balls, wall, sums = np.split(rows, [3 * self._count, 3 * self._count + 6], axis=1)
-        balls = balls.reshape(len(time), 3, -1)
-        wall = wall.reshape(len(time), 3, 2)
-        (u_k, _), (v_k, v_c), (a_k, a_c) = np.moveaxis(wall, 0, -1)
-        held, *taken, moving = sums.T
-        k, c = self.operators.lattice.pulls
-        U, speed, turn = self.pulse.moves(time, 3)
-        power = sum(taken, 0.0) - 2 * speed * v_c + speed * speed * c
-        if self.operators.lattice.push is None:
-            force, force_slope = U * k - u_k + speed * c - v_c, speed * k - v_k + turn * c - a_c
-            energy = 0.5 * (moving + held - 2 * U * u_k + U * U * k)
-            energy_slope = force * speed - power
-        else:
-            force, force_slope, energy = v_k, a_k, 0.5 * (moving + held)
-            energy_slope = U * v_k - power
-        return History(
-            time,
-            *np.moveaxis(balls, 1, 0),
-            np.stack([force, force_slope], axis=1),
-            np.stack([energy, energy_slope], axis=1),
-            self._fields,
-            complete,
-        )
-
-
-def checked_kind(options):
-    """Return which of KINDS options ask for; raise for what would make another integration."""
-    for key, why in REFUSED.items():
-        if options.hasName(key):
-            raise InputError(f"-pulse_{key}: not for pulses; {why}")
-    if options.getString("snes_type", "") == "ksponly":
-        raise InputError("-pulse_snes_type ksponly: alpha2 needs one that updates velocities")
-    if options.hasName("ts_dt") and not 0 < options.getReal("ts_dt") < np.inf:
-        raise InputError("-pulse_ts_dt: a step must be positive")
-    kind = options.getString("ts_type", DEFAULTS["ts_type"])
-    if kind not in KINDS:
-        raise InputError(f"-pulse_ts_type {kind}: lattices are integrated by rk or alpha2")
-    return kind

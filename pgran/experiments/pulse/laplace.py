@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from pgran.driven.judge import Limits
+from pgran.driven.accurate import Limits
 from pgran.driven.sweep import FrequencySweep
 from pgran.medium.rounding import EPSILON
 

@@ -21,10 +21,10 @@ from pgran.run.keywords import PROGRESS, Asked, option, options_of, run_of
 from pgran.run.numbers import numbers
 from pgran.run.options import FILE, alternatives
 from pgran.run.task import carry_out
-from pgran.store.columns import read_columns
 from pgran.store.estimate import counted, with_error
 from pgran.store.record import ball_names
 from pgran.store.si import SI
+from pgran.store.text import read_columns
 
 PROVABLE = 1e-6  # tolerance below which rounding leaves little to be proven
 EQUAL = 0.01  # of a step: how far the times of a motion may be from equal ones

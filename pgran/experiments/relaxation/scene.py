@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgran.driven import drive as driven
-from pgran.driven.judge import below_relative_accuracy
+from pgran.driven.accurate import below_relative_accuracy
 from pgran.errors import InputError
 from pgran.experiments.relaxation import fluctuations
 from pgran.experiments.relaxation.record import Relaxation

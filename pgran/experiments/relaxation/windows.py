@@ -31,9 +31,9 @@ with Y that sum is the amplitude at the start plus q^T gamma - (q + G eta)^T h, 
 
 import numpy as np
 
+from pgran.driven.accurate import is_accurate
 from pgran.driven.columns import Columns
 from pgran.driven.deformation import Deformation, amplitudes, march
-from pgran.driven.judge import is_accurate
 from pgran.driven.owner import Owner
 from pgran.errors import InputError
 from pgran.medium.rounding import SMALLEST_NORMAL

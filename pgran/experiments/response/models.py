@@ -34,7 +34,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgran.driven.judge import Limits
+from pgran.driven.accurate import Limits
 from pgran.medium.rounding import EPSILON, SMALLEST_NORMAL
 
 BLOCK = 400  # rows that are factored at once, and stay in the cache

@@ -7,7 +7,7 @@ import numpy as np
 
 from pgran.driven import drive as driven
 from pgran.driven import phase as phases
-from pgran.driven.judge import below_relative_accuracy, is_accurate
+from pgran.driven.accurate import below_relative_accuracy, is_accurate
 from pgran.driven.phase import and_more
 from pgran.driven.sweep import FrequencySweep
 from pgran.experiments.response.curve import choose_method, solve_curve
