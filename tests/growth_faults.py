@@ -11,6 +11,7 @@ import itertools
 from types import SimpleNamespace
 
 import numpy as np
+from mpi4py import MPI
 from packing_samples import pushes
 from scipy.linalg import lu_factor, lu_solve
 from sensitivity_samples import heated
@@ -20,6 +21,7 @@ from pgran.balance.networks import changed_contacts
 from pgran.errors import PgranError
 from pgran.experiments.sensitivity.growth import LOST, Packing
 from pgran.experiments.sensitivity.record import OUTCOMES
+from pgran.run.crew import Crew
 
 LONG, COMPLEX = np.longdouble, np.clongdouble
 
@@ -93,7 +95,8 @@ def growth_faults(case, seen):
     asked = {"radius": size, "balls": [ball], "error_tolerance": case.tolerance}
     grown = Packing(network).grown(ball, size)
     if case.resonant and grown.outcome != LOST:
-        modes = pgran.find_modes(grown.network, method="dense").omega
+        with Crew(MPI.COMM_SELF, 1) as crew:
+            modes = pgran.find_modes(grown.network, crew, method="dense").omega
         omegas[1] = rng.choice(modes[modes > 1e-6 * modes.max()])
     found = heated(network, np.sort(omegas), [detector], **asked)
     seen["heaters"] += 1

@@ -156,5 +156,5 @@ def _next_tolerances(wanted, rows, last):
     # what is left is the error of the last: may it serve as the coarser one of the next pair?
     missing = np.min(allowed[missed] / (FINER * error[missed]))
     smaller = tolerance * (FINER if missing > 1 else np.clip(0.5 * missing, 1e-6, FINER))
-    smaller = 2.0 ** math.floor(math.log2(smaller))  # the last bits of errors change no step
-    return [(number + 1, smaller)] if smaller >= LEAST else []
+    even = 2.0 ** math.floor(math.log2(smaller))  # the last bits of errors change no step
+    return [(number + 1, max(even, LEAST))] if smaller >= LEAST else []
