@@ -77,14 +77,15 @@ def test_any_number_of_ranks(world):
     assert_same_on_ranks(world, heated, net, [0.3], [detector], names, **choices)
 
 
-def test_packings_without_rest_are_counted(monkeypatch):
-    """Their amplitudes are not known, and the summary says so first."""
+@pytest.mark.parametrize("why", [NotBalancedError, InputError])
+def test_packings_without_rest_are_counted(monkeypatch, why):
+    """Their amplitudes are not known, and the summary says so first; or the box is too narrow."""
     net, detector = spheres()
     grown = growth.grown
 
     def lost(balls, contacts, radius, *step):
         if radius[100] != net.radius[100]:
-            raise NotBalancedError("no rest")
+            raise why("no rest")
         return grown(balls, contacts, radius, *step)
 
     monkeypatch.setattr(growth, "grown", lost)

@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgran.balance.equilibrium import NotBalancedError
 from pgran.balance.motion import pair_numbers
 from pgran.balance.networks import GROWTH, balls_of, changed_contacts, grown, network_of
+from pgran.errors import PgranError
 from pgran.experiments.sensitivity.adjoint import AdjointSweep
 from pgran.experiments.sensitivity.record import OUTCOMES
 from pgran.experiments.sensitivity.warmth import with_vectors
@@ -80,7 +80,7 @@ class Packing:
         overlap = contacts.overlap + rounded * np.any(contacts.pairs == ball, axis=1)
         try:
             rest = grown(self.balls, dataclasses.replace(contacts, overlap=overlap), radius)
-        except NotBalancedError:
+        except PgranError:  # no rest, or too narrow a box
             return Grown(None, LOST)
         network = network_of(rest, self.network)
         opened, closed = changed_contacts(self.network, network)
@@ -107,17 +107,15 @@ class Packing:
         left = np.linalg.norm(left + self.balls.load, axis=1)
         ends = np.concatenate([one.bond.ravel() for one in both])
         left += np.bincount(ends, np.repeat(forces, 2), size)
-        apart = (rest.contacts.overlap <= 0) & np.isin(rest.contacts.pairs, network.bond).all(
-            axis=1
-        )
-        gap = -rest.contacts.overlap[apart].max(initial=-network.radius.min())
+        overlap, known = rest.contacts.overlap, np.isin(rest.contacts.pairs, network.bond)
+        gap = -overlap[(overlap <= 0) & known.all(axis=1)].max(initial=-network.radius.min())
         return left[network.free], blurred, 0.0 if rest.undecided else gap
 
     def _is_reached_from(self, rest, step):
         """Return whether balls shrink back to where they were: who touches, and overlaps."""
         try:
             back = grown(rest.balls, rest.contacts, self.balls.radius, step)
-        except NotBalancedError:
+        except PgranError:
             return False
         network = network_of(back, self.network)
         if any(changed_contacts(self.network, network)):
