@@ -13,7 +13,7 @@ import importlib
 
 from pgran.run import blas
 
-__version__ = "1.0.0"
+__version__ = "1.0.1"
 
 blas.take_one_thread()  # before NumPy is loaded, if it is not
 

@@ -91,6 +91,8 @@ def growth_faults(case, seen):
     network = in_units(dataclasses.replace(packed, **others), *case.units)
     ball, detector = (int(rng.choice(network.free)) for _ in range(2))
     size, omegas = case.growth * network.overlap.mean(), case.omegas * network.omega_mx
+    if network.radius.min() + size <= 0:  # refused
+        return
     what = f"case {case.seed} ball {ball} growth {case.growth:.2g} detector {detector}"
     asked = {"radius": size, "balls": [ball], "error_tolerance": case.tolerance}
     grown = Packing(network).grown(ball, size)
@@ -121,7 +123,10 @@ def growth_faults(case, seen):
         seen["equilibrate found no rest"] += 1
     exact = long_rest(network, grown.network, ball, size)
     pairs = [{(*sorted(pair),) for pair in each.bond.tolist()} for each in (exact, grown.network)]
-    if pairs[0] != pairs[1] and np.isfinite(found.warmed_bound).any():
+    forces, told = grown.network.force, np.isfinite(found.warmed_bound).any()
+    if told and not forces.min() > 1e-11 * forces.mean():
+        yield f"FORCES {what}: rounding decides on a contact"
+    if told and pairs[0] != pairs[1]:
         yield f"CONTACTS {what}: {pairs[0] ^ pairs[1]}"
     for n, omega in enumerate(found.omega):
         after = Dense(exact, 1j * omega).amplitude(detector)
@@ -156,12 +161,13 @@ def rest_faults(before, after, ball, size):
     shifts = map(np.array, itertools.product(*[{-period, 0.0, period} for period in periods]))
     distance = np.min([np.linalg.norm(x[None] + y - x[:, None], axis=2) for y in shifts], axis=0)
     overlap = radius[:, None] + radius - distance
-    moving = (before.held == 0)[:, None] | (before.held == 0)
-    touching = np.triu(moving & (overlap > rounding), 1)
-    rattling = after.held != before.held
-    touching &= ~(rattling[:, None] | rattling)  # they may overlap by what a force of 1e-11 does
-    if not after.force.min() > 1e-11 * after.force.mean():
-        yield "a contact bears no force but rounding"
+    moving, power = (before.held == 0)[:, None] | (before.held == 0), before.power
+    modulus, (i, j) = before.force[0] / before.overlap[0] ** power, before.bond[0]
+    curved = radius[:, None] * radius / (radius[:, None] + radius)
+    first = before.radius[i] * before.radius[j] / (before.radius[i] + before.radius[j])
+    force = modulus * (curved / first) ** (power - 1) * np.maximum(overlap, 0.0) ** power
+    # less is what rounding leaves, to rattlers
+    touching = np.triu(moving & (overlap > rounding) & (force > 1e-11 * after.force.mean()), 1)
     pairs = {(*pair,) for pair in np.argwhere(touching).tolist()}
     pressed = {(*sorted(pair),) for pair in after.bond.tolist()}
     if not pairs <= pressed:

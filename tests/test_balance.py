@@ -237,6 +237,19 @@ def test_rattlers_are_left_without_contacts_that_bear_what_rounding_left(caplog)
         assert ("rounding decides" in caplog.text) == undecided
 
 
+def test_an_obstacle_that_bears_what_rounding_left_is_warned_of(caplog):
+    """A held disc, as a rattler of before, on a disc that bears forces: is that contact closed?"""
+    cell, h = cells(0.01), 1e-14
+    more = {
+        "bond": [[0, 4]], "stiffness": [1.0], "held": [1], "masses": [1.0], "force": [h],
+        "normal": [[-1.0, 0.0]], "distance": [1 - h], "radius": [0.5], "position": [[h - 1, 0.0]],
+    }  # fmt: skip
+    both = {name: np.concatenate([getattr(cell, name), values]) for name, values in more.items()}
+    rest = pgran.equilibrate(dataclasses.replace(cell, **both))
+    assert rest.bond.tolist() == cell.bond.tolist()
+    assert "of 1 contacts or balls rounding decides" in caplog.text
+
+
 def test_what_is_out_of_balance_moves_until_it_balances(spheres):
     """An import whose forces do not cancel: nothing is taken for granted."""
     force = spheres.force * np.random.default_rng(5).uniform(0.8, 1.25, spheres.bonds)

@@ -67,6 +67,17 @@ def follow(lattice, omega, sites, changes, tolerance=1e-4):
     return after, bound, exact
 
 
+def test_what_ends_a_window_is_said():
+    """Not that something else failed while it was left."""
+    lattice = random_lattice((5, 6), seed=5)
+    with (
+        steady(lattice, [[2, 2]]) as (operators, solver),
+        pytest.raises(KeyboardInterrupt),
+        Windows(ChangingBonds(lattice, operators, None), solver, 0.3j),
+    ):
+        raise KeyboardInterrupt
+
+
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize(("shape", "beta"), [((24,), 0.1), ((5, 6), 1e-2), ((5, 6), 1e-6)])
 def test_every_step_is_within_its_bound(shape, beta, law):

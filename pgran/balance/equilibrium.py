@@ -205,7 +205,8 @@ def without_rattlers(rest):
     carrying = np.isin(np.arange(len(balls.held)), pairs[bearing])
     between, others = carrying[pairs].all(axis=1), balls.held | carrying
     wedged = ~(others | loose_balls(pairs[pressed], others, balls.position.shape[1] + 1))
-    undecided = np.count_nonzero(wedged) + np.count_nonzero(pressed & between & ~bearing)
+    felt = others[pairs].all(axis=1) & carrying[pairs].any(axis=1)  # held rattlers are obstacles
+    undecided = np.count_nonzero(wedged) + np.count_nonzero(pressed & felt & ~bearing)
     rest = rest._replace(undecided=undecided)
     if np.all(between[pressed]):
         return rest

@@ -53,7 +53,7 @@ class Windows(Owner):
     owns = ("_columns",)
 
     def __init__(self, changing, solver, s):
-        self.operators = changing.operators
+        self.operators, self.comm = changing.operators, changing.operators.comm
         if self.operators.damping == 0:
             raise InputError(
                 "-relax_method window: needs damping, -lattice_damping; krylov does without"
