@@ -10,6 +10,7 @@ from sensitivity_samples import assert_same_on_ranks, heated, packing
 from small import OPTIONS
 
 from pgran.balance.equilibrium import NotBalancedError
+from pgran.balance.pack import pack
 from pgran.errors import InputError
 from pgran.experiments.sensitivity import growth
 from pgran.experiments.sensitivity.growth import Packing
@@ -18,6 +19,7 @@ from pgran.experiments.sensitivity.record import OUTCOMES
 from pgran.medium.lattice import Lattice
 from pgran.medium.network import Network
 from pgran.medium.network_file import read_network
+from pgran.medium.source import with_source
 from pgran.run.experiment import Caution
 
 
@@ -115,6 +117,24 @@ def test_bounds_hold_what_a_balance_leaves():
         found = heated(network, [s.imag], [0], radius=float(dR), balls=[0])
         bound = found.warmed_bound[0, 0, 0]
         assert abs(found.warmed[0, 0, 0] - exact) <= bound < 1e-5 * abs(exact)
+
+
+def test_packings_that_float_have_bounds_too():
+    """Whichever of their balls is kept in place."""
+    net = pack(40, pressure=1e-3)
+    order = np.random.default_rng(1).permutation(len(net.held))  # new numbers of balls
+    old = np.argsort(order)
+    other = dataclasses.replace(
+        net, bond=order[net.bond], held=net.held[old], masses=net.masses[old],
+        radius=net.radius[old], position=net.position[old],
+    )  # fmt: skip
+    found, three = [], net.free[[3, 12, 30]]
+    for each, (ball, source, detector) in ((net, three), (other, order[three])):
+        pushed = with_source(each, balls=[source], direction="x")
+        found.append(heated(pushed, [0.1, 0.3], [detector], radius=1e-5, balls=[ball]))
+    bounds = sum(one.warmed_bound for one in found)
+    assert np.all(np.abs(found[0].warmed - found[1].warmed) <= bounds)
+    assert np.all(bounds < 1e-5 * np.abs(found[0].warmed))
 
 
 def test_where_rounding_decides_who_bears_forces_nothing_is_known():

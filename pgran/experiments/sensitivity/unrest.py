@@ -3,13 +3,15 @@
 `pgran manual sensitivity` has the inequalities. NumPy and SciPy only.
 """
 
+import dataclasses
+
 import numpy as np
 
 from pgran.driven.certify import least_stiffness
 from pgran.experiments.sensitivity.radii import Radii
 from pgran.experiments.sensitivity.warmth import with_vectors
 from pgran.medium.rounding import EPSILON
-from pgran.medium.springs import norm_of
+from pgran.medium.springs import AT_REST, norm_of
 
 ROOM = 1e-3  # of an overlap: how far contacts may stray
 
@@ -23,8 +25,11 @@ class Unrest:
 
     def __init__(self, network, left, blurred, gap):
         self.seen, weights = Radii(network, relax=False), network.weights[:: network.components]
-        least, d = least_stiffness(with_vectors(network)), network.distance
-        reach = 2.1 * np.linalg.norm(weights * left) / least if least else np.inf
+        floats, held = int(not network.held[network.bond].any()), network.held.copy()
+        held[network.free[:floats]] = AT_REST  # forces add up to nothing: the others balance it
+        fixed = dataclasses.replace(with_vectors(network), held=held, push=None)
+        least, d = least_stiffness(fixed), network.distance
+        reach = 2.1 * np.linalg.norm((weights * left)[floats:]) / least if least else np.inf
         self.moved = self.seen.lengths * reach
         pressed = np.sqrt((least + self._norm(network.force / d)) / network.stiffness) * reach
         self.pressed = pressed + self.moved**2 / d + blurred
