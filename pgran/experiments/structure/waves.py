@@ -192,12 +192,9 @@ def fitted(s, values):
             warnings.simplefilter("error", OptimizeWarning)
             # The steps of SciPy's own differences are as small as Gamma: none where it is 0.
             found, covariance = curve_fit(
-                lambda _, *o: spectrum(s, *o),
-                s.imag,
-                values,
-                start,
+                lambda _, *o: spectrum(s, *o), s.imag, values, start,
                 jac=lambda _, *o: derivatives(s, *o),
-            )
+            )  # fmt: skip
             if s[0].imag < found[0] < s[-1].imag:
                 # What a Lorentzian of half width sigma smooths is correlated as one of 2 sigma,
                 # whose area is 2 pi sigma: so many points count as one.
