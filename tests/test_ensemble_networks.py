@@ -76,11 +76,15 @@ def test_samples_that_are_files_of_packings(world, place, caplog, of):
 
 
 @pytest.mark.parametrize(
-    ("last", "said"),
-    [("cut off", "cut off before its end"), ("held", "-detectors: ball 1 is held")],
+    ("last", "asked", "said"),
+    [
+        ("cut off", "-detectors 1", "cut off before its end"),
+        ("held", "-detectors 1", "-detectors: ball 1 is held"),
+        ("held", "-detectors 2 -drive_balls 1", "-drive_balls: ball 1 is held"),
+    ],
 )
-def test_all_files_are_looked_at_before_any_work(world, place, monkeypatch, last, said):
-    """The last of many may be the one that is bad, or lacks the ball that is to listen."""
+def test_all_files_are_looked_at_before_any_work(world, place, monkeypatch, last, asked, said):
+    """The last of many may be bad, or lack the ball that is to listen, or to be pushed."""
 
     def write(path, held):
         balls = {"held": held, "bond": [[0, 1], [1, 2]], "stiffness": [1.0, 0.5]}
@@ -90,7 +94,7 @@ def test_all_files_are_looked_at_before_any_work(world, place, monkeypatch, last
 
     files = [place(f"{n}.h5", write, [2, n == 3 and last == "held", 0]) for n in range(4)]
     monkeypatch.setattr(sampling.Samples, "work", lambda *_: pytest.fail("worked"))
-    words = f"-network_file {','.join(map(str, files))} -detectors 1 -sweep_omega .3"
+    words = f"-network_file {','.join(map(str, files))} {asked} -sweep_omega .3"
     with pytest.raises((FileError, InputError), match=f"3(.h5)?: .*{said}"):
         run_scene(resolve(read_words(f"-scene ensemble {words}".split())), world)
 

@@ -214,9 +214,9 @@ def repeated(
     function, world, sizes = EXPERIMENTS[of][1], crew.world, [first.size]
     with agreeing(world):  # before any work: the last of many files may be the one that is bad
         for seed in seeds[world.rank :: world.size] if listed else ():
-            medium = draw(seed, MPI.COMM_SELF)
-            sizes.append(medium.size)
             try:
+                medium = draw(seed, MPI.COMM_SELF)
+                sizes.append(medium.size)
                 if of != "modes":
                     medium.check_driven()
                 if places is not None:
