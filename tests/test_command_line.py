@@ -290,9 +290,16 @@ def test_a_stop_that_meets_the_trial_of_a_file_says_nothing_of_it(tmp_path, monk
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
 
 
-@pytest.mark.parametrize("words", ["plot a.h5", "compare a.h5 a.h5 -o b.png"])
-def test_results_that_were_edited(call, shared_path, world, words):
-    """What nobody could foresee in them is said to be theirs, in a line."""
+@pytest.mark.parametrize(
+    ("words", "array"),
+    [
+        ("plot a.h5", "pulse/displacement"),
+        ("plot a.h5", "lattice/stiffness_x"),
+        ("compare a.h5 a.h5 -o b.png", "pulse/displacement"),
+    ],
+)
+def test_results_that_were_edited(call, shared_path, world, words, array):
+    """What nobody could foresee in them, or what is impossible, is said to be theirs, in a line."""
     if world.size > 1:
         pytest.skip("one rank reads results")
     found = pgran.pulse(random_lattice((4, 3)), [2, 1], width=3.0, time=90.0, points=91)
@@ -300,7 +307,7 @@ def test_results_that_were_edited(call, shared_path, world, words):
     store.write(shared_path / "a.h5", facts, [record_of(random_lattice((4, 3))), found])
     assert call(*words.split()).returncode == 0
     with h5py.File(shared_path / "a.h5", "r+") as file:
-        file["pulse/displacement"][:] = np.nan
+        file[array][:] = np.nan
     assert_one_line(call(*words.split()), 4, "a.h5: ", "changed since (no seal)")
 
 

@@ -20,6 +20,7 @@ from packing_samples import (
 
 import pgran
 from pgran.errors import InputError
+from pgran.foreign import laws
 from pgran.medium import packing
 from pgran.medium.conditions import choose
 from pgran.medium.network_file import read_network
@@ -122,6 +123,17 @@ def test_friction_and_an_area(call, place, here):
     place("a.contacts", dump("ENTRIES", dict(zip("pqrst", columns, strict=True))))
     assert "id1 = p, id2 = q, fx = r, fy = s" in bring(call, "--law", "hertz")
     assert_same(sample)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.3])
+def test_a_law_of_forces_that_scatter(noise):
+    """As friction makes them: they flatten overlaps by forces, and the error covers that."""
+    rng = np.random.default_rng(1)
+    h = 10 ** rng.uniform(-4, -2.5, 400)
+    F = h**1.5 * np.exp(noise * rng.standard_normal(400))
+    power, far, clear, words = laws.power_of(F, h, 1e-6 * h, (np.ones(1),))
+    assert abs(power - 1.5) < min(far, 0.1 + noise)
+    assert ("--law harmonic fits" in words, clear.all()) == (False, True)
 
 
 def test_csv(call, place, here):

@@ -44,16 +44,20 @@ def test_five_lines_write_a_network(tmp_path):
         ({"bond": None}, {}, "/network/bond is missing"),
         ({"stiffness": None}, {}, "/network/stiffness is missing"),
         ({"mass": None}, {}, "does not say how many balls"),
-        ({"masses": [1, 2, 3], "mass": None}, {}, "/network/masses is not known; is mass meant"),
-        ({}, {"dampin": 1.0}, "is damping meant"),
+        (
+            {"masses": [1, 2, 3], "mass": None},
+            {},
+            "masses is not known; is the dataset mass of",
+        ),
+        ({}, {"dampin": 1.0}, "is the attribute damping of"),
         ({}, {"damping": "much"}, "/network/damping must be a number"),
         ({}, {"displacement": 1}, "/network/displacement must be a text"),
         ({}, {"displacement": "tensor"}, "'tensor' is none of"),
         ({"normal": [[1, 0], [1, 0]]}, {"direction": "z"}, "no such axis"),
-        ({"damping": 1.0}, {}, "is damping meant, the attribute of /network"),
-        ({"Drag": [1, 1, 1]}, {}, "/network/Drag is not known; is drag meant"),
-        ({}, {"LOSS": 1.0}, "is loss meant, the dataset of /network"),
-        ({}, {"loss": [0.1, 0.1]}, "is loss meant, the dataset of /network"),
+        ({"damping": 1.0}, {}, "is the attribute damping of /network"),
+        ({"Drag": [1, 1, 1]}, {}, "/network/Drag is not known; is the dataset drag of"),
+        ({}, {"LOSS": 1.0}, "is the dataset loss of /network"),
+        ({}, {"loss": [0.1, 0.1]}, "is the dataset loss of /network"),
         ({}, {"damping": np.array(["1"], "S1")}, "/network/damping is no text, number or list"),
         ({}, {"kmax": h5py.Empty("f8")}, "/network/kmax is no text, number or list"),
         ({"friction": [0.5, 0.5]}, {}, "/network/friction is not known; others' data"),
@@ -85,8 +89,8 @@ def test_beside_the_network(tmp_path):
         file["network/mass"].dims[0].attach_scale(file["network/ball"])
     assert read_network(path).masses.tolist() == [1, 2, 3]
     for name, said in (
-        ("drag", "/drag is not known; is drag meant, the dataset of /network"),
-        ("Damping", "/Damping is not known; is damping meant"),
+        ("drag", "/drag is not known; is the dataset drag of /network"),
+        ("Damping", "/Damping is not known; is the attribute damping of"),
         ("format_version", "format version 99; this pgran reads 1 to 1"),
     ):
         with h5py.File(path, "r+") as file:

@@ -65,6 +65,8 @@ def test_lines_leave_the_rims_out_and_refuse_what_is_bent():
     )
     assert np.mean(inside.straightness() < 0.05) < 0.15
     assert np.isnan(profiles_of(bent[:9]).straightness()).all()  # of too few samples
+    with pytest.raises(InputError, match="0 samples are too few"):
+        profiles_of(bent[:0])
 
 
 def test_the_coherent_field_less_its_floor():

@@ -10,7 +10,7 @@ from pathlib import Path
 import pgran
 from pgran.arguments import called_right, shown
 from pgran.command.words import Parser
-from pgran.errors import DONE, FileError, InputError, PgranError, is_foreseen
+from pgran.errors import DONE, FileError, InputError, PgranError
 from pgran.medium.record import as_result
 from pgran.store.file import is_result
 from pgran.store.paths import whole
@@ -86,7 +86,7 @@ def blaming_edits(run):
         try:
             return run(words)
         except Exception as error:
-            for path in [] if is_foreseen(error) else filter(is_result, words):
+            for path in [] if isinstance(error, FileError) else filter(is_result, words):
                 check_seal(path)
             raise
 

@@ -27,8 +27,10 @@ def power_of(force, overlap, error, scales):
         return np.nan, np.inf, clear, ""
     logs = [np.broadcast_to(np.log(r), clear.shape)[clear] for r in scales]
     lines = [np.polyfit(F + r, h + r, 1, w=weight, cov=True) for r in logs]
-    (slope, _), spread = min(lines, key=lambda line: line[1][0, 0])  # of h by F, which is exact
-    power, sigma = 1 / slope, np.sqrt(spread[0, 0]) / slope**2
+    best = int(np.argmin([spread[0, 0] for _, spread in lines]))
+    (line, spread), x = lines[best], F + logs[best]  # of h by F, whose scatter makes it flatter
+    power, scatter = 1 / line[0], np.var(h + logs[best] - np.polyval(line, x))
+    sigma = power**2 * (np.sqrt(spread[0, 0]) + power * scatter / np.var(x))
     far = UNLIKE + 3 * sigma
     laws = [f": --law {law} fits" for law, known in POWERS.items() if abs(known - power) < far]
     fits = laws[0] if len(laws) == 1 else ""

@@ -148,7 +148,7 @@ def _check_names(file):
                 continue
             near = difflib.get_close_matches(name.lower(), words, 1, 0.8)
             if near:
-                meant = f"is {near[0]} meant, the {nouns[near[0]]} of /network?"
+                meant = f"is the {nouns[near[0]]} {near[0]} of /network meant?"
                 file.refuse(f"{group}/{name}", f"is not known; {meant}")
             if group == "/network" and data and name[0] != "_":  # where nobody else has any
                 file.refuse(f"{group}/{name}", "is not known; others' data may be in other groups")

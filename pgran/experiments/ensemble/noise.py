@@ -168,7 +168,7 @@ class NoisyCurves:
 
 def finite_samples(amplitude):
     """Return which samples, the first axis, are finite everywhere; say which are left out."""
-    kept = np.isfinite(amplitude).reshape(len(amplitude), -1).all(axis=1)
+    kept = np.isfinite(amplitude).all(axis=tuple(range(1, np.ndim(amplitude))))
     if not np.all(kept):
         log.warning(
             "amplitude: %d of %d samples are left out, sample %d first, as they are not finite",
