@@ -12,7 +12,7 @@ from pgran.run.petsc import PETSc, plain_errors
 
 SPARE, SPACE = 4, 3  # modes that are searched for beyond those wanted; vectors for each
 MORE = 1, 2, 4, 8, 16  # times as many are searched for until enough are found
-BESIDE = 1e-3  # from a target: modes at rest would make S(0) singular
+BESIDE = 1e-3, 1e-6  # from zero, as modes at rest make S(0) singular, and from other targets
 
 
 def nearest(medium, target, count):
@@ -20,13 +20,13 @@ def nearest(medium, target, count):
 
     The medium is in its own unit and time. Raises PgranError if there is none.
     """
-    beside = target + BESIDE * 1j
+    aside = BESIDE[bool(target)]
     with Operators(medium, MPI.COMM_SELF) as operators:
         for more in MORE:  # mirrored ones take places, and small spaces may not converge
             wanted = min(more * (count + SPARE), medium.size)
-            s, x = search(operators, beside, wanted)
+            s, x = search(operators, target + aside * 1j, wanted)
             # beyond the farthest one others may be
-            here = np.abs(s - target) <= np.abs(s - beside).max(initial=0.0) - BESIDE
+            here = np.abs(s - target) <= np.abs(s - target - aside * 1j).max(initial=0.0) - aside
             enough = np.count_nonzero(here & (s.imag >= 0)) >= count + SPARE // 2
             if enough or wanted == medium.size:
                 break
