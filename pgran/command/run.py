@@ -14,7 +14,7 @@ import pgran
 from pgran import errors
 from pgran.command.words import Parser
 from pgran.errors import FileError, InputError, PgranError
-from pgran.run import blas, launch, streams
+from pgran.run import blas, launch, machine, streams
 from pgran.run.agreement import agreeing, on_root
 
 log = logging.getLogger("pgran")
@@ -105,14 +105,12 @@ def _compute(scene, options, words, world, started):
     """Compute a scene, or go on with it, and write its result. Collective."""
     import numpy
 
-    from pgran.command.forecast import is_factored, lattice_memory
     from pgran.command.opening import opening
     from pgran.command.resolve import SCENES
     from pgran.medium.sample import run_scene
     from pgran.run.crew import Crew
     from pgran.run.experiment import Caution
     from pgran.run.journal import Journal
-    from pgran.run.machine import check_memory
     from pgran.store import file as store
     from pgran.store.record import Result
 
@@ -126,13 +124,15 @@ def _compute(scene, options, words, world, started):
 
         def crew(ranks, lattice=None):
             if lattice is not None:
+                from pgran.command.forecast import is_factored, lattice_memory
+
                 journal.medium = lattice.bonds_sha256
                 # modes take other factors, and pulses may be integrated
                 of = getattr(options, f"{options.scene}_of", options.scene)
                 factored = SCENES[of].shares_lattice and of != "pulse" and is_factored(options)
                 key = "lattice_shape" if lattice.is_grid else "network_file"
                 with agreeing(world):  # what is foreseen is right to a third
-                    check_memory(key, lattice_memory(lattice, ranks, factored) / 3)
+                    machine.check_memory(key, lattice_memory(lattice, ranks, factored) / 3)
             text = opening(options, world.size, lattice)
 
             def begins():
