@@ -15,6 +15,7 @@ from petsc4py import PETSc
 from reference import Reference
 from scipy.integrate import solve_ivp
 
+from pgran.command import resolve
 from pgran.command.resolve import SCENES
 from pgran.driven.operators import Operators
 from pgran.driven.steady import SteadySolver
@@ -22,7 +23,6 @@ from pgran.experiments.pulse.scene import pulse
 from pgran.experiments.pulse.wall import SHAPES as PULSES
 from pgran.experiments.relaxation.scene import relax
 from pgran.experiments.response.scene import sweep
-from pgran.medium import sample
 from pgran.medium.lattice import Lattice
 from pgran.medium.law import BondLaw
 from pgran.run.crew import Crew
@@ -80,7 +80,7 @@ def option_values(text):
 def run_scene(options, world, journal=None):
     """Run the scene of some options; return its records on rank 0, None on the others."""
     scene = SCENES[options.scene]
-    return sample.run_scene(
+    return resolve.run_scene(
         scene, options, world, lambda ranks, _=None: Crew(world, ranks, journal)
     )
 

@@ -1,7 +1,5 @@
 """The first line of a run: what it solves."""
 
-from pgran.medium.law import DEFAULTS, IN_WORDS
-from pgran.medium.source import in_words
 from pgran.store.estimate import counted
 from pgran.store.si import SI
 
@@ -16,6 +14,8 @@ def opening(options, ranks, lattice=None):
         size = " x ".join(f"{length:g}" for length in options.continuum_size)
         facts = [f"a homogeneous box of {size}", f"beta {options.continuum_damping:g}"]
     else:
+        from pgran.medium.source import in_words
+
         facts = [*(_lattice if options.network_file is None else _network)(options, lattice)]
         facts += in_words(lattice)
         if of != "modes":  # samples keep no widths of theirs
@@ -40,6 +40,8 @@ def _network(options, network):
 
 def _lattice(options, lattice):
     """Return the facts of a lattice, or of many."""
+    from pgran.medium.law import DEFAULTS, IN_WORDS
+
     size, first = " x ".join(map(str, lattice.shape)), options.bonds_seed
     values = {name: getattr(options, f"bonds_{name}") for name in (*DEFAULTS, "file")}
     values |= {name: f"{value:g}" for name, value in values.items() if isinstance(value, float)}

@@ -6,7 +6,6 @@ import shlex
 from pgran import catalogue
 from pgran.arguments import meant, nearest
 from pgran.errors import InputError
-from pgran.medium.sample import LATTICE, check_lattice
 from pgran.run import keys as solver_keys
 from pgran.run.options import FILE, FILES, RUN, TEXT, Option, text_of
 from pgran.store.paths import open_regular
@@ -15,11 +14,25 @@ SCENES = catalogue.EXPERIMENTS  # the facts of each by name, loaded as they are 
 SCENE_OPTION = Option("scene", TEXT, None, "the experiment", choices=tuple(SCENES))
 
 
-def options_of(scene):
-    """Return all options of a scene by name, those of every run last."""
-    facts = SCENES[scene]
-    medium = LATTICE if facts.on_medium else ()
-    return {option.name: option for option in (*medium, *facts.options, *RUN)}
+def options_of(scene, of=None):
+    """Return all options of a scene by name, those of every run last.
+
+    One that repeats another scene has the options of `of`, by default of all that it can repeat.
+    """
+    facts, options = SCENES[scene], []
+    if facts.on_medium:
+        from pgran.medium import sample
+
+        options += sample.LATTICE
+    options += facts.options
+    for other in [of] if of else repeated_by(scene):
+        options += (o for o in SCENES[other].options if o.name not in facts.decides)
+    return {option.name: option for option in (*options, *RUN)}
+
+
+def repeated_by(scene):
+    """Return the scenes that a scene can repeat, of which -SCENE_of says one."""
+    return next((o.choices for o in SCENES[scene].options if o.name == f"{scene}_of"), ())
 
 
 def resolve(given, output_file=None):
@@ -31,7 +44,8 @@ def resolve(given, output_file=None):
     if "scene" not in last:
         raise InputError(f"-scene is missing: choose {', '.join(SCENES)}")
     scene = SCENE_OPTION.read(last["scene"].text, last["scene"].where)
-    options = options_of(scene)
+    of = _repeated(scene, last)
+    options = options_of(scene, of)
     values = {name: option.default for name, option in options.items()}
     values["output_file"] = output_file
     solver = {}
@@ -39,38 +53,38 @@ def resolve(given, output_file=None):
         if key in options:
             values[key] = options[key].read(item.text, item.where)
         elif key != "scene":
-            _check_foreign(key, item, scene)
+            _check_foreign(key, item, scene, of)
             solver[key] = item.text
     solver_keys.check_pivot_shifts(solver)
-    of = values.get(f"{scene}_of", scene)  # the experiment that is repeated
-    if not SCENES[of].shares_lattice and values["ranks_per_lattice"] > 1:
-        raise InputError(f"-ranks_per_lattice: scene {of} has one rank for each lattice only")
+    computed = SCENES[of or scene]
+    if not computed.shares_lattice and values["ranks_per_lattice"] > 1:
+        raise InputError(
+            f"-ranks_per_lattice: scene {of or scene} has one rank for each lattice only"
+        )
     if SCENES[scene].on_medium:
-        check_lattice(values, last, SCENES[of].draws, several=scene == "ensemble")
-    if of != scene:
-        _check_repeated(scene, of, values, last)
+        from pgran.medium.sample import check_lattice
+
+        check_lattice(values, last, computed.draws, several=scene == "ensemble")
     SCENES[scene].check(values, last)
     return Options(scene, options.values(), values, solver)
 
 
-def _check_repeated(scene, of, values, given):
-    """Raise where options are given of other experiments than the one that is repeated; unset them.
-
-    Options that no experiment has which the scene could repeat are its own.
-    """
-    possible = options_of(scene)[f"{scene}_of"].choices
-    others = {name for each in possible for name in options_of(each)} - options_of(of).keys()
-    for name in [name for name in values if name in others]:
-        if name in given:
-            raise InputError(f"-{name}{given[name].where}: -{scene}_of {of} does not use it")
-        values[name] = None
+def _repeated(scene, given):
+    """Return the scene that a scene repeats, if it repeats one."""
+    for option in SCENES[scene].options:
+        if option.name == f"{scene}_of":
+            item = given.get(option.name)
+            return option.read(item.text, item.where) if item else option.default
+    return None
 
 
-def _check_foreign(key, item, scene):
-    """Raise unless a key that is no option of the scene belongs to PETSc."""
+def _check_foreign(key, item, scene, of):
+    """Raise unless a key that is no option of the scene, which may repeat `of`, is PETSc's."""
     if solver_keys.is_listed(key):  # and no option's name: no other experiment is loaded for it
         solver_keys.check_in_file(key, item)
         return
+    if of and key in options_of(scene):
+        raise InputError(f"-{key}{item.where}: -{scene}_of {of} does not use it")
     *others, last = [name for name in SCENES if key in options_of(name)] or [None]
     if last:
         do = f"{', '.join(others)} and {last} do" if others else f"{last} does"
@@ -138,3 +152,27 @@ class Options:
         """Return pairs of the options that have a value, and it."""
         pairs = [(option, self._values[option.name]) for option in self._declared]
         return [(option, value) for option, value in pairs if value is not None]
+
+
+def run_scene(scene, options, world, crew):
+    """Carry an experiment out, and return its records on rank 0, None on the others.
+
+    Collective. `crew(ranks, medium)` makes a crew of all ranks, of which so many share the medium.
+    """
+    if not scene.on_medium:
+        with crew(1, None) as workers:
+            return scene.run(None, options, workers)
+    from pgran.medium.sample import make_lattice, ranks_per_lattice
+    from pgran.medium.units import warn_of_damping
+
+    medium = make_lattice(options, world)
+    if world.rank == 0 and options.network_file and options.network_damping is None:
+        warn_of_damping(medium, "-network_damping")
+    ranks = world.size if scene.whole else ranks_per_lattice(scene, options, medium, world)
+    with crew(ranks, medium) as workers:
+        records = scene.run(medium, options, workers)
+    if records is None:
+        return None
+    from pgran.medium.record import record_of
+
+    return [record_of(medium), *records]

@@ -106,8 +106,7 @@ def _compute(scene, options, words, world, started):
     import numpy
 
     from pgran.command.opening import opening
-    from pgran.command.resolve import SCENES
-    from pgran.medium.sample import run_scene
+    from pgran.command.resolve import SCENES, run_scene
     from pgran.run.crew import Crew
     from pgran.run.experiment import Caution
     from pgran.run.journal import Journal
@@ -124,7 +123,7 @@ def _compute(scene, options, words, world, started):
 
         def crew(ranks, lattice=None):
             if lattice is not None:
-                from pgran.command.forecast import is_factored, lattice_memory
+                from pgran.command.memory import is_factored, lattice_memory
 
                 journal.medium = lattice.bonds_sha256
                 # modes take other factors, and pulses may be integrated

@@ -16,7 +16,6 @@ from functools import cached_property
 
 import numpy as np
 
-from pgran.medium.graph import SYMMETRIC
 from pgran.medium.rounding import EPSILON
 
 PASSES = 4  # of a power iteration, each of which sharpens a bound
@@ -43,6 +42,8 @@ class RealFactors:
     def __init__(self, K, shift):
         from scipy.sparse import identity
         from scipy.sparse.linalg import splu
+
+        from pgran.medium.graph import SYMMETRIC
 
         self.size = K.shape[0]
         shifted = (K - shift * identity(self.size, format="csc")).tocsc() if shift else K

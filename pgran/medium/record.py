@@ -7,8 +7,6 @@ from functools import cached_property
 import numpy as np
 
 from pgran.medium.base import Medium
-from pgran.medium.lattice import Lattice
-from pgran.medium.network import Network
 from pgran.medium.springs import FREE
 from pgran.store.record import SPACE, MisfitError, Record, Result, array, attribute, attribute_array
 
@@ -70,6 +68,8 @@ class LatticeRecord(Record):
     @cached_property
     def built(self):
         """The lattice itself, a `lattice.Lattice`."""
+        from pgran.medium.lattice import Lattice
+
         kmax = self.mass * self.omega_mx**2 / (2 * len(self.shape))
         wall = None if self.wall is None else self.wall.reshape(self.shape[1:])
         laws = {name: getattr(self, name) or 0.0 for name in ("damping_power", "drag", "loss")}
@@ -170,6 +170,8 @@ class NetworkRecord(Record):
     @cached_property
     def built(self):
         """The network itself, a `network.Network`."""
+        from pgran.medium.network import Network
+
         same = [item.name for item in fields(self) if item.name in Network.__dataclass_fields__]
         values = {name: getattr(self, name) for name in same}
         if self.median_mass is None:  # of an older file: the median of the free balls
@@ -187,7 +189,7 @@ class NetworkRecord(Record):
 
 def record_of(lattice):
     """Return the record of a lattice or of another network."""
-    return (NetworkRecord if isinstance(lattice, Network) else LatticeRecord).of(lattice)
+    return (LatticeRecord if lattice.is_grid else NetworkRecord).of(lattice)
 
 
 def as_result(medium):

@@ -4,13 +4,11 @@ import dataclasses
 
 from pgran.errors import InputError, PgranError
 from pgran.medium.dissipation import OF_DAMPING
-from pgran.medium.graph import with_rattlers_at_rest
 from pgran.medium.lattice import Lattice
 from pgran.medium.law import DEFAULTS, HERTZ, LAWS, make_law
-from pgran.medium.record import record_of
 from pgran.medium.redraw import REDRAWN, redrawn
 from pgran.medium.source import OF_SOURCE, with_source
-from pgran.medium.units import BETA, warn_of_damping
+from pgran.medium.units import BETA
 from pgran.run.agreement import on_root
 from pgran.run.options import FILE, FILES, INTEGER, INTEGERS, REAL, TEXT, Option, alternatives
 
@@ -139,6 +137,8 @@ def _network(options, world):
 
     network = on_root(world, lambda: read_network(options.network_file[0]))
     if options.network_rattlers == "remove":
+        from pgran.medium.graph import with_rattlers_at_rest
+
         network = with_rattlers_at_rest(network)
     changes = {"component": getattr(options, "detectors_component", None) or "drive"}
     if network.displacement == "scalar":
@@ -177,20 +177,3 @@ def ranks_per_lattice(scene, options, medium, world):
     if not scene.shares_lattice:
         return 1
     return options.ranks_per_lattice or (world.size if medium.is_large else 1)
-
-
-def run_scene(scene, options, world, crew):
-    """Carry an experiment out, and return its records on rank 0, None on the others.
-
-    Collective. `crew(ranks, medium)` makes a crew of all ranks, of which so many share the medium.
-    """
-    if not scene.on_medium:
-        with crew(1, None) as workers:
-            return scene.run(None, options, workers)
-    medium = make_lattice(options, world)
-    if world.rank == 0 and options.network_file and options.network_damping is None:
-        warn_of_damping(medium, "-network_damping")
-    ranks = world.size if scene.whole else ranks_per_lattice(scene, options, medium, world)
-    with crew(ranks, medium) as workers:
-        records = scene.run(medium, options, workers)
-    return records and [record_of(medium), *records]

@@ -27,3 +27,5 @@ class Scene:
     draws: bool = False  # whether it draws bond constants itself, by the law
     shares_lattice: bool = False  # whether several ranks may share a lattice
     whole: bool = False  # whether all ranks work on each unit together
+    function: Callable | None = None  # what scenes that repeat it call
+    decides: tuple = ()  # options of the scene that it repeats, by -NAME_of, which it has not

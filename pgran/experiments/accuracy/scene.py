@@ -5,26 +5,22 @@ from pathlib import Path
 
 import numpy as np
 
+from pgran.catalogue import EXPERIMENTS
 from pgran.errors import InputError
 from pgran.experiments.accuracy.errors import read_modes, read_pulse, read_relaxation, read_response
 from pgran.experiments.accuracy.study import Comparison, Configuration, Reference, Study
-from pgran.experiments.modes import scene as modes
-from pgran.experiments.pulse import scene as pulse
-from pgran.experiments.relaxation import scene as relaxation
-from pgran.experiments.response import scene as response
 from pgran.medium.sample import ranks_per_lattice
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Scene
-from pgran.run.keywords import call, options_of
+from pgran.run.keywords import call
 from pgran.run.options import FILES, INTEGER, REALS, TEXT, Option
 from pgran.run.reading import read_solver
 from pgran.run.task import carry_out
 
-EXPERIMENTS = {"response": response, "modes": modes, "relaxation": relaxation, "pulse": pulse}
 STUDY = (
     Option(
         "accuracy_of", TEXT, "response", "the experiment that is repeated",
-        choices=tuple(EXPERIMENTS),
+        choices=("response", "modes", "relaxation", "pulse"),
     ),
     Option(
         "accuracy_solvers", FILES, None,
@@ -53,7 +49,7 @@ def check(values, given):
     """Raise where options contradict each other."""
     if values["accuracy_solvers"] is None:
         raise InputError("-accuracy_solvers is missing: options files of the solvers to compare")
-    EXPERIMENTS[values["accuracy_of"]].SCENE.check(values, given)
+    EXPERIMENTS[values["accuracy_of"]].check(values, given)
 
 
 def summary(result):
@@ -79,7 +75,7 @@ def summary(result):
 def read_configurations(options):
     """Return the configurations that the options ask for, from the files of the solvers."""
     of, paths = options.accuracy_of, options.accuracy_solvers
-    own = {option.name: option for option in EXPERIMENTS[of].SCENE.options}
+    own = {option.name: option for option in EXPERIMENTS[of].options}
     own = {name: option for name, option in own.items() if name in CHOICES}
     names = [Path(path).stem for path in paths]
     if len(set(names)) < len(names):
@@ -100,19 +96,20 @@ def read_configurations(options):
 def make_study(options, lattice, world):
     """Return the experiment that the options name. Collective."""
     of, smallest = options.accuracy_of, 0.1 * min(options.accuracy_tolerances)
+    function = EXPERIMENTS[of].function
     exact, certified = {"error_tolerance": min(REFERENCE, smallest)}, smallest
     if of == "modes":
-        function, fixed, read = modes.find_modes, {}, partial(read_modes, lattice)
+        fixed, read = {}, partial(read_modes, lattice)
         exact, certified = {}, MODES_REFERENCE
     elif of == "response":
-        function, fixed, read = response.sweep, {"resolve": 0.0, "error_floor": 0.0}, read_response
+        fixed, read = {"resolve": 0.0, "error_floor": 0.0}, read_response
         exact["method"] = "points"
     elif of == "pulse":
-        function, read = pulse.pulse, read_pulse
-        fixed = {"wall": pulse.WALL.of_run(options, world, lattice)}  # read once
+        read, wall = read_pulse, function.declared["wall"]
+        fixed = {"wall": wall.of_run(options, world, lattice)}  # read once
         exact["method"] = "laplace"
     else:
-        function, fixed, read = relaxation.relax, {"error_floor": 0.0}, read_relaxation
+        fixed, read = {"error_floor": 0.0}, read_relaxation
         exact["method"] = "direct"
 
     def solve(crew, **choices):
@@ -127,7 +124,7 @@ def run(lattice, options, crew):
 
     world = crew.world
     configurations = on_root(world, lambda: read_configurations(options))
-    shared = EXPERIMENTS[options.accuracy_of].SCENE
+    shared = EXPERIMENTS[options.accuracy_of]
     with AgreeingCrew(world, ranks_per_lattice(shared, options, lattice, world)) as workers:
         study = make_study(options, lattice, world)
         reference = carry_out(Reference(study, workers), crew)
@@ -141,7 +138,6 @@ def run(lattice, options, crew):
 DECIDED = (
     "error_tolerance", "error_floor", "sweep_resolve", "phase_fit_min", "phase_fit_max",
     "output_fields", "output_models", "modes_detectors", "modes_damped", "modes_certificate",
+    "modes_density", "spectrum_fit_min", "spectrum_fit_max",
 )  # fmt: skip
-REPEATED = options_of(response.sweep, relaxation.relax, pulse.pulse, modes.find_modes)
-OPTIONS = tuple(option for option in (*STUDY, *REPEATED) if option.name not in DECIDED)
-SCENE = Scene(OPTIONS, run, summary, check, shares_lattice=True, whole=True)
+SCENE = Scene(STUDY, run, summary, check, shares_lattice=True, whole=True, decides=DECIDED)

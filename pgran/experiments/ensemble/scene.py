@@ -7,17 +7,10 @@ from glob import glob
 import numpy as np
 
 from pgran.arguments import shown
+from pgran.catalogue import EXPERIMENTS
 from pgran.errors import InputError
-from pgran.experiments.ensemble import statistics as noise
-from pgran.experiments.ensemble import transport
 from pgran.experiments.ensemble.record import Ensemble
 from pgran.experiments.ensemble.sampling import Samples, in_words
-from pgran.experiments.modes import scene as modes
-from pgran.experiments.pulse import scene as pulse
-from pgran.experiments.relaxation import fluctuations
-from pgran.experiments.relaxation import scene as relaxation
-from pgran.experiments.response import scene as response
-from pgran.experiments.sensitivity import scene as sensitivity
 from pgran.medium.base import medium
 from pgran.medium.lattice import Lattice
 from pgran.medium.sample import LATTICE, make_lattice
@@ -33,19 +26,11 @@ from pgran.store.estimate import FEWEST_SAMPLES, counted
 
 log = logging.getLogger("pgran")
 
-# Of each experiment its scene, and the function that carries it out.
-EXPERIMENTS = {
-    "response": (response.SCENE, response.sweep),
-    "modes": (modes.SCENE, modes.find_modes),
-    "relaxation": (relaxation.SCENE, relaxation.relax),
-    "pulse": (pulse.SCENE, pulse.pulse),
-    "sensitivity": (sensitivity.SCENE, sensitivity.sensitivity),
-}
 KEPT = ("response", "modes", "pulse")  # what has curves
 ENSEMBLE = (
     Option(
         "ensemble_of", TEXT, "response", "the experiment that is repeated",
-        choices=tuple(EXPERIMENTS),
+        choices=("response", "modes", "relaxation", "pulse", "sensitivity"),
     ),
     Option(
         "ensemble_samples", INTEGER, 100,
@@ -88,14 +73,14 @@ def check(values, given):
     """Raise where options contradict each other."""
     kind = values["ensemble_of"]
     values |= LEFT_OUT
-    EXPERIMENTS[kind][0].check(values, given)
+    EXPERIMENTS[kind].check(values, given)
     check_kept(kind, values["ensemble_keep"])
     if values["bonds_law"] == "file":
         raise InputError("-ensemble_of: samples are drawn by a law, and a file holds one only")
     if values["network_file"] is not None:
         _check_files(values, given)
     jumps = values["bonds_law"] == "hertz" and values["bonds_kmax"] is None
-    if jumps and values["sweep_unit"] == "omega_mx":
+    if jumps and values.get("sweep_unit") == "omega_mx":
         raise InputError(
             "-sweep_unit omega_mx: differs between samples of hertz; -bonds_kmax says which it is"
         )
@@ -106,6 +91,8 @@ def check(values, given):
         if values["ensemble_samples"] < FEWEST_SAMPLES:
             raise InputError(f"-statistics_windows: {FEWEST_SAMPLES} samples or more are needed")
     if values["transport_depths"] is not None:
+        from pgran.experiments.ensemble import transport
+
         transport.window_of(values["transport_depths"])
         if kind not in ("response", "pulse") or values["ensemble_keep"] != "curves":
             raise InputError("-transport_depths: needs responses or pulses, -ensemble_keep curves")
@@ -129,7 +116,7 @@ def _check_files(values, given):
     samples = values["ensemble_samples"]
     if given.get("ensemble_samples") and samples != len(files):
         raise InputError(f"-ensemble_samples {samples}: -network_file lists {len(files)}")
-    if values["sweep_unit"] == "omega_mx":
+    if values.get("sweep_unit") == "omega_mx":
         raise InputError("-sweep_unit omega_mx: differs between networks; give angular frequencies")
     values["network_file"], values["ensemble_samples"] = tuple(files), len(files)
 
@@ -174,7 +161,7 @@ def ensemble(
         the seeds 1, 2, ..., one a sample.
     """
     check_kept(of, keep)
-    function = EXPERIMENTS[of][1]
+    function = EXPERIMENTS[of].function
     listed = isinstance(lattice, (list, tuple))
     seeds = seeds_of(0 if listed else seed, samples)
     with agreeing(crew.world) as asked:
@@ -211,7 +198,7 @@ def repeated(
     """
     from mpi4py import MPI
 
-    function, world, sizes = EXPERIMENTS[of][1], crew.world, [first.size]
+    function, world, sizes = EXPERIMENTS[of].function, crew.world, [first.size]
     with agreeing(world):  # before any work: the last of many files may be the one that is bad
         for seed in seeds[world.rank :: world.size] if listed else ():
             try:
@@ -237,6 +224,8 @@ def repeated(
             own["detectors"] = medium.nearest_free(places)
         record = function(medium, crew=crew, **choices | own)
         if record and of == "relaxation":
+            from pgran.experiments.relaxation import fluctuations
+
             return fluctuations.measured(record, fit or fluctuations.FIT, len(medium.existing))
         return record and [record]
 
@@ -282,16 +271,22 @@ def summary(result):
         )
     yield from in_words(result)
     if found.mode_omega is not None:
+        from pgran.experiments.modes.levels import spacings
+
         spectra = [omega[np.isfinite(omega)] for omega in found.mode_omega[found.good > 0]]
-        yield from modes.spacings(spectra, result.medium.omega_mx)
+        yield from spacings(spectra, result.medium.omega_mx)
         yield from modes_widths(found, result.medium)
     if found.delay_samples is not None:
         unknown = np.count_nonzero(found.good) - found.delay_samples
         if unknown.any():
             yield f"group delays: not certain in up to {counted(unknown.max(), 'sample')}"
     if getattr(result, "statistics", None):
-        yield from noise.summary(result.statistics)
+        from pgran.experiments.ensemble import statistics
+
+        yield from statistics.summary(result.statistics)
     if getattr(result, "transport", None) or getattr(result, "diffusion", None):
+        from pgran.experiments.ensemble import transport
+
         yield from transport.summary(result)
 
 
@@ -311,9 +306,10 @@ def run(lattice, options, crew):
     files = crew.world.bcast(options.network_file)
     samples = len(files or ()) or options.ensemble_samples
     seeds = seeds_of(0 if files else options.bonds_seed, samples)
-    for first in (options.relax_seed or 0, options.bonds_redrawn_seed):
+    relax_seed = getattr(options, "relax_seed", 0)
+    for first in (relax_seed, options.bonds_redrawn_seed):
         seeds_of(first, samples)
-    choices = asked_of(EXPERIMENTS[of][1], options, crew.world, lattice, without=NOT_TAKEN)
+    choices = asked_of(EXPERIMENTS[of].function, options, crew.world, lattice, without=NOT_TAKEN)
     if windows is not None:
         windows = windows_of("-statistics_windows", windows, choices["omegas"])
 
@@ -324,12 +320,13 @@ def run(lattice, options, crew):
         return make_lattice(options.changed(**own), group)
 
     how = lattice, options.ensemble_keep, choices, crew, options.output_progress
-    fit = options.spectrum_fit_min, options.spectrum_fit_max
-    record = repeated(
-        of, seeds, draw, *how, files is not None, options.relax_seed, fit, options.detectors_at
-    )
-    if record is None or not transport.has_curves(record) or crew.dry:
+    fit = (options.spectrum_fit_min, options.spectrum_fit_max) if of == "relaxation" else None
+    places = getattr(options, "detectors_at", None)
+    record = repeated(of, seeds, draw, *how, files is not None, relax_seed, fit, places)
+    if record is None or crew.dry or options.ensemble_keep != "curves" or of == "modes":
         return record and [record]
+    from pgran.experiments.ensemble import statistics, transport
+
     records = [record]
 
     def measure(name, function, *given):
@@ -339,9 +336,9 @@ def run(lattice, options, crew):
             log.warning("no %s: %s", name, str(error).removeprefix(f"{name}: "))
 
     if windows is not None:
-        measure("statistics", noise.statistics, record, windows)
+        measure("statistics", statistics.statistics, record, windows)
     line = transport.is_line(lattice, record.detector)
-    if line and files and options.detectors_at is None:
+    if line and files and places is None:
         log.info("no transport: a ball is elsewhere in each packing; -detectors_at names places")
     elif not line and options.transport_depths is not None:
         log.warning("-transport_depths: no transport; detectors at three depths are needed")
@@ -350,7 +347,4 @@ def run(lattice, options, crew):
     return records
 
 
-# with those of all that is repeated, each once
-EVERY = [*ENSEMBLE, *(o for scene, _ in EXPERIMENTS.values() for o in scene.options)]
-OPTIONS = tuple({o.name: o for o in EVERY if o.name not in LEFT_OUT}.values())
-SCENE = Scene(OPTIONS, run, summary, check, shares_lattice=True)
+SCENE = Scene(ENSEMBLE, run, summary, check, shares_lattice=True, decides=tuple(LEFT_OUT))

@@ -105,4 +105,4 @@ def certificate(record):
     )
 
 
-SCENE = Scene((*options_of(find_modes), density.DENSITY), run, summary, check)
+SCENE = Scene((*options_of(find_modes), density.DENSITY), run, summary, check, function=find_modes)

@@ -217,4 +217,4 @@ def predicted_seconds(recording, points):
     return points * lattice.elimination.seconds, steps
 
 
-SCENE = Scene(options_of(pulse), run_of(pulse), summary, check, shares_lattice=True)
+SCENE = Scene(options_of(pulse), run_of(pulse), summary, check, shares_lattice=True, function=pulse)

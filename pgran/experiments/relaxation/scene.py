@@ -223,4 +223,4 @@ def run(lattice, options, crew):
 
 
 OPTIONS = (*options_of(relax), *fluctuations.SPECTRUM)
-SCENE = Scene(OPTIONS, run, summary, check, draws=True, shares_lattice=True)
+SCENE = Scene(OPTIONS, run, summary, check, draws=True, shares_lattice=True, function=relax)

@@ -267,4 +267,4 @@ def sweep(
     return on_root(crew.world, respond, keep=True)
 
 
-SCENE = Scene(options_of(sweep), run_of(sweep), summary, check, shares_lattice=True)
+SCENE = Scene(options_of(sweep), run_of(sweep), summary, check, shares_lattice=True, function=sweep)

@@ -235,4 +235,4 @@ def run(lattice, options, crew):
 
 
 OPTIONS = options_of(sensitivity, heat.heat, without=[HERTZ])
-SCENE = Scene(OPTIONS, run, summary, check, shares_lattice=True)
+SCENE = Scene(OPTIONS, run, summary, check, shares_lattice=True, function=sensitivity)
