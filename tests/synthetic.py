@@ -51,7 +51,7 @@ def lorentzian(shift, gamma):
 
 def mean_intensity(curves):
     """<I> over samples and window: the simplest estimate of `noise.NoisyCurves`."""
-    return curves.estimate(lambda x, w: np.average(x.mean(axis=0), weights=w))
+    return curves.estimate(lambda x: curves.average(x.mean(axis=0)))
 
 
 def lorentzians(rng, samples, omega, gamma, overlap):

@@ -29,24 +29,24 @@ from synthetic import BondSums, codas, gaussian_fields, mean_intensity
 
 import pgran
 from pgran.errors import InputError
-from pgran.experiments.ensemble import intensity
-from pgran.experiments.ensemble.noise import MAXIMA_SPACING, NoisyCurves
+from pgran.experiments.ensemble import statistics as noise
+from pgran.experiments.ensemble.statistics import NoisyCurves
 from pgran.experiments.likeness.compare import MOVES
 from pgran.experiments.modes import levels
 from pgran.experiments.modes.levels import GOE_SPACING_RATIO, POISSON_SPACING_RATIO
 from pgran.experiments.relaxation import memory
 from pgran.store.estimate import MOST
 
-FIELDS = (1, 100), (1, 300), (1, 1000), *((n, 10) for n in (8, 20, 40, 80, 300))
+SAMPLES, WIDTHS = (8, 20, 40, 80, 300), 10  # of Gaussian fields, and their window in Gamma
 GAMMA, EDGES = 0.02, np.array([0.3, 1.0])
 MEASURES = {
     "<I>": (mean_intensity, 1.0),
-    "<I^2>/<I>^2": (intensity.contrast, intensity.GAUSSIAN_CONTRAST),
-    "spread in dB": (intensity.spread, intensity.GAUSSIAN_SPREAD),
-    "half width": (intensity.half_width, GAMMA),
-    "spacing of maxima": (intensity.maxima_spacing, MAXIMA_SPACING * GAMMA),
+    "<I^2>/<I>^2": (noise.contrast, noise.GAUSSIAN_CONTRAST),
+    "spread in dB": (noise.spread, noise.GAUSSIAN_SPREAD),
+    "half width": (noise.half_width, GAMMA),
+    "spacing of maxima": (noise.maxima_spacing, noise.MAXIMA_SPACING * GAMMA),
     "P between .3 and 1": (
-        lambda curves: intensity.histogram(curves, EDGES),
+        lambda curves: noise.histogram(curves, EDGES),
         (np.exp(-0.3) - np.exp(-1.0)) / 0.7,
     ),
 }
@@ -94,7 +94,7 @@ def curves(rng, repeats, samples, widths, incoherent=False):
     found = {name: [] for name in MEASURES}
     for _ in range(repeats):
         omega, A, _ = gaussian_fields(rng, samples, 5 * widths + 1, GAMMA, GAMMA / 5)
-        made = NoisyCurves(omega, A if samples > 1 else A[0], incoherent=incoherent)
+        made = NoisyCurves(omega, A, incoherent=incoherent)
         for name, (measure, _) in MEASURES.items():
             with contextlib.suppress(InputError):
                 found[name].append(measure(made))
@@ -194,9 +194,9 @@ def diffusions(repeats):
 def main(repeats):
     """Print all tables, and return how many measures fail."""
     rng, failures = np.random.default_rng(1), 0
-    for samples, widths in FIELDS:  # samples, window in Gamma
-        failures += curves(rng, repeats, samples, widths, incoherent=False)
-    failures += curves(rng, repeats, 80, 10, incoherent=True)
+    for samples in SAMPLES:
+        failures += curves(rng, repeats, samples, WIDTHS, incoherent=False)
+    failures += curves(rng, repeats, 80, WIDTHS, incoherent=True)
     failures += spectra(rng, repeats)
     for memories, trajectories in ((21, 1), (100, 1), (10, 10)):
         failures += relaxations(rng, repeats, memories, trajectories)

@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.experiments.ensemble.noise import finite_samples
 from pgran.experiments.ensemble.record import ABOVE_FLOOR, CERTAIN
+from pgran.experiments.ensemble.statistics import finite_samples
 from pgran.store.estimate import FEWEST_SAMPLES, Estimate, jackknife_samples, plug_in
 
 FEWEST_DEPTHS = 3  # of a straight line
