@@ -9,7 +9,7 @@ import pytest
 
 import pgran
 from pgran.errors import InputError
-from pgran.experiments.ensemble import diffusion, transport
+from pgran.experiments.ensemble import transport
 from pgran.experiments.modes import levels
 from pgran.results import Ensemble
 from pgran.run.experiment import Caution
@@ -42,11 +42,11 @@ def test_diffusion_between_walls():
     """The series and the mirror images agree, and the fit finds what they are made with."""
     time, depth = np.linspace(40, 300, 9), np.linspace(0, 36, 5)
     sent, strength = np.array([0.0, 10.0, 20.0]), np.array([1.0, 3.0, 2.0])
-    made = diffusion.spreading(time, depth, 36.0, 0.4, 0.02, sent, strength)
+    made = transport.spreading(time, depth, 36.0, 0.4, 0.02, sent, strength)
     each = [images(time - t, depth, 36.0, 0.4, 0.02) for t in sent]
     assert made / 36 == pytest.approx(np.tensordot(strength, each, 1), rel=1e-9)
     for seed in range(2):
-        found = diffusion.diffusion(*pulses(seed=seed), *WALLS)
+        found = transport.diffusion(*pulses(seed=seed), *WALLS)
         truths = {"diffusivity": 0.3, "absorption": 0.01, "length": math.sqrt(30)}
         for name, truth in truths.items():
             assert abs(getattr(found, name) - truth) < 3 * getattr(found, f"{name}_error")
@@ -62,7 +62,7 @@ def test_errors_are_those_of_the_whole_fit():
 
     def fit(some):
         own = {"square": ensemble.square[some], "arrival": arrival[some], "good": some[some] * 1}
-        found = diffusion.diffusion(dataclasses.replace(ensemble, **own), depth, *WALLS)
+        found = transport.diffusion(dataclasses.replace(ensemble, **own), depth, *WALLS)
         values = [found.diffusivity, found.absorption, found.length, found.free_path]
         return np.array(values), found
 
@@ -77,15 +77,15 @@ def test_errors_are_those_of_the_whole_fit():
 
 
 def test_what_is_no_diffusion():
-    flat = diffusion.diffusion(*pulses(D=100.0), *WALLS)  # no gradient is left
+    flat = transport.diffusion(*pulses(D=100.0), *WALLS)  # no gradient is left
     assert np.isnan(flat.diffusivity)
     assert abs(flat.absorption - 0.01) < 3 * flat.absorption_error
     with pytest.raises(InputError, match=r"20 samples and \d+ times after"):
-        diffusion.diffusion(*pulses(time=140.0), *WALLS)
+        transport.diffusion(*pulses(time=140.0), *WALLS)
     ensemble, depth = pulses()
 
     def fit(square):
-        return diffusion.diffusion(dataclasses.replace(ensemble, square=square), depth, *WALLS)
+        return transport.diffusion(dataclasses.replace(ensemble, square=square), depth, *WALLS)
 
     for square in (np.nan * ensemble.square, np.repeat(ensemble.square[:1], 20, axis=0)):
         with pytest.raises(InputError, match="errors hide the signals, or all samples are alike"):

@@ -246,7 +246,7 @@ class Transport(Record):
     waves stand: where the group delay does not grow with depth for certain, and so below the
     `first_mode`, the lowest of the first sample. The delay is weighted by intensity; `band_delay`
     is its mean over the frequencies between one `edge` and the next. See
-    `pgran.experiments.ensemble.profiles`.
+    `pgran.experiments.ensemble.transport`.
     """
 
     group = "transport"
@@ -295,7 +295,7 @@ class Transport(Record):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diffusion(Record):
-    """The mean square of an ensemble's pulses, and the fit of `ensemble.diffusion` to it.
+    """The mean square of an ensemble's pulses, and the fit of `ensemble.transport` to it.
 
     Energy diffuses with D, the `diffusivity`, and is absorbed at the rate 1/tau; `length` is sqrt(D
     tau), `free_path` the transport mean free path d D / c in d dimensions, c the `speed` of fronts.
