@@ -10,6 +10,7 @@ them. Errors come from leaving out a part of the samples at a time.
 import logging
 import math
 from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from pgran.store.estimate import (
     with_errors,
 )
 from pgran.store.record import ball_names
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 log = logging.getLogger("pgran")
 
@@ -56,7 +60,7 @@ MOST_POINTS = 1 << 15  # of a curve that is resampled
 
 
 @called_right
-def statistics(ensemble: "Ensemble", windows) -> "NoiseStatistics":
+def statistics(ensemble: Ensemble, windows: "ArrayLike") -> NoiseStatistics:
     """Measure the noise of an ensemble's responses (paper: freqres, "noisy").
 
     Samples that are not good are left out. A measure that cannot be computed, such as that of a

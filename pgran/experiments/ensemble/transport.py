@@ -12,6 +12,7 @@ It holds once what comes straight has gone by, and not next to walls, where u = 
 
 import math
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -40,6 +41,12 @@ from pgran.store.estimate import (
 )
 from pgran.store.si import SI
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pgran.medium.lattice import Lattice
+    from pgran.medium.network import Network
+
 RIM = 1 / 7  # of the system at both ends, which walls bend: 3 spacings of 20 x 20, as measured
 BAND = 0.1  # omega_mx
 RECIPROCAL = 4.0  # errors that a rate is above 0 by, if 1 / rate is told, with its longer side's
@@ -55,7 +62,9 @@ FLAT = 1e-12  # added to the matrix of the fit: what does not matter has an enor
 
 
 @called_right
-def transport(medium, ensemble, depths=None):
+def transport(
+    medium: "Lattice | Network", ensemble: Ensemble, depths: "ArrayLike | None" = None
+) -> Transport | Diffusion:
     """Compute the transport of sound or energy from an ensemble of responses or pulses.
 
     Samples that are not good are left out. A delay that is not certain, as the amplitude may vanish
