@@ -30,7 +30,7 @@ SHARED = {
     "solver": ("dict, optional", SOLVER),
 }
 # Sections of a docstring, and what those of all functions that are collective have in common.
-SECTION = re.compile(r"\n\n(Parameters|Returns|Raises)\n-+\n")
+SECTION = re.compile(r"\n\n(Parameters|Returns|Raises|Examples)\n-+\n")
 COLLECTIVE = "Collective: all ranks call it, and share out the work."
 RETURNS = """pgran.results.{} or None
     With a crew of the caller's None on all ranks but rank 0."""

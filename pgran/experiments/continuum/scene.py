@@ -1,5 +1,7 @@
 """Scene `continuum`: the exact response of the homogeneous box, without PETSc."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from pgran.errors import InputError
@@ -11,6 +13,9 @@ from pgran.run.interface import in_parallel
 from pgran.run.keywords import PROGRESS, option, options_of, run_of
 from pgran.run.task import Task, carry_out
 from pgran.store.record import columns_of, row_of
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 LONGEST_UNIT = 256  # frequencies
 POSITIVE = {"low": 1e-100, "high": 1e100}  # no square of it overflows or underflows
@@ -31,7 +36,7 @@ def summary(result):
 
 @in_parallel("continuum", omegas=FREQUENCIES)
 def continuum(
-    omegas,
+    omegas: "ArrayLike",
     point=option((0.47, 0.52), "where the amplitude is taken", "length"),
     crew=None,
     *,
@@ -41,7 +46,19 @@ def continuum(
     damping=option(0.003, "damping beta", low=0, high=1e100),
     progress=PROGRESS,
 ) -> ContinuumResponse:
-    """Evaluate the exact response of the homogeneous box over a sweep (paper: axysol, exactpl)."""
+    """Evaluate the exact response of the homogeneous box over a sweep (paper: axysol, exactpl).
+
+    The wall x = Lx is shaken, the others are at rest. With z = m omega^2 / (K0 + i omega beta) and
+    gamma^2 = (nu pi / Ly)^2 - z,
+
+        A(x, y) = 4/pi sum_(nu odd) sin(nu pi y / Ly) / nu  sinh(gamma x) / sinh(gamma Lx)
+
+    Examples
+    --------
+    >>> found = pgran.continuum([0.001, 3.0], point=(0.5, 0.5), damping=0.0)
+    >>> found.amplitude.round(3)  # at rest, the mean of the four walls
+    array([0.25 , 0.568])
+    """
     box = Continuum(size, mass, stiffness, damping)
     return carry_out(Series(box, omegas, point), crew, progress)
 

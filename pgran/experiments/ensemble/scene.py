@@ -2,7 +2,9 @@
 
 import logging
 import os
+from collections.abc import Callable
 from glob import glob
+from typing import Any
 
 import numpy as np
 
@@ -137,13 +139,17 @@ def seeds_of(first, samples):
 @in_parallel(of=OF.check, samples=SAMPLES.check)
 @with_solver
 def ensemble(
-    of, samples, crew=None, *, lattice, seed=SEED, keep=KEEP, progress=PROGRESS, **experiment
+    of: str,
+    samples: int,
+    crew=None,
+    *,
+    lattice: "dict | Callable | list",
+    seed=SEED,
+    keep=KEEP,
+    progress=PROGRESS,
+    **experiment: Any,
 ) -> Ensemble:
     """Repeat an experiment on many samples.
-
-        found = pgran.ensemble(
-            "response", 100, lattice={"shape": (20, 20)}, omegas=omegas, detectors=[(8, 10)]
-        )
 
     Parameters
     ----------
@@ -159,6 +165,14 @@ def ensemble(
     **experiment
         What the repeated function takes besides the lattice. A relaxation's changes are those of
         the seeds 1, 2, ..., one a sample.
+
+    Examples
+    --------
+    >>> heard = {"omegas": np.linspace(0.3, 0.9, 61), "detectors": [(2, 3)]}
+    >>> found = pgran.ensemble("response", 8, lattice={"shape": (6, 5)}, **heard)
+    >>> mean, error, median, low, high = found.ln_amplitude
+    >>> bool(np.all(low <= high)), found.left_out
+    (True, 0)
     """
     check_kept(of, keep)
     function = EXPERIMENTS[of].function
