@@ -12,7 +12,7 @@ from test_journal import stop_at
 
 from pgran.command.resolve import resolve
 from pgran.errors import FileError, InputError, PgranError, StoppedError
-from pgran.experiments.accuracy.errors import entries, front, matched, mode_bounds, relative_errors
+from pgran.experiments.accuracy.study import entries, front, matched, mode_bounds, relative_errors
 from pgran.experiments.modes.normal import ModeSolver
 from pgran.experiments.response.scene import sweep
 from pgran.medium.sample import make_lattice

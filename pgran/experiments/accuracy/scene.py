@@ -1,18 +1,15 @@
 """Scene `accuracy`: error against run time, one experiment by several solvers and tolerances."""
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from pgran.catalogue import EXPERIMENTS
 from pgran.errors import InputError
-from pgran.experiments.accuracy.errors import read_modes, read_pulse, read_relaxation, read_response
-from pgran.experiments.accuracy.study import Comparison, Configuration, Reference, Study
+from pgran.experiments.accuracy.study import REPEATED, Comparison, Configuration, Reference, Study
 from pgran.medium.sample import ranks_per_lattice
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Scene
-from pgran.run.keywords import call
 from pgran.run.options import FILES, INTEGER, REALS, TEXT, Option
 from pgran.run.reading import read_solver
 from pgran.run.task import carry_out
@@ -20,7 +17,7 @@ from pgran.run.task import carry_out
 STUDY = (
     Option(
         "accuracy_of", TEXT, "response", "the experiment that is repeated",
-        choices=("response", "modes", "relaxation", "pulse"),
+        choices=tuple(REPEATED),
     ),
     Option(
         "accuracy_solvers", FILES, None,
@@ -41,8 +38,6 @@ CHOICES = {
     "relax_method": "method",
     "relax_window": "window",
 }
-REFERENCE = 1e-10  # what the reference of driven amplitudes asks for, or a tenth of the smallest
-MODES_REFERENCE = 1e-6  # how well a mode must be known to be compared with
 
 
 def check(values, given):
@@ -93,31 +88,6 @@ def read_configurations(options):
     return configurations
 
 
-def make_study(options, lattice, world):
-    """Return the experiment that the options name. Collective."""
-    of, smallest = options.accuracy_of, 0.1 * min(options.accuracy_tolerances)
-    function = EXPERIMENTS[of].function
-    exact, certified = {"error_tolerance": min(REFERENCE, smallest)}, smallest
-    if of == "modes":
-        fixed, read = {}, partial(read_modes, lattice)
-        exact, certified = {}, MODES_REFERENCE
-    elif of == "response":
-        fixed, read = {"resolve": 0.0, "error_floor": 0.0}, read_response
-        exact["method"] = "points"
-    elif of == "pulse":
-        read, wall = read_pulse, function.declared["wall"]
-        fixed = {"wall": wall.of_run(options, world, lattice)}  # read once
-        exact["method"] = "laplace"
-    else:
-        fixed, read = {"error_floor": 0.0}, read_relaxation
-        exact["method"] = "direct"
-
-    def solve(crew, **choices):
-        return call(function, options, crew, lattice, progress="none", **fixed | choices)
-
-    return Study(of, solve, read, exact, certified)
-
-
 def run(lattice, options, crew):
     """Return the comparison; see `pgran.run.experiment.Scene`."""
     from pgran.run.crew import AgreeingCrew
@@ -126,7 +96,7 @@ def run(lattice, options, crew):
     configurations = on_root(world, lambda: read_configurations(options))
     shared = EXPERIMENTS[options.accuracy_of]
     with AgreeingCrew(world, ranks_per_lattice(shared, options, lattice, world)) as workers:
-        study = make_study(options, lattice, world)
+        study = Study(options, lattice, world)
         reference = carry_out(Reference(study, workers), crew)
         task = Comparison(study, configurations, options.accuracy_repeats, reference, workers)
         accuracy = carry_out(task, crew, options.output_progress)

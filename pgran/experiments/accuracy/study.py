@@ -2,35 +2,55 @@
 
 import logging
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from pgran.catalogue import EXPERIMENTS
 from pgran.errors import PgranError, is_foreseen
-from pgran.experiments.accuracy import errors
-from pgran.experiments.accuracy.errors import ENTRY, relative_bounds
 from pgran.experiments.accuracy.record import Accuracy
+from pgran.experiments.modes.shapes import RESIDUAL
+from pgran.run.keywords import call
 from pgran.run.task import Task
 from pgran.store.record import columns_of, row_of
 
 log = logging.getLogger("pgran")
 
+# A number of an experiment, a bound of its absolute error, what errors are relative to, and whether
+# the number is as accurate as was asked for.
+ENTRY = np.dtype([("value", complex), ("bound", float), ("size", float), ("good", bool)])
+REFERENCE = 1e-10  # what the reference of driven amplitudes asks for, or a tenth of the smallest
+MODES_REFERENCE = 1e-6  # how well a mode must be known to be compared with
 
-@dataclass(frozen=True)
+
 class Study:
-    """The experiment that is repeated.
+    """The experiment that is repeated, of the options' `-accuracy_of`. Collective.
 
-    `solve` takes a crew and keywords and returns its result on rank 0; `read` returns the numbers
-    of that result as an array of ENTRY. `exact` are the keywords for the reference, of which
-    numbers count whose relative bounds are `certified` or less.
+    `exact` are the keywords for the reference, of which numbers count whose relative bounds are
+    `certified` or less.
     """
 
-    name: str
-    solve: Callable
-    read: Callable
-    exact: dict
-    certified: float
+    def __init__(self, options, lattice, world):
+        self.name, self.options, self.lattice = options.accuracy_of, options, lattice
+        self.function = EXPERIMENTS[self.name].function
+        self.reader, self.fixed, self.exact = REPEATED[self.name]
+        self.certified = 0.1 * min(options.accuracy_tolerances)
+        if self.name == "modes":
+            self.certified = MODES_REFERENCE
+        else:
+            self.exact = self.exact | {"error_tolerance": min(REFERENCE, self.certified)}
+        if self.name == "pulse":  # the file of a wall is read once
+            wall = self.function.declared["wall"].of_run(options, world, lattice)
+            self.fixed = self.fixed | {"wall": wall}
+
+    def solve(self, crew, **choices):
+        """Return the result on rank 0, None on the others. Collective."""
+        choices = self.fixed | choices
+        return call(self.function, self.options, crew, self.lattice, progress="none", **choices)
+
+    def read(self, result):
+        """Return the numbers of a result, an array of ENTRY."""
+        return self.reader(result, self.lattice)
 
 
 @dataclass(frozen=True)
@@ -144,10 +164,10 @@ class Comparison(Task):
         if result is not None:
             numbers = self.study.read(result)
             if self.study.name == "modes":
-                numbers = errors.matched(numbers, self.reference)
+                numbers = matched(numbers, self.reference)
         good = numbers["good"]
         compared = good & self.reference["good"]
-        missed = errors.relative_errors(numbers[compared], self.reference[compared])
+        missed = relative_errors(numbers[compared], self.reference[compared])
         bounds = relative_bounds(numbers[good])
         row = np.zeros(1, self.row)
         row["seconds"], row["failures"] = seconds, np.count_nonzero(~good)
@@ -174,6 +194,112 @@ class Comparison(Task):
             tolerance=np.array([c.tolerance for c in configurations]),
             seconds_min=times.min(axis=0),
             seconds_max=times.max(axis=0),
-            on_front=errors.front(*(measured[x] for x in ("seconds", "error_max", "failures"))),
+            on_front=front(*(measured[x] for x in ("seconds", "error_max", "failures"))),
             **measured,
         )
+
+
+def entries(values, bounds, good, sizes=None):
+    """Return numbers in one flat array of ENTRY; bounds, good and sizes broadcast to the values.
+
+    Errors are relative to the numbers themselves unless sizes are given.
+    """
+    numbers = np.zeros(np.size(values), ENTRY)
+    sizes = np.abs(values) if sizes is None else sizes
+    for name, column in zip(ENTRY.names, (values, bounds, sizes, good), strict=True):
+        numbers[name] = np.broadcast_to(column, np.shape(values)).ravel()
+    return numbers
+
+
+def read_response(response, lattice):
+    """Return the amplitudes of a sweep."""
+    good = response.converged_reason[:, None] > 0
+    return entries(response.displacement, response.error_bound, good)
+
+
+def read_relaxation(relaxation, lattice):
+    """Return the amplitudes of a relaxation, which are NaN where they miss the tolerance."""
+    amplitudes = relaxation.displacement
+    return entries(amplitudes, relaxation.error_bound, np.isfinite(amplitudes))
+
+
+def read_pulse(signals, lattice):
+    """Return the displacements of a pulse, relative to the largest of each ball's signal.
+
+    What an integration bounds its errors by are estimates.
+    """
+    largest = np.abs(signals.displacement).max(axis=0)
+    good = signals.error.max(axis=0) <= signals.tolerance * largest
+    return entries(signals.displacement, signals.error, good, largest)
+
+
+def read_modes(modes, lattice):
+    """Return the frequencies of accurate modes, and zeros that are not good for missing ones."""
+    accurate = modes.residual <= RESIDUAL
+    omega = modes.omega[accurate]
+    numbers = entries(omega, mode_bounds(lattice, omega, modes.residual[accurate]), True)
+    missing = np.zeros(max(modes.count_expected - len(omega), 0), ENTRY)
+    return np.concatenate([numbers, missing])
+
+
+# Of each experiment what reads its numbers, keywords of all runs, and those of the reference alone.
+REPEATED = {
+    "response": (read_response, {"resolve": 0.0, "error_floor": 0.0}, {"method": "points"}),
+    "modes": (read_modes, {}, {}),
+    "relaxation": (read_relaxation, {"error_floor": 0.0}, {"method": "direct"}),
+    "pulse": (read_pulse, {}, {"method": "laplace"}),
+}
+
+
+def mode_bounds(lattice, omega, residual):
+    """Return bounds of the errors of modes' frequencies, by their residuals, in units of |K|.
+
+    K is symmetric, so a residual |K f - lambda f| of a unit vector is no smaller than the distance
+    of lambda = m omega^2 from an eigenvalue.
+    """
+    missed = (residual + lattice.rounding) * lattice.stiffness_norm / lattice.mass
+    # |omega - omega'| (omega + omega') = |omega^2 - omega'^2| <= missed
+    with np.errstate(divide="ignore"):
+        return np.minimum(missed / omega, np.sqrt(missed))
+
+
+def relative_bounds(numbers):
+    """Return the bound of each number's relative error, inf for none."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = numbers["bound"] / numbers["size"]
+    return np.where(np.isfinite(ratio), ratio, np.inf)
+
+
+def relative_errors(numbers, reference):
+    """Return the relative error of each number, at least the bound of the reference's own error."""
+    difference = np.abs(numbers["value"] - reference["value"])
+    return np.maximum(difference, reference["bound"]) / reference["size"]
+
+
+def matched(modes, reference):
+    """Return modes in the places of the reference's; where one is missing, it is not good.
+
+    Both ascend. Two can be the same mode if they are no further apart than their bounds allow.
+    """
+    placed, place = np.zeros(len(reference), ENTRY), 0
+    for mode in modes[modes["good"]]:
+        allowed = mode["bound"] + reference["bound"]
+        distance = (reference["value"] - mode["value"]).real
+        while place < len(reference) and distance[place] < -allowed[place]:
+            place += 1  # the mode at this place is missing
+        if place < len(reference) and distance[place] <= allowed[place]:
+            placed[place] = mode
+            place += 1
+    return placed
+
+
+def front(seconds, error, failures):
+    """Return which of n configurations no other one beats, of those without failures.
+
+    One beats another if it is as fast and as accurate, and better in one of both.
+    """
+    eligible = (failures == 0) & np.isfinite(error)
+    # [i, j]: whether i beats j
+    faster, closer = seconds[:, None] < seconds, error[:, None] < error
+    beats = (faster & (error[:, None] <= error)) | (closer & (seconds[:, None] <= seconds))
+    return eligible & ~np.any(beats[eligible], axis=0)
