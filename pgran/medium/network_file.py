@@ -21,7 +21,6 @@ import numpy as np
 from pgran.arguments import called_right
 from pgran.errors import FileError, InputError
 from pgran.medium.bonds import AXES
-from pgran.medium.network import Network
 from pgran.medium.springs import FREE
 from pgran.store import careful as hdf5
 from pgran.store import file as store
@@ -176,6 +175,8 @@ def read_network(path, **overrides):
     what `pgran.Network` takes, instead of what the file says. Raises FileError if the file is
     damaged, lacks something or makes no network, InputError if the overrides make none.
     """
+    from pgran.medium.network import Network
+
     hdf5.try_apart(path, "pgran.medium.network_file")
     with hdf5.opened(path) as file:
         values = members_of(file)
