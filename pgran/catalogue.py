@@ -1,81 +1,154 @@
-"""Which experiments there are: a new one is its folder in `pgran.experiments`, and its line here.
+"""Which experiments there are: of pgran a folder in `pgran.experiments` and its line here each.
 
-Nothing here imports one: who asks for an experiment, a record or its figures loads that alone.
+Others come with installed packages, which name a `Home` by an entry point:
+
+    [project.entry-points."pgran.experiments"]
+    probe = "pgran_probe:HOME"    # HOME = pgran.catalogue.Home("pgran_probe", {"probe": "figures"})
+
+Nothing here imports an experiment of pgran: who asks for its facts, its records or its figures
+loads these alone. Installed ones are looked for when a name is none of ours, or all are asked for.
 """
 
+import logging
+from collections.abc import Mapping
 from importlib import import_module
 from typing import NamedTuple
 
+from pgran.errors import PgranError
+
+log = logging.getLogger("pgran")
+ENTRY_POINTS = "pgran.experiments"
+
 
 class Home(NamedTuple):
-    """Where an experiment lives, below `pgran.experiments`; its records are in `record`.
+    """Where an experiment lives: a package, whose module `record` has the records of its results.
 
     It has the facts of its SCENE, too, which is loaded for them.
     """
 
-    scene: str  # the module of its SCENE
+    package: str
     groups: dict  # of each group of its results the module that draws it, or None
-
-    @property
-    def folder(self):
-        """Its package."""
-        return f"pgran.experiments.{self.scene.partition('.')[0]}"
+    scene: str = "scene"  # the module of its SCENE
 
     def __getattr__(self, fact):
-        return getattr(import_module(f"pgran.experiments.{self.scene}").SCENE, fact)
+        return getattr(import_module(f"{self.package}.{self.scene}").SCENE, fact)
 
 
-EXPERIMENTS = {
-    "accuracy": Home("accuracy.scene", {"accuracy": "figures"}),
-    "continuum": Home("continuum.scene", {"continuum": "figures"}),
-    "ensemble": Home(
-        "ensemble.scene",
-        {
-            "ensemble": "figures",
-            "statistics": "figures_statistics",
-            "transport": "figures_transport",
-            "diffusion": "figures_transport",
-        },
+def _ours(folder, scene="scene", **groups):
+    """Return the home of an experiment of pgran; its results are drawn by `figures` as a rule."""
+    return Home(f"pgran.experiments.{folder}", groups or {folder: "figures"}, scene)
+
+
+OURS = {
+    "accuracy": _ours("accuracy"),
+    "continuum": _ours("continuum"),
+    "ensemble": _ours(
+        "ensemble",
+        ensemble="figures",
+        statistics="figures_statistics",
+        transport="figures_transport",
+        diffusion="figures_transport",
     ),
-    "green": Home("green.scene", {"green": "figures"}),
-    "modes": Home(
-        "modes.scene",
-        {"modes": "figures", "density": "figures_density", "damped_modes": "figures_damped"},
+    "green": _ours("green"),
+    "modes": _ours(
+        "modes", modes="figures", density="figures_density", damped_modes="figures_damped"
     ),
-    "projection": Home("modes.projection", {"projection": "figures_projection"}),
-    "pulse": Home("pulse.scene", {"pulse": "figures"}),
-    "relaxation": Home(
-        "relaxation.scene", {"relaxation": "figures", "spectrum": None, "memory": None}
-    ),
-    "response": Home("response.scene", {"response": "figures"}),
-    "sensitivity": Home("sensitivity.scene", {"sensitivity": "figures", "heat": "figures_heat"}),
-    "structure": Home("structure.scene", {"structure": "figures"}),
+    "projection": _ours("modes", "projection", projection="figures_projection"),
+    "pulse": _ours("pulse"),
+    "relaxation": _ours("relaxation", relaxation="figures", spectrum=None, memory=None),
+    "response": _ours("response"),
+    "sensitivity": _ours("sensitivity", sensitivity="figures", heat="figures_heat"),
+    "structure": _ours("structure"),
 }
-
-# what results of experiments are measured by, which no run does
-MEASURES = {"likeness": Home("likeness.compare", {"likeness": "figures"})}
-
+MEASURES = _ours("likeness", "compare")  # what results are measured by, which no run does
 POINTS = ("sensitivity",)  # of their results a figure of several has points, which need no labels
 
-HOMES = [*EXPERIMENTS.values(), *MEASURES.values()]
-# Where records and figures of each group are; the medium, whose axes the others share, comes first.
-RECORDS = dict.fromkeys(("lattice", "network"), "pgran.medium.record") | {
-    group: f"{home.folder}.record" for home in HOMES for group in home.groups
-}
-FIGURES = {"network": "pgran.draw.network"} | {
-    group: f"{home.folder}.{module}"
-    for home in HOMES
-    for group, module in home.groups.items()
-    if module
-}
+# The modules of records and of figures by group; the medium, whose axes others share, comes first.
+RECORDS = dict.fromkeys(("lattice", "network"), "pgran.medium.record")
+FIGURES = {"network": "pgran.draw.network"}
+
+
+def _add(home):
+    """Add the groups of an experiment's results to those that are read and drawn."""
+    for group, module in home.groups.items():
+        RECORDS[group] = f"{home.package}.record"
+        if module:
+            FIGURES[group] = f"{home.package}.{module}"
+
+
+class Experiments(Mapping):
+    """All experiments by name; see above when those of installed packages are among them."""
+
+    def __init__(self):
+        self._homes, self._complete = dict(OURS), False
+
+    def __getitem__(self, name):
+        if name not in self._homes:
+            self._add_installed()
+        return self._homes[name]
+
+    def __iter__(self):
+        self._add_installed()
+        return iter(self._homes)
+
+    def __len__(self):
+        return len(list(iter(self)))
+
+    def _add_installed(self):
+        """Add what installed packages have; what cannot be used is said, and left out."""
+        from importlib import metadata
+
+        found = () if self._complete else metadata.entry_points(group=ENTRY_POINTS)
+        self._complete = True
+        for entry in sorted(found, key=lambda entry: entry.name):
+            try:
+                self._homes[entry.name] = self._loaded(entry)
+            except (Exception, SystemExit) as error:  # whatever a package raises
+                why = error if isinstance(error, PgranError) else f"{type(error).__name__}: {error}"
+                log.warning("no experiment %s of %s: %s", entry.name, entry.dist.name, why)
+
+    def _loaded(self, entry):
+        """Return the home that an entry point names, once its facts and records are loaded."""
+        if entry.name in self._homes:
+            raise PgranError("there is one of this name already")
+        home = entry.load()
+        if not isinstance(home, Home):
+            raise PgranError(f"{entry.value} is no pgran.catalogue.Home")
+        records = import_module(f"{home.package}.record")
+        for group in home.groups:
+            if group in RECORDS:
+                raise PgranError(f"there are results called {group} already")
+            _kind(records, group)
+        home.options  # noqa: B018
+        _add(home)
+        return home
+
+
+def groups_of(scene):
+    """Return the groups that results of a scene can have, those of all other scenes among them."""
+    if scene not in RECORDS:
+        EXPERIMENTS.get(scene)  # of an installed package
+    return list(RECORDS)
 
 
 def record_kind(group):
     """Return the record that a group of a result is read as."""
-    declared = vars(import_module(RECORDS[group])).values()
-    return next(k for k in declared if getattr(k, "group", None) == group and not k.within)
+    return _kind(import_module(RECORDS[group]), group)
+
+
+def _kind(records, group):
+    """Return the record of a group in a module; raise a PgranError if there is none."""
+    for kind in vars(records).values():
+        if getattr(kind, "group", None) == group and not kind.within:
+            return kind
+    raise PgranError(f"{records.__name__} declares no record of the group {group}")
 
 
 def figures(group):
     """Return the module that draws a group of a result."""
     return import_module(FIGURES[group])
+
+
+for _home in (*OURS.values(), MEASURES):
+    _add(_home)
+EXPERIMENTS = Experiments()

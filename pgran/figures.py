@@ -6,38 +6,13 @@ and `together`, which lays several results over each other.
 
 import sys
 from importlib import import_module
-from importlib.machinery import ModuleSpec
 
-from pgran.catalogue import FIGURES
+from pgran.catalogue import EXPERIMENTS, FIGURES
 
-MODULES = {"style": "pgran.draw.style", "together": "pgran.draw.together"} | FIGURES
-__path__ = []  # a package, of whose modules `Panels` knows where they are
+__path__ = []  # a package, of modules that are loaded: `import pgran.figures.response`
 
-
-def __getattr__(name):
-    if name not in MODULES:
-        raise AttributeError(f"module pgran.figures has no attribute {name!r}")
-    return import_module(MODULES[name])
-
-
-class Panels:
-    """What `import pgran.figures.response` finds the module by, and loads it with."""
-
-    @classmethod
-    def find_spec(cls, name, path, target=None):
-        """Return where a module is from, if it is one of panels."""
-        package, _, group = name.rpartition(".")
-        return ModuleSpec(name, cls) if package == __name__ and group in MODULES else None
-
-    @staticmethod
-    def create_module(spec):
-        """Let Python make an empty module."""
-
-    @staticmethod
-    def exec_module(module):
-        """Put the module of the experiment in place of the empty one."""
-        group = module.__name__.rpartition(".")[2]
-        sys.modules[module.__name__] = import_module(MODULES[group])
-
-
-sys.meta_path.append(Panels)
+len(EXPERIMENTS)  # those of installed packages, too
+for _name, _module in {
+    "style": "pgran.draw.style", "together": "pgran.draw.together", **FIGURES
+}.items():  # fmt: skip
+    globals()[_name] = sys.modules[f"{__name__}.{_name}"] = import_module(_module)

@@ -5,12 +5,14 @@ Each is declared in the `record.py` of its experiment.
 
 from importlib import import_module
 
-from pgran.catalogue import RECORDS
+from pgran.catalogue import EXPERIMENTS, RECORDS
 
 
 def __getattr__(name):
-    for module in dict.fromkeys(RECORDS.values()):
-        kind = getattr(import_module(module), name, None)
-        if hasattr(kind, "group"):
-            return kind
+    for _ in ("ours", "those of installed packages, too"):
+        for module in dict.fromkeys(RECORDS.values()):
+            kind = getattr(import_module(module), name, None)
+            if hasattr(kind, "group"):
+                return kind
+        len(EXPERIMENTS)
     raise AttributeError(f"module pgran.results has no attribute {name!r}")

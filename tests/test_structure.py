@@ -18,7 +18,7 @@ from pgran.results import Response
 HOUSE = Path(__file__).parents[1] / "pgran"
 TOP = "errors arguments catalogue"  # files beside the folders; the catalogue is a table of names
 BELOW = {  # of each folder and file at the top: what it may import
-    "errors": "", "arguments": "errors", "catalogue": "", "results": "catalogue",
+    "errors": "", "arguments": "errors", "catalogue": "errors", "results": "catalogue",
     "figures": "catalogue", "store": TOP, "run": f"{TOP} store", "medium": f"{TOP} store run",
     "driven": f"{TOP} store run medium", "draw": f"{TOP} store run medium",
     "balance": f"{TOP} run medium", "foreign": f"{TOP} store run medium",

@@ -9,7 +9,7 @@ import shutil
 import textwrap
 from pathlib import Path
 
-from pgran.command.resolve import SCENE_OPTION, SCENES, options_of
+from pgran.command.resolve import SCENES, options_of, scene_option
 from pgran.command.words import WIDTH, Parser
 from pgran.errors import DONE, FileError, InputError
 from pgran.run import keys as solver_keys
@@ -34,7 +34,7 @@ def list_options(words):
     examples = "pgran options", "pgran options response", "pgran options --copy options"
     parser = Parser("options", list_options.__doc__, *examples)
     scenes = ", ".join(SCENES)
-    parser.add_argument("scene", metavar="SCENE", nargs="?", type=SCENE_OPTION.read, help=scenes)
+    parser.add_argument("scene", metavar="SCENE", nargs="?", type=scene_option().read, help=scenes)
     copies = "copy the options files of pgran into a folder"
     parser.add_argument("--copy", metavar="DIR", type=Path, help=copies)
     asked = parser.read(words)
@@ -71,7 +71,7 @@ def describe_options(scene=None):
     names = [scene] if scene else SCENES
     options = dict.fromkeys(option for name in names for option in options_of(name).values())
     lines = [_row("key", "default", "unit", "type and range")]
-    lines += describe(SCENE_OPTION)
+    lines += describe(scene_option())
     for heading in HEADINGS:
         below = [option for option in options if heading_of(option.name) == heading]
         users = [users_of(option, scene) for option in below]
@@ -145,7 +145,7 @@ def tables():
     An option that means something else in another scene has all of its meanings.
     """
     same = {}
-    for option in (SCENE_OPTION, *(o for scene in SCENES for o in options_of(scene).values())):
+    for option in (scene_option(), *(o for scene in SCENES for o in options_of(scene).values())):
         same.setdefault(option.name, {})[option] = None
     names = [name for heading in HEADINGS for name in same if heading_of(name) == heading]
     yield from ("| key | default | meaning |", "|---|---|---|")

@@ -1,5 +1,6 @@
 """The first line of a run: what it solves."""
 
+from pgran.command.resolve import SCENES
 from pgran.store.estimate import counted
 from pgran.store.si import SI
 
@@ -11,8 +12,7 @@ def opening(options, ranks, lattice=None):
     """
     of = getattr(options, f"{options.scene}_of", None)
     if lattice is None:
-        size = " x ".join(f"{length:g}" for length in options.continuum_size)
-        facts = [f"a homogeneous box of {size}", f"beta {options.continuum_damping:g}"]
+        facts = [*SCENES[options.scene].subject(options)]
     else:
         from pgran.medium.source import in_words
 

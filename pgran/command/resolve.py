@@ -11,7 +11,11 @@ from pgran.run.options import FILE, FILES, RUN, TEXT, Option, text_of
 from pgran.store.paths import open_regular
 
 SCENES = catalogue.EXPERIMENTS  # the facts of each by name, loaded as they are asked for
-SCENE_OPTION = Option("scene", TEXT, None, "the experiment", choices=tuple(SCENES))
+
+
+def scene_option():
+    """Return the option of the experiment, whose choices are all that are installed."""
+    return Option("scene", TEXT, None, "the experiment", choices=tuple(SCENES))
 
 
 def options_of(scene, of=None):
@@ -43,7 +47,9 @@ def resolve(given, output_file=None):
     last = {item.key.lower(): item for item in given}
     if "scene" not in last:
         raise InputError(f"-scene is missing: choose {', '.join(SCENES)}")
-    scene = SCENE_OPTION.read(last["scene"].text, last["scene"].where)
+    scene, where = last["scene"].text, last["scene"].where
+    if scene not in catalogue.OURS:
+        scene = scene_option().read(scene, where)
     of = _repeated(scene, last)
     options = options_of(scene, of)
     values = {name: option.default for name, option in options.items()}
@@ -85,7 +91,7 @@ def _check_foreign(key, item, scene, of):
         return
     if of and key in options_of(scene):
         raise InputError(f"-{key}{item.where}: -{scene}_of {of} does not use it")
-    *others, last = [name for name in SCENES if key in options_of(name)] or [None]
+    *others, last = [name for name in catalogue.OURS if key in options_of(name)] or [None]
     if last:
         do = f"{', '.join(others)} and {last} do" if others else f"{last} does"
         raise InputError(f"-{key}{item.where}: scene {scene} does not use it, but {do}")

@@ -27,5 +27,6 @@ class Scene:
     draws: bool = False  # whether it draws bond constants itself, by the law
     shares_lattice: bool = False  # whether several ranks may share a lattice
     whole: bool = False  # whether all ranks work on each unit together
+    subject: Callable = lambda options: ()  # in words what a scene on no medium is about
     function: Callable | None = None  # what scenes that repeat it call
     decides: tuple = ()  # options of the scene that it repeats, by -NAME_of, which it has not

@@ -14,7 +14,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from pgran.catalogue import RECORDS, record_kind
+from pgran.catalogue import groups_of, record_kind
 from pgran.errors import FileError
 from pgran.store import careful as hdf5
 from pgran.store.paths import try_beside, whole, writing
@@ -152,7 +152,7 @@ def read_result(path):
         facts = file.attributes("/")
         file.check_version(facts, FORMAT_VERSION)
         records, axes = [], {}
-        for group in file.members("/", RECORDS):
+        for group in file.members("/", groups_of(str(facts.get("scene")))):
             try:
                 record = _read_record(file, group, record_kind(group), facts)
                 axes = record.axes if group in ("lattice", "network") else axes

@@ -28,6 +28,12 @@ def check(values, given):
         raise InputError("-units_length, -units_time: the box has units by -continuum_size ...")
 
 
+def subject(options):
+    """Yield in words what the options describe."""
+    yield f"a homogeneous box of {' x '.join(f'{length:g}' for length in options.continuum_size)}"
+    yield f"beta {options.continuum_damping:g}"
+
+
 def summary(result):
     """Return in words what a run found."""
     omega, driven = result.continuum.omega, len(result.continuum.resonance)
@@ -97,4 +103,4 @@ class Series(Task):
         )
 
 
-SCENE = Scene(options_of(continuum), run_of(continuum), summary, check, on_medium=False)
+SCENE = Scene(options_of(continuum), run_of(continuum), summary, check, False, subject=subject)
