@@ -11,11 +11,11 @@ as a dict, solver={"steady_ksp_type": "gmres"}.
 
 import importlib
 
-from pgran.run import blas
+from pgran.run import machine
 
 __version__ = "1.0.1"
 
-blas.take_one_thread()  # before NumPy is loaded, if it is not
+machine.take_one_thread()  # before NumPy is loaded, if it is not
 
 # Where the names of the Python interface come from, once they are asked for: what needs neither
 # PETSc nor matplotlib does without them.

@@ -19,8 +19,8 @@ from pgran.medium.sample import make_lattice
 from pgran.run.crew import Crew
 from pgran.run.frequencies import driving_frequencies
 from pgran.run.journal import Journal
+from pgran.run.options import read_words
 from pgran.run.petsc import holding
-from pgran.run.reading import read_words
 
 RESPONSE = "-lattice_shape 9,7 -detectors 3,2,5,5 -sweep_omega"
 # Units of two frequencies: the first of each is solved to rounding.

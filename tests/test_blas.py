@@ -8,17 +8,18 @@ from pathlib import Path
 import h5py
 import pytest
 
-from pgran.run import blas
+from pgran.run import machine
 
-ASKED = "; import scipy.linalg, pgran.run.blas; print(*pgran.run.blas.ask('get_num_threads'))"
-FREE = [word for name in blas.CHOICES for word in ("-u", name)]  # nothing is chosen
+ASKED = "; import scipy.linalg as s; from pgran.run.machine import ask_blas as ask; "
+ASKED += "print(*ask('get_num_threads'))"
+FREE = [word for name in machine.THREADS for word in ("-u", name)]  # nothing is chosen
 
 
 @pytest.mark.parametrize("imports", ["import pgran, numpy", "import numpy, pgran"])
 @pytest.mark.parametrize("chosen", ["", "OMP_NUM_THREADS=2", "OPENBLAS_NUM_THREADS=2"])
 def test_threads(start, imports, chosen):
     """Of every OpenBLAS that is loaded by then, whatever is imported first."""
-    if not blas.ask("get_num_threads"):
+    if not machine.ask_blas("get_num_threads"):
         pytest.skip("no OpenBLAS here")
     done = start(program=["env", *FREE, *chosen.split(), sys.executable, "-c", imports + ASKED])
     found = {int(number) for number in done.stdout.split()}

@@ -12,7 +12,7 @@ from pgran.errors import InputError
 from pgran.medium.lattice import Lattice
 from pgran.medium.law import LAWS, BondLaw, unit_numbers
 from pgran.medium.sample import make_lattice
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 
 MASK = 2**64 - 1
 PARAMETERS = {"kmin": 0.05, "kmax": 0.25, "fraction": 0.3, "force": 2.0, "hertz": 3.0}

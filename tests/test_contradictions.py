@@ -6,7 +6,7 @@ import pytest
 
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 
 REFUSED = {  # of each scene, words and what is said of them
     "response": {

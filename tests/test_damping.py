@@ -22,7 +22,7 @@ from pgran.medium.redraw import with_constants
 from pgran.medium.sample import make_lattice
 from pgran.medium.springs import quadratic
 from pgran.run.crew import Crew
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 
 ETA, ALPHA, BETA = 0.02, 0.03, 0.005
 UNDAMPED = pgran.Lattice.random((6, 5), damping=0.0)

@@ -17,7 +17,7 @@ from pgran.experiments.modes import density
 from pgran.medium.lattice import Lattice
 from pgran.medium.record import record_of
 from pgran.run.crew import Crew
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 
 
 def check(found, squares):

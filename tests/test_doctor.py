@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from pgran.command import doctor
-from pgran.run import blas, launch
+from pgran.run import launch, machine
 
 
 @pytest.fixture(autouse=True)
 def alone(monkeypatch):
     """Nothing of how the tests were launched."""
-    for name in (*launch.RANKS, *launch.SIZES, *blas.CHOICES):
+    for name in (*launch.RANKS, *launch.SIZES, *machine.THREADS):
         monkeypatch.delenv(name, raising=False)
 
 

@@ -22,7 +22,7 @@ from pgran.experiments.relaxation.spectrum import power_spectrum
 from pgran.medium.crystals import triangular
 from pgran.medium.record import record_of
 from pgran.medium.sample import make_lattice
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 from pgran.store.record import Result
 
 SEEDS = range(1993, 1998)

@@ -12,7 +12,7 @@ from pgran.errors import FileError, InputError
 from pgran.experiments.ensemble import sampling
 from pgran.medium.network_file import parts_of, write_network
 from pgran.medium.record import record_of
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 from pgran.store import file as store
 
 

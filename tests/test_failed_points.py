@@ -10,7 +10,7 @@ from samples import SOLVERS, random_lattice, solve, steady, uniform_lattice
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.run.agreement import met_by_all
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 
 # m omega^2 = 2 k is an eigenvalue of these lattices exactly, in doubles too.
 SINGULAR = [((1,), 0.5, 1.0), ((2, 2), 0.5, 1.0), ((5, 5, 5), 1.5, 3.0)]

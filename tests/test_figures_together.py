@@ -28,8 +28,7 @@ from pgran.draw import pages as figures
 from pgran.draw import style, together
 from pgran.errors import FileError, InputError
 from pgran.experiments.relaxation.spectrum import power_spectrum
-from pgran.run.options import options_in
-from pgran.run.reading import read_words
+from pgran.run.options import options_in, read_words
 
 BETAS = (0.001, 0.003, 0.01)
 X = np.linspace(0.1, 1.2, 111)  # in units of omega_mx

@@ -21,7 +21,7 @@ from pgran.experiments.modes import dense, find
 from pgran.medium import crystals as makers
 from pgran.medium.network import Network
 from pgran.run import machine
-from pgran.run.reading import read_file, read_words
+from pgran.run.options import read_file, read_words
 from pgran.run.task import Task
 
 OPTIONS = Path(__file__).parents[1] / "options"

@@ -18,7 +18,7 @@ from pgran.command.resolve import resolve
 from pgran.errors import DONE, InputError
 from pgran.medium import hertz
 from pgran.medium.hertz import MATERIALS, Material, Scale
-from pgran.run.reading import read_file, read_words
+from pgran.run.options import read_file, read_words
 
 GLASS = MATERIALS["glass"]
 BEAD = Scale(GLASS, 5e-3, 1e-3)  # the diameter of Liu and Nagel's beads

@@ -13,9 +13,7 @@ from pgran import catalogue
 SCENE = '''
 import numpy as np
 from pgran.medium.base import medium
-from pgran.run.experiment import Scene
-from pgran.run.interface import in_parallel
-from pgran.run.keywords import PROGRESS, option, options_of, run_of
+from pgran.run.experiment import Scene, in_parallel, PROGRESS, option, options_of, run_of
 from pgran.run.task import Task, carry_out
 from pgran.store.record import columns_of, row_of
 from pgran_ladder.record import Rungs

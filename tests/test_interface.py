@@ -17,7 +17,7 @@ from pgran.medium.law import BondLaw
 from pgran.medium.network_file import read_network
 from pgran.medium.record import record_of
 from pgran.run.crew import Crew
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 from pgran.store import file as store
 
 pytestmark = pytest.mark.usefixtures("world")  # what all ranks call alike

@@ -9,7 +9,7 @@ import pytest
 from campaigns import inject
 
 from pgran.errors import FileError
-from pgran.run import logfile
+from pgran.run import streams
 
 STAMP = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4} "
 
@@ -56,16 +56,16 @@ def test_a_log_is_refused_before_any_work(call, place, shared_path, world):
         done = call("run", "a.opts", "-output_log", path, "-output_file", "b.h5")
         assert done.returncode == code
         assert message in done.stderr
-    logfile.check(shared_path / "new" / "a.log", make=False)
+    streams.check_log(shared_path / "new" / "a.log", make=False)
     world.Barrier()  # each rank tries with a file of its own
     assert sorted(path.name for path in shared_path.iterdir()) == ["a.opts", "notes.txt"]
     with pytest.raises(FileError, match=r"aa\.log: cannot be written: File name too long"):
-        logfile.check(shared_path / f"{'a' * 250}.log")
+        streams.check_log(shared_path / f"{'a' * 250}.log")
 
 
 def test_ranks_append_whole_messages(shared_path, world, capsys):
     """Many messages of several lines from all ranks at once do not mix; a full disk ends no run."""
-    handler = logfile.LogFile(shared_path / "a.log", world.rank)
+    handler = streams.LogFile(shared_path / "a.log", world.rank)
     for number in range(200):
         text = "\n".join(f"{world.rank} {number} {'x' * 100}" for _ in range(5))
         handler.emit(logging.makeLogRecord({"levelno": logging.WARNING, "msg": text}))
@@ -77,4 +77,4 @@ def test_ranks_append_whole_messages(shared_path, world, capsys):
     handler.emit(logging.makeLogRecord({"levelno": logging.INFO}))
     assert "a.log: cannot be written: [Errno 28] No space" in capsys.readouterr().err
     with pytest.raises(FileError, match=r"b\.log: cannot be written: No such file"):
-        logfile.LogFile(shared_path / "missing" / "b.log", 0)
+        streams.LogFile(shared_path / "missing" / "b.log", 0)

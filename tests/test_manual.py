@@ -23,7 +23,7 @@ from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.draw import pages
 from pgran.medium import network_file
 from pgran.run import keys as solver_keys
-from pgran.run.reading import read_file, read_words
+from pgran.run.options import read_file, read_words
 from pgran.store import file
 from pgran.store.record import Record
 

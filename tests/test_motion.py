@@ -11,7 +11,7 @@ from scipy.integrate import quad
 from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.experiments.pulse.wall import SHAPES, Pulse, Samples
-from pgran.run.reading import read_file, read_words
+from pgran.run.options import read_file, read_words
 
 
 def transformed(moves, s, pieces):

@@ -14,8 +14,7 @@ from pgran.errors import InputError
 from pgran.medium.sample import make_lattice
 from pgran.run.frequencies import driving_frequencies
 from pgran.run.keys import SOLVERS
-from pgran.run.options import INTEGER, INTEGERS, text_of
-from pgran.run.reading import read_environment, read_file, read_words
+from pgran.run.options import INTEGER, INTEGERS, read_environment, read_file, read_words, text_of
 
 OPTIONS = list(dict.fromkeys(o for scene in SCENES for o in options_of(scene).values()))
 each_option = pytest.mark.parametrize("option", OPTIONS, ids=lambda option: option.name)

@@ -7,8 +7,8 @@ import pytest
 
 from pgran.command.resolve import SCENES, options_of, resolve
 from pgran.errors import FileError, InputError
-from pgran.run.keys import SOLVERS
-from pgran.run.reading import read_environment, read_file, read_solver, read_words
+from pgran.run.keys import SOLVERS, read_solver
+from pgran.run.options import read_environment, read_file, read_words
 
 SHIPPED = sorted((Path(__file__).parents[1] / "options").rglob("*.opts"))
 

@@ -13,7 +13,7 @@ from pgran.command import imports
 from pgran.command.resolve import resolve
 from pgran.medium.network_file import read_network
 from pgran.medium.springs import FREE
-from pgran.run.reading import read_file
+from pgran.run.options import read_file
 
 ROOT = Path(__file__).parents[1]
 PACKINGS = ROOT / "options" / "packings"

@@ -11,7 +11,7 @@ from pgran.command.resolve import resolve
 from pgran.experiments.modes.projection import project, which_modes
 from pgran.experiments.modes.scene import find_modes
 from pgran.run.crew import Crew
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 
 OMEGAS = np.array([0.02, 0.31, 0.6, 0.93, 1.3])
 

@@ -20,7 +20,7 @@ from pgran.experiments.relaxation.windows import Windows, march
 from pgran.medium.bonds import bond_arrays, bond_count
 from pgran.medium.law import BondLaw
 from pgran.medium.redraw import draw_changes
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 
 LAWS = {  # of the constants that bonds get; those they have are random_lattice's
     "uniform": UNIFORM,

@@ -15,9 +15,8 @@ from pgran.experiments.sensitivity.scene import joins
 from pgran.medium.lattice import Lattice
 from pgran.medium.record import record_of
 from pgran.medium.space import as_network
-from pgran.run.options import RUN
+from pgran.run.options import RUN, read_words
 from pgran.run.petsc import holding
-from pgran.run.reading import read_words
 from pgran.store.record import Record, Result
 
 BASE = {

@@ -13,7 +13,7 @@ from pgran.errors import InputError
 from pgran.medium import graph, lattice
 from pgran.medium.sample import ranks_per_lattice
 from pgran.run.crew import Crew
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 
 LATTICE = random_lattice((9, 8), 12)
 

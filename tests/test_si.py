@@ -17,7 +17,7 @@ from pgran.command.resolve import SCENES, resolve
 from pgran.draw import scales
 from pgran.errors import InputError
 from pgran.medium.record import record_of
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 from pgran.store.record import Result
 from pgran.store.si import PREFIXES, SI, prefix_of
 

@@ -17,7 +17,7 @@ from pgran.medium.network import Network
 from pgran.medium.network_file import parts_of, write_network
 from pgran.medium.record import record_of
 from pgran.medium.sample import make_lattice
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 from pgran.store.si import SI
 
 BOX = [6, 4 * 3**0.5]

@@ -11,7 +11,7 @@ from pgran.command.resolve import resolve
 from pgran.errors import InputError
 from pgran.medium.sample import make_lattice
 from pgran.run.frequencies import driving_frequencies
-from pgran.run.reading import read_file, read_words
+from pgran.run.options import read_file, read_words
 
 
 def lattice_of(words):

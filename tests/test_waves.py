@@ -22,7 +22,7 @@ from pgran.errors import InputError
 from pgran.experiments.structure import figures
 from pgran.experiments.structure.waves import Waves, fitted, ioffe_regel, spectrum
 from pgran.medium import crystals
-from pgran.run.reading import read_words
+from pgran.run.options import read_words
 from pgran.store.record import Result
 
 sys.path.append(str(Path(__file__).parents[1] / "jobs"))

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 from pgran.command.words import Parser
-from pgran.run import blas, launch
+from pgran.run import launch, machine
 
 INSTALL = "bash jobs/setup.sh makes .venv, and .venv/bin/pgran has all it needs"
 if not (Path(__file__).parents[2] / "jobs").exists():  # installed without the scripts
@@ -141,7 +141,7 @@ def packages():
 
 def threads():
     """Find whether the threads of the ranks on this machine are more than the cores they have."""
-    chosen = {name: os.environ[name] for name in blas.CHOICES if name in os.environ}
+    chosen = {name: os.environ[name] for name in machine.THREADS if name in os.environ}
     ranks, cores = ranks_and_cores()
     each = max((int(text) for text in chosen.values() if text.isdigit()), default=cores)
     choices = ", ".join(f"{name} is {text}" for name, text in chosen.items())
@@ -159,9 +159,9 @@ def ranks_and_cores():
     MPI = sys.modules.get("mpi4py.MPI")
     if MPI is None:
         return launch.size(), len(mine)
-    machine = MPI.COMM_WORLD.Split_type(MPI.COMM_TYPE_SHARED)
-    everyone = machine.allgather(mine)
-    machine.Free()
+    together = MPI.COMM_WORLD.Split_type(MPI.COMM_TYPE_SHARED)
+    everyone = together.allgather(mine)
+    together.Free()
     return len(everyone), len(set().union(*everyone))
 
 

@@ -14,7 +14,7 @@ import pgran
 from pgran import errors
 from pgran.command.words import Parser
 from pgran.errors import FileError, InputError, PgranError
-from pgran.run import blas, launch, machine, streams
+from pgran.run import launch, machine, streams
 from pgran.run.agreement import agreeing, on_root
 
 log = logging.getLogger("pgran")
@@ -53,7 +53,7 @@ def run(words):
     faulthandler.enable()  # a crash in a library names the line that called it
 
     from pgran.command.resolve import SCENES, resolve
-    from pgran.run.reading import check_word, read_environment, read_file, read_words
+    from pgran.run.options import check_word, read_environment, read_file, read_words
 
     started = time.perf_counter()
     world = start_mpi()  # before any error: without MPI mpirun would have more to say of it
@@ -194,15 +194,14 @@ def start_mpi():
 
 def _start_log(options, words, world):
     """Let messages go to the log file of the options, too. Collective."""
-    from pgran.run import logfile
     from pgran.store.estimate import counted
 
     path = options.output_log
     if Path(path).absolute() == Path(options.output_file).absolute():
         raise InputError(f"-output_log {path}: is the -output_file")
-    on_root(world, lambda: logfile.check(path, make=not options.dry_run))
+    on_root(world, lambda: streams.check_log(path, make=not options.dry_run))
     if not options.dry_run:
-        handler = logfile.LogFile(path, world.rank)
+        handler = streams.LogFile(path, world.rank)
         log.addHandler(handler)
         if world.rank == 0:
             text = f"{shlex.join(['pgran', 'run', *words])} on {counted(world.size, 'rank')}"
@@ -235,7 +234,7 @@ def _run_attributes(options, words, world, failures, seconds):
         "petsc_version": _loaded_version("petsc4py.PETSc"),
         "slepc_version": _loaded_version("slepc4py.SLEPc"),
         "numpy_version": numpy.__version__,
-        "blas_kernel": blas.kernels(),
+        "blas_kernel": machine.blas_kernels(),
         "mpi_size": world.size,
         "seconds": seconds,
         "time_convention": "exp(+i omega t)",

@@ -11,9 +11,9 @@ import textwrap
 from pgran.arguments import meant, nearest
 from pgran.errors import DONE, InputError
 from pgran.run import launch
-from pgran.run.reading import KEY
 
 WIDTH = 80
+OPTION = re.compile(r"--?[A-Za-z][\w.-]*", re.ASCII)
 # What argparse says, and what it means.
 PLAIN = {
     "^argument ": "",
@@ -58,7 +58,7 @@ class Parser(argparse.ArgumentParser):
     def _spelled(self, word):
         """Return a word, an option as it was declared; raise an InputError if none has its name."""
         name, sign, value = word.partition("=")
-        if not KEY.fullmatch(name):
+        if not OPTION.fullmatch(name):
             return word
         for known in (name, f"-{name}", name[1:]):
             if known in self._option_string_actions:

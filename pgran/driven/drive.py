@@ -7,8 +7,7 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.medium.units import warn_above_modes
 from pgran.run.agreement import on_root
-from pgran.run.experiment import Caution
-from pgran.run.keywords import Asked
+from pgran.run.experiment import Asked, Caution
 from pgran.run.options import INTEGER, INTEGERS, REAL, REALS, TEXT, Option
 
 log = logging.getLogger("pgran")

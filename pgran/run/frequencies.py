@@ -3,7 +3,7 @@
 import numpy as np
 
 from pgran.errors import InputError
-from pgran.run.keywords import Asked
+from pgran.run.experiment import Asked
 from pgran.run.machine import check_memory
 from pgran.run.numbers import numbers
 from pgran.run.options import INTEGER, REAL, REALS, TEXT, Option, alternatives, check_ends

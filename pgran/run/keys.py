@@ -6,14 +6,12 @@ files. What is not on the list is taken from the command line only, from who mea
 
 import contextlib
 import functools
-import inspect
 import re
-from types import SimpleNamespace
 
 from pgran.arguments import meant, nearest, shown
 from pgran.errors import InputError
 from pgran.run import launch
-from pgran.run.options import text_of
+from pgran.run.options import read_file, text_of
 
 SMALLEST_SHIFT = 1e-14  # of pivots, against bond constants of about 1
 
@@ -182,23 +180,6 @@ def check_pivot_shifts(keys):
                 )
 
 
-def with_solver(function):
-    """Let a function take `solver`, a dict of keys that hold for solvers while it runs."""
-    signature = inspect.signature(function)
-    declared = SimpleNamespace(default=None, check=solver_keys_of)  # as an option is declared
-    solver = inspect.Parameter("solver", inspect.Parameter.KEYWORD_ONLY, default=declared)
-    # by kind, because **keywords come last
-    parameters = sorted([*signature.parameters.values(), solver], key=lambda p: p.kind)
-
-    @functools.wraps(function)
-    def wrapped(*arguments, solver=None, **keywords):
-        with holding_solver(solver):
-            return function(*arguments, **keywords)
-
-    wrapped.__signature__ = signature.replace(parameters=parameters)
-    return wrapped
-
-
 def solver_keys_of(solver):
     """Return the keys of a dict for solvers, as texts; raise an InputError if it has others."""
     if not isinstance(solver, dict):
@@ -216,12 +197,26 @@ def solver_keys_of(solver):
     return keys
 
 
+def read_solver(path, own):
+    """Return what the options file of a solver sets: of the `own` options, and keys for PETSc."""
+    values, keys = {}, {}
+    for item in read_file(path):
+        key = item.key.lower()
+        if key in own:
+            values[key] = own[key].read(item.text, item.where)
+        elif is_solver_key(key):
+            check_in_file(key, item)
+            keys[key] = item.text
+        else:
+            allowed = ", -".join([*own, *(f"{prefix}*" for prefix in SOLVERS)])
+            raise InputError(f"-{key}{item.where}: the file of a solver holds -{allowed} only")
+    check_pivot_shifts(keys)
+    return values, keys
+
+
 @contextlib.contextmanager
 def holding_solver(keys):
     """Let keys hold for all solvers that are made meanwhile."""
-    if not keys:
-        yield  # what needs no PETSc does without
-        return
     world = launch.start().COMM_WORLD
     from pgran.run.petsc import holding, warn_of_unused
 

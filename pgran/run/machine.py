@@ -1,12 +1,17 @@
-"""The memory that this machine has, that is free, and that this process takes, in bytes."""
+"""What this machine has: memory, in bytes, and the BLAS under NumPy, SciPy and PETSc.
+
+Like `pgran.command.doctor` it runs on Python 3.7 and later.
+"""
 
 import contextlib
+import ctypes
 import os
+import re
 import resource
+import sys
 from pathlib import Path, PurePath
 
 from pgran.errors import InputError
-from pgran.run import blas
 
 # Of control groups, version 1 and 2: where, a limit, what is taken, and what of that is mere cache.
 GROUPS = {
@@ -15,6 +20,10 @@ GROUPS = {
 }
 MODEST = 2**20  # bytes that are not worth a look
 BUFFER = 128 * 2**20  # bytes that each thread of OpenBLAS takes, and libraries three times
+# What says how many threads a BLAS takes.
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+# What OpenBLAS's functions are called: in wheels of NumPy and SciPy with something around.
+PREFIXES, SUFFIXES = ("openblas_", "scipy_openblas_"), ("", "64_")
 
 
 def total_memory():
@@ -24,7 +33,7 @@ def total_memory():
 
 def check_limits():
     """Raise an InputError where `ulimit` is so strict that OpenBLAS waits for ever for a buffer."""
-    words = [os.environ.get(name, "") for name in blas.CHOICES]
+    words = [os.environ.get(name, "") for name in THREADS]
     threads = min(os.cpu_count(), max((int(word) for word in words if word.isdigit()), default=1))
     for letter, kind, least in (("v", resource.RLIMIT_AS, 3), ("d", resource.RLIMIT_DATA, 1)):
         needed, limit = BUFFER * (least + threads), resource.getrlimit(kind)[0]
@@ -86,3 +95,30 @@ def _lines(name):
         return Path(name).read_text().splitlines()
     except OSError:
         return []
+
+
+def take_one_thread():
+    """Let linear algebra take one thread, unless the environment says how many."""
+    if not any(name in os.environ for name in THREADS):
+        os.environ["OMP_NUM_THREADS"] = "1"  # which a library that is loaded later reads
+        if "numpy" in sys.modules:
+            ask_blas("set_num_threads", 1)
+
+
+def blas_kernels():
+    """Return for which processors the kernels that run here were written; last bits differ."""
+    names = {name.decode() for name in ask_blas("get_corename", restype=ctypes.c_char_p)}
+    return ", ".join(sorted(names)) or "unknown"
+
+
+def ask_blas(name, *arguments, restype=ctypes.c_int):
+    """Call a function of every OpenBLAS that is loaded, and return the answers."""
+    mapped = "\n".join(_lines("/proc/self/maps"))  # none where this is no Linux
+    answers = []
+    for file in sorted(set(re.findall(r" (/.*openblas.*\.so.*)$", mapped, re.MULTILINE))):
+        for whole in (prefix + name + suffix for prefix in PREFIXES for suffix in SUFFIXES):
+            with contextlib.suppress(AttributeError):
+                function = getattr(ctypes.CDLL(file), whole)
+                function.restype = restype
+                answers.append(function(*arguments))
+    return answers

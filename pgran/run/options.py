@@ -1,17 +1,22 @@
-"""Options: how one is declared, read and written; those of every run; a run's own, resolved."""
+"""Options: how one is declared, read and written, and the files and command lines that give them.
+
+Options files have PETSc's syntax (`-key value`, `#` starts a comment) but are read here, before
+PETSc starts, so that what is wrong is an error that names the key and the line.
+"""
 
 import contextlib
 import math
 import operator
+import os
 import re
 import shlex
 import unicodedata
 from collections.abc import Callable
 from dataclasses import dataclass
-from os.path import exists
 
 from pgran.arguments import meant, nearest, shown
-from pgran.errors import InputError
+from pgran.errors import FileError, InputError
+from pgran.store.paths import open_regular
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,11 @@ INTEGERS, REALS = _several(INTEGER, "whole numbers"), _several(REAL, "numbers")
 FILE = Kind("file", TEXT.read, "the name of a file")
 LISTED = _several(FILE, "names of files")
 # Several, or one with a comma in its name.
-FILES = Kind("files", lambda text: (text,) if exists(text) else LISTED.read(text), LISTED.words)
+FILES = Kind(
+    "files",
+    lambda text: (text,) if os.path.exists(text) else LISTED.read(text),
+    LISTED.words,
+)
 # Of a default, or of a tuple of them.
 KINDS = {bool: FLAG, int: INTEGER, float: REAL, str: TEXT, (int,): INTEGERS, (float,): REALS}
 
@@ -72,22 +81,6 @@ def _without_numpy(value):
     if hasattr(value, "tolist"):
         value = value.tolist()
     return tuple(map(_without_numpy, value)) if isinstance(value, (list, tuple)) else value
-
-
-def _hint(text, kind):
-    """Return what to say of 20x20, (1, 2), 0,5 or 1e3 where another type of number is needed."""
-    plain = unicodedata.normalize("NFKC", text).strip("()[], ")
-    if not re.fullmatch(r"[\d\s.,;xe+-]+", plain):
-        return ""
-    if re.fullmatch(r"\d{20,}", plain):
-        return "; this one is too large"
-    whole = re.fullmatch(r"\d(\.\d*)?e\+?\d\d?|\d+\.0*", plain) and float(plain)
-    whole = f"{whole:.0f}" if whole == round(whole or 0) else ""
-    for other in (re.sub(r"[\s,;x]+", ",", plain), plain.replace(",", "."), whole):
-        with contextlib.suppress(ValueError, KeyError):
-            kind.read(other)
-            return meant(other if other != text else "")
-    return ""
 
 
 @dataclass(frozen=True)
@@ -133,15 +126,6 @@ class Option:
         bounds = (above, low, ("<=", operator.le, self.high))
         return [(sign, holds, bound) for sign, holds, bound in bounds if bound is not None]
 
-    @property
-    def options(self):
-        """The options of a keyword that this declares; see `pgran.run.keywords`."""
-        return (self,)
-
-    def of_run(self, options, *others):
-        """Return the value that the options of a run say, None if they do not have this one."""
-        return getattr(options, self.name, None)
-
     def write(self, value):
         """Return the line of an options file that sets this value."""
         return f"-{self.name} {shlex.quote(text_of(value))}"
@@ -162,7 +146,18 @@ class Option:
         key = f"-{self.name} {text}".rstrip()
         unit = f" (unit: {self.unit})" if self.unit else ""
         needs = f"one of {', '.join(self.choices)}" if self.choices else self.kind.words
-        return InputError(f"{key}{where}: needs {needs}{unit}{_hint(text, self.kind)}")
+        return InputError(f"{key}{where}: needs {needs}{unit}{_number_meant(text, self.kind)}")
+
+    # What a keyword asks that is one option: see `pgran.run.experiment.Asked`.
+
+    @property
+    def options(self):
+        """This one."""
+        return (self,)
+
+    def of_run(self, options, *others):
+        """Return the value that the options of a run say, None if they do not have this one."""
+        return getattr(options, self.name, None)
 
 
 # The options of every run.
@@ -194,11 +189,11 @@ def options_in(text):
 
 
 def alternatives(some, others, values, given, whole=None):
-    """Let one of two ways to say the same stand: the one given, or given by the winning source.
+    """Keep one of two ways to say the same: the one given, or given by the winning source.
 
-    Without any, `others` have their defaults. The values of the way that does not stand become
-    None. A source wins that says the whole: the first of `some`, or any of `whole`, by default all
-    of `others`. Raises InputError if both are given, and none wins.
+    Without any, `others` have their defaults. The values of the other way become None. A source
+    wins that says the whole: the first of `some`, or any of `whole`, by default all of `others`.
+    Raises InputError if both are given, and none wins.
     """
 
     def latest(keys):
@@ -218,3 +213,130 @@ def check_ends(name, values):
     low, high = (values.get(f"{name}_{end}") for end in ("min", "max"))
     if low is not None and low >= high:
         raise InputError(f"-{name}_min: {low:g} is not below -{name}_max, {high:g}")
+
+
+# -- what gives options: files, command lines, and PETSC_OPTIONS
+
+ENVIRONMENT = " (PETSC_OPTIONS)"
+LONGEST_FILE = 2**20  # bytes of an options file
+# Control characters and surrogates, which stand for bytes that are no UTF-8.
+NO_TEXT = re.compile(r"[^\t\n\r -~\u00a0-\ud7ff\ue000-\U0010ffff]")
+KEY = re.compile(r"--?[A-Za-z][\w.-]*", re.ASCII)
+UNQUOTED, QUOTES = re.compile(r"[^ \t]+"), re.compile(r"['\"\\]")
+
+
+@dataclass(frozen=True)
+class Given:
+    """One key as the user gave it, and where."""
+
+    key: str
+    text: str
+    where: str
+
+    @property
+    def rank(self):
+        """What wins: the command line over the file over the environment."""
+        return {"": 2, ENVIRONMENT: 0}.get(self.where, 1)
+
+
+def read_file(path):
+    """Return what an options file gives, in order; an error names what is no `-key value`."""
+    with open_regular(path, ".opts") as stream:
+        content = stream.read(LONGEST_FILE + 1)
+    if len(content) > LONGEST_FILE:
+        raise FileError(f"{path}: an options file has at most {LONGEST_FILE} bytes")
+    if content.startswith(b"\x89HDF"):
+        raise FileError(f"{path}: not a text file, as options files are, but a result or a network")
+    text = content.decode("utf-8-sig", errors="surrogateescape")  # editors may put a mark in front
+    if strange := NO_TEXT.search(text):
+        line = 1 + text.count("\n", 0, strange.start())
+        raise FileError(f"{path}: not a text file (line {line})")
+    items = []
+    for number, line in enumerate(text.splitlines(), 1):
+        words = UNQUOTED.findall(line.partition("#")[0])
+        if not words:
+            continue
+        where = f" ({path}, line {number})"
+        try:
+            if QUOTES.search("".join(words)):  # seldom: shlex is slow
+                words = shlex.split(line, comments=True)
+        except ValueError as error:
+            hint = next((hint for word in line.split() if (hint := _word_meant(word))), error)
+            raise InputError(f"{line.strip()}{where}: {hint}") from None
+        items += read_words(words, where)
+    return items
+
+
+def read_words(words, where=""):
+    """Return what a command line gives: `-key value`, or `-key` alone."""
+    items = []
+    for word in words:
+        check_word(word, where)
+        if KEY.fullmatch(word):
+            items.append(Given(word.lstrip("-"), "", where))
+        elif re.match("--?[A-Za-z]", word):
+            key, sign, value = word.partition("=")
+            hint = f"write {key} {value}" if sign else "no key has such a name"
+            if " " in word:
+                hint = "leave out the quotes around a key and its value"
+            raise InputError(f"{word}{where}: {hint}")
+        elif items and not items[-1].text:
+            items[-1] = Given(items[-1].key, word, where)
+        else:
+            hint = _word_meant(word, items) or "a value without a key (keys look like -key)"
+            raise InputError(f"{word}{where}: {hint}")
+    return items
+
+
+def check_word(word, where=""):
+    """Raise where a word could not be read again from an options file."""
+    if NO_TEXT.search(word) or "".join(word.splitlines()) != word:
+        odd = "a line break, a control character, or a byte that is no UTF-8"
+        raise InputError(f"{word}{where}: holds {odd}")
+
+
+def read_environment():
+    """Return what PETSC_OPTIONS gives, and keep PETSc from reading it unchecked."""
+    if os.environ.pop("PETSC_OPTIONS_YAML", ""):
+        raise InputError("PETSC_OPTIONS_YAML: not read; an options file or PETSC_OPTIONS is")
+    return read_words(os.environ.pop("PETSC_OPTIONS", "").split(), ENVIRONMENT)
+
+
+# -- hints: what was meant
+
+# What other programs' files begin a comment with, and what others write instead of a dash.
+COMMENTS, DASHES = ("//", "/*", "%", ";", "!"), tuple("\u2010\u2011\u2013\u2014\u2212")
+
+
+def _number_meant(text, kind):
+    """Return what to say of 20x20, (1, 2), 0,5 or 1e3 where another type of number is needed."""
+    plain = unicodedata.normalize("NFKC", text).strip("()[], ")
+    if not re.fullmatch(r"[\d\s.,;xe+-]+", plain):
+        return ""
+    if re.fullmatch(r"\d{20,}", plain):
+        return "; this one is too large"
+    whole = re.fullmatch(r"\d(\.\d*)?e\+?\d\d?|\d+\.0*", plain) and float(plain)
+    whole = f"{whole:.0f}" if whole == round(whole or 0) else ""
+    for other in (re.sub(r"[\s,;x]+", ",", plain), plain.replace(",", "."), whole):
+        with contextlib.suppress(ValueError, KeyError):
+            kind.read(other)
+            return meant(other if other != text else "")
+    return ""
+
+
+def _word_meant(word, items=()):
+    """Return what a word may have been meant to be that is no value, or None."""
+    if word.startswith(COMMENTS):
+        return "a comment begins with #"
+    if word.endswith(".opts"):
+        return "a second options file; a run takes one"
+    if word.startswith(DASHES):
+        return "begins with a long dash; keys begin with -"
+    if re.fullmatch("[a-z]+(_[a-z]+)+|scene|detectors", word.lower()):
+        return f"a value without a key; did you mean -{word.lower()}?"
+    if items and items[-1].text in ("=", ":"):
+        return f"write -{items[-1].key} {word}"
+    if items and re.fullmatch(r"[\d.,e+-]+", word):
+        both = f"{items[-1].text.strip(',')},{word.strip(',')}"
+        return f"a value without a key; a list has no blanks: -{items[-1].key} {both}"
+    return None

@@ -32,7 +32,7 @@ from pgran.command.resolve import resolve
 from pgran.errors import PgranError
 from pgran.medium.bonds import bond_shape
 from pgran.medium.bonds_file import read_bonds
-from pgran.run.reading import read_file
+from pgran.run.options import read_file
 from pgran.store import careful as hdf5
 from pgran.store import file as store
 

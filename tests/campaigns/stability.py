@@ -28,7 +28,7 @@ from reference import Reference, continuum_amplitude, exact_amplitudes
 
 import pgran
 from pgran.command.resolve import resolve
-from pgran.run.reading import read_file
+from pgran.run.options import read_file
 
 FOLDER = Path(__file__).resolve().parents[2] / "options" / "extreme"
 FILES = {path.stem: path for path in sorted(FOLDER.glob("*.opts"))}

@@ -10,8 +10,8 @@ from pgran.experiments.accuracy.study import REPEATED, Comparison, Configuration
 from pgran.medium.sample import ranks_per_lattice
 from pgran.run.agreement import on_root
 from pgran.run.experiment import Scene
+from pgran.run.keys import read_solver
 from pgran.run.options import FILES, INTEGER, REALS, TEXT, Option
-from pgran.run.reading import read_solver
 from pgran.run.task import carry_out
 
 STUDY = (

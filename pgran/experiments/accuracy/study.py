@@ -10,7 +10,7 @@ from pgran.catalogue import EXPERIMENTS
 from pgran.errors import PgranError, is_foreseen
 from pgran.experiments.accuracy.record import Accuracy
 from pgran.experiments.modes.shapes import RESIDUAL
-from pgran.run.keywords import call
+from pgran.run.experiment import call
 from pgran.run.task import Task
 from pgran.store.record import columns_of, row_of
 

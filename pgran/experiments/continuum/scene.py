@@ -7,10 +7,8 @@ import numpy as np
 from pgran.errors import InputError
 from pgran.experiments.continuum.record import ContinuumResponse
 from pgran.experiments.continuum.series import Continuum
-from pgran.run.experiment import Scene
+from pgran.run.experiment import PROGRESS, Scene, in_parallel, option, options_of, run_of
 from pgran.run.frequencies import FREQUENCIES, check_sweep
-from pgran.run.interface import in_parallel
-from pgran.run.keywords import PROGRESS, option, options_of, run_of
 from pgran.run.task import Task, carry_out
 from pgran.store.record import columns_of, row_of
 

@@ -17,10 +17,7 @@ from pgran.medium.base import medium
 from pgran.medium.lattice import Lattice
 from pgran.medium.sample import LATTICE, make_lattice
 from pgran.run.agreement import agreeing
-from pgran.run.experiment import Caution, Scene
-from pgran.run.interface import in_parallel
-from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, asked_of
+from pgran.run.experiment import PROGRESS, Caution, Scene, asked_of, in_parallel
 from pgran.run.numbers import windows_of
 from pgran.run.options import INTEGER, REALS, TEXT, Option
 from pgran.run.task import carry_out
@@ -137,7 +134,6 @@ def seeds_of(first, samples):
 
 
 @in_parallel(of=OF.check, samples=SAMPLES.check)
-@with_solver
 def ensemble(
     of: str,
     samples: int,

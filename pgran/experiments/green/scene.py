@@ -11,11 +11,8 @@ from pgran.medium.rounding import EPSILON
 from pgran.medium.source import ALONG, along
 from pgran.medium.units import warn_above_modes
 from pgran.run.agreement import agreeing
-from pgran.run.experiment import Caution, Scene
+from pgran.run.experiment import PROGRESS, Asked, Caution, Scene, in_parallel, options_of, run_of
 from pgran.run.frequencies import SWEEP, check_sweep
-from pgran.run.interface import in_parallel
-from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, Asked, options_of, run_of
 from pgran.run.machine import check_memory
 from pgran.run.options import INTEGERS, TEXT, Option
 from pgran.run.task import carry_out
@@ -71,7 +68,6 @@ def summary(result):
     receivers=Asked((RECEIVERS,), RECEIVERS.of_run),
     direction=Asked((DIRECTION,), DIRECTION.of_run),
 )
-@with_solver
 def green(
     lattice,
     omegas,

@@ -10,10 +10,7 @@ from pgran.errors import InputError
 from pgran.experiments.modes.record import Density
 from pgran.medium.base import medium
 from pgran.medium.units import check_frequency
-from pgran.run.experiment import Caution
-from pgran.run.interface import in_parallel
-from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS
+from pgran.run.experiment import PROGRESS, Caution, in_parallel
 from pgran.run.numbers import numbers
 from pgran.run.options import INTEGER, Option, alternatives
 from pgran.run.task import Task, carry_out
@@ -58,7 +55,6 @@ def frequencies(options, lattice):
 
 
 @in_parallel(lattice=medium, omegas=partial(numbers, "omegas"))
-@with_solver
 def count_modes(lattice, omegas, crew=None, *, progress=PROGRESS):
     """Count the normal modes below each of some frequencies; no mode is computed.
 

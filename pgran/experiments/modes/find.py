@@ -16,9 +16,7 @@ from pgran.medium.base import medium
 from pgran.medium.rounding import EPSILON
 from pgran.medium.units import check_frequency, warn_above_modes
 from pgran.run.agreement import on_root
-from pgran.run.interface import in_parallel
-from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, Asked, Window, option
+from pgran.run.experiment import PROGRESS, Asked, in_parallel, option, window
 from pgran.run.machine import check_memory
 from pgran.run.options import INTEGER, INTEGERS, REAL, REALS
 from pgran.run.task import Task, carry_out
@@ -35,12 +33,11 @@ DETECTORS = Asked((SITES,), SITES.of_run)
 
 
 @in_parallel("modes", lattice=medium, detectors=DETECTORS)
-@with_solver
 def find_modes(
     lattice,
     crew=None,
     *,
-    interval=Window(
+    interval=window(
         option(
             None, "lower end of the interval of modes", "angular", key="modes_omega_min", kind=REAL,
             low=0,

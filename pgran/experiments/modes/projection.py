@@ -12,11 +12,8 @@ from pgran.experiments.modes.record import Projection
 from pgran.experiments.modes.scene import certificate, check_modes
 from pgran.medium.base import medium
 from pgran.medium.units import check_frequency
-from pgran.run.experiment import Scene
+from pgran.run.experiment import PROGRESS, Scene, call, in_parallel, options_of
 from pgran.run.frequencies import SWEEP, check_sweep, checked_frequencies, driving_frequencies
-from pgran.run.interface import in_parallel
-from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, call, options_of
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted
 from pgran.store.record import columns_of, row_of
@@ -49,7 +46,6 @@ def _which(which):
 
 
 @in_parallel("project", lattice=medium, omegas=checked_frequencies, which=_which)
-@with_solver
 def project(
     lattice,
     omegas,

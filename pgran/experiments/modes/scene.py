@@ -8,8 +8,7 @@ from pgran.experiments.modes.find import find_modes
 from pgran.experiments.modes.levels import spacings
 from pgran.experiments.modes.record import exactness
 from pgran.experiments.modes.shapes import RESIDUAL
-from pgran.run.experiment import Caution, Scene
-from pgran.run.keywords import call, options_of
+from pgran.run.experiment import Caution, Scene, call, options_of
 from pgran.run.options import alternatives, check_ends
 from pgran.store.estimate import counted
 from pgran.store.si import SI

@@ -14,10 +14,16 @@ from pgran.experiments.pulse.signals import Recording, front_speed
 from pgran.experiments.pulse.wall import SHAPES, Pulse, Samples
 from pgran.medium.base import medium
 from pgran.run.agreement import agreeing, on_root
-from pgran.run.experiment import Caution, Scene
-from pgran.run.interface import in_parallel
-from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, Asked, option, options_of, run_of
+from pgran.run.experiment import (
+    PROGRESS,
+    Asked,
+    Caution,
+    Scene,
+    in_parallel,
+    option,
+    options_of,
+    run_of,
+)
 from pgran.run.numbers import numbers
 from pgran.run.options import FILE, alternatives
 from pgran.run.task import carry_out
@@ -109,7 +115,6 @@ WALL = Asked(
 
 
 @in_parallel("pulse", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS)
-@with_solver
 def pulse(
     lattice,
     detectors,

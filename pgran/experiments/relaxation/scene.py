@@ -16,10 +16,7 @@ from pgran.medium.law import TRIED, check_law, make_law
 from pgran.medium.redraw import Redraw
 from pgran.medium.units import check_frequency
 from pgran.run.agreement import agreeing
-from pgran.run.experiment import Scene
-from pgran.run.interface import in_parallel
-from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, Asked, call, option, options_of
+from pgran.run.experiment import PROGRESS, Asked, Scene, call, in_parallel, option, options_of
 from pgran.run.machine import check_memory
 from pgran.run.numbers import fingerprint
 from pgran.run.options import REAL, Option, check_ends
@@ -66,7 +63,6 @@ def summary(result):
 @in_parallel(
     "relax", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, law=LAW, omega=OMEGA
 )
-@with_solver
 def relax(
     lattice,
     law,

@@ -16,11 +16,17 @@ from pgran.experiments.response.resolution import line_errors
 from pgran.medium.base import medium
 from pgran.medium.rounding import EPSILON
 from pgran.run.agreement import agreeing, on_root
-from pgran.run.experiment import Caution, Scene
+from pgran.run.experiment import (
+    PROGRESS,
+    Caution,
+    Scene,
+    in_parallel,
+    option,
+    options_of,
+    run_of,
+    window,
+)
 from pgran.run.frequencies import SWEEP, check_sweep
-from pgran.run.interface import in_parallel
-from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, Window, option, options_of, run_of
 from pgran.run.options import FLAG, REAL, check_ends
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted, with_error
@@ -212,7 +218,6 @@ def unresolved(response, damped):
 
 
 @in_parallel("sweep", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, omegas=SWEEP)
-@with_solver
 def sweep(
     lattice,
     omegas,
@@ -234,7 +239,7 @@ def sweep(
     error_tolerance=driven.STEADY["error_tolerance"],
     error_floor=driven.STEADY["error_floor"],
     refresh_iterations=driven.STEADY["refresh_iterations"],
-    phase_window=Window(
+    phase_window=window(
         option(0.3, "window of the phase fit", "omega_mx", key="phase_fit_min", low=0),
         option(1.0, "window of the phase fit", "omega_mx", key="phase_fit_max", above=0),
     ),

@@ -21,11 +21,8 @@ from pgran.medium.base import medium
 from pgran.medium.law import HERTZ
 from pgran.medium.rounding import EPSILON
 from pgran.run.agreement import agreeing
-from pgran.run.experiment import Caution
+from pgran.run.experiment import PROGRESS, Caution, in_parallel, option
 from pgran.run.frequencies import SWEEP
-from pgran.run.interface import in_parallel
-from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, option
 from pgran.run.options import FLAG, INTEGER, INTEGERS, REAL
 from pgran.run.task import carry_out
 from pgran.store.record import ball_names, columns_of
@@ -65,7 +62,6 @@ def summary(record):
     "heat", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, omegas=SWEEP,
     balls=lambda balls: balls,  # rows or flat, which the lattice checks
 )  # fmt: skip
-@with_solver
 def heat(
     lattice,
     omegas,

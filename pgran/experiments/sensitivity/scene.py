@@ -13,11 +13,8 @@ from pgran.medium.base import medium
 from pgran.medium.bonds import bond_ends
 from pgran.medium.law import HERTZ
 from pgran.run.agreement import agreeing
-from pgran.run.experiment import Caution, Scene
+from pgran.run.experiment import PROGRESS, Caution, Scene, call, in_parallel, option, options_of
 from pgran.run.frequencies import SWEEP, check_sweep
-from pgran.run.interface import in_parallel
-from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, call, option, options_of
 from pgran.run.task import carry_out
 from pgran.store.estimate import counted, with_error
 from pgran.store.record import ball_names, columns_of, site_name
@@ -76,7 +73,6 @@ def joins(medium, number):
 @in_parallel(
     "sensitivity", shares_lattice=True, lattice=medium, detectors=driven.DETECTORS, omegas=SWEEP
 )
-@with_solver
 def sensitivity(
     lattice,
     omegas,

@@ -12,11 +12,17 @@ from pgran.experiments.structure.waves import Spectra, Waves, ioffe_regel
 from pgran.medium.base import medium
 from pgran.medium.units import warn_above_modes
 from pgran.run.agreement import agreeing, on_root
-from pgran.run.experiment import Caution, Scene
+from pgran.run.experiment import (
+    PROGRESS,
+    Asked,
+    Caution,
+    Scene,
+    in_parallel,
+    option,
+    options_of,
+    run_of,
+)
 from pgran.run.frequencies import SWEEP, check_sweep
-from pgran.run.interface import in_parallel
-from pgran.run.keys import with_solver
-from pgran.run.keywords import PROGRESS, Asked, option, options_of, run_of
 from pgran.run.numbers import numbers
 from pgran.run.options import INTEGER, REAL, Option
 from pgran.run.task import carry_out
@@ -37,7 +43,6 @@ WAVEVECTORS = Asked(
 @in_parallel(
     "structure", shares_lattice=True, lattice=medium, wavevectors=WAVEVECTORS, omegas=SWEEP
 )
-@with_solver
 def structure(
     lattice,
     wavevectors,
