@@ -15,8 +15,7 @@ import numpy as np
 from mpi4py import MPI
 
 from pgran.command.memory import is_factored, lattice_memory
-from pgran.command.opening import opening
-from pgran.command.resolve import run_scene
+from pgran.command.resolve import opening, run_scene
 from pgran.medium.sample import make_lattice, ranks_per_lattice
 from pgran.run.crew import Crew
 from pgran.run.machine import free_memory, most_resident

@@ -1,4 +1,4 @@
-"""Which experiment a run is, and its options: all scenes, and what keys mean to one of them."""
+"""Which experiment a run is, and its options: what keys mean to one scene, and what that solves."""
 
 import hashlib
 import shlex
@@ -6,9 +6,10 @@ import shlex
 from pgran import catalogue
 from pgran.arguments import meant, nearest
 from pgran.errors import InputError
-from pgran.run import keys as solver_keys
 from pgran.run.options import FILE, FILES, RUN, TEXT, Option, text_of
+from pgran.store.estimate import counted
 from pgran.store.paths import open_regular
+from pgran.store.si import SI
 
 SCENES = catalogue.EXPERIMENTS  # the facts of each by name, loaded as they are asked for
 
@@ -29,14 +30,15 @@ def options_of(scene, of=None):
 
         options += sample.LATTICE
     options += facts.options
-    for other in [of] if of else repeated_by(scene):
+    repeated = _repeating_option(scene)
+    for other in [of] if of else repeated.choices if repeated else ():
         options += (o for o in SCENES[other].options if o.name not in facts.decides)
     return {option.name: option for option in (*options, *RUN)}
 
 
-def repeated_by(scene):
-    """Return the scenes that a scene can repeat, of which -SCENE_of says one."""
-    return next((o.choices for o in SCENES[scene].options if o.name == f"{scene}_of"), ())
+def _repeating_option(scene):
+    """Return the option that says which scene is repeated; None where a scene repeats none."""
+    return next((o for o in SCENES[scene].options if o.name == f"{scene}_of"), None)
 
 
 def resolve(given, output_file=None):
@@ -50,7 +52,10 @@ def resolve(given, output_file=None):
     scene, where = last["scene"].text, last["scene"].where
     if scene not in catalogue.OURS:
         scene = scene_option().read(scene, where)
-    of = _repeated(scene, last)
+    of = repeating = _repeating_option(scene)
+    if repeating:
+        item = last.get(repeating.name)
+        of = repeating.read(item.text, item.where) if item else repeating.default
     options = options_of(scene, of)
     values = {name: option.default for name, option in options.items()}
     values["output_file"] = output_file
@@ -61,54 +66,53 @@ def resolve(given, output_file=None):
         elif key != "scene":
             _check_foreign(key, item, scene, of)
             solver[key] = item.text
-    solver_keys.check_pivot_shifts(solver)
-    computed = SCENES[of or scene]
-    if not computed.shares_lattice and values["ranks_per_lattice"] > 1:
-        raise InputError(
-            f"-ranks_per_lattice: scene {of or scene} has one rank for each lattice only"
-        )
-    if SCENES[scene].on_medium:
-        from pgran.medium.sample import check_lattice
+    if solver:
+        from pgran.run import keys
 
-        check_lattice(values, last, computed.draws, several=scene == "ensemble")
+        keys.check_pivot_shifts(solver)
+    computed = of or scene
+    if not SCENES[computed].shares_lattice and values["ranks_per_lattice"] > 1:
+        raise InputError(f"-ranks_per_lattice: scene {computed} has one rank for each lattice only")
+    if SCENES[scene].on_medium:
+        from pgran.medium import sample
+
+        draws = SCENES[computed].draws
+        sample.check_lattice(values, last, draws, several=scene == "ensemble")
     SCENES[scene].check(values, last)
     return Options(scene, options.values(), values, solver)
 
 
-def _repeated(scene, given):
-    """Return the scene that a scene repeats, if it repeats one."""
-    for option in SCENES[scene].options:
-        if option.name == f"{scene}_of":
-            item = given.get(option.name)
-            return option.read(item.text, item.where) if item else option.default
-    return None
-
-
 def _check_foreign(key, item, scene, of):
     """Raise unless a key that is no option of the scene, which may repeat `of`, is PETSc's."""
-    if solver_keys.is_listed(key):  # and no option's name: no other experiment is loaded for it
-        solver_keys.check_in_file(key, item)
-        return
-    if of and key in options_of(scene):
+    from pgran.run import keys
+
+    if keys.is_listed(key):  # and no option's name: no other experiment is loaded for it
+        return keys.check_in_file(key, item)
+    known = options_of(scene)
+    if key in known:
         raise InputError(f"-{key}{item.where}: -{scene}_of {of} does not use it")
     *others, last = [name for name in catalogue.OURS if key in options_of(name)] or [None]
     if last:
         do = f"{', '.join(others)} and {last} do" if others else f"{last} does"
         raise InputError(f"-{key}{item.where}: scene {scene} does not use it, but {do}")
-    if solver_keys.is_solver_key(key) or solver_keys.is_petsc_key(key):
-        solver_keys.check_in_file(key, item)
-        return
+    if keys.is_solver_key(key) or keys.is_petsc_key(key):
+        return keys.check_in_file(key, item)
     if key in ("n", "np"):
         raise InputError(f"-{key}{item.where}: ranks are started by mpirun -n N pgran run ...")
-    name = "output_file" if key in ("o", "out", "output") else key
-    ends = [known for known in options_of(scene) if known.endswith(f"_{name}")]
-    near = min(ends, key=len, default=None) or nearest(name, ["scene", *options_of(scene)])
-    if key.startswith(("ksp_", "pc_")):
-        near = f"steady_{key}"
-    elif key.startswith(("eps_", "st_")):
-        near = f"normal_{key}"
-    hint = meant(near and f"-{near}")
+    hint = meant(_key_meant(key, known))
     raise InputError(f"-{key}{item.where}: unknown option{hint} (pgran options {scene} lists all)")
+
+
+def _key_meant(key, known):
+    """Return which of the keys that are known, or of a solver's, is meant by another, or None."""
+    if key.startswith(("ksp_", "pc_")):
+        return f"-steady_{key}"
+    if key.startswith(("eps_", "st_")):
+        return f"-normal_{key}"
+    name = "output_file" if key in ("o", "out", "output") else key
+    ends = [whole for whole in known if whole.endswith(f"_{name}")]
+    near = min(ends, key=len, default=None) or nearest(name, ["scene", *known])
+    return near and f"-{near}"
 
 
 class Options:
@@ -129,6 +133,15 @@ class Options:
         """Return the same options with other values."""
         return Options(self.scene, self._declared, self._values | values, self.solver)
 
+    @property
+    def solver_keys(self):
+        """The keys that go to solvers, {key: text}: not those by which PETSc prints."""
+        if not self.solver:
+            return {}
+        from pgran.run.keys import is_solver_key
+
+        return {key: text for key, text in self.solver.items() if is_solver_key(key)}
+
     def text(self):
         """Return an options file that reproduces the run, whether or not that was a dry one."""
         lines = [f"-scene {self.scene}"]
@@ -146,13 +159,15 @@ class Options:
             with open_regular(path) as stream:
                 return f"{path} holds {hashlib.file_digest(stream, 'sha256').hexdigest()[:16]}"
 
-        texts = {option.name: text_of(v) for option, v in self._known() if option not in RUN}
+        texts = {"scene": self.scene}
         for option, value in self._known():
+            if option in RUN:
+                continue
+            texts[option.name] = text_of(value)
             if option.kind in (FILE, FILES):
                 paths = value if isinstance(value, tuple) else (value,)
                 texts[option.name] += f" ({', '.join(map(contents, paths))})"
-        solver = {key: text for key, text in self.solver.items() if solver_keys.is_solver_key(key)}
-        return {"scene": self.scene} | texts | solver
+        return texts | self.solver_keys
 
     def _known(self):
         """Return pairs of the options that have a value, and it."""
@@ -182,3 +197,54 @@ def run_scene(scene, options, world, crew):
     from pgran.medium.record import record_of
 
     return [record_of(medium), *records]
+
+
+def opening(options, ranks, medium=None):
+    """Return in words what a run solves, and on how many ranks.
+
+    The medium is that of the run, of an ensemble its first sample; None where there is none.
+    """
+    of = getattr(options, f"{options.scene}_of", None)
+    if medium is None:
+        facts = [*SCENES[options.scene].subject(options)]
+    else:
+        from pgran.medium.source import in_words
+
+        facts = [*(_lattice if options.network_file is None else _network)(options, medium)]
+        facts += in_words(medium)
+        if of != "modes":  # samples keep no widths of theirs
+            facts.append(medium.law_in_words)
+        unit = SI.of(options).say("Hz", medium.omega_mx)
+        facts.append(f"omega_mx {medium.omega_mx:.6g}{unit}")
+    facts.append(counted(ranks, "rank"))
+    return f"{options.scene} of {f'{of} of ' if of else ''}{', '.join(facts)}"
+
+
+def _network(options, network):
+    """Yield the facts of a network that was read."""
+    first, *others = options.network_file
+    yield f"{len(others) + 1} networks; {first}" if others else f"the network {first}"
+    loose = " without rattlers" * (options.network_rattlers == "remove")
+    balls, contacts = counted(len(network.free), "free ball"), counted(network.bonds, "contact")
+    yield f"{balls}{loose}, {contacts}"
+    moves = {"scalar": "scalar displacements", "vector": "vectors", "rotations": "rotations"}
+    where = "" if network.displacement == "scalar" else f" in {network.axes} dimensions"
+    yield moves[network.displacement] + where
+
+
+def _lattice(options, lattice):
+    """Yield the facts of a lattice, or of many."""
+    from pgran.medium.law import DEFAULTS, IN_WORDS
+
+    size, first = " x ".join(map(str, lattice.shape)), options.bonds_seed
+    values = {name: getattr(options, f"bonds_{name}") for name in (*DEFAULTS, "file")}
+    values |= {name: f"{value:g}" for name, value in values.items() if isinstance(value, float)}
+    bonds = "bonds " + IN_WORDS[options.bonds_law].format(**values).replace("$", "")
+    if options.scene == "ensemble":
+        samples = options.ensemble_samples
+        yield from (f"{samples} lattices of {size}", bonds)
+        yield f"seeds {first} to {first + samples - 1}"
+    else:
+        yield from (f"a {size} lattice", bonds)
+        if options.bonds_law != "file":
+            yield f"seed {first}"

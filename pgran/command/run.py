@@ -12,10 +12,12 @@ from pathlib import Path
 
 import pgran
 from pgran import errors
-from pgran.command.words import Parser
+from pgran.command.resolve import SCENES, opening, resolve, run_scene
 from pgran.errors import FileError, InputError, PgranError
 from pgran.run import launch, machine, streams
 from pgran.run.agreement import agreeing, on_root
+from pgran.run.options import check_word, read_environment, read_file, read_words
+from pgran.store.estimate import counted
 
 log = logging.getLogger("pgran")
 
@@ -47,14 +49,12 @@ exit codes:
 def run(words):
     """Run the experiment of an options file, and return the exit code. Collective."""
     if {"-h", "--help", "-help"} & set(words):
+        from pgran.command.words import Parser
+
         usage = "pgran run FILE [-key value ...]"
         Parser("run", DOES, *EXAMPLES, more=MORE, usage=usage, add_help=False).print_help()
         return errors.DONE
     faulthandler.enable()  # a crash in a library names the line that called it
-
-    from pgran.command.resolve import SCENES, resolve
-    from pgran.run.options import check_word, read_environment, read_file, read_words
-
     started = time.perf_counter()
     world = start_mpi()  # before any error: without MPI mpirun would have more to say of it
     if not words or words[0].startswith("-"):
@@ -82,104 +82,6 @@ def run(words):
         raise KeyboardInterrupt(text) from None
 
 
-def _foresee(scene, options, world, started):
-    """Say what a run will need. Collective."""
-    from pgran.command.forecast import forecast
-    from pgran.run.journal import Journal
-    from pgran.store.file import check_output
-
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, launch.HELD)  # there is nothing to keep
-    output, overwrite = options.output_file, options.output_overwrite
-    identity = _run_identity(on_root(world, options.identity))
-    for line in forecast(scene, options, world, started):
-        print(line)
-    if world.rank == 0:
-        _warn_of_unused(options)
-    # what refuses the run refuses this as well, once its needs are said
-    on_root(world, lambda: check_output(output, overwrite, make=False))
-    with Journal(world, output, identity, overwrite, dry=True):
-        return errors.DONE
-
-
-def _compute(scene, options, words, world, started):
-    """Compute a scene, or go on with it, and write its result. Collective."""
-    import numpy
-
-    from pgran.command.opening import opening
-    from pgran.command.resolve import SCENES, run_scene
-    from pgran.run.crew import Crew
-    from pgran.run.experiment import Caution
-    from pgran.run.journal import Journal
-    from pgran.store import file as store
-    from pgran.store.record import Result
-
-    output, overwrite = options.output_file, options.output_overwrite
-    on_root(world, lambda: store.check_output(output, overwrite))
-    asked = on_root(world, options.identity)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
-    with Journal(world, output, _run_identity(asked), overwrite) as journal:
-        # again: another run may have written it just before the journal was locked
-        on_root(world, lambda: store.check_output(output, overwrite))
-
-        def crew(ranks, lattice=None):
-            if lattice is not None:
-                from pgran.command.memory import is_factored, lattice_memory
-
-                journal.medium = lattice.bonds_sha256
-                # modes take other factors, and pulses may be integrated
-                of = getattr(options, f"{options.scene}_of", options.scene)
-                factored = SCENES[of].shares_lattice and of != "pulse" and is_factored(options)
-                key = "lattice_shape" if lattice.is_grid else "network_file"
-                with agreeing(world):  # what is foreseen is right to a third
-                    machine.check_memory(key, lattice_memory(lattice, ranks, factored) / 3)
-            text = opening(options, world.size, lattice)
-
-            def begins():
-                for name, now in options.identity().items():
-                    if asked[name] != now:
-                        why = "has changed since the run started; start it again"
-                        raise FileError(f"-{name} {now}: {why}")
-                log.info("%s", text)
-
-            return Crew(world, ranks, journal, begins)
-
-        records = run_scene(scene, options, world, crew)
-
-        def finish():
-            failures = sum(int(numpy.sum(r.failures)) for r in records)
-            seconds = time.perf_counter() - started
-            attributes = _run_attributes(options, words, world, failures, seconds)
-            store.write(output, attributes, records, overwrite)
-            if failures:
-                log.warning(
-                    "results that miss the accuracy asked for, and are marked: %d", failures
-                )
-            try:
-                _warn_of_unused(options)
-                lines = scene.summary(Result(records, **attributes))
-                for line in sorted(lines, key=lambda line: not isinstance(line, Caution)):
-                    level = logging.WARNING if isinstance(line, Caution) else logging.INFO
-                    log.log(level, "%s", line)
-            except Exception as error:  # no reason to fail: the result is there
-                log.warning("no summary: %s: %s", type(error).__name__, error)
-            draw = f"pgran plot {shlex.quote(output)}"
-            log.info("written after %.1f s; to draw it: %s", seconds, draw)
-            return failures
-
-        return errors.INACCURATE if on_root(world, finish) else errors.DONE
-
-
-def _run_identity(asked):
-    """Return what decides a run's numbers, {name: text}: what is asked, and who computes it."""
-    versions = {
-        "pgran": pgran.__version__,
-        "PETSc": _loaded_version("petsc4py.PETSc"),  # of whose release SLEPc is
-        "NumPy": _installed_version("numpy"),
-        "SciPy": _installed_version("scipy"),  # not imported by all that run
-    }
-    return versions | {f"-{name}": text for name, text in asked.items()}
-
-
 def start_mpi():
     """Start MPI, and return all ranks, which must know of each other. Collective."""
     MPI = launch.start()
@@ -194,8 +96,6 @@ def start_mpi():
 
 def _start_log(options, words, world):
     """Let messages go to the log file of the options, too. Collective."""
-    from pgran.store.estimate import counted
-
     path = options.output_log
     if Path(path).absolute() == Path(options.output_file).absolute():
         raise InputError(f"-output_log {path}: is the -output_file")
@@ -218,6 +118,110 @@ def start_petsc(options):
     words = [word for key, text in options.solver.items() for word in (f"-{key}", text) if word]
     petsc4py.init(["pgran", "-skip_petscrc", "-no_signal_handler", *words])
     importlib.import_module("pgran.run.petsc")  # where a PETSc that is no use is refused
+
+
+def _foresee(scene, options, world, started):
+    """Say what a run will need. Collective."""
+    from pgran.command.forecast import forecast
+    from pgran.run.journal import Journal
+    from pgran.store.file import check_output
+
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, launch.HELD)  # there is nothing to keep
+    output, overwrite = options.output_file, options.output_overwrite
+    identity = _run_identity(on_root(world, options.identity))
+    for line in forecast(scene, options, world, started):
+        print(line)
+    if world.rank == 0:
+        _warn_of_unused(options)
+    # what refuses the run refuses this as well, once its needs are said
+    on_root(world, lambda: check_output(output, overwrite, make=False))
+    with Journal(world, output, identity, overwrite, dry=True):
+        return errors.DONE
+
+
+def _compute(scene, options, words, world, started):
+    """Compute a scene, or go on with it, and write its result. Collective."""
+    from pgran.run.crew import Crew
+    from pgran.run.journal import Journal
+    from pgran.store.file import check_output
+
+    output, overwrite = options.output_file, options.output_overwrite
+    on_root(world, lambda: check_output(output, overwrite))
+    asked = on_root(world, options.identity)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+    with Journal(world, output, _run_identity(asked), overwrite) as journal:
+        # again: another run may have written it just before the journal was locked
+        on_root(world, lambda: check_output(output, overwrite))
+
+        def crew(ranks, medium=None):
+            if medium is not None:
+                journal.medium = medium.bonds_sha256
+                _check_room(options, medium, ranks, world)
+            text = opening(options, world.size, medium)
+
+            def begins():
+                for name, now in options.identity().items():
+                    if asked[name] != now:
+                        why = "has changed since the run started; start it again"
+                        raise FileError(f"-{name} {now}: {why}")
+                log.info("%s", text)
+
+            return Crew(world, ranks, journal, begins)
+
+        records = run_scene(scene, options, world, crew)
+        failures = on_root(world, lambda: _write(scene, options, words, world, records, started))
+        return errors.INACCURATE if failures else errors.DONE
+
+
+def _check_room(options, medium, ranks, world):
+    """Raise where the matrices and factors of a medium exceed the memory. Collective."""
+    from pgran.command.memory import is_factored, lattice_memory
+
+    # modes take other factors, and pulses may be integrated
+    of = getattr(options, f"{options.scene}_of", options.scene)
+    factored = SCENES[of].shares_lattice and of != "pulse" and is_factored(options)
+    key = "lattice_shape" if medium.is_grid else "network_file"
+    with agreeing(world):  # what is foreseen is right to a third
+        machine.check_memory(key, lattice_memory(medium, ranks, factored) / 3)
+
+
+def _write(scene, options, words, world, records, started):
+    """Write the result of a run, say what it is, and return how many numbers failed, on rank 0."""
+    import numpy
+
+    from pgran.run.experiment import Caution
+    from pgran.store import file as store
+    from pgran.store.record import Result
+
+    failures = sum(int(numpy.sum(record.failures)) for record in records)
+    seconds = time.perf_counter() - started
+    attributes = _run_attributes(options, words, world, failures, seconds)
+    output = options.output_file
+    store.write(output, attributes, records, options.output_overwrite)
+    if failures:
+        log.warning("results that miss the accuracy asked for, and are marked: %d", failures)
+    try:
+        _warn_of_unused(options)
+        lines = scene.summary(Result(records, **attributes))
+        for line in sorted(lines, key=lambda line: not isinstance(line, Caution)):
+            level = logging.WARNING if isinstance(line, Caution) else logging.INFO
+            log.log(level, "%s", line)
+    except Exception as error:  # no reason to fail: the result is there
+        log.warning("no summary: %s: %s", type(error).__name__, error)
+    draw = f"pgran plot {shlex.quote(output)}"
+    log.info("written after %.1f s; to draw it: %s", seconds, draw)
+    return failures
+
+
+def _run_identity(asked):
+    """Return what decides a run's numbers, {name: text}: what is asked, and who computes it."""
+    versions = {
+        "pgran": pgran.__version__,
+        "PETSc": _loaded_version("petsc4py.PETSc"),  # of whose release SLEPc is
+        "NumPy": _installed_version("numpy"),
+        "SciPy": _installed_version("scipy"),  # not imported by all that run
+    }
+    return versions | {f"-{name}": text for name, text in asked.items()}
 
 
 def _run_attributes(options, words, world, failures, seconds):
@@ -257,10 +261,7 @@ def _loaded_version(name):
 
 def _warn_of_unused(options):
     """Warn of solver keys that no PETSc object asked for."""
-    from pgran.run.keys import is_solver_key
-
-    keys = [key for key in options.solver if is_solver_key(key)]
-    if keys:
+    if options.solver_keys:
         from pgran.run.petsc import warn_of_unused
 
-        warn_of_unused(keys)
+        warn_of_unused(options.solver_keys)
