@@ -160,7 +160,7 @@ def in_parallel(prefix="", shares_lattice=False, solver=True, **arguments):
 
     def decorate(function):
         declared = _declarations(function, prefix, arguments)
-        checks = {name: getattr(d, "check", d) for name, d in (arguments | declared).items()}
+        checks = {name: getattr(d, "check", d) for name, d in (declared | arguments).items()}
         parameters = [
             p.replace(default=p.default.default) if hasattr(p.default, "check") else p
             for p in inspect.signature(function).parameters.values()
